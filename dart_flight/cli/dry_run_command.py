@@ -120,19 +120,26 @@ def run(arguments: argparse.Namespace) -> int:
         warnings.append(f"this program lags by up to {late_s * 1e3:.0f} ms: {TOO_BUSY}")
     for line in warnings:
         console.print(f"[yellow]{line}[/]", soft_wrap=True)
-    if arguments.runs is None:
-        live_line = None if arguments.fast else live_line_for(mission, console)
-        lines = FlightLines(console, arguments.verbose > 0, live_line)
-        with live_view(arguments, mission) as live, contextlib.closing(lines):
-            seen = {} if live is None else {"viewer": live}
-            verdict = fly(mission, seed=arguments.seed, log_dir=arguments.log_dir, progress=lines, **seen)
-        show_end(verdict, console, arguments.json)
-        if arguments.hitl is not None:
-            say_how_to_end()
-        return exit_status(verdict)
+    return _fly_one(arguments, mission, fly) if arguments.runs is None else _fly_many(arguments, mission, fly)
+
+
+def _fly_one(arguments: argparse.Namespace, mission: Mission, fly: Callable[..., Verdict]) -> int:
+    console = messages()
+    live_line = None if arguments.fast else live_line_for(mission, console)
+    lines = FlightLines(console, arguments.verbose > 0, live_line)
+    with live_view(arguments, mission) as live, contextlib.closing(lines):
+        seen = {} if live is None else {"viewer": live}
+        verdict = fly(mission, seed=arguments.seed, log_dir=arguments.log_dir, progress=lines, **seen)
+    show_end(verdict, console, arguments.json)
+    if arguments.hitl is not None:
+        say_how_to_end()
+    return exit_status(verdict)
+
+
+def _fly_many(arguments: argparse.Namespace, mission: Mission, fly: Callable[..., Verdict]) -> int:
+    """Fly one seed after the other; an interrupt ends with what was flown."""
     seeds = range(arguments.seed, arguments.seed + arguments.runs)
-    interrupted = False
-    with Progress(console=console, transient=True) as bar:
+    with Progress(console=messages(), transient=True) as bar:
         task = bar.add_task("flights", total=arguments.runs)
 
         def done(_: Verdict) -> None:
@@ -149,7 +156,15 @@ def run(arguments: argparse.Namespace) -> int:
                     done,
                 )
         except RunsInterruptedError as stopped:
-            verdicts, interrupted = stopped.verdicts, True
+            return _show_runs(arguments, mission, stopped.verdicts, interrupted=True)
+    return _show_runs(arguments, mission, verdicts, interrupted=False)
+
+
+def _show_runs(
+    arguments: argparse.Namespace, mission: Mission, verdicts: list[Verdict], interrupted: bool
+) -> int:
+    """What came of the flights; returns the exit status."""
+    console = messages()
     summary = summarise(verdicts)
     if interrupted:
         console.print(f"[red]interrupted[/]: {len(verdicts)} of {arguments.runs} flights were flown")

@@ -324,9 +324,11 @@ class _Batch:
         return self.rows is not None or self.mass.size == 1
 
     def parts(self) -> list[slice]:
+        """Slices of the impacts, at most `_CHUNK` each."""
         return [slice(i, min(i + _CHUNK, self.size)) for i in range(0, self.size, _CHUNK)]
 
     def coefficients(self, part: slice) -> tuple[CoefficientArrays, Array]:
+        """Coefficients and masses, kg, of one of the `parts`: one each, or one for all."""
         if self.rows is not None:
             rows = self.rows[part]
             return self.table.take(rows), self.mass[rows]

@@ -46,10 +46,10 @@ class SetpointGenerator:
         self._trajectory: TransitTrajectory | Approach | PlannedApproach | PlannedTrajectory | None = None
         self._yaw_us = 0
         self._arrived_us: int | None = None
-        # A position that drifts does not come to rest as one that is tracked.
-        self._loose = _DRIFTING_NEAR if mission.is_anchored else 1.0
-        self._loose_speed = _DRIFTING_SLOW if mission.is_anchored else 1.0
-        self._loose_yaw = _DRIFTING_TURNED if mission.is_anchored else 1.0
+        flying, drifts = self._flying, mission.is_anchored
+        self._arrived_m = flying.arrive_m * (_DRIFTING_NEAR if drifts else 1.0)
+        self._arrived_m_s = flying.arrive_speed_m_s * (_DRIFTING_SLOW if drifts else 1.0)
+        self._arrived_rad = _ARRIVED_YAW_RAD * (_DRIFTING_TURNED if drifts else 1.0)
 
     # -- where to --
 
@@ -122,23 +122,21 @@ class SetpointGenerator:
 
     def has_arrived(self, state: FlightState, wanted_yaw: float) -> bool:
         """At the target, slow (`is_slow`), and heading as wanted, for the configured time."""
-        flying = self._flying
         near = (
-            math.dist(state.position, self.target) < self._loose * flying.arrive_m
+            math.dist(state.position, self.target) < self._arrived_m
             and self.is_slow(state)
-            and abs(wrap_angle(state.yaw - wanted_yaw)) < self._loose_yaw * _ARRIVED_YAW_RAD
+            and abs(wrap_angle(state.yaw - wanted_yaw)) < self._arrived_rad
         )
         if not near:
             self._arrived_us = None
             return False
         if self._arrived_us is None:
             self._arrived_us = state.now_us
-        return state.now_us - self._arrived_us >= flying.arrive_s * 1e6
+        return state.now_us - self._arrived_us >= self._flying.arrive_s * 1e6
 
     def is_slow(self, state: FlightState) -> bool:
         """Whether the mean velocity over `flying.arrive_mean_s` is below `flying.arrive_speed_m_s`."""
-        flying = self._flying
-        return norm(state.mean_velocity(flying.arrive_mean_s)) < self._loose_speed * flying.arrive_speed_m_s
+        return norm(state.mean_velocity(self._flying.arrive_mean_s)) < self._arrived_m_s
 
     def slew_yaw(self, wanted: float, now_us: int) -> None:
         """Turn the heading asked for towards the wanted one, at the configured rate at most."""
