@@ -80,7 +80,7 @@ class HitLimits(NamedTuple):
 
 
 class ContactResponse(NamedTuple):
-    """A contact in closed form (shared/model: restitution and times do not depend on the speed).
+    """A contact in closed form (restitution and times do not depend on the speed).
 
     Attributes:
         restitution: velocity along the normal out, over that in.

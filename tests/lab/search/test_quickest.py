@@ -23,7 +23,16 @@ from dart_flight.config.vehicle import packaged
 from dart_flight.core.mission.trajectories import PlannedTrajectory
 from dart_flight.lab.search.free_plan import straight_time_s
 from dart_flight.lab.search.mission_writer import write_mission
-from dart_flight.lab.search.optimal_trajectory import ContactResponse, MotionLimits, OptimalTrajectory
+from dart_flight.lab.search.optimal_trajectory import (
+    ContactResponse,
+    Hit,
+    HitLimits,
+    MotionLimits,
+    OptimalTrajectory,
+    Part,
+    Problem,
+    solve,
+)
 from dart_flight.lab.search.quickest import LeastTimes, LegEnd, QuickestResult, plan_quickest
 from dart_flight.lab.search.scenario import Scenario, load_scenario
 from tools.campaigns.walls_pay import Planned, gain, plan_map, scenario_of
@@ -254,3 +263,17 @@ def test_a_generated_map_is_the_same_again_and_kept_as_json() -> None:
     saved = gain(kept)
     assert saved is not None
     assert 0.1 < saved < 0.25
+
+
+def test_two_hits_that_are_guessed_at_one_place_give_the_solver_a_first_point() -> None:
+    """In the corner between two walls: the part between them is guessed without a length."""
+    scenario = between()
+    east, corner = scenario.walls["east"], (2.0, -1.0)
+    south = msgspec.structs.replace(east, name="south", point=(0.0, -1.0), normal=(0.0, 1.0))
+    hits = [Hit(wall, Mode.FLEXIBLE, guess=corner, velocity_m_s=(-1.0, 0.3)) for wall in (east, south)]
+    parts = tuple(Part(to, ()) for to in (*hits, None))
+    limits, hit_limits = MotionLimits(3.0, 5.0, 8.0, 45.0), HitLimits(150.0, None, None, None, 0.0)
+    with np.errstate(all="raise"):
+        found = solve(Problem(scenario.vehicle, (0.0, 0.0), (0.0, 0.0), parts, limits, hit_limits, 0.1))
+    assert found is not None
+    assert [hit.wall for hit in found.hits] == [east.name, south.name]
