@@ -12,8 +12,14 @@ from hypothesis import strategies as st
 from dart_flight.base.geometry import MissionFrame, Vec2, distance2
 from dart_flight.base.records import WallEstimate
 from dart_flight.base.walls import Wall
+from dart_flight.config.mission import load_mission
+from dart_flight.config.vehicle import packaged
 from dart_flight.core.mission.anchors import START_SD_M, Anchor, FrameAnchors
+from dart_flight.core.mission.executive import Executive
+from dart_flight.core.mission.proposal import Proposal
 from dart_flight.core.mission.wall_uncertainty import EstimatedWalls
+from dart_flight.core.sense.senses import Sensed
+from dart_flight.core.sense.state import FlightState
 
 DRIFT_M_S = 0.03
 S = 1_000_000
@@ -225,3 +231,28 @@ def test_a_wall_is_the_less_known_the_older_the_anchor_of_its_normal() -> None:
     assert old > 0.2
     own = msgspec.structs.replace(WOOD, position_sd_m=0.1)
     assert walls.wall_now(own, 0).position_sd_m == pytest.approx(math.hypot(0.1, fresh))
+
+
+@pytest.mark.parametrize(("along_m", "sd_m"), [(0.0, 0.012), (1.5, math.hypot(0.012, 1.5 * math.tan(0.02)))])
+def test_the_middle_of_a_wall_is_the_less_known_the_farther_from_it_the_contact_was(
+    along_m: float, sd_m: float
+) -> None:
+    wall = msgspec.structs.replace(WOOD, position_sd_m=0.1, yaw_sd_rad=0.05)
+    walls, (tx, ty) = EstimatedWalls(), WOOD.tangent
+    met = (WOOD.point[0] + along_m * tx, WOOD.point[1] + along_m * ty)
+    walls.add_estimate(felt(met, WOOD.normal), wall)
+    assert walls.wall_now(wall).position_sd_m == pytest.approx(sd_m)
+
+
+@pytest.mark.parametrize("sought", [True, False])
+def test_a_contact_with_a_wall_that_nobody_knew_puts_no_frame_right(sought: bool) -> None:
+    loaded = load_mission(packaged("missions", "dual_collision_gps.yaml"))
+    known = {wall.name: msgspec.structs.replace(wall, sought=sought) for wall in loaded.walls}
+    hits = tuple(msgspec.structs.replace(one, wall=known[one.wall.name]) for one in loaded.collisions)
+    mission = msgspec.structs.replace(loaded, walls=tuple(known.values()), collisions=hits)
+    flown, p, state = Executive(mission), Proposal(), FlightState()
+    state.anchor(MissionFrame(0.0, 0.0, 0.0, 0.0))
+    (x, y), (nx, ny) = mission.walls[0].point, mission.walls[0].normal
+    estimate = felt((x + 0.05 * nx, y + 0.05 * ny), (nx, ny), 0.05, wall=mission.walls[0].name)
+    flown._impacts.take(Sensed(None, (), False, wall=estimate), state, p)
+    assert (p.frame is None) is sought

@@ -13,12 +13,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dart_flight.base.geometry import Vec2, distance2
+from dart_flight.base.records import LockPhase, LockState, Phase, ProbeEnd
 from dart_flight.config.mission import Mission, load_mission
 from dart_flight.config.probes import place_at
 from dart_flight.config.vehicle import packaged
 from dart_flight.core.mission.approach import PlannedApproach, plan_approach
+from dart_flight.core.mission.executive import Executive
 from dart_flight.core.mission.legs import collision_now, mission_now, waypoint_now, why_left_out
+from dart_flight.core.mission.proposal import Proposal
 from dart_flight.core.mission.wall_uncertainty import EstimatedWalls
+from dart_flight.core.sense.senses import Sensed
+from dart_flight.core.sense.state import FlightState
 from tests.core.test_anchors import felt
 
 FIND = load_mission(packaged("missions", "find_a_wall.yaml"))
@@ -146,3 +151,22 @@ def test_a_probe_that_is_long_enough_comes_to_its_speed() -> None:
     mission = probing(0.0, 2.0, 0.5)
     way = plan_approach(mission, mission.collisions[0])
     assert way.at(0.5 * way.impact_s).velocity == pytest.approx((0.5, 0.0, 0.0))
+
+
+def test_a_probe_that_meets_nothing_ends_where_the_vehicle_is() -> None:
+    mission = load_mission(packaged("missions", "find_a_wall.yaml"))
+    flown, p, state = Executive(mission), Proposal(), FlightState()
+    state.now_us, state.position = 9_000_000, (2.7, 0.1, 1.0)
+    state.lock = LockState(state.now_us, LockPhase.SETTLED, mission.collisions[0].mode)
+    flown.progress.phase, flown.progress.entered_us = Phase.APPROACH, 0
+    flown._references.impact_s = 8.8
+    flown._approach(state, Sensed(None, (), False), p)
+    assert flown.progress.phase is Phase.APPROACH
+    state.now_us += 200_000
+    flown._approach(state, Sensed(None, (), False), p)
+    assert (flown.progress.phase, flown.progress.index) == (Phase.RECOVERY, 1)
+    assert flown._references.target[:2] == state.position[:2]
+    assert flown._lock.contact_end_us == state.now_us, "nothing keeps the lock from moving"
+    assert [o.what for o in p.outputs if isinstance(o, ProbeEnd)] == [
+        "nothing met on the probe for wall east"
+    ]
