@@ -29,8 +29,8 @@ class Post(msgspec.Struct, frozen=True):
     radius_m: float
     material: str
 
-    def distance_to_way(self, a: Vec2, b: Vec2) -> float:
-        """Smallest distance in metres of the axis to the straight way from one place to another."""
+    def distance_to_segment(self, a: Vec2, b: Vec2) -> float:
+        """Smallest distance in metres of the axis to the straight line from one place to another."""
         (ax, ay), (bx, by), (cx, cy) = a[:2], b[:2], self.centre
         dx, dy = bx - ax, by - ay
         square = dx * dx + dy * dy

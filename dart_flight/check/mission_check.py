@@ -105,7 +105,7 @@ def _check_places(mission: Mission) -> list[CheckFinding]:
             findings.append(CheckFinding(f"{name.replace(' ', '_')}_clearance", False, says))
         for post in mission.posts:
             if is_post_in_the_way(mission, post, point, point):
-                away = post.distance_to_way(point, point) - post.radius_m
+                away = post.distance_to_segment(point, point) - post.radius_m
                 says = f"{name} is {away:.2f} m from post {post.name}, too near for the vehicle"
                 findings.append(CheckFinding(f"{name.replace(' ', '_')}_clearance", False, says))
     for wall in mission.walls:

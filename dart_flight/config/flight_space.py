@@ -132,7 +132,7 @@ def check_clear_of_posts(
         InputError: it is.
     """
     for post in posts.values():
-        if post.distance_to_way(point, point) <= post.radius_m + vehicle.airframe.contact_distance_m:
+        if post.distance_to_segment(point, point) <= post.radius_m + vehicle.airframe.contact_distance_m:
             raise document.error((*key, "position_m"), f"lies in or at post {post.name}")
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dart_flight.base.geometry import GRAVITY_M_S2, Vec2
-from dart_flight.base.walls import Wall
+from dart_flight.base.walls import Post, Wall
 from dart_flight.core.mission.arithmetic import Number
 from dart_flight.core.mission.commitment import (
     SETPOINT_OUTSIDE_M,
@@ -73,10 +73,13 @@ class Constraints:
     Args:
         task: limits, bounds, walls.
         ignored: reasons that do not count, to find out which of them stand in the way.
+        posts: that stand in the flight space.
     """
 
-    def __init__(self, task: Task, ignored: frozenset[Refusal] = frozenset()) -> None:
-        self._ignored = ignored
+    def __init__(
+        self, task: Task, ignored: frozenset[Refusal] = frozenset(), posts: tuple[Post, ...] = ()
+    ) -> None:
+        self._ignored, self._posts = ignored, posts
         self.bounds, self.limits = task.bounds, task.limits
         self.walls = tuple(task.walls.values())
         vehicle = self._vehicle = task.vehicle
@@ -86,6 +89,8 @@ class Constraints:
         self.most_acceleration = GRAVITY_M_S2 * math.tan(math.radians(vehicle.px4.mpc_tiltmax_air))
         lock = vehicle.lock
         self.lock_s = lock.relaxation_s + lock.switch_time_s + _LOCK_POLL_S if lock else 0.0
+        airframe = vehicle.airframe  # a post may be met by a corner of the guards
+        self._corner_m = math.hypot(airframe.contact_distance_m, airframe.guard_along_m)
         self._reach = _reach_tables(task)
 
     def mark(
@@ -140,7 +145,7 @@ class Constraints:
         Args:
             window: positions and velocities.
             until: per candidate.
-            target: the wall that the plan hits next, no obstacle.
+            target: the wall or post that the plan hits next, no obstacle.
             begins: whether the first grid point is the release from a wall.
             walls: as they are known by now; None: as the mission has them.
         """
@@ -153,15 +158,20 @@ class Constraints:
         obstacles = [wall for wall in walls if target is None or wall.name != target.name]
         for wall in obstacles:
             bad |= _touches(wall, w)
+        posts = [post for post in self._posts if target is None or post.name != target.name]
+        for post in posts:
+            bad |= _meets(post, self._corner_m, w)
         bad &= np.arange(w.times.size) < until[:, None]
         codes = np.zeros(until.size, dtype=np.int8)
         rows = np.flatnonzero(bad.any(axis=1))
         if rows.size:  # few: only they are looked at closely
             part = GridWindow(w.times, *(v[rows] for v in (w.x, w.y, w.vx, w.vy)))
-            codes[rows] = self._why(part, until[rows], obstacles, begins)
+            codes[rows] = self._why(part, until[rows], obstacles, posts, begins)
         return codes
 
-    def _why(self, w: GridWindow, until: NDArray[np.intp], obstacles: list[Wall], begins: bool) -> Codes:
+    def _why(
+        self, w: GridWindow, until: NDArray[np.intp], obstacles: list[Wall], posts: list[Post], begins: bool
+    ) -> Codes:
         """Which of the rules is broken, if any."""
         codes = np.zeros(until.size, dtype=np.int8)
         alive = np.arange(w.times.size) < until[:, None]
@@ -178,6 +188,8 @@ class Constraints:
             before = wall.end_distance_m(place) >= -end_margin_m(wall, place)
             touched = _touches(wall, w) & before & (depth > -_THICK_M)
             self.mark(codes, (touched & alive).any(axis=1), Refusal.OBSTACLE)
+        for post in posts:
+            self.mark(codes, (_meets(post, self._corner_m, w) & alive).any(axis=1), Refusal.OBSTACLE)
         return codes
 
     def _leaves(self, w: GridWindow) -> NDArray[np.bool_]:
@@ -282,6 +294,14 @@ def _touches(wall: Wall, w: GridWindow) -> NDArray[np.bool_]:
         depth = np.float32(nx) * (w.x + soon * w.vx) + np.float32(ny) * (w.y + soon * w.vy)
     touches: NDArray[np.bool_] = depth < offset
     return touches
+
+
+def _meets(post: Post, corner_m: float, w: GridWindow) -> NDArray[np.bool_]:
+    """Whether the vehicle comes nearer to a post than it may, turned as it likes; leaving one is free."""
+    x, y = w.x - np.float32(post.centre[0]), w.y - np.float32(post.centre[1])
+    near = x * x + y * y < np.float32((post.radius_m + corner_m) ** 2)
+    meets: NDArray[np.bool_] = near & (x * w.vx + y * w.vy < 0.0)
+    return meets
 
 
 def _reach_tables(task: Task) -> tuple[Array, Array, Array]:

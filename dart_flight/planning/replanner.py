@@ -95,7 +95,7 @@ class Replanner:
             mission.vehicle.modes,
             {c.wall.name: (c.alpha_normal_m_per_n, c.alpha_tangential_m_per_n) for c in mission.collisions},
         )
-        self._constraints = Constraints(self._task)
+        self._constraints = Constraints(self._task, posts=mission.posts)
         loop = PositionLoop.of(mission.vehicle.px4)
         self._felt: dict[tuple[str, Mode], Coefficients] = {}
         drift_m_s = mission.vehicle.estimation.position_drift_m_s

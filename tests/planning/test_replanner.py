@@ -6,11 +6,12 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from dart_flight.base.geometry import GRAVITY_M_S2
+from dart_flight.base.geometry import GRAVITY_M_S2, Vec2, distance2
 from dart_flight.base.records import FrameAnchor, Mode, PlanAnswer, PlanRequest, WallEstimate
+from dart_flight.base.walls import Post
 from dart_flight.config.mission import Mission, load_mission
 from dart_flight.config.mission_file import CollisionPrediction
 from dart_flight.config.vehicle import packaged
@@ -338,4 +339,42 @@ def test_a_plan_for_a_vehicle_that_coasts_begins_with_it_righting_itself() -> No
         assert begin.velocity[axis] == pytest.approx(v[-1], abs=1e-6)
         assert begin.position[axis] == pytest.approx(
             request.position_mission[axis] + float(np.mean(v)) * 0.1, abs=1e-4
+        )
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    place=st.tuples(st.floats(1.2, 1.55), st.floats(-0.5, 0.5)),
+    velocity=st.tuples(st.floats(-1.0, 0.3), st.floats(-0.4, 0.4)),
+    share=st.floats(0.4, 0.6),
+    beside_m=st.floats(-0.2, 0.2),
+)
+def test_no_trajectory_leads_into_a_post(place: Vec2, velocity: Vec2, share: float, beside_m: float) -> None:
+    """Between vehicle and goal: where the quickest would meet it, another is flown, or none."""
+    goal, radius_m = MISSION.goal.position_m, 0.05
+    reach_m = radius_m + math.hypot(
+        MISSION.vehicle.airframe.contact_distance_m, MISSION.vehicle.airframe.guard_along_m
+    )
+    centre = (place[0] + share * (goal[0] - place[0]), place[1] + share * (goal[1] - place[1]) + beside_m)
+    assume(min(distance2(place, centre), distance2(goal, centre)) > reach_m + 0.02)
+    post = Post("pole", centre, radius_m, "wood")
+    request = msgspec.structs.replace(
+        TO_GOAL, position_mission=(*place, 1.0), velocity_mission=(*velocity, 0.0)
+    )
+    unaware, aware = (
+        REPLANNER.answer(request, 0),
+        Replanner(msgspec.structs.replace(MISSION, posts=(post,))).answer(request, 0),
+    )
+    assert not unaware.problem
+
+    def nearest_m(answer: PlanAnswer) -> float:
+        way, times = way_of(answer), np.linspace(0.0, answer.duration_s, 200)
+        return min(distance2(way.at(float(t)).position[:2], centre) for t in times)
+
+    if nearest_m(unaware) > reach_m + 0.02:
+        assert aware == unaware
+    else:
+        assert (
+            aware.problem == "no trajectory to the goal within the limits"
+            or nearest_m(aware) > reach_m - 0.02
         )

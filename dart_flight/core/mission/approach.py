@@ -185,7 +185,7 @@ def is_post_in_the_way(mission: Mission, post: Post, a: Vec2, b: Vec2) -> bool:
     """Whether a segment comes nearer to a post than to a wall it may, with the vehicle turned as it likes."""
     airframe = mission.vehicle.airframe
     corner_m = math.hypot(airframe.contact_distance_m, airframe.guard_along_m)
-    return post.distance_to_way(a, b) < post.radius_m + corner_m + CLEARANCE_M
+    return post.distance_to_segment(a, b) < post.radius_m + corner_m + CLEARANCE_M
 
 
 def segments_to_impact(
