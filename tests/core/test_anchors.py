@@ -157,7 +157,8 @@ def test_a_wall_is_where_it_was_met_last_however_often(place_sd: float | None, y
         expected = walls.wall_now(wall)
         walls.add_estimate(felt((x, 0.0), (-1.0, 0.0), expected.signed_distance((x, 0.0))), wall)
         assert walls.wall_now(wall).point == pytest.approx((x, 0.0))
-    walls.add_estimate(felt(None, None), wall)
+    for nothing_new in (felt(None, None), felt((2.1, 0.0), None), felt(None, (-1.0, 0.0))):
+        walls.add_estimate(nothing_new, wall)
     assert walls.wall_now(wall).point == pytest.approx((2.29, 0.0)), "too few readings: nothing new"
     assert walls.is_met("wood")
 

@@ -208,8 +208,10 @@ def test_what_is_still_to_be_shown_at_the_end_is_shown_and_then_it_ends(
     monkeypatch.setattr(app, "_progress", shown.append)
     app._ended.set()
     wanted = [LockPermission(i, True) for i in range(records)]
-    for record in wanted:
+    for record in wanted[:2]:
         app.show(record)
+    for record in wanted[2:]:  # the core's
+        app._see(record, 7)
     thread = threading.Thread(target=app._show, daemon=True)
     thread.start()
     thread.join(5.0)
