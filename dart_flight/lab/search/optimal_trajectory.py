@@ -10,9 +10,7 @@ the extra `plan`. Past walls, each part of a way keeps to half-planes on which i
 
 from __future__ import annotations
 
-import itertools
 import math
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import msgspec
@@ -223,76 +221,68 @@ class _Transcription:
         self.g_high: list[float] = []
         self.cost: Any = 0.0
         self.times: list[Any] = []
-        self.states: list[list[Any]] = []
-        self.jerks: list[list[Any]] = []
+        self.states: list[Any] = []  # (6, n + 1) of each part
+        self.jerks: list[Any] = []  # (2, n)
 
     # -- building blocks --
 
-    def variable(self, name: str, guess: Sequence[float], low: float, high: float) -> Any:
-        """A vector of unknowns."""
-        symbol = self.ca.SX.sym(name, len(guess))
-        self.variables.append(symbol)
-        self.guess += guess
-        self.low += [low] * len(guess)
-        self.high += [high] * len(guess)
+    def variable(self, name: str, guess: Array, low: float, high: float) -> Any:
+        """Unknowns, in the shape of their guess."""
+        symbol = self.ca.SX.sym(name, *guess.shape)
+        self.variables.append(self.ca.vec(symbol))
+        self.guess += guess.ravel(order="F").tolist()
+        self.low += [low] * guess.size
+        self.high += [high] * guess.size
         return symbol
 
     def require(self, value: Any, low: float, high: float) -> None:
         """Bounds on every entry of an expression."""
-        self.constraints.append(value)
-        count = value.shape[0] if hasattr(value, "shape") else 1
-        self.g_low += [low] * count
-        self.g_high += [high] * count
+        entries = self.ca.vec(value)
+        self.constraints.append(entries)
+        self.g_low += [low] * entries.shape[0]
+        self.g_high += [high] * entries.shape[0]
 
-    def carried(self, state: Any, dt: Any, jerk: Any) -> Any:
-        """A state (x, y, vx, vy, ax, ay) after some time at a constant jerk."""
-        p, v, a = state[:2], state[2:4], state[4:6]
+    def carried(self, states: Any, dt: Any, jerks: Any) -> Any:
+        """States (x, y, vx, vy, ax, ay), a column each, after some time at a constant jerk."""
+        p, v, a = states[:2, :], states[2:4, :], states[4:6, :]
         return self.ca.vertcat(
-            p + v * dt + a * (dt**2 / 2) + jerk * (dt**3 / 6), v + a * dt + jerk * (dt**2 / 2), a + jerk * dt
+            p + v * dt + a * (dt**2 / 2) + jerks * (dt**3 / 6),
+            v + a * dt + jerks * (dt**2 / 2),
+            a + jerks * dt,
         )
 
     # -- the problem --
 
-    def state(self, name: str, guess: Sequence[float], keep: Sequence[HalfPlane]) -> Any:
-        """A state within speed, acceleration and half-planes."""
-        limits = self.problem.limits
-        state = self.variable(name, guess, -math.inf, math.inf)
-        self.require(self.ca.sumsqr(state[2:4]), -math.inf, limits.speed_m_s**2)
-        self.require(self.ca.sumsqr(state[4:6]), -math.inf, limits.acceleration_m_s2**2)
-        for half in keep:
-            along = half.normal[0] * state[0] + half.normal[1] * state[1]
-            self.require(along, half.offset_m, math.inf)
-        return state
-
     def part(self, i: int, part: Part, begin: _GuessedEnd, end: _GuessedEnd) -> None:
-        """The unknowns of one part, and the motion through it."""
-        n, limits = self.intervals, self.problem.limits
+        """The unknowns of one part, within speed, acceleration, jerk and half-planes, and the motion."""
+        ca, n, limits = self.ca, self.intervals, self.problem.limits
         jerk_most = limits.jerk_m_s3 or _ANY_JERK_M_S3
         length = distance2(begin.place, end.place)
         usual_s = transit_time_s(length, limits.speed_m_s, limits.acceleration_m_s2, limits.jerk_m_s3) + 0.3
         speeds = math.hypot(*begin.velocity), math.hypot(*end.velocity)
         if min(speeds) > 0.0:  # flown through: as long as at the mean of the two
             usual_s = max(_LEAST_S, 2.0 * length / sum(speeds))  # two places may be one
-        duration = self.variable(f"T{i}", [float(usual_s)], 1e-3, _LONGEST_S)
+        duration = self.variable(f"T{i}", np.array([[float(usual_s)]]), 1e-3, _LONGEST_S)
         guessed = _quintic_states(begin, end, float(usual_s), n)
-        states = [self.state(f"x{i}_{k}", list(guessed[k]), part.keep) for k in range(n + 1)]
-        jerks = []
-        dt = duration / n
-        for k in range(n):
-            change = (guessed[k + 1][4:] - guessed[k][4:]) * n / float(usual_s)
-            jerk = self.variable(f"j{i}_{k}", list(change), -jerk_most, jerk_most)
-            self.require(self.ca.sumsqr(jerk) / jerk_most**2, -math.inf, 1.0)
-            self.require(states[k + 1] - self.carried(states[k], dt, jerk), 0.0, 0.0)
-            self.cost += _SMOOTH * self.ca.sumsqr(jerk) * dt
-            jerks.append(jerk)
-        self.cost += duration
+        states = self.variable(f"x{i}", guessed, -math.inf, math.inf)
+        self.require(ca.sum1(states[2:4, :] ** 2), -math.inf, limits.speed_m_s**2)
+        self.require(ca.sum1(states[4:6, :] ** 2), -math.inf, limits.acceleration_m_s2**2)
+        for half in part.keep:
+            along = half.normal[0] * states[0, :] + half.normal[1] * states[1, :]
+            self.require(along, half.offset_m, math.inf)
+        changes = np.diff(guessed[4:], axis=1) * n / float(usual_s)
+        jerks, dt = self.variable(f"j{i}", changes, -jerk_most, jerk_most), duration / n
+        squares = ca.sum1(jerks**2)
+        self.require(squares / jerk_most**2, -math.inf, 1.0)
+        self.require(states[:, 1:] - self.carried(states[:, :-1], dt, jerks), 0.0, 0.0)
+        self.cost += duration + _SMOOTH * ca.sum2(squares) * dt
         self.times.append(duration)
         self.states.append(states)
         self.jerks.append(jerks)
 
     def join(self, i: int, event: Event) -> None:
         """From the end of part `i` through an event into the next."""
-        before, after = self.states[i][-1], self.states[i + 1][0]
+        before, after = self.states[i][:, -1], self.states[i + 1][:, 0]
         if isinstance(event, Hit):
             self.hit(event, before, after)
             return
@@ -371,13 +361,13 @@ def _guessed_ends(problem: Problem) -> list[tuple[_GuessedEnd, _GuessedEnd]]:
 
 
 def _quintic_states(begin: _GuessedEnd, end: _GuessedEnd, duration_s: float, n: int) -> Array:
-    """(n + 1, 6): states along the smooth path from one end to the other."""
-    columns, s = [], np.linspace(0.0, duration_s, n + 1)
+    """(6, n + 1): states along the smooth path from one end to the other."""
+    axes, s = [], np.linspace(0.0, duration_s, n + 1)
     for axis in range(2):
         first, last = ((one.place[axis], one.velocity[axis], 0.0) for one in (begin, end))
         poly = np.polynomial.Polynomial(quintic(first, last, np.array([duration_s]))[:, 0])
-        columns.append([poly(s), poly.deriv(1)(s), poly.deriv(2)(s)])
-    return np.stack([columns[axis][order] for order in range(3) for axis in range(2)], axis=1)
+        axes.append([poly(s), poly.deriv(1)(s), poly.deriv(2)(s)])
+    return np.stack([axes[axis][order] for order in range(3) for axis in range(2)])
 
 
 def solve(problem: Problem, intervals: int = INTERVALS) -> OptimalTrajectory | None:
@@ -399,16 +389,15 @@ def solve(problem: Problem, intervals: int = INTERVALS) -> OptimalTrajectory | N
         if part.to is not None:
             t.join(i, part.to)
     rest = casadi.DM.zeros(4)
-    for state, place in ((t.states[0][0], problem.start), (t.states[-1][-1], problem.goal)):
+    for state, place in ((t.states[0][:, 0], problem.start), (t.states[-1][:, -1], problem.goal)):
         t.require(state - casadi.vertcat(casadi.DM(place), rest), 0.0, 0.0)
     x, g = casadi.vertcat(*t.variables), casadi.vertcat(*t.constraints)
     solver = casadi.nlpsol("quickest", "ipopt", {"x": x, "f": t.cost, "g": g}, _SOLVER)
     found = solver(x0=t.guess, lbx=t.low, ubx=t.high, lbg=t.g_low, ubg=t.g_high)
     if not solver.stats()["success"]:
         return None
-    outputs = [*t.times, *itertools.chain(*t.states), *itertools.chain(*t.jerks)]
-    values = casadi.Function("values", [x], outputs)(found["x"])
-    return _as_trajectory(problem, intervals, [np.array(v).ravel() for v in values])
+    values = casadi.Function("values", [x], [*t.times, *t.states, *t.jerks])(found["x"])
+    return _as_trajectory(problem, intervals, [np.array(v) for v in values])
 
 
 def _is_possible(vehicle: VehicleConfig, event: Event | None) -> bool:
@@ -421,16 +410,14 @@ def _is_possible(vehicle: VehicleConfig, event: Event | None) -> bool:
 
 def _as_trajectory(problem: Problem, n: int, values: list[Array]) -> OptimalTrajectory:
     count = len(problem.parts)
-    durations = [float(v[0]) for v in values[:count]]
-    states = [values[count + i * (n + 1) : count + (i + 1) * (n + 1)] for i in range(count)]
-    jerks_from = count + count * (n + 1)
-    jerks = [values[jerks_from + i * n : jerks_from + (i + 1) * n] for i in range(count)]
+    durations = [float(v[0, 0]) for v in values[:count]]
+    states, jerks = values[count : 2 * count], values[2 * count :]
     legs: list[TrajectoryPieces] = []
     hits: list[TrajectoryHit] = []
     visits: list[float] = []
-    now, pieces, begin = 0.0, [], states[0][0]
+    now, pieces, begin = 0.0, [], states[0][:, 0]
     for i, part in enumerate(problem.parts):
-        pieces += [(durations[i] / n, float(j[0]), float(j[1])) for j in jerks[i]]
+        pieces += [(durations[i] / n, float(j[0]), float(j[1])) for j in jerks[i].T]
         now += durations[i]
         if isinstance(part.to, Visit) or (isinstance(part.to, Hit) and part.to.visit is not None):
             visits.append(now)
@@ -439,9 +426,9 @@ def _as_trajectory(problem: Problem, n: int, values: list[Array]) -> OptimalTraj
             pieces = []
         if isinstance(part.to, Hit):
             response = ContactResponse.of(problem.vehicle, part.to.wall, part.to.mode)
-            hits.append(_hit(part.to, response, now, states[i][-1]))
+            hits.append(_hit(part.to, response, now, states[i][:, -1]))
             now += response.contact_s + problem.dead_s
-            begin = states[i + 1][0]
+            begin = states[i + 1][:, 0]
     return OptimalTrajectory(now, tuple(legs), tuple(hits), tuple(visits))
 
 
