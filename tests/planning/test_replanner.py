@@ -378,3 +378,16 @@ def test_no_trajectory_leads_into_a_post(place: Vec2, velocity: Vec2, share: flo
             aware.problem == "no trajectory to the goal within the limits"
             or nearest_m(aware) > reach_m - 0.02
         )
+
+
+@pytest.mark.parametrize("turned_rad", [0.0, 0.4, -0.9])
+@pytest.mark.parametrize("straight_s", [0.1, 0.3])
+def test_straight_on_from_where_they_end_all_meet_the_wall(turned_rad: float, straight_s: float) -> None:
+    wall = ACRYLIC.turned(turned_rad)
+    collision = msgspec.structs.replace(MISSION.collisions[1], wall=wall)
+    ends = REPLANNER._to_wall(TO_WALL, collision, (-1.0, 0.3), straight_s)
+    assert ends.x.size > 0
+    for x, y, vx, vy in zip(ends.x, ends.y, ends.vx, ends.vy, strict=True):
+        met = (float(x + straight_s * vx), float(y + straight_s * vy))
+        assert wall.signed_distance(met) == pytest.approx(0.0, abs=1e-9)
+        assert wall.to_collision((float(vx), float(vy), 0.0))[:2] == pytest.approx((-1.0, 0.3))

@@ -521,3 +521,18 @@ def test_a_terminal_of_another_job_is_not_read(
 ) -> None:
     monkeypatch.setattr(os, "tcgetpgrp", lambda _: os.getpgrp() + theirs)
     assert module._in_background(0) is expected
+
+
+def test_a_key_that_was_typed_for_another_job_is_left_alone_for_a_while(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Else the loop would call again at once, for what nobody here may read."""
+    app, _ = app_with(monkeypatch)
+    app.loop = asyncio.new_event_loop()
+    master, terminal = os.openpty()
+    with os.fdopen(master), os.fdopen(terminal) as keyboard, contextlib.closing(app.loop):
+        monkeypatch.setattr(sys, "stdin", keyboard)
+        monkeypatch.setattr(module, "_in_background", lambda _: True)
+        app._listen_for_key()
+        app._take_key()
+        assert not app.loop.remove_reader(terminal), "it was listened to still"
