@@ -40,6 +40,7 @@ _SMOOTH = 1e-5  # s per (m/s3)^2 s: of two flights equally quick, the smoother
 _GUESSED_M_S, _GUESSED_LEFT = 1.5, 0.7  # velocity of a hit, and what is left of it, to begin with
 _SOLVER: dict[str, Any] = {
     "print_time": False,
+    "no_nlp_grad": True,  # of no use to IPOPT, and dear to derive
     "ipopt": {"print_level": 0, "sb": "yes", "max_iter": 250, "tol": 1e-6},
 }
 
