@@ -22,6 +22,7 @@ from dart_flight.lab.search.optimal_trajectory import ContactResponse, OptimalTr
 from dart_flight.lab.search.quickest import QuickestPlan
 from dart_flight.lab.search.scenario import Scenario
 from dart_flight.lab.search.search import Plan, PlannedCollision
+from dart_flight.planning.task import drag_along
 
 _DIGITS = 4
 _LEAST_GAIN, _USUAL_GAIN = 1e-3, 0.025  # m/N
@@ -102,13 +103,16 @@ def _rounded(leg: TrajectoryPieces) -> dict[str, Any]:
 def recovery_gains(vehicle: VehicleConfig, wall: Wall, hit: TrajectoryHit) -> Vec2:
     """Gains (A_n, A_t) of the setpoint that holds from the peak of a hit until the way on is planned, m/N.
 
-    With them PX4's position loop asks, at the velocity that the hit leaves, for the acceleration that the
-    trajectory has there: kv (kp A F - v) = a.
+    With them PX4's position loop asks, at the velocity that the hit leaves, for the thrust (per mass) that
+    the vehicle had when it hit, u = a + drag v: kv (kp A F - v) = u.
     """
     response, px4 = ContactResponse.of(vehicle, wall, hit.mode), vehicle.px4
+    drag_n, drag_t = drag_along(wall, vehicle.airframe.drag_per_s)
+    thrust_n = hit.acceleration_m_s2[0] + drag_n * hit.normal_m_s
+    thrust_t = hit.acceleration_m_s2[1] + drag_t * hit.tangential_m_s
     kept = math.exp(response.friction_s_per_m * hit.normal_m_s)
-    wanted_n = -response.restitution * hit.normal_m_s + hit.acceleration_m_s2[0] / px4.mpc_xy_vel_p_acc
-    wanted_t = hit.tangential_m_s * kept + hit.acceleration_m_s2[1] / px4.mpc_xy_vel_p_acc
+    wanted_n = -response.restitution * hit.normal_m_s + thrust_n / px4.mpc_xy_vel_p_acc
+    wanted_t = hit.tangential_m_s * kept + thrust_t / px4.mpc_xy_vel_p_acc
     friction_n = response.mu_s_per_m * hit.tangential_m_s * hit.peak_force_n
     along = wanted_t / (px4.mpc_xy_p * friction_n) if abs(friction_n) > _LEAST_FRICTION_N else _USUAL_GAIN
     away = wanted_n / (px4.mpc_xy_p * hit.peak_force_n)

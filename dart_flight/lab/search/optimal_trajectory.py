@@ -3,9 +3,10 @@
 Between two events the jerk is constant over each of a number of equal intervals, so that position, velocity
 and acceleration are polynomials, exact at the intervals' ends (direct multiple shooting); how long each part
 lasts is free. A hit carries the velocity over by the contact law in closed form (`ContactResponse`), takes
-the contact's time, and for `dead_s` after it the acceleration stays what it was: the attitude cannot jump,
-and the way on is planned meanwhile. CasADi states the problem and its derivatives, IPOPT solves it; both are
-the extra `plan`. Past walls, each part of a way keeps to half-planes on which it is clear of them.
+the contact's time, and for `dead_s` after it the thrust stays what it was: the attitude cannot jump, and the
+way on is planned meanwhile. The drag turns round with the velocity. CasADi states the problem and its
+derivatives, IPOPT solves it; both are the extra `plan`. Past walls, each part of a way keeps to half-planes
+on which it is clear of them.
 """
 
 from __future__ import annotations
@@ -330,7 +331,9 @@ class _Transcription:
         out_n, out_t = -one.restitution * vn, vt * ca.exp(one.friction_s_per_m * vn)
         way_t = 0.5 * (vt + out_t) * one.contact_s
         release = before[:2] + n * (-one.lead_s * out_n + one.lead_s * vn) + t * way_t
-        released = ca.vertcat(release, n * out_n + t * out_t, before[4:6])
+        # The thrust cannot jump; the drag does, with the velocity.
+        pushed = before[4:6] + n * drag_n * (vn - out_n) + t * drag_t * (vt - out_t)
+        released = ca.vertcat(release, n * out_n + t * out_t, pushed)
         self.require(after - self.carried(released, self.problem.dead_s, ca.DM([0.0, 0.0])), 0.0, 0.0)
 
 
