@@ -113,6 +113,11 @@ class Replanner:
         self._matrices = [loop_matrix(loop, b) for b in mission.vehicle.airframe.drag_per_s[:2]]
         tilt = math.radians(mission.vehicle.px4.mpc_tiltmax_air)
         self._most_m_s2 = _TILT_SHARE * GRAVITY_M_S2 * math.tan(tilt)
+        # What is planned anew keeps to the mission's limits; what only leads back to the mission's own
+        # trajectory, which uses all of them already, may need more.
+        limits = mission.limits
+        self._planned_m_s2 = min(self._most_m_s2, limits.acceleration_m_s2 or math.inf)
+        self._planned_m_s3 = min(_JERK_M_S3, limits.jerk_m_s3 or math.inf)
 
     def update_wall(self, felt: WallEstimate) -> None:
         """Take what a contact has taught; what it cannot tell of which mode is left alone."""
@@ -327,10 +332,10 @@ class Replanner:
     def _flyable(self, x: Array, y: Array, duration_s: Array) -> tuple[Rows, Array]:
         """Which trajectories the vehicle can follow, and the most that each asks of what tilt is allowed."""
         times = duration_s[:, None] * np.linspace(0.0, 1.0, _PUSH_SAMPLES)
-        push = np.hypot(_derivative(x, times, 2), _derivative(y, times, 2)).max(axis=1) / self._most_m_s2
-        rows = np.flatnonzero(push <= 1.0)
+        push = np.hypot(_derivative(x, times, 2), _derivative(y, times, 2)).max(axis=1)
+        rows = np.flatnonzero(push <= self._planned_m_s2)
         jerk = np.hypot(*(_derivative(c[:, rows], times[rows], 3) for c in (x, y))).max(axis=1)
-        return rows[jerk <= _JERK_M_S3], push
+        return rows[jerk <= self._planned_m_s3], push / self._most_m_s2
 
     def _obstacles(self, start: tuple[Array, Array], now_us: int) -> list[Wall]:
         """The walls as known by now, for a trajectory from (position, velocity, acceleration) in x and y.

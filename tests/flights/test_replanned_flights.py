@@ -15,7 +15,7 @@ from dart_flight.recording.reader import read_log
 from dart_flight.recording.verdict import Verdict
 from dart_flight.run.fast import FastFlight, fly_fast
 from dart_flight.run.replay import replay
-from tools.campaigns.walls_pay import with_touch
+from tools.campaigns.walls_pay import with_touches
 
 SOURCE = packaged("missions", "dual_collision_replan.yaml")
 
@@ -80,7 +80,7 @@ def test_a_touch_lets_the_next_hit_from_rest_be_leaned_into(height_m: float) -> 
     def flown_as(written: str) -> Verdict:
         return simulate(parse_mission(Document(written, str(path)), settings=[guards]), seed=1).verdict
 
-    touched = flown_as(with_touch(text))
+    touched = flown_as(with_touches(text))
     assert touched.outcome is Outcome.COMPLETED
     assert touched.max_tilt_deg is not None
     assert touched.max_tilt_deg < 35.0

@@ -1,5 +1,6 @@
 """The planner in flight: ways that begin where the vehicle will be and end as the mission has planned."""
 
+import itertools
 import math
 from pathlib import Path
 
@@ -86,6 +87,21 @@ def _assert_flyable(way: PlannedTrajectory) -> None:
         assert math.hypot(*at.acceleration[:2]) < 0.7 * limit
         assert math.hypot(*at.velocity[:2]) <= MISSION.limits.speed_m_s + 1e-6
         assert MISSION.bounds.excess2(at.position) < 1e-3
+
+
+@pytest.mark.parametrize(("most_m_s2", "most_m_s3"), [(2.0, 8.0), (3.0, 4.0)])
+def test_what_is_planned_anew_keeps_to_the_mission_s_limits(most_m_s2: float, most_m_s3: float) -> None:
+    limits = msgspec.structs.replace(MISSION.limits, acceleration_m_s2=most_m_s2, jerk_m_s3=most_m_s3)
+    bound = Replanner(msgspec.structs.replace(MISSION, limits=limits))
+    request = msgspec.structs.replace(
+        TO_GOAL, position_mission=(0.3, -0.6, 1.0), velocity_mission=(0.2, 0.0, 0.0)
+    )
+    unbound, answer = (way_of(one.answer(request, 0)) for one in (REPLANNER, bound))
+    states = [answer.at(float(t)) for t in np.linspace(0.0, answer.duration_s, 100)]
+    assert max(math.hypot(*at.acceleration[:2]) for at in states) <= most_m_s2 + 1e-2
+    changes = (math.dist(a.acceleration, b.acceleration) for a, b in itertools.pairwise(states))
+    assert max(changes) * 99 / answer.duration_s <= most_m_s3 * 1.1
+    assert unbound.duration_s < answer.duration_s
 
 
 def test_without_a_lock_or_a_way_it_says_why() -> None:

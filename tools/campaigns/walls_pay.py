@@ -284,7 +284,7 @@ def _time_planning() -> None:
 
 def fly(planned: Planned, way: str, seed: int) -> Flown:
     """One flight of one plan."""
-    text = planned.free_mission if way == "free" else with_touch(planned.hit_mission)
+    text = planned.free_mission if way == "free" else with_touches(planned.hit_mission)
     mission = parse_mission(Document(text, "generated.yaml"))
     flight = dart_flight.simulate(mission, seed=seed, vary="all")
     verdict, truth = flight.verdict, flight.log["/truth/state"]
@@ -311,17 +311,25 @@ def fly(planned: Planned, way: str, seed: int) -> Flown:
     return found
 
 
-def with_touch(text: str) -> str:
-    """A mission that first touches its first wall gently, and so learns how high the walls push.
+def with_touches(text: str) -> str:
+    """A mission that first touches each wall that it hits, gently: how it stands, and how high it pushes.
 
-    Without that a hit is good up to 2 m/s (docs/results/faster_hits.md). It is over before the time begins.
+    Without that a first hit is good up to 2 m/s (docs/results/faster_hits.md), and a wall that is met askew
+    turns the vehicle. It is over before the time begins.
     """
     tree = yaml.safe_load(text)
-    first = tree["collisions"][0]
-    touch = {"wall": first["wall"], "mode": first["mode"], "alpha_wall_m_per_n": [0.025, 0.025]}
-    tree["collisions"].insert(0, touch | {"approach": {"normal_m_s": -_TOUCH_M_S, "tangential_m_s": 0.0}})
-    tree["waypoints"] = [{"after": 1, "position_m": [*tree["start"]["position_m"]], "hold_s": 1.0}]
+    modes = {hit["wall"]: hit["mode"] for hit in reversed(tree["collisions"])}  # of its first hit
+    tree["collisions"] = [_touch(wall, mode) for wall, mode in modes.items()] + tree["collisions"]
+    tree["waypoints"] = [
+        {"after": 1 + k, "position_m": [*tree["start"]["position_m"]], "hold_s": 1.0}
+        for k in range(len(modes))
+    ]
     return str(yaml.safe_dump(tree))
+
+
+def _touch(wall: str, mode: str) -> dict[str, Any]:
+    approach = {"normal_m_s": -_TOUCH_M_S, "tangential_m_s": 0.0}
+    return {"wall": wall, "mode": mode, "approach": approach, "alpha_wall_m_per_n": [0.025, 0.025]}
 
 
 def _uncontrolled(bounds: Any, place: np.ndarray, t: np.ndarray, verdict: Any) -> str:

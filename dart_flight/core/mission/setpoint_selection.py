@@ -51,7 +51,7 @@ class SetpointSelection:
         self._underway = _UNDERWAY | {Phase.RECOVERY} if rehearsed else _UNDERWAY
         # Of missions along trajectories: between their hits there is no time to come to rest.
         self._heading = None if mission.goal_trajectory is None else HeadingControl(mission.vehicle)
-        self._square_yaw = 0.0  # heading wanted before the first contact
+        self._yaw_before = 0.0  # heading asked for before the first contact
         self._height_m: float | None = None  # of the walls' force above the centre of mass
         # After a contact; by the collision that they lead to, None: to the goal.
         self._written = {
@@ -74,13 +74,12 @@ class SetpointSelection:
     def wanted_yaw(self, state: FlightState) -> float:
         """The heading that the phase wants: parallel or square to the wall that comes next."""
         collision, phase = self._progress.collision, self._progress.phase
-        if self._heading is not None and phase is Phase.RECOVERY:
-            turned = 0.0 if collision is None else self._walls.turned(collision.wall)
-            return wrap_angle(self._square_yaw + turned)
-        if collision is None or phase not in TO_IMPACT:
-            return self._references.yaw
+        led_back = self._heading is not None and phase is Phase.RECOVERY
+        if collision is None or not (led_back or phase in TO_IMPACT):
+            return self._yaw_before if led_back else self._references.yaw
+        near = self._yaw_before if led_back else state.yaw
         turned = 0.0 if self._heading is None else self._walls.turned(collision.wall)
-        return wrap_angle(collision.wall.parallel_yaw(state.yaw - turned) + turned)
+        return wrap_angle(collision.wall.parallel_yaw(near - turned) + turned)
 
     def square_us(self, state: FlightState) -> int:
         """From when on the vehicle, which a contact has turned, is square to the wall; autopilot time."""
@@ -92,7 +91,7 @@ class SetpointSelection:
     def _yaw_asked(self, state: FlightState) -> float | None:
         """The heading that leads to the wanted one, from a contact on; None: at once."""
         if self._heading is None or self._progress.phase not in _TURNED:
-            self._square_yaw = self._references.yaw
+            self._yaw_before = self._references.yaw
             if self._heading is not None:
                 self._heading.begin(state.now_us)
             return None
