@@ -131,6 +131,11 @@ class PostSpec(Section, frozen=True):
     material: str
 
 
+# Acceleration (m/s2) and jerk (m/s3): MPC_ACC_HOR and MPC_JERK_AUTO, MPC_ACC_HOR_MAX and MPC_JERK_MAX by
+# default, and what replanning asks for at most.
+MOTIONS = {"automatic": (3.0, 4.0), "position": (5.0, 8.0), "replanning": (5.9, 25.0)}
+
+
 class Limits(Section, frozen=True):
     """Limits of the mission, judged before and during the flight.
 
@@ -139,6 +144,8 @@ class Limits(Section, frozen=True):
 
     Attributes:
         speed_m_s: largest speed of an approach and of the flight.
+        motion: acceleration and jerk as PX4 flies in its automatic modes (3 m/s2, 4 m/s3), as in its position
+            mode (5, 8), or as a vehicle is replanned after a hit (5.9, 25); either of them written wins.
         acceleration_m_s2: largest acceleration of transits and run-ups, which are then flown at up to
             speed_m_s; without it flying.acceleration_m_s2 and flying.transit_speed_m_s hold.
         jerk_m_s3: likewise, largest jerk; without it flying.jerk_m_s3.
@@ -151,6 +158,7 @@ class Limits(Section, frozen=True):
     """
 
     speed_m_s: Annotated[float, Meta(gt=0.0, le=20.0)] = 3.0
+    motion: Literal["automatic", "position", "replanning"] | None = None
     acceleration_m_s2: Annotated[float, Meta(gt=0.0, le=50.0)] | None = None
     jerk_m_s3: Annotated[float, Meta(gt=0.0, le=1000.0)] | None = None
     closing_m_s: Annotated[float, Meta(gt=0.0, le=20.0)] | None = None
@@ -158,6 +166,13 @@ class Limits(Section, frozen=True):
     friction_ratio: Annotated[float, Meta(gt=0.0, le=20.0)] | None = None
     peak_force_n: Annotated[float, Meta(gt=0.0, le=2000.0)] = 150.0
     collision_timeout_s: Annotated[float, Meta(gt=0.0, le=120.0)] = 8.0
+
+    def __post_init__(self) -> None:
+        if self.motion is None:
+            return
+        for key, value in zip(("acceleration_m_s2", "jerk_m_s3"), MOTIONS[self.motion], strict=True):
+            if getattr(self, key) is None:
+                msgspec.structs.force_setattr(self, key, value)
 
 
 class SpaceKeys(Section, frozen=True, kw_only=True):

@@ -178,7 +178,7 @@ def mission_of(
     peak_n = vehicle_of().detection.force_threshold_n
     hits = HitLimits(1000.0, None, None, FRICTION_RATIO, peak_n)
     if thrust_m_s2 is not None:
-        hits = hits._replace(thrust_m_s2=thrust_m_s2)
+        hits = hits._replace(thrust_m_s2=dict.fromkeys(Mode, thrust_m_s2))
     along = math.copysign(tangential_m_s, wall.tangent[1])  # towards positive y
     hit = Hit(wall, Mode(mode), Visit(wall.point, 0.04), velocity_m_s=(-normal_m_s, along))
     before: tuple[Hit | Visit, ...] = ()

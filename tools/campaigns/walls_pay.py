@@ -23,11 +23,11 @@ from typing import Any
 
 import msgspec
 import numpy as np
-import yaml
 
 import dart_flight
 from dart_flight.config.document import Document, InputError
 from dart_flight.config.mission import parse_mission
+from dart_flight.config.mission_file import MOTIONS
 from dart_flight.lab.search.limited_sight import plan_limited_sight
 from dart_flight.lab.search.mission_writer import mission_text
 from dart_flight.lab.search.quickest import QuickestPlan, plan_quickest
@@ -39,11 +39,6 @@ PLANS, FLIGHTS = ROOT / "build" / "walls_pay_plans.jsonl", ROOT / "build" / "wal
 TIMES = ROOT / "build" / "walls_pay_times.jsonl"
 PAGE = RESULTS / "walls_pay.md"
 FIRST_SEED, FLOWN_EACH = 51, 5  # seeds; rules were made while looking at 1 to 42
-SETS = {
-    "automatic": {"acceleration_m_s2": 3.0, "jerk_m_s3": 4.0},
-    "position": {"acceleration_m_s2": 5.0, "jerk_m_s3": 8.0},
-    "replanning": {"acceleration_m_s2": 5.9, "jerk_m_s3": 25.0},
-}
 FLOWN = "position"
 # More shuttles with four visits within 0.1 m: of the first 25 none has that. The first three seeds that do.
 MORE_SHUTTLES = (39, 43, 67)
@@ -122,7 +117,8 @@ def scenario_of(kind: str, seed: int, limits: str) -> dict[str, Any]:
         "walls": {},
         "sequence": "any",
         "objective": "quickest",
-        "limits": {"speed_m_s": 3.16, "peak_force_n": 180.0, **SETS[limits]},
+        "touch_m_s": _TOUCH_M_S,
+        "limits": {"speed_m_s": 3.16, "peak_force_n": 180.0, "motion": limits},
     }
     _MAKERS[kind](tree, rng, seed)
     return tree
@@ -229,7 +225,7 @@ def _six_walls(visits: int) -> dict[str, Any]:
         "visits": [{"position_m": list(place), "within_m": 0.1} for place in places],
         "sequence": "any",
         "objective": "quickest",
-        "limits": {"speed_m_s": 3.16, "peak_force_n": 180.0, **SETS[FLOWN]},
+        "limits": {"speed_m_s": 3.16, "peak_force_n": 180.0, "motion": FLOWN},
     }
 
 
@@ -284,7 +280,7 @@ def _time_planning() -> None:
 
 def fly(planned: Planned, way: str, seed: int) -> Flown:
     """One flight of one plan."""
-    text = planned.free_mission if way == "free" else with_touches(planned.hit_mission)
+    text = planned.free_mission if way == "free" else planned.hit_mission
     mission = parse_mission(Document(text, "generated.yaml"))
     flight = dart_flight.simulate(mission, seed=seed, vary="all")
     verdict, truth = flight.verdict, flight.log["/truth/state"]
@@ -309,27 +305,6 @@ def fly(planned: Planned, way: str, seed: int) -> Flown:
     if verdict.outcome == "completed":
         found.there_s = arrival.there_s
     return found
-
-
-def with_touches(text: str) -> str:
-    """A mission that first touches each wall that it hits, gently: how it stands, and how high it pushes.
-
-    Without that a first hit is good up to 2 m/s (docs/results/faster_hits.md), and a wall that is met askew
-    turns the vehicle. It is over before the time begins.
-    """
-    tree = yaml.safe_load(text)
-    modes = {hit["wall"]: hit["mode"] for hit in reversed(tree["collisions"])}  # of its first hit
-    tree["collisions"] = [_touch(wall, mode) for wall, mode in modes.items()] + tree["collisions"]
-    tree["waypoints"] = [
-        {"after": 1 + k, "position_m": [*tree["start"]["position_m"]], "hold_s": 1.0}
-        for k in range(len(modes))
-    ]
-    return str(yaml.safe_dump(tree))
-
-
-def _touch(wall: str, mode: str) -> dict[str, Any]:
-    approach = {"normal_m_s": -_TOUCH_M_S, "tangential_m_s": 0.0}
-    return {"wall": wall, "mode": mode, "approach": approach, "alpha_wall_m_per_n": [0.025, 0.025]}
 
 
 def _uncontrolled(bounds: Any, place: np.ndarray, t: np.ndarray, verdict: Any) -> str:
@@ -471,7 +446,7 @@ all five, both ways.
 
 def _optimum_rows(plans: list[Planned]) -> Iterator[tuple[str, ...]]:
     for kind in KINDS:
-        for limits in SETS:
+        for limits in MOTIONS:
             these = [p for p in plans if p.kind == kind and p.limits == limits]
             if not these:
                 continue
@@ -648,7 +623,7 @@ def main() -> int:
     kinds = [given.only] if given.only else list(KINDS)
     with ProcessPoolExecutor(given.jobs) as pool:
         if given.part in (None, "plan"):
-            work: list[Any] = [(k, s, limits) for limits in SETS for k in kinds for s in maps_of(k)]
+            work: list[Any] = [(k, s, limits) for limits in MOTIONS for k in kinds for s in maps_of(k)]
             _keep(PLANS, kinds, pool.map(_plan_all, work), len(work), Planned)
         if given.part in (None, "fly"):
             plans = [msgspec.json.decode(line, type=Planned) for line in PLANS.read_bytes().splitlines()]

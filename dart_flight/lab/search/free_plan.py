@@ -2,8 +2,8 @@
 
 Along a straight way the time is the optimum, from Ruckig (time-optimal with bounded speed, acceleration and
 jerk). Round walls it is the quickest past the corners of the shortest polyline (`optimal_trajectory`), and
-how much of that time may be in vain is told: `gap_s`, its time less that of the straightened polyline, which
-nothing beats.
+how much of that time may be in vain is told: `gap_s`, its time less that of the shortest way round the walls'
+edges, straightened, which nothing beats.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from dart_flight.lab.search.optimal_trajectory import (
     RouteCorner,
     solve,
 )
-from dart_flight.lab.search.routes import shortest_path, sides
+from dart_flight.lab.search.routes import Obstacles, least_length_m, regions, shortest_path
 from dart_flight.lab.search.scenario import Scenario
 
 _AXIS = math.sqrt(0.5)  # of a limit on a vector's length, for each of two axes
@@ -69,22 +69,21 @@ def plan_free(scenario: Scenario) -> FreePlan:
         InputError: Ruckig is not installed.
     """
     limits = limits_of(scenario)
-    corners = shortest_path(
-        scenario.start, scenario.goal.position_m, list(scenario.walls.values()), scenario.bounds
-    )
+    among, goal = Obstacles.of(scenario), scenario.goal.position_m
+    corners = shortest_path(scenario.start, goal, among)
     if corners is None:
         return FreePlan(None, 0.0, 0.0, (), limits)
     length = sum(distance2(a, b) for a, b in itertools.pairwise(corners))
-    least_s = straight_time_s(length, limits)
-    time_s = least_s if len(corners) == 2 else _round_s(scenario, corners, limits)
+    least_s = straight_time_s(least_length_m(scenario.start, goal, among), limits)
+    time_s = least_s if len(corners) == 2 else _round_s(scenario, corners, among, limits)
     gap_s = 0.0 if time_s is None else time_s - least_s
     return FreePlan(time_s, gap_s, length, tuple(corners[1:-1]), limits)
 
 
-def _round_s(scenario: Scenario, corners: list[Vec2], limits: MotionLimits) -> float | None:
+def _round_s(scenario: Scenario, corners: list[Vec2], among: Obstacles, limits: MotionLimits) -> float | None:
     """The quickest past the corners; None where the solver finds no way."""
-    walls, goal = scenario.walls.values(), scenario.goal.position_m
-    parts = [Part(RouteCorner(b), sides(a, b, walls, ())) for a, b in itertools.pairwise(corners)]
+    goal = scenario.goal.position_m
+    parts = [Part(RouteCorner(b), regions(a, b, among)) for a, b in itertools.pairwise(corners)]
     parts[-1] = parts[-1]._replace(to=None)
     found = solve(Problem(scenario.vehicle, scenario.start, goal, tuple(parts), limits, _NO_HITS, 0.0))
     return None if found is None else found.time_s

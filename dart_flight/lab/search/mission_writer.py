@@ -26,6 +26,7 @@ from dart_flight.planning.task import drag_along
 
 _DIGITS = 4
 _LEAST_GAIN, _USUAL_GAIN = 1e-3, 0.025  # m/N
+_REST_S = 1.0  # at the start after a touch
 _LEAST_FRICTION_N = 2.0  # under which the friction force is too small to lead anywhere
 
 
@@ -51,8 +52,12 @@ def mission_text(scenario: Scenario, plan: Plan | QuickestPlan, target: Path) ->
         "transit_mode": spec.transit_mode,
         "limits": _given(spec.limits),
     }
+    if spec.posts:
+        tree["posts"] = spec.posts
     if isinstance(plan, QuickestPlan):
         tree |= trajectory_keys(scenario.vehicle, scenario.walls, plan.trajectory)
+        if spec.touch_m_s is not None:
+            tree |= _with_touches(tree["collisions"], spec.touch_m_s, spec.start.position_m)
     else:
         tree["collisions"] = [_collision(scenario, plan, c) for c in plan.collisions]
         tree["predicted"] = {"goal_miss_m": _short(plan.goal_miss_m)}
@@ -91,6 +96,26 @@ def trajectory_keys(
         "after_impact": AfterImpact.REPLAN,
         "predicted": {"goal_miss_m": 0.0},
     }
+
+
+def _with_touches(collisions: list[dict[str, Any]], speed_m_s: float, start: Vec2) -> dict[str, Any]:
+    """Keys of a mission that first touches each wall that it hits, and rests at its start after each.
+
+    What a wall is like is known then: how it stands, and how high it pushes. Without that a first hit is good
+    up to 2 m/s (docs/results/faster_hits.md), and one of a wall that stands askew turns the vehicle.
+    """
+    modes = {hit["wall"]: hit["mode"] for hit in reversed(collisions)}  # of a wall's first hit
+    touches = [
+        {
+            "wall": wall,
+            "mode": mode,
+            "approach": {"normal_m_s": -speed_m_s, "tangential_m_s": 0.0},
+            "alpha_wall_m_per_n": [_USUAL_GAIN, _USUAL_GAIN],
+        }
+        for wall, mode in modes.items()
+    ]
+    rests = [{"after": k, "position_m": [*start], "hold_s": _REST_S} for k in range(1, len(touches) + 1)]
+    return {"collisions": touches + collisions, "waypoints": rests}
 
 
 def _rounded(leg: TrajectoryPieces) -> dict[str, Any]:

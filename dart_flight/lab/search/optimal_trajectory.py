@@ -5,13 +5,14 @@ and acceleration are polynomials, exact at the intervals' ends (direct multiple 
 lasts is free. A hit carries the velocity over by the contact law in closed form (`ContactResponse`), takes
 the contact's time, and for `dead_s` after it the thrust stays what it was: the attitude cannot jump, and the
 way on is planned meanwhile. The drag turns round with the velocity. CasADi states the problem and its
-derivatives, IPOPT solves it; both are the extra `plan`. Past walls, each part of a way keeps to half-planes
-on which it is clear of them.
+derivatives, IPOPT solves it; both are the extra `plan`. Each part of a path keeps to half-planes and out of
+discs, and so clear of walls and posts.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import msgspec
@@ -39,6 +40,7 @@ _LONGEST_S = 30.0  # of a part
 _LEAST_S = 0.05  # as the solver begins
 _SMOOTH = 1e-5  # s per (m/s3)^2 s: of two flights equally quick, the smoother
 _GUESSED_M_S, _GUESSED_LEFT = 1.5, 0.7  # velocity of a hit, and what is left of it, to begin with
+_THRUST_M_S2 = {Mode.FLEXIBLE: (-0.05, 0.2), Mode.RIGID: (-0.05, 1.0)}  # see `HitLimits`
 _SOLVER: dict[str, Any] = {
     "print_time": False,
     "no_nlp_grad": True,  # of no use to IPOPT, and dear to derive
@@ -64,9 +66,9 @@ class HitLimits(NamedTuple):
         sliding_m_s: velocity along the wall.
         friction_ratio: friction over normal force.
         detectable_n: least normal force, or the hit is not noticed.
-        thrust_m_s2: (least, most) push of the thrust away from the wall at the hit. Leaning into a wall, or
-            back from it, the vehicle is turned over by the contact and loses what it had; nearly level it
-            comes off best (docs/results/faster_hits.md).
+        thrust_m_s2: (least, most) push of the thrust away from the wall at the hit, by mode. Leaning, a
+            vehicle is turned by the contact, the further the longer it lasts: with flexible arms it turns
+            over and loses what it had unless nearly level (docs/results/faster_hits.md).
         thrust_along_m_s2: most push of the thrust along the wall then.
     """
 
@@ -75,7 +77,7 @@ class HitLimits(NamedTuple):
     sliding_m_s: float | None
     friction_ratio: float | None
     detectable_n: float
-    thrust_m_s2: Vec2 = (-0.05, 0.2)
+    thrust_m_s2: Mapping[Mode, Vec2] = _THRUST_M_S2
     thrust_along_m_s2: float = 1.0
 
 
@@ -113,6 +115,16 @@ class ContactResponse(NamedTuple):
             c.mu * float(hit.impulse_n_s) / mass_kg,
             c.mu,
         )
+
+
+def most_sliding_m_s(limits: HitLimits, response: ContactResponse) -> float:
+    """The most velocity along the wall at a hit; infinite where nothing bounds it."""
+    return min(
+        math.inf if limits.sliding_m_s is None else limits.sliding_m_s,
+        math.inf
+        if limits.friction_ratio is None or not response.mu_s_per_m
+        else limits.friction_ratio / response.mu_s_per_m,
+    )
 
 
 class Visit(NamedTuple):
@@ -158,6 +170,14 @@ class HalfPlane(NamedTuple):
     offset_m: float
 
 
+class Disc(NamedTuple):
+    """Places at least `radius_m` from a centre: round a post, or the end of a wall."""
+
+    centre: Vec2
+    radius_m: float
+
+
+Region = HalfPlane | Disc
 Event = Visit | Hit | RouteCorner | Cruise
 
 
@@ -165,7 +185,7 @@ class Part(NamedTuple):
     """The way to an event; the last one, to the goal, ends at none."""
 
     to: Event | None
-    keep: tuple[HalfPlane, ...]
+    keep: tuple[Region, ...]
 
 
 class Problem(NamedTuple):
@@ -269,9 +289,13 @@ class _Transcription:
         states = self.variable(f"x{i}", guessed, -math.inf, math.inf)
         self.require(ca.sum1(states[2:4, :] ** 2), -math.inf, limits.speed_m_s**2)
         self.require(ca.sum1(states[4:6, :] ** 2), -math.inf, limits.acceleration_m_s2**2)
-        for half in part.keep:
-            along = half.normal[0] * states[0, :] + half.normal[1] * states[1, :]
-            self.require(along, half.offset_m, math.inf)
+        for region in part.keep:
+            if isinstance(region, Disc):
+                away = states[:2, :] - ca.repmat(ca.DM(region.centre), 1, n + 1)
+                self.require(ca.sum1(away**2) / region.radius_m**2, 1.0, math.inf)
+                continue
+            along = region.normal[0] * states[0, :] + region.normal[1] * states[1, :]
+            self.require(along, region.offset_m, math.inf)
         changes = np.diff(guessed[4:], axis=1) * n / float(usual_s)
         jerks, dt = self.variable(f"j{i}", changes, -jerk_most, jerk_most), duration / n
         squares = ca.sum1(jerks**2)
@@ -314,14 +338,11 @@ class _Transcription:
         self.require(-vn, slowest, math.inf if limits.closing_m_s is None else limits.closing_m_s)
         force2 = one.peak_n_per_m_s**2 * vn**2 * (1.0 + (one.mu_s_per_m * vt) ** 2)
         self.require(force2 / limits.peak_force_n**2, -math.inf, 1.0)
-        sliding = min(
-            math.inf if limits.sliding_m_s is None else limits.sliding_m_s,
-            math.inf if limits.friction_ratio is None else limits.friction_ratio / one.mu_s_per_m,
-        )
+        sliding = most_sliding_m_s(limits, one)
         if sliding < math.inf:
             self.require(vt, -sliding, sliding)
         drag_n, drag_t = drag_along(wall, self.problem.vehicle.airframe.drag_per_s)
-        self.require(ca.dot(n, before[4:6]) + drag_n * vn, *limits.thrust_m_s2)
+        self.require(ca.dot(n, before[4:6]) + drag_n * vn, *limits.thrust_m_s2[event.mode])
         most = limits.thrust_along_m_s2
         self.require(ca.dot(t, before[4:6]) + drag_t * vt, -most, most)
         if event.visit is not None:

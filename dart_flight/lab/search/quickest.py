@@ -39,9 +39,10 @@ from dart_flight.lab.search.optimal_trajectory import (
     Problem,
     RouteCorner,
     Visit,
+    most_sliding_m_s,
     solve,
 )
-from dart_flight.lab.search.routes import shortest_path, sides
+from dart_flight.lab.search.routes import Obstacles, regions, shortest_path
 from dart_flight.lab.search.scenario import Scenario
 
 Progress = Callable[[int, int], None]
@@ -57,7 +58,6 @@ POLISHED = 3 * INTERVALS
 _SWEEPS = 12  # of the shortest path through discs and walls
 _SLACK = 0.98  # of a leg, because the sweeps end before the path is quite the shortest
 _REVERSAL_COSINE = -0.9  # between the legs to and from a place at which the path turns back
-_MOST_RESTITUTION = 0.8  # of any wall and mode
 _SPEEDS = 61
 _OFF_BOUNDS_M = 0.1  # that a trajectory keeps from them
 
@@ -198,16 +198,23 @@ class LegEnd(Enum):
 
 
 class LeastTimes:
-    """Bounds on the time over straight legs within limits: from each end as hard as they allow."""
+    """Bounds on the time over straight legs within limits: from each end as hard as they allow.
 
-    def __init__(self, limits: MotionLimits) -> None:
-        self._limits = limits
+    Args:
+        limits: of the motion.
+        left_m_s: at most, after a hit.
+    """
+
+    def __init__(self, limits: MotionLimits, left_m_s: float) -> None:
+        self._limits, self._left_m_s = limits, left_m_s
         self._speeds = np.linspace(0.0, limits.speed_m_s, _SPEEDS)
 
     def of_leg(self, length_m: float, begin: LegEnd, end: LegEnd) -> float:
         """No leg is quicker: the highest speed that both ends can be reached from and to, and cruising."""
-        before_s, before_m = self._to_speed(begin, leaving=True)
-        after_s, after_m = self._to_speed(end, leaving=False)
+        # Where it is slow at both ends it is quickest between them, and has no acceleration there.
+        levels = {begin, end} <= {LegEnd.REST, LegEnd.REVERSAL}
+        before_s, before_m = self._to_speed(begin, True, levels)
+        after_s, after_m = self._to_speed(end, False, levels)
         fits = np.flatnonzero(before_m + after_m <= length_m + 1e-12)
         # The next speed of the grid, which cannot quite be reached, keeps it a bound.
         top = min(int(fits[-1]) + 1, _SPEEDS - 1) if fits.size else 1
@@ -216,18 +223,26 @@ class LeastTimes:
         ramped_s = before_s[below] + after_s[below] + cruise_m / self._speeds[top]
         return max(float(ramped_s), length_m / self._limits.speed_m_s)
 
-    def _to_speed(self, end: LegEnd, leaving: bool) -> tuple[Array, Array]:
-        """Time and distance from an end to each speed."""
+    def _to_speed(self, end: LegEnd, leaving: bool, levels: bool) -> tuple[Array, Array]:
+        """Time and distance from an end to each speed; `levels`: at which the acceleration is none."""
         v, a, j = self._speeds, self._limits.acceleration_m_s2, self._limits.jerk_m_s3
         zero = np.zeros_like(v)
         if end is LegEnd.ANY or (end is LegEnd.HIT and not leaving):
             return zero, zero
         if end is LegEnd.HIT:
-            left = _MOST_RESTITUTION * self._limits.speed_m_s
+            left = self._left_m_s
             more = np.maximum(v - left, 0.0)
             return more / a, more * (left + 0.5 * more) / a
-        if end is LegEnd.REVERSAL or j is None:
+        if j is None or (end is LegEnd.REVERSAL and not levels):
             return v / a, 0.5 * v**2 / a
+        if end is LegEnd.REVERSAL:  # as hard as it may, and levelling out at the jerk limit
+            gained = np.minimum(v, 0.5 * a * a / j)
+            level_s = np.sqrt(2.0 * gained / j)
+            hard_s = (v - gained) / a
+            return hard_s + level_s, 0.5 * a * hard_s**2 + v * level_s - j * level_s**3 / 6.0
+        if levels:  # from rest and levelling out: as much time below half the speed as above
+            whole_s = np.where(v > a * a / j, v / a + a / j, 2.0 * np.sqrt(v / j))
+            return whole_s, 0.5 * v * whole_s
         # From rest: the acceleration grows with the jerk limit until it is at its own.
         ramp_v = np.minimum(v, 0.5 * a * a / j)
         ramp_s = np.sqrt(2.0 * ramp_v / j)
@@ -248,7 +263,8 @@ class _Search:
         self.colliding: QuickestPlan | None = None
         self.computed = self.pruned = 0
         self.least_open_s = math.inf
-        self._least = LeastTimes(self.limits)
+        self._least = LeastTimes(self.limits, self._most_left_m_s())
+        self._obstacles = Obstacles.of(scenario)
         self._room, self._demanded = room_of(scenario), _demanded(scenario)
 
     def run(self, enough: Callable[[], bool], progress: Progress) -> None:
@@ -345,6 +361,17 @@ class _Search:
         dot = sum((h - b) * (a - h) for b, h, a in zip(before, here, after, strict=True))
         return LegEnd.REVERSAL if dot < _REVERSAL_COSINE * into * out else LegEnd.ANY
 
+    def _most_left_m_s(self) -> float:
+        """The most speed that any hit leaves: all of what slides along the wall, a part of what closes in."""
+        fastest, hits, left = self.limits.speed_m_s, self.hits, 0.0
+        for wall, mode in itertools.product(self.walls, self.scenario.modes):
+            one = ContactResponse.of(self.vehicle, wall, mode)
+            slides = min(fastest, most_sliding_m_s(hits, one))
+            closes = math.sqrt(fastest**2 - slides**2)
+            closes = min(closes, hits.closing_m_s or math.inf, hits.peak_force_n / one.peak_n_per_m_s)
+            left = max(left, math.hypot(one.restitution * closes, slides))
+        return left
+
     def _least_contact_s(self, wall: Wall) -> float:
         return min(ContactResponse.of(self.vehicle, wall, mode).contact_s for mode in self.scenario.modes)
 
@@ -372,13 +399,13 @@ class _Search:
         for event, (here, there) in zip((*events, None), itertools.pairwise(places), strict=True):
             at_end = (event.wall,) if isinstance(event, Hit) else ()
             to = event._replace(guess=there) if isinstance(event, Hit) else event
-            path = shortest_path(here, there, self.walls, self.scenario.bounds)
+            path = shortest_path(here, there, self._obstacles)
             if path is None:
                 return None
             for k, (a, b) in enumerate(itertools.pairwise(path)):
                 last = k == len(path) - 2
                 near = (*(touched if k == 0 else ()), *(at_end if last else ()))
-                keep = (*self._room, *sides(a, b, self.walls, near))
+                keep = (*self._room, *regions(a, b, self._obstacles, near, bool(touched)))
                 parts.append(Part(to if last else RouteCorner(b), keep))
             touched = at_end
         return Problem(

@@ -18,13 +18,15 @@ from msgspec import Meta
 
 from dart_flight.base.geometry import Vec2
 from dart_flight.base.records import Mode
-from dart_flight.base.walls import Wall
+from dart_flight.base.walls import Post, Wall
 from dart_flight.config.document import Document, InputError, Key, unknown_name
 from dart_flight.config.file_kinds import FileKind, load_document
 from dart_flight.config.flight_space import (
+    check_clear_of_posts,
     check_place,
     refuse_mode,
     resolve_alphas,
+    resolve_posts,
     resolve_space,
     within_limits,
 )
@@ -33,6 +35,7 @@ from dart_flight.config.mission_file import (
     BoundsSpec,
     Name,
     Point2,
+    PostSpec,
     SpaceKeys,
     StartSpec,
     WallSpec,
@@ -131,6 +134,9 @@ class ScenarioFile(SpaceKeys, frozen=True, kw_only=True):
     Attributes:
         version: of the format.
         walls: by name; those outside the sequence are obstacles.
+        posts: by name; obstacles, with the objective quickest only.
+        touch_m_s: at this speed each wall that is to be hit is touched before, from the start and back, so
+            that it is known how it stands and how high it pushes; with the objective quickest only.
         sequence: walls in the order of the hits, one to four; any: the planner chooses walls and order, with
             the objective quickest also whether any is hit at all.
         search: the approaches to try; with the objective quickest there is nothing to say.
@@ -154,6 +160,8 @@ class ScenarioFile(SpaceKeys, frozen=True, kw_only=True):
     search: SearchSpec | None = None
     visits: list[VisitSpec] = msgspec.field(default_factory=list)
     sight: SightSpec | None = None
+    posts: dict[str, PostSpec] = msgspec.field(default_factory=dict)
+    touch_m_s: Annotated[float, Meta(ge=0.3, le=1.0)] | None = None
     name: Name | None = None
     vehicle: str | None = None
     alpha_m_per_n: dict[str, tuple[Alpha, Alpha]] = msgspec.field(default_factory=dict)
@@ -195,6 +203,7 @@ class Scenario(SpaceKeys, frozen=True, kw_only=True):
     uncertainty: Uncertainty
     visits: tuple[VisitSpec, ...] = ()
     sight: SightSpec | None = None
+    posts: tuple[Post, ...] = ()
     vehicle_source: VehicleSource | None = None
 
 
@@ -261,6 +270,9 @@ def resolve_scenario(
     """
     vehicle = within_limits(vehicle, spec.limits)
     walls = resolve_space(spec.start, spec.goal, spec.bounds_m, spec.walls, vehicle, document)
+    posts = resolve_posts(spec.posts, walls, vehicle, document)
+    check_clear_of_posts(posts, spec.start.position_m, vehicle, ("start",), document)
+    check_clear_of_posts(posts, spec.goal.position_m, vehicle, ("goal",), document)
     sequences = _sequences(spec, document)
     modes = vehicle.modes
     normal: tuple[float, ...] = ()
@@ -282,6 +294,9 @@ def resolve_scenario(
         if spec.objective is not Objective.QUICKEST:
             raise document.error(("visits",), "places are visited with the objective quickest only")
         check_place(spec.bounds_m, {}, visit.position_m, None, ("visits", i), document)
+    for name in ("posts", "touch_m_s"):
+        if getattr(spec, name) and spec.objective is not Objective.QUICKEST:
+            raise document.error((name,), "goes with the objective quickest only")
     if spec.sight is not None:
         _check_sight(spec, spec.sight, list(walls.values()), document)
     return Scenario(
@@ -305,6 +320,7 @@ def resolve_scenario(
         uncertainty=spec.uncertainty,
         visits=tuple(spec.visits),
         sight=spec.sight,
+        posts=tuple(posts.values()),
     )
 
 

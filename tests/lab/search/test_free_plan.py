@@ -18,6 +18,7 @@ from dart_flight.core.mission.approach import Approach, plan_approach
 from dart_flight.core.mission.trajectories import transit_time_s
 from dart_flight.lab.search.free_plan import plan_free, straight_time_s
 from dart_flight.lab.search.optimal_trajectory import MotionLimits
+from dart_flight.lab.search.routes import Obstacles, least_length_m
 from dart_flight.lab.search.scenario import Scenario, load_scenario
 from dart_flight.lab.search.search import search
 
@@ -84,7 +85,13 @@ def test_round_a_wall_the_gap_is_stated_and_honest(offset: float) -> None:
     assert free.via
     assert all(abs(y - offset) > 1.0 for _, y in free.via)  # past the wall's end
     assert 0.0 < free.gap_s < free.time_s
-    assert free.time_s - free.gap_s == pytest.approx(straight_time_s(free.length_m, free.limits))
+    # What nothing beats: straight, past the wall's edge by half a vehicle and a margin.
+    scenario = between_walls(offset)
+    edge_y = offset + math.copysign(1.0 + 0.2 + 0.12, -offset if offset else 1.0)
+    beyond = [(1.5 + 0.2, y) for y in (edge_y, 2.0 * offset - edge_y)]
+    least_m = min(math.dist((0.0, 0.0), b) + math.dist(b, (3.0, 0.0)) for b in beyond)
+    assert least_length_m((0.0, 0.0), (3.0, 0.0), Obstacles.of(scenario)) == pytest.approx(least_m)
+    assert free.time_s - free.gap_s == pytest.approx(straight_time_s(least_m, free.limits))
     # Stopping at the corner is a way, too, within the same split of the limits.
     split = msgspec.structs.replace(
         free.limits,

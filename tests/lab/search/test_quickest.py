@@ -164,7 +164,7 @@ def _leg_s(begin: tuple[float, float, float], end: tuple[float, float, float]) -
 @given(st.floats(0.05, 8.0), st.floats(1.0, 4.0), st.floats(2.0, 8.0), st.floats(4.0, 40.0))
 def test_no_leg_is_quicker_than_its_bound(length: float, speed: float, a: float, jerk: float) -> None:
     limits = MotionLimits(speed, a, jerk, 45.0)
-    least = LeastTimes(limits)
+    least = LeastTimes(limits, 0.8 * speed)
     assert least.of_leg(length, LegEnd.REST, LegEnd.REST) <= straight_time_s(length, limits) + 1e-9
     for begin, end in itertools.product(LegEnd, LegEnd):
         assert least.of_leg(length, begin, end) >= length / speed - 1e-9
@@ -218,6 +218,71 @@ def test_the_free_plan_is_flown_by_the_same_app(tmp_path: Path) -> None:
     assert 1.94 < max(p[0] for p in truth) < 2.0
 
 
+SEARCH = {
+    "normal_m_s": {"min": -1.0, "max": -0.5, "step": 0.5},
+    "tangential_m_s": {"min": 0.0, "max": 0.0, "step": 0.5},
+}
+POST = {"centre_m": [1.0, 0.05], "radius_m": 0.1, "material": "acrylic"}
+
+
+@pytest.mark.parametrize("way", ["free", "colliding"])
+def test_a_post_is_passed_as_far_off_as_a_vehicle_turned_as_it_likes_needs(way: str, tmp_path: Path) -> None:
+    scenario = between(posts={"mast": POST})
+    plan = getattr(plan_quickest(scenario), way)
+    assert plan is not None
+    airframe = scenario.vehicle.airframe
+    kept_m = 0.1 + math.hypot(airframe.contact_distance_m, airframe.guard_along_m)
+    for leg in plan.trajectory.legs:
+        flown = PlannedTrajectory.from_pieces(leg, 1.0)
+        for t in np.arange(0.0, flown.duration_s, 0.01):
+            assert math.dist(flown.at(float(t)).position[:2], (1.0, 0.05)) >= kept_m + 0.1
+    unhindered = getattr(plan_quickest(between()), way)
+    assert plan.time_s > unhindered.time_s
+    write_mission(scenario, plan, tmp_path / "post.yaml")
+    mission = dart_flight.load_mission(tmp_path / "post.yaml")
+    assert [post.name for post in mission.posts] == ["mast"]
+    assert dart_flight.simulate(mission, seed=2).verdict.outcome == "completed"
+
+
+def test_a_wall_s_end_is_passed_round_its_edge() -> None:
+    """From before it to behind it, half a vehicle and a margin from the edge all the way, and no further."""
+    panel = {"point_m": [1.0, 1.0], "normal": [-1.0, 0.0], "length_m": 2.0, "material": "acrylic"}
+    scenario = between(
+        goal={"position_m": [2.5, 1.0]},
+        start={"position_m": [0.0, 1.0], "altitude_m": 1.0},
+        walls={"panel": panel},
+        visits=[],
+    )
+    free = plan_quickest(scenario).free
+    assert free is not None
+    (leg,) = free.trajectory.legs
+    flown = PlannedTrajectory.from_pieces(leg, 1.0)
+    places = [flown.at(float(t)).position[:2] for t in np.arange(0.0, flown.duration_s, 0.005)]
+    nearest = min(min(math.dist(p, edge) for edge in ((1.2, 0.0), (1.2, 2.0))) for p in places)
+    assert nearest == pytest.approx(0.2 + 0.13, abs=0.01)
+
+
+def test_walls_are_touched_before_they_are_hit(tmp_path: Path) -> None:
+    """Each once, in the mode of its first hit, with a rest at the start after it."""
+    visits = [{"position_m": [x, 0.0], "within_m": 0.05} for x in (2.0, -2.0, 2.0)]
+    scenario = between(visits=visits, touch_m_s=0.5)
+    plan = plan_quickest(scenario).colliding
+    assert plan is not None
+    write_mission(scenario, plan, tmp_path / "touch.yaml")
+    mission = dart_flight.load_mission(tmp_path / "touch.yaml")
+    touches, hits = mission.collisions[:2], mission.collisions[2:]
+    assert sorted(touch.wall.name for touch in touches) == ["east", "west"]
+    for touch in touches:
+        assert touch.approach_m_s == (-0.5, 0.0)
+        assert touch.trajectory is None
+        assert touch.mode is next(hit.mode for hit in hits if hit.wall.name == touch.wall.name)
+    assert [hit.wall.name for hit in hits] == list(plan.sequence)
+    assert [(w.after, w.position and w.position[:2]) for w in mission.waypoints] == [
+        (1, (0.0, 0.0)),
+        (2, (0.0, 0.0)),
+    ]
+
+
 def test_plan_says_what_the_hit_is_worth(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     shipped = packaged("missions", "scenarios", "touch_and_return.yaml")
     assert main(["plan", str(shipped), "--json", "-o", str(tmp_path / "m.yaml")]) == 0
@@ -234,6 +299,13 @@ def test_plan_says_what_the_hit_is_worth(capsys: pytest.CaptureFixture[str], tmp
     ("change", "says"),
     [
         ({"objective": "nearest"}, "missing key search"),
+        (
+            {"objective": "nearest", "posts": {"mast": POST}, "visits": [], "search": SEARCH},
+            "posts: goes with",
+        ),
+        ({"objective": "nearest", "touch_m_s": 0.5, "visits": [], "search": SEARCH}, "touch_m_s: goes with"),
+        ({"posts": {"mast": POST | {"centre_m": [0.0, 0.0]}}}, "lies in or at post mast"),
+        ({"posts": {"east": POST}}, "a wall has the name east"),
         ({"visits": [{"position_m": [9.0, 0.0], "within_m": 0.1}]}, "outside bounds_m"),
         ({"limits": LIMITS | {"peak_force_n": 5.0}, "sequence": ["east"]}, "no flight hits east"),
     ],
