@@ -53,7 +53,8 @@ class FlownWay:
         course = self.flight.course
         self.begin_s, self.rest_s = course.time_of(round(found.begin_us)), found.there_s
         self.visits_s = [course.time_of(round(t)) - self.begin_s for t in found.visits_us]
-        self.hits_s = [impact.at_s - self.begin_s for impact in self.flight.impacts]
+        hits_s = (impact.at_s - self.begin_s for impact in self.flight.impacts)
+        self.hits_s = [t for t in hits_s if t > 0.0]  # without the touches before
         self.time_s = course.true.time_s - self.begin_s
 
     @cached_property

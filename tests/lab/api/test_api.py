@@ -187,6 +187,7 @@ def every_key() -> dict[str, Any]:
         ],
         "goal_trajectory": trajectory_to((0.4, 0.4), (1.0, -0.5), (0.0, 0.0), (0.3, 0.1), (0.0, 0.1)),
         "limits": {
+            "motion": "position",
             "speed_m_s": 2.5,
             "acceleration_m_s2": 2.0,
             "jerk_m_s3": 9.0,
