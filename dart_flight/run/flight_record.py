@@ -30,6 +30,7 @@ class FlightRecord:
         seed: of a simulated flight.
         log_dir: where the flight's folder goes; None: no log on disk (campaigns).
         drawn: what the simulated world was drawn as, name -> value.
+        viewer: the first of the `viewers`.
         in_memory: keep the log in memory where none goes to disk.
 
     Attributes:
@@ -49,6 +50,7 @@ class FlightRecord:
         log_dir: Path | None,
         drawn: Mapping[str, float | str] | None = None,
         *,
+        viewer: Onlooker | None = None,
         in_memory: bool = False,
     ) -> None:
         self._world, self._seed, self._drawn = world, seed, dict(drawn or {})
@@ -56,7 +58,7 @@ class FlightRecord:
         # Asked here, not by `verdict.take`: most kinds of records matter to it nothing, and are passed over.
         self._takers = self.verdict.takers
         self.onlookers: list[Onlooker] = []
-        self.viewers: list[Onlooker] = []
+        self.viewers: list[Onlooker] = [] if viewer is None else [viewer]
         self.notice: Onlooker = lambda record: None
         self._fails = False
         self._log: FlightLog | MemoryLog | None = None
