@@ -37,8 +37,8 @@ from dart_flight.run.many_flights import RunsInterruptedError, fly_fast_many, fl
 from dart_flight.run.prepare import as_rehearsal, load_flyable, with_driver
 from dart_flight.run.px4_flight import fly_px4
 from dart_flight.sim.draws import parse_vary
-from dart_flight.sim.extras import need_mavlink
 from dart_flight.sim.faults.fault_table import parse_fault
+from dart_flight.sim.pipe import need_mavlink
 
 
 def configure(parser: argparse.ArgumentParser) -> None:

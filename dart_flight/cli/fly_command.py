@@ -6,8 +6,6 @@ import argparse
 import contextlib
 import shlex
 import sys
-import tempfile
-from pathlib import Path
 
 from dart_flight.check.computer_load import check_this_computer
 from dart_flight.check.findings import decide
@@ -21,7 +19,6 @@ from dart_flight.cli.mission_picture import add_plot_option, write_picture
 from dart_flight.cli.options import add_flight_options, add_position_option, link_of
 from dart_flight.cli.terminal import messages, print_status
 from dart_flight.cli.vehicle_line import say_vehicle
-from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission, Waypoint
 from dart_flight.run.drone import fly_vehicle
 from dart_flight.run.prepare import as_rehearsal, load_flyable, with_driver
@@ -70,7 +67,7 @@ def _fly(arguments: argparse.Namespace, mission: Mission, url: str, lease: LinkL
     show(report, console)
     if not report.go:
         return 1
-    if not arguments.yes and not confirm_flight(mission):
+    if not arguments.yes and not confirm_flight():
         console.print("cancelled, not flown")
         return 1
     lines = FlightLines(console, arguments.verbose > 0, live_line_for(mission, console))
@@ -110,16 +107,10 @@ def _stop(w: Waypoint) -> str:
     return f"  fly to ({x:g}, {y:g}) at {z:g} m at up to {w.speed_m_s:g} m/s{held}"
 
 
-def confirm_flight(mission: Mission) -> bool:
-    """Ask on the terminal; `p` writes a picture of the mission, and the question is asked again."""
-    while sys.stdin.isatty():
-        sys.stderr.write("Fly? [y/N, p: picture] ")
-        sys.stderr.flush()
-        answer = sys.stdin.readline().strip().lower()
-        if answer not in ("p", "picture"):
-            return answer in ("y", "yes")
-        try:
-            write_picture(mission, Path(tempfile.mkdtemp(prefix="dart-flight-")) / "mission.png")
-        except InputError as error:
-            print_status(str(error))  # a missing extra does not end the flight
-    return False
+def confirm_flight() -> bool:
+    """Ask on the terminal; without one the answer is no."""
+    if not sys.stdin.isatty():
+        return False
+    sys.stderr.write("Fly? [y/N] ")
+    sys.stderr.flush()
+    return sys.stdin.readline().strip().lower() in ("y", "yes")

@@ -12,7 +12,7 @@ from dart_flight.cli.terminal import messages
 from dart_flight.cli.vehicle_line import say_vehicle
 from dart_flight.config.mission import Mission, load_mission
 from dart_flight.config.vehicle import default_config_path, packaged
-from dart_flight.sim.extras import need_mavlink
+from dart_flight.sim.pipe import need_mavlink
 from dart_flight.vehicle.link import LinkLease, LinkTakenError, feed_of
 
 GROUND_STATION_PORT = 14550

@@ -50,7 +50,7 @@ from dart_flight.run.fast import fly_fast
 from dart_flight.run.prepare import load_flyable, with_driver
 from dart_flight.run.px4_flight import fly_px4
 from dart_flight.sim.draws import parse_vary
-from dart_flight.sim.extras import need_mavlink
+from dart_flight.sim.pipe import need_mavlink
 from dart_flight.vehicle.link import LinkLease
 
 _SPEED_M_S = 0.5
@@ -202,7 +202,7 @@ def _fly_vehicle(arguments: argparse.Namespace, mission: Mission) -> Verdict | N
         show(report, console)
         if not report.go:
             return None
-        if not arguments.yes and not confirm_flight(mission):
+        if not arguments.yes and not confirm_flight():
             console.print("cancelled, not flown")
             return None
         live_line = live_line_for(mission, console)

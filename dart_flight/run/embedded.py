@@ -14,9 +14,8 @@ from dart_flight.run.flight_record import FlightRecord, Onlooker
 from dart_flight.run.program_fault import ProgramFault
 from dart_flight.run.simulator_process import SimulatorProcess, fly_simulated
 from dart_flight.sim.draws import draw_world
-from dart_flight.sim.extras import need_mavlink
 from dart_flight.sim.faults.fault_table import Fault
-from dart_flight.sim.pipe import SimulatorSpec
+from dart_flight.sim.pipe import SimulatorSpec, need_mavlink
 from dart_flight.vehicle.clock import LockstepClock
 from dart_flight.vehicle.link import free_link
 

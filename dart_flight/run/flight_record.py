@@ -13,12 +13,27 @@ from dart_flight.config.mission import Mission
 from dart_flight.config.provenance import display_path
 from dart_flight.recording.about import describe_flight
 from dart_flight.recording.found import LOG_NAME
-from dart_flight.recording.memory import MemoryLog
-from dart_flight.recording.reader import Log, read_log
+from dart_flight.recording.reader import IN_MEMORY, Log, LogEntry, read_log
 from dart_flight.recording.verdict import Verdict, VerdictBuilder
 from dart_flight.recording.writer import FlightLog, new_flight_folder
 
 Onlooker = Callable[[Record], None]
+
+
+class MemoryLog:
+    """Takes the records of one flight, as `FlightLog` does, into a `Log` in memory."""
+
+    shortfall: str | None = None  # memory takes everything
+
+    def __init__(self, about: dict[str, str]) -> None:
+        self.log = Log(IN_MEMORY, about, {}, [], complete=True)
+
+    def put(self, record: Record, number: int) -> None:
+        """Take a record; `number` is that of the input it is or follows from."""
+        self.log.entries.append(LogEntry(number, record))
+
+    def close(self) -> None:
+        """Nothing is left to be done."""
 
 
 class FlightRecord:

@@ -20,8 +20,7 @@ from dart_flight.run.app import FlightApp
 from dart_flight.run.flight_record import FlightRecord, Onlooker
 from dart_flight.run.simulator_process import Px4SimulatorProcess, SimulatorProcess, fly_simulated
 from dart_flight.sim.draws import draw_world
-from dart_flight.sim.extras import need_mavlink
-from dart_flight.sim.pipe import Px4SimulatorSpec, SimulatorSpec
+from dart_flight.sim.pipe import Px4SimulatorSpec, SimulatorSpec, need_mavlink
 from dart_flight.vehicle.clock import LockstepClock
 from dart_flight.vehicle.link import LinkLease
 
