@@ -16,7 +16,7 @@ from dart_flight.cli.check_command import show
 from dart_flight.cli.flight_output import FlightLines, exit_status, live_line_for, show_end
 from dart_flight.cli.live_options import add_live_options, live_view
 from dart_flight.cli.mission_picture import add_plot_option, write_picture
-from dart_flight.cli.options import add_flight_options, add_position_option, link_of
+from dart_flight.cli.options import add_flight_options, add_overrule_option, add_position_option, link_of
 from dart_flight.cli.terminal import messages, print_status
 from dart_flight.cli.vehicle_line import say_vehicle
 from dart_flight.config.mission import Mission, Waypoint
@@ -33,9 +33,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         metavar="URL",
         help="serial:///dev/ttyAMA0:921600, udpin://0.0.0.0:14540 (default: connection.url)",
     )
-    parser.add_argument(
-        "--overrule", action="append", default=[], metavar="ITEM", help="fly despite this failed check"
-    )
+    add_overrule_option(parser)
     add_position_option(parser)
     add_live_options(parser)
     add_plot_option(parser)
