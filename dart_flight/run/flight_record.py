@@ -78,7 +78,9 @@ class FlightRecord:
         self._fails = False
         self._log: FlightLog | MemoryLog | None = None
         if log_dir is not None or in_memory:
-            about = _describe(mission, world, seed, self._drawn)
+            about = describe_flight(mission, world, seed)
+            if drawn:
+                about["drawn"] = msgspec.json.encode(self._drawn).decode()
             self._log = MemoryLog(about) if log_dir is None else _open_log(mission.name, log_dir, about)
 
     @property
@@ -138,15 +140,6 @@ class FlightRecord:
         built = self.verdict.build(self._world, self._seed, log, kept, self._drawn)
         built.log_failure = self._log.shortfall if self._log is not None else None
         return built
-
-
-def _describe(
-    mission: Mission, world: World, seed: int | None, drawn: Mapping[str, float | str]
-) -> dict[str, str]:
-    about = describe_flight(mission, world, seed)
-    if drawn:
-        about["drawn"] = msgspec.json.encode(drawn).decode()
-    return about
 
 
 def _open_log(name: str, log_dir: Path, about: dict[str, str]) -> FlightLog:
