@@ -8,7 +8,7 @@ import shlex
 import sys
 
 from dart_flight.check.computer_load import check_this_computer
-from dart_flight.check.findings import decide
+from dart_flight.check.findings import CheckFinding, decide
 from dart_flight.check.log_space import check_log_space
 from dart_flight.check.mission_check import check_mission
 from dart_flight.check.vehicle_check import check_vehicle
@@ -20,6 +20,7 @@ from dart_flight.cli.options import add_flight_options, add_overrule_option, add
 from dart_flight.cli.terminal import messages, print_status
 from dart_flight.cli.vehicle_line import say_vehicle
 from dart_flight.config.mission import Mission, Waypoint
+from dart_flight.recording.verdict import Verdict
 from dart_flight.run.drone import fly_vehicle
 from dart_flight.run.prepare import as_rehearsal, load_flyable, with_driver
 from dart_flight.vehicle.link import LinkLease
@@ -61,18 +62,28 @@ def _fly(arguments: argparse.Namespace, mission: Mission, url: str, lease: LinkL
     findings = [*check_mission(mission), check_log_space(mission, arguments.log_dir)]
     findings += check_this_computer(mission)
     findings += check_vehicle(mission, url, arguments.position_from)
+    verdict = fly_if_go(arguments, mission, url, lease, findings)
+    if verdict is None:
+        return 1
+    show_end(verdict, console, arguments.json)
+    return exit_status(verdict)
+
+
+def fly_if_go(
+    arguments: argparse.Namespace, mission: Mission, url: str, lease: LinkLease, findings: list[CheckFinding]
+) -> Verdict | None:
+    """Fly on the vehicle where nothing found is in the way and the operator agrees; None: not flown."""
+    console = messages()
     report = decide(mission, findings, arguments.overrule)
     show(report, console)
     if not report.go:
-        return 1
+        return None
     if not arguments.yes and not confirm_flight():
         console.print("cancelled, not flown")
-        return 1
+        return None
     lines = FlightLines(console, arguments.verbose > 0, live_line_for(mission, console))
     with live_view(arguments, mission) as live, contextlib.closing(lines):
-        verdict = fly_vehicle(mission, url, arguments.log_dir, lines, lease, live)
-    show_end(verdict, console, arguments.json)
-    return exit_status(verdict)
+        return fly_vehicle(mission, url, arguments.log_dir, lines, lease, live)
 
 
 def _flight_summary(mission: Mission, url: str) -> str:

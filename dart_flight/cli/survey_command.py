@@ -14,13 +14,11 @@ import msgspec
 import yaml
 from rich.table import Table
 
-from dart_flight.check.findings import decide
 from dart_flight.check.mission_check import check_mission
 from dart_flight.check.vehicle_check import check_vehicle
-from dart_flight.cli.check_command import show
 from dart_flight.cli.dry_run_command import flight_function
 from dart_flight.cli.flight_output import FlightLines, exit_status, figure_or_dash, live_line_for, show_end
-from dart_flight.cli.fly_command import confirm_flight
+from dart_flight.cli.fly_command import fly_if_go
 from dart_flight.cli.options import (
     add_driver_option,
     add_log_dir_option,
@@ -44,7 +42,6 @@ from dart_flight.planning.room import RoomContact, RoomFit, plan_star, room_keys
 from dart_flight.planning.survey import plan_survey, surveyed_collisions, surveyed_walls
 from dart_flight.recording.measured_walls import MeasuredWall
 from dart_flight.recording.verdict import Verdict
-from dart_flight.run.drone import fly_vehicle
 from dart_flight.run.prepare import load_flyable, with_driver
 from dart_flight.vehicle.link import LinkLease
 
@@ -58,7 +55,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add_log_dir_option(parser)
     add_driver_option(parser)
     add_px4_options(parser, with_hitl=False)
-    parser.set_defaults(fault=None, runs=None, speed=None, live=False)
+    parser.set_defaults(fault=None, runs=None, speed=None, live=False, live_port=None, live_host=None)
     parser.add_argument("--fast", action="store_true", help="in process, in simulated time, without MAVLink")
     parser.add_argument("--connection", metavar="URL", help="touch the walls with the vehicle there")
     add_overrule_option(parser)
@@ -164,30 +161,17 @@ def _survey_room(arguments: argparse.Namespace, written: Any, mission: Mission) 
 
 
 def _fly(arguments: argparse.Namespace, mission: Mission) -> Verdict | None:
-    """RoomContact the walls in the wanted world, or with the vehicle; None where it is not flown."""
+    """Touch the walls in the wanted world, or with the vehicle; None where it is not flown."""
     console = messages()
     if arguments.connection is not None:
-        return _fly_vehicle(arguments, mission)
+        url = link_of(arguments, mission.vehicle.connection)
+        with LinkLease(url, "survey") as lease:
+            findings = [*check_mission(mission), *check_vehicle(mission, url, arguments.position_from)]
+            return fly_if_go(arguments, mission, url, lease, findings)
     fly = flight_function(arguments, mission)
     live_line = None if arguments.fast else live_line_for(mission, console)
     with contextlib.closing(FlightLines(console, arguments.verbose > 0, live_line)) as lines:
         return fly(mission, seed=arguments.seed, log_dir=arguments.log_dir, progress=lines)
-
-
-def _fly_vehicle(arguments: argparse.Namespace, mission: Mission) -> Verdict | None:
-    console, url = messages(), link_of(arguments, mission.vehicle.connection)
-    with LinkLease(url, "survey") as lease:
-        findings = [*check_mission(mission), *check_vehicle(mission, url, arguments.position_from)]
-        report = decide(mission, findings, arguments.overrule)
-        show(report, console)
-        if not report.go:
-            return None
-        if not arguments.yes and not confirm_flight():
-            console.print("cancelled, not flown")
-            return None
-        live_line = live_line_for(mission, console)
-        with contextlib.closing(FlightLines(console, arguments.verbose > 0, live_line)) as lines:
-            return fly_vehicle(mission, url, arguments.log_dir, lines, lease, None)
 
 
 def _write(

@@ -330,18 +330,23 @@ class VerdictBuilder:
             )
         )
 
-    def _take_peak(self, record: ImpactPeak) -> None:
-        # A peak belongs to the collision whose onset came last; an unplanned hit has none.
+    def _last_hit(self) -> CollisionVerdict | None:
+        """The collision whose onset came last; None: an unplanned hit came last, which has no entry."""
         if self._collisions and self._onset and self._collisions[-1].t_us == self._onset.t_us:
-            self._collisions[-1].measured.peak_force_n = record.normal_force_n
-            self._collisions[-1].clipped = record.clipped
+            return self._collisions[-1]
+        return None
+
+    def _take_peak(self, record: ImpactPeak) -> None:
+        hit = self._last_hit()
+        if hit is not None:
+            hit.measured.peak_force_n, hit.clipped = record.normal_force_n, record.clipped
 
     def _take_body(self, record: ImpactBody) -> None:
-        if self._collisions and self._onset and self._collisions[-1].t_us == self._onset.t_us:
-            measured = self._collisions[-1].measured
-            measured.contact_side = record.side
-            measured.incidence_deg = math.degrees(record.incidence_rad)
-            measured.peak_torque_nm = record.peak_torque_nm
+        hit = self._last_hit()
+        if hit is not None:
+            hit.measured.contact_side = record.side
+            hit.measured.incidence_deg = math.degrees(record.incidence_rad)
+            hit.measured.peak_torque_nm = record.peak_torque_nm
 
     def _take_contact_end(self, record: ContactEnd) -> None:
         if not self._collisions or self._collisions[-1].contact_time_ms is not None:
@@ -356,11 +361,9 @@ class VerdictBuilder:
         self._measured_walls.take(record)
         if self._relaxation_us is None:
             return  # one mode: nothing to tell apart
-        # As of a peak: what is felt of an unplanned hit says nothing of the collision before it.
-        of_last = self._collisions and self._onset and self._collisions[-1].t_us == self._onset.t_us
-        if of_last and self._onset is not None and self._onset.first_us == record.first_us:
-            self._collisions[-1].mode_felt = record.mode_felt
-            self._collisions[-1].mode_log_odds = record.log_odds
+        hit = self._last_hit()
+        if hit is not None and self._onset is not None and self._onset.first_us == record.first_us:
+            hit.mode_felt, hit.mode_log_odds = record.mode_felt, record.log_odds
 
     def _take_lock(self, record: LockState) -> None:
         if record.phase is LockPhase.SETTLED and record.mode is not None:
