@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from dart_flight.base.streams import BY_NAME
-from dart_flight.check.airframe_check import judge_airframe
 from dart_flight.check.findings import CheckFinding
 from dart_flight.check.px4_parameters import (
     judge_parameters,
@@ -14,9 +13,10 @@ from dart_flight.check.px4_parameters import (
     other_names,
     position_source,
 )
+from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission
 from dart_flight.config.parameter_file import PositionSource, Version
-from dart_flight.config.rotors import COUNT, rotor_names
+from dart_flight.config.rotors import COUNT, motors_of, rotor_differences, rotor_names
 from dart_flight.config.vehicle import LockDriver
 from dart_flight.lock.drivers import DRIVERS, driver_names
 from dart_flight.lock.drivers.px4_output import parameter_problems, required_parameters
@@ -124,6 +124,30 @@ def judge_mode(mode: HeartbeatMode | None) -> list[CheckFinding]:
         return []
     says = "the vehicle flies from simulated sensors (hardware in the loop): restart it with SYS_HITL 0"
     return [CheckFinding("hil_mode", False, says)]
+
+
+def judge_airframe(mission: Mission, values: Mapping[str, float]) -> list[CheckFinding]:
+    """Whether PX4 flies the motors that the configuration describes.
+
+    Thrust is summed over the motors and their torque taken off motor by motor: another number, order or
+    direction makes both wrong. Other distances only scale the torque, and PX4's own may be in any unit.
+
+    Args:
+        mission: for its vehicle.
+        values: PX4's parameters as read.
+    """
+    item, motors = "airframe", mission.vehicle.airframe.motors
+    try:
+        actual = motors_of(values, "PX4")
+    except InputError as error:
+        return [CheckFinding(item, True, f"not compared: {error}", remark=True)]
+    other, sizes = rotor_differences(motors, actual)
+    if other:
+        hint = "; `calibrate airframe` prints PX4's"
+        return [CheckFinding(item, False, "; ".join(other) + hint)]
+    if sizes:
+        return [CheckFinding(item, True, "; ".join(sizes) + ": measure, and set both", remark=True)]
+    return [CheckFinding(item, True, f"{len(motors)} motors, as in PX4")]
 
 
 def judge_lock(mission: Mission, values: Mapping[str, float]) -> list[CheckFinding]:

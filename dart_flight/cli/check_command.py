@@ -17,6 +17,7 @@ from dart_flight.cli.mission_picture import add_plot_option, write_picture
 from dart_flight.cli.options import (
     add_driver_option,
     add_log_dir_option,
+    add_overrule_option,
     add_position_option,
     add_set_option,
     link_of,
@@ -32,13 +33,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
     parser.add_argument("mission", metavar="MISSION", help="mission file, see missions/")
     parser.add_argument("--connection", metavar="URL", help="also check the vehicle that answers here")
-    parser.add_argument(
-        "--overrule",
-        action="append",
-        default=[],
-        metavar="ITEM",
-        help="fly despite this failed check (repeatable)",
-    )
+    add_overrule_option(parser)
     add_log_dir_option(parser)
     add_position_option(parser)
     add_driver_option(parser)

@@ -37,8 +37,8 @@ from dart_flight.run.many_flights import RunsInterruptedError, fly_fast_many, fl
 from dart_flight.run.prepare import as_rehearsal, load_flyable, with_driver
 from dart_flight.run.px4_flight import fly_px4
 from dart_flight.sim.draws import parse_vary
-from dart_flight.sim.extras import need_mavlink
 from dart_flight.sim.faults.fault_table import parse_fault
+from dart_flight.sim.pipe import need_mavlink
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -70,7 +70,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add_vary_option(parser)
 
 
-def _flight(arguments: argparse.Namespace, mission: Mission) -> Callable[..., Verdict]:
+def flight_function(arguments: argparse.Namespace, mission: Mission) -> Callable[..., Verdict]:
     """The function that flies one mission in the wanted world; seed, log_dir and progress by name."""
     position_from = source_for(mission, position_source_of(arguments))
     fault = None if arguments.fault is None else parse_fault(arguments.fault, mission.vehicle.has_lock)
@@ -108,7 +108,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the command; returns the exit status."""
     mission = load_flyable(arguments.mission, arguments.config, arguments.set)
     mission = as_rehearsal(with_driver(mission, arguments.driver), arguments.standoff)
-    fly = _flight(arguments, mission)
+    fly = flight_function(arguments, mission)
     console = messages()
     say_vehicle(mission.flown_vehicle(), arguments)
     warnings = [

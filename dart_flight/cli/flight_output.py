@@ -199,17 +199,18 @@ def _add_collision(table: Table, c: CollisionVerdict) -> None:
             continue
         extra = ["", ""]
         if name == "measured":
-            extra = [_number(c.contact_time_ms, 0), _number(c.detection_latency_ms, 1)]
+            extra = [figure_or_dash(c.contact_time_ms, 0), figure_or_dash(c.detection_latency_ms, 1)]
         table.add_row(
             f"  {name}",
-            _number(v.normal_m_s, 2),
-            _number(v.tangential_m_s, 2),
-            _number(v.peak_force_n, 1),
+            figure_or_dash(v.normal_m_s, 2),
+            figure_or_dash(v.tangential_m_s, 2),
+            figure_or_dash(v.peak_force_n, 1),
             *extra,
         )
 
 
-def _number(value: float | None, digits: int) -> str:
+def figure_or_dash(value: float | None, digits: int) -> str:
+    """A number for a table; a dash where there is none."""
     return "-" if value is None else f"{value:.{digits}f}"
 
 

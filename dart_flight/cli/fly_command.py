@@ -6,11 +6,9 @@ import argparse
 import contextlib
 import shlex
 import sys
-import tempfile
-from pathlib import Path
 
 from dart_flight.check.computer_load import check_this_computer
-from dart_flight.check.findings import decide
+from dart_flight.check.findings import CheckFinding, decide
 from dart_flight.check.log_space import check_log_space
 from dart_flight.check.mission_check import check_mission
 from dart_flight.check.vehicle_check import check_vehicle
@@ -18,11 +16,11 @@ from dart_flight.cli.check_command import show
 from dart_flight.cli.flight_output import FlightLines, exit_status, live_line_for, show_end
 from dart_flight.cli.live_options import add_live_options, live_view
 from dart_flight.cli.mission_picture import add_plot_option, write_picture
-from dart_flight.cli.options import add_flight_options, add_position_option, link_of
+from dart_flight.cli.options import add_flight_options, add_overrule_option, add_position_option, link_of
 from dart_flight.cli.terminal import messages, print_status
 from dart_flight.cli.vehicle_line import say_vehicle
-from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission, Waypoint
+from dart_flight.recording.verdict import Verdict
 from dart_flight.run.drone import fly_vehicle
 from dart_flight.run.prepare import as_rehearsal, load_flyable, with_driver
 from dart_flight.vehicle.link import LinkLease
@@ -36,9 +34,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         metavar="URL",
         help="serial:///dev/ttyAMA0:921600, udpin://0.0.0.0:14540 (default: connection.url)",
     )
-    parser.add_argument(
-        "--overrule", action="append", default=[], metavar="ITEM", help="fly despite this failed check"
-    )
+    add_overrule_option(parser)
     add_position_option(parser)
     add_live_options(parser)
     add_plot_option(parser)
@@ -66,18 +62,28 @@ def _fly(arguments: argparse.Namespace, mission: Mission, url: str, lease: LinkL
     findings = [*check_mission(mission), check_log_space(mission, arguments.log_dir)]
     findings += check_this_computer(mission)
     findings += check_vehicle(mission, url, arguments.position_from)
+    verdict = fly_if_go(arguments, mission, url, lease, findings)
+    if verdict is None:
+        return 1
+    show_end(verdict, console, arguments.json)
+    return exit_status(verdict)
+
+
+def fly_if_go(
+    arguments: argparse.Namespace, mission: Mission, url: str, lease: LinkLease, findings: list[CheckFinding]
+) -> Verdict | None:
+    """Fly on the vehicle where nothing found is in the way and the operator agrees; None: not flown."""
+    console = messages()
     report = decide(mission, findings, arguments.overrule)
     show(report, console)
     if not report.go:
-        return 1
-    if not arguments.yes and not confirm_flight(mission):
+        return None
+    if not arguments.yes and not confirm_flight():
         console.print("cancelled, not flown")
-        return 1
+        return None
     lines = FlightLines(console, arguments.verbose > 0, live_line_for(mission, console))
     with live_view(arguments, mission) as live, contextlib.closing(lines):
-        verdict = fly_vehicle(mission, url, arguments.log_dir, lines, lease, live)
-    show_end(verdict, console, arguments.json)
-    return exit_status(verdict)
+        return fly_vehicle(mission, url, arguments.log_dir, lines, lease, live)
 
 
 def _flight_summary(mission: Mission, url: str) -> str:
@@ -110,16 +116,10 @@ def _stop(w: Waypoint) -> str:
     return f"  fly to ({x:g}, {y:g}) at {z:g} m at up to {w.speed_m_s:g} m/s{held}"
 
 
-def confirm_flight(mission: Mission) -> bool:
-    """Ask on the terminal; `p` writes a picture of the mission, and the question is asked again."""
-    while sys.stdin.isatty():
-        sys.stderr.write("Fly? [y/N, p: picture] ")
-        sys.stderr.flush()
-        answer = sys.stdin.readline().strip().lower()
-        if answer not in ("p", "picture"):
-            return answer in ("y", "yes")
-        try:
-            write_picture(mission, Path(tempfile.mkdtemp(prefix="dart-flight-")) / "mission.png")
-        except InputError as error:
-            print_status(str(error))  # a missing extra does not end the flight
-    return False
+def confirm_flight() -> bool:
+    """Ask on the terminal; without one the answer is no."""
+    if not sys.stdin.isatty():
+        return False
+    sys.stderr.write("Fly? [y/N] ")
+    sys.stderr.flush()
+    return sys.stdin.readline().strip().lower() in ("y", "yes")

@@ -5,11 +5,12 @@ from __future__ import annotations
 import argparse
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import msgspec
 
 from dart_flight.base.records import LockPhase, LockState, Mode
+from dart_flight.cli import EXIT_INCOMPLETE, EXIT_OK
 from dart_flight.cli.options import add_driver_option, link_of, refuse_unwritable
 from dart_flight.cli.terminal import emit_json, messages, print_status, tables
 from dart_flight.cli.vehicle_line import say_vehicle
@@ -25,11 +26,6 @@ from dart_flight.lock.ground import GroundLock, calibration, ground_driver
 from dart_flight.lock.persistence import CommandStore, ServoOwnership, ServoTakenError, forget_last, load_last
 from dart_flight.lock.state_machine import describe
 from dart_flight.vehicle.link import LinkLease
-
-if TYPE_CHECKING:
-    from dart_flight.vehicle.ground_link import GroundLink
-
-EXIT_OK, EXIT_INCOMPLETE = 0, 1
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -55,8 +51,10 @@ def run(arguments: argparse.Namespace) -> int:
         refuse_unwritable(arguments, path)
     if config.driver is not LockDriver.PX4:
         return _owned(arguments, config, path, None)
+    from dart_flight.vehicle.ground_link import GroundLink
+
     url = link_of(arguments, vehicle.connection)
-    with LinkLease(url, "lock"), _px4_link(url, vehicle.connection.timeout_s) as link:
+    with LinkLease(url, "lock"), GroundLink(url, vehicle.connection.timeout_s) as link:
         problems = parameter_problems(
             config, link.read_parameters(required.name for required in required_parameters(config))
         )
@@ -65,12 +63,6 @@ def run(arguments: argparse.Namespace) -> int:
         if problems and arguments.action != "status":
             return EXIT_INCOMPLETE
         return _owned(arguments, config, path, link.set_actuator)
-
-
-def _px4_link(url: str, timeout_s: float) -> GroundLink:
-    from dart_flight.vehicle.ground_link import GroundLink
-
-    return GroundLink(url, timeout_s)
 
 
 def _owned(

@@ -35,6 +35,17 @@ def add_log_dir_option(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_overrule_option(parser: argparse.ArgumentParser) -> None:
+    """What was found and is flown in spite of."""
+    parser.add_argument(
+        "--overrule",
+        action="append",
+        default=[],
+        metavar="ITEM",
+        help="fly despite this failed check (repeatable)",
+    )
+
+
 def add_driver_option(parser: argparse.ArgumentParser) -> None:
     """What moves the lock."""
     known = ", ".join(f"{kind.value} ({entry.words})" for kind, entry in DRIVERS.items())

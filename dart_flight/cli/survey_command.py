@@ -6,8 +6,7 @@ import argparse
 import contextlib
 import math
 import os
-from collections.abc import Callable, Iterator
-from functools import partial
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -15,15 +14,15 @@ import msgspec
 import yaml
 from rich.table import Table
 
-from dart_flight.check.findings import decide
 from dart_flight.check.mission_check import check_mission
 from dart_flight.check.vehicle_check import check_vehicle
-from dart_flight.cli.check_command import show
-from dart_flight.cli.flight_output import FlightLines, exit_status, live_line_for, show_end
-from dart_flight.cli.fly_command import confirm_flight
+from dart_flight.cli.dry_run_command import flight_function
+from dart_flight.cli.flight_output import FlightLines, exit_status, figure_or_dash, live_line_for, show_end
+from dart_flight.cli.fly_command import fly_if_go
 from dart_flight.cli.options import (
     add_driver_option,
     add_log_dir_option,
+    add_overrule_option,
     add_position_option,
     add_set_option,
     add_vary_option,
@@ -31,7 +30,7 @@ from dart_flight.cli.options import (
     number,
     whole_number,
 )
-from dart_flight.cli.px4_options import add_px4_options, position_source_of
+from dart_flight.cli.px4_options import add_px4_options
 from dart_flight.cli.terminal import emit_json, messages, tables
 from dart_flight.cli.vehicle_line import say_vehicle
 from dart_flight.config.document import InputError, writing
@@ -39,18 +38,11 @@ from dart_flight.config.file_kinds import FileKind, load_document
 from dart_flight.config.mission import Mission, load_mission
 from dart_flight.core.mission.approach import NoApproachError, check_segments_clear
 from dart_flight.lab_entries import ROOM_PICTURE, load_entry
-from dart_flight.planning.positioning import source_for
 from dart_flight.planning.room import RoomContact, RoomFit, plan_star, room_keys, touches_of
 from dart_flight.planning.survey import plan_survey, surveyed_collisions, surveyed_walls
 from dart_flight.recording.measured_walls import MeasuredWall
 from dart_flight.recording.verdict import Verdict
-from dart_flight.run.drone import fly_vehicle
-from dart_flight.run.embedded import fly_embedded
-from dart_flight.run.fast import fly_fast
 from dart_flight.run.prepare import load_flyable, with_driver
-from dart_flight.run.px4_flight import fly_px4
-from dart_flight.sim.draws import parse_vary
-from dart_flight.sim.extras import need_mavlink
 from dart_flight.vehicle.link import LinkLease
 
 _SPEED_M_S = 0.5
@@ -63,9 +55,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add_log_dir_option(parser)
     add_driver_option(parser)
     add_px4_options(parser, with_hitl=False)
+    parser.set_defaults(fault=None, runs=None, speed=None, live=False, live_port=None, live_host=None)
     parser.add_argument("--fast", action="store_true", help="in process, in simulated time, without MAVLink")
     parser.add_argument("--connection", metavar="URL", help="touch the walls with the vehicle there")
-    parser.add_argument("--overrule", action="append", default=[], metavar="ITEM", help="fly despite this")
+    add_overrule_option(parser)
     parser.add_argument("--yes", action="store_true", help="do not ask before flying")
     parser.add_argument("--seed", type=whole_number(0, 2**31 - 1), default=1, help="random seed (default 1)")
     parser.add_argument(
@@ -168,46 +161,17 @@ def _survey_room(arguments: argparse.Namespace, written: Any, mission: Mission) 
 
 
 def _fly(arguments: argparse.Namespace, mission: Mission) -> Verdict | None:
-    """RoomContact the walls in the wanted world, or with the vehicle; None where it is not flown."""
+    """Touch the walls in the wanted world, or with the vehicle; None where it is not flown."""
     console = messages()
     if arguments.connection is not None:
-        return _fly_vehicle(arguments, mission)
-    spreads = parse_vary(arguments.vary, mission.vehicle)
-    source = source_for(mission, position_source_of(arguments))
-    fly: Callable[..., Verdict]
-    if arguments.fast:
-        fly = partial(fly_fast, spreads=spreads)
-    elif arguments.px4 is None:
-        need_mavlink()
-        fly = partial(fly_embedded, deadman=True, spreads=spreads)
-    else:
-        need_mavlink()
-        fly = partial(
-            fly_px4,
-            directory=arguments.px4,
-            position_from=source,
-            parameter_files=tuple(arguments.params or ()),
-            spreads=spreads,
-        )
+        url = link_of(arguments, mission.vehicle.connection)
+        with LinkLease(url, "survey") as lease:
+            findings = [*check_mission(mission), *check_vehicle(mission, url, arguments.position_from)]
+            return fly_if_go(arguments, mission, url, lease, findings)
+    fly = flight_function(arguments, mission)
     live_line = None if arguments.fast else live_line_for(mission, console)
     with contextlib.closing(FlightLines(console, arguments.verbose > 0, live_line)) as lines:
         return fly(mission, seed=arguments.seed, log_dir=arguments.log_dir, progress=lines)
-
-
-def _fly_vehicle(arguments: argparse.Namespace, mission: Mission) -> Verdict | None:
-    console, url = messages(), link_of(arguments, mission.vehicle.connection)
-    with LinkLease(url, "survey") as lease:
-        findings = [*check_mission(mission), *check_vehicle(mission, url, arguments.position_from)]
-        report = decide(mission, findings, arguments.overrule)
-        show(report, console)
-        if not report.go:
-            return None
-        if not arguments.yes and not confirm_flight(mission):
-            console.print("cancelled, not flown")
-            return None
-        live_line = live_line_for(mission, console)
-        with contextlib.closing(FlightLines(console, arguments.verbose > 0, live_line)) as lines:
-            return fly_vehicle(mission, url, arguments.log_dir, lines, lease, None)
 
 
 def _write(
@@ -251,14 +215,10 @@ def _table(walls: list[MeasuredWall]) -> Table:
             wall.name,
             f"({x:.3f}, {y:.3f})",
             f"({nx:.3f}, {ny:.3f})",
-            _figure(wall.position_sd_m, 3),
-            _figure(wall.yaw_sd_deg, 2),
+            figure_or_dash(wall.position_sd_m, 3),
+            figure_or_dash(wall.yaw_sd_deg, 2),
             wall.material or "none known",
-            _figure(wall.truth_error_m, 3),
-            _figure(wall.truth_error_deg, 2),
+            figure_or_dash(wall.truth_error_m, 3),
+            figure_or_dash(wall.truth_error_deg, 2),
         )
     return table
-
-
-def _figure(value: float | None, digits: int) -> str:
-    return "-" if value is None else f"{value:.{digits}f}"

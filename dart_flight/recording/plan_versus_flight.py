@@ -6,16 +6,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
-from typing import NamedTuple
+from collections.abc import Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, NamedTuple
 
 import msgspec
 
 from dart_flight.base.geometry import Vec2, distance2
-from dart_flight.base.records import AfterImpact, Mode
+from dart_flight.base.records import AfterImpact
 from dart_flight.config.mission import Collision, Mission
 from dart_flight.core.mission.planned_impact import expected_hit, impact_velocity
 from dart_flight.planning.predicted_flight import predict_mission
+
+if TYPE_CHECKING:
+    from dart_flight.recording.verdict import CollisionVerdict
 
 
 class PlannedImpact(NamedTuple):
@@ -25,25 +28,6 @@ class PlannedImpact(NamedTuple):
     tangential_m_s: float | None = None
     peak_force_n: float | None = None
     place: Vec2 | None = None
-
-
-class FlownImpact(NamedTuple):
-    """What was measured of a planned collision.
-
-    Attributes:
-        collision: its index.
-        normal_m_s, tangential_m_s: velocity at the onset, collision frame.
-        peak_force_n: of the normal force.
-        place: of the vehicle's centre at the onset, mission frame.
-        mode_felt: state of the arms by the contact itself; None: undecided.
-    """
-
-    collision: int
-    normal_m_s: float | None
-    tangential_m_s: float | None
-    peak_force_n: float | None
-    place: Vec2 | None
-    mode_felt: str | None
 
 
 class Deviation(msgspec.Struct, frozen=True):
@@ -114,7 +98,11 @@ def _as_written(mission: Mission, collision: Collision) -> PlannedImpact:
 
 
 def deviations(
-    mission: Mission, planned: Prediction, flown: Sequence[FlownImpact], goal_miss_m: float | None
+    mission: Mission,
+    planned: Prediction,
+    flown: Sequence[CollisionVerdict],
+    places: Mapping[int, Vec2],
+    goal_miss_m: float | None,
 ) -> list[Deviation]:
     """Everything that was planned, in the order of the mission; nothing of a rehearsal.
 
@@ -122,55 +110,52 @@ def deviations(
         mission: with its tolerances.
         planned: what it leads to (`predict_flight`).
         flown: the collisions that were met.
+        places: of the vehicle's centre at their onsets, by index of the collision, mission frame.
         goal_miss_m: None where the goal was not passed.
     """
     if mission.standoff_m is not None:
         return []
-    met = {one.collision: one for one in flown}
-    found = [
-        deviation
-        for collision in mission.collisions
-        if collision.index in met or not collision.is_conditional
-        for deviation in _of_collision(
-            mission, collision, planned.impacts[collision.index], met.get(collision.index)
-        )
-    ]
-    if planned.goal_miss_m is None:
-        return found
-    return [
-        *found,
-        Deviation("goal miss, m", planned.goal_miss_m, goal_miss_m, mission.goal.capture_radius_m),
-    ]
+    met = {one.index: one for one in flown}
+    found: list[Deviation] = []
+    for collision in mission.collisions:
+        index = collision.index
+        if index in met or not collision.is_conditional:
+            one = met.get(index)
+            found += _of_collision(mission, collision, planned.impacts[index], one, places.get(index))
+    if planned.goal_miss_m is not None:
+        allowed = mission.goal.capture_radius_m
+        found.append(Deviation("goal miss, m", planned.goal_miss_m, goal_miss_m, allowed))
+    return found
 
 
 def _of_collision(
-    mission: Mission, collision: Collision, planned: PlannedImpact, flown: FlownImpact | None
+    mission: Mission,
+    collision: Collision,
+    planned: PlannedImpact,
+    flown: CollisionVerdict | None,
+    place: Vec2 | None,
 ) -> Iterator[Deviation]:
-    name, tolerance = f"collision {collision.index}", mission.tolerance
-    one = flown or FlownImpact(collision.index, None, None, None, None, None)
-    if planned.normal_m_s is not None:
-        yield Deviation(
-            f"{name} normal velocity, m/s", planned.normal_m_s, one.normal_m_s, tolerance.impact_m_s
-        )
-    if planned.tangential_m_s is not None:
-        yield Deviation(
-            f"{name} velocity along the wall, m/s",
-            planned.tangential_m_s,
-            one.tangential_m_s,
-            tolerance.impact_m_s,
-        )
-    known = collision.wall
-    if planned.peak_force_n is not None and collision.probe is None and known.material_known:
+    name, tolerance, wall = f"collision {collision.index}", mission.tolerance, collision.wall
+    measured = None if flown is None else flown.measured
+    for what, figure, allowed in (
+        ("normal velocity", "normal_m_s", tolerance.impact_m_s),
+        ("velocity along the wall", "tangential_m_s", tolerance.impact_m_s),
+    ):
+        wanted = getattr(planned, figure)
+        if wanted is not None:
+            yield Deviation(f"{name} {what}, m/s", wanted, getattr(measured, figure, None), allowed)
+    if planned.peak_force_n is not None and collision.probe is None and wall.material_known:
+        peak_n = None if measured is None else measured.peak_force_n
         allowed = tolerance.peak_force_share * planned.peak_force_n
-        yield Deviation(f"{name} peak force, N", planned.peak_force_n, one.peak_force_n, allowed)
-    if planned.place is not None and collision.probe is None and not known.sought:
-        beside = None if one.place is None else distance2(one.place, planned.place)
-        yield Deviation(f"{name} beside its place, m", 0.0, beside, tolerance.place_m)
+        yield Deviation(f"{name} peak force, N", planned.peak_force_n, peak_n, allowed)
+    if planned.place is not None and collision.probe is None and not wall.sought:
+        beside_m = None if place is None else distance2(place, planned.place)
+        yield Deviation(f"{name} beside its place, m", 0.0, beside_m, tolerance.place_m)
     mode = collision.mode.value
     if flown is None:
         yield Deviation(f"{name} mode", mode, None, None)
     elif flown.mode_felt is not None:  # undecided is no deviation
-        yield Deviation(f"{name} mode", mode, Mode(flown.mode_felt).value, None)
+        yield Deviation(f"{name} mode", mode, flown.mode_felt.value, None)
 
 
 def out_of_tolerance(found: Sequence[Deviation]) -> list[Deviation]:

@@ -31,7 +31,6 @@ from dart_flight.base.records import (
     Mode,
     OdometrySample,
     Outcome,
-    Override,
     Phase,
     PhaseChange,
     SetpointSent,
@@ -49,7 +48,7 @@ from dart_flight.recording.about import flown_mission
 from dart_flight.recording.anchor import MissionFrameReader
 from dart_flight.recording.found import PX4_LOG
 from dart_flight.recording.measured_walls import MeasuredWall, WallMeasurements
-from dart_flight.recording.plan_versus_flight import Deviation, FlownImpact, deviations, predict_flight
+from dart_flight.recording.plan_versus_flight import Deviation, deviations, predict_flight
 from dart_flight.recording.reader import IN_MEMORY, Log
 
 _TICK_US = 20_000
@@ -105,15 +104,6 @@ class CollisionVerdict(msgspec.Struct):
     mode_true: Mode | None = None  # of the simulated arms
 
 
-class GuardVerdict(msgspec.Struct):
-    """A rule of the guard that fired."""
-
-    t_us: int
-    rule: str
-    action: Override
-    detail: str
-
-
 class Px4Figures(msgspec.Struct):
     """A flight by PX4's log, while armed.
 
@@ -141,7 +131,7 @@ class Verdict(msgspec.Struct):
     outcome: Outcome
     reason: str | None
     collisions: list[CollisionVerdict]
-    guard: list[GuardVerdict]
+    guard: list[GuardEvent]
     goal_miss_m: float | None
     final_error_m: float | None
     max_tilt_deg: float | None
@@ -219,7 +209,7 @@ class VerdictBuilder:
         self._collisions: list[CollisionVerdict] = []
         self._places: dict[int, Vec2] = {}  # of the impacts, by index of the collision
         self._truths: list[TruthContact] = []
-        self._guard: list[GuardVerdict] = []
+        self._guard: list[GuardEvent] = []
         self._onset: ImpactOnset | None = None
         self._end: MissionEnd | None = None
         self._phase = Phase.READYING
@@ -297,7 +287,7 @@ class VerdictBuilder:
             self._collisions[-1].setpoint_latency_ms = record.latency_us * 1e-3
 
     def _take_guard(self, record: GuardEvent) -> None:
-        self._guard.append(GuardVerdict(record.t_us, record.rule, record.action, record.detail))
+        self._guard.append(record)
 
     def _take_passed(self, record: GoalPassed) -> None:
         self._miss_m = record.miss_m
@@ -340,18 +330,23 @@ class VerdictBuilder:
             )
         )
 
-    def _take_peak(self, record: ImpactPeak) -> None:
-        # A peak belongs to the collision whose onset came last; an unplanned hit has none.
+    def _last_hit(self) -> CollisionVerdict | None:
+        """The collision whose onset came last; None: an unplanned hit came last, which has no entry."""
         if self._collisions and self._onset and self._collisions[-1].t_us == self._onset.t_us:
-            self._collisions[-1].measured.peak_force_n = record.normal_force_n
-            self._collisions[-1].clipped = record.clipped
+            return self._collisions[-1]
+        return None
+
+    def _take_peak(self, record: ImpactPeak) -> None:
+        hit = self._last_hit()
+        if hit is not None:
+            hit.measured.peak_force_n, hit.clipped = record.normal_force_n, record.clipped
 
     def _take_body(self, record: ImpactBody) -> None:
-        if self._collisions and self._onset and self._collisions[-1].t_us == self._onset.t_us:
-            measured = self._collisions[-1].measured
-            measured.contact_side = record.side
-            measured.incidence_deg = math.degrees(record.incidence_rad)
-            measured.peak_torque_nm = record.peak_torque_nm
+        hit = self._last_hit()
+        if hit is not None:
+            hit.measured.contact_side = record.side
+            hit.measured.incidence_deg = math.degrees(record.incidence_rad)
+            hit.measured.peak_torque_nm = record.peak_torque_nm
 
     def _take_contact_end(self, record: ContactEnd) -> None:
         if not self._collisions or self._collisions[-1].contact_time_ms is not None:
@@ -366,11 +361,9 @@ class VerdictBuilder:
         self._measured_walls.take(record)
         if self._relaxation_us is None:
             return  # one mode: nothing to tell apart
-        # As of a peak: what is felt of an unplanned hit says nothing of the collision before it.
-        of_last = self._collisions and self._onset and self._collisions[-1].t_us == self._onset.t_us
-        if of_last and self._onset is not None and self._onset.first_us == record.first_us:
-            self._collisions[-1].mode_felt = record.mode_felt
-            self._collisions[-1].mode_log_odds = record.log_odds
+        hit = self._last_hit()
+        if hit is not None and self._onset is not None and self._onset.first_us == record.first_us:
+            hit.mode_felt, hit.mode_log_odds = record.mode_felt, record.log_odds
 
     def _take_lock(self, record: LockState) -> None:
         if record.phase is LockPhase.SETTLED and record.mode is not None:
@@ -405,7 +398,7 @@ class VerdictBuilder:
             self._match_truth(collision)
             of_plan = planned.impacts[collision.index]
             collision.planned = Velocities(of_plan.normal_m_s, of_plan.tangential_m_s, of_plan.peak_force_n)
-        differ = deviations(self._mission, planned, self._flown(), self._miss_m)
+        differ = deviations(self._mission, planned, self._collisions, self._places, self._miss_m)
         end = self._end
         time_s = None
         if self._airborne_us is not None and self._landed_us is not None:
@@ -449,19 +442,6 @@ class VerdictBuilder:
         if len(self._settled) < len(Mode) or not self._true_modes:
             return None
         return len(self._true_modes) == len(Mode)
-
-    def _flown(self) -> list[FlownImpact]:
-        return [
-            FlownImpact(
-                c.index,
-                c.measured.normal_m_s,
-                c.measured.tangential_m_s,
-                c.measured.peak_force_n,
-                self._places.get(c.index),
-                c.mode_felt,
-            )
-            for c in self._collisions
-        ]
 
     def _match_truth(self, collision: CollisionVerdict) -> None:
         near = [

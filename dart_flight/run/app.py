@@ -391,15 +391,9 @@ class FlightApp:
         elif isinstance(output, LockCommand | LockPermission):
             if self._lock is not None:
                 self._lock.put(output)
-        elif isinstance(output, PlanRequest):
+        elif isinstance(output, PlanRequest | WallEstimate | FrameAnchor):
             if self._planner is not None:
-                self._planner.send_request(output)
-        elif isinstance(output, WallEstimate):
-            if self._planner is not None:
-                self._planner.send_wall_estimate(output)
-        elif isinstance(output, FrameAnchor):
-            if self._planner is not None:
-                self._planner.send_anchor(output)
+                self._planner.send(output)
         elif isinstance(output, PhaseChange):
             # For `monitor`; not on this thread, whose setpoints must not wait for it.
             self.loop.call_soon_threadsafe(self._session.tell_ground, f"phase {output.after}")

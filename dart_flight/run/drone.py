@@ -36,8 +36,7 @@ def fly_vehicle(
     if lease is None:
         with LinkLease(url, "fly") as own:
             return fly_vehicle(mission, url, log_dir, progress, own, viewer)
-    record = FlightRecord(mission, World.DRONE, None, log_dir)
-    record.viewers += [viewer] if viewer is not None else []
+    record = FlightRecord(mission, World.DRONE, None, log_dir, viewer=viewer)
     try:
         note = record.folder / DEADMAN_NOTE
         lease.note_log(record.path)

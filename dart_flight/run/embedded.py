@@ -12,11 +12,10 @@ from dart_flight.recording.verdict import Verdict
 from dart_flight.run.app import FlightApp
 from dart_flight.run.flight_record import FlightRecord, Onlooker
 from dart_flight.run.program_fault import ProgramFault
-from dart_flight.run.simulator_process import SimulatorProcess, fly_simulated, world_log
+from dart_flight.run.simulator_process import SimulatorProcess, fly_simulated
 from dart_flight.sim.draws import draw_world
-from dart_flight.sim.extras import need_mavlink
 from dart_flight.sim.faults.fault_table import Fault
-from dart_flight.sim.pipe import SimulatorSpec
+from dart_flight.sim.pipe import SimulatorSpec, need_mavlink
 from dart_flight.vehicle.clock import LockstepClock
 from dart_flight.vehicle.link import free_link
 
@@ -48,34 +47,25 @@ def fly_embedded(
     """
     need_mavlink()
     drawn = draw_world(mission, seed, spreads or {})
-    record = FlightRecord(mission, World.EMBEDDED, seed, log_dir, drawn.drawn)
-    record.viewers += [viewer] if viewer is not None else []
+    record = FlightRecord(mission, World.EMBEDDED, seed, log_dir, drawn.drawn, viewer=viewer)
     try:
         port, lease = free_link("dry-run", record.path)
     except InputError:
         record.close()
         raise
-    spec = SimulatorSpec(
-        mission,
-        seed,
-        [port],
-        world_log(record.folder),
-        spreads=dict(spreads or {}),
-        speed=speed,
-    )
+    spec = SimulatorSpec(mission, seed, [port], spreads=dict(spreads or {}), speed=speed)
 
     def make_app(world: SimulatorProcess) -> FlightApp:
         note = record.folder / DEADMAN_NOTE if deadman else None
         url = f"udpin://127.0.0.1:{port}"
         clock = None if speed == 1.0 else LockstepClock(speed)
         app = FlightApp(mission, url, record, world, progress, clock, note, drawn.lock_faults)
-        record.notice = app.show
         if fault is not None:
             record.onlookers.append(ProgramFault(fault, app, world, record.path))
         return app
 
     try:
-        fly_simulated(record, lambda on_truth: SimulatorProcess(spec, on_truth), make_app)
+        fly_simulated(record, spec, make_app)
     finally:
         lease.release()
     return record.build()

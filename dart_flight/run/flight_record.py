@@ -13,12 +13,27 @@ from dart_flight.config.mission import Mission
 from dart_flight.config.provenance import display_path
 from dart_flight.recording.about import describe_flight
 from dart_flight.recording.found import LOG_NAME
-from dart_flight.recording.memory import MemoryLog
-from dart_flight.recording.reader import Log, read_log
+from dart_flight.recording.reader import IN_MEMORY, Log, LogEntry, read_log
 from dart_flight.recording.verdict import Verdict, VerdictBuilder
 from dart_flight.recording.writer import FlightLog, new_flight_folder
 
 Onlooker = Callable[[Record], None]
+
+
+class MemoryLog:
+    """Takes the records of one flight, as `FlightLog` does, into a `Log` in memory."""
+
+    shortfall: str | None = None  # memory takes everything
+
+    def __init__(self, about: dict[str, str]) -> None:
+        self.log = Log(IN_MEMORY, about, {}, [], complete=True)
+
+    def put(self, record: Record, number: int) -> None:
+        """Take a record; `number` is that of the input it is or follows from."""
+        self.log.entries.append(LogEntry(number, record))
+
+    def close(self) -> None:
+        """Nothing is left to be done."""
 
 
 class FlightRecord:
@@ -30,6 +45,7 @@ class FlightRecord:
         seed: of a simulated flight.
         log_dir: where the flight's folder goes; None: no log on disk (campaigns).
         drawn: what the simulated world was drawn as, name -> value.
+        viewer: the first of the `viewers`.
         in_memory: keep the log in memory where none goes to disk.
 
     Attributes:
@@ -49,6 +65,7 @@ class FlightRecord:
         log_dir: Path | None,
         drawn: Mapping[str, float | str] | None = None,
         *,
+        viewer: Onlooker | None = None,
         in_memory: bool = False,
     ) -> None:
         self._world, self._seed, self._drawn = world, seed, dict(drawn or {})
@@ -56,12 +73,14 @@ class FlightRecord:
         # Asked here, not by `verdict.take`: most kinds of records matter to it nothing, and are passed over.
         self._takers = self.verdict.takers
         self.onlookers: list[Onlooker] = []
-        self.viewers: list[Onlooker] = []
+        self.viewers: list[Onlooker] = [] if viewer is None else [viewer]
         self.notice: Onlooker = lambda record: None
         self._fails = False
         self._log: FlightLog | MemoryLog | None = None
         if log_dir is not None or in_memory:
-            about = _describe(mission, world, seed, self._drawn)
+            about = describe_flight(mission, world, seed)
+            if drawn:
+                about["drawn"] = msgspec.json.encode(self._drawn).decode()
             self._log = MemoryLog(about) if log_dir is None else _open_log(mission.name, log_dir, about)
 
     @property
@@ -121,15 +140,6 @@ class FlightRecord:
         built = self.verdict.build(self._world, self._seed, log, kept, self._drawn)
         built.log_failure = self._log.shortfall if self._log is not None else None
         return built
-
-
-def _describe(
-    mission: Mission, world: World, seed: int | None, drawn: Mapping[str, float | str]
-) -> dict[str, str]:
-    about = describe_flight(mission, world, seed)
-    if drawn:
-        about["drawn"] = msgspec.json.encode(drawn).decode()
-    return about
 
 
 def _open_log(name: str, log_dir: Path, about: dict[str, str]) -> FlightLog:

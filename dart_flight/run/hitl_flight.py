@@ -15,7 +15,7 @@ from dart_flight.run.app import FlightApp
 from dart_flight.run.computer import ComputerWatch
 from dart_flight.run.embedded import DEADMAN_NOTE
 from dart_flight.run.flight_record import FlightRecord, Onlooker
-from dart_flight.run.simulator_process import SimulatorProcess, fly_simulated, world_log
+from dart_flight.run.simulator_process import HitlProcess, SimulatorProcess, fly_simulated
 from dart_flight.sim.draws import draw_world
 from dart_flight.sim.pipe import HitlSpec, SimulatorSpec
 from dart_flight.vehicle.ground_link import GroundLink
@@ -23,13 +23,6 @@ from dart_flight.vehicle.link import LinkLease
 
 # PX4 sends it at 200 Hz on every fast link, 40 % of what TELEM2 carries, and the app has no use for it.
 _HIL_ACTUATOR_CONTROLS = 93
-
-
-class HitlProcess(SimulatorProcess):
-    """The plant that feeds a flight controller, in a process of its own."""
-
-    ready_timeout_s = 60.0
-    what = "the plant at the flight controller"
 
 
 def fly_hitl(
@@ -66,36 +59,26 @@ def fly_hitl(
     """
     drawn = draw_world(mission, seed, spreads or {})
     with LinkLease(url, "dry-run --hitl") as lease, LinkLease(hitl_url, "dry-run --hitl"):
-        record = FlightRecord(mission, World.HITL, seed, log_dir, drawn.drawn)
-        record.viewers += [viewer] if viewer is not None else []
+        record = FlightRecord(mission, World.HITL, seed, log_dir, drawn.drawn, viewer=viewer)
         lease.note_log(record.path)
-        spec = SimulatorSpec(
-            mission,
-            seed,
-            [],
-            world_log(record.folder),
-            hitl=HitlSpec(hitl_url, motors, position_from),
-            spreads=dict(spreads or {}),
-        )
+        hitl = HitlSpec(hitl_url, motors, position_from)
+        spec = SimulatorSpec(mission, seed, [], hitl=hitl, spreads=dict(spreads or {}))
 
         def make_app(world: SimulatorProcess) -> FlightApp:
-            note = record.folder / DEADMAN_NOTE
-            app = FlightApp(
+            return FlightApp(
                 mission,
                 url,
                 record,
                 world,
                 progress,
-                deadman_note=note,
+                deadman_note=record.folder / DEADMAN_NOTE,
                 opened=lease.close_device,
                 unwanted=[_HIL_ACTUATOR_CONTROLS],
             )
-            record.notice = app.show
-            return app
 
         try:
             with ComputerWatch(record.truth):
-                fly_simulated(record, lambda on_truth: HitlProcess(spec, on_truth), make_app)
+                fly_simulated(record, spec, make_app, HitlProcess)
         finally:
             _leave_disarmed(mission, url)
     return record.build()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -17,10 +18,9 @@ from dart_flight.recording.found import PX4_LOG
 from dart_flight.recording.verdict import Px4Figures, Verdict
 from dart_flight.run.app import FlightApp
 from dart_flight.run.flight_record import FlightRecord, Onlooker
-from dart_flight.run.simulator_process import Px4SimulatorProcess, SimulatorProcess, fly_simulated, world_log
+from dart_flight.run.simulator_process import Px4SimulatorProcess, SimulatorProcess, fly_simulated
 from dart_flight.sim.draws import draw_world
-from dart_flight.sim.extras import need_mavlink
-from dart_flight.sim.pipe import Px4SimulatorSpec, SimulatorSpec
+from dart_flight.sim.pipe import Px4SimulatorSpec, SimulatorSpec, need_mavlink
 from dart_flight.vehicle.clock import LockstepClock
 from dart_flight.vehicle.link import LinkLease
 
@@ -68,38 +68,20 @@ def fly_px4(
     mission = _for_lockstep(mission, speed)
     parameters = flight_parameters(mission.vehicle, position_from, list(parameter_files))
     drawn = draw_world(mission, seed, spreads or {})
-    record = FlightRecord(mission, World.PX4, seed, log_dir, drawn.drawn)
-    record.viewers += [viewer] if viewer is not None else []
+    record = FlightRecord(mission, World.PX4, seed, log_dir, drawn.drawn, viewer=viewer)
     folder = record.folder
-    spec = SimulatorSpec(
-        mission,
-        seed,
-        [],
-        world_log(folder),
-        Px4SimulatorSpec(str(install.program.parents[1]), str(folder.resolve()), parameters, position_from),
-        spreads=dict(spreads or {}),
-        speed=speed,
-    )
+    px4 = Px4SimulatorSpec(str(install.program.parents[1]), str(folder.resolve()), parameters, position_from)
+    spec = SimulatorSpec(mission, seed, [], px4=px4, spreads=dict(spreads or {}), speed=speed)
 
-    leases: list[LinkLease] = []
+    with contextlib.ExitStack() as leases:
 
-    def make_app(world: SimulatorProcess) -> FlightApp:
-        # PX4 chose the port itself, by its instance.
-        url = f"udpin://127.0.0.1:{world.port}"
-        lease = LinkLease(url, "dry-run --px4", record.path)
-        lease.acquire()
-        leases.append(lease)
-        app = FlightApp(
-            mission, url, record, world, progress, LockstepClock(speed), lock_faults=drawn.lock_faults
-        )
-        record.notice = app.show
-        return app
+        def make_app(world: SimulatorProcess) -> FlightApp:
+            # PX4 chose the port itself, by its instance.
+            url, clock = f"udpin://127.0.0.1:{world.port}", LockstepClock(speed)
+            leases.enter_context(LinkLease(url, "dry-run --px4", record.path))
+            return FlightApp(mission, url, record, world, progress, clock, lock_faults=drawn.lock_faults)
 
-    try:
-        world = fly_simulated(record, lambda on_truth: Px4SimulatorProcess(spec, on_truth), make_app)
-    finally:
-        for lease in leases:
-            lease.release()
+        world = fly_simulated(record, spec, make_app, Px4SimulatorProcess)
     ulog = folder / PX4_LOG
     built = record.build(px4_log=ulog)
     built.px4 = _px4_figures(ulog, world.version)

@@ -24,6 +24,7 @@ from dart_flight.vehicle.clock import host_us
 _NICE = 5  # below the flight: setpoints go first
 _END_S = 1.0
 _FELT, _MOVED, _ASKED = b"w", b"a", b"p"  # what a line holds
+_KINDS: dict[type, bytes] = {WallEstimate: _FELT, FrameAnchor: _MOVED, PlanRequest: _ASKED}
 
 
 class ReplannerProcess:
@@ -41,19 +42,16 @@ class ReplannerProcess:
         self._deliver = deliver
         self.process = ChildProcess(__name__, msgspec.json.encode(mission), self._take)
 
-    def send_wall_estimate(self, felt: WallEstimate) -> None:
-        """Pass on what a contact has taught; never blocks."""
-        self.process.send(_FELT + msgspec.json.encode(felt))
+    def send(self, item: PlanRequest | WallEstimate | FrameAnchor) -> None:
+        """Send a request, or pass on what a contact has taught or moved the frame by; never blocks.
 
-    def send_anchor(self, anchor: FrameAnchor) -> None:
-        """Pass on by how much a contact has moved the mission frame; never blocks."""
-        self.process.send(_MOVED + msgspec.json.encode(anchor))
-
-    def send_request(self, request: PlanRequest) -> None:
-        """Send a request; never blocks. Where there is no planner any more the answer says so at once."""
-        if self.process.poll() is None and self.process.send(_ASKED + msgspec.json.encode(request)):
+        Where there is no planner any more the answer to a request says so at once.
+        """
+        if self.process.poll() is None and self.process.send(_KINDS[type(item)] + msgspec.json.encode(item)):
             return
-        self._deliver(PlanAnswer(host_us(), request.number, request.begin_us, problem="the planner has died"))
+        if isinstance(item, PlanRequest):
+            problem = "the planner has died"
+            self._deliver(PlanAnswer(host_us(), item.number, item.begin_us, problem=problem))
 
     def stop(self) -> None:
         """End it."""

@@ -8,13 +8,12 @@ import os
 import signal
 import threading
 from collections.abc import Callable
-from pathlib import Path
 
 import msgspec
 
 from dart_flight.base.errors import FlightError
 from dart_flight.base.processes import ChildProcess
-from dart_flight.base.records import Record, TruthContact, TruthSample
+from dart_flight.base.records import TruthContact, TruthSample
 from dart_flight.run.app import FlightApp
 from dart_flight.run.flight_record import FlightRecord
 from dart_flight.sim.faults.fault_table import Fault
@@ -133,33 +132,40 @@ class Px4SimulatorProcess(SimulatorProcess):
                 os.killpg(self.ready.pid, signal.SIGKILL)
 
 
+class HitlProcess(SimulatorProcess):
+    """The plant that feeds a flight controller."""
+
+    ready_timeout_s = 60.0
+    what = "the plant at the flight controller"
+
+
 def fly_simulated(
     record: FlightRecord,
-    make_world: Callable[[Callable[[Record], None]], SimulatorProcess],
+    spec: SimulatorSpec,
     make_app: Callable[[SimulatorProcess], FlightApp],
+    process: type[SimulatorProcess] = SimulatorProcess,
 ) -> SimulatorProcess:
     """Start a world, fly in it, end it; closes the record's log.
 
     Args:
         record: of the flight; takes the world's truth as well.
-        make_world: starts the world's process; takes what is to be called with its truth.
+        spec: of the world, whose text log goes into the flight's folder.
         make_app: makes the app once the world is ready.
+        process: what the world runs in.
 
     Raises:
         SimulatorError, VehicleError: the simulated vehicle did not start or did not answer.
     """
+    spec.log = str((record.folder / "autopilot.log").resolve())
     try:
-        world = make_world(record.truth)
+        world = process(spec, record.truth)
         try:
             world.wait_ready()
-            asyncio.run(make_app(world).run())
+            app = make_app(world)
+            record.notice = app.show
+            asyncio.run(app.run())
         finally:
             world.close()
     finally:
         record.close()
     return world
-
-
-def world_log(folder: Path) -> str:
-    """Where the simulated vehicle writes its text log."""
-    return str((folder / "autopilot.log").resolve())

@@ -7,6 +7,7 @@ standard output `WorldOutput`s. Both simulated worlds speak it, whichever autopi
 from __future__ import annotations
 
 import contextlib
+import importlib.util
 import threading
 from collections import deque
 from typing import IO
@@ -14,6 +15,7 @@ from typing import IO
 import msgspec
 
 from dart_flight.base.records import TruthContact, TruthSample
+from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission
 from dart_flight.config.parameter_file import Parameter, PositionSource
 from dart_flight.config.vehicle import Motor
@@ -155,3 +157,13 @@ class LineReader:
             with contextlib.suppress(msgspec.DecodeError):
                 self.items.append(decoder.decode(line))
         self.closed = True
+
+
+def need_mavlink() -> None:
+    """Make sure that the process of the simulated vehicle will find what it imports.
+
+    Raises:
+        InputError: a package is not installed.
+    """
+    if importlib.util.find_spec("pymavlink") is None:
+        raise InputError("simulation needs pymavlink: pip install 'dart-flight[sim]'")

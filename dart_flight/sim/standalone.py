@@ -41,31 +41,25 @@ class VehiclePortLease:
 
     def __init__(self, port: int) -> None:
         self.port, self.own_port = port, port + _OWN_PORT if port + _OWN_PORT < 1 << 16 else port - _OWN_PORT
-        where = f"UDP port {port}"
         self._lease = LinkLease(feed_of(port), "simulate")
         try:
             self._lease.acquire()
         except LinkTakenError as error:
-            raise LinkTakenError(
-                f"another vehicle already sends to this port: {error.message}", source=where
-            ) from None
+            raise self._taken(f": {error.message}") from None
         try:
             if not udp_port_is_free(self.own_port):
                 owner = owner_of_udp_port(self.own_port)
-                raise LinkTakenError(
-                    f"another vehicle already sends to this port, {owner}, from UDP port {self.own_port}; "
-                    "choose another --port",
-                    source=where,
-                )
+                raise self._taken(f", {owner}, from UDP port {self.own_port}; choose another --port")
             heard = _listen(port)
             if heard is not None:
-                raise LinkTakenError(
-                    f"another vehicle already sends to this port, {heard}; choose another --port",
-                    source=where,
-                )
+                raise self._taken(f", {heard}; choose another --port")
         except LinkTakenError:
             self._lease.release()
             raise
+
+    def _taken(self, by: str) -> LinkTakenError:
+        where = f"UDP port {self.port}"
+        return LinkTakenError(f"another vehicle already sends to this port{by}", source=where)
 
     def release(self) -> None:
         """Give it back."""

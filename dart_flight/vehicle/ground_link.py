@@ -49,7 +49,6 @@ class Observation(msgspec.Struct):
     local_position_ok: bool = False
     gps_fix: str | None = None  # MAVLink's type of fix in small letters; None: no receiver heard
     blocking: tuple[str, ...] = ()  # what keeps PX4 from arming in its present mode, in its words
-    problems: tuple[str, ...] = ()  # what else its checks find
     other_vehicle: str | None = None  # another vehicle on the same link, in words
     texts: list[str] = []  # its texts and events, warnings and worse
 
@@ -95,7 +94,7 @@ class _Listener:
             seen.battery_v, seen.battery_remaining = record.battery_v, record.battery_remaining
             seen.local_position_ok = record.local_position_ok
         elif isinstance(record, HealthReport):
-            seen.blocking, seen.problems = record.blocking, record.others
+            seen.blocking = record.blocking
         elif isinstance(record, StatusText):
             if record.severity in reasons.SEVERE and record.text not in seen.texts:
                 seen.texts.append(record.text)

@@ -79,17 +79,6 @@ def test_an_interrupt_is_said_and_130(
     assert capsys.readouterr().err == "interrupted\n"
 
 
-def test_extras_are_named_as_every_shell_takes_them() -> None:
-    files = [*ROOT.glob("dart_flight/**/*.py"), *ROOT.glob("docs/**/*.md"), ROOT / "README.md"]
-    wrong = [
-        f"{path.name}: {found[0]}"
-        for path in files
-        for found in re.finditer(r".dart-flight\[\w+\]", path.read_text(encoding="utf-8"))
-        if found[0][0] != "'"
-    ]
-    assert wrong == []
-
-
 @pytest.mark.parametrize("seed", ["a", 1.5, -1, True, None, 2**31])
 def test_a_seed_that_is_none_is_one_clear_error(seed: object) -> None:
     with pytest.raises(dart_flight.InputError, match="seed: expected a whole number from 0 to 2147483647"):

@@ -193,17 +193,3 @@ def test_bash_completes_commands_options_choices_and_files(started: Path, tmp_pa
     offered = bash_completes(["dart-flight", "dry-run", "missions/sing"], started, script)
     assert offered == {"missions/single_wall.yaml"}
     assert bash_completes(["dart-flight", "fly", "--driver", "ma"], started, script) == {"maestro"}
-
-
-def test_an_unknown_shell_is_refused_in_one_line(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as stopped:
-        main(["completion", "fish"])
-    assert stopped.value.code == 2
-    assert len(capsys.readouterr().err.splitlines()) == 1
-
-
-def test_a_document_still_starts_at_line_one_of_the_file(started: Path) -> None:
-    # The line for the editor is a comment: errors still name the line as the editor counts it.
-    path = started / "missions" / "single_wall.yaml"
-    rows = path.read_text().splitlines()
-    assert rows[Document.load(path).lines["version",] - 1] == "version: 1"

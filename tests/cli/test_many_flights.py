@@ -179,17 +179,6 @@ def test_tables_fit_eighty_columns(
         assert max(map(len, out.splitlines())) <= 80
 
 
-def test_a_campaign_says_where_its_logs_are(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    words = ["dry-run", MISSION, "--fast", "--runs", "2", "--log-dir", "campaign"]
-    assert main([*words, "--json"]) == 0
-    streams = capsys.readouterr()
-    assert "logs: 2 flights in campaign" in streams.err
-    printed = json.loads(streams.out)
-    assert printed["log_dir"] == "campaign"
-    assert printed["interrupted"] is False
-    assert all(Path(run["log"]).exists() for run in printed["runs"])
-
-
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=lambda number: number.name)
 def test_an_interrupted_campaign_sums_up_what_is_there(number: signal.Signals, tmp_path: Path) -> None:
     environment = os.environ | {"PYTHONPATH": str(ROOT)}

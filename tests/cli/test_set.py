@@ -125,13 +125,6 @@ def test_a_section_that_the_file_leaves_out_can_be_set(capsys: pytest.CaptureFix
     assert printed["vehicle"]["set"] == settings[1::2]
 
 
-@pytest.mark.parametrize("name", ["dry-run", "simulate", "predict", "plan", "check", "identify"])
-def test_help_names_it(name: str, capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit):
-        main([name, "--help"])
-    assert "--set KEY=VALUE" in capsys.readouterr().out
-
-
 def test_ratios_have_no_vehicle_to_set(capsys: pytest.CaptureFixture[str]) -> None:
     command = ["predict", "--restitution", "0.5", "--velocity", "-1", "0", "--set", "airframe.mass_kg=2"]
     assert main(command) == 2

@@ -116,11 +116,6 @@ def test_a_mission_that_names_the_packaged_one_passes_over_the_environments(
     assert f"note: {path}" in capsys.readouterr().err.replace("\n", "")
 
 
-def test_wrong_input_is_still_one_line(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["predict", "--surface", "acrylic", "--mode", "rigid", "--velocity", "1", "0"]) == 2
-    assert capsys.readouterr().err.count("\n") == 1
-
-
 def test_the_log_carries_it(folder: Path) -> None:
     own(folder)
     mission = load_mission(MISSION, "configs/dart.yaml")

@@ -1,7 +1,6 @@
 """Wrong input: one line with file, line and key, exit status 2, nothing started."""
 
 import random
-import re
 import subprocess
 import sys
 from pathlib import Path
@@ -256,13 +255,3 @@ def test_the_missions_in_the_repository_load() -> None:
     for path in sorted((ROOT / "missions").glob("*.yaml")):
         mission = load_mission(path)
         assert mission.collisions or path.stem in ("hover", "square", "transit", "unknown_room")
-
-
-def test_the_observer_that_is_gone_is_refused_only_where_it_was_another_one() -> None:
-    text = (ROOT / "configs/dart.yaml").read_text()
-    older = "estimation:\n  observer: {}\n  momentum_gain_per_s: 12.0\n"
-    document = Document(re.sub("(?m)^estimation:.*\n", older.format("acceleration"), text), "dart.yaml")
-    assert load_vehicle(document) == load_vehicle(ROOT / "configs/dart.yaml")
-    document = Document(re.sub("(?m)^estimation:.*\n", older.format("momentum"), text), "dart.yaml")
-    with pytest.raises(InputError, match=r"estimation\.observer.*delete this key and momentum_gain_per_s"):
-        load_vehicle(document)

@@ -198,17 +198,3 @@ def test_a_source_is_written_by_hand() -> None:
     changed = CONFIGURATION.replace("[paper] Sec. III\n", "[ours] weighed\n", 1)
     assert configuration_comments.current(changed) == changed != CONFIGURATION
     assert configuration_comments.sources(changed)["airframe", "mass_kg"] == "[ours] weighed"
-
-
-def test_a_long_source_goes_on_in_the_next_line() -> None:
-    words = " ".join(f"word{i}" for i in range(30))
-    changed = CONFIGURATION.replace("[paper] Sec. III\n", f"[ours] {words}\n", 1)
-    written = configuration_comments.current(changed)
-    assert max(map(len, written.splitlines()[10:])) <= 110
-    assert configuration_comments.sources(written)["airframe", "mass_kg"] == f"[ours] {words}"
-    assert configuration_comments.current(written) == written
-
-
-def test_names_of_the_user_and_what_is_below_them_have_no_comment() -> None:
-    for row in CONFIGURATION[CONFIGURATION.index("  concrete:") : CONFIGURATION.index("onset:")].splitlines():
-        assert "#" not in row

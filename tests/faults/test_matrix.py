@@ -16,7 +16,7 @@ from dart_flight.run.fast import FastFlight, fly_fast
 from dart_flight.run.prepare import load_flyable
 from dart_flight.sim.faults.fault_table import KINDS, Fault, parse_fault
 from dart_flight.sim.faults.impairment import Impairment, LossyLink
-from tools.campaigns.faults import ON_GROUND, PHASES, ROWS, came_of, cell, expected, random_flight, with_row
+from tools.campaigns.faults import ON_GROUND, PHASES, ROWS, came_of, cell, expected, random_flight
 
 ROOT = Path(__file__).parents[2]
 SINGLE = ROOT / "missions/paper_single_wall.yaml"
@@ -35,19 +35,6 @@ def test_a_cell_is_what_the_table_says(fault: str, phase: str) -> None:
     flown = cell(fault, phase)
     assert not flown.problems
     assert came_of(flown) in expected()[fault, phase]
-
-
-def test_one_row_is_put_into_the_page_and_the_rest_left() -> None:
-    page = (ROOT / "docs/results/fault_matrix.md").read_text()
-    lines = page.splitlines()
-    own = next(line for line in lines if line.startswith("| second-vehicle "))  # the matrix comes first
-    assert with_row(page, own) == page
-    assert with_row(page.replace(own + "\n", ""), own) == page, "in its place, and counted"
-    changed = own.replace("second_vehicle", "bounds<br>**uncontrolled: it did not end**", 1)
-    after = with_row(page, changed).splitlines()
-    differ = [(a, b) for a, b in zip(lines, after, strict=True) if a != b]
-    cells = len(ROWS) * len(PHASES)
-    assert differ == [(own, changed), (f"{cells} cells, 0 uncontrolled.", f"{cells} cells, 1 uncontrolled.")]
 
 
 @pytest.mark.parametrize("delay_ms", [100, 300, 1000, 2000])

@@ -9,7 +9,6 @@ import pytest
 
 from dart_flight.check.findings import CheckFinding
 from dart_flight.check.mission_check import check_mission
-from dart_flight.config.starter import first_mission
 from dart_flight.recording.verdict import Verdict
 from dart_flight.run.fast import fly_fast
 from dart_flight.run.prepare import load_flyable
@@ -29,12 +28,6 @@ def test_a_first_flight_reaches_its_goal_and_follows_its_plan(name: str) -> None
         verdict = flown(name, seed, "contact=0.2")
         assert (verdict.outcome, verdict.goal_reached, verdict.plan_followed) == ("completed", True, True)
         assert verdict.goal_miss_planned_m == 0.0
-
-
-def test_make_dry_run_flies_one_of_them() -> None:
-    makefile = (ROOT / "Makefile").read_text()
-    assert "MISSION ?= missions/dual_collision.yaml" in makefile
-    assert first_mission("dart") == Path("missions/dual_collision.yaml")
 
 
 @pytest.mark.parametrize(

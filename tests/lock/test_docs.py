@@ -5,19 +5,11 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from dart_flight.cli import build_parser
 from dart_flight.config.vehicle import LockConfig, LockDriver, packaged
 from dart_flight.config.vehicle.configuration import load_vehicle
 from dart_flight.lock.drivers.px4_output import required_parameters
 
 PAGE = Path(__file__).parents[2] / "docs" / "lock.md"
-
-
-def test_the_commands_on_the_page_parse() -> None:
-    commands = re.findall(r"^dart-flight (lock .*?)(?: +#.*)?$", PAGE.read_text(), re.MULTILINE)
-    assert len(commands) >= 5
-    for command in commands:
-        build_parser(["lock"]).parse_args(command.split())
 
 
 def test_the_keys_on_the_page_exist() -> None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -299,12 +297,3 @@ def test_a_port_in_use(make_rig: MakeRig) -> None:
     with pytest.raises(DriverError, match="cannot open") as caught:
         second.open()
     assert caught.value.key == ("maestro", "port")
-
-
-def test_only_this_driver_imports_pyserial() -> None:
-    code = (
-        "import sys, dart_flight.lock.lock_session, dart_flight.lock.drivers.mock,"
-        " dart_flight.lock.drivers.px4_output, dart_flight.lock.drivers.pwm;"
-        " sys.exit('serial' in sys.modules or 'asyncio' in sys.modules)"
-    )
-    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

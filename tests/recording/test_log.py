@@ -306,11 +306,6 @@ def test_an_mcap_of_somebody_else(tmp_path: Path) -> None:
         read_log(write_mcap(tmp_path / "other.mcap", None))
 
 
-def test_a_file_that_is_not_there(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="No such file"):
-        read_log(tmp_path / "none.mcap")
-
-
 # --- rotation, full disk, killed ----------------------------------------------------------------------------
 
 

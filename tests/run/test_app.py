@@ -183,7 +183,7 @@ def test_what_concerns_the_planner_goes_to_it_where_there_is_one(monkeypatch: py
     planner = Mock()
     monkeypatch.setattr(app, "_planner", planner)
     carry_out(app, monkeypatch, request, felt)
-    assert planner.mock_calls == [call.send_request(request), call.send_wall_estimate(felt)]
+    assert planner.mock_calls == [call.send(request), call.send(felt)]
     assert session.asked == []
 
 

@@ -20,14 +20,14 @@ def test_the_process_answers_as_the_planner_and_its_death_is_told() -> None:
     answers: queue.SimpleQueue[PlanAnswer] = queue.SimpleQueue()
     planner = ReplannerProcess(MISSION, answers.put)
     try:
-        planner.send_request(REQUEST)
+        planner.send(REQUEST)
         answer = answers.get(timeout=60.0)
         there = answer.received_us
         assert answer == Replanner(MISSION).answer(REQUEST, there)
         assert there > 0
         planner.process.kill()
         planner.process.wait()
-        planner.send_request(msgspec.structs.replace(REQUEST, number=2))
+        planner.send(msgspec.structs.replace(REQUEST, number=2))
         dead = answers.get(timeout=60.0)
         assert (dead.number, dead.problem) == (2, "the planner has died")
     finally:
@@ -38,7 +38,7 @@ def test_the_process_answers_as_the_planner_and_its_death_is_told() -> None:
 def test_it_ends_with_its_flight() -> None:
     answers: queue.SimpleQueue[PlanAnswer] = queue.SimpleQueue()
     planner = ReplannerProcess(MISSION, answers.put)
-    planner.send_request(REQUEST)
+    planner.send(REQUEST)
     answers.get(timeout=60.0)
     planner.stop()
     assert planner.process.returncode == 0

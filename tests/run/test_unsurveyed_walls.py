@@ -15,7 +15,6 @@ from dart_flight.check.findings import CheckFinding
 from dart_flight.check.mission_check import check_mission
 from dart_flight.config.document import Document
 from dart_flight.config.mission import Mission, load_mission, parse_mission
-from dart_flight.config.vehicle import packaged
 from dart_flight.config.vehicle.configuration import load_vehicle
 from dart_flight.core.mission.approach import Approach, plan_approach, standoff_point
 from dart_flight.core.mission.wall_uncertainty import (
@@ -35,7 +34,7 @@ from dart_flight.recording.about import flown_mission
 from dart_flight.recording.reader import read_log
 from dart_flight.run.prepare import as_rehearsal
 from dart_flight.sim.draws import draw_world
-from tools.campaigns.walls import Row, fly, mission_of
+from tools.campaigns.walls import Row, fly
 
 ROOT = Path(__file__).parents[2]
 SINGLE = (ROOT / "missions/paper_single_wall.yaml").read_text()
@@ -316,11 +315,3 @@ def test_a_recorded_flight_is_read_with_its_configuration(path: Path) -> None:
     assert len(mission.vehicle.airframe.motors) == 4
     assert mission.vehicle.thrust.table is None
     assert all(not wall.is_uncertain for wall in mission.walls)
-
-
-def test_the_campaign_s_rows_are_of_missions_that_load() -> None:
-    row = Row("single_wall beside", "acrylic", 0.0, 8.0, "yaw_sd_deg: 4.0")
-    (wall,) = mission_of(row).walls
-    assert wall.point == (1.65, -0.5)
-    assert wall.yaw_sd_rad == pytest.approx(math.radians(4.0))
-    assert packaged("missions", "paper_single_wall.yaml").exists()

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from dart_flight.base.geometry import MissionFrame
 from dart_flight.base.records import ActuatorSample, Record, TorqueEstimate, TruthContact
-from dart_flight.check.airframe_check import judge_airframe
+from dart_flight.check.vehicle_check import judge_airframe
 from dart_flight.cli import main
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission, load_mission

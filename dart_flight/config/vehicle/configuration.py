@@ -182,7 +182,6 @@ def vehicle_of(document: Document) -> VehicleConfig:
     lock = document.tree.get("lock")
     if isinstance(lock, dict) and lock.get("driver") == NO_LOCK:
         document.tree["lock"] = None
-    _drop_observer(document)
     config = document.convert(VehicleConfig)
     for name, material in config.materials.items():
         if config.has_lock and material.flexible is None:
@@ -190,18 +189,6 @@ def vehicle_of(document: Document) -> VehicleConfig:
             raise document.error(("materials", name), says)
     _refuse_unflyable(config, document)
     return config
-
-
-def _drop_observer(document: Document) -> None:
-    """Files of before 0.1.0 name an observer of the force: there is one left, and its key is not needed."""
-    estimation = document.tree.get("estimation") if isinstance(document.tree, dict) else None
-    if not isinstance(estimation, dict):
-        return
-    estimation.pop("momentum_gain_per_s", None)
-    observer = estimation.pop("observer", "acceleration")
-    if observer != "acceleration":
-        says = "there is no such observer any more: delete this key and momentum_gain_per_s"
-        raise document.error(("estimation", "observer"), says)
 
 
 def _refuse_unflyable(config: VehicleConfig, document: Document) -> None:

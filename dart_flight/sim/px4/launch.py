@@ -19,7 +19,6 @@ import shutil
 import signal
 import socket
 import subprocess
-import tempfile
 import time
 from collections.abc import Mapping
 from pathlib import Path
@@ -88,18 +87,21 @@ def find_install(directory: str | Path | None) -> Install:
     root = Path(named).expanduser().resolve()
     for base in (root, root / "build" / "px4_sitl_default"):
         program, etc = base / "bin" / "px4", base / "etc"
-        if program.is_file():
-            if not os.access(program, os.X_OK):
-                raise InputError("bin/px4 is not executable", source=str(base))
-            if not (base / "bin" / _CLIENT).exists():
-                raise InputError(f"has bin/px4 but no bin/{_CLIENT}", source=str(base))
-            if not (etc / "init.d-posix" / "rcS").is_file():
-                raise InputError(
-                    "has bin/px4 but no etc/init.d-posix/rcS: not a SITL build", source=str(base)
-                )
-            if not list((etc / "init.d-posix" / "airframes").glob(f"*_{MODEL}")):
-                raise InputError(f"has no airframe {MODEL}: wrong version of PX4", source=str(base))
-            return Install(program, etc)
+        if not program.is_file():
+            continue
+        airframes = (etc / "init.d-posix" / "airframes").glob(f"*_{MODEL}")
+        for there, says in (
+            (os.access(program, os.X_OK), "bin/px4 is not executable"),
+            ((base / "bin" / _CLIENT).exists(), f"has bin/px4 but no bin/{_CLIENT}"),
+            (
+                (etc / "init.d-posix" / "rcS").is_file(),
+                "has bin/px4 but no etc/init.d-posix/rcS: not a SITL build",
+            ),
+            (any(airframes), f"has no airframe {MODEL}: wrong version of PX4"),
+        ):
+            if not there:
+                raise InputError(says, source=str(base))
+        return Install(program, etc)
     raise InputError(
         "no PX4 SITL there: neither bin/px4 nor build/px4_sitl_default/bin/px4", source=str(root)
     )
@@ -378,13 +380,13 @@ class Px4:
         Raises:
             Px4Error: PX4 does not answer, does not know a parameter, or one has not taken; names it.
         """
-        known = parse_listing(self._answer(_CLIENT, "show", "-a"))
+        known = self.parameters()
         if not known:
             raise Px4Error(f"PX4 does not report its parameters{self._last_words()}")
         chosen = fitting(parameters, known)
         for name, value in chosen.items():
             self._answer(_CLIENT, "set", name, str(value) if isinstance(value, int) else f"{value:.9g}")
-        self.check_parameters(chosen, parse_listing(self._answer(_CLIENT, "show", "-a")))
+        self.check_parameters(chosen, self.parameters())
         return chosen
 
     @staticmethod
@@ -440,15 +442,13 @@ class Px4:
                 return f": {errors[-1].strip()}"
         return ""
 
-    def ask_parameters(self) -> Px4Query:
-        """Ask the running PX4 for its parameters.
+    def parameters(self) -> dict[str, float]:
+        """All parameters that it has, by name; once booted it answers only while the lockstep goes on.
 
-        It answers only while the lockstep goes on, so this does not wait.
+        Raises:
+            Px4Error: PX4 does not answer.
         """
-        return Px4Query(self._command(_CLIENT, "show", "-a"))
-
-    def _command(self, program: str, *arguments: str) -> list[str]:
-        return [str(self._install.program.parent / program), "--instance", str(self.instance), *arguments]
+        return parse_listing(self._answer(_CLIENT, "show", "-a"))
 
     def _answer(self, program: str, *arguments: str) -> str:
         """What one of PX4's clients prints.
@@ -456,9 +456,10 @@ class Px4:
         Raises:
             Px4Error: PX4 does not answer.
         """
+        client = self._install.program.parent / program
         try:
             done = subprocess.run(
-                self._command(program, *arguments),
+                [str(client), "--instance", str(self.instance), *arguments],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.STDOUT,
@@ -492,39 +493,6 @@ class Px4:
         logs[-1].replace(kept)
         shutil.rmtree(self.work, ignore_errors=True)
         return kept
-
-
-class Px4Query:
-    """A question to the running PX4 that is answered while its simulator goes on.
-
-    Args:
-        command: what asks.
-    """
-
-    def __init__(self, command: list[str]) -> None:
-        self._out = tempfile.TemporaryFile()  # noqa: SIM115  (a pipe would fill up)
-        self._process = subprocess.Popen(
-            command,
-            stdin=subprocess.DEVNULL,
-            stdout=self._out,
-            stderr=subprocess.DEVNULL,
-            start_new_session=True,
-        )
-
-    @property
-    def answered(self) -> bool:
-        """Whether the whole answer is there."""
-        return self._process.poll() is not None
-
-    def close(self) -> str:
-        """The answer so far; gives up where it is not complete."""
-        if not self.answered:
-            self._process.kill()
-        self._process.wait()
-        self._out.seek(0)
-        answer = self._out.read().decode(errors="replace")
-        self._out.close()
-        return answer
 
 
 def parse_version(answer: str) -> tuple[int, int, int] | None:

@@ -10,12 +10,13 @@ from __future__ import annotations
 import math
 import signal
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import IO
 
 from dart_flight.base.errors import FlightError
 from dart_flight.base.records import TruthSample
-from dart_flight.config.parameter_file import PositionSource, Value, parse_listing
+from dart_flight.config.parameter_file import PositionSource, Value
 from dart_flight.sim.draws import draw_world
 from dart_flight.sim.embedded_autopilot import TICK_S
 from dart_flight.sim.embedded_simulator import TerminatedError, WorldLog, raise_terminated, serve
@@ -155,15 +156,14 @@ class Px4Simulator:
             self._free_run(0.2)
             if time.monotonic() > deadline:
                 raise Px4Error(f"PX4 did not boot within {_BOOT_TIMEOUT_S:g} s, see {px4.console}")
-        asked = px4.ask_parameters()
-        try:
-            while not asked.answered:
-                self._free_run(0.02)
-                if time.monotonic() > deadline:
-                    raise Px4Error("PX4 does not report its parameters after booting")
-        finally:
-            answer = asked.close()
-        px4.check_parameters(self._set, parse_listing(answer))
+        asking = ThreadPoolExecutor(1)
+        answer = asking.submit(px4.parameters)
+        asking.shutdown(wait=False)
+        while not answer.done():
+            self._free_run(0.02)
+            if time.monotonic() > deadline:
+                raise Px4Error("PX4 does not report its parameters after booting")
+        px4.check_parameters(self._set, answer.result())
 
     def _free_run(self, seconds: float) -> None:
         """Step as fast as PX4 answers; the app sees nothing of it."""
