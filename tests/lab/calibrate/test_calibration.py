@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import struct
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +13,7 @@ from dart_flight.config.document import InputError
 from dart_flight.config.vehicle.configuration import load_vehicle
 from dart_flight.lab.calibrate.thrust_curve import calibrate_thrust, quiet_points
 from dart_flight.lab.track import read_calibration_series
+from tests.doubles.ulog_file import write_ulog
 from tests.shared_flights import SharedFlights
 
 ROOT = Path(__file__).parents[3]
@@ -58,30 +58,19 @@ def test_command_line_writes_the_configuration(
 def ulog(path: Path, volts: float, factor: float, full_n: float) -> None:
     """A PX4 log of slow climbs and descents on a given curve at a voltage (16 V, exponent 1)."""
 
-    def message(kind: bytes, content: bytes) -> bytes:
-        return struct.pack("<Hc", len(content), kind) + content
-
-    fields = {
-        "sensor_combined": "float[3] gyro_rad;float[3] accelerometer_m_s2;",
-        "actuator_motors": "float[4] control;",
-        "battery_status": "float voltage_v;",
-    }
-    out = b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 0) + message(b"B", bytes(40))
-    for name, text in fields.items():
-        out += message(b"F", f"{name}:uint64_t timestamp;{text}".encode())
-    for i, name in enumerate(fields):
-        out += message(b"A", struct.pack("<BH", 0, i) + name.encode())
     rng = np.random.default_rng(4)
+    imu, sent = [], []
     for i in range(5000):
-        t = 10_000_000 + 4000 * i
-        u = 0.55 + 0.1 * np.sin(0.3 * i * 0.004)
+        stamp, u = 10_000_000 + 4000 * i, 0.55 + 0.1 * np.sin(0.3 * i * 0.004)
         force = 4.0 * full_n * (factor * u * u + (1.0 - factor) * u) * volts / 16.0
-        f = rng.normal((0.0, 0.0, -force / 1.3), 0.2)
-        for index, values in enumerate(((0.0, 0.0, 0.0, *f), (u,) * 4, (volts,))):
-            if index == 2 and i % 50:
-                continue
-            out += message(b"D", struct.pack(f"<HQ{len(values)}f", index, t, *values))
-    path.write_bytes(out)
+        imu.append((stamp, [0.0, 0.0, 0.0, *rng.normal((0.0, 0.0, -force / 1.3), 0.2)]))
+        sent.append((stamp, [u] * 4))
+    topics = {
+        ("sensor_combined", 0): ("float[3] gyro_rad;float[3] accelerometer_m_s2;", imu),
+        ("actuator_motors", 0): ("float[4] control;", sent),
+        ("battery_status", 0): ("float voltage_v;", [(stamp, [volts]) for stamp, _ in sent[::50]]),
+    }
+    write_ulog(path, topics)
 
 
 def test_px4_logs_give_curve_and_battery(tmp_path: Path) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import struct
 from pathlib import Path
 
 import msgspec
@@ -17,6 +16,7 @@ from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.config.vehicle.configuration import load_vehicle
 from dart_flight.lab.calibrate.inertia import calibrate_inertia
 from dart_flight.lab.track import Track, read_calibration_series
+from tests.doubles.ulog_file import write_ulog
 from tests.shared_flights import SharedFlights
 
 ROOT = Path(__file__).parents[3]
@@ -164,33 +164,19 @@ def test_own_log_and_the_configuration(
     assert "about" in capsys.readouterr().out
 
 
-def write_ulog(path: Path, track: Track) -> None:
-    """The track as PX4 would have logged it."""
-
-    def message(kind: bytes, content: bytes) -> bytes:
-        return struct.pack("<Hc", len(content), kind) + content
-
-    fields = {
-        "sensor_combined": "float[3] gyro_rad;float[3] accelerometer_m_s2;",
-        "actuator_motors": "float[4] control;",
-    }
-    out = b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 0) + message(b"B", bytes(40))
-    for name, text in fields.items():
-        out += message(b"F", f"{name}:uint64_t timestamp;{text}".encode())
-    for i, name in enumerate(fields):
-        out += message(b"A", struct.pack("<BH", 0, i) + name.encode())
-    rows = [(t, 0, (*w, *f)) for t, w, f in zip(track.imu_s, track.rate, track.specific_force, strict=True)]
-    rows += [(t, 1, tuple(u)) for t, u in zip(track.motor_s, track.motors, strict=True)]
-    for t, index, values in sorted(rows, key=lambda row: row[0]):
-        stamp = 10_000_000 + round(1e6 * float(t))
-        out += message(b"D", struct.pack(f"<HQ{len(values)}f", index, stamp, *values))
-    path.write_bytes(out)
-
-
 def test_px4_logs_tell_it_too(tmp_path: Path) -> None:
     pytest.importorskip("pyulog")
-    write_ulog(tmp_path / "flight.ulg", turning((0.02, 0.02, 0.05)))
-    result = calibrate_inertia([read_calibration_series(tmp_path / "flight.ulg")], VEHICLE)
+    track = turning((0.02, 0.02, 0.05))
+    imu = zip(track.imu_s, np.hstack([track.rate, track.specific_force]).tolist(), strict=True)
+    sent = zip(track.motor_s, track.motors.tolist(), strict=True)
+    topics = {
+        (name, 0): (fields, [(10_000_000 + round(1e6 * float(t)), values) for t, values in rows])
+        for name, fields, rows in (
+            ("sensor_combined", "float[3] gyro_rad;float[3] accelerometer_m_s2;", imu),
+            ("actuator_motors", "float[4] control;", sent),
+        )
+    }
+    result = calibrate_inertia([read_calibration_series(write_ulog(tmp_path / "a.ulg", topics))], VEHICLE)
     for axis, true in zip(result.axes, INERTIA, strict=True):
         assert axis.value == pytest.approx(true, rel=0.04)
     assert any("actuator_motors" in note for note in result.notes)

@@ -1,10 +1,7 @@
-"""The table survives: torn rows, zeros after a power loss, a full disk, a second writer."""
+"""The table survives: torn rows, zeros after a power loss, a second writer."""
 
 from __future__ import annotations
 
-import resource
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -72,39 +69,3 @@ def test_a_second_writer_is_refused(tmp_path: Path) -> None:
     with Table(path, COLUMNS), pytest.raises(FlightError, match="being written by another campaign"):
         Table(path, COLUMNS)
     filled(path, 1)
-
-
-FULL = """
-import sys
-from pathlib import Path
-from dart_flight.lab.campaign.table import Table
-from dart_flight.base.errors import FlightError
-from tests.lab.campaign.test_table import COLUMNS, row
-table, seed = Table(Path(sys.argv[1]), COLUMNS), 0
-try:
-    while True:
-        table.append(row(seed, "x" * 50))
-        seed += 1
-except FlightError as error:
-    print(seed, error)
-"""
-
-
-def test_a_full_disk_leaves_whole_rows(tmp_path: Path) -> None:
-    """The kernel's limit of a file's size stands in for the disk: a write is cut short, the next refused."""
-    path = tmp_path / "flights.csv"
-
-    def limit() -> None:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))
-
-    done = subprocess.run(
-        [sys.executable, "-B", "-c", FULL, str(path)],  # -B: bytecode would be cut, too, and stay
-        cwd=Path(__file__).parents[3], preexec_fn=limit, capture_output=True, text=True, check=True,
-    )  # fmt: skip
-    seeds, _, said = done.stdout.strip().partition(" ")
-    assert said == f"cannot write {path}: File too large; completed rows are kept; continue with --resume"
-    assert path.read_bytes().endswith(row(int(seeds) - 1, "x" * 50))
-    assert len(list(rows_in(path))) == int(seeds) > 10
-    with Table(path, COLUMNS) as table:
-        table.append(row(int(seeds)))
-    assert [int(r["seed"]) for r in rows_in(path)] == list(range(int(seeds) + 1))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import struct
 import sys
 from pathlib import Path
 
@@ -12,7 +11,6 @@ import pytest
 
 from dart_flight.base.records import Mode
 from dart_flight.cli import main
-from dart_flight.config.document import InputError
 from dart_flight.config.vehicle import packaged
 from dart_flight.config.vehicle.airframe import Coefficients
 from dart_flight.config.vehicle.configuration import load_vehicle
@@ -21,6 +19,7 @@ from dart_flight.lab.identify.estimates import Estimate, Identification
 from dart_flight.lab.identify.fit import identify
 from dart_flight.lab.identify.trials import Series, Trial, find_impact
 from dart_flight.lab.predict.path import ContactMotion
+from tests.doubles.ulog_file import write_ulog
 from tools.synthetic_trials import MASS_KG, drop_trial, wall_trial, write_csv
 
 pytest.importorskip("scipy")
@@ -300,13 +299,6 @@ def test_command_writes_an_entry_that_the_configuration_accepts(
     assert main([*hit, "--velocity", "-1", "0.5"]) == 0
 
 
-def test_command_prints_tables(capsys: pytest.CaptureFixture[str], folder: Path) -> None:
-    assert main(["identify", str(folder / "hit_2.csv"), "--mode", "flexible"]) == 0
-    out = capsys.readouterr().out
-    assert "95 %" in out
-    assert "s/m" in out
-
-
 def test_heights_of_the_centre_of_mass(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     random = np.random.default_rng(6)
     trial = drop_trial(CONCRETE.of(Mode.FLEXIBLE), 0.05, random, plane_m=0.205)
@@ -391,24 +383,6 @@ def test_without_scipy(
 # --- PX4 logs -------------------------------------------------------------------------------------------
 
 
-def ulog(path: Path, topics: dict[str, tuple[str, list[tuple[float, ...]]]]) -> None:
-    """Write a ULog: topic -> its fields ("float x;float y;"), rows of (time in us, values)."""
-
-    def message(kind: bytes, content: bytes) -> bytes:
-        return struct.pack("<Hc", len(content), kind) + content
-
-    out = b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 0)
-    out += message(b"B", bytes(40))
-    for name, (fields, _) in topics.items():
-        out += message(b"F", f"{name}:uint64_t timestamp;{fields}".encode())
-    for i, name in enumerate(topics):
-        out += message(b"A", struct.pack("<BH", 0, i) + name.encode())
-    for i, (_, rows) in enumerate(topics.values()):
-        for time, *values in rows:
-            out += message(b"D", struct.pack(f"<HQ{len(values)}f", i, int(time), *values))
-    path.write_bytes(out)
-
-
 def test_a_px4_log(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     pytest.importorskip("pyulog")
     # A wall to the north-east, its normal towards the south-west; the force as the IMU of a level vehicle,
@@ -426,18 +400,19 @@ def test_a_px4_log(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     force = np.outer(trial.series["normal_force_n"].value / MASS_KG, normal)
     quarter = float(np.sqrt(0.5))
     path = tmp_path / "flight.ulg"
-    ulog(
+    time = time - time[0]
+    write_ulog(
         path,
         {
-            "vehicle_local_position": (
+            ("vehicle_local_position", 0): (
                 "float x;float y;float z;float vx;float vy;float vz;",
-                [(t, n, e, -1.0, 0.0, 0.0, 0.0) for t, (n, e) in zip(time, place, strict=True)],
+                [(t, [n, e, -1.0, 0.0, 0.0, 0.0]) for t, (n, e) in zip(time, place, strict=True)],
             ),
-            "vehicle_attitude": ("float[4] q;", [(t, quarter, 0.0, 0.0, quarter) for t in time[::2]]),
-            "sensor_combined": (
+            ("vehicle_attitude", 0): ("float[4] q;", [(t, [quarter, 0.0, 0.0, quarter]) for t in time[::2]]),
+            ("sensor_combined", 0): (
                 "float[3] accelerometer_m_s2;float[3] gyro_rad;",
                 # FRD of a vehicle heading east: forward is east, right is south.
-                [(t, e, -n, -9.81, 0.0, 0.0, 0.0) for t, (n, e) in zip(time, force, strict=True)],
+                [(t, [e, -n, -9.81, 0.0, 0.0, 0.0]) for t, (n, e) in zip(time, force, strict=True)],
             ),
         },
     )
@@ -450,9 +425,3 @@ def test_a_px4_log(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     assert result["trials"][0]["tangential_m_s"] == pytest.approx(0.4, abs=0.02)
     path.write_bytes(b"not a log")
     assert "not a readable ULog" in refused(capsys, str(path), "--wall", "3", "2", "225")
-
-
-def test_input_error_of_the_core_names_the_trial() -> None:
-    flat = Trial("flat.csv", {"normal_m": Series(np.linspace(0.0, 1.0, 200), np.full(200, 0.5))})
-    with pytest.raises(InputError, match=r"flat\.csv: no impact"):
-        identify([flat], MASS_KG, Onset.LCP)

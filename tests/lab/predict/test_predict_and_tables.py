@@ -156,22 +156,11 @@ def test_a_contact_that_never_ends(capsys: pytest.CaptureFixture[str], tmp_path:
     assert "never ends" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("arguments", [WALL, DROP])
-@pytest.mark.parametrize("suffix", ["png", "svg", "pdf"])
-def test_plots(arguments: list[str], suffix: str, tmp_path: Path) -> None:
-    path = tmp_path / f"plot.{suffix}"
-    assert main([*arguments, "--plot", str(path)]) == 0
-    start = {"png": b"\x89PNG", "svg": b"<?xml", "pdf": b"%PDF"}[suffix]
-    assert path.read_bytes().startswith(start)
-
-
-def test_plot_of_a_published_drop_shows_the_paper(tmp_path: Path) -> None:
+def test_plots_show_what_they_name(tmp_path: Path) -> None:
     path = tmp_path / "plot.svg"
-    code = (
-        "import matplotlib, sys; matplotlib.rcParams['svg.fonttype'] = 'none';"
-        "from dart_flight.cli import main; sys.exit(main(sys.argv[1:]))"
-    )
-    subprocess.run([sys.executable, "-c", code, *DROP, "--plot", str(path)], check=True, capture_output=True)
+    assert main([*WALL, "--plot", str(path)]) == 0
+    assert "along the wall" in path.read_text()
+    assert main([*DROP, "--plot", str(path)]) == 0
     text = path.read_text()
     assert "paper: largest rebound 1.34 m/s" in text
     assert "paper: contact 145 ms" in text
