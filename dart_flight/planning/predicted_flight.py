@@ -163,15 +163,22 @@ def _follow_written(planned: PredictedFlight, mission: Mission, group: Sequence[
         return
     for i, collision in enumerate(group):
         assert collision.predicted is not None
-        said, wall = collision.predicted, collision.wall
-        friction_ns = mission.vehicle.materials[wall.material].of(collision.mode).mu * said.tangential_m_s
-        friction_n = -friction_ns * said.peak_force_n
-        (nx, ny), (tx, ty), (x, y) = wall.normal, wall.tangent, said.position_m
-        away = collision.alpha_normal_m_per_n * said.peak_force_n
+        predicted, wall = collision.predicted, collision.wall
+        friction_ns = (
+            mission.vehicle.materials[wall.material].of(collision.mode).mu * predicted.tangential_m_s
+        )
+        friction_n = -friction_ns * predicted.peak_force_n
+        (nx, ny), (tx, ty), (x, y) = wall.normal, wall.tangent, predicted.position_m
+        away = collision.alpha_normal_m_per_n * predicted.peak_force_n
         onward = -collision.alpha_tangential_m_per_n * friction_n
         setpoint = (x + nx * away + tx * onward, y + ny * away + ty * onward)
         planned.hits[collision.index] = PredictedImpact(
-            (x, y), said.normal_m_s, said.tangential_m_s, said.peak_force_n, friction_n, setpoint
+            (x, y),
+            predicted.normal_m_s,
+            predicted.tangential_m_s,
+            predicted.peak_force_n,
+            friction_n,
+            setpoint,
         )
         last = collision is mission.collisions[-1]
         following = mission.goal_trajectory if last else group[i + 1].trajectory if group[i + 1 :] else None

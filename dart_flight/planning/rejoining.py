@@ -28,8 +28,8 @@ _SLOWER = (1.0, 1.05, 1.1, 1.2, 1.35, 1.6, 2.0)
 _LEAST_S = 0.2  # of a trajectory
 
 
-class RejoiningWays(NamedTuple):
-    """Ways back to a trajectory; n of them, at k moments each.
+class RejoiningTrajectories(NamedTuple):
+    """Trajectories back to a planned one; n of them, at k moments each.
 
     Attributes:
         planned: the trajectory.
@@ -51,10 +51,10 @@ class RejoiningWays(NamedTuple):
     acceleration: Array
     jerk: Array
 
-    def take(self, rows: Rows) -> RejoiningWays:
+    def take(self, rows: Rows) -> RejoiningTrajectories:
         """The chosen trajectories."""
-        by_way = (self.from_s[rows], self.slower[rows], self.duration_s[rows])
-        return RejoiningWays(self.planned, self.shares, *by_way, *(v[:, rows] for v in self[5:]))
+        by_row = (self.from_s[rows], self.slower[rows], self.duration_s[rows])
+        return RejoiningTrajectories(self.planned, self.shares, *by_row, *(v[:, rows] for v in self[5:]))
 
     def trajectory(self, row: int) -> PlannedTrajectory:
         """One trajectory as polynomials, one after the other."""
@@ -81,7 +81,7 @@ class RejoiningWays(NamedTuple):
 
 def rejoin(
     planned: PlannedTrajectory, start: tuple[Array, Array], moved: Vec2, pushed: Vec2 = (0.0, 0.0)
-) -> RejoiningWays:
+) -> RejoiningTrajectories:
     """The trajectories back to a planned trajectory that may be tried.
 
     Args:
@@ -106,7 +106,7 @@ def rejoin(
         added[axis] = quintic(away, (moved[axis], 0.0, pushed[axis]), duration).T
     since = shares * duration[:, None]
     states = [shape[order] + _derivative(added, since, order) for order in range(4)]
-    return RejoiningWays(planned, shares, from_s, slower, duration, added, *states)
+    return RejoiningTrajectories(planned, shares, from_s, slower, duration, added, *states)
 
 
 def _sampled(planned: PlannedTrajectory, times: Array) -> Array:

@@ -459,7 +459,7 @@ class Plant:
             angles = [a + b for a, b in zip(angles, swung, strict=True)]
         return (angles[0], angles[1], angles[2], angles[3])
 
-    def _gives_way(self, incidence: float) -> float:
+    def _yields_at(self, incidence: float) -> float:
         """Share of a guard's penetration that its arm takes up, at an angle of incidence in radians."""
         if abs(incidence) >= math.radians(self.vehicle.airframe.incidence_rigid_deg):
             return 0.0
@@ -650,7 +650,7 @@ class Plant:
             position,
             incidence,
             tilt_of(self.q),
-            self._gives_way(incidence),
+            self._yields_at(incidence),
         )
         self._open[obstacle.name] = current
         return current

@@ -271,7 +271,7 @@ class _Search:
         """Compute sequences, best bound first, until no other can be better, or it is enough."""
         self.free = self._solved(tuple(self._visits()))
         tie = itertools.count()
-        open_ = [(self._bound_s(events), next(tie), events) for events in self._ways_to_visit()]
+        open_ = [(self._bound_s(events), next(tie), events) for events in self._serving_sequences()]
         heapq.heapify(open_)
         seen = {events for _, _, events in open_}
         while open_:
@@ -305,7 +305,7 @@ class _Search:
     def _visits(self) -> list[Visit]:
         return [Visit(v.position_m, _TOLERANCE_USED * v.within_m) for v in self.scenario.visits]
 
-    def _ways_to_visit(self) -> Iterator[tuple[Event, ...]]:
+    def _serving_sequences(self) -> Iterator[tuple[Event, ...]]:
         """The visits in their order, each in flight or by a hit at a wall that it lies on."""
         mode = first_mode(self.scenario)
         choices: list[list[Event]] = [
