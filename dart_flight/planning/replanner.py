@@ -57,6 +57,7 @@ _TILT_SHARE = 0.6
 _JERK_M_S3 = 25.0  # about 150 degrees of tilt a second: the attitude loop follows
 _GENTLE_S = 0.5  # that a trajectory may last longer where it needs all of the tilt instead of none
 _GENTLE_REJOINING_S = 0.05  # likewise, back to a trajectory that is within limits as it is
+_LEADING_BACK = 1.5  # of the limits, which the trajectory that it leads back to uses up already
 _AS_FAST = 1.01  # planned speed over flown
 _PRESSED_IN_M = 0.15  # at most: the arms at the end of a contact, and what a wall's place is off by
 _BESIDE_S = 1.0  # ... where another meets the wall as far from the planned place as the mission tolerates
@@ -200,19 +201,23 @@ class Replanner:
         push = np.hypot(rejoining.acceleration[0], rejoining.acceleration[1]).max(axis=1, initial=0.0)
         jerk = np.hypot(rejoining.jerk[0], rejoining.jerk[1]).max(axis=1, initial=0.0)
         fine = (push <= self._most_m_s2) & (jerk <= _JERK_M_S3)
-        rejoining, push = rejoining.take(np.flatnonzero(fine)), push[fine] / self._most_m_s2
+        # The mission's limits with what leading back needs beside them, where that can be.
+        over = (push > _LEADING_BACK * self._planned_m_s2) | (jerk > _LEADING_BACK * self._planned_m_s3)
+        rejoining, over = rejoining.take(np.flatnonzero(fine)), over[fine]
+        push = push[fine] / self._most_m_s2
         if rejoining.duration_s.size:
             states = (v.astype(np.float32) for v in (*rejoining.position, *rejoining.velocity))
             window = GridWindow(rejoining.shares, *states)
             until = np.full(rejoining.duration_s.size, rejoining.shares.size)
             walls = self._obstacles(self._start(request), request.t_us)
             clear = self._constraints.path(window, until, wall, begins=True, walls=walls) == 0
-            rejoining, push = rejoining.take(np.flatnonzero(clear)), push[clear]
+            rejoining, push, over = rejoining.take(np.flatnonzero(clear)), push[clear], over[clear]
         # A wall is met as fast as planned where that can be: sooner and slower is another hit.
         slow = (rejoining.slower > _AS_FAST) & (collision is not None)
         if request.under_way:  # what is flown already does, or could not either
-            rejoining, push, slow = rejoining.take(np.flatnonzero(~slow)), push[~slow], slow[~slow]
-        for k in np.lexsort((rejoining.duration_s + _GENTLE_REJOINING_S * push**2, slow)):
+            rejoining, push = rejoining.take(np.flatnonzero(~slow)), push[~slow]
+            over, slow = over[~slow], slow[~slow]
+        for k in np.lexsort((rejoining.duration_s + _GENTLE_REJOINING_S * push**2, over, slow)):
             trajectory = rejoining.trajectory(int(k))
             found = msgspec.structs.replace(
                 answer,

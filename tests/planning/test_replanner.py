@@ -104,6 +104,31 @@ def test_what_is_planned_anew_keeps_to_the_mission_s_limits(most_m_s2: float, mo
     assert unbound.duration_s < answer.duration_s
 
 
+def test_leading_back_to_the_mission_s_trajectory_stays_near_its_limits_where_it_can() -> None:
+    """Quicker is possible with all that the vehicle can, and not chosen: the plan keeps to limits, too."""
+    hairpin = load_mission(packaged("missions", "hairpin.yaml"))
+    leg = hairpin.goal_trajectory
+    assert leg is not None
+    planned = PlannedTrajectory.from_pieces(leg, 1.0).at(0.4)
+    vx, vy, _ = planned.velocity
+    request = msgspec.structs.replace(
+        TO_GOAL, collision=None, begin_us=0, under_way=True, position_mission=planned.position,
+        velocity_mission=(1.2 * vx, 1.2 * vy, 0.0), acceleration_mission=planned.acceleration,
+    )  # fmt: skip
+    unlimited = msgspec.structs.replace(hairpin.limits, motion=None, acceleration_m_s2=None, jerk_m_s3=None)
+    bound, able = (
+        way_of(Replanner(mission).answer(request, 0))
+        for mission in (hairpin, msgspec.structs.replace(hairpin, limits=unlimited))
+    )
+    pushes = [
+        max(math.hypot(*way.at(float(t)).acceleration[:2]) for t in np.linspace(0.0, way.duration_s, 200))
+        for way in (bound, able)
+    ]
+    assert pushes[0] < 0.9 * pushes[1]
+    assert pushes[0] <= 1.5 * 3.0 * 1.02
+    assert able.duration_s < bound.duration_s
+
+
 def test_without_a_lock_or_a_way_it_says_why() -> None:
     no_lock = REPLANNER.answer(msgspec.structs.replace(TO_WALL, lock_ready_us=None), 0)
     assert no_lock.problem == "lock fault"
@@ -296,14 +321,14 @@ def test_who_is_pushed_above_the_centre_of_mass_leans_into_the_wall(height_m: fl
         way = way_of(replanner.answer(msgspec.structs.replace(request, contact_height_m=height), 0))
         push, _, _ = wall.to_collision(way.at(way.duration_s).acceleration)
         pushes.append(push)
-    assert pushes[0] - pushes[1] == pytest.approx(lean * GRAVITY_M_S2, abs=0.3)
+    assert pushes[0] - pushes[1] == pytest.approx(lean * GRAVITY_M_S2, abs=0.4)
 
 
 def test_a_trajectory_under_way_is_not_given_up_for_a_slower_hit() -> None:
-    """Half a second before the wall the only way meets it at 2.68 m/s: the one that is flown is better."""
+    """Half a second before the wall the planned speed can no longer be had: what is flown goes on."""
     shuttle = load_mission(packaged("missions", "shuttle.yaml"))
     late = PlanRequest(
-        0, 1, 100_000, 3, (-0.207, 0.011, 1.11), (2.812, -0.008, -0.244), (1.07, -0.02, 0.0),
+        0, 1, 100_000, 5, (0.3, 0.011, 1.11), (2.2, -0.008, -0.244), (1.07, -0.02, 0.0),
         (1.48, 0.0, 1.0), 0, True,
     )  # fmt: skip
     replanner = Replanner(shuttle)
@@ -319,7 +344,7 @@ def test_a_mission_that_was_read_from_a_line_has_the_same_ways() -> None:
     """The planner of real time is a process: there walls of hits and of the room are equal, not the same."""
     shuttle = load_mission(packaged("missions", "shuttle.yaml"))
     request = PlanRequest(
-        0, 1, 100_000, 2, (1.513, -0.018, 0.988), (-1.791, -0.007, 0.656), (-0.57, 0.07, 0.0),
+        0, 1, 100_000, 4, (1.513, -0.018, 0.988), (-1.791, -0.007, 0.656), (-0.57, 0.07, 0.0),
         (-0.53, -0.01, 1.0), 0,
     )  # fmt: skip
     read = msgspec.json.decode(msgspec.json.encode(shuttle), type=Mission)
@@ -331,7 +356,7 @@ def test_a_mission_that_was_read_from_a_line_has_the_same_ways() -> None:
 def test_a_trajectory_is_slowed_down_until_its_lock_is_ready() -> None:
     """0.05 s before the hit, and then no longer than the ways that are looked at lie apart."""
     request = PlanRequest(
-        0, 1, 100_000, 2, (1.513, -0.018, 0.988), (-1.791, -0.007, 0.656), (-0.57, 0.07, 0.0),
+        0, 1, 100_000, 4, (1.513, -0.018, 0.988), (-1.791, -0.007, 0.656), (-0.57, 0.07, 0.0),
         (-0.53, -0.01, 1.0), 2_000_000,
     )  # fmt: skip
     answer = Replanner(load_mission(packaged("missions", "shuttle.yaml"))).answer(request, 0)
