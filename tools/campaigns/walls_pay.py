@@ -46,7 +46,7 @@ MORE_SHUTTLES = (39, 43, 67)
 KINDS = {"shuttle": 25, "hairpin": 20, "corner": 15, "stop": 15, "sight": 15, "free": 10}
 _PLAN_WITHIN_S, _PLAN_WITHIN_LONG_S = 20.0, 30.0
 _TOUCH_M_S = 0.6
-_LONGEST_S = 120  # of computing a flight, which takes 2 to 10: one that is wedged in a panel takes for ever
+_LONGEST_S = 120  # of processor time for a flight, which takes 2 to 10: one wedged in a panel takes for ever
 _NARROW_M = 0.6  # of a hairpin
 _SIGHT_M, _CLOSING_M_S = 1.0, 3.0
 
@@ -330,18 +330,22 @@ def _cruise_m_s(wall_x: float, place: np.ndarray, speed: np.ndarray) -> float | 
 
 def _fly_all(work: tuple[Planned, str, int]) -> Flown:
     planned, way, seed = work
-    signal.signal(signal.SIGALRM, _give_up)
-    signal.alarm(_LONGEST_S)
+    signal.signal(signal.SIGPROF, _give_up)
+    signal.setitimer(signal.ITIMER_PROF, _LONGEST_S)
     try:
         return fly(planned, way, seed)
-    except TimeoutError:
+    except _EndlessError:
         return Flown(planned.kind, planned.seed, way, seed, "endless", None, None, False, None, "did not end")
     finally:
-        signal.alarm(0)
+        signal.setitimer(signal.ITIMER_PROF, 0.0)
+
+
+class _EndlessError(BaseException):
+    """No `Exception`: the core takes those for faults of the mission."""
 
 
 def _give_up(number: int, frame: object) -> None:
-    raise TimeoutError
+    raise _EndlessError
 
 
 def _plan_all(work: tuple[str, int, str]) -> Planned:
