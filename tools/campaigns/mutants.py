@@ -33,6 +33,7 @@ from pathlib import Path
 
 import msgspec
 
+from tools.campaigns.kept import kept_lines
 from tools.campaigns.results import RESULTS, ROOT, measured_by
 
 JUDGED = Path(__file__).with_name("mutants_judged.csv")
@@ -387,9 +388,7 @@ def _try(mutant: Mutant, tree: Path, tests: Sequence[str] | None, timeout_s: flo
 
 def noticed(kept: Path) -> dict[Mutant, Result]:
     """The mutants of a file of results that a test noticed, of code that has not changed or moved since."""
-    decode = msgspec.json.Decoder(Result).decode
-    lines = kept.read_bytes().splitlines() if kept.exists() else []
-    return {result.mutant: result for result in map(decode, lines) if result.outcome != "survived"}
+    return {result.mutant: result for result in kept_lines(kept, Result) if result.outcome != "survived"}
 
 
 def run_missing(mutants: list[Mutant], jobs: int, tests: Sequence[str] | None, kept: Path) -> list[Result]:
