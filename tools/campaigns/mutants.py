@@ -27,6 +27,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -516,11 +517,7 @@ def report(results: list[Result], seed: int, total: int) -> str:
             f"| {place} | {_code(m.before)} | {_code(_shown(m))} | {verdict}{': ' if why else ''}{why} |"
         )
     lines += ["", "## Who noticed", "", "| test | mutants |", "|---|---|"]
-    by: dict[str, int] = {}
-    for r in results:
-        if r.outcome == "killed":
-            name = r.by.split("[")[0]
-            by[name] = by.get(name, 0) + 1
+    by = Counter(r.by.split("[")[0] for r in results if r.outcome == "killed")
     lines += [f"| `{name}` | {count} |" for name, count in sorted(by.items(), key=lambda e: (-e[1], e[0]))]
     return "\n".join(lines) + "\n"
 

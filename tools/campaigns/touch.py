@@ -13,6 +13,7 @@ from __future__ import annotations
 import argparse
 import math
 import sys
+from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from typing import Any
@@ -539,11 +540,7 @@ def _uncontrolled(flights: Sequence[Flown]) -> int:
 
 
 def _reasons(flights: Sequence[Flown]) -> str:
-    found: dict[str, int] = {}
-    for one in flights:
-        if one.reason:
-            name = one.reason.partition(":")[0]
-            found[name] = found.get(name, 0) + 1
+    found = Counter(one.reason.partition(":")[0] for one in flights if one.reason)
     return ", ".join(f"`{name}` {count}" for name, count in sorted(found.items())) or "-"
 
 
