@@ -25,6 +25,7 @@ import random
 import re
 import sys
 import tempfile
+from collections import Counter
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
@@ -398,13 +399,9 @@ def report(cells: list[Flown], flights: list[Flown]) -> str:
     ]
     for kind in KINDS:
         mine = [f for f in flights if f.fault.name == kind.name]
-        ends: dict[str, int] = {}
-        for f in mine:
-            ends[came_of(f)] = ends.get(came_of(f), 0) + 1
+        ends = Counter(map(came_of, mine))
         done = ends.pop("completed", 0)
-        told = (
-            ", ".join(f"{name} {count}" for name, count in sorted(ends.items(), key=lambda e: -e[1])) or "-"
-        )
+        told = ", ".join(f"{name} {count}" for name, count in ends.most_common()) or "-"
         times = sorted(f.decision_ms for f in mine if f.decision_ms is not None)
         median = f"{times[len(times) // 2]:.0f} ms" if times else "-"
         far = max((f.excursion_m for f in mine), default=0.0)

@@ -17,9 +17,7 @@ from pathlib import Path
 import matplotlib as mpl
 import msgspec
 
-from dart_flight.base.records import (
-    Mode,
-)
+from dart_flight.base.records import Mode
 from dart_flight.config.mission import Mission, load_mission
 from dart_flight.core.sense.state import FlightState
 from tools.campaigns.force_hits import Hit, direction_error_deg, fly_hit, grid, judge_hit
@@ -177,8 +175,8 @@ def _detection_table(rows: list[Row]) -> str:
     return "\n".join(lines)
 
 
-def _roc(rows: list[Row], hour: list[Quiet]) -> list[tuple[float, float, list[float], list[float]]]:
-    """(threshold, sigma) -> detected share and false hits per hour, by the detection statistic."""
+def _roc(rows: list[Row], hour: list[Quiet]) -> list[tuple[float, list[float], list[float]]]:
+    """By the detection statistic: threshold, detected shares and false hits per hour, of each noise level."""
     out = []
     for threshold in THRESHOLDS:
         found, false = [], []
@@ -188,7 +186,7 @@ def _roc(rows: list[Row], hour: list[Quiet]) -> list[tuple[float, float, list[fl
             quiet = [q for q in hour if q.sigma == sigma]
             events = sum(m >= threshold for q in quiet for m in q.maxima)
             false.append(events * 3600.0 / sum(q.seconds for q in quiet))
-        out.append((threshold, 0.0, found, false))
+        out.append((threshold, found, false))
     return out
 
 
@@ -197,7 +195,7 @@ def _roc_table(rows: list[Row], hour: list[Quiet]) -> str:
         "| threshold N | " + " | ".join(f"detected, {s} | false per hour, {s}" for s in SIGMAS) + " |",
         "|---|" + "---|---|" * len(SIGMAS),
     ]
-    for threshold, _, found, false in _roc(rows, hour):
+    for threshold, found, false in _roc(rows, hour):
         cells = " | ".join(f"{a:.1%} | {b:.0f}" for a, b in zip(found, false, strict=True))
         lines.append(f"| {threshold:g} | {cells} |")
     return "\n".join(lines)
@@ -256,9 +254,9 @@ def _plot_roc(rows: list[Row], hour: list[Quiet], path: Path) -> None:
     points = _roc(rows, hour)
     for i, sigma in enumerate(SIGMAS):
         axis.plot(
-            [p[3][i] for p in points], [100.0 * p[2][i] for p in points], "o-", label=f"noise {sigma} m/s²"
+            [p[2][i] for p in points], [100.0 * p[1][i] for p in points], "o-", label=f"noise {sigma} m/s²"
         )
-    for threshold, _, found, false in points:
+    for threshold, found, false in points:
         if threshold in (3.0, 5.0, 8.0):
             axis.annotate(
                 f"{threshold:g} N",
@@ -277,11 +275,7 @@ def _plot_roc(rows: list[Row], hour: list[Quiet], path: Path) -> None:
     plt.close(figure)
 
 
-def report(
-    rows: list[Row],
-    hour: list[Quiet],
-    rough: list[Quiet],
-) -> str:
+def report(rows: list[Row], hour: list[Quiet], rough: list[Quiet]) -> str:
     """The results page."""
     averaging = [r.raw_error for r in rows if r.sigma == SIGMAS[0] and r.hit.mode is Mode.RIGID and r.reached]
     away = [r for r in rows if not r.reached and r.sigma == SIGMAS[0]]

@@ -88,7 +88,6 @@ class Flown(msgspec.Struct):
     ticks: list[Tick]
     normal: Vec2
     peak_normal: float
-    peak_horizontal: float
     cross_us: int | None
     contacts: int  # that reach the threshold
     friction: list[tuple[int, float]]  # (t_us, newton along the tangent) every millisecond of contact
@@ -175,8 +174,7 @@ def _record(plant: Plant, wall: Wall, hit: Hit, command: float, threshold_n: flo
             Tick(t_us, (f[0], f[1], f[2]), plant.q, plant.position, plant.velocity, (mean_n, mean_t))
         )
     reached = sum(p >= threshold_n for p in peaks)
-    highest = max(peaks, default=0.0)
-    return Flown(hit, command, ticks, wall.normal, peak_n, highest, cross_us, reached, friction)
+    return Flown(hit, command, ticks, wall.normal, peak_n, cross_us, reached, friction)
 
 
 class Judge:

@@ -36,6 +36,7 @@ from dart_flight.sim.px4.launch import ENVIRONMENT as LOCKSTEP
 from tests.doubles.emulated_maestro import EmulatedMaestro
 from tests.doubles.hitl_px4 import ENVIRONMENT, HitlPx4
 from tools.campaigns.faults import Watch, excursion_allowed_m
+from tools.campaigns.kept import kept_lines
 from tools.campaigns.results import RESULTS, ROOT, markdown, measured_by
 
 MISSIONS = ("single_wall", "dual_collision", "dual_collision_replan")
@@ -230,12 +231,6 @@ def fly_lockstep(name: str, seed: int, speed: float) -> BenchFlight:
 # --- the page ----------------------------------------------------------------------------------------------
 
 
-def load() -> list[BenchFlight]:
-    """The flights so far."""
-    lines = KEPT.read_bytes().splitlines() if KEPT.exists() else []
-    return [msgspec.json.decode(line, type=BenchFlight) for line in lines]
-
-
 def _span(values: list[float], digits: int, scale: float = 1.0) -> str:
     known = sorted(value * scale for value in values if value is not None)
     if not known:
@@ -297,7 +292,7 @@ def write_page() -> None:
     tail = rest.partition(LAST)[2]
     day = measured_by("tools.campaigns.hitl", "in simulation").partition(" by ")[0]
     head = re.sub(r"^Measured on [\d-]+", day, head, flags=re.MULTILINE)
-    PAGE.write_text(head + FIRST + tables(load()) + LAST + tail, "utf-8")
+    PAGE.write_text(head + FIRST + tables(kept_lines(KEPT, BenchFlight)) + LAST + tail, "utf-8")
 
 
 def main() -> int:
@@ -319,7 +314,9 @@ def main() -> int:
                 else:
                     flight = fly_bench(part, name, seed)
                 key = (flight.part, flight.mission, flight.seed)
-                kept = [f for f in load() if (f.part, f.mission, f.seed) != key] + [flight]
+                kept = [f for f in kept_lines(KEPT, BenchFlight) if (f.part, f.mission, f.seed) != key] + [
+                    flight
+                ]
                 KEPT.write_bytes(b"".join(msgspec.json.encode(f) + b"\n" for f in kept))
                 said = f"{flight.outcome} {flight.reason or ''} {flight.problems or ''}"
                 print(f"{part} {name} seed {seed}: {said}", flush=True)

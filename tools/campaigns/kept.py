@@ -14,6 +14,12 @@ J = TypeVar("J")
 T = TypeVar("T")
 
 
+def kept_lines(path: Path, kind: Any) -> list[Any]:
+    """What a file of lines has so far, each of this type; nothing where there is no file."""
+    lines = path.read_bytes().splitlines() if path.exists() else []
+    return [msgspec.json.decode(line, type=kind) for line in lines]
+
+
 def fly_missing(
     path: Path, jobs: Sequence[J], fly: Callable[[J], T], kinds: Any, processes: int = 2, fresh: bool = False
 ) -> list[T]:
@@ -30,8 +36,7 @@ def fly_missing(
     path.parent.mkdir(parents=True, exist_ok=True)
     if fresh:
         path.unlink(missing_ok=True)
-    lines = path.read_bytes().splitlines() if path.exists() else []
-    have: dict[J, T] = dict(map(msgspec.json.Decoder(kinds).decode, lines))
+    have: dict[J, T] = dict(kept_lines(path, kinds))
     missing = [job for job in jobs if job not in have]
     console = Console(stderr=True)
     with ProcessPoolExecutor(processes) as pool, open(path, "ab", buffering=0) as file:

@@ -129,8 +129,8 @@ class MockRig:
 class MaestroRig:
     """The serial driver, the pseudo-terminal and the emulated controller on a simulated clock."""
 
-    def __init__(self, config: LockConfig, clock: list[int], folder: Path, chance: random.Random) -> None:
-        self._config, self._clock, self._chance = config, clock, chance
+    def __init__(self, config: LockConfig, clock: list[int], folder: Path) -> None:
+        self._config, self._clock = config, clock
         maestro = msgspec.structs.replace(config.maestro, port=str(folder / "maestro"))
         self.controller = EmulatedMaestro(
             config.servo, folder / "maestro", lambda: clock[0], horn_us=config.servo.flexible_pulse_us
@@ -182,12 +182,12 @@ class MaestroRig:
 
 
 @contextmanager
-def _rig(controller: str, config: LockConfig, clock: list[int], chance: random.Random) -> Iterator[Rig]:
+def _rig(controller: str, config: LockConfig, clock: list[int]) -> Iterator[Rig]:
     if controller == "mock":
         yield MockRig(config, clock)
         return
     with tempfile.TemporaryDirectory() as folder:
-        rig = MaestroRig(config, clock, Path(folder), chance)
+        rig = MaestroRig(config, clock, Path(folder))
         try:
             yield rig
         finally:
@@ -242,7 +242,7 @@ def campaign(controller: str, toggles: int, seed: int) -> Tally:
             ),
         )
         clock = [chance.randrange(1, 10**12)]
-        with _rig(controller, config, clock, chance) as rig:
+        with _rig(controller, config, clock) as rig:
             session = LockSession(config, rig.driver, lambda clock=clock: clock[0])  # type: ignore[misc]
             watch = _Watch(session, rig, clock, tally)
             session.start()

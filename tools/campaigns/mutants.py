@@ -27,12 +27,14 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import msgspec
 
+from tools.campaigns.kept import kept_lines
 from tools.campaigns.results import RESULTS, ROOT, measured_by
 
 JUDGED = Path(__file__).with_name("mutants_judged.csv")
@@ -387,9 +389,7 @@ def _try(mutant: Mutant, tree: Path, tests: Sequence[str] | None, timeout_s: flo
 
 def noticed(kept: Path) -> dict[Mutant, Result]:
     """The mutants of a file of results that a test noticed, of code that has not changed or moved since."""
-    decode = msgspec.json.Decoder(Result).decode
-    lines = kept.read_bytes().splitlines() if kept.exists() else []
-    return {result.mutant: result for result in map(decode, lines) if result.outcome != "survived"}
+    return {result.mutant: result for result in kept_lines(kept, Result) if result.outcome != "survived"}
 
 
 def run_missing(mutants: list[Mutant], jobs: int, tests: Sequence[str] | None, kept: Path) -> list[Result]:
@@ -517,11 +517,7 @@ def report(results: list[Result], seed: int, total: int) -> str:
             f"| {place} | {_code(m.before)} | {_code(_shown(m))} | {verdict}{': ' if why else ''}{why} |"
         )
     lines += ["", "## Who noticed", "", "| test | mutants |", "|---|---|"]
-    by: dict[str, int] = {}
-    for r in results:
-        if r.outcome == "killed":
-            name = r.by.split("[")[0]
-            by[name] = by.get(name, 0) + 1
+    by = Counter(r.by.split("[")[0] for r in results if r.outcome == "killed")
     lines += [f"| `{name}` | {count} |" for name, count in sorted(by.items(), key=lambda e: (-e[1], e[0]))]
     return "\n".join(lines) + "\n"
 

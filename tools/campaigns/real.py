@@ -29,8 +29,15 @@ from dart_flight.config.document import InputError
 from dart_flight.config.vehicle import Detection, VehicleConfig, load_vehicle
 from dart_flight.core.sense.detector import ExpectedContact, ImpactDetector
 from dart_flight.core.sense.state import FlightState
-from dart_flight.lab.inspect import TOPICS, InspectedFlight, inspect_log
-from dart_flight.lab.inspect.impacts import REMEMBERED, Estimated, ThresholdCrossing, short_samples
+from dart_flight.lab.inspect.content import TOPICS
+from dart_flight.lab.inspect.impacts import (
+    REMEMBERED,
+    Estimated,
+    InspectedFlight,
+    ThresholdCrossing,
+    short_samples,
+)
+from dart_flight.lab.inspect.inspection import inspect_log
 from dart_flight.lab.ulog import ULogFile, open_ulog
 
 _EVERY_S = 1.6  # a pulse, in flight

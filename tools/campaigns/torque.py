@@ -39,6 +39,7 @@ from dart_flight.core.mission.approach import NoApproachError
 from dart_flight.core.sense.incidence import side_of
 from dart_flight.run.fast import FastFlight
 from dart_flight.sim.draws import draw_world
+from tools.campaigns.kept import kept_lines
 from tools.campaigns.results import RESULTS, ROOT, measured_by
 
 ROWS, PAGE = ROOT / "build" / "torque.jsonl", RESULTS / "torque.md"
@@ -382,8 +383,7 @@ def main() -> None:
     """Fly what is not flown yet and write the page."""
     wanted = sys.argv[1:2] or list(SETS)
     ROWS.parent.mkdir(exist_ok=True)
-    kept = msgspec.json.Decoder(Row)
-    rows = [kept.decode(line) for line in ROWS.read_bytes().splitlines()] if ROWS.exists() else []
+    rows: list[Row] = kept_lines(ROWS, Row)
     flown = {(r.set, r.seed) for r in rows}
     for name in wanted:
         one = SETS[name]

@@ -13,6 +13,7 @@ from __future__ import annotations
 import argparse
 import math
 import sys
+from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from typing import Any
@@ -32,6 +33,7 @@ from dart_flight.run.fast import fly_fast
 from dart_flight.run.flight_record import FlightRecord
 from dart_flight.run.px4_flight import fly_px4
 from dart_flight.sim.draws import parse_vary
+from tools.campaigns.kept import kept_lines
 from tools.campaigns.results import RESULTS, ROOT, markdown, measured_by
 
 FLOWN = ROOT / "build" / "touch.jsonl"
@@ -538,11 +540,7 @@ def _uncontrolled(flights: Sequence[Flown]) -> int:
 
 
 def _reasons(flights: Sequence[Flown]) -> str:
-    found: dict[str, int] = {}
-    for one in flights:
-        if one.reason:
-            name = one.reason.partition(":")[0]
-            found[name] = found.get(name, 0) + 1
+    found = Counter(one.reason.partition(":")[0] for one in flights if one.reason)
     return ", ".join(f"`{name}` {count}" for name, count in sorted(found.items())) or "-"
 
 
@@ -556,7 +554,7 @@ def main() -> int:
     arguments = parser.parse_args()
     parts = [arguments.part] if arguments.part else ["directions", "survey", "anchors", "rooms"]
     jobs = [job for part in parts if part != "page" for job in jobs_of(part, arguments.runs, arguments.px4)]
-    kept = {_key(one): one for one in _kept()}
+    kept: dict[tuple[str, str, str, int], Flown] = {_key(one): one for one in kept_lines(FLOWN, Flown)}
     FLOWN.parent.mkdir(exist_ok=True)
     with FLOWN.open("ab") as file:
         for one in _all(fly, jobs, 1 if arguments.px4 else arguments.jobs):
@@ -570,12 +568,6 @@ def main() -> int:
 
 def _key(one: Flown) -> tuple[str, str, str, int]:
     return one.part, one.case, one.world, one.seed
-
-
-def _kept() -> list[Flown]:
-    if not FLOWN.exists():
-        return []
-    return [msgspec.json.decode(line, type=Flown) for line in FLOWN.read_bytes().splitlines()]
 
 
 def _all(work: Callable[[Job], Flown], jobs: Sequence[Job], processes: int) -> Iterable[Flown]:

@@ -12,7 +12,7 @@ from dart_flight.cli.terminal import emit_json, messages, print_status, tables, 
 from dart_flight.config.document import InputError
 
 if TYPE_CHECKING:
-    from dart_flight.lab.inspect import InspectedFlight
+    from dart_flight.lab.inspect.impacts import InspectedFlight
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -30,7 +30,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Feel, print, write. Returns the exit status: 2 where a log was refused, whatever the others gave."""
     from dart_flight.config.vehicle import load_vehicle
-    from dart_flight.lab.inspect import inspect_file, write_trials
+    from dart_flight.lab.inspect.inspection import inspect_file
+    from dart_flight.lab.inspect.trial_writer import write_trials
 
     if arguments.mass is not None and not arguments.mass > 0.0:
         raise InputError("must be over 0", key=("mass",))

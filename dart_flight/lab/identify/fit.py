@@ -15,8 +15,8 @@ import numpy as np
 
 from dart_flight.config.document import InputError
 from dart_flight.contact.law import Onset
-from dart_flight.lab.identify.estimates import Estimate, Identification, SetAside, TrialFit
-from dart_flight.lab.identify.fit_quality import SampleResult, SampleTrial, conclude, errors_of_hits
+from dart_flight.lab.identify.estimates import Estimate, Identification, TrialFit
+from dart_flight.lab.identify.fit_quality import SampleResult, conclude, errors_of_hits, whole_trial
 from dart_flight.lab.identify.held_out import hold_out
 from dart_flight.lab.identify.measured_impacts import MeasuredImpact, measure_impact
 from dart_flight.lab.identify.solver import solve, without_derived
@@ -66,7 +66,7 @@ def identify(trials: Sequence[Trial], mass_kg: float, onset: Onset) -> Identific
         coefficients=coefficients,
         plane_m=result.plane_m if result else None,
         residuals=result.residuals if result else {},
-        trials=_trial_fits(hits, sampled, result),
+        trials=[sampled.get(i) or whole_trial(hit) for i, hit in enumerate(hits)],
         vertical_side=result.vertical_side if result else None,
         notes=notes,
         restitution={mode: restitution(own) for mode, own in members.items()},
@@ -81,8 +81,8 @@ def _fit_samples(
     mass_kg: float,
     onset: Onset,
     notes: list[str],
-) -> tuple[list[int], SampleResult | None]:
-    """The joint fit of those trials whose positions show the contact, and which they are."""
+) -> tuple[dict[int, TrialFit], SampleResult | None]:
+    """The joint fit of those trials whose positions show the contact, and what it says of them by place."""
     positions = [
         i for i, trial in enumerate(trials) if "normal_m" in trial.series and trial.position_measured
     ]
@@ -102,7 +102,7 @@ def _fit_samples(
         counts = {i: fit.in_contact(theta, j) for j, i in enumerate(chosen)}
         less = {i: n for i, n in counts.items() if n < _MIN_IN_CONTACT}
         if not less:
-            result = conclude(fit, theta)
+            result = conclude(fit, theta, [hits[i] for i in chosen])
             notes += more + result.notes
             break
         few |= less
@@ -112,7 +112,7 @@ def _fit_samples(
             f"{trials[i].name}: {n} sample{'' if n == 1 else 's'} in contact, at least "
             f"{_MIN_IN_CONTACT} are needed for stiffness: only its speeds are used"
         )
-    return chosen, result
+    return dict(zip(chosen, result.trials, strict=True)) if result else {}, result
 
 
 def _coefficients(
@@ -156,40 +156,3 @@ def _predicts(
     """Whether coefficients give peak and speed out of their own hits to a tenth, in the median."""
     known = [e for e in errors_of_hits(found, hits, mass_kg, onset) if e is not None]
     return bool(known) and max(known) < _PREDICTS
-
-
-def _trial_fits(
-    hits: Sequence[MeasuredImpact], sampled: Sequence[int], result: SampleResult | None
-) -> list[TrialFit]:
-    """One per trial; `sampled` are the places of those whose samples were fitted."""
-    of = dict(zip(sampled, result.trials, strict=True)) if result else {}
-    return [_trial_fit(hit, of.get(i)) for i, hit in enumerate(hits)]
-
-
-def _trial_fit(hit: MeasuredImpact, sampled: SampleTrial | None) -> TrialFit:
-    if sampled is None:
-        sampled = SampleTrial(
-            onset_s=hit.begin_s,
-            normal_m_s=-hit.normal_in_m_s,
-            tangential_m_s=hit.tangential_in_m_s,
-            samples_in_contact=hit.samples_in_contact,
-            push_m_s2=(0.0, 0.0),
-            force_delay_s=None,
-            misfit=None,
-            worst_channel="",
-            set_aside=SetAside(0, 0, hit.samples_in_contact),
-        )
-        used = "whole"
-    else:
-        used = "samples"
-    found = sampled._asdict()
-    del found["worst_channel"]
-    return TrialFit(
-        name=hit.name,
-        mode=hit.mode,
-        used=used,
-        normal_out_m_s=hit.normal_out_m_s,
-        tangential_out_m_s=hit.tangential_out_m_s,
-        peak_force_n=hit.peak_force_n,
-        **found,
-    )

@@ -17,7 +17,7 @@ import numpy as np
 
 from dart_flight.contact.coefficients import Array
 from dart_flight.contact.law import Onset
-from dart_flight.lab.identify.estimates import Estimate, Identification, SetAside
+from dart_flight.lab.identify.estimates import Estimate, Identification, SetAside, TrialFit
 from dart_flight.lab.identify.intervals import half_widths
 from dart_flight.lab.identify.measured_impacts import MeasuredImpact, measure_impact
 from dart_flight.lab.identify.sample_fit import HIGHEST_F, HIGHEST_K, LOWEST_F, LOWEST_K, PUSHES, SampleFit
@@ -38,20 +38,6 @@ _CONTACT_S = 0.1  # to either side of the turn: the contact is in there
 _PEAK_SHARE, _SPEED_SHARE = 0.25, 0.1
 
 
-class SampleTrial(NamedTuple):
-    """What a fit of samples says of one trial; see `TrialFit`."""
-
-    onset_s: float
-    normal_m_s: float
-    tangential_m_s: float | None
-    samples_in_contact: int
-    push_m_s2: tuple[float, float]
-    force_delay_s: float | None
-    misfit: float | None
-    worst_channel: str
-    set_aside: SetAside
-
-
 class SampleResult(NamedTuple):
     """What a fit of samples says; see `Identification`.
 
@@ -62,28 +48,36 @@ class SampleResult(NamedTuple):
     coefficients: dict[str, dict[str, Estimate | None]]
     plane_m: Estimate
     residuals: dict[str, float]
-    trials: list[SampleTrial]
+    trials: list[TrialFit]
     vertical_side: int | None
     bad: set[str]
     notes: list[str]
 
 
-def conclude(fit: SampleFit, theta: Array) -> SampleResult:
-    """Coefficients with intervals, what became of each trial, and what a reader should know."""
+def conclude(fit: SampleFit, theta: Array, hits: Sequence[MeasuredImpact]) -> SampleResult:
+    """Coefficients with intervals, what became of each trial, and what a reader should know.
+
+    Args:
+        fit, theta: the fit and its parameters.
+        hits: of its trials as a whole, in their order.
+    """
     halves = half_widths(fit, theta)
     notes: list[str] = []
-    trials = _trials(fit, theta)
+    trials = []
     bad = set()
-    for trial, judged in zip(fit.trials, trials, strict=True):
-        if judged.misfit is not None and judged.misfit > BAD_FIT:
-            bad.add(trial.mode)
+    for i, hit in enumerate(hits):
+        misfit, channel = _misfit(fit, theta, i)
+        if misfit is not None and misfit > BAD_FIT:
+            bad.add(hit.mode)
             notes.append(
-                f"{trial.name}: in contact {judged.worst_channel} differs from the law by "
-                f"{judged.misfit:.1f} times its noise in free flight"
+                f"{hit.name}: in contact {channel} differs from the law by "
+                f"{misfit:.1f} times its noise in free flight"
             )
-        aside = judged.set_aside
+        one = _trial_fit(fit, theta, i, hit)._replace(misfit=misfit)
+        aside = one.set_aside
         if aside.contact:
-            notes.append(f"{trial.name}: {aside.contact} of {aside.in_contact} samples in contact set aside")
+            notes.append(f"{hit.name}: {aside.contact} of {aside.in_contact} samples in contact set aside")
+        trials.append(one)
     coefficients: dict[str, dict[str, Estimate | None]] = {}
     side: int | None = None
     for mode in fit.parameters.modes:
@@ -170,36 +164,44 @@ def _misfit(fit: SampleFit, theta: Array, i: int) -> tuple[float | None, str]:
     return worst, channel
 
 
-def _trials(fit: SampleFit, theta: Array) -> list[SampleTrial]:
-    fits = []
-    for i, window in enumerate(fit.windows):
-        own = fit.parameters.own[i]
-        along = float(theta[own["vy"]]) if "vy" in own else None
-        onset, speed = float(theta[own["onset"]]), -float(theta[own["speed"]])
-        push = [float(theta[own[f"n_{when}"]]) if "n_after" in own else 0.0 for when in PUSHES]
-        inside = sum(int(c.sum()) for c in window.contact.values())
-        gone = {name: window.counts[name] == 0.0 for name in window.series}
-        aside = SetAside(
+def _trial_fit(fit: SampleFit, theta: Array, i: int, hit: MeasuredImpact) -> TrialFit:
+    own, window = fit.parameters.own[i], fit.windows[i]
+    before, after = (float(theta[own[f"n_{when}"]]) if "n_after" in own else 0.0 for when in PUSHES)
+    gone = {name: window.counts[name] == 0.0 for name in window.series}
+    return whole_trial(hit)._replace(
+        used="samples",
+        onset_s=float(theta[own["onset"]]),
+        normal_m_s=-float(theta[own["speed"]]),
+        tangential_m_s=float(theta[own["vy"]]) if "vy" in own else None,
+        samples_in_contact=fit.in_contact(theta, i),
+        push_m_s2=(before, after),
+        force_delay_s=float(theta[own["delay"]]) if "delay" in own else None,
+        set_aside=SetAside(
             sum(int((gone[n] & ~window.contact[n]).sum()) for n in gone),
             sum(int((gone[n] & window.contact[n]).sum()) for n in gone),
-            inside,
-        )
-        misfit, channel = _misfit(fit, theta, i)
-        delay = float(theta[own["delay"]]) if "delay" in own else None
-        fits.append(
-            SampleTrial(
-                onset,
-                speed,
-                along,
-                fit.in_contact(theta, i),
-                (push[0], push[1]),
-                delay,
-                misfit,
-                channel,
-                aside,
-            )
-        )
-    return fits
+            sum(int(c.sum()) for c in window.contact.values()),
+        ),
+    )
+
+
+def whole_trial(hit: MeasuredImpact) -> TrialFit:
+    """What is said of a trial whose samples are not fitted."""
+    return TrialFit(
+        name=hit.name,
+        mode=hit.mode,
+        onset_s=hit.begin_s,
+        normal_m_s=-hit.normal_in_m_s,
+        tangential_m_s=hit.tangential_in_m_s,
+        samples_in_contact=hit.samples_in_contact,
+        push_m_s2=(0.0, 0.0),
+        used="whole",
+        normal_out_m_s=hit.normal_out_m_s,
+        tangential_out_m_s=hit.tangential_out_m_s,
+        peak_force_n=hit.peak_force_n,
+        force_delay_s=None,
+        misfit=None,
+        set_aside=SetAside(0, 0, hit.samples_in_contact),
+    )
 
 
 # --- whether to believe it ----------------------------------------------------------------------------------

@@ -49,8 +49,6 @@ class MeasuredImpact:
         begin_s, end_s: the contact in the recording, widened to whole samples.
         samples_in_contact: position samples in it.
         clipped: the sensor was at its limit; the peak is unknown then.
-        rings: the force swings to the other side; its duration is not that of the contact, and where it
-            swings far, its peak is not either.
         notes: what a reader should know, in sentences.
     """
 
@@ -71,7 +69,6 @@ class MeasuredImpact:
     end_s: float
     samples_in_contact: int
     clipped: bool
-    rings: bool
     notes: tuple[str, ...] = ()
 
 
@@ -190,7 +187,6 @@ def _of_motion(trial: Trial) -> MeasuredImpact:
         end_s=end,
         samples_in_contact=count,
         clipped=force.clipped,
-        rings=force.rings,
         notes=force.notes,
     )
 
@@ -249,7 +245,6 @@ class _ForcePulse:
     peak_n: float | None = None
     contact_s: float | None = None
     clipped: bool = False
-    rings: bool = False
     notes: tuple[str, ...] = ()
 
 
@@ -304,7 +299,6 @@ def _pulse(name: str, time: Array, force: Array, noise: float, bridged_s: float)
         None if clipped or dominated else peak,
         None if rings or clipped else float(time[last] - time[first]) * 1.05,
         clipped,
-        rings,
         tuple(notes),
     )
 
@@ -356,7 +350,6 @@ def _of_accelerometer(trial: Trial, mass_kg: float) -> MeasuredImpact:
         end_s=float(time[end_at]),
         samples_in_contact=end_at - begin_at + 1,
         clipped=pulse.clipped,
-        rings=pulse.rings,
         notes=(*notes, *pulse.notes),
     )
 

@@ -14,8 +14,8 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable, Sequence
-from typing import Any, TypeVar
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -26,10 +26,7 @@ from dart_flight.lab.identify.trials import Trial, find_impact
 from dart_flight.lab.identify.windows import cut, first_span, weigh
 from dart_flight.lab.predict.path import ContactMotion
 
-T = TypeVar("T")
-
 _PLANE_SD_M = 0.015  # how well the position of the plane is known beforehand
-_REMEMBERED = 8  # per channel
 _PUSH_SD_M_S2 = 5.0
 PUSHES = ("before", "after")
 # The controller leans otherwise once it feels the wall: by this much, standard deviation, over a contact
@@ -76,34 +73,24 @@ class Parameters:
         return [0, *self.of_mode(mode).values(), *self.own[i].values()]
 
 
-def contact_of(
-    theta: Array, shared: dict[str, int], own: dict[str, int], trial: Trial, fit: SampleFit
+@functools.lru_cache(maxsize=64)  # most parameters that a Jacobian tries leave the contact as it is
+def _contact(
+    log_k: float, log_f: float, mu: float, speed: float, acceleration: float, mass_kg: float, onset: Onset
 ) -> ContactMotion:
-    """The contact of a trial under a parameter vector."""
-    c = Coefficients(
-        k=math.exp(min(max(theta[shared["k"]], -5.0), 20.0)),
-        f=math.exp(min(max(theta[shared["f"]], -12.0), 12.0)),
-        mu=float(theta[shared["mu"]]),
-        nu=1.0,
-    )
-    speed = -max(float(theta[own["speed"]]), 1e-4)
-    push = float(theta[own["n_in"]]) if "n_in" in own else 0.0
-    return ContactMotion(c, fit.mass_kg, speed, fit.onset, acceleration_m_s2=trial.acceleration_m_s2 + push)
+    k, f = math.exp(min(max(log_k, -5.0), 20.0)), math.exp(min(max(log_f, -12.0), 12.0))
+    c = Coefficients(k=k, f=f, mu=mu, nu=1.0)
+    return ContactMotion(c, mass_kg, -max(speed, 1e-4), onset, acceleration_m_s2=acceleration)
 
 
-def _shape(contact: ContactMotion, name: str, time_s: Array) -> tuple[Array, Array, Array]:
-    """A channel's shape at times since the onset; the time after the contact, and (negative) before it."""
+def _shape(contact: ContactMotion, name: str, time_s: Array) -> Array:
+    """What the contact makes of a channel at times since the onset."""
     if name.startswith("normal"):
-        shape = contact.normal(time_s)[("normal_m", "normal_m_s", "normal_force_n").index(name)]
-    elif name == "vertical_m":
-        shape = contact.lift(time_s)
-    elif name == "tangential_force_n":
-        shape = -contact.coefficients.mu * contact.normal(time_s)[2] * contact.slip(time_s)
-    elif name == "tangential_m":
-        shape = contact.way(time_s)
-    else:
-        shape = contact.slip(time_s)
-    return shape, np.maximum(time_s - contact.end_s, 0.0), np.minimum(time_s, 0.0)
+        return contact.normal(time_s)[("normal_m", "normal_m_s", "normal_force_n").index(name)]
+    if name == "vertical_m":
+        return contact.lift(time_s)
+    if name == "tangential_force_n":
+        return -contact.coefficients.mu * contact.normal(time_s)[2] * contact.slip(time_s)
+    return contact.way(time_s) if name == "tangential_m" else contact.slip(time_s)
 
 
 class SampleFit:
@@ -118,7 +105,6 @@ class SampleFit:
         self.parameters = Parameters(trials, pushed)
         self.impacts = [find_impact(trial) for trial in trials]
         self.sd = dict(_FIRST_SD)
-        self._memory: dict[int, dict[tuple[str | float, ...], Any]] = {}
         position = float(np.median([impact.noise_m for impact in self.impacts]))
         for name in ("normal_m", "tangential_m", "vertical_m"):
             self.sd[name] = max(position, 1e-5)
@@ -127,84 +113,47 @@ class SampleFit:
             for trial, impact in zip(self.trials, self.impacts, strict=True)
         ]
 
+    def contact(self, theta: Array, i: int) -> ContactMotion:
+        """The contact of trial i under a parameter vector."""
+        shared, own = self.parameters.of_mode(self.trials[i].mode), self.parameters.own[i]
+        law = (float(theta[shared[name]]) for name in ("k", "f", "mu"))
+        push = float(theta[own["n_in"]]) if "n_in" in own else 0.0
+        push += self.trials[i].acceleration_m_s2
+        return _contact(*law, float(theta[own["speed"]]), push, self.mass_kg, self.onset)
+
     def predict(self, theta: Array, i: int) -> dict[str, Array]:
         """The model at the samples of trial i, by channel."""
-        trial = self.trials[i]
-        shared, own = self.parameters.of_mode(trial.mode), self.parameters.own[i]
-        shapes = self._shapes(theta, i)
+        shared, own = self.parameters.of_mode(self.trials[i].mode), self.parameters.own[i]
+        contact, onset = self.contact(theta, i), float(theta[own["onset"]])
+        delay = float(theta[own["delay"]]) if "delay" in own else 0.0
         out: dict[str, Array] = {}
         for name, series in self.windows[i].series.items():
+            since = series.time_s - (onset + delay if name.endswith("_n") else onset)
+            values = _shape(contact, name, since)
             if name == "normal_m":
-                out[name] = theta[0] + shapes[name]
+                values = theta[0] + values
             elif name == "vertical_m":
                 free = theta[own["z0"]] + theta[own["vz"]] * (series.time_s - theta[own["onset"]])
-                out[name] = free + theta[shared["nu"]] * shapes[name]
+                values = free + theta[shared["nu"]] * values
             elif name == "tangential_m":
-                out[name] = theta[own["y0"]] + theta[own["vy"]] * shapes[name]
+                values = theta[own["y0"]] + theta[own["vy"]] * values
             elif name.startswith("tangential"):
-                out[name] = theta[own["vy"]] * shapes[name]
-            else:
-                out[name] = shapes[name]
-            self._add_push(out, shapes, theta, i, name)
+                values = theta[own["vy"]] * values
+            if f"{name[0]}_after" in own and not name.endswith("_n"):
+                values = values + self._pushed(theta, own, name, since, contact.end_s)
+            out[name] = values
         return out
 
-    def _add_push(
-        self, out: dict[str, Array], shapes: dict[str, Array], theta: Array, i: int, name: str
-    ) -> None:
-        """The controller's accelerations outside the contact."""
-        own, axis = self.parameters.own[i], name[0]
-        if f"{axis}_after" not in own or name.endswith("_n"):
-            return
-        late, early = shapes[name + " late"], shapes[name + " early"]
-        after, before = theta[own[f"{axis}_after"]], theta[own[f"{axis}_before"]]
-        if axis == "n":  # the contact's own push is in its shape, before and after it as well
+    @staticmethod
+    def _pushed(theta: Array, own: dict[str, int], name: str, since: Array, end_s: float) -> Array:
+        """What the controller's accelerations outside the contact add to a channel."""
+        late, early = np.maximum(since - end_s, 0.0), np.minimum(since, 0.0)
+        after, before = theta[own[f"{name[0]}_after"]], theta[own[f"{name[0]}_before"]]
+        if name.startswith("n"):  # the contact's own push is in its shape, before and after it as well
             after, before = after - theta[own["n_in"]], before - theta[own["n_in"]]
         if name.endswith("_s"):
-            out[name] = out[name] + after * late + before * early
-        else:
-            out[name] = out[name] + 0.5 * (after * late * late + before * early * early)
-
-    def _shapes(self, theta: Array, i: int) -> dict[str, Array]:
-        """What the channels need of the contact: the part that is not linear in the parameters.
-
-        Remembered for the last few values of what a channel depends on, because most parameters are of few
-        channels.
-        """
-        shared, own = self.parameters.of_mode(self.trials[i].mode), self.parameters.own[i]
-        onset = float(theta[own["onset"]])
-        push = float(theta[own["n_in"]]) if "n_in" in own else 0.0
-        delay = float(theta[own["delay"]]) if "delay" in own else 0.0
-        law = (float(theta[own["speed"]]), push, *(float(theta[shared[n]]) for n in ("k", "f", "mu")))
-        return self._remembered(
-            i, ("all", onset, delay, *law), lambda: self._shapes_of(theta, i, onset, delay, law)
-        )
-
-    def _shapes_of(
-        self, theta: Array, i: int, onset: float, delay: float, law: tuple[float, ...]
-    ) -> dict[str, Array]:
-        trial, shared, own = (
-            self.trials[i],
-            self.parameters.of_mode(self.trials[i].mode),
-            self.parameters.own[i],
-        )
-        contact = self._remembered(i, law, lambda: contact_of(theta, shared, own, trial, self))
-        shapes: dict[str, Array] = {}
-        for name, series in self.windows[i].series.items():
-            begin = onset + delay if name.endswith("_n") else onset
-            of_it = law if name.startswith("tangential") else law[:-1]  # mu is of the way along the wall
-            made = self._remembered(
-                i, (name, begin, *of_it), functools.partial(_shape, contact, name, series.time_s - begin)
-            )
-            shapes[name], shapes[name + " late"], shapes[name + " early"] = made
-        return shapes
-
-    def _remembered(self, i: int, key: tuple[str | float, ...], make: Callable[[], T]) -> T:
-        memory: dict[tuple[str | float, ...], T] = self._memory.setdefault(i, {})
-        if key not in memory:
-            if len(memory) >= _REMEMBERED * (2 + len(self.windows[i].series)):
-                memory.clear()
-            memory[key] = make()
-        return memory[key]
+            return np.asarray(after * late + before * early)
+        return np.asarray(0.5 * (after * late * late + before * early * early))
 
     def block(self, theta: Array, i: int) -> Array:
         """Weighted residuals of trial i."""
@@ -260,9 +209,8 @@ class SampleFit:
 
     def span(self, theta: Array, i: int) -> tuple[float, float, ContactMotion]:
         """Onset and release of trial i by the law, in the recording's time, and its contact."""
-        trial, own = self.trials[i], self.parameters.own[i]
-        contact = contact_of(theta, self.parameters.of_mode(trial.mode), own, trial, self)
-        begin = float(theta[own["onset"]])
+        contact = self.contact(theta, i)
+        begin = float(theta[self.parameters.own[i]["onset"]])
         return begin, begin + (contact.end_s if math.isfinite(contact.end_s) else 0.3), contact
 
     def in_contact(self, theta: Array, i: int) -> int:
@@ -297,7 +245,6 @@ class SampleFit:
     def cut(self, i: int, begin: float, end: float) -> None:
         """Fit trial i between two of its times."""
         self.windows[i] = cut(self.trials[i], begin, end)
-        self._memory.pop(i, None)
 
     def bounds(self) -> tuple[Array, Array]:
         """Limits that no impact in question goes beyond: they keep the search where the data are."""
@@ -357,16 +304,16 @@ class SampleFit:
 
     def _place_onset(self, theta: Array, i: int) -> None:
         """The onset time at which this contact turns when the recording does."""
-        trial, own = self.trials[i], self.parameters.own[i]
-        contact = contact_of(theta, self.parameters.of_mode(trial.mode), own, trial, self)
+        contact = self.contact(theta, i)
         end = contact.end_s if math.isfinite(contact.end_s) else 0.3
         t = np.linspace(0.0, end, 60)
-        theta[own["onset"]] = self.impacts[i].turn_s - float(t[np.argmin(contact.normal(t)[0])])
+        theta[self.parameters.own[i]["onset"]] = self.impacts[i].turn_s - float(
+            t[np.argmin(contact.normal(t)[0])]
+        )
 
     def _rough_cost(self, theta: Array, i: int) -> float:
         series = self.windows[i].series["normal_m"]
-        shared, own = self.parameters.of_mode(self.trials[i].mode), self.parameters.own[i]
-        contact = contact_of(theta, shared, own, self.trials[i], self)
-        error = series.value - contact.normal(series.time_s - theta[own["onset"]])[0]
+        since = series.time_s - theta[self.parameters.own[i]["onset"]]
+        error = series.value - self.contact(theta, i).normal(since)[0]
         # The plane may be off by centimetres: its part of the error is a constant.
         return float(np.mean(np.abs(error - np.median(error))))

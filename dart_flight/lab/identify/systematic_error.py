@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
 
 from dart_flight.lab.identify.estimates import Estimate
 from dart_flight.lab.identify.measured_impacts import MeasuredImpact
@@ -23,33 +22,24 @@ _K_OF_TURNING = 0.03  # turning presses one guard deeper than the other: k is lo
 _TURNS = 0.1  # from this share on it is said
 
 
-class ContactRotation(NamedTuple):
-    """How much a vehicle turned in the contacts of a mode.
-
-    Attributes:
-        rate_rad_s: the largest rate about the vertical.
-        share: the largest velocity at the guards by turning, over the centre's along the wall.
-    """
-
-    rate_rad_s: float
-    share: float
-
-
-def worst_rotation(trials: Sequence[Trial], hits: Sequence[MeasuredImpact]) -> ContactRotation | None:
-    """The most that any trial turned; None where none says it, or none moves along the wall.
+def worst_rotation(trials: Sequence[Trial], hits: Sequence[MeasuredImpact]) -> tuple[float, float]:
+    """The most that any trial turned; 0 where none says it, or none moves along the wall.
 
     Args:
         trials: of one mode.
         hits: of these trials, in their order.
+
+    Returns:
+        The largest rate about the vertical, rad/s; the largest velocity at the guards by turning over the
+        centre's along the wall.
     """
-    rates, shares = [], []
+    rate = share = 0.0
     for trial, hit in zip(trials, hits, strict=True):
-        if trial.flown is None or trial.turn_rad_s is None or not hit.tangential_in_m_s:
-            continue
-        rates.append(trial.turn_rad_s)
-        sliding = trial.turn_rad_s * trial.flown.config.airframe.contact_distance_m
-        shares.append(sliding / abs(hit.tangential_in_m_s))
-    return ContactRotation(max(rates), max(shares)) if rates else None
+        if trial.flown is not None and trial.turn_rad_s is not None and hit.tangential_in_m_s:
+            sliding = trial.turn_rad_s * trial.flown.config.airframe.contact_distance_m
+            rate = max(rate, trial.turn_rad_s)
+            share = max(share, sliding / abs(hit.tangential_in_m_s))
+    return rate, share
 
 
 def widen_intervals(
@@ -64,15 +54,15 @@ def widen_intervals(
     """
     shares = {name: max(trial.allowance.get(name, 0.0) for trial in trials) for name in found}
     notes = []
-    turned = worst_rotation(trials, hits)
+    rate_rad_s, share = worst_rotation(trials, hits)
     mu = found["mu"]
-    if turned is not None and turned.share > _TURNS:
-        slides = min(_OF_TURNING * turned.share, _MAX)
+    if share > _TURNS:
+        slides = min(_OF_TURNING * share, _MAX)
         shares["k"] += _K_OF_TURNING
         if mu is not None:
             found = found | {"mu": Estimate(mu.value, mu.low / (1.0 + slides), mu.high / (1.0 - slides))}
         notes.append(
-            f"the vehicle turned by up to {math.degrees(turned.rate_rad_s):.0f} deg/s in these contacts, and "
+            f"the vehicle turned by up to {math.degrees(rate_rad_s):.0f} deg/s in these contacts, and "
             "the law is a point's, which does not turn: where it touched it slid up to "
             f"{100.0 * slides:.0f} % slower or faster than its centre; mu is off by that, see its interval"
         )

@@ -6,19 +6,3 @@ out where a mass is given. Specific thrust is fitted from the log itself: the cu
 mass one, and its error on stretches that the fit has not seen. The samples made from the log go through
 `core.sense.Senses`, the same code as in flight.
 """
-
-from dart_flight.lab.inspect.content import TOPICS
-from dart_flight.lab.inspect.impacts import InspectedFlight, InspectedImpact
-from dart_flight.lab.inspect.inspection import inspect_file, inspect_log
-from dart_flight.lab.inspect.specific_thrust import SpecificThrust
-from dart_flight.lab.inspect.trial_writer import write_trials
-
-__all__ = [
-    "TOPICS",
-    "InspectedFlight",
-    "InspectedImpact",
-    "SpecificThrust",
-    "inspect_file",
-    "inspect_log",
-    "write_trials",
-]

@@ -6,7 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from dart_flight.lab.inspect import InspectedFlight, SpecificThrust
+from dart_flight.lab.inspect.impacts import InspectedFlight
+from dart_flight.lab.inspect.specific_thrust import SpecificThrust
 from dart_flight.lab.report.figures.forces import force_over_flight
 from dart_flight.lab.report.markup import figure_block, page, section, table
 

@@ -17,6 +17,7 @@ from dart_flight.base.geometry import Vec2
 from dart_flight.base.records import Mode, PhaseChange
 from dart_flight.config.mission import Mission
 from dart_flight.lab.flight_arrays import Array, ForceArrays, MotionArrays
+from dart_flight.lab.report.figures.map_drawing import arms_m
 from dart_flight.lab.report.flown_collisions import (
     FlownCollision,
     airborne,
@@ -27,7 +28,6 @@ from dart_flight.lab.report.flown_collisions import (
     stretches,
 )
 from dart_flight.lab.report.recorded_flight import RecordedFlight
-from dart_flight.lab.report.shape import arms_m
 from dart_flight.lab.report.tracks import Angles, angles, in_force, setpoint_series
 
 _STEP_S, _FINE_S = 0.04, 0.01  # between pictures; near a hit

@@ -59,20 +59,6 @@ class SetpointSeries(NamedTuple):
     recovery: Array
 
 
-class Tracking(NamedTuple):
-    """Distance from the setpoint in force, at each odometry sample; arrays (n,).
-
-    Attributes:
-        time_s: of each.
-        position_m: of the position.
-        velocity_m_s: of the velocity, NaN where the setpoint had none.
-    """
-
-    time_s: Array
-    position_m: Array
-    velocity_m_s: Array
-
-
 class Power(NamedTuple):
     """Thrust and battery.
 
@@ -120,15 +106,19 @@ def in_force(times: Array, at_s: Array) -> tuple[NDArray[np.intp], NDArray[np.bo
     return np.maximum(index, 0), index >= 0
 
 
-def tracking(course: FlightArrays) -> Tracking:
-    """How far the estimated position and velocity are from the setpoint in force."""
+def tracking(course: FlightArrays) -> tuple[Array, Array, Array]:
+    """How far the estimated position and velocity are from the setpoint in force, at each odometry sample.
+
+    Returns:
+        Times in s, distances in m and in m/s, arrays (n,); the last NaN where the setpoint had no velocity.
+    """
     motion, sent = course.estimated, setpoint_series(course)
     if not sent.time_s.size or not motion.time_s.size:
-        return Tracking(np.empty(0), np.empty(0), np.empty(0))
+        return np.empty(0), np.empty(0), np.empty(0)
     index, known = in_force(sent.time_s, motion.time_s)
     away = np.linalg.norm(motion.position - sent.position[index], axis=1)
     slip = np.linalg.norm(motion.velocity - sent.velocity[index], axis=1)
-    return Tracking(motion.time_s[known], away[known], slip[known])
+    return motion.time_s[known], away[known], slip[known]
 
 
 def power(course: FlightArrays, mission: Mission) -> Power:

@@ -1,4 +1,4 @@
 """A flight in the standard schemas of Foxglove, Lichtblick and Rerun: live and from its log, translated once.
 
-Needs foxglove-sdk, the `live` extra, except for `thinning`, which is the flight's own end of a live view.
+Needs foxglove-sdk, the `live` extra, except for `downsampling`, which is the flight's own end of a live view.
 """

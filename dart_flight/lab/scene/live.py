@@ -39,8 +39,8 @@ class LiveViewSpec(msgspec.Struct):
     Attributes:
         mission: whose room and vehicle it is.
         host, port: to listen at.
-        furnished: whether the mission's room is to be seen.
-        placed: the mission's frame lies where the mission says, from the beginning on.
+        show_room: whether the mission's room is to be seen.
+        frame_known: the mission's frame lies where the mission says, from the beginning on.
         from_truth: a simulated vehicle alone, shown as it really flies.
     """
 

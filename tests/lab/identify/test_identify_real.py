@@ -274,7 +274,7 @@ def hit(
 ) -> MeasuredImpact:
     return MeasuredImpact(
         "hit", "rigid", speed, out, None, None, 0.001, 0.001, 0.0, peak, contact, None, push, 0.0, 0.05, 10,
-        False, False,
+        False,
     )  # fmt: skip
 
 

@@ -14,10 +14,10 @@ from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import Airframe
 from dart_flight.lab.figure_style import FORCE, GREY, SET_POINT
 from dart_flight.lab.flight_arrays import Array
-from dart_flight.lab.report.shape import arms_m
 
 _WIDE_IN = 6.0  # from this width on a legend has three columns
 LONGEST_ARROW_M = 0.45  # of the largest force
+_HUB_SHARE = 0.45  # of the way to the motors: where the drawn arms end at the frame
 THICKNESS_M = 0.12  # of a drawn wall; what is behind the surface is not known
 
 
@@ -130,6 +130,14 @@ def placed(points: list[Vec2], at: Vec2, yaw_rad: float) -> Array:
     """Points of the body, (forward, left), in the mission frame: (n, 2)."""
     c, s = math.cos(yaw_rad), math.sin(yaw_rad)
     return np.array([(at[0] + c * x - s * y, at[1] + s * x + c * y) for x, y in points])
+
+
+def arms_m(airframe: Airframe) -> list[tuple[Vec2, Vec2]]:
+    """Each arm from the frame to its motor, (forward, left), m."""
+    return [
+        ((_HUB_SHARE * motor.x_m, -_HUB_SHARE * motor.y_m), (motor.x_m, -motor.y_m))
+        for motor in airframe.motors
+    ]
 
 
 def draw_vehicle(

@@ -95,12 +95,9 @@ def attitude(flight: RecordedFlight, *, look: Look = PAGE) -> Any:
 def tracking_error(flight: RecordedFlight, *, look: Look = PAGE) -> Any:
     """Distance of estimated position and velocity from the setpoint in force."""
     figure, axes = new_figure(look, 2.9, 2, 1, sharex=True)
-    error = tracking(flight.course)
-    for axis, values, name in (
-        (axes[0], error.position_m, "position, m"),
-        (axes[1], error.velocity_m_s, "velocity, m/s"),
-    ):
-        _plot(axis, flight, error.time_s, values, **ESTIMATED)
+    times, *errors = tracking(flight.course)
+    for axis, values, name in zip(axes, errors, ("position, m", "velocity, m/s"), strict=True):
+        _plot(axis, flight, times, values, **ESTIMATED)
         axis.set_ylabel(name)
         axis.set_ylim(bottom=0.0)
         mark_impacts(axis, flight)
