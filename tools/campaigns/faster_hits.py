@@ -1,7 +1,8 @@
-"""How hard may a wall be hit, and what ends it? Single hits along planned trajectories, in the fast world.
+"""How hard may a wall be hit, and what ends it? Single hits along planned trajectories.
 
     python -m tools.campaigns.faster_hits              # 700 flights, about 15 minutes of one core
     python -m tools.campaigns.faster_hits --seeds 5    # of each cell of the envelope, instead of 2
+    python -m tools.campaigns.faster_hits --px4 DIR    # some on a real PX4, one at a time, in real time
 
 A flight goes from rest into a wall at a velocity that is asked for, comes off it and goes to rest at a goal
 2 m before the wall, as `dart_flight plan` with `objective: quickest` plans it; the mission's limits are
@@ -11,7 +12,8 @@ envelope the true wall stands turned by a given angle of incidence, elsewhere as
 Uncontrolled is what `tools.campaigns.faults` says: not ended, left armed, no cause, out of the bounds,
 tilted by 80 degrees, hard on the ground. Recovered is a flight that completed and lay still at the goal by
 the truth. Flights go to `build/faster_hits.jsonl` as they come; the tables of docs/results/faster_hits.md are
-written from that file, between the page's markers.
+written from that file, between the page's markers. Flights on PX4 are judged by their logs, and kept beside,
+in `build/faster_hits_px4.jsonl`.
 """
 
 from __future__ import annotations
@@ -21,6 +23,7 @@ import functools
 import math
 import statistics
 import sys
+import tempfile
 from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -30,6 +33,7 @@ import msgspec
 
 from dart_flight.base.geometry import Vec3, distance2, norm, subtract, tilt_of
 from dart_flight.base.records import (
+    GuardEvent,
     Mode,
     OdometrySample,
     Outcome,
@@ -56,15 +60,19 @@ from dart_flight.lab.search.optimal_trajectory import (
     solve,
 )
 from dart_flight.lab.statistics import wilson
-from dart_flight.recording.verdict import VerdictBuilder
+from dart_flight.recording.reader import read_log
+from dart_flight.recording.verdict import Verdict, VerdictBuilder
 from dart_flight.run.fast import FastFlight
+from dart_flight.run.px4_flight import fly_px4
 from dart_flight.sim.draws import draw_world, parse_vary, with_walls
-from tools.campaigns.faults import Watch, judge, run_out
+from tools.campaigns.faults import Watch, excursion_allowed_m, judge, judge_truth, run_out
 from tools.campaigns.kept import fly_missing
 from tools.campaigns.results import RESULTS, markdown, measured_by
 
 KEPT = Path("build/faster_hits.jsonl")
+KEPT_PX4 = Path("build/faster_hits_px4.jsonl")
 PAGE, FIRST, LAST = RESULTS / "faster_hits.md", "<!-- flown -->\n", "<!-- end -->"
+FIRST_PX4 = "<!-- flown on px4 -->\n"
 NORMAL_M_S = tuple(0.5 * k for k in range(2, 9))
 TANGENTIAL_M_S = (0.0, 0.5, 1.0)
 INCIDENCE_DEG = (0.0, 5.0, 10.0)
@@ -83,11 +91,20 @@ HELD = (
 )
 SINGLE = 8  # flights at each speed without a touch, everything drawn
 HELD_SEED = 13001  # of the acceptance; a rule was made after failures among these: the page says which
+PX4 = (  # likewise, on a real PX4
+    ("flexible", 2.0, 5),
+    ("flexible", 3.0, 10),
+    ("flexible", 3.5, 5),
+    ("rigid", 2.0, 5),
+    ("rigid", 2.3, 10),
+)
+PX4_SEED = 22001
 _WALL_M, _BACK_M = 3.0, 2.0
 _MOTION = (5.0, 8.0, 30.0)  # acceleration m/s2, jerk m/s3, tilt degrees
 _JUDGED_S = 1.0  # after the hit, for tilt, height and estimate
 _SETTLED_US = 16_000  # two samples of the odometry
 _NEAR_M, _STILL_M_S = 0.25, 0.3
+_OUT_M = excursion_allowed_m(None)
 
 
 class Job(msgspec.Struct, frozen=True):
@@ -225,6 +242,9 @@ def mission_of(
     return load_mission(msgspec.to_builtins(tree | keys), vehicle)
 
 
+_SEEN = (TruthContact, TruthSample, OdometrySample, PhaseChange, GuardEvent)
+
+
 class _Onlooker:
     """What truth and estimate did from the hit on."""
 
@@ -320,15 +340,27 @@ def fly_mission(
     except Exception as error:
         problems.append(f"exception {type(error).__name__}: {error}")
     verdict = builder.build(World.FAST, seed)
+    fired = _fired(verdict)
+    problems += judge(flight, watch, None, verdict.outcome, fired[0])
+    return _flown(mission, verdict, fired, onlooker, problems)
+
+
+def _fired(verdict: Verdict) -> tuple[str, str]:
+    """The guard's rule that ended a flight, and its detail; empty where none did."""
+    if verdict.outcome == Outcome.COMPLETED:
+        return "", ""
+    return next(((g.rule, g.detail) for g in verdict.guard if g.action is not Override.NONE), ("", ""))
+
+
+def _flown(
+    mission: Mission, verdict: Verdict, fired: tuple[str, str], onlooker: _Onlooker, problems: list[str]
+) -> Flown:
     completed = verdict.outcome == Outcome.COMPLETED
-    fired = [one for one in verdict.guard if one.action is not Override.NONE]
-    rule = fired[0].rule if fired and not completed else ""
-    problems += judge(flight, watch, None, verdict.outcome, rule)
     hit = onlooker.hit
     return Flown(
         outcome=verdict.outcome.value,
-        rule=rule,
-        detail=fired[0].detail if rule else "",
+        rule=fired[0],
+        detail=fired[1],
         problems=problems,
         recovered=completed and hit is not None and onlooker.rests_near(mission.goal.position_m),
         closing_m_s=None if hit is None else -hit.normal_in_m_s,
@@ -340,6 +372,34 @@ def fly_mission(
         velocity_error_m_s=onlooker.velocity_error_m_s,
         position_error_m=verdict.ekf_error_m or 0.0,
     )
+
+
+def fly_on_px4(job: Job, directory: Path) -> Flown:
+    """One flight of the campaign under a real PX4, everything drawn; judged by its log."""
+    mission = mission_of(job.mode, job.normal_m_s, job.tangential_m_s, job.touch_m_s)
+    spreads = parse_vary(["all"], mission.vehicle)
+    with tempfile.TemporaryDirectory() as folder:
+        verdict = fly_px4(mission, directory, job.seed, Path(folder), spreads=spreads)
+        return flown_of(verdict, mission)
+
+
+def flown_of(verdict: Verdict, mission: Mission) -> Flown:
+    """A flight by its log; what is no rule of the guard may have ended it, too."""
+    assert verdict.log is not None
+    watch, onlooker = Watch(mission), _Onlooker(mission)
+    seen = [e.record for e in read_log(verdict.log).entries if isinstance(e.record, _SEEN)]
+    # Truth and estimate come on threads of their own: the log has either first.
+    for record in sorted(seen, key=lambda r: r.end_us if isinstance(r, TruthContact) else r.t_us):
+        watch.take(record)
+        onlooker.take(record)
+    fired = _fired(verdict)
+    if verdict.outcome != Outcome.COMPLETED and not fired[0]:
+        rule, _, detail = (verdict.reason or "").partition(": ")
+        fired = (rule, detail)
+    problems = list(judge_truth(watch, verdict.outcome, fired[0], _OUT_M))
+    if not watch.is_down:
+        problems.append("in the air at last")
+    return _flown(mission, verdict, fired, onlooker, problems)
 
 
 def fly(job: Job) -> Flown:
@@ -356,12 +416,20 @@ def is_within_law(mode: str, tangential_m_s: float) -> bool:
     return contact_of(mode).mu_s_per_m * tangential_m_s <= FRICTION_RATIO
 
 
-def held_jobs() -> list[Job]:
-    """Hits along the normal in worlds in which everything is drawn."""
+def held_jobs(
+    cells: Sequence[tuple[str, float, int]] = HELD, first_seed: int = HELD_SEED, most: int | None = None
+) -> list[Job]:
+    """Hits along the normal in worlds in which everything is drawn.
+
+    Args:
+        cells: mode, normal speed, flights.
+        first_seed: of every cell.
+        most: flights of a cell; None: as the cell says.
+    """
     return [
-        Job(mode, normal, 0.0, TOUCH_M_S, None, HELD_SEED + k)
-        for mode, normal, flights in HELD
-        for k in range(flights)
+        Job(mode, normal, 0.0, TOUCH_M_S, None, first_seed + k)
+        for mode, normal, flights in cells
+        for k in range(flights if most is None else min(flights, most))
     ]
 
 
@@ -428,20 +496,53 @@ def _rate(flights: Sequence[Flown]) -> str:
     return f"{100 * recovered / len(flights):.1f} % ({100 * low:.1f} to {100 * high:.1f})"
 
 
+def _of(flown: dict[Job, Flown], *key: object) -> list[Flown]:
+    return [f for job, f in flown.items() if msgspec.structs.astuple(job)[:5] == key]
+
+
+def _held_table(flown: dict[Job, Flown], cells: Sequence[tuple[str, float, int]]) -> str:
+    """Hits along the normal after a touch, everything drawn."""
+    rows = [
+        [mode, f"{normal:.1f}", _rate(flights), *_figures(flights)]
+        for mode, normal, _ in sorted(cells)
+        if (flights := _of(flown, mode, normal, 0.0, TOUCH_M_S, None))
+    ]
+    return markdown(("mode", "closing m/s", "recovered (95 %)", *_FIGURES), rows)
+
+
+def px4_tables(flown: dict[Job, Flown]) -> str:
+    """What was flown on PX4, and each flight that did not recover or was uncontrolled."""
+    measured = measured_by("tools.campaigns.faster_hits --px4 DIR", "under PX4 SITL in real time")
+    text = f"{measured} After a touch at {TOUCH_M_S} m/s, everything drawn, seeds from {PX4_SEED}:\n\n"
+    text += _held_table(flown, PX4)
+    rows = [
+        [
+            job.mode,
+            f"{job.normal_m_s:.1f}",
+            str(job.seed),
+            f"{f.rule}: {f.detail}" if f.rule else f.outcome,
+            "–" if f.closing_m_s is None else f"{f.closing_m_s:.2f}",
+            f"{f.tilt_deg:.0f}",
+            "; ".join(f.problems) or "–",
+        ]
+        for job, f in flown.items()
+        if f.problems or not f.recovered
+    ]
+    if rows:
+        heads = ("mode", "closing m/s", "seed", "ended by", "met at, m/s", "tilt °", "uncontrolled")
+        text += "\nEvery flight that did not recover:\n\n" + markdown(heads, rows)
+    return text
+
+
 def tables(flown: dict[Job, Flown]) -> str:
     """Held seeds, the middle of the envelope without a touch, and the envelope."""
 
     def of(*key: object) -> list[Flown]:
-        return [f for job, f in flown.items() if msgspec.structs.astuple(job)[:5] == key]
+        return _of(flown, *key)
 
-    rows = []
     heads = ("mode", "closing m/s", "recovered (95 %)", *_FIGURES)
-    for mode, normal, _ in sorted(HELD):
-        flights = of(mode, normal, 0.0, TOUCH_M_S, None)
-        if flights:
-            rows.append([mode, f"{normal:.1f}", _rate(flights), *_figures(flights)])
     text = f"**After a touch at {TOUCH_M_S} m/s**, everything drawn, seeds from {HELD_SEED}:\n\n"
-    text += markdown(heads, rows)
+    text += _held_table(flown, HELD)
     rows = [
         [mode, f"{normal:.1f}", _rate(flights), *_figures(flights)]
         for mode in ("flexible", "rigid")
@@ -466,27 +567,38 @@ def tables(flown: dict[Job, Flown]) -> str:
     return text + markdown(("mode", "closing m/s", "sliding m/s", "incidence °", *_FIGURES), rows)
 
 
+def _put(page: str, first: str, text: str) -> str:
+    """The page with a text between a marker and the end that follows it."""
+    head, rest = page.split(first)
+    return head + first + text + LAST + rest.partition(LAST)[2]
+
+
 def write_page(flown: dict[Job, Flown]) -> None:
     """Put the tables between the markers of the page, and today's date on it."""
-    page = PAGE.read_text()
-    head, rest = page.split(FIRST)
-    _, tail = rest.split(LAST)
     measured = f"{measured_by('tools.campaigns.faster_hits')}\n"
+    head, first, rest = PAGE.read_text().partition(FIRST)
     head = "".join(
         measured if line.startswith("Measured on ") else line for line in head.splitlines(keepends=True)
     )
-    PAGE.write_text(head + FIRST + tables(flown) + LAST + tail)
+    PAGE.write_text(_put(head + first + rest, FIRST, tables(flown)))
 
 
 def main() -> int:
     """Fly what is missing and write the page."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--seeds", type=int, default=2, help="of each cell of the envelope")
+    parser.add_argument("--seeds", type=int, help="of each cell of the envelope (2); on PX4 at most, of each")
     parser.add_argument("--processes", type=int, default=2)
+    parser.add_argument("--px4", type=Path, metavar="DIR", help="fly on this PX4, one flight at a time")
     arguments = parser.parse_args()
-    jobs = [*held_jobs(), *single_jobs(), *envelope_jobs(arguments.seeds)]
-    flown = fly_missing(KEPT, jobs, fly, tuple[Job, Flown], arguments.processes)
-    write_page(dict(zip(jobs, flown, strict=True)))
+    if arguments.px4 is not None:
+        jobs = held_jobs(PX4, PX4_SEED, arguments.seeds)
+        fly_one = functools.partial(fly_on_px4, directory=arguments.px4)
+        flown = dict(zip(jobs, fly_missing(KEPT_PX4, jobs, fly_one, tuple[Job, Flown], 1), strict=True))
+        PAGE.write_text(_put(PAGE.read_text(), FIRST_PX4, px4_tables(flown)))
+        return 0
+    jobs = [*held_jobs(), *single_jobs(), *envelope_jobs(2 if arguments.seeds is None else arguments.seeds)]
+    flown = dict(zip(jobs, fly_missing(KEPT, jobs, fly, tuple[Job, Flown], arguments.processes), strict=True))
+    write_page(flown)
     return 0
 
 

@@ -108,6 +108,11 @@ class Watch:
             if self._was_high and z < 0.03:
                 self.landing = max(self.landing, -record.velocity_mission[2])
 
+    @property
+    def is_down(self) -> bool:
+        """Whether the vehicle lay on the ground at last; true of one that has not been seen."""
+        return self.last is None or self.last.position_mission[2] <= _DOWN_M
+
     def on_text(self, text: str) -> None:
         if "failsafe" in text.lower():
             self._decide()
@@ -236,13 +241,27 @@ def judge(flight: FastFlight, watch: Watch, fault: Fault | None, outcome: str, r
         held = a.mode in (FlightMode.MANUAL, FlightMode.HOLD) and speed < _STILL_M_S
         if not (outcome == "released" and held):
             yield f"still armed in {a.mode.value} at {speed:.2f} m/s"
-    elif not falls and watch.last is not None and watch.last.position_mission[2] > _DOWN_M:
+    elif not falls and not watch.is_down:
         yield "disarmed in the air"
+    yield from judge_truth(watch, outcome, rule, excursion_allowed_m(fault), falls)
+
+
+def judge_truth(
+    watch: Watch, outcome: str, rule: str, allowed_m: float, falls: bool = False
+) -> Iterator[str]:
+    """What is uncontrolled about a flight by its records alone.
+
+    Args:
+        watch: has seen them.
+        outcome: of the flight.
+        rule: that ended it.
+        allowed_m: out of the bounds.
+        falls: the vehicle is meant to fall.
+    """
     if outcome != "completed" and not rule:
         yield "not completed, and no reason given"
-    allowed = excursion_allowed_m(fault)
-    if watch.excursion > allowed:
-        yield f"{watch.excursion:.2f} m out of bounds, {allowed:.2f} allowed"
+    if watch.excursion > allowed_m:
+        yield f"{watch.excursion:.2f} m out of bounds, {allowed_m:.2f} allowed"
     if watch.landing > _LANDING_M_S and not falls:
         yield f"met the ground at {watch.landing:.2f} m/s"
     if math.degrees(watch.tilt) > _TILT_DEG and not falls:

@@ -1,5 +1,7 @@
 """A hit at 3 m/s: the flight is planned, drawn and flown as the campaign does, and recovers."""
 
+from pathlib import Path
+
 import msgspec
 import pytest
 
@@ -7,9 +9,16 @@ from dart_flight.base.records import PlanRequest, Record
 from dart_flight.config.vehicle import LockDriver
 from dart_flight.core.mission.trajectories import PlannedTrajectory
 from dart_flight.planning.replanner import Replanner
-from dart_flight.run.fast import FastFlight
-from dart_flight.sim.draws import DrawnWorld
-from tools.campaigns.faster_hits import TOUCH_M_S, contact_of, fly_mission, is_within_law, mission_of
+from dart_flight.run.fast import FastFlight, fly_fast
+from dart_flight.sim.draws import DrawnWorld, parse_vary
+from tools.campaigns.faster_hits import (
+    TOUCH_M_S,
+    contact_of,
+    flown_of,
+    fly_mission,
+    is_within_law,
+    mission_of,
+)
 
 
 @pytest.mark.parametrize("seed", [13001, 13002])
@@ -21,6 +30,15 @@ def test_a_hit_at_3_m_s_recovers_where_a_touch_came_first(seed: int) -> None:
     assert flown.exit_m_s is not None
     assert flown.exit_m_s > 1.0
     assert flown.tilt_deg < 60.0
+
+
+def test_a_flight_by_its_log_is_the_flight_as_seen(tmp_path: Path) -> None:
+    """As flights on PX4 are judged; a rigid first hit at 4 m/s turns the vehicle over."""
+    mission = mission_of("rigid", 4.0)
+    verdict = fly_fast(mission, 13002, tmp_path, spreads=parse_vary(["all"], mission.vehicle))
+    by_log = flown_of(verdict, mission)
+    assert by_log.problems
+    assert by_log == fly_mission(mission, 13002)
 
 
 @pytest.mark.parametrize("height_m", [-0.03, 0.03])
