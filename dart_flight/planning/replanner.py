@@ -57,7 +57,7 @@ _TILT_SHARE = 0.6
 _JERK_M_S3 = 25.0  # about 150 degrees of tilt a second: the attitude loop follows
 _GENTLE_S = 0.5  # that a trajectory may last longer where it needs all of the tilt instead of none
 _GENTLE_REJOINING_S = 0.05  # likewise, back to a trajectory that is within limits as it is
-_LEADING_BACK = 1.5  # of the limits, which the trajectory that it leads back to uses up already
+_LEADING_BACK = 1.25  # of the limit, which the trajectory that it leads back to uses up already
 _AS_FAST = 1.01  # planned speed over flown
 _PRESSED_IN_M = 0.15  # at most: the arms at the end of a contact, and what a wall's place is off by
 _BESIDE_S = 1.0  # ... where another meets the wall as far from the planned place as the mission tolerates
@@ -201,8 +201,9 @@ class Replanner:
         push = np.hypot(rejoining.acceleration[0], rejoining.acceleration[1]).max(axis=1, initial=0.0)
         jerk = np.hypot(rejoining.jerk[0], rejoining.jerk[1]).max(axis=1, initial=0.0)
         fine = (push <= self._most_m_s2) & (jerk <= _JERK_M_S3)
-        # The mission's limits with what leading back needs beside them, where that can be.
-        over = (push > _LEADING_BACK * self._planned_m_s2) | (jerk > _LEADING_BACK * self._planned_m_s3)
+        # Within the mission's limit of acceleration, with what leading back needs beside it, where that can
+        # be. Jerk is the attitude loop's: held to the mission's, a leg is up to a tenth slower than planned.
+        over = push > _LEADING_BACK * self._planned_m_s2
         rejoining, over = rejoining.take(np.flatnonzero(fine)), over[fine]
         push = push[fine] / self._most_m_s2
         if rejoining.duration_s.size:

@@ -7,6 +7,8 @@ from typing import Any
 import pytest
 
 from dart_flight.base.records import GuardEvent, Phase
+from dart_flight.config.mission import load_mission
+from dart_flight.config.vehicle import packaged
 from tests.core.conftest import HandFedCore
 
 RETURNING = "missions/touch_and_return.yaml"
@@ -22,7 +24,9 @@ def fired(c: HandFedCore) -> list[str]:
 @pytest.mark.parametrize(("before_s", "missed"), [(0.4, False), (0.2, True)])
 def test_behind_its_wall_counts_only_shortly_before_the_impact(before_s: float, missed: bool) -> None:
     """A trajectory may begin beside its wall, behind the plane."""
-    c = HandFedCore(RETURNING)
+    hits = load_mission(packaged("missions", "touch_and_return.yaml")).to_dict()["collisions"]
+    untouched = {"collisions": [hit for hit in hits if hit.get("trajectory")], "waypoints": []}
+    c = HandFedCore(RETURNING, settings=untouched)
     c.to_flight()
     assert c.core.phase is Phase.APPROACH
     trajectory = c.core.mission.collisions[0].trajectory

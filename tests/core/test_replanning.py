@@ -327,7 +327,7 @@ def straight_on(t_us: int, off_m: float = 0.0) -> FlightState:
 
 def asks_along(planning: ReplanRequests, state: FlightState) -> PlanRequest | None:
     """What is asked after the first contact, on the way to the second wall."""
-    hit, following, _ = ALONG.collisions
+    *_, hit, following, _ = ALONG.collisions
     over = Sensed(estimate=ForceEstimate(NOW_US, (1.3, 0.0, 0.0), False), height_m=0.02)
     lock, p = LockOrders(ALONG.vehicle.lock), Proposal()
     planning.request_once(hit, following, state, over, (2.0, -0.8, 1.0), lock, p)
