@@ -7,7 +7,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
 from dart_flight.base.geometry import GRAVITY_M_S2, Vec2, distance2
@@ -383,7 +383,7 @@ def test_a_plan_for_a_vehicle_that_coasts_begins_with_it_righting_itself() -> No
         )
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.filter_too_much])
 @given(
     place=st.tuples(st.floats(1.2, 1.55), st.floats(-0.5, 0.5)),
     velocity=st.tuples(st.floats(-1.0, 0.3), st.floats(-0.4, 0.4)),
