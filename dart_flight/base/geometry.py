@@ -59,6 +59,15 @@ def distance2(a: Vec2 | Vec3, b: Vec2 | Vec3) -> float:
     return math.hypot(a[0] - b[0], a[1] - b[1])
 
 
+def distance_to_segment(place: Vec2, a: Vec2, b: Vec2) -> float:
+    """Smallest distance of a place to the straight line from one point to another, metres."""
+    (ax, ay), (bx, by), (cx, cy) = a[:2], b[:2], place
+    dx, dy = bx - ax, by - ay
+    square = dx * dx + dy * dy
+    share = max(0.0, min(1.0, ((cx - ax) * dx + (cy - ay) * dy) / square)) if square > 0.0 else 0.0
+    return math.hypot(ax + share * dx - cx, ay + share * dy - cy)
+
+
 # --- rotations -------------------------------------------------------------------------------------
 
 

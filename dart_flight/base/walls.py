@@ -11,7 +11,7 @@ from typing import Any
 
 import msgspec
 
-from dart_flight.base.geometry import Vec2, Vec3, wrap_angle
+from dart_flight.base.geometry import Vec2, Vec3, distance_to_segment, wrap_angle
 
 
 class Post(msgspec.Struct, frozen=True):
@@ -31,11 +31,7 @@ class Post(msgspec.Struct, frozen=True):
 
     def distance_to_segment(self, a: Vec2, b: Vec2) -> float:
         """Smallest distance in metres of the axis to the straight line from one place to another."""
-        (ax, ay), (bx, by), (cx, cy) = a[:2], b[:2], self.centre
-        dx, dy = bx - ax, by - ay
-        square = dx * dx + dy * dy
-        share = max(0.0, min(1.0, ((cx - ax) * dx + (cy - ay) * dy) / square)) if square > 0.0 else 0.0
-        return math.hypot(ax + share * dx - cx, ay + share * dy - cy)
+        return distance_to_segment(self.centre, a, b)
 
 
 class Wall(msgspec.Struct, frozen=True):

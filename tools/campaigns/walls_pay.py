@@ -444,13 +444,13 @@ jerk the attitude loop follows.
 
 A hairpin's partition has no thickness, and the vehicle is 0.4 m wide: between the two lanes lie at
 least 0.4 m and the margins at the partition's end. Were it a point, the hit would gain 0.02 s at
-0.6 m and 5 m/s2 with the thrust level at the hit, as a vehicle needs it, and 0.05 s with any; 0.1 s
+0.6 m and 5 m/s2 with the thrust level at the hit, as a vehicle needs it, and 0.06 s with any; 0.1 s
 and more are gained at the limits of the automatic modes.
 
 **Touches come first.** Every flight with hits touches each wall that it hits at 0.6 m/s and rests
 at its start again before the time begins (`touch_m_s`): what is drawn moves the guards up to 4 cm
 off the centre of mass, and a first hit at 3 m/s turns such a vehicle over
-([faster_hits.md](faster_hits.md)); walls are drawn up to 10 degrees askew. So the gain is that of a
+([faster_hits.md](faster_hits.md)); walls are drawn turned by up to 10 degrees. So the gain is that of a
 vehicle that knows its walls.
 
 The shuttles are 25, and the first three seeds after those with four visits within 0.1 m, which none

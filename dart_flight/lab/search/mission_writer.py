@@ -102,7 +102,7 @@ def _with_touches(collisions: list[dict[str, Any]], speed_m_s: float, start: Vec
     """Keys of a mission that first touches each wall that it hits, and rests at its start after each.
 
     What a wall is like is known then: how it stands, and how high it pushes. Without that a first hit is good
-    up to 2 m/s (docs/results/faster_hits.md), and one of a wall that stands askew turns the vehicle.
+    up to 2 m/s (docs/results/faster_hits.md), and one of a wall that is turned turns the vehicle.
     """
     modes = {hit["wall"]: hit["mode"] for hit in reversed(collisions)}  # of a wall's first hit
     touches = [

@@ -12,7 +12,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
-from dart_flight.base.geometry import Vec2, distance2
+from dart_flight.base.geometry import Vec2, distance2, distance_to_segment
 from dart_flight.base.walls import Wall
 from dart_flight.config.mission_file import BoundsSpec
 from dart_flight.core.mission.approach import CLEARANCE_M, is_blocked
@@ -143,12 +143,8 @@ def _within_bounds(places: Sequence[Vec2], bounds: BoundsSpec) -> list[Vec2]:
 
 def _cuts(disc: Disc, a: Vec2, b: Vec2) -> bool:
     """Whether a straight path leads through a disc; from a place in it, whether it leads further in."""
-    (ax, ay), (bx, by), (cx, cy) = a, b, disc.centre
-    dx, dy = bx - ax, by - ay
-    square = dx * dx + dy * dy
-    share = max(0.0, min(1.0, ((cx - ax) * dx + (cy - ay) * dy) / square)) if square > 0.0 else 0.0
-    nearest = math.hypot(ax + share * dx - cx, ay + share * dy - cy)
-    return nearest < min(disc.radius_m, distance2(a, disc.centre), distance2(b, disc.centre))
+    nearest_m = distance_to_segment(disc.centre, a, b)
+    return nearest_m < min(disc.radius_m, distance2(a, disc.centre), distance2(b, disc.centre))
 
 
 def _on_one_side_each(path: list[Vec2], walls: Sequence[Wall], bounds: BoundsSpec) -> list[Vec2]:
