@@ -163,9 +163,15 @@ def _on_one_side_each(path: list[Vec2], walls: Sequence[Wall], bounds: BoundsSpe
 
 
 def _fits(a: Vec2, b: Vec2, wall: Wall) -> bool:
-    """Whether a straight path is on one side of a wall; of one that it begins or ends at, it is."""
-    near = (wall.spans(p) and 0.0 <= wall.signed_distance(p) < CLEARANCE_M for p in (a, b))
-    return any(near) or max(_inside(a, b, wall)) >= 0.0
+    """Whether a straight path is on one side of a wall; of one that it begins or ends at, before it."""
+    if _is_at(wall, a) or _is_at(wall, b):
+        return min(wall.signed_distance(a), wall.signed_distance(b)) >= 0.0
+    return max(_inside(a, b, wall)) >= 0.0
+
+
+def _is_at(wall: Wall, place: Vec2) -> bool:
+    """Whether a place is just before a wall, nearer than a path keeps."""
+    return wall.spans(place) and 0.0 <= wall.signed_distance(place) < CLEARANCE_M
 
 
 def _inside(a: Vec2, b: Vec2, wall: Wall) -> list[float]:
@@ -190,8 +196,9 @@ def _half_planes(wall: Wall) -> tuple[HalfPlane, ...]:
 
 def _stands_between(wall: Wall, a: Vec2, b: Vec2) -> bool:
     """As `is_blocked`, but that a place just before a wall is before it."""
-    near = [wall.spans(p) and 0.0 <= wall.signed_distance(p) < CLEARANCE_M for p in (a, b)]
-    return not any(near) and bool(is_blocked(wall, a, b))
+    if _is_at(wall, a) or _is_at(wall, b):
+        return not _fits(a, b, wall)
+    return bool(is_blocked(wall, a, b))
 
 
 def regions(

@@ -113,6 +113,23 @@ def test_a_hit_follows_the_contact_law() -> None:
     assert found.time_s == pytest.approx(total_s, abs=1e-3)
 
 
+@pytest.mark.parametrize("sequence", [["far"], ["near", "far"]])
+def test_the_far_side_of_a_partition_is_hit_from_round_its_end(sequence: list[str]) -> None:
+    """Walls of one side each, back to back: neither is come to through the other."""
+    wall = {"length_m": 1.0, "material": "acrylic"}
+    walls = {
+        "near": wall | {"point_m": [1.0, 0.0], "normal": [-1.0, 0.0]},
+        "far": wall | {"point_m": [1.5, 0.0], "normal": [1.0, 0.0]},
+    }
+    found = plan_quickest(between(visits=[], walls=walls, sequence=sequence)).best.trajectory
+    assert [hit.wall for hit in found.hits] == sequence
+    assert found.hits[-1].normal_m_s < 0.0
+    places = np.array([state.position for leg in found.legs for state in leg.states()])
+    between_them = (places[:, 0] > 1.02) & (places[:, 0] < 1.48)
+    assert between_them.any()
+    assert np.abs(places[between_them, 1]).min() > 0.5
+
+
 def test_where_a_hit_loses_the_free_plan_is_returned() -> None:
     """To rest beside a wall: restitution 0.7 leaves too much to brake."""
     goal = {"position_m": [1.7, 0.0]}
