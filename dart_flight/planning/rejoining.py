@@ -2,8 +2,10 @@
 
 The planned trajectory, from some moment of it on and perhaps a little slower, plus a polynomial of fifth
 order per axis that begins with what the vehicle's state differs by and is gone, with its first two
-derivatives, at the trajectory's end. So the shape that an optimiser found is kept, and where, and how fast,
-it ends; what differs is small, and so is what it asks for beyond the planned accelerations.
+derivatives, some time before the trajectory's end. So the shape that an optimiser found is kept, and where,
+and how fast, it ends; what differs is small, and so is what it asks for beyond the planned accelerations.
+Before a wall the last tenths are those of the plan (but for the wall's place, and the lean that it wants):
+what is made up for until the very end leaves the vehicle turning as it hits.
 """
 
 from __future__ import annotations
@@ -26,6 +28,9 @@ _SAMPLES = 24
 _STEP_S = 0.03  # of the moments of the planned trajectory at which a trajectory may begin
 _SLOWER = (1.0, 1.05, 1.1, 1.2, 1.35, 1.6, 2.0)
 _LEAST_S = 0.2  # of a trajectory
+_SAME_S = 1e-6  # pieces that are shorter are none
+SETTLED_S = 0.2  # before a wall, in which a trajectory is the planned one again: the attitude's lag
+_SETTLED_SHARE = 0.3  # of a trajectory, at most
 
 
 class RejoiningTrajectories(NamedTuple):
@@ -36,7 +41,9 @@ class RejoiningTrajectories(NamedTuple):
         shares: (k,) the moments, of each trajectory's duration.
         from_s, slower, duration_s: (n,) where on the planned trajectory each begins, how much slower it is
             flown, and how long it lasts.
-        added: (2, n, 6) coefficients of the polynomials that are added, constant term first.
+        settled_s: (n,) since its beginning, from when on each is as planned again.
+        added: (2, n, 6) coefficients of the polynomials that are added until then, constant term first.
+        kept: (2, n, 6) likewise from then on, about `settled_s`: what the end is moved and pushed by.
         position, velocity, acceleration, jerk: (2, n, k), mission frame.
     """
 
@@ -45,7 +52,9 @@ class RejoiningTrajectories(NamedTuple):
     from_s: Array
     slower: Array
     duration_s: Array
+    settled_s: Array
     added: Array
+    kept: Array
     position: Array
     velocity: Array
     acceleration: Array
@@ -53,34 +62,41 @@ class RejoiningTrajectories(NamedTuple):
 
     def take(self, rows: Rows) -> RejoiningTrajectories:
         """The chosen trajectories."""
-        by_row = (self.from_s[rows], self.slower[rows], self.duration_s[rows])
-        return RejoiningTrajectories(self.planned, self.shares, *by_row, *(v[:, rows] for v in self[5:]))
+        by_row = (v[rows] for v in self[2:6])
+        return RejoiningTrajectories(self.planned, self.shares, *by_row, *(v[:, rows] for v in self[6:]))
 
     def trajectory(self, row: int) -> PlannedTrajectory:
         """One trajectory as polynomials, one after the other."""
         planned, slower, begin = self.planned, float(self.slower[row]), float(self.from_s[row])
         pieces: list[float] = []
         axes: tuple[list[float], list[float]] = ([], [])
-        piece_end = 0.0
-        for i, length in enumerate(planned.pieces_s):
-            piece_begin, piece_end = piece_end, piece_end + length
-            since = max(0.0, begin - piece_begin)
-            if length - since <= 1e-6:
+        settled_s, ends = float(self.settled_s[row]), np.cumsum(planned.pieces_s)
+        settled = begin + settled_s / slower
+        bounds = sorted({begin, *(float(end) for end in ends if end > begin), min(settled, float(ends[-1]))})
+        for first, last in itertools.pairwise(bounds):
+            if last - first <= _SAME_S:
                 continue
-            at_s = slower * (piece_begin + since - begin)
+            i = min(int(np.searchsorted(ends, first + 0.5 * _SAME_S, side="right")), ends.size - 1)
+            since = first - (float(ends[i - 1]) if i else 0.0)
+            before = first < settled - 0.5 * _SAME_S
+            more, at_s = (self.added, 0.0) if before else (self.kept, settled_s)
             for axis, written in enumerate((planned.x, planned.y)):
                 shape = _moved(written[6 * i : 6 * i + 6], since)
-                added = _moved(tuple(self.added[axis, row]), at_s)
+                added = _moved(tuple(more[axis, row]), slower * (first - begin) - at_s)
                 slowed = [c / slower**k for k, c in enumerate(shape)]
                 axes[axis].extend(float(c + d) for c, d in zip(slowed, added, strict=True))
-            pieces.append(slower * (length - since))
+            pieces.append(slower * (last - first))
         return PlannedTrajectory(
             tuple(axes[0]), tuple(axes[1]), sum(pieces), planned.altitude_m, tuple(pieces)
         )
 
 
 def rejoin(
-    planned: PlannedTrajectory, start: tuple[Array, Array], moved: Vec2, pushed: Vec2 = (0.0, 0.0)
+    planned: PlannedTrajectory,
+    start: tuple[Array, Array],
+    moved: Vec2,
+    pushed: Vec2 = (0.0, 0.0),
+    settled_s: float = 0.0,
 ) -> RejoiningTrajectories:
     """The trajectories back to a planned trajectory that may be tried.
 
@@ -89,6 +105,8 @@ def rejoin(
         start: position, velocity and acceleration per axis, where the trajectory begins; mission frame.
         moved: by how much the end lies elsewhere than planned, m.
         pushed: by how much the acceleration there is another than planned, m/s2.
+        settled_s: before the end, in which it is as planned but for these two; a trajectory that is short
+            has less.
     """
     tried = [
         (begin, slower)
@@ -100,13 +118,22 @@ def rejoin(
     shares = np.linspace(0.0, 1.0, _SAMPLES)
     times = from_s[:, None] + shares * (planned.duration_s - from_s)[:, None]
     shape = _sampled(planned, times) / slower[:, None] ** np.arange(4)[:, None, None, None]
-    added = np.empty((2, from_s.size, 6))
+    settled = np.minimum(settled_s, _SETTLED_SHARE * duration)  # before the end
+    until = duration - settled
+    added, kept = np.empty((2, from_s.size, 6)), np.zeros((2, from_s.size, 6))
     for axis in range(2):
         away = [start[axis][order] - shape[order, axis, :, 0] for order in range(3)]
-        added[axis] = quintic(away, (moved[axis], 0.0, pushed[axis]), duration).T
+        push = pushed[axis] * np.ones_like(duration)
+        left = (moved[axis] + 0.5 * push * settled**2, -push * settled, push)
+        added[axis] = quintic(away, left, until).T
+        kept[axis, :, :3] = np.stack([left[0], left[1], 0.5 * push], axis=1)
     since = shares * duration[:, None]
-    states = [shape[order] + _derivative(added, since, order) for order in range(4)]
-    return RejoiningTrajectories(planned, shares, from_s, slower, duration, added, *states)
+    early, late = np.minimum(since, until[:, None]), np.maximum(since - until[:, None], 0.0)
+    states = [
+        shape[order] + np.where(late > 0.0, _derivative(kept, late, order), _derivative(added, early, order))
+        for order in range(4)
+    ]
+    return RejoiningTrajectories(planned, shares, from_s, slower, duration, until, added, kept, *states)
 
 
 def _sampled(planned: PlannedTrajectory, times: Array) -> Array:

@@ -42,7 +42,7 @@ from dart_flight.planning.contact_stage import build_stages, expm
 from dart_flight.planning.flight_model import Array, GridWindow, Rows, loop_matrix
 from dart_flight.planning.polynomials import quintic
 from dart_flight.planning.predicted_flight import impact_place, predict_mission
-from dart_flight.planning.rejoining import rejoin
+from dart_flight.planning.rejoining import SETTLED_S, rejoin
 from dart_flight.planning.task import MissionTask, drag_along
 
 _DURATIONS_S = np.arange(0.3, 4.01, 0.05)
@@ -193,7 +193,8 @@ class Replanner:
             out_m = self._mission.vehicle.airframe.contact_distance_m
             push_m_s2 = balancing_m_s2(request.contact_height_m, out_m)
             pushed = (push_m_s2 * wall.normal[0], push_m_s2 * wall.normal[1])
-        rejoining = rejoin(written, self._start(request), moved, pushed)
+        settled_s = 0.0 if collision is None else SETTLED_S
+        rejoining = rejoin(written, self._start(request), moved, pushed, settled_s)
         if collision is not None:
             assert request.lock_ready_us is not None
             ready_s = (request.lock_ready_us - request.begin_us) * 1e-6

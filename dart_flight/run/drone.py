@@ -12,6 +12,7 @@ from dart_flight.run.app import FlightApp
 from dart_flight.run.computer import ComputerWatch
 from dart_flight.run.embedded import DEADMAN_NOTE
 from dart_flight.run.flight_record import FlightRecord, Onlooker
+from dart_flight.run.prepare import with_px4_delays
 from dart_flight.vehicle.link import LinkLease
 
 
@@ -36,6 +37,7 @@ def fly_vehicle(
     if lease is None:
         with LinkLease(url, "fly") as own:
             return fly_vehicle(mission, url, log_dir, progress, own, viewer)
+    mission = with_px4_delays(mission)
     record = FlightRecord(mission, World.DRONE, None, log_dir, viewer=viewer)
     try:
         note = record.folder / DEADMAN_NOTE

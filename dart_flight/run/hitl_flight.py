@@ -15,6 +15,7 @@ from dart_flight.run.app import FlightApp
 from dart_flight.run.computer import ComputerWatch
 from dart_flight.run.embedded import DEADMAN_NOTE
 from dart_flight.run.flight_record import FlightRecord, Onlooker
+from dart_flight.run.prepare import with_px4_delays
 from dart_flight.run.simulator_process import HitlProcess, SimulatorProcess, fly_simulated
 from dart_flight.sim.draws import draw_world
 from dart_flight.sim.pipe import HitlSpec, SimulatorSpec
@@ -57,6 +58,7 @@ def fly_hitl(
         LinkTakenError: another program has one of the links.
         SimulatorError, VehicleError: the flight controller does not answer on one of its links.
     """
+    mission = with_px4_delays(mission)
     drawn = draw_world(mission, seed, spreads or {})
     with LinkLease(url, "dry-run --hitl") as lease, LinkLease(hitl_url, "dry-run --hitl"):
         record = FlightRecord(mission, World.HITL, seed, log_dir, drawn.drawn, viewer=viewer)

@@ -14,6 +14,10 @@ from dart_flight.core.flight_core import FlightCore
 from dart_flight.core.mission.approach import NoApproachError
 from dart_flight.planning.envelope import impact_problem
 
+# Measured on v1.18 SITL (docs/results/faster_hits.md): from an odometry sample's stamp to the attitude
+# setpoint that its answer makes, and the part of the attitude's lag that is its rate loop's.
+_PX4_DELAYS_S = {"setpoint_delay_s": 0.024, "attitude_delay_s": 0.05}
+
 
 def load_flyable(path: str | Path, config: str | Path | None = None, settings: Sequence[str] = ()) -> Mission:
     """Load a mission and make sure that its approaches have room and its impacts keep to its limit.
@@ -53,6 +57,15 @@ def with_driver(mission: Mission, driver: LockDriver | None) -> Mission:
         raise InputError("this vehicle has no lock", key=("--driver",))
     lock = msgspec.structs.replace(mission.vehicle.lock, driver=driver)
     vehicle = msgspec.structs.replace(mission.vehicle, lock=lock)
+    return msgspec.structs.replace(mission, vehicle=vehicle)
+
+
+def with_px4_delays(mission: Mission) -> Mission:
+    """The mission with PX4's delays from sample to attitude, where the configuration does not say others."""
+    flying = mission.vehicle.flying
+    own = {name: default_s for name, default_s in _PX4_DELAYS_S.items() if getattr(flying, name) is None}
+    flying = msgspec.structs.replace(flying, **own)
+    vehicle = msgspec.structs.replace(mission.vehicle, flying=flying)
     return msgspec.structs.replace(mission, vehicle=vehicle)
 
 

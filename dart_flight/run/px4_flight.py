@@ -18,6 +18,7 @@ from dart_flight.recording.found import PX4_LOG
 from dart_flight.recording.verdict import Px4Figures, Verdict
 from dart_flight.run.app import FlightApp
 from dart_flight.run.flight_record import FlightRecord, Onlooker
+from dart_flight.run.prepare import with_px4_delays
 from dart_flight.run.simulator_process import Px4SimulatorProcess, SimulatorProcess, fly_simulated
 from dart_flight.sim.draws import draw_world
 from dart_flight.sim.pipe import Px4SimulatorSpec, SimulatorSpec, need_mavlink
@@ -65,7 +66,7 @@ def fly_px4(
     problem = frame_problem(mission, position_from)
     if problem is not None:
         raise InputError(problem, source=mission.source, key=("frame", "origin"))
-    mission = _for_lockstep(mission, speed)
+    mission = with_px4_delays(_for_lockstep(mission, speed))
     parameters = flight_parameters(mission.vehicle, position_from, list(parameter_files))
     drawn = draw_world(mission, seed, spreads or {})
     record = FlightRecord(mission, World.PX4, seed, log_dir, drawn.drawn, viewer=viewer)

@@ -5,6 +5,9 @@ from __future__ import annotations
 import math
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from msgspec import structs
 
 from dart_flight.base.geometry import MissionFrame, Vec3
 from dart_flight.base.records import AttitudeSample, OdometrySample, Setpoint
@@ -20,6 +23,9 @@ MISSION = load_mission(packaged("missions", "paper_single_wall.yaml"))
 FLYING, ALTITUDE_M = MISSION.vehicle.flying, MISSION.altitude_m
 FRAME = MissionFrame(2.0, -1.0, 0.3, 0.6)
 NO_PUSH: Vec3 = (0.0, 0.0, 0.0)
+INTO_A_WALL = PlannedTrajectory(
+    (0.0, 1.0, 0.5, 0.1, 0.0, 0.0), (0.0, -0.4, 0.25, -0.2, 0.0, 0.0), 2.0, ALTITUDE_M
+)
 
 
 def parts(setpoint: Setpoint) -> tuple[Vec3, Vec3 | None, Vec3 | None]:
@@ -41,6 +47,12 @@ def says(setpoint: Setpoint, *wanted: Vec3 | None) -> bool:
 def standing() -> SetpointGenerator:
     references = SetpointGenerator(MISSION)
     references.stand((1.0, 2.0, 0.7), 0.2, 0)
+    return references
+
+
+def standing_on(trajectory: PlannedTrajectory) -> SetpointGenerator:
+    references = standing()
+    references.follow_trajectory(trajectory)
     return references
 
 
@@ -99,6 +111,70 @@ def test_drag_and_what_the_d_term_takes_are_fed_forward_ahead_of_the_attitudes_l
         later_m_s = at.velocity[axis] + ATTITUDE_LAG_S * at.acceleration[axis]
         later_m_s2 = at.acceleration[axis] + ATTITUDE_LAG_S * at.jerk[axis]
         assert fed[axis] == pytest.approx(drag * later_m_s + later_m_s2 + kd * at.acceleration[axis])
+
+
+def late(delay_s: float, dead_s: float = 0.0) -> SetpointGenerator:
+    """On a mission that says so much of the autopilot's delays."""
+    flying = structs.replace(FLYING, setpoint_delay_s=delay_s, attitude_delay_s=dead_s)
+    vehicle = structs.replace(MISSION.vehicle, flying=flying)
+    references = SetpointGenerator(structs.replace(MISSION, vehicle=vehicle))
+    references.stand((1.0, 2.0, 0.7), 0.2, 0)
+    references.follow_trajectory(INTO_A_WALL)
+    return references
+
+
+@given(st.floats(0.0, 0.1), st.floats(0.0, 1.9))
+def test_a_setpoint_is_of_the_moment_at_which_it_is_flown(delay_s: float, since_s: float) -> None:
+    """Along a trajectory: that of one without a delay, so much later."""
+    at_us, later_us = round(since_s * 1e6), round((since_s + delay_s) * 1e6)
+    found = parts(late(delay_s).setpoint(FRAME, at_us, 0, 0))
+    wanted = parts(standing_on(INTO_A_WALL).setpoint(FRAME, later_us, 0, 0))
+    for one, other in zip(found, wanted, strict=True):
+        assert one == pytest.approx(other, abs=1e-4)
+
+
+@given(st.floats(0.0, 0.1), st.floats(0.0, 0.1), st.floats(0.0, 2.2))
+def test_thrust_is_asked_for_ahead_of_the_attitudes_dead_time(
+    delay_s: float, dead_s: float, since_s: float
+) -> None:
+    """Position and velocity of one moment, acceleration and jerk of another, neither beyond the wall."""
+    at_us, end_s = round(since_s * 1e6), INTO_A_WALL.duration_s
+    place, velocity, fed = parts(late(delay_s, dead_s).setpoint(FRAME, at_us, 0, 0))
+    flown_s = max(at_us * 1e-6, min(at_us * 1e-6 + delay_s, end_s))
+    flown, tilted = INTO_A_WALL.at(flown_s), INTO_A_WALL.at(max(flown_s, min(flown_s + dead_s, end_s)))
+    assert place == pytest.approx(flown.position, abs=1e-9)
+    assert velocity == pytest.approx(flown.velocity, abs=1e-9)
+    assert fed is not None
+    kd, lead_s = MISSION.vehicle.px4.mpc_xy_vel_d_acc, ATTITUDE_LAG_S - dead_s
+    for axis, drag in enumerate(MISSION.vehicle.airframe.drag_per_s[:2]):
+        push = (1.0 + kd + lead_s * drag) * tilted.acceleration[axis] + lead_s * tilted.jerk[axis]
+        assert fed[axis] == pytest.approx(push + drag * flown.velocity[axis], abs=1e-9)
+
+
+def test_before_a_wall_the_delay_asks_for_nothing_beyond_it() -> None:
+    """The last moments ask for the thrust at the wall, and of the velocity what the vehicle has."""
+    references, end_us = late(0.03, 0.05), round(1e6 * INTO_A_WALL.duration_s)
+    wall, motion = MISSION.walls[0], (0.7, -0.1, 0.0)
+    sample = OdometrySample(
+        end_us - 10_000, 0, FRAME.point_to_ned((2.0, 1.0, ALTITUDE_M)), FRAME.vector_to_ned(motion)
+    )
+    place, velocity, fed = parts(references.coasting_setpoint(FRAME, sample, 0, wall))
+    at_wall = INTO_A_WALL.at(INTO_A_WALL.duration_s)
+    assert fed is not None
+    kd, lead_s = MISSION.vehicle.px4.mpc_xy_vel_d_acc, ATTITUDE_LAG_S - 0.05
+    for axis, drag in enumerate(MISSION.vehicle.airframe.drag_per_s[:2]):
+        push = (1.0 + kd + lead_s * drag) * at_wall.acceleration[axis] + lead_s * at_wall.jerk[axis]
+        assert fed[axis] == pytest.approx(push + drag * at_wall.velocity[axis])
+    assert velocity is not None
+    across = [wall.normal[axis] for axis in range(2)]
+    assert sum(v * n for v, n in zip(velocity, across, strict=False)) == pytest.approx(
+        sum(v * n for v, n in zip(motion, across, strict=False))
+    )
+    # Where the vehicle is when the setpoint is flown, across the wall: nothing to brake for.
+    there = (2.0 + 0.03 * motion[0], 1.0 + 0.03 * motion[1])
+    assert sum(p * n for p, n in zip(place, across, strict=False)) == pytest.approx(
+        sum(p * n for p, n in zip(there, across, strict=False))
+    )
 
 
 def test_on_the_climb_only_drag_is_added() -> None:

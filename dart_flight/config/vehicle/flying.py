@@ -89,6 +89,11 @@ class Flying(Section, frozen=True):
         arrive_s: both have to hold for this long.
         arrive_mean_s: the speed is that of the mean velocity over this long, as PX4's estimate shakes with
             the accelerometer.
+        setpoint_delay_s: from the stamp of an odometry sample to when the autopilot flies the setpoint that
+            answers it; the reference is taken so much later. null: 0.024 with PX4, none in the embedded
+            simulator.
+        attitude_delay_s: of the time by which thrust is asked for ahead, as much as the attitude's rate loop
+            takes before anything happens. null: 0.05 with PX4, none in the embedded simulator.
         ready_timeout_s: longest wait for telemetry, offboard mode, arming, the end of climb or transit.
         replan_within_s: from the end of a contact to the beginning of a trajectory planned in flight; the
             planner has so long to answer.
@@ -106,3 +111,5 @@ class Flying(Section, frozen=True):
     replan_within_s: Annotated[float, Meta(gt=0.0, le=2.0)] = 0.1
     arrive_mean_s: Annotated[float, Meta(gt=0.0, le=1.0)] = 0.3
     jerk_m_s3: Annotated[float, Meta(gt=0.0, le=1000.0)] | None = None
+    setpoint_delay_s: Annotated[float, Meta(ge=0.0, le=0.2)] | None = None
+    attitude_delay_s: Annotated[float, Meta(ge=0.0, le=0.15)] | None = None

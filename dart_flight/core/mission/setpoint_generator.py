@@ -5,7 +5,9 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from dart_flight.base.geometry import MissionFrame, Vec2, Vec3, norm, wrap_angle
+import msgspec
+
+from dart_flight.base.geometry import MissionFrame, Vec2, Vec3, add, norm, scale, wrap_angle
 from dart_flight.base.records import OdometrySample, Setpoint
 from dart_flight.base.walls import Wall
 from dart_flight.config.mission import Mission
@@ -50,6 +52,8 @@ class SetpointGenerator:
         self._arrived_m = flying.arrive_m * (_DRIFTING_NEAR if drifts else 1.0)
         self._arrived_m_s = flying.arrive_speed_m_s * (_DRIFTING_SLOW if drifts else 1.0)
         self._arrived_rad = _ARRIVED_YAW_RAD * (_DRIFTING_TURNED if drifts else 1.0)
+        self._delay_s = flying.setpoint_delay_s or 0.0
+        self._dead_s = flying.attitude_delay_s or 0.0
 
     # -- where to --
 
@@ -164,7 +168,7 @@ class SetpointGenerator:
         """
         if self._trajectory is None or since_us is None:
             return self._make(frame, t_us, received_us, self.target, feed_forward=feed_forward)
-        reference = self._trajectory.at((t_us - since_us) * 1e-6)
+        reference = self._reference((t_us - since_us) * 1e-6)
         return self._make(frame, t_us, received_us, reference.position, reference)
 
     def coasting_setpoint(
@@ -176,9 +180,10 @@ class SetpointGenerator:
         a leaning vehicle over. But for `push_m_s2` off the wall, that balances it.
         """
         assert self._trajectory is not None
-        reference = self._trajectory.at((sample.t_us - since_us) * 1e-6)
+        reference = self._reference((sample.t_us - since_us) * 1e-6)
         (nx, ny), p, v = wall.normal, reference.position, reference.velocity
-        here, now = frame.point_from_ned(sample.position_ned), frame.vector_from_ned(sample.velocity_ned)
+        now = frame.vector_from_ned(sample.velocity_ned)
+        here = add(frame.point_from_ned(sample.position_ned), scale(now, self._delay_s))
         off = (here[0] - p[0]) * nx + (here[1] - p[1]) * ny
         off_m_s = (now[0] - v[0]) * nx + (now[1] - v[1]) * ny
         ax, ay, az = self._feed_forward(reference)
@@ -251,16 +256,34 @@ class SetpointGenerator:
             recovery=recovery,
         )
 
+    def _reference(self, since_s: float) -> TrajectoryPoint:
+        """Position and velocity when the setpoint is flown; acceleration and jerk ahead, for the attitude.
+
+        Never beyond the wall before its time: a trajectory asks for no thrust there.
+        """
+        trajectory = self._trajectory
+        assert trajectory is not None
+        if isinstance(trajectory, Approach):  # at a steady speed through its wall
+            end_s = math.inf
+        else:
+            end_s = self.impact_s if isinstance(trajectory, PlannedApproach) else self.duration_s
+        flown_s = min(since_s + self._delay_s, max(since_s, end_s))
+        reference, tilted_s = trajectory.at(flown_s), min(flown_s + self._dead_s, max(flown_s, end_s))
+        if tilted_s == flown_s:
+            return reference
+        tilted = trajectory.at(tilted_s)
+        return msgspec.structs.replace(reference, acceleration=tilted.acceleration, jerk=tilted.jerk)
+
     def _feed_forward(self, reference: TrajectoryPoint) -> Vec3:
         """Acceleration fed forward, mission frame, m/s2.
 
         Beside the reference's own: the drag that it will meet, and what PX4's D term takes away again, so
         that no error builds up for the position loop to make up for. The lead in time makes up for the
-        attitude's lag, so that a wall is met at the planned velocity.
+        attitude's lag, but for its dead time (`_reference`), so that a wall is met at the planned velocity.
         """
         b, v, a = self._mission.vehicle.airframe.drag_per_s, reference.velocity, reference.acceleration
         d = 1.0 + self._mission.vehicle.px4.mpc_xy_vel_d_acc
-        lead, j = ATTITUDE_LAG_S, reference.jerk
+        lead, j = ATTITUDE_LAG_S - self._dead_s, reference.jerk
         return (
             (d + lead * b[0]) * a[0] + b[0] * v[0] + lead * j[0],
             (d + lead * b[1]) * a[1] + b[1] * v[1] + lead * j[1],
