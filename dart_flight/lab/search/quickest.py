@@ -264,6 +264,11 @@ class _Search:
         self.colliding: QuickestPlan | None = None
         self.computed = self.pruned = 0
         self.least_open_s = math.inf
+        # Asked for with every bound: computed once.
+        self._responses = {
+            (wall.name, mode): ContactResponse.of(self.vehicle, wall, mode)
+            for wall, mode in itertools.product(self.walls, scenario.modes)
+        }
         self._least = LeastTimes(self.limits, self._most_left_m_s())
         self._obstacles = Obstacles.of(scenario)
         self._room, self._demanded = room_of(scenario), _demanded(scenario)
@@ -366,7 +371,7 @@ class _Search:
         """The most speed that any hit leaves: all of what slides along the wall, a part of what closes in."""
         fastest, hits, left = self.limits.speed_m_s, self.hits, 0.0
         for wall, mode in itertools.product(self.walls, self.scenario.modes):
-            one = ContactResponse.of(self.vehicle, wall, mode)
+            one = self._responses[wall.name, mode]
             slides = min(fastest, most_sliding_m_s(hits, one))
             closes = math.sqrt(fastest**2 - slides**2)
             closes = min(closes, hits.closing_m_s or math.inf, hits.peak_force_n / one.peak_n_per_m_s)
@@ -374,7 +379,7 @@ class _Search:
         return left
 
     def _least_contact_s(self, wall: Wall) -> float:
-        return min(ContactResponse.of(self.vehicle, wall, mode).contact_s for mode in self.scenario.modes)
+        return min(self._responses[wall.name, mode].contact_s for mode in self.scenario.modes)
 
     @property
     def _goal(self) -> Vec2:
