@@ -59,6 +59,7 @@ _SWEEPS = 12  # of the shortest path through discs and walls
 _SLACK = 0.98  # of a leg, because the sweeps end before the path is quite the shortest
 _REVERSAL_COSINE = -0.9  # between the legs to and from a place at which the path turns back
 _SPEEDS = 61
+_TRIED_IN_OTHER_MODE = 3  # sequences, the quickest in the first mode
 _SEARCHED = 0.94  # of the time there is; what is found is polished in the rest
 _OFF_BOUNDS_M = 0.1  # that a trajectory keeps from them
 
@@ -276,7 +277,7 @@ class _Search:
     def run(self, enough: Callable[[], bool], progress: Progress) -> None:
         """Compute sequences, best bound first, until no other can be better, or it is enough."""
         self.free = self._solved(tuple(self._visits()))
-        tie = itertools.count()
+        tie, found = itertools.count(), list[QuickestPlan]()
         open_ = [(self._bound_s(events), next(tie), events) for events in self._serving_sequences()]
         heapq.heapify(open_)
         seen = {events for _, _, events in open_}
@@ -291,12 +292,18 @@ class _Search:
                 break
             if self._is_wanted(events):
                 plan = self._solved(events)
-                if plan is not None and (self.colliding is None or plan.time_s < self.colliding.time_s):
-                    self.colliding = plan
+                found += [] if plan is None else [plan]
+                self.colliding = min((*found, self.colliding), key=_time_s)
             for more in self._with_one_more(events):
                 if more not in seen and (bound_s := self._bound_s(more)) < self._to_beat_s():
                     heapq.heappush(open_, (bound_s, next(tie), more))
                     seen.add(more)
+        # Another mode may make the second or third the first.
+        for plan in sorted(found, key=_time_s)[:_TRIED_IN_OTHER_MODE]:
+            for mode in self.scenario.modes:
+                events = tuple(e._replace(mode=mode) if isinstance(e, Hit) else e for e in plan.events)
+                other = None if events == plan.events else self._solved(events)
+                self.colliding = min(other, self.colliding, key=_time_s)
         if self.colliding is not None:
             self.colliding = self._with_best_modes(self.colliding)
         self.free, self.colliding = self._polished(self.free), self._polished(self.colliding)
@@ -442,6 +449,10 @@ class _Search:
     def _polished(self, plan: QuickestPlan | None) -> QuickestPlan | None:
         """The same flight in finer intervals."""
         return plan and (self._solved(plan.events, POLISHED) or plan)
+
+
+def _time_s(plan: QuickestPlan | None) -> float:
+    return math.inf if plan is None else plan.time_s
 
 
 def _walls_hit(events: Sequence[Event]) -> tuple[str, ...]:

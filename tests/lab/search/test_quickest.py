@@ -130,6 +130,14 @@ def test_the_far_side_of_a_partition_is_hit_from_round_its_end(sequence: list[st
     assert np.abs(places[between_them, 1]).min() > 0.5
 
 
+def test_another_mode_may_make_the_second_sequence_the_first() -> None:
+    """Flexible, a hit of the partition's side is the quickest; rigid, which may lean, one of the end wall."""
+    plan = plan_map("hairpin", 1, "position")
+    assert "wall: end" in plan.hit_mission
+    assert plan.hit_there_s is not None
+    assert plan.hit_there_s < 3.9  # 3.99 with flexible arms
+
+
 def test_where_a_hit_loses_the_free_plan_is_returned() -> None:
     """To rest beside a wall: restitution 0.7 leaves too much to brake."""
     goal = {"position_m": [1.7, 0.0]}
