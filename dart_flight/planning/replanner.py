@@ -193,7 +193,9 @@ class Replanner:
             out_m = self._mission.vehicle.airframe.contact_distance_m
             push_m_s2 = balancing_m_s2(request.contact_height_m, out_m)
             pushed = (push_m_s2 * wall.normal[0], push_m_s2 * wall.normal[1])
-        settled_s = 0.0 if collision is None else SETTLED_S
+        # Where the attitude follows a trajectory to its end, that end is the plan's; else its lag softens it.
+        follows = collision is not None and bool(self._mission.vehicle.flying.attitude_delay_s)
+        settled_s = SETTLED_S if follows else 0.0
         rejoining = rejoin(written, self._start(request), moved, pushed, settled_s)
         if collision is not None:
             assert request.lock_ready_us is not None
