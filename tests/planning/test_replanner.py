@@ -325,6 +325,26 @@ def test_who_is_pushed_above_the_centre_of_mass_leans_into_the_wall(height_m: fl
     assert pushes[0] - pushes[1] == pytest.approx(lean * GRAVITY_M_S2, abs=0.5)
 
 
+@pytest.mark.parametrize("dead_s", [None, 0.05])
+def test_it_ends_as_planned_where_the_attitude_follows_to_the_end(dead_s: float | None) -> None:
+    """Before a wall, 0.2 s of the mission's own jerk; else what leads back to it lasts until the wall."""
+    log = read_log(FLIGHT)
+    mission = flown_mission(log.about, log.source)
+    flying = msgspec.structs.replace(mission.vehicle.flying, attitude_delay_s=dead_s)
+    vehicle = msgspec.structs.replace(mission.vehicle, flying=flying)
+    request = next(e.record for e in log.entries if isinstance(e.record, PlanRequest))
+    way = way_of(Replanner(msgspec.structs.replace(mission, vehicle=vehicle)).answer(request, 0))
+    written = mission.collisions[1].trajectory
+    assert written is not None
+    planned = PlannedTrajectory.from_pieces(written, mission.altitude_m)
+    off = [
+        math.dist(way.at(way.duration_s - s).jerk, planned.at(planned.duration_s - s).jerk)
+        for s in (0.02, 0.1, 0.18)
+    ]
+    assert (max(off) < 1e-6) == (dead_s is not None)
+    assert math.dist(way.at(way.duration_s - 0.25).jerk, planned.at(planned.duration_s - 0.25).jerk) > 0.1
+
+
 def test_a_trajectory_under_way_is_not_given_up_for_a_slower_hit() -> None:
     """Half a second before the wall the planned speed can no longer be had: what is flown goes on."""
     shuttle = load_mission(packaged("missions", "shuttle.yaml"))
