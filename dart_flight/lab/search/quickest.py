@@ -293,7 +293,7 @@ class _Search:
             if self._is_wanted(events):
                 plan = self._solved(events)
                 found += [] if plan is None else [plan]
-                self.colliding = min((*found, self.colliding), key=_time_s)
+                self.colliding = min(plan, self.colliding, key=_time_s)
             for more in self._with_one_more(events):
                 if more not in seen and (bound_s := self._bound_s(more)) < self._to_beat_s():
                     heapq.heappush(open_, (bound_s, next(tie), more))
