@@ -297,10 +297,18 @@ def _touches(wall: Wall, w: GridWindow) -> NDArray[np.bool_]:
 
 
 def _meets(post: Post, corner_m: float, w: GridWindow) -> NDArray[np.bool_]:
-    """Whether the vehicle comes nearer to a post than it may, turned as it likes; leaving one is free."""
+    """Whether the vehicle comes nearer to a post than it may, turned as it likes; leaving one is free.
+
+    Between two grid points it flies straight: they may lie a good part of the post's reach apart.
+    """
     x, y = w.x - np.float32(post.centre[0]), w.y - np.float32(post.centre[1])
-    near = x * x + y * y < np.float32((post.radius_m + corner_m) ** 2)
-    meets: NDArray[np.bool_] = near & (x * w.vx + y * w.vy < 0.0)
+    reach2 = np.float32((post.radius_m + corner_m) ** 2)
+    comes = x * w.vx + y * w.vy < 0.0
+    meets: NDArray[np.bool_] = comes & (x * x + y * y < reach2)
+    dx, dy = np.diff(x, axis=1), np.diff(y, axis=1)
+    x, y = x[:, :-1], y[:, :-1]
+    share = np.clip(-(x * dx + y * dy) / np.maximum(dx * dx + dy * dy, np.float32(1e-12)), 0.0, 1.0)
+    meets[:, 1:] |= comes[:, :-1] & ((x + share * dx) ** 2 + (y + share * dy) ** 2 < reach2)
     return meets
 
 

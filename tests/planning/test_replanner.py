@@ -7,7 +7,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, assume, given, settings
+from hypothesis import HealthCheck, assume, example, given, settings
 from hypothesis import strategies as st
 
 from dart_flight.base.geometry import GRAVITY_M_S2, Vec2, distance2
@@ -410,6 +410,7 @@ def test_a_plan_for_a_vehicle_that_coasts_begins_with_it_righting_itself() -> No
     share=st.floats(0.4, 0.6),
     beside_m=st.floats(-0.2, 0.2),
 )
+@example(place=(1.375, 0.0), velocity=(-1.0, 0.0), share=0.5, beside_m=0.0)  # between two samples
 def test_no_trajectory_leads_into_a_post(place: Vec2, velocity: Vec2, share: float, beside_m: float) -> None:
     """Between vehicle and goal: where the quickest would meet it, another is flown, or none."""
     goal, radius_m = MISSION.goal.position_m, 0.05
