@@ -12,6 +12,7 @@ from dart_flight.base.geometry import quaternion_from_euler
 from dart_flight.base.records import (
     ClockOffset,
     ContactEnd,
+    EstimatorSample,
     FlightMode,
     GoalPassed,
     GuardEvent,
@@ -115,7 +116,7 @@ def lands(c: HandFedCore, seconds: float) -> list[float]:
 def test_the_guard_asks_for_its_landing_every_second_until_telemetry_shows_it() -> None:
     c = HandFedCore()
     c.to_flight()
-    c.q = quaternion_from_euler(1.2, 0.0, 0.0)  # lands at once
+    c.position_ned = (0.0, 0.0, -2.2)  # lands at once
     times = lands(c, 3.5)
     assert [round(t) for t in times] == [0, 1, 2, 3]
     assert all(0.99 < b - a < 1.02 for a, b in itertools.pairwise(times))
@@ -149,8 +150,24 @@ def test_a_stronger_action_asks_at_once_and_does_not_wait_for_the_retry_of_a_wea
     c.to_flight()
     c.give(OperatorRequest(c.t_us, Request.LAND))
     assert lands(c, 1.6) == [pytest.approx(1.5, abs=0.02)]
-    c.q = quaternion_from_euler(1.2, 0.0, 0.0)  # lands at once
-    assert lands(c, 0.1) == [pytest.approx(0.0, abs=0.01)]
+    c.give(EstimatorSample(c.t_us, c.t_us, healthy=False))
+    bad_s = c.core.mission.vehicle.guard.estimator_bad_s
+    assert lands(c, 0.9) == [pytest.approx(bad_s, abs=0.03)]
+
+
+def test_a_vehicle_that_is_turned_over_is_stopped_by_setpoints_before_it_lands() -> None:
+    """PX4's land mode takes a tilt back at MPC_JERK_AUTO: it flew 17 m, to 7 m/s, after 64 degrees."""
+    c = HandFedCore()
+    c.to_flight()
+    c.q, c.velocity_ned = quaternion_from_euler(1.2, 0.0, 0.0), (1.5, 0.0, 0.0)
+    out = c.run(0.5)
+    assert [e.rule for e in out if isinstance(e, GuardEvent)] == ["tilt"]
+    assert not [o for o in out if isinstance(o, VehicleCommand)]
+    setpoints = [o for o in out if isinstance(o, Setpoint)]
+    assert len(setpoints) >= 14
+    assert len({o.position_ned for o in setpoints[1:]}) == 1
+    c.q, c.velocity_ned = quaternion_from_euler(0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+    assert lands(c, 1.6) == [pytest.approx(1.0, abs=0.05)]
 
 
 # --- where the guard holds ---------------------------------------------------------------------------------
@@ -212,6 +229,24 @@ def test_breaking_off_keeps_its_distance_from_a_wall_that_is_before_it(
     north, east, _ = next(o for o in c.run(0.1) if isinstance(o, Setpoint)).position_ned
     assert wall.signed_distance((north, -east)) == pytest.approx(held_m, abs=0.02)
     assert (north - x) * tx + (-east - y) * ty == pytest.approx(0.0, abs=0.01)
+
+
+def test_where_it_has_stopped_beyond_its_retreat_it_stays() -> None:
+    """A way back would be one to the wall: after 64 degrees PX4 led past the retreat and touched it."""
+    c = HandFedCore()
+    c.to_flight()
+
+    def held(position: tuple[float, float], speed: float, seconds: float = 0.1) -> set[tuple[float, float]]:
+        c.position_ned, c.velocity_ned = (*position, -1.0), (-speed, 0.0, 0.0)
+        c.run(0.04)
+        return {o.position_ned[:2] for o in c.run(seconds) if isinstance(o, Setpoint)}
+
+    held((0.2, 0.0), 1.2)
+    c.give(OperatorRequest(c.t_us, Request.LAND))
+    (away,) = held((0.1, 0.0), 1.2)
+    assert held((-0.6, 0.0), 1.0) == {away}  # while it still goes
+    assert held((-0.8, 0.0), 0.1) == {(-0.8, 0.0)}
+    assert held((-0.7, 0.0), 0.1) == {(-0.8, 0.0)}  # not from where it is held
 
 
 def test_from_a_wall_of_the_mission_it_goes_away_along_the_normal_however_it_was_pushed() -> None:

@@ -48,6 +48,8 @@ _COMMANDS_AND_LOCK: Final = (Setpoint, VehicleCommand, LockCommand)
 _JUDGED_EVERY_US: Final = 20_000  # host time: at every tick, and where none comes in time
 _HOLD_US: Final = 3_000_000
 _RETRY_US: Final = 1_000_000
+_STOPPED_M_S: Final = 0.3
+_ELSEWHERE_M: Final = 0.3
 # PX4 disarms by itself after landing; the command is for when it does not
 _DISARM_AFTER_US: Final = 15_000_000
 _UNSURE_US: Final = 15_000_000
@@ -226,7 +228,8 @@ class Guard:
             return
         if isinstance(item, OdometrySample) and state.frame is not None:
             impact = self._watch.impact
-            if self._hold is None or impact is not self._held_impact:  # hit again, it goes away from that
+            again = impact is not self._held_impact  # hit again, it goes away from that
+            if self._hold is None or again or self._has_stopped_elsewhere(state, self._hold):
                 self._hold, self._held_impact = self._clear_of_walls(state), impact
             out.append(
                 Setpoint(
@@ -240,6 +243,15 @@ class Guard:
         elapsed = state.now_us - self._since_us
         if elapsed > _HOLD_US or (slow and elapsed > _HOLD_US // 2):
             self._land(state, out)
+
+    def _has_stopped_elsewhere(self, state: FlightState, hold: Vec3) -> bool:
+        """Whether it stands, well away from where it breaks off to, as a hit with much tilt sends it.
+
+        It stays there: on the way back PX4's integral would lead it past, to the wall that it came from.
+        """
+        if self.action is not Override.BREAK_OFF or norm(state.velocity) > _STOPPED_M_S:
+            return False
+        return math.dist(state.position[:2], hold[:2]) > _ELSEWHERE_M
 
     def _is_down(self, state: FlightState, killed: bool) -> bool:
         """Whether the vehicle has landed and disarmed, and not another one that stands on the same link."""
