@@ -42,7 +42,7 @@ from dart_flight.planning.contact_stage import build_stages, expm
 from dart_flight.planning.flight_model import Array, GridWindow, Rows, loop_matrix
 from dart_flight.planning.polynomials import quintic
 from dart_flight.planning.predicted_flight import impact_place, predict_mission
-from dart_flight.planning.rejoining import SETTLED_S, rejoin
+from dart_flight.planning.rejoining import SETTLED_S, RejoiningTrajectories, rejoin
 from dart_flight.planning.task import MissionTask, drag_along
 
 _DURATIONS_S = np.arange(0.3, 4.01, 0.05)
@@ -51,6 +51,7 @@ _SPEED_SHARES = (1.0, 0.9, 0.8, 0.65, 0.5)  # of the planned velocity, where tha
 # At constant velocity before the plane, so that the attitude has caught up; less where there is no room.
 _STRAIGHT_S = (0.3, 0.1)
 _SAMPLES = 24  # of a trajectory, for the constraints
+_LAST = 3  # of a trajectory's samples
 _PUSH_SAMPLES = 12  # for acceleration and jerk, which come first
 # Of PX4's tilt limit; the rest is for wind, errors and what the loop adds.
 _TILT_SHARE = 0.6
@@ -59,6 +60,11 @@ _GENTLE_S = 0.5  # that a trajectory may last longer where it needs all of the t
 _GENTLE_REJOINING_S = 0.05  # likewise, back to a trajectory that is within limits as it is
 _LEADING_BACK = 1.25  # of the limit, which the trajectory that it leads back to uses up already
 _AS_FAST = 1.01  # planned speed over flown
+# What turns a vehicle that hits (docs/results/faster_hits.md): a lean off the wall, of which a plan for rigid
+# arms has more than the hit bears, and a lean into it that comes so late that the lag takes it away.
+_TAKEN_BACK = 0.5  # of the thrust off a rigid wall that a plan ends with
+_LEANS_IN_M_S3 = 8.0  # into a wall at the end, before another trajectory is better
+_LEANS_IN_STEP_M_S3 = 5.0
 _PRESSED_IN_M = 0.15  # at most: the arms at the end of a contact, and what a wall's place is off by
 _BESIDE_S = 1.0  # ... where another meets the wall as far from the planned place as the mission tolerates
 
@@ -192,6 +198,8 @@ class Replanner:
             moved = (away * wall.normal[0], away * wall.normal[1])
             out_m = self._mission.vehicle.airframe.contact_distance_m
             push_m_s2 = balancing_m_s2(request.contact_height_m, out_m)
+            if collision.mode is Mode.RIGID:
+                push_m_s2 -= _TAKEN_BACK * max(0.0, self._thrust_off(wall, written))
             pushed = (push_m_s2 * wall.normal[0], push_m_s2 * wall.normal[1])
         # Where the attitude follows a trajectory to its end, that end is the plan's; else its lag softens it.
         follows = collision is not None and bool(self._mission.vehicle.flying.attitude_delay_s)
@@ -221,6 +229,8 @@ class Replanner:
         if request.under_way:  # what is flown already does, or could not either
             rejoining, push = rejoining.take(np.flatnonzero(~slow)), push[~slow]
             over, slow = over[~slow], slow[~slow]
+        if wall is not None:
+            over = over + _leans_in_late(rejoining, wall)
         for k in np.lexsort((rejoining.duration_s + _GENTLE_REJOINING_S * push**2, over, slow)):
             trajectory = rejoining.trajectory(int(k))
             found = msgspec.structs.replace(
@@ -237,6 +247,12 @@ class Replanner:
             if not found.problem:
                 return found
         return None
+
+    def _thrust_off(self, wall: Wall, written: PlannedTrajectory) -> float:
+        """The thrust off a wall that the mission's trajectory to it ends with, m/s2."""
+        end, b = written.at(written.duration_s), self._mission.vehicle.airframe.drag_per_s
+        ax, ay, _ = (a + c * v for a, c, v in zip(end.acceleration, b, end.velocity, strict=True))
+        return wall.normal[0] * ax + wall.normal[1] * ay
 
     def _from_rest(self, answer: PlanAnswer, collision: Collision, velocity: Vec2) -> PlanAnswer:
         """The approach of a collision that has one, as fast as the hit may be."""
@@ -395,6 +411,14 @@ class Replanner:
             tangential_m_s=velocity[1],
             peak_force_n=peak_n,
         )
+
+
+def _leans_in_late(rejoining: RejoiningTrajectories, wall: Wall) -> Array:
+    """By how many steps each trajectory leans too fast into the wall that it ends at."""
+    (nx, ny), (jx, jy) = wall.normal, rejoining.jerk[:, :, -_LAST:]
+    too_fast = np.max(-(nx * jx + ny * jy), axis=1, initial=0.0) - _LEANS_IN_M_S3
+    steps: Array = np.maximum(np.ceil(too_fast / _LEANS_IN_STEP_M_S3), 0.0)
+    return steps
 
 
 def _straights(slack: float) -> list[tuple[float, float]]:

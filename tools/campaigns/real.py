@@ -93,7 +93,7 @@ class FixedThreshold(ImpactDetector):
         """The configured one, whatever the mean."""
         return (self._threshold_n,) * 4
 
-    def _drowned(self, release: float) -> bool:
+    def _noise_hides_release(self, release: float) -> bool:
         return False
 
 
