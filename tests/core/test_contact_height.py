@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dart_flight.base.geometry import (
+    GRAVITY_M_S2,
     MissionFrame,
     Quaternion,
     Vec3,
@@ -17,8 +18,9 @@ from dart_flight.base.geometry import (
     rotate_back,
     scale,
 )
-from dart_flight.base.records import ContactEnd, ForceEstimate, ImpactOnset, TorqueEstimate
+from dart_flight.base.records import ContactEnd, ForceEstimate, ImpactOnset, Mode, TorqueEstimate
 from dart_flight.base.walls import Wall
+from dart_flight.core.mission.contact_feedforward import balancing_m_s2
 from dart_flight.core.sense.contact_height import ContactHeight
 from dart_flight.core.sense.detector import Event, ExpectedContact
 from dart_flight.core.sense.incidence import ContactSample, ContactSampleBuffer
@@ -108,3 +110,25 @@ def test_samples_that_are_clipped_or_weak_and_contacts_of_no_plan_say_nothing_of
 def test_it_is_known_from_a_sum_of_squared_forces_on(peak_n: float, known: bool) -> None:
     """1000 N2: of a half-sine over twenty samples ten times the peak's square."""
     assert (felt(0.02, 0, (0.0, 0.0, 0.0), peak_n, AT_WALL).height_m is not None) is known
+
+
+@pytest.mark.parametrize(
+    ("planned", "height_m", "share"),
+    [
+        (None, 0.02, 0.9),
+        (Mode.FLEXIBLE, 0.02, 0.9),
+        (Mode.RIGID, 0.02, 1.17),  # against the lean off the wall that its plan ends with
+        (Mode.RIGID, -0.02, 0.9),  # both lean off
+    ],
+)
+def test_a_lean_brings_the_guards_level_with_the_centre_of_mass(
+    planned: Mode | None, height_m: float, share: float
+) -> None:
+    wanted = -share * height_m / OUT_M * GRAVITY_M_S2
+    assert balancing_m_s2(height_m, OUT_M, planned) == pytest.approx(wanted)
+
+
+def test_a_height_that_is_not_known_or_beyond_reason_leans_to_no_more_than_0_3() -> None:
+    assert balancing_m_s2(None, OUT_M, Mode.RIGID) == 0.0
+    for height_m in (0.5, -0.5):
+        assert abs(balancing_m_s2(height_m, OUT_M, Mode.RIGID)) == pytest.approx(0.3 * GRAVITY_M_S2)

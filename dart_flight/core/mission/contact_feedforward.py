@@ -14,6 +14,7 @@ import math
 from typing import Final
 
 from dart_flight.base.geometry import GRAVITY_M_S2, Vec3
+from dart_flight.base.records import Mode
 from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.core.sense.senses import Sensed
 
@@ -26,9 +27,10 @@ LONGEST_S: Final = 0.25
 # Of the lean that would balance a vehicle that does not turn (docs/results/faster_hits.md).
 _BALANCED: Final = 0.9
 _MOST_LEAN: Final = 0.3  # tangent of the angle
+_AGAINST_PLAN: Final = 1.3  # times as much into a wall, where the plan leans off it
 
 
-def balancing_m_s2(height_m: float | None, out_m: float) -> float:
+def balancing_m_s2(height_m: float | None, out_m: float, planned: Mode | None = None) -> float:
     """Push off a wall at a hit, beside the planned one, m/s2, so that the hit turns the vehicle less.
 
     Leaning into it by the guards' height over their distance has them level with the centre of mass.
@@ -36,9 +38,13 @@ def balancing_m_s2(height_m: float | None, out_m: float) -> float:
     Args:
         height_m: of the wall's force above the centre of mass; None: not known.
         out_m: distance of the guards.
+        planned: mode of a hit at the end of the plan's own trajectory, which for rigid arms leans off it;
+            None: of one that has been planned anew, which leans less.
     """
     if height_m is None:
         return 0.0
+    if planned is Mode.RIGID and height_m > 0.0:
+        height_m *= _AGAINST_PLAN
     return -max(-_MOST_LEAN, min(_MOST_LEAN, _BALANCED * height_m / out_m)) * GRAVITY_M_S2
 
 

@@ -169,7 +169,7 @@ class SetpointSelection:
         if collision is not None and since_us is not None and self._until_impact_s(state) < _COASTING_S:
             leaned = phase is Phase.RECOVERY and self._replanning.is_leaned
             out_m = self._mission.vehicle.airframe.contact_distance_m
-            push_m_s2 = 0.0 if leaned else balancing_m_s2(self._height_m, out_m)
+            push_m_s2 = 0.0 if leaned else balancing_m_s2(self._height_m, out_m, collision.mode)
             p.outputs.append(references.coasting_setpoint(frame, sample, since_us, collision.wall, push_m_s2))
             return
         references.slew_yaw(self.wanted_yaw(state), state.now_us)
