@@ -88,12 +88,15 @@ def arrival_of(log: Log, mission: Mission, visits: Sequence[tuple[Vec2, float]])
         visits: places and within which distance of them they count as passed.
     """
     truth, phases = log["/truth/state"], log["/event/phase"]
-    first = "approach" if mission.collisions else "goal"
-    # The last of each: a touch before the mission's own trajectories has an approach, too.
-    times = {str(after): t for t, after in zip(phases["t_us"], phases["after"], strict=True)}
-    if first not in times:
+    changes = list(zip(phases["t_us"], map(str, phases["after"]), phases["collision"], strict=True))
+    # A touch before the mission's own trajectories has an approach, too.
+    own = next((c.index for c in mission.collisions if c.trajectory is not None), None)
+    first = "goal" if own is None else "approach"
+    begins = [t for t, after, led_to in changes if after == first and own in (None, led_to)]
+    if not begins:
         return None
-    begin_us = float(times[first])
+    begin_us = float(begins[0])
+    landing_us = max((float(t) for t, after, _ in changes if after == "landing"), default=-math.inf)
     t, place = np.asarray(truth["t_us"]), np.asarray(truth["position_mission"])[:, :2]
     speed = np.linalg.norm(np.asarray(truth["velocity_mission"])[:, :2], axis=1)
     passed: list[float] = []
@@ -105,7 +108,7 @@ def arrival_of(log: Log, mission: Mission, visits: Sequence[tuple[Vec2, float]])
         passed.append(float(t[near[0]]))
     last = max(passed[-1] if passed else 0.0, begin_us + _UNDER_WAY_US)
     still = np.linalg.norm(place - np.array(mission.goal.position_m), axis=1) <= THERE_M
-    still &= (speed <= STILL_M_S) & (t > last) & (t < times.get("landing", -np.inf))
+    still &= (speed <= STILL_M_S) & (t > last) & (t < landing_us)
     there = np.flatnonzero(still)
     return Arrival(begin_us, tuple(passed), float(t[there[0]]) if there.size else None)
 
