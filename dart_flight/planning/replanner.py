@@ -62,7 +62,7 @@ _LEADING_BACK = 1.25  # of the limit, which the trajectory that it leads back to
 _AS_FAST = 1.01  # planned speed over flown
 # What turns a vehicle that hits (docs/results/faster_hits.md): a lean off the wall, of which a plan for rigid
 # arms has more than the hit bears, and a lean into it that comes so late that the lag takes it away.
-_TAKEN_BACK = 0.5  # of the thrust off a rigid wall that a plan ends with
+_TAKEN_BACK = 0.5  # of the thrust off a rigid wall that a plan ends with; the lag takes the rest
 _LEANS_IN_M_S3 = 8.0  # into a wall at the end, before another trajectory is better
 _LEANS_IN_STEP_M_S3 = 5.0
 _PRESSED_IN_M = 0.15  # at most: the arms at the end of a contact, and what a wall's place is off by
@@ -190,8 +190,11 @@ class Replanner:
         written = self._written.get(request.collision)
         if written is None:
             return None
-        wall, moved, pushed = None, (0.0, 0.0), (0.0, 0.0)
+        wall, moved, pushed, settled_s = None, (0.0, 0.0), (0.0, 0.0), 0.0
         if collision is not None:
+            # Where the attitude follows a trajectory to its end, that end is the plan's; else lag softens it.
+            follows = bool(self._mission.vehicle.flying.attitude_delay_s)
+            settled_s = SETTLED_S if follows else 0.0
             wall = self._survey.wall_now(collision.wall, request.t_us)
             place = written.at(written.duration_s).position
             away = collision.wall.signed_distance(place) - wall.signed_distance(place)
@@ -199,11 +202,9 @@ class Replanner:
             out_m = self._mission.vehicle.airframe.contact_distance_m
             push_m_s2 = balancing_m_s2(request.contact_height_m, out_m)
             if collision.mode is Mode.RIGID:
-                push_m_s2 -= _TAKEN_BACK * max(0.0, self._thrust_off(wall, written))
+                taken_back = 1.0 if follows else _TAKEN_BACK
+                push_m_s2 -= taken_back * max(0.0, self._thrust_off(wall, written))
             pushed = (push_m_s2 * wall.normal[0], push_m_s2 * wall.normal[1])
-        # Where the attitude follows a trajectory to its end, that end is the plan's; else its lag softens it.
-        follows = collision is not None and bool(self._mission.vehicle.flying.attitude_delay_s)
-        settled_s = SETTLED_S if follows else 0.0
         rejoining = rejoin(written, self._start(request), moved, pushed, settled_s)
         if collision is not None:
             assert request.lock_ready_us is not None
