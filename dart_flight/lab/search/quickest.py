@@ -55,6 +55,7 @@ _FORCE_USED = 0.8  # likewise, of limits.peak_force_n: stiffness is known to som
 # Where the scenario does not say: the friction coefficients were measured at half a metre per second.
 _FRICTION_RATIO = 0.5
 POLISHED = 3 * INTERVALS
+_COMPARED_TO, _POLISHED_TO = 1e-4, 1e-6  # tolerance of the solver
 _SWEEPS = 12  # of the shortest path through discs and walls
 _SLACK = 0.98  # of a leg, because the sweeps end before the path is quite the shortest
 _REVERSAL_COSINE = -0.9  # between the legs to and from a place at which the path turns back
@@ -264,6 +265,7 @@ class _Search:
         self.free: QuickestPlan | None = None
         self.colliding: QuickestPlan | None = None
         self.computed = self.pruned = 0
+        self._compared: dict[tuple[Event, ...], QuickestPlan | None] = {}
         self.least_open_s = math.inf
         # Asked for with every bound: computed once.
         self._responses = {
@@ -394,15 +396,23 @@ class _Search:
 
     # -- flights --
 
-    def _solved(self, events: Sequence[Event], intervals: int = INTERVALS) -> QuickestPlan | None:
+    def _solved(self, events: tuple[Event, ...]) -> QuickestPlan | None:
+        """As the search compares them: a few milliseconds off, and each once."""
+        if events not in self._compared:
+            self._compared[events] = self._computed_plan(events, INTERVALS, _COMPARED_TO)
+        return self._compared[events]
+
+    def _computed_plan(
+        self, events: tuple[Event, ...], intervals: int, tolerance: float
+    ) -> QuickestPlan | None:
         problem = self._problem(events)
         if problem is None:
             return None
         self.computed += 1
-        found = solve(problem, intervals)
+        found = solve(problem, intervals, tolerance)
         if found is None or not self._servo_has_time(found):
             return None
-        return QuickestPlan(found.time_s, found, tuple(events))
+        return QuickestPlan(found.time_s, found, events)
 
     def _problem(self, events: Sequence[Event]) -> Problem | None:
         """The events with the corners of the ways between them; None: there is no way."""
@@ -448,7 +458,7 @@ class _Search:
 
     def _polished(self, plan: QuickestPlan | None) -> QuickestPlan | None:
         """The same flight in finer intervals."""
-        return plan and (self._solved(plan.events, POLISHED) or plan)
+        return plan and (self._computed_plan(plan.events, POLISHED, _POLISHED_TO) or plan)
 
 
 def _time_s(plan: QuickestPlan | None) -> float:

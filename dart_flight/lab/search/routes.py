@@ -49,12 +49,14 @@ def shortest_path(begin: Vec2, end: Vec2, among: Obstacles) -> list[Vec2] | None
     A wall nearer than `CLEARANCE_M` to one of the ends does not count at that end.
     """
     walls, discs, bounds = among
-    tips = [tip for wall in walls for tip in _round_ends(wall)]
-    tips += [corner for disc in discs for corner in _round_disc(disc)]
 
     def blocked(a: Vec2, b: Vec2) -> bool:
         return any(_stands_between(w, a, b) for w in walls) or any(_cuts(d, a, b) for d in discs)
 
+    if not blocked(begin, end):
+        return _on_one_side_each([begin, end], walls, bounds)
+    tips = [tip for wall in walls for tip in _round_ends(wall)]
+    tips += [corner for disc in discs for corner in _round_disc(disc)]
     path = _shortest_through([begin, end, *_within_bounds(tips, bounds)], blocked)
     return path and _on_one_side_each(path, walls, bounds)
 
