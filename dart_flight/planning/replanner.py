@@ -251,9 +251,9 @@ class Replanner:
 
     def _thrust_off(self, wall: Wall, written: PlannedTrajectory) -> float:
         """The thrust off a wall that the mission's trajectory to it ends with, m/s2."""
-        end, b = written.at(written.duration_s), self._mission.vehicle.airframe.drag_per_s
-        ax, ay, _ = (a + c * v for a, c, v in zip(end.acceleration, b, end.velocity, strict=True))
-        return wall.normal[0] * ax + wall.normal[1] * ay
+        end = written.at(written.duration_s)
+        drag_n, _ = drag_along(wall, self._mission.vehicle.airframe.drag_per_s)
+        return wall.to_collision(end.acceleration)[0] + drag_n * wall.to_collision(end.velocity)[0]
 
     def _from_rest(self, answer: PlanAnswer, collision: Collision, velocity: Vec2) -> PlanAnswer:
         """The approach of a collision that has one, as fast as the hit may be."""

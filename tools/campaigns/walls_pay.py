@@ -466,10 +466,9 @@ in [faster_hits.md](faster_hits.md#what-limits); of 96 to 100 no shuttle was tur
 98 is turned by 3.7 degrees; of hairpin 7 the hit leaves 0.44 m/s along it where 0.61 were planned. No
 trajectory leads round the partition from there: the vehicle meets its end at 2 m/s, breaks off and
 lands. The code before failed with the same seven, and with two of 96 (one more was stopped after a
-minute in the simulator). With
-draws 81 to 85 (755 of 775 by earlier rules) all failures were with 85: guards 4.7 cm too high, an
-end wall turned by 3.3 degrees. Nothing has been done about it: a hairpin leaves no room to go wrong
-in.
+minute in the simulator). With draws 81 to 85 (755 of 775 by earlier rules) all failures were with
+85: guards 4.7 cm too high, an end wall turned by 3.3 degrees. Nothing has been done about it: a
+hairpin leaves no room to go wrong in.
 """
 
 

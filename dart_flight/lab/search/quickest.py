@@ -304,8 +304,7 @@ class _Search:
         for plan in sorted(found, key=_time_s)[:_TRIED_IN_OTHER_MODE]:
             for mode in self.scenario.modes:
                 events = tuple(e._replace(mode=mode) if isinstance(e, Hit) else e for e in plan.events)
-                other = None if events == plan.events else self._solved(events)
-                self.colliding = min(other, self.colliding, key=_time_s)
+                self.colliding = min(self._solved(events), self.colliding, key=_time_s)
         if self.colliding is not None:
             self.colliding = self._with_best_modes(self.colliding)
         self.free, self.colliding = self._polished(self.free), self._polished(self.colliding)
