@@ -18,6 +18,7 @@ from dart_flight.config.document import InputError
 
 _ATTEMPTS, _PAUSE_S = 3, 0.02
 _LONGEST = 65536
+_REMEDY = "set DART_FLIGHT_STATE_DIR to a local disk"
 
 
 def state_dir() -> Path:
@@ -42,6 +43,28 @@ def usable(folder: Path) -> Path:
             f"cannot use the state folder: {error.strerror}; set DART_FLIGHT_STATE_DIR", source=str(folder)
         ) from None
     return folder
+
+
+def lock_file(descriptor: int, path: Path, remedy: str, *, shared: bool = False) -> bool:
+    """Lock an open file without waiting, and return whether it was free.
+
+    Args:
+        descriptor: of the open file; the lock lasts until it is closed.
+        path: named in the error.
+        remedy: what the operator can do where the file system cannot lock.
+        shared: other shared locks are no obstacle.
+
+    Raises:
+        InputError: the file system cannot lock it, as NFS without a lock daemon.
+    """
+    kind = fcntl.LOCK_SH if shared else fcntl.LOCK_EX
+    try:
+        fcntl.flock(descriptor, kind | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError as error:
+        raise InputError(f"cannot lock {path}: {error.strerror}; {remedy}") from None
+    return True
 
 
 class HeldError(Exception):
@@ -80,36 +103,47 @@ class HeldFile:
             HeldError: it is held.
             InputError: it cannot be written.
         """
-        attempt = 0
-        while True:
+        other = b""
+        for attempt in range(_ATTEMPTS):
+            if attempt:  # the holder may be a program that only looks whether the file is held
+                time.sleep(_PAUSE_S)
             descriptor = self._open()
             try:
-                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except OSError:
-                other = os.pread(descriptor, _LONGEST, 0)
-                os.close(descriptor)
-                attempt += 1
-                if attempt < _ATTEMPTS:  # it may be a program that only looks whether the file is held
-                    time.sleep(_PAUSE_S)
-                    continue
-                raise HeldError(other) from None
-            if _is_at(descriptor, self._path):
-                break
-            os.close(descriptor)  # given back, and so removed, between opening and locking
-        self._descriptor = descriptor
+                if not lock_file(descriptor, self._path, _REMEDY):
+                    other = os.pread(descriptor, _LONGEST, 0)
+                elif _is_at(descriptor, self._path):  # else released, and so removed, before it was locked
+                    self._descriptor = descriptor
+                    break
+            finally:
+                if self._descriptor is None:
+                    os.close(descriptor)
+        else:
+            raise HeldError(other)
         _held.add(self)
-        self.write(content)
+        try:
+            self.write(content)
+        except InputError:
+            self.release()
+            raise
 
     def write(self, content: bytes) -> None:
-        """Replace what it says."""
+        """Replace its content.
+
+        Raises:
+            InputError: it cannot be written.
+        """
         assert self._descriptor is not None
-        os.pwrite(self._descriptor, content, 0)
-        os.ftruncate(self._descriptor, len(content))
+        try:
+            os.pwrite(self._descriptor, content, 0)
+            os.ftruncate(self._descriptor, len(content))
+        except OSError as error:
+            raise InputError(f"cannot write: {error.strerror}; {_REMEDY}", source=str(self._path)) from None
 
     def release(self) -> None:
-        """Give it back; harmless when it is not held."""
+        """Release it; harmless when it is not held. A file that cannot be removed stays, unlocked."""
         if self._descriptor is not None:
-            self._path.unlink(missing_ok=True)
+            with contextlib.suppress(OSError):
+                self._path.unlink()
             self.drop()
 
     def drop(self) -> None:
@@ -124,9 +158,7 @@ class HeldFile:
         try:
             return os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
         except OSError as error:
-            raise InputError(
-                f"cannot write: {error.strerror}; set DART_FLIGHT_STATE_DIR", source=str(self._path)
-            ) from None
+            raise InputError(f"cannot write: {error.strerror}; {_REMEDY}", source=str(self._path)) from None
 
 
 class Lease(ABC):
@@ -151,18 +183,22 @@ class Lease(ABC):
 
 
 def content_of_held(path: Path) -> bytes | None:
-    """What the holder of a file wrote; None: it is not held."""
+    """Return the content that the holder of a file wrote, or None if the file is not held.
+
+    Raises:
+        InputError: the file cannot be read or locked.
+    """
     try:
         descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
-    except OSError:
+    except FileNotFoundError:
         return None
+    except OSError as error:
+        raise InputError(f"cannot read: {error.strerror}; {_REMEDY}", source=str(path)) from None
     try:
-        fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
-    except OSError:
-        return os.pread(descriptor, _LONGEST, 0)
+        free = lock_file(descriptor, path, _REMEDY, shared=True)
+        return None if free else os.pread(descriptor, _LONGEST, 0)
     finally:
         os.close(descriptor)
-    return None
 
 
 def _is_at(descriptor: int, path: Path) -> bool:

@@ -24,10 +24,11 @@ import msgspec
 
 from dart_flight.config.document import InputError
 from dart_flight.config.link_url import parse_link
-from dart_flight.config.state_folder import HeldError, HeldFile, Lease, content_of_held, state_dir
+from dart_flight.config.state_folder import HeldError, HeldFile, Lease, content_of_held, lock_file, state_dir
 
 _PAUSE_S = 0.02
 _STARTING_S = 2.0
+_FREE_LINK_ATTEMPTS = 20
 
 
 class LinkTakenError(InputError):
@@ -182,11 +183,8 @@ class LinkLease(Lease):
                 raise LinkTakenError(f"{device} is in use by {owners}", source=self._url) from None
             raise InputError(f"cannot open {device}: {error.strerror}", source=self._url) from None
         others = _owners_of_device(device, besides=os.getpid())
-        try:
-            fcntl.flock(self._device, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
-            raise LinkTakenError(f"{device} is in use by {others}", source=self._url) from None
-        if others != _SOMEBODY:
+        free = lock_file(self._device, device, "connect through another device")
+        if not free or others != _SOMEBODY:
             raise LinkTakenError(f"{device} is in use by {others}", source=self._url)
 
 
@@ -194,16 +192,22 @@ def free_link(command: str, log: Path | None = None) -> tuple[int, LinkLease]:
     """A UDP port of the loopback that nothing uses, and its lease, held.
 
     Raises:
+        LinkTakenError: another program has each of the ports that were tried.
         InputError: the state folder cannot be used.
     """
+    attempts = _FREE_LINK_ATTEMPTS
     while True:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
             probe.bind(("127.0.0.1", 0))
             port = int(probe.getsockname()[1])
         lease = LinkLease(f"udpin://127.0.0.1:{port}", command, log)
-        with contextlib.suppress(LinkTakenError):
+        try:
             lease.acquire()
             return port, lease
+        except LinkTakenError:  # another program was quicker, or leases the port without having it open
+            attempts -= 1
+            if not attempts:
+                raise
 
 
 def holder_of(url: str) -> Holder | None:

@@ -7,7 +7,6 @@ row that is torn nevertheless (the disk was full, the power went) is cut off: it
 from __future__ import annotations
 
 import csv
-import fcntl
 import io
 import os
 import time
@@ -17,6 +16,7 @@ from types import TracebackType
 
 from dart_flight.base.errors import FlightError
 from dart_flight.config.document import InputError, open_file
+from dart_flight.config.state_folder import lock_file
 from dart_flight.lab.campaign.campaign_spec import Item, Point
 from dart_flight.lab.campaign.flight_job import line_of
 
@@ -32,7 +32,7 @@ class Table:
 
     Raises:
         FlightError: it cannot be written, or another process writes it.
-        InputError: what is there is no table of this campaign.
+        InputError: what is there is no table of this campaign, or the file system cannot lock it.
     """
 
     def __init__(self, path: Path, columns: Sequence[str]) -> None:
@@ -56,10 +56,8 @@ class Table:
             raise
 
     def _lock(self) -> None:
-        try:
-            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
-            raise FlightError(f"{self.path} is being written by another campaign") from None
+        if not lock_file(self._file, self.path, "set --out to a local disk"):
+            raise FlightError(f"{self.path} is being written by another campaign")
 
     def __enter__(self) -> Table:
         return self
