@@ -16,9 +16,10 @@ from dart_flight.base.records import (
     StatusSample,
 )
 from dart_flight.check.findings import CheckFinding
+from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission
-from dart_flight.core.flight_core import FlightCore
 from dart_flight.run.computer import read_computer
+from dart_flight.run.prepare import flight_core_of
 
 _SAMPLES, _WARM = 550, 50
 _HOT_C, _TOO_HOT_C = 70.0, 80.0  # a Raspberry Pi 4 holds its clock back from 80 on
@@ -46,8 +47,15 @@ def check_lateness(mission: Mission) -> CheckFinding:
 
 
 def check_core_speed(mission: Mission) -> CheckFinding:
-    """Measure what the core needs for the inputs of one IMU sample, against the time until the next."""
-    step_s, interval_s = measure_step_s(mission), 1.0 / mission.vehicle.imu.rate_hz
+    """Measure what the core needs for the inputs of one IMU sample, against the time until the next.
+
+    A mission that the core refuses to fly is a no-go with the core's reason.
+    """
+    interval_s = 1.0 / mission.vehicle.imu.rate_hz
+    try:
+        step_s = measure_step_s(mission)
+    except InputError as error:
+        return CheckFinding("core_speed", False, f"not measured: {error.message}")
     return judge_core_speed(step_s, interval_s)
 
 
@@ -75,8 +83,11 @@ def measure_step_s(mission: Mission) -> float:
     """Processor time of an IMU sample with what comes beside it, as in flight, seconds.
 
     Measured is the mean over two seconds on the ground.
+
+    Raises:
+        InputError: the mission cannot be flown.
     """
-    core = FlightCore(mission)
+    core = flight_core_of(mission)
     period_us, motors = round(1e6 / mission.vehicle.imu.rate_hz), len(mission.vehicle.airframe.motors)
     begun_s = 0.0
     for k in range(_SAMPLES):

@@ -42,7 +42,7 @@ from dart_flight.planning.room import RoomContact, RoomFit, plan_star, room_keys
 from dart_flight.planning.survey import plan_survey, surveyed_collisions, surveyed_walls
 from dart_flight.recording.measured_walls import MeasuredWall
 from dart_flight.recording.verdict import Verdict
-from dart_flight.run.prepare import load_flyable, with_driver
+from dart_flight.run.prepare import load_flyable, refuse_unflyable, with_driver
 from dart_flight.vehicle.link import LinkLease
 
 _SPEED_M_S = 0.5
@@ -163,6 +163,7 @@ def _survey_room(arguments: argparse.Namespace, written: Any, mission: Mission) 
 def _fly(arguments: argparse.Namespace, mission: Mission) -> Verdict | None:
     """Touch the walls in the wanted world, or with the vehicle; None where it is not flown."""
     console = messages()
+    refuse_unflyable(mission)
     if arguments.connection is not None:
         url = link_of(arguments, mission.vehicle.connection)
         with LinkLease(url, "survey") as lease:

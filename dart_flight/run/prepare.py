@@ -36,13 +36,22 @@ def refuse_unflyable(mission: Mission) -> None:
     Raises:
         InputError: they do not.
     """
-    try:
-        FlightCore(mission)
-    except NoApproachError as error:
-        raise InputError(str(error), source=mission.source) from None
+    flight_core_of(mission)
     problem = impact_problem(mission)
     if problem is not None:
         raise InputError(problem, source=mission.source)
+
+
+def flight_core_of(mission: Mission) -> FlightCore:
+    """Return the flight core of a mission.
+
+    Raises:
+        InputError: an approach cannot be flown, or a wall is in the way of a transit.
+    """
+    try:
+        return FlightCore(mission)
+    except NoApproachError as error:
+        raise InputError(str(error), source=mission.source) from None
 
 
 def with_driver(mission: Mission, driver: LockDriver | None) -> Mission:

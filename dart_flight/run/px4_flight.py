@@ -60,7 +60,7 @@ def fly_px4(
         SimulatorError, VehicleError: PX4 did not start or did not answer.
     """
     need_mavlink()
-    from dart_flight.sim.px4.launch import find_install, flight_parameters  # noqa: PLC0415
+    from dart_flight.sim.px4.launch import find_install, flight_parameters, motors_from, values_of  # noqa: PLC0415
 
     install = find_install(directory)
     problem = frame_problem(mission, position_from)
@@ -68,6 +68,7 @@ def fly_px4(
         raise InputError(problem, source=mission.source, key=("frame", "origin"))
     mission = with_px4_delays(_for_lockstep(mission, speed))
     parameters = flight_parameters(mission.vehicle, position_from, list(parameter_files))
+    motors_from(values_of(parameters), mission.vehicle)  # refused here, before PX4 starts
     drawn = draw_world(mission, seed, spreads or {})
     record = FlightRecord(mission, World.PX4, seed, log_dir, drawn.drawn, viewer=viewer)
     folder = record.folder

@@ -300,6 +300,26 @@ def test_the_command_says_which_parameter_did_not_take_in_one_line(
     assert "EKF2_EV_CTRL: set to 11, PX4 has 0" in lines[0]
 
 
+@pytest.mark.parametrize(
+    ("count", "problem"),
+    [
+        (6, "CA_ROTOR_COUNT is 6, the configuration has 4 motors"),
+        (3, "is 3, the configuration"),
+        (0, "is 0, the configuration"),
+    ],
+)
+def test_a_wrong_number_of_rotors_is_one_line_before_px4_starts(
+    count: int, problem: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    px4, own = install(tmp_path / "px4"), tmp_path / "own.params"
+    own.write_text(f"1 1 CA_ROTOR_COUNT {count} 6\n")
+    logs = tmp_path / "logs"
+    command = ["dry-run", MISSION, "--px4", str(px4), "--params", str(own), "--log-dir", str(logs)]
+    assert main([str(word) for word in command]) == 2
+    assert problem in capsys.readouterr().err.splitlines()[-1]
+    assert not logs.exists()
+
+
 def test_what_a_version_goes_without_is_left_out_and_said(tmp_path: Path, launched: list[Watched]) -> None:
     watched = Watched(tmp_path / "flight", install(tmp_path / "px4", missing="COM_RAM_MAX"))
     launched.append(watched)

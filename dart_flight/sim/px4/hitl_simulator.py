@@ -12,6 +12,7 @@ import time
 from typing import IO
 
 from dart_flight.base.errors import FlightError
+from dart_flight.config.document import InputError
 from dart_flight.config.parameter_file import PositionSource
 from dart_flight.sim.draws import draw_world
 from dart_flight.sim.embedded_autopilot import TICK_S
@@ -55,7 +56,7 @@ class HitlSimulator:
             self._fly(link, writer, commands)
         except TerminatedError:
             self._say("terminated")
-        except FlightError as error:
+        except (FlightError, InputError) as error:
             status = 1
             self._say(str(error))
             writer.put(SimulatorDied(str(error)))

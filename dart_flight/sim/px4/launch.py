@@ -204,13 +204,13 @@ def motors_from(parameters: Mapping[str, Value], vehicle: VehicleConfig) -> tupl
     Raises:
         InputError: PX4 is told another number of motors than the configuration has.
     """
-    motors = motors_of({**rotor_parameters(vehicle.airframe.motors), **parameters}, "--params")
-    if len(motors) != len(vehicle.airframe.motors):
+    own = rotor_parameters(vehicle.airframe.motors)
+    count = parameters.get(COUNT, own[COUNT])
+    if count != own[COUNT]:
         raise InputError(
-            f"{COUNT} is {len(motors)}, the configuration has {len(vehicle.airframe.motors)} motors",
-            source="--params",
+            f"{COUNT} is {count:g}, the configuration has {own[COUNT]:g} motors", source="--params"
         )
-    return motors
+    return motors_of({**own, **parameters}, "--params")
 
 
 def environment() -> dict[str, str]:

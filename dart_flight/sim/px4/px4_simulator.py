@@ -16,6 +16,7 @@ from typing import IO
 
 from dart_flight.base.errors import FlightError
 from dart_flight.base.records import TruthSample
+from dart_flight.config.document import InputError
 from dart_flight.config.parameter_file import PositionSource, Value
 from dart_flight.sim.draws import draw_world
 from dart_flight.sim.embedded_autopilot import TICK_S
@@ -78,7 +79,7 @@ class Px4Simulator:
             self._fly(px4, HilLink(px4.wait_connected(instance.listen())), writer, commands)
         except TerminatedError:
             self._say("terminated")
-        except FlightError as error:
+        except (FlightError, InputError) as error:
             status = 1
             cause = self._cause(px4, error)
             self._say(cause)
@@ -97,7 +98,7 @@ class Px4Simulator:
         return status
 
     @staticmethod
-    def _cause(px4: Px4 | None, error: FlightError) -> str:
+    def _cause(px4: Px4 | None, error: Exception) -> str:
         """What ended the flight: PX4's own end explains a lost connection."""
         if px4 is not None and isinstance(error, Px4LostError):
             time.sleep(0.05)  # for the process to be gone, too

@@ -1,0 +1,77 @@
+"""Missions that the core refuses to fly: `check` is a no-go with the line that ends a `dry-run`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from dart_flight.cli import main
+from dart_flight.config.vehicle import packaged
+
+# What is changed in the single-wall mission, and what is wrong then.
+UNFLYABLE = {
+    "impact outside the bounds": (
+        ("x: [-1.5, 2.2]", "x: [-1.5, 1.0]"),
+        "the impact at (1.65, 0.82) is 0.65 m outside bounds_m",
+    ),
+    "wall at 2,000 m": (
+        ("point_m: [1.65, 0.5]", "point_m: [2000.0, 1000.0]"),
+        "m outside bounds_m",
+    ),
+    "no room for the run-up": (
+        ("x: [-1.5, 2.2], y: [-1.5", "x: [-0.05, 2.2], y: [-1.5"),
+        "the run-up to wall acrylic at 1.12 m/s starts at",
+    ),
+    "post in the run-up": (
+        ("collisions:", "posts: {pole: {centre_m: [0.8, 0.4], radius_m: 0.05, material: wood}}\ncollisions:"),
+        "post pole is in the way of the run-up",
+    ),
+    "wall in the way to a waypoint": (
+        (
+            "collisions:",
+            "  screen: {point_m: [-0.6, 0.0], normal: [1.0, 0.0], length_m: 1.0, material: wood}\n"
+            "waypoints: [{position_m: [-1.2, 0.0], after: 0}]\ncollisions:",
+        ),
+        "wall screen is in the way",
+    ),
+}
+
+
+@pytest.fixture(params=UNFLYABLE)
+def unflyable(request: pytest.FixtureRequest, tmp_path: Path) -> tuple[str, str]:
+    """The mission's path, and words of what is wrong with it."""
+    (before, after), problem = UNFLYABLE[request.param]
+    text = packaged("missions", "single_wall.yaml").read_text(encoding="utf-8")
+    assert before in text
+    if "run-up to" in problem:
+        text = text.replace("[1.65, 0.5]", "[1.0, 0.5]")  # a wall so near that the run-up begins behind start
+    text = text.replace(before, after, 1).replace(
+        "../configs/dart.yaml", str(packaged("configs", "dart.yaml"))
+    )
+    path = tmp_path / "mission.yaml"
+    path.write_text(text, encoding="utf-8")
+    return str(path), problem
+
+
+def test_check_is_a_no_go(unflyable: tuple[str, str], capsys: pytest.CaptureFixture[str]) -> None:
+    path, problem = unflyable
+    assert main(["check", path, "--json"]) == 1
+    report = msgspec.json.decode(capsys.readouterr().out)
+    assert not report["go"]
+    no_go = [finding["says"] for finding in report["findings"] if not finding["go"]]
+    assert any(problem in says for says in no_go), no_go
+    assert "core_speed" in {finding["item"] for finding in report["findings"]}
+
+
+@pytest.mark.parametrize("command", ["dry-run", "survey"])
+def test_a_flight_is_refused_in_one_line(
+    command: str, unflyable: tuple[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, problem = unflyable
+    options = ["-o", str(tmp_path / "out.yaml")] if command == "survey" else []
+    assert main([command, path, "--fast", "--log-dir", str(tmp_path / "logs"), *options]) == 2
+    said = capsys.readouterr()
+    assert len(said.err.strip().splitlines()) == 1
+    assert problem in said.err
