@@ -12,12 +12,15 @@ import logging
 import os
 import re
 import sys
+import traceback
 from collections.abc import Collection, Sequence
+from pathlib import Path
 from typing import Any
 
 from dart_flight import __version__
 from dart_flight.base.errors import FlightError
 from dart_flight.base.processes import use_idle_priority
+from dart_flight.cli.terminal import OutputError, open_closed_streams, print_status, write_output
 from dart_flight.config.document import InputError, did_you_mean, or_known
 from dart_flight.lab_entries import COMMANDS as LAB_COMMANDS
 from dart_flight.lab_entries import load_entry
@@ -61,6 +64,13 @@ class _Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> None:  # type: ignore[override]
         self.exit(EXIT_INPUT, f"{self.prog}: {self._suggest_choice(message)} (see `{self.prog} --help`)\n")
+
+    def _print_message(self, message: str, file: Any = None) -> None:
+        """As argparse has it, with the one way to print."""
+        if message and file is sys.stdout:
+            write_output(message)
+        elif message:
+            print_status(message.rstrip("\n"))
 
     def parse_args(self, args=None, namespace=None):  # type: ignore[no-untyped-def]
         """As argparse has it, but an option that does not exist is told with the nearest that does."""
@@ -130,7 +140,7 @@ def _renamed(arguments: list[str]) -> list[str]:
     """The arguments with the new name of a command that was renamed."""
     if arguments and arguments[0] in RENAMED:
         new = RENAMED[arguments[0]]
-        print(f"dart-flight: `{arguments[0]}` is now `{new}`", file=sys.stderr)  # noqa: T201
+        print_status(f"dart-flight: `{arguments[0]}` is now `{new}`")
         return [new, *arguments[1:]]
     return arguments
 
@@ -139,10 +149,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Entry point of `dart-flight`. Returns the exit status: 0 success, 1 not completed, 2 wrong input."""
     arguments = _renamed(list(sys.argv[1:] if argv is None else argv))
     command = next((a for a in arguments if a in COMMANDS), None)
+    open_closed_streams()
     # For good, and so only in a process of its own: not where another program, or a test, calls this in its.
     if argv is None and command == "monitor" and not any(a.startswith("--connection") for a in arguments):
         use_idle_priority()
     try:
+        if command:
+            _need_working_folder()
         parser = build_parser([command] if command else [])
         if not arguments:
             parser.print_help()
@@ -155,15 +168,36 @@ def main(argv: Sequence[str] | None = None) -> int:
         )
         return int(_module(parsed.command).run(parsed))
     except InputError as error:
-        print(error.one_line(), file=sys.stderr)  # noqa: T201
+        print_status(error.one_line())
         return EXIT_INPUT
+    except OutputError as error:
+        if not error.closed:
+            print_status(error)
+        return EXIT_INCOMPLETE
     except FlightError as error:
-        print(error, file=sys.stderr)  # noqa: T201
+        print_status(error)
         return EXIT_INCOMPLETE
     except KeyboardInterrupt:
-        print("interrupted", file=sys.stderr)  # noqa: T201
+        print_status("interrupted")
         return EXIT_INTERRUPTED
-    except BrokenPipeError:
-        # The reader of our output went away (`| head`): nothing is left to say.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except OSError as error:  # one that nobody has expected: in its own words, and where it came from
+        if "-vv" in arguments:
+            raise
+        print_status(_system_error(error))
         return EXIT_INCOMPLETE
+
+
+def _need_working_folder() -> None:
+    """Raises InputError: the working folder was removed, and no relative path leads anywhere."""
+    try:
+        os.getcwd()
+    except OSError as error:
+        raise InputError(f"the working folder cannot be used: {error.strerror}; cd to another one") from None
+
+
+def _system_error(error: OSError) -> str:
+    """An error of the operating system in a line, with the place in the program that it came from."""
+    place = traceback.extract_tb(error.__traceback__)[-1]
+    names = [os.fsdecode(n) for n in (error.filename, error.filename2) if isinstance(n, str | bytes)]
+    what = ": ".join([*names, error.strerror or str(error)])
+    return f"{what} ({Path(place.filename).name}:{place.lineno}; -vv shows the whole trace)"

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 
 from rich.console import Console
-from rich.markup import escape
 
 from dart_flight.check.computer_load import check_this_computer
 from dart_flight.check.findings import CheckReport, decide
@@ -22,7 +21,7 @@ from dart_flight.cli.options import (
     add_set_option,
     link_of,
 )
-from dart_flight.cli.terminal import emit_json, messages
+from dart_flight.cli.terminal import emit_json, messages, styled
 from dart_flight.cli.vehicle_line import say_vehicle
 from dart_flight.config.mission import load_mission
 from dart_flight.run.prepare import with_driver
@@ -67,10 +66,12 @@ def run(arguments: argparse.Namespace) -> int:
 def show(report: CheckReport, console: Console) -> None:
     """The findings, no-goes in red, remarks in yellow, and the word at the end."""
     for finding in report.findings:
-        word = "[green]go[/]       " if finding.go else "[red]NO-GO[/]    "
+        word, style = ("go", "green") if finding.go else ("NO-GO", "red")
         if finding.remark:
-            word = "[yellow]remark[/]   "
+            word, style = "remark", "yellow"
         if finding.overruled:
-            word = "[yellow]overruled[/]"
-        console.print(f"{word} [bold]{finding.item}[/]: {escape(finding.says)}", soft_wrap=True)
-    console.print("[bold green]go[/]" if report.go else "[bold red]no-go[/]: do not fly")
+            word, style = "overruled", "yellow"
+        line = styled((f"{word:9}", style), " ", (finding.item, "bold"), f": {finding.says}")
+        console.print(line, soft_wrap=True)
+    end = styled(("go", "bold green")) if report.go else styled(("no-go", "bold red"), ": do not fly")
+    console.print(end)

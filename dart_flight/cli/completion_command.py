@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from typing import Any
 
-from dart_flight.cli.terminal import emit_json
+from dart_flight.cli.terminal import emit_json, write_output
 
 SHELLS = ("bash", "zsh", "tcsh")
 _FILES = {"MISSION", "SCENARIO", "LOG", "TRIAL", "FILE"}
@@ -24,7 +23,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.json:
         emit_json({"shell": arguments.shell, "script": script})
     else:
-        sys.stdout.write(script)
+        write_output(script)
     return 0
 
 

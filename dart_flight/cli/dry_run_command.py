@@ -23,7 +23,7 @@ from dart_flight.cli.hitl_preflight import prepare_hitl, say_how_to_end
 from dart_flight.cli.live_options import add_live_options, live_view
 from dart_flight.cli.options import add_flight_options, add_set_option, add_vary_option, number, whole_number
 from dart_flight.cli.px4_options import add_px4_options, position_source_of, position_warnings
-from dart_flight.cli.terminal import emit_json, messages, tables
+from dart_flight.cli.terminal import emit_json, keep_status, messages, styled, tables
 from dart_flight.cli.vehicle_line import say_vehicle
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission
@@ -119,7 +119,7 @@ def run(arguments: argparse.Namespace) -> int:
     if late_s > LATE_S:
         warnings.append(f"this program lags by up to {late_s * 1e3:.0f} ms: {TOO_BUSY}")
     for line in warnings:
-        console.print(f"[yellow]{line}[/]", soft_wrap=True)
+        console.print(line, style="yellow", soft_wrap=True)
     return _fly_one(arguments, mission, fly) if arguments.runs is None else _fly_many(arguments, mission, fly)
 
 
@@ -167,28 +167,32 @@ def _show_runs(
     console = messages()
     summary = summarise(verdicts)
     if interrupted:
-        console.print(f"[red]interrupted[/]: {len(verdicts)} of {arguments.runs} flights were flown")
-    if arguments.json:
-        emit_json(
-            {
-                "runs": verdicts,
-                "summary": summary,
-                "interrupted": interrupted,
-                "log_dir": display_path(arguments.log_dir),
-                "vehicle": mission.flown_vehicle(),
-            }
+        console.print(
+            styled(("interrupted", "red"), f": {len(verdicts)} of {arguments.runs} flights were flown")
         )
-    else:
-        tables().print(summary_table(summary))
+    with keep_status(f"{summary.completed} of {summary.runs} completed"):
+        if arguments.json:
+            emit_json(
+                {
+                    "runs": verdicts,
+                    "summary": summary,
+                    "interrupted": interrupted,
+                    "log_dir": display_path(arguments.log_dir),
+                    "vehicle": mission.flown_vehicle(),
+                }
+            )
+        else:
+            tables().print(summary_table(summary))
     if verdicts:
         console.print(f"logs: {len(verdicts)} flights in {display_path(arguments.log_dir)}", soft_wrap=True)
     cut = [verdict for verdict in verdicts if verdict.log_failure is not None]
     if cut:
-        console.print(f"[red]{len(cut)} logs are not complete[/]: {cut[0].log_failure}", soft_wrap=True)
+        line = styled((f"{len(cut)} logs are not complete", "red"), f": {cut[0].log_failure}")
+        console.print(line, soft_wrap=True)
     if interrupted:
         return EXIT_INTERRUPTED
     for seed, found in summary.unexplained_modes.items():
         console.print(
-            f"[red]seed {seed}: {'; '.join(found)}; no fault of the lock was drawn[/]", soft_wrap=True
+            f"seed {seed}: {'; '.join(found)}; no fault of the lock was drawn", style="red", soft_wrap=True
         )
     return 0 if summary.completed == summary.runs and not (summary.unexplained_modes or cut) else 1

@@ -6,14 +6,13 @@ import shlex
 from importlib.util import find_spec
 
 from rich.console import Console, Group, RenderableType
-from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
 from dart_flight.base.processes import LATE_S
 from dart_flight.base.records import GuardEvent, MissionEnd, Outcome, PhaseChange, Record, World
 from dart_flight.cli.live_line import LiveLine
-from dart_flight.cli.terminal import emit_json, tables
+from dart_flight.cli.terminal import emit_json, keep_status, styled, tables
 from dart_flight.config.mission import Mission
 from dart_flight.recording.events import Event, EventFormatter, Level
 from dart_flight.recording.flight_time import FlightTime
@@ -52,7 +51,7 @@ class FlightLines:
         self._newest_us = max(self._newest_us, getattr(record, "detected_us", getattr(record, "t_us", 0)))
         time_s = self._time.seconds(self._newest_us)
         shown = " " * 9 if time_s is None else f"{time_s:7.2f} s"
-        self._console.print(f"[dim]{shown}[/]  {_markup(record, event)}", soft_wrap=True)
+        self._console.print(styled((shown, "dim"), "  ", *_styled(record, event)), soft_wrap=True)
 
     def close(self) -> None:
         """Take the live line away: the flight is over, or something else is to be printed."""
@@ -67,12 +66,15 @@ def live_line_for(mission: Mission, console: Console) -> LiveLine | None:
 
 def show_end(verdict: Verdict, console: Console, as_json: bool) -> None:
     """What a flight came to, where its log is, and what can be done with that."""
+    with keep_status(_in_a_line(verdict)):
+        if as_json:
+            emit_json(verdict)
+        else:
+            tables().print(verdict_table(verdict))
     if as_json:
-        emit_json(verdict)
         return
-    tables().print(verdict_table(verdict))
     for line in wall_lines(verdict):
-        console.print(line, markup=False, soft_wrap=True)
+        console.print(line, soft_wrap=True)
     late_ms = verdict.own_lateness_ms or 0.0
     if verdict.outcome is not Outcome.COMPLETED and late_ms > 1e3 * LATE_S:
         simulated = verdict.world is not None and verdict.world is not World.DRONE
@@ -80,10 +82,17 @@ def show_end(verdict: Verdict, console: Console, as_json: bool) -> None:
         console.print(f"this program lagged by up to {late_ms:.0f} ms: {why}", style="yellow", soft_wrap=True)
     if verdict.log_failure is not None:
         told = f"log: {verdict.log} is not complete: {verdict.log_failure}"
-        console.print(told, markup=False, soft_wrap=True, style="red")
+        console.print(told, soft_wrap=True, style="red")
         return
     for line in [f"log: {verdict.log}", *(f"  {step}" for step in next_steps(verdict))]:
-        console.print(line, markup=False, soft_wrap=True)
+        console.print(line, soft_wrap=True)
+
+
+def _in_a_line(verdict: Verdict) -> str:
+    """Return how a flight ended, and where its log is."""
+    reason = "" if verdict.reason is None else f": {verdict.reason}"
+    log = "" if verdict.log is None else f", log: {verdict.log}"
+    return f"{verdict.mission}, {verdict.world or 'unknown'}: {verdict.outcome}{reason}{log}"
 
 
 def wall_lines(verdict: Verdict) -> list[str]:
@@ -118,17 +127,17 @@ def next_steps(verdict: Verdict) -> list[str]:
     return [step for needs, step in steps if needs is None or find_spec(needs) is not None]
 
 
-def _markup(record: Record, event: Event) -> str:
-    """An event for the terminal."""
-    head, detail = escape(event.head), escape(event.detail)
+def _styled(record: Record, event: Event) -> list[tuple[str, str]]:
+    """Return the parts of an event's line, each with its style."""
+    head, detail = event.head, event.detail
     if isinstance(record, PhaseChange):
-        return f"[bold]{head}[/] [dim]({detail})[/]"
+        return [(head, "bold"), (f" ({detail})", "dim")]
     if isinstance(record, GuardEvent):
-        return f"[red]{head}[/]" + (f" ({detail})" if detail else "")
+        return [(head, "red"), (f" ({detail})" if detail else "", "")]
     if isinstance(record, MissionEnd):
         colour = "green" if event.level is Level.INFO else "red"
-        return f"[{colour}]{head}[/]" + (f": {detail}" if detail else "")
-    return f"[dim]{head}[/]" if event.source == "px4" else head
+        return [(head, colour), (f": {detail}" if detail else "", "")]
+    return [(head, "dim" if event.source == "px4" else "")]
 
 
 def verdict_table(verdict: Verdict) -> RenderableType:
@@ -185,9 +194,9 @@ def _plan_line(verdict: Verdict) -> Text:
 
 
 def _add_collision(table: Table, c: CollisionVerdict) -> None:
-    head = f"[bold]{c.index} {c.wall}, {c.mode}[/]" + (" [red]clipped[/]" if c.clipped else "")
+    head = styled((f"{c.index} {c.wall}, {c.mode}", "bold"), (" clipped" if c.clipped else "", "red"))
     if c.mode_felt not in (None, c.mode):
-        head += f" [red]but contact indicates {c.mode_felt}[/]"
+        head.append(f" but contact indicates {c.mode_felt}", style="red")
     table.add_row(head)
     rows: list[tuple[str, Velocities | None]] = [
         ("planned", c.planned),
@@ -230,5 +239,5 @@ def summary_table(summary: RunsSummary) -> Table:
         if spread is not None:
             table.add_row(name, *(f"{v:.3f}" for v in (spread.median, spread.low, spread.high)))
     for reason, count in summary.reasons.items():
-        table.add_row(f"[red]{escape(reason)}[/]", str(count))
+        table.add_row(styled((reason, "red")), str(count))
     return table

@@ -90,7 +90,7 @@ def _flight_summary(mission: Mission, url: str) -> str:
     """What is about to happen, in words."""
     lock = mission.vehicle.lock
     by = "" if lock is None else f", lock by {lock.driver.value}"
-    lines = [f"[bold]{mission.name}[/] on {url}{by}"]
+    lines = [f"{mission.name} on {url}{by}"]
     lines.append(f"  take off to {mission.altitude_m:g} m, to ({mission.start[0]:g}, {mission.start[1]:g})")
     stops = [(w.after, _stop(w)) for w in mission.waypoints]
     lines += [says for after, says in stops if after == 0]

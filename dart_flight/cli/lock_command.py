@@ -152,9 +152,9 @@ def _report(
         emit_json(report)
         return
     if state is not None:
-        tables().print(f"{config.driver}: {describe(state)}", markup=False, soft_wrap=True)
+        tables().print(f"{config.driver}: {describe(state)}", soft_wrap=True)
     if last is not None and arguments.action == "status":
-        tables().print(f"last command: {last.describe()}", markup=False, soft_wrap=True)
+        tables().print(f"last command: {last.describe()}", soft_wrap=True)
 
 
 def _taken(arguments: argparse.Namespace, config: LockConfig, error: ServoTakenError) -> int:

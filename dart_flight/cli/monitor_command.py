@@ -13,9 +13,10 @@ from rich.live import Live
 from rich.table import Table
 
 from dart_flight.base.records import Record
+from dart_flight.base.text import printable
 from dart_flight.cli.live_options import add_live_options, live_view
 from dart_flight.cli.options import link_of, number
-from dart_flight.cli.terminal import emit_json, print_status, tables
+from dart_flight.cli.terminal import emit_json, print_status, styled, tables
 from dart_flight.cli.vehicle_line import say_vehicle
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission, load_mission
@@ -102,7 +103,7 @@ def _flight(log: Path | None, url: str) -> tuple[Path, Callable[[], bool]] | Non
         InputError: there are several, none of them on the configuration's link.
     """
     if log is not None:
-        held = [holder for holder in held_links() if holder.log == str(log.resolve())]
+        held = [holder for holder in held_links() if holder.log == printable(str(log.resolve()))]
         return log, _still_held(held[0]) if held else lambda: False
     flights = [holder for holder in held_links() if holder.log is not None]
     here = [holder for holder in flights if endpoint_of(holder.url) == endpoint_of(url)]
@@ -163,7 +164,7 @@ def _force(view: MonitorView) -> Table:
             length = min(_BAR_WIDTH, round(abs(value) / _BAR_N * _BAR_WIDTH))
             table.add_row(axis, f"{value:+.2f}", ("+" if value > 0.0 else "-") * length)
         sigma = f"{view.sigma_n:.2f}" if view.sigma_n is not None else "-"
-        table.add_row("standard deviation", sigma, "[red]clipped[/]" if view.clipped else "")
+        table.add_row("standard deviation", sigma, styled(("clipped" if view.clipped else "", "red")))
     table.add_row("detection", "", view.detection)
     for age, normal, tangential in view.peaks[:3]:
         table.add_row(f"impact {age:.1f} s ago", f"{normal:.1f}", f"along the wall {tangential:+.1f}")
@@ -195,7 +196,7 @@ def _streams(view: MonitorView) -> Table:
     for s in view.streams:
         colour = "green" if s.rate_hz >= s.expected_hz else "red"
         age = "-" if s.age_ms is None else f"{s.age_ms:.0f}"
-        table.add_row(s.name, f"[{colour}]{s.rate_hz:.0f}[/]", f"{s.expected_hz:.0f}", age)
+        table.add_row(s.name, styled((f"{s.rate_hz:.0f}", colour)), f"{s.expected_hz:.0f}", age)
     table.caption = (
         f"phase {view.phase or '-'}   lock {view.lock or '-'}   "
         f"this program {view.cpu_percent:.1f} % of a core"

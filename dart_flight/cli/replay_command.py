@@ -7,10 +7,9 @@ import re
 from pathlib import Path
 from typing import Any
 
-from rich.markup import escape
 from rich.table import Table
 
-from dart_flight.cli.terminal import emit_json, print_status, tables
+from dart_flight.cli.terminal import emit_json, print_status, styled, tables
 from dart_flight.config.mission import Mission
 from dart_flight.recording.about import flown_mission
 from dart_flight.recording.found import from_each, logs_in
@@ -84,16 +83,23 @@ def _print(name: str, result: Replay) -> None:
     how = "bit for bit" if result.exact else "to 1e-9 (recorded on another kind of machine)"
     if result.equal:
         out.print(
-            f"{escape(name)}[green]equal[/]: {result.outputs} outputs on {result.inputs} inputs, "
-            f"{len(result.recorded)} of them decisions, {how}",
+            styled(
+                name,
+                ("equal", "green"),
+                f": {result.outputs} outputs on {result.inputs} inputs, "
+                f"{len(result.recorded)} of them decisions, {how}",
+            ),
             soft_wrap=True,
         )
         return
     first = result.differences[0]
     out.print(
-        f"{escape(name)}[red]different[/]: {len(result.differences)} of {result.outputs} outputs, "
-        f"compared {how}. First at input {first.number}, {(first.t_us - result.zero_us) * 1e-6:.3f} s: "
-        f"{escape(first.text())}",
+        styled(
+            name,
+            ("different", "red"),
+            f": {len(result.differences)} of {result.outputs} outputs, compared {how}. First at input "
+            f"{first.number}, {(first.t_us - result.zero_us) * 1e-6:.3f} s: {first.text()}",
+        ),
         soft_wrap=True,
     )
     rows = decision_rows(result)
@@ -112,6 +118,6 @@ def _changes(before: str, after: str) -> tuple[str, str]:
     """Of two forms of a decision the parts that differ; a decision of one side only as it is."""
     one, other = _PARTS.split(before), _PARTS.split(after)
     if len(one) != len(other) or "-" in (before, after):
-        return escape(before), escape(after)
+        return before, after
     apart = [(a, b) for a, b in zip(one, other, strict=True) if a != b]
-    return escape(", ".join(a for a, _ in apart)), escape(", ".join(b for _, b in apart))
+    return ", ".join(a for a, _ in apart), ", ".join(b for _, b in apart)

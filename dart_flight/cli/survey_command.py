@@ -31,7 +31,7 @@ from dart_flight.cli.options import (
     whole_number,
 )
 from dart_flight.cli.px4_options import add_px4_options
-from dart_flight.cli.terminal import emit_json, messages, tables
+from dart_flight.cli.terminal import emit_json, keep_status, messages, tables
 from dart_flight.cli.vehicle_line import say_vehicle
 from dart_flight.config.document import InputError, writing
 from dart_flight.config.file_kinds import FileKind, load_document
@@ -88,7 +88,7 @@ def run(arguments: argparse.Namespace) -> int:
     survey = plan_survey(mission, arguments.touch_speed)
     console = messages()
     for name, reason in survey.unreachable.items():
-        console.print(f"[yellow]wall {name} is not touched: {reason}[/]", soft_wrap=True)
+        console.print(f"wall {name} is not touched: {reason}", style="yellow", soft_wrap=True)
     say_vehicle(mission.flown_vehicle(), arguments)
     verdict = _fly(arguments, survey.mission)
     if verdict is None:
@@ -97,24 +97,26 @@ def run(arguments: argparse.Namespace) -> int:
     unfit = None
     if output is not None and walls:
         unfit = _write(arguments, document.tree, walls, mission)
-    if arguments.json:
-        emit_json(
-            {
-                "walls": verdict.walls,
-                "unreachable": survey.unreachable,
-                "flight": verdict,
-                "vehicle": mission.flown_vehicle(),
-            }
-        )
-    else:
+    if not arguments.json:
         show_end(verdict, console, False)
-        tables().print(_table(verdict.walls))
+    with keep_status(f"{len(walls)} of {len(mission.flat_walls)} walls met"):
+        if arguments.json:
+            emit_json(
+                {
+                    "walls": verdict.walls,
+                    "unreachable": survey.unreachable,
+                    "flight": verdict,
+                    "vehicle": mission.flown_vehicle(),
+                }
+            )
+        else:
+            tables().print(_table(verdict.walls))
     missed = [wall.name for wall in mission.flat_walls if wall.name not in walls]
     if missed:
-        console.print(f"[red]not met: {', '.join(missed)}[/]", soft_wrap=True)
+        console.print(f"not met: {', '.join(missed)}", style="red", soft_wrap=True)
     if unfit is not None:
         says = f"written, but it does not fit its walls as they were met; plan it anew: {unfit}"
-        console.print(f"[red]{says}[/]", soft_wrap=True)
+        console.print(says, style="red", soft_wrap=True)
     return exit_status(verdict) or bool(missed or unfit)
 
 
@@ -146,18 +148,24 @@ def _survey_room(arguments: argparse.Namespace, written: Any, mission: Mission) 
         load_entry(ROOM_PICTURE)(mission, room, touches, arguments.plot)
     if arguments.output is not None and walls:
         _write(arguments, {**written, "walls": walls}, {}, mission)
-    if arguments.json:
-        named = [{"name": name, **keys} for name, keys in walls.items()]
-        emit_json({"walls": named, "closed": room.is_closed, "contacts": len(touches), "flights": flights})
-    else:
-        table = Table("wall", "middle of its surface, m", "normal", "length m", "± m", "± deg")
-        for name, keys in walls.items():
-            (x, y), (nx, ny) = keys["point_m"], keys["normal"]
-            place, normal = f"({x:.3f}, {y:.3f})", f"({nx:.3f}, {ny:.3f})"
-            sds = (f"{keys['position_sd_m']:.3f}", f"{keys['yaw_sd_deg']:.2f}")
-            table.add_row(name, place, normal, f"{keys['length_m']:.2f}", *sds)
-        tables().print(table)
+    with keep_status(f"{len(walls)} walls, outline {state}"):
+        if arguments.json:
+            named = [{"name": name, **keys} for name, keys in walls.items()]
+            flown = {"closed": room.is_closed, "contacts": len(touches), "flights": flights}
+            emit_json({"walls": named, **flown})
+        else:
+            tables().print(_room_table(walls))
     return 0 if room.is_closed else 1
+
+
+def _room_table(walls: dict[str, dict[str, Any]]) -> Table:
+    table = Table("wall", "middle of its surface, m", "normal", "length m", "± m", "± deg")
+    for name, keys in walls.items():
+        (x, y), (nx, ny) = keys["point_m"], keys["normal"]
+        place, normal = f"({x:.3f}, {y:.3f})", f"({nx:.3f}, {ny:.3f})"
+        sds = (f"{keys['position_sd_m']:.3f}", f"{keys['yaw_sd_deg']:.2f}")
+        table.add_row(name, place, normal, f"{keys['length_m']:.2f}", *sds)
+    return table
 
 
 def _fly(arguments: argparse.Namespace, mission: Mission) -> Verdict | None:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import argparse
 
-from rich.markup import escape
-
 from dart_flight.cli.terminal import messages
 from dart_flight.config.provenance import VehicleSource, passed_over
 
@@ -24,13 +22,13 @@ def say_vehicle(source: VehicleSource | None, arguments: argparse.Namespace, *, 
     which = source.source or "from the log"
     if source.packaged:
         which = f"the packaged configuration ({which})"
-    changed = f", with {escape(', '.join(source.set))}" if source.set else ""
-    console.print(f"vehicle: {escape(which)}, {source.mass_kg:g} kg{changed}", soft_wrap=True)
+    changed = f", with {', '.join(source.set)}" if source.set else ""
+    console.print(f"vehicle: {which}, {source.mass_kg:g} kg{changed}", soft_wrap=True)
     others = [] if flown or arguments.config is not None else passed_over(source)
     if others:
         more = f" (and {len(others) - 1} more)" if len(others) > 1 else ""
         console.print(
-            f"[yellow]note: {escape(others[0])}{more} found but not used; "
-            f"select it with --config {escape(others[0])}[/]",
+            f"note: {others[0]}{more} found but not used; select it with --config {others[0]}",
+            style="yellow",
             soft_wrap=True,
         )

@@ -21,6 +21,7 @@ from typing import Any, BinaryIO, Literal, TypeVar, get_args, get_origin
 import msgspec
 import yaml
 
+from dart_flight.base.text import printable
 from dart_flight.config.units import unit_of
 
 T = TypeVar("T")
@@ -63,7 +64,19 @@ class InputError(ValueError):
         place = self.source if self.line is None else f"{self.source}:{self.line}"
         line = ": ".join(part for part in (place, dotted(self.key), self.message) if part)
         # A key or a value may hold anything, also what would break the line or steer the terminal.
-        return "".join(c if c.isprintable() else "?" for c in line)
+        return "".join(c if c.isprintable() else "?" for c in printable(line))
+
+
+def utf8_path(path: str | Path) -> str:
+    """Return a path as text that can be stored in JSON and found again.
+
+    Raises:
+        InputError: it is not UTF-8.
+    """
+    text = str(path)
+    if printable(text) != text:
+        raise InputError("the name is not UTF-8; rename it or choose another folder", source=text)
+    return text
 
 
 @contextlib.contextmanager
@@ -168,7 +181,7 @@ class Document:
         Raises:
             InputError: the file cannot be read, or as above.
         """
-        return cls(read_text(path, _MAX_BYTES), str(path))
+        return cls(read_text(path, _MAX_BYTES), printable(str(path)))
 
     @classmethod
     def of(cls, tree: Mapping[str, Any], source: str = IN_PYTHON) -> Document:

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import msgspec
 
+from dart_flight.base.text import printable
 from dart_flight.config.document import Document, InputError
 from dart_flight.config.file_kinds import FileKind, kind_of_tree, refuse_other_kind
 from dart_flight.config.vehicle import VehicleConfig, default_config_path, load_vehicle, packaged
@@ -65,11 +66,14 @@ def find_vehicle(path: str | Path | None = None, settings: Sequence[str] = ()) -
 
 def display_path(path: str | Path) -> str:
     """A path as people name it: below the working directory without what leads there."""
-    whole = Path(path).resolve()
-    with contextlib.suppress(ValueError):
-        return str(whole.relative_to(Path.cwd()))
-    # A mission names its configuration by a way up and down again: that is not how people name a file.
-    return str(whole if ".." in Path(path).parts else path)
+    shown = path
+    with contextlib.suppress(OSError):  # the working directory was removed
+        whole = Path(path).resolve()
+        if whole.is_relative_to(Path.cwd()):
+            shown = whole.relative_to(Path.cwd())
+        elif ".." in Path(path).parts:  # as a mission names its configuration, and no person a file
+            shown = whole
+    return printable(str(shown))
 
 
 def _is_packaged(path: Path) -> bool:

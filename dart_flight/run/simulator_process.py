@@ -14,6 +14,7 @@ import msgspec
 from dart_flight.base.errors import FlightError
 from dart_flight.base.processes import ChildProcess
 from dart_flight.base.records import TruthContact, TruthSample
+from dart_flight.config.document import utf8_path
 from dart_flight.run.app import FlightApp
 from dart_flight.run.flight_record import FlightRecord
 from dart_flight.sim.faults.fault_table import Fault
@@ -154,10 +155,11 @@ def fly_simulated(
         process: what the world runs in.
 
     Raises:
+        InputError: the folder's name is not UTF-8.
         SimulatorError, VehicleError: the simulated vehicle did not start or did not answer.
     """
-    spec.log = str((record.folder / "autopilot.log").resolve())
     try:
+        spec.log = utf8_path((record.folder / "autopilot.log").resolve())
         world = process(spec, record.truth)
         try:
             world.wait_ready()

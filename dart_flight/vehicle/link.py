@@ -22,6 +22,7 @@ from pathlib import Path
 
 import msgspec
 
+from dart_flight.base.text import printable
 from dart_flight.config.document import InputError
 from dart_flight.config.link_url import parse_link
 from dart_flight.config.state_folder import HeldError, HeldFile, Lease, content_of_held, lock_file, state_dir
@@ -112,7 +113,7 @@ class LinkLease(Lease):
         self._url = url
         self._place = endpoint_of(url)
         self._file = HeldFile(_file_of(url))
-        self._holder = Holder(os.getpid(), command, url, None if log is None else str(log.resolve()))
+        self._holder = Holder(os.getpid(), command, printable(url), None if log is None else _name_of(log))
         self._device: int | None = None
 
     def acquire(self) -> None:
@@ -133,7 +134,7 @@ class LinkLease(Lease):
 
     def note_log(self, log: Path) -> None:
         """Say where the flight's log is, for `monitor`."""
-        self._holder = msgspec.structs.replace(self._holder, log=str(log.resolve()))
+        self._holder = msgspec.structs.replace(self._holder, log=_name_of(log))
         self._file.write(self._says())
 
     def close_device(self) -> None:
@@ -230,6 +231,10 @@ def _file_of(url: str) -> Path:
 def _holder_in(path: Path) -> Holder | None:
     content = content_of_held(path)
     return None if content is None else _decoded(content)
+
+
+def _name_of(log: Path) -> str:
+    return printable(str(log.resolve()))
 
 
 def _decoded(content: bytes) -> Holder | None:

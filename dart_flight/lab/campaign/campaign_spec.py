@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import msgspec
 
-from dart_flight.config.document import InputError
+from dart_flight.config.document import InputError, utf8_path
 from dart_flight.config.mission import Mission
 from dart_flight.recording.about import software_version
 from dart_flight.run.fast import simulated_driver
@@ -142,7 +142,7 @@ def points_of(asked: CampaignSpec) -> list[Point]:
     points: list[Point] = []
     for path, values in itertools.product(asked.missions, itertools.product(*asked.settings.values())):
         settings = [f"{key}={value}" for key, value in zip(asked.settings, values, strict=True)]
-        mission = load_flyable(path, asked.config, settings)
+        mission = load_flyable(utf8_path(path), asked.config, settings)
         simulated_driver(mission)
         spreads = parse_vary(asked.vary, mission.vehicle)
         points.append(Point(len(points) + 1, path, values, mission, spreads, _digest(mission, spreads)))

@@ -102,7 +102,7 @@ def _airframe(arguments: argparse.Namespace) -> int:
     if arguments.json:
         emit_json({"motors": motors, "other_than_configured": other, "other_sizes": sizes})
         return 0
-    tables().print(motors_block(motors), markup=False, highlight=False, soft_wrap=True)
+    tables().print(motors_block(motors), soft_wrap=True)
     print_status(*other, *sizes)
     return 0
 

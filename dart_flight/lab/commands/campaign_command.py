@@ -12,7 +12,7 @@ import msgspec
 
 from dart_flight.cli import EXIT_INTERRUPTED
 from dart_flight.cli.options import add_vary_option, whole_number
-from dart_flight.cli.terminal import emit_json, messages, tables
+from dart_flight.cli.terminal import emit_json, keep_status, messages, styled, tables
 from dart_flight.cli.vehicle_line import say_vehicle
 from dart_flight.config.document import InputError
 
@@ -76,7 +76,7 @@ def run(arguments: argparse.Namespace) -> int:
     if len(opened.points) > 1:
         console.print(f"and {len(opened.points) - 1} more missions or settings")
     for line in dict.fromkeys(line for point in opened.points for line in impact_warnings(point.mission)):
-        console.print(f"[yellow]{line}[/]", soft_wrap=True)
+        console.print(line, style="yellow", soft_wrap=True)
     with Interrupt() as interrupt, _Shown(console, opened.flights) as shown:
         flown = campaigns.fly(opened, engine, interrupt, shown)
     summary = summarise(opened)
@@ -87,14 +87,18 @@ def run(arguments: argparse.Namespace) -> int:
     if flown < opened.flights:
         again = shlex.join(["dart-flight", "campaign", "--resume", "--out", str(arguments.out)])
         console.print(
-            f"[red]interrupted[/]: {flown} of {opened.flights} flights are in the table; {again} goes on",
+            styled(
+                ("interrupted", "red"),
+                f": {flown} of {opened.flights} flights are in the table; {again} goes on",
+            ),
             soft_wrap=True,
-            highlight=False,
         )
-    if arguments.json:
-        emit_json(summary)
-    else:
-        tables().print(_table(summary))
+    with keep_status(f"{flown} of {opened.flights} flights are in {opened.folder}"):
+        if arguments.json:
+            emit_json(summary)
+        else:
+            tables().print(_table(summary))
+    if not arguments.json:
         console.print(f"page: {opened.folder / campaigns.PAGE}", soft_wrap=True)
     if flown < opened.flights:
         return EXIT_INTERRUPTED
@@ -181,7 +185,6 @@ class _Shown:
 
 
 def _table(summary: Any) -> Any:
-    from rich.markup import escape
     from rich.table import Table
 
     rate = summary.completed
@@ -190,12 +193,12 @@ def _table(summary: Any) -> Any:
         table.add_column(column, justify="left" if not column else "right")
     for point in summary.points:
         name = " ".join((point.mission, *(f"{key}={value}" for key, value in point.settings.items())))
-        table.add_row(escape(name), str(point.completed.of), *point.completed.words("-"))
+        table.add_row(name, str(point.completed.of), *point.completed.words("-"))
     if summary.plan_followed.of:
         table.add_row("plan followed", str(summary.plan_followed.of), *summary.plan_followed.words("-"))
     for rule in summary.rules:
-        table.add_row(f"[red]{escape(rule.rule)}[/]", str(rule.flights), "", "")
+        table.add_row(styled((rule.rule, "red")), str(rule.flights), "", "")
     for one in summary.unexplained_modes[:_MAX_SHOWN]:
         said = f"{one.mission}, seed {one.seed}: {one.reason}; no fault of the lock was drawn"
-        table.add_row(f"[red]{escape(said)}[/]", "", "", "")
+        table.add_row(styled((said, "red")), "", "", "")
     return table

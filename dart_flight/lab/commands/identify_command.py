@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from dart_flight.cli.options import add_set_option
-from dart_flight.cli.terminal import emit_json, messages, print_status, tables, write_text
+from dart_flight.cli.terminal import emit_json, messages, print_status, styled, tables, write_text
 from dart_flight.cli.vehicle_line import say_vehicle
 from dart_flight.config.document import InputError
 
@@ -20,7 +20,11 @@ def _height_or_trial(text: str) -> float | str:
         return text
 
 
-_FIT = {True: "[green]fit: good[/]", False: "[red]fit: poor[/]", None: "fit: quality cannot be assessed"}
+_FIT = {
+    True: ("fit: good", "green"),
+    False: ("fit: poor", "red"),
+    None: ("fit: quality cannot be assessed", ""),
+}
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -107,13 +111,13 @@ def run(arguments: argparse.Namespace) -> int:
 
     judged = assess_fit(found, trials, done.mass_kg, done.onset)
     for line in judged.says:
-        messages().print(f"[red]{line}[/]", soft_wrap=True)
+        messages().print(line, style="red", soft_wrap=True)
     # First what was found, whatever becomes of the files.
     if arguments.json:
         emit_json({**identification.as_json(found), "fit": judged._asdict(), "vehicle": source})
     else:
         _print(found)
-        tables().print(_FIT[judged.good])
+        tables().print(styled(_FIT[judged.good]))
     if arguments.output:
         _write(arguments, found, done.vehicle, poor=judged.good is False)
     if arguments.plot:
@@ -131,13 +135,15 @@ def _write(arguments: argparse.Namespace, found: Any, vehicle: Any, *, poor: boo
     console = messages()
     if entry.assumed:
         console.print(
-            f"[yellow]not seen in these trials, written as 0 and marked: {', '.join(entry.assumed)}[/]",
+            f"not seen in these trials, written as 0 and marked: {', '.join(entry.assumed)}",
+            style="yellow",
             soft_wrap=True,
         )
     for mode in entry.missing:
         console.print(
-            f"[yellow]not complete: {mode} is not known; a configuration needs it: "
-            f"identify trials with --mode {mode}[/]",
+            f"not complete: {mode} is not known; a configuration needs it: "
+            f"identify trials with --mode {mode}",
+            style="yellow",
             soft_wrap=True,
         )
 

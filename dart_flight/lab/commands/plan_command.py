@@ -100,8 +100,8 @@ def run(arguments: argparse.Namespace) -> int:
         console.print(f"plan {plan.rank} written to {arguments.output}", soft_wrap=True)
         if arguments.set:
             console.print(
-                "[yellow]the mission names the configuration without what was set: fly it with the same "
-                "--set[/]",
+                "the mission names the configuration without what was set: fly it with the same --set",
+                style="yellow",
                 soft_wrap=True,
             )
     if arguments.plot is not None:

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import argparse
 import re
-import sys
 from collections.abc import Mapping
 from typing import Any
 
 from dart_flight.cli.options import add_set_option
-from dart_flight.cli.terminal import emit_json, tables
+from dart_flight.cli.terminal import emit_json, tables, write_output
 from dart_flight.cli.vehicle_line import say_vehicle
 from dart_flight.config.document import InputError
 
@@ -73,7 +72,7 @@ def run(arguments: argparse.Namespace) -> int:
         else:
             text = prediction.predict_batch(vehicle, *where, path=arguments.batch)
             say_vehicle(source, arguments)
-            sys.stdout.write(text)
+            write_output(text)
         return 0
     if arguments.mode is None and vehicle.has_lock:
         raise InputError("--mode is required: rigid or flexible")

@@ -1,0 +1,314 @@
+"""Text from outside, and standard streams that take nothing: neither costs a flight its status."""
+
+from __future__ import annotations
+
+import errno
+import io
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import msgspec
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from dart_flight.base.text import printable
+from dart_flight.cli import main
+from dart_flight.cli.terminal import (
+    OutputError,
+    emit_json,
+    keep_status,
+    messages,
+    print_status,
+    styled,
+    tables,
+)
+from dart_flight.config.document import InputError
+from dart_flight.config.provenance import display_path
+from dart_flight.config.vehicle import packaged
+from tests.shared_flights import ROOT, SharedFlights
+
+MISSION = packaged("missions", "single_wall.yaml")
+PREDICT = ["predict", "--surface", "acrylic", "--mode", "rigid", "--velocity", "-1.0", "0.0"]
+
+
+class Broken(io.StringIO):
+    """A stream that refuses what is written."""
+
+    def __init__(self, number: int) -> None:
+        super().__init__()
+        self.number = number
+
+    def write(self, text: str) -> int:
+        raise OSError(self.number, os.strerror(self.number))
+
+
+@pytest.fixture
+def odd_mission(tmp_path: Path) -> Path:
+    """A mission whose file name is not UTF-8 and has brackets."""
+    path = Path(os.fsdecode(os.fsencode(tmp_path) + b"/m[/x]\xff.yaml"))
+    path.parent.mkdir()
+    text = MISSION.read_text(encoding="utf-8")
+    path.write_text(text.replace("../configs/dart.yaml", str(packaged("configs", "dart.yaml"))))
+    return path
+
+
+@pytest.fixture
+def removed_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """A working folder that was removed."""
+    folder = tmp_path / "gone"
+    folder.mkdir()
+    monkeypatch.chdir(folder)
+    folder.rmdir()
+    yield
+    os.chdir(ROOT)
+
+
+# --- text ------------------------------------------------------------------------------------------------
+
+
+@given(st.text(alphabet=st.characters(exclude_categories=())))
+def test_printable_text_can_be_encoded_and_stays_as_it_is(text: str) -> None:
+    shown = printable(text)
+    assert shown.encode() == printable(shown).encode()
+    if not any(0xD800 <= ord(c) < 0xE000 for c in text):
+        assert shown == text
+
+
+@given(st.binary())
+def test_a_name_of_any_bytes_is_printable(name: bytes) -> None:
+    shown = printable(os.fsdecode(name))
+    assert shown.encode().decode() == shown
+    assert len(shown) >= len(name.decode("utf-8", "ignore"))
+
+
+def test_bytes_of_a_name_are_shown_as_such() -> None:
+    assert printable(os.fsdecode(b"m\xff\xc3\xa4.yaml")) == "m\\xffä.yaml"
+
+
+@pytest.mark.parametrize("text", ["p [/x]", "q [red]", "[bold", ":warning:", "\\[a]", "[@click=f]b[/]"])
+def test_text_is_no_markup(text: str, capsys: pytest.CaptureFixture[str]) -> None:
+    from rich.table import Table
+
+    table = Table(title=text)
+    table.add_column(text, no_wrap=True)
+    table.add_row(text)
+    print_status(text)
+    messages().print(text, style="red", soft_wrap=True)
+    messages().print(styled((text, "bold"), text), soft_wrap=True)
+    tables().print(table)
+    said = capsys.readouterr()
+    assert said.err == f"{text}\n{text}\n{text}{text}\n"
+    assert said.out.count(text) == 3
+
+
+def test_a_terminal_of_ascii_alone_gets_ascii(monkeypatch: pytest.MonkeyPatch) -> None:
+    data = io.BytesIO()
+    monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(data, encoding="ascii"))
+    tables().print("0.02\N{NO-BREAK SPACE}m ± 0.01 → ü \udcff", soft_wrap=True)
+    assert data.getvalue() == b"0.02 m +/- 0.01 -> \\xfc \\xff\n"
+
+
+# --- names -----------------------------------------------------------------------------------------------
+
+
+def test_a_mission_with_an_odd_name_flies_and_is_named_everywhere(
+    odd_mission: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    logs = tmp_path / "logs [/y]"
+    assert main(["dry-run", str(odd_mission), "--fast", "--log-dir", str(logs), "--json"]) == 0
+    verdict = msgspec.json.decode(capsys.readouterr().out)
+    log = verdict["log"]
+    assert "logs [/y]" in log
+    assert main(["replay", log]) == 0
+    assert main(["identify", log, "--mode", "flexible"]) == 0
+    page = Path(os.fsdecode(os.fsencode(tmp_path) + b"/p\xff.html"))
+    assert main(["report", log, "-o", str(page)]) == 0
+    assert page.exists()
+    said = capsys.readouterr()
+    assert f"wrote {tmp_path}/p\\xff.html" in said.err
+    assert "[/y]" in said.out.replace("\n", "")
+
+
+@pytest.mark.parametrize(
+    "command", ["check", "dry-run", "plan", "survey", "report", "inspect", "identify", "replay"]
+)
+def test_a_file_with_an_odd_name_that_is_wrong_is_one_line(
+    command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = Path(os.fsdecode(os.fsencode(tmp_path) + b"/n\xfe[/].yaml"))
+    path.parent.mkdir()
+    path.write_bytes(b"version: [")
+    assert main([command, str(path)]) == 2
+    lines = [line for line in capsys.readouterr().err.splitlines() if not line.startswith("vehicle: ")]
+    assert len(lines) == 1
+    assert "n\\xfe[/].yaml" in lines[0]
+
+
+def test_a_vehicle_with_an_odd_name_is_named_in_json(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = Path(os.fsdecode(os.fsencode(tmp_path) + b"/c\xff.yaml"))
+    path.write_bytes(packaged("configs", "dart.yaml").read_bytes())
+    monkeypatch.chdir(tmp_path)
+    assert main([*PREDICT, "--config", str(path), "--json"]) == 0
+    said = capsys.readouterr()
+    assert msgspec.json.decode(said.out)["vehicle"]["source"] == "c\\xff.yaml"
+    assert "vehicle: c\\xff.yaml" in said.err
+
+
+def test_a_campaign_needs_names_that_it_can_keep(
+    odd_mission: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["campaign", str(odd_mission), "--runs", "1", "--out", str(tmp_path / "c")]) == 2
+    assert "the name is not UTF-8" in capsys.readouterr().err
+
+
+def test_json_of_any_text_is_json(capsys: pytest.CaptureFixture[str]) -> None:
+    emit_json({"log\udcff": ["\udcfe", {"a": "ü"}], "figure": 1.5, "missing": None})
+    assert msgspec.json.decode(capsys.readouterr().out) == {
+        "log\\xff": ["\\xfe", {"a": "ü"}],
+        "figure": 1.5,
+        "missing": None,
+    }
+
+
+# --- the working folder ----------------------------------------------------------------------------------
+
+
+@pytest.mark.usefixtures("removed_folder")
+@pytest.mark.parametrize("command", [["check", str(MISSION)], ["dry-run", str(MISSION), "--fast"], PREDICT])
+def test_a_removed_working_folder_is_one_line(command: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(command) == 2
+    line = "the working folder cannot be used: No such file or directory; cd to another one\n"
+    assert capsys.readouterr().err == line
+
+
+@pytest.mark.usefixtures("removed_folder")
+def test_a_working_folder_that_goes_during_a_flight_leaves_the_verdict_its_log() -> None:
+    assert display_path("flights/a/flight.mcap") == "flights/a/flight.mcap"
+    assert display_path("/logs/a/flight.mcap") == "/logs/a/flight.mcap"
+
+
+def test_a_px4_folder_that_leads_to_itself_is_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "a").symlink_to(tmp_path / "b")
+    (tmp_path / "b").symlink_to(tmp_path / "a")
+    for folder in (str(tmp_path / "a"), "~nobody-of-that-name/px4"):
+        assert main(["dry-run", str(MISSION), "--px4", folder]) == 2
+        assert "no PX4 SITL there" in capsys.readouterr().err
+
+
+def test_an_unexpected_system_error_is_a_line_with_its_place(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def refuse(*_: object) -> None:
+        raise PermissionError(errno.EPERM, os.strerror(errno.EPERM), "/etc/odd")
+
+    monkeypatch.setattr("dart_flight.config.provenance.load_vehicle", refuse)
+    assert main(PREDICT) == 1
+    assert capsys.readouterr().err.startswith("/etc/odd: Operation not permitted (test_output.py:")
+
+
+# --- streams that take nothing ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("number", [errno.EIO, errno.ENOSPC, errno.EPIPE])
+def test_a_terminal_that_is_gone_ends_no_flight(number: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "stderr", Broken(number))
+    print_status("→ APPROACH 1")
+    messages().print("→ APPROACH 1")
+
+
+def test_an_output_that_is_full_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "stdout", Broken(errno.ENOSPC))
+    with pytest.raises(OutputError, match="cannot write standard output: No space left"):
+        emit_json({})
+    with pytest.raises(OutputError, match="cannot write standard output: No space left"):
+        tables().print("a")
+
+
+def test_what_has_happened_keeps_its_status(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys, "stdout", Broken(errno.EDQUOT))
+    with keep_status("dual-collision, fast: completed, log: a.mcap"):
+        emit_json({})
+    monkeypatch.undo()
+    err = capsys.readouterr().err
+    assert err.startswith("dual-collision, fast: completed, log: a.mcap (cannot write standard output: ")
+
+
+def _run(command: list[str], redirection: str, folder: Path, **environment: str) -> tuple[int, str]:
+    """The exit status and standard error of a command whose output is redirected by the shell."""
+    words = " ".join(f"'{word}'" for word in [sys.executable, "-m", "dart_flight", *command])
+    done = subprocess.run(
+        ["bash", "-c", f"{words} {redirection}"],
+        env=os.environ | {"PYTHONPATH": str(ROOT)} | environment,
+        cwd=folder, capture_output=True, text=True, check=False, timeout=120,
+    )  # fmt: skip
+    assert "Traceback" not in done.stderr
+    assert "Exception ignored" not in done.stderr
+    return done.returncode, done.stderr
+
+
+@pytest.mark.parametrize(
+    ("redirection", "words"),
+    [
+        (">/dev/full", "No space left on device"),
+        (">&-", "Bad file descriptor"),
+        ("> >(true); sleep 0.1", None),
+    ],
+)
+def test_a_flight_without_an_output_has_the_flights_status(
+    redirection: str, words: str | None, tmp_path: Path
+) -> None:
+    fly = ["dry-run", str(MISSION), "--fast", "--log-dir", "logs", "--json"]
+    redirection = redirection.replace("; sleep 0.1", "; code=$?; sleep 0.1; exit $code")
+    status, said = _run(fly, redirection, tmp_path)
+    assert status == 0
+    if words is not None:
+        last = said.splitlines()[-1]
+        assert last.startswith("single-wall, fast: completed, log: logs/")
+        assert words in last
+    assert list(tmp_path.glob("logs/*/flight.mcap"))
+
+
+def test_a_result_that_is_lost_is_no_success(tmp_path: Path) -> None:
+    status, said = _run(PREDICT, ">/dev/full", tmp_path)
+    assert (status, said.splitlines()[-1]) == (1, "cannot write standard output: No space left on device")
+    assert _run(["--help"], ">/dev/full", tmp_path)[0] == 1
+    assert _run(PREDICT, ">/dev/null 2>/dev/full", tmp_path)[0] == 0
+    assert _run(PREDICT, ">/dev/null 2>&-", tmp_path)[0] == 0
+
+
+def test_tables_on_an_ascii_terminal(flown: SharedFlights, tmp_path: Path) -> None:
+    log = flown("single_wall", 1).log
+    status, _ = _run(["replay", str(log)], ">out", tmp_path, PYTHONIOENCODING="ascii")
+    assert status == 0
+    fly = ["dry-run", str(MISSION), "--fast", "--log-dir", "logs"]
+    status, _ = _run(fly, ">out", tmp_path, PYTHONIOENCODING="ascii")
+    assert status == 0
+    assert (tmp_path / "out").read_bytes().isascii()
+    assert b"max. tilt" in (tmp_path / "out").read_bytes()
+
+
+def test_a_closed_output_gives_its_number_to_no_file(tmp_path: Path) -> None:
+    """A library that prints to descriptor 1 would write into the flight's log otherwise."""
+    script = (
+        "import os; from dart_flight.cli.terminal import open_closed_streams; open_closed_streams();"
+        "file = open('log', 'w'); import sys; sys.exit(file.fileno() < 3 or sys.stdout is None)"
+    )
+    done = subprocess.run(
+        ["bash", "-c", f'"{sys.executable}" -c "{script}" <&- >&- 2>&-'],
+        env=os.environ | {"PYTHONPATH": str(ROOT)}, cwd=tmp_path, check=False, timeout=60,
+    )  # fmt: skip
+    assert done.returncode == 0
+
+
+def test_an_input_error_escapes_what_would_steer_the_terminal() -> None:
+    assert InputError("wrong", source="a\x1b[31m\udcff\n").one_line() == "a?[31m\\xff?: wrong"
