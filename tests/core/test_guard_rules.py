@@ -40,6 +40,7 @@ from dart_flight.base.records import (
     Setpoint,
     Silence,
     StatusText,
+    SystemStatus,
     Tick,
     VehicleAction,
     VehicleCommand,
@@ -101,6 +102,18 @@ def px4_failsafe(c: HandFedCore) -> None:
     c.to_flight()
     c.give(StatusText(c.t_us, c.t_us, "critical", "Failsafe activated"))
     c.set_status(flight_mode=FlightMode.LAND)
+
+
+@cause
+def failsafe_announced(c: HandFedCore) -> None:
+    c.to_flight()
+    c.give(StatusText(c.t_us, c.t_us, "critical", "Critical battery level: switching to Land"))
+
+
+@cause
+def terminated(c: HandFedCore) -> None:
+    c.to_flight()
+    c.set_status(system_status=SystemStatus.FLIGHT_TERMINATION)
 
 
 @cause

@@ -28,16 +28,17 @@ from dart_flight.base.records import (
     RoundTrip,
     StatusSample,
     StatusText,
+    SystemStatus,
 )
 from dart_flight.config.mission import Mission
+from dart_flight.core.guard.failsafe import FailsafeEvidence, in_failsafe
 from dart_flight.core.guard.second_vehicle import SecondClockDetector, SecondPositionDetector
 from dart_flight.core.guard.telemetry_delay import TelemetryDelay
 from dart_flight.core.mission.position_loop import STOP_TIME_S, stop_share
 from dart_flight.core.sense.senses import Sensed
 from dart_flight.core.sense.state import FlightState
 
-_FAILSAFE_WORDS: Final = ("failsafe",)
-_FAILSAFE_MEMORY_US: Final = 3_000_000
+_GAP_MEMORY_US: Final = 3_000_000  # a gap this long ago explains a change of mode
 _UNSURE_US: Final = 250_000  # in which a second vehicle shows for certain
 _DOUBT_US: Final = 100_000  # host time; another vehicle's samples come within this of its mode
 _GAP_US: Final = 500_000  # of silence, in which PX4 may have said anything
@@ -106,7 +107,7 @@ class FlightConditions:
         self._other_system: int | None = None
         self.second_vehicle: str | None = None  # how a second vehicle on the link shows; it does not go away
         self._left_since_us: int | None = None  # host time since when the mode says that offboard was left
-        self._failsafe_us: int | None = None
+        self._failsafe = FailsafeEvidence()
         self._gap_us: int | None = None
         self._host_us = 0  # of the newest stamped sample
         self._seen_us = 0  # host time at the step before
@@ -155,8 +156,8 @@ class FlightConditions:
             self.lateness.take_round_trip(item)
         elif isinstance(item, OtherVehicle):
             self._other_system = item.system
-        elif isinstance(item, StatusText) and any(w in item.text.lower() for w in _FAILSAFE_WORDS):
-            self._failsafe_us = state.now_us
+        elif isinstance(item, StatusText):
+            self._failsafe.take_text(item, state.now_us)
         self._see_flags()
 
     # -- what rules ask --
@@ -187,13 +188,44 @@ class FlightConditions:
 
     @property
     def failsafe_said(self) -> bool:
-        """Whether PX4 has spoken of a failsafe within the last seconds."""
-        return self._failsafe_us is not None and self.state.now_us - self._failsafe_us < _FAILSAFE_MEMORY_US
+        """Whether PX4 reports a failsafe, or has spoken of one within the last seconds."""
+        return in_failsafe(self.state.status.system_status) or self._failsafe.is_mentioned(self.state.now_us)
+
+    @property
+    def failsafe_announced(self) -> str | None:
+        """PX4's announcement that its failsafe takes over, in words; None if there is none."""
+        if in_failsafe(self.state.status.system_status) and not self.status_unreliable:
+            return self.failsafe_words
+        return self._failsafe.announcement(self.state.now_us)
+
+    @property
+    def failsafe_hands_to_sticks(self) -> bool:
+        """Whether the announced failsafe ends in a mode that sticks fly."""
+        return self._failsafe.hands_to_sticks(self.state.now_us)
+
+    @property
+    def failsafe_words(self) -> str:
+        """The cause of a failsafe in PX4's words, as far as it gave them."""
+        return self._failsafe.words(self.state.now_us) or "PX4 reports a failsafe and gives no cause"
+
+    @property
+    def termination(self) -> str | None:
+        """The termination of the flight by PX4, in words; None if there is none.
+
+        Status and words count in the air alone: a kill after touchdown is the end of a landing.
+        """
+        if not self.was_armed or self.state.on_ground:
+            return None
+        words = self._failsafe.termination(self.state.now_us)
+        if words is not None:
+            return f"PX4 has stopped the motors: {words}"
+        terminated = self.state.status.system_status is SystemStatus.FLIGHT_TERMINATION
+        return "PX4 has stopped the motors" if terminated and not self.status_unreliable else None
 
     @property
     def was_cut_off(self) -> bool:
         """Whether telemetry has come back within the last seconds after a gap."""
-        return self._gap_us is not None and self.state.now_us - self._gap_us < _FAILSAFE_MEMORY_US
+        return self._gap_us is not None and self.state.now_us - self._gap_us < _GAP_MEMORY_US
 
     @property
     def unrequested_mode(self) -> FlightMode | None:

@@ -87,12 +87,24 @@ def _pilot(v: FlightConditions) -> str | None:
 
 def _px4_failsafe(v: FlightConditions) -> str | None:
     mode = v.unrequested_mode
-    return f"PX4 is in {mode.value}" if mode is not None and _by_px4(v) else None
+    if mode is None or not _by_px4(v):
+        return None
+    return f"{v.failsafe_words}; PX4 is in {mode.value}" if v.failsafe_said else f"PX4 is in {mode.value}"
 
 
 def _by_px4(v: FlightConditions) -> bool:
-    # No failsafe of PX4 hands over to sticks; a gap in the telemetry hides what PX4 says.
-    return v.unrequested_mode is not FlightMode.MANUAL and (v.failsafe_said or v.was_cut_off)
+    # Sticks are a pilot's unless PX4 named them; a gap in the telemetry hides what PX4 says.
+    if v.unrequested_mode is FlightMode.MANUAL:
+        return v.failsafe_hands_to_sticks
+    return v.failsafe_said or v.was_cut_off
+
+
+def _failsafe_announced(v: FlightConditions) -> str | None:
+    return v.failsafe_announced
+
+
+def _terminated(v: FlightConditions) -> str | None:
+    return v.termination
 
 
 def _disarmed(v: FlightConditions) -> str | None:
@@ -282,6 +294,10 @@ RULES: tuple[Rule, ...] = (
     # judged here
     Rule("px4_failsafe", "PX4 has left offboard by itself: its failsafe flies", "",
          _RELEASE, _ALWAYS, _px4_failsafe, at_once=_MODE),
+    Rule("failsafe_announced", "PX4 announces a failsafe, and telemetry does not show its mode yet",
+         "", _BREAK_OFF, _FLYING, _failsafe_announced, at_once=_MODE),
+    Rule("terminated", "PX4 terminated the flight or a kill switch was thrown: motors off", "",
+         _RELEASE, _AIR, _terminated, at_once=_MODE),
     Rule("pilot", "PX4 was taken out of offboard: the pilot flies", "",
          _RELEASE, _ALWAYS, _pilot, by_person=True, at_once=_MODE),
     Rule("disarmed", "disarmed in the air: PX4 says so, or the motors stand still and the vehicle falls", "",
