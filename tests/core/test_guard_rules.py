@@ -236,6 +236,15 @@ def estimator_reset(c: HandFedCore) -> None:
 
 
 @cause
+def heading_reset(c: HandFedCore) -> None:
+    c.give(EstimatorSample(c.t_us, c.t_us, reset_counter=3))
+    c.to_flight()
+    c.q = quaternion_from_euler(0.0, 0.0, 0.5)
+    c.give(EstimatorSample(c.t_us, c.t_us, reset_counter=4))
+    c.run(0.05)
+
+
+@cause
 def estimator_flags(c: HandFedCore) -> None:
     c.to_flight()
     c.give(EstimatorSample(c.t_us, c.t_us, healthy=False))
@@ -933,7 +942,7 @@ def test_one_clock_that_leaps_in_a_landing_does_not_stop_the_motors(whose: str) 
     assert "still_armed" not in [e.rule for e in fired(c)]
 
 
-def test_a_reset_of_the_heading_alone_is_none() -> None:
+def test_a_count_without_a_step_is_no_reset() -> None:
     c = HandFedCore()
     c.to_flight()
     c.give(EstimatorSample(c.t_us, c.t_us, reset_counter=3))

@@ -29,6 +29,7 @@ from dart_flight.base.records import (
 )
 from dart_flight.base.streams import BY_NAME
 from dart_flight.core.guard.flight_conditions import FlightConditions, Stamped
+from dart_flight.core.guard.heading_step import HEADING_STEP_RAD
 from dart_flight.core.mission.phases import ALTITUDE_EXEMPT, ON_GROUND
 
 _SPEED_TOLERANCE: Final = 1.1
@@ -200,6 +201,13 @@ def _estimator_reset(v: FlightConditions) -> str | None:
     return v.reset_step()
 
 
+def _heading_reset(v: FlightConditions) -> str | None:
+    step = v.heading_step_rad
+    if abs(step) <= HEADING_STEP_RAD:
+        return None
+    return f"by {math.degrees(step):.1f} deg, allowed {math.degrees(HEADING_STEP_RAD):.0f}"
+
+
 def _position_uncertain(v: FlightConditions) -> str | None:
     sd, limit = v.state.position_sd_m, v.config.position_sd_m
     if sd is None or sd <= limit or not v.mission.collisions or v.just_after_impact or v.mission.is_anchored:
@@ -342,6 +350,9 @@ RULES: tuple[Rule, ...] = (
          "PX4's estimator counts a reset and position or velocity step, other than shortly after an impact",
          "guard.reset_position_m, guard.reset_velocity_m_s, guard.impact_window_s",
          _HOLD, _FLYING, _estimator_reset),
+    Rule("heading_reset",
+         "PX4's estimator counts a reset and the heading steps by more than 5 degrees against the gyro", "",
+         _BREAK_OFF, _FLYING, _heading_reset),
     Rule("estimator_flags", "PX4's estimator says that its position is not valid, and the impact is over",
          "guard.estimator_bad_s, guard.impact_window_s", _LAND, _AIR, _estimator_flags),
     Rule("position_uncertain", "PX4 itself is not sure enough of its position to fly at walls",
