@@ -50,7 +50,7 @@ from dart_flight.base.records import (
     SystemStatus,
     VehicleAction,
 )
-from dart_flight.base.streams import ESC, MESSAGE_ID, STREAMS, Stream
+from dart_flight.base.streams import ESC, ESTIMATOR, MESSAGE_ID, STREAMS, Stream
 from dart_flight.config.document import InputError
 from dart_flight.config.vehicle import Estimation
 from dart_flight.vehicle import arming_problems as reasons
@@ -219,7 +219,8 @@ class VehicleSession:
             self._extra.append(ESC)
             d.subscribe_message(ESC.message, self._on_esc)
         if guarded:
-            d.subscribe_message("ESTIMATOR_STATUS", self._on_estimator_status)
+            self._extra.append(ESTIMATOR)
+            d.subscribe_message(ESTIMATOR.message, self._on_estimator_status)
             d.subscribe_message("HEARTBEAT", self._on_heartbeat)
 
     async def set_rates(self, names: Collection[str] | None = None, watching: bool = False) -> list[str]:

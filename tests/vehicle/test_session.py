@@ -32,7 +32,7 @@ from dart_flight.base.records import (
     StatusText,
     VehicleAction,
 )
-from dart_flight.base.streams import ESC, MESSAGE_ID, STREAMS
+from dart_flight.base.streams import ESC, ESTIMATOR, MESSAGE_ID, STREAMS
 from dart_flight.config.vehicle import load_vehicle, packaged
 from dart_flight.vehicle import arming_problems as reasons
 from dart_flight.vehicle import vehicle_session as module
@@ -144,10 +144,11 @@ def test_a_further_stream_is_asked_for_by_its_message(
             "target_component": 1,
             "command": 511,
             "confirmation": 0,
-            "param1": MESSAGE_ID["ESC_STATUS"],
-            "param2": round(1e6 / ESC.rate_hz),
+            "param1": MESSAGE_ID[stream.message],
+            "param2": round(1e6 / stream.rate_hz),
             **{f"param{i}": 0 for i in range(3, 8)},
         }
+        for stream in (ESC, ESTIMATOR)
     ]
 
 

@@ -109,6 +109,7 @@ ROWS = {
     "geofence": Row(lambda s: s.set(GF_ACTION=5, GF_MAX_VER_DIST=0.3), PositionSource.RTK),
     "termination": Row(lambda s: s.command(mavlink.MAV_CMD_DO_FLIGHTTERMINATION, p1=1.0), falls=True),
     "kill": Row(lambda s: s.command(_KILL, p1=0.0, p2=_FORCED), falls=True),
+    "motion capture off": Row(lambda s: s.set(EKF2_EV_CTRL=0)),
     "heading reset 30 deg": Row(_turn(30.0)),
     "heading reset 90 deg": Row(_turn(90.0)),
     "position reset 1 m": Row(_move, PositionSource.RTK, off_m=_JUMP_M),

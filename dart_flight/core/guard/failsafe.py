@@ -35,8 +35,8 @@ class FailsafeEvidence:
 
         A cause outlives the generic words that come with it.
         """
-        words = item.text.strip()
-        text = words.lower()
+        words = "; ".join(line.strip() for line in item.text.splitlines() if line.strip())
+        text = item.text.strip().lower()
         if _TERMINATED.search(text):
             self._termination, self._terminated_us = words, now_us
         rank = _rank_of(text, item.event)
@@ -77,8 +77,8 @@ def _rank_of(text: str, event: str) -> int:
     if _WARNING.search(text) or _WARNING.search(event):
         return _MENTIONED if "failsafe" in text else 0
     found = _SWITCHING.search(text)
-    if found is not None and not _ACTIVATED.search(found[1]):
-        return _CAUSE_NAMED
+    if found is not None and ("\n" in text or not _ACTIVATED.search(found[1])):
+        return _CAUSE_NAMED  # PX4 appends the checks that failed, each on a line of its own
     if found is not None or _ACTIVATED.search(text) or event.startswith(_EVENT):
         return _ANNOUNCED
     return _MENTIONED if "failsafe" in text else 0

@@ -302,10 +302,10 @@ RULES: tuple[Rule, ...] = (
     # judged here
     Rule("px4_failsafe", "PX4 has left offboard by itself: its failsafe flies", "",
          _RELEASE, _ALWAYS, _px4_failsafe, at_once=_MODE),
-    Rule("failsafe_announced", "PX4 announces a failsafe, and telemetry does not show its mode yet",
-         "", _BREAK_OFF, _FLYING, _failsafe_announced, at_once=_MODE),
     Rule("terminated", "PX4 terminated the flight or a kill switch was thrown: motors off", "",
          _RELEASE, _AIR, _terminated, at_once=_MODE),
+    Rule("failsafe_announced", "PX4 announces a failsafe, and telemetry does not show its mode yet",
+         "", _BREAK_OFF, _FLYING, _failsafe_announced, at_once=_MODE),
     Rule("pilot", "PX4 was taken out of offboard: the pilot flies", "",
          _RELEASE, _ALWAYS, _pilot, by_person=True, at_once=_MODE),
     Rule("disarmed", "disarmed in the air: PX4 says so, or the motors stand still and the vehicle falls", "",
