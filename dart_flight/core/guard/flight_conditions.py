@@ -77,6 +77,7 @@ class FlightConditions:
         self.land_asked = False
         self.was_offboard = False
         self.was_armed = False
+        self.was_inside = False  # above the floor of the flight space, since the motors run
         self.impact: ImpactOnset | None = None  # the newest
         self.rates_hz: dict[str, float] = {}
         self.stale: dict[str, int] = {}  # samples in a row whose stamp lies far in the past, where there are
@@ -142,6 +143,7 @@ class FlightConditions:
             if state.is_plausible(item):  # else no difference to it means anything
                 self._see_stamp(self._odometry_stream, item, state.odometry)
                 self._see_odometry(item)
+                self.was_inside = self.was_inside or state.position[2] >= self.mission.bounds.z[0]
             else:
                 away_m, fast_m_s = norm(item.position_ned), norm(item.velocity_ned)
                 self.jump = f"implausible: {away_m:.3g} m from the origin at {fast_m_s:.3g} m/s"

@@ -37,6 +37,7 @@ _STALE_SAMPLES: Final = 5  # in a row; one late datagram is no clock that runs b
 _FALL_S: Final = 0.1
 _OTHERS_SINCE: Final = 12  # a tenth of a second of one other stream
 _ALTITUDE_SLACK_M: Final = 0.05
+_GUARD_STRAYS_M: Final = 0.2  # outside of the bounds, as when it breaks off from a wall that is their edge
 
 
 class Scope(StrEnum):
@@ -45,6 +46,7 @@ class Scope(StrEnum):
     ALWAYS = "always"
     GROUND = "before take-off"
     AIR = "in the air"
+    GUIDED = "while mission or guard flies"  # not while landing
     FLYING = "while the mission flies"  # not while landing or once overruled
 
 
@@ -64,6 +66,7 @@ class Rule(NamedTuple):
         explains: rules that may have fired for the same cause before it could be told: where their action is
             in force and no weaker, the reason becomes this rule's.
         of_streams: telemetry fails; what else is known of link and computer is said with it.
+        noted: once an action as strong is in force, it is noted in log and verdict, once a flight.
     """
 
     name: str
@@ -76,6 +79,7 @@ class Rule(NamedTuple):
     at_once: tuple[type, ...] = ()
     explains: frozenset[str] = frozenset()
     of_streams: bool = False
+    noted: bool = False
 
 
 # --- causes ------------------------------------------------------------------------------------------------
@@ -242,6 +246,8 @@ def _tilt(v: FlightConditions) -> str | None:
 def _bounds(v: FlightConditions) -> str | None:
     bounds = v.mission.bounds
     excess = bounds.excess2(v.state.position)
+    if v.phase is Phase.OVERRULED:  # the guard brakes already, and leaves what it was told to leave
+        return f"{excess:.2f} m outside" if excess > _GUARD_STRAYS_M else None
     if excess > 0.0:
         return f"{excess:.2f} m outside"
     excess = v.stop_excess_m()
@@ -249,7 +255,7 @@ def _bounds(v: FlightConditions) -> str | None:
 
 
 def _altitude(v: FlightConditions) -> str | None:
-    if v.phase in ALTITUDE_EXEMPT:
+    if v.phase in ALTITUDE_EXEMPT or not v.was_inside:
         return None
     low, high = v.mission.bounds.z
     tolerance = v.config.altitude_tolerance_m if v.just_after_impact else _ALTITUDE_SLACK_M
@@ -291,7 +297,8 @@ def _world_died(v: FlightConditions) -> str | None:
 
 # --- the table ---------------------------------------------------------------------------------------------
 
-_ALWAYS, _GROUND, _AIR, _FLYING = Scope.ALWAYS, Scope.GROUND, Scope.AIR, Scope.FLYING
+_ALWAYS, _GROUND, _AIR = Scope.ALWAYS, Scope.GROUND, Scope.AIR
+_GUIDED, _FLYING = Scope.GUIDED, Scope.FLYING
 _GIVE_UP, _BREAK_OFF, _HOLD = Override.GIVE_UP, Override.BREAK_OFF, Override.HOLD
 _LAND, _KILL, _RELEASE = Override.LAND, Override.KILL, Override.RELEASE
 _MODE = (StatusSample, StatusText)  # PX4's own words say whose doing a change of mode is
@@ -345,30 +352,30 @@ RULES: tuple[Rule, ...] = (
          _LAND, _AIR, _imu_clipped),
     Rule("estimator_jump", "position or velocity has jumped, other than shortly after an impact",
          "guard.position_jump_m, guard.velocity_jump_m_s, guard.impact_window_s",
-         _HOLD, _FLYING, _estimator_jump, at_once=(OdometrySample,)),
+         _HOLD, _GUIDED, _estimator_jump, at_once=(OdometrySample,), noted=True),
     Rule("estimator_reset",
          "PX4's estimator counts a reset and position or velocity step, other than shortly after an impact",
          "guard.reset_position_m, guard.reset_velocity_m_s, guard.impact_window_s",
-         _HOLD, _FLYING, _estimator_reset),
+         _HOLD, _GUIDED, _estimator_reset, noted=True),
     Rule("heading_reset",
          "PX4's estimator counts a reset and the heading steps by more than 5 degrees against the gyro", "",
          _BREAK_OFF, _FLYING, _heading_reset),
     Rule("estimator_flags", "PX4's estimator says that its position is not valid, and the impact is over",
          "guard.estimator_bad_s, guard.impact_window_s", _LAND, _AIR, _estimator_flags),
     Rule("position_uncertain", "PX4 itself is not sure enough of its position to fly at walls",
-         "guard.position_sd_m", _LAND, _FLYING, _position_uncertain),
+         "guard.position_sd_m", _LAND, _GUIDED, _position_uncertain, noted=True),
     Rule("battery", "the battery is low", "guard.battery_remaining, guard.battery_v, guard.battery_low_s",
          _LAND, _AIR, _battery),
     Rule("still_armed", "in PX4's land mode and still armed long after touchdown was due",
          "guard.kill_after_s, bounds_m.z", _KILL, _AIR, _still_armed),
     # No landing yet, as after `mode_felt`: PX4's land mode unwinds a tilt at MPC_JERK_AUTO and flies away.
     Rule("tilt", "tilt beyond what PX4 can be trusted to recover from", "guard.tilt_deg", _BREAK_OFF, _AIR,
-         _tilt, at_once=(AttitudeSample,)),
+         _tilt, at_once=(AttitudeSample,), noted=True),
     Rule("altitude", "outside of the flight space vertically; more is allowed after an impact",
-         "bounds_m.z, guard.altitude_tolerance_m, guard.impact_window_s", _LAND, _FLYING, _altitude,
-         at_once=(OdometrySample,)),
+         "bounds_m.z, guard.altitude_tolerance_m, guard.impact_window_s", _LAND, _GUIDED, _altitude,
+         at_once=(OdometrySample,), noted=True),
     Rule("bounds", "outside of the flight space horizontally, or would stop there", "bounds_m.x, bounds_m.y",
-         _HOLD, _FLYING, _bounds, at_once=(OdometrySample,)),
+         _HOLD, _GUIDED, _bounds, at_once=(OdometrySample,), noted=True),
     Rule("speed", "faster than the mission allows", "limits.speed_m_s", _HOLD, _FLYING, _speed,
          at_once=(OdometrySample,)),
     Rule("force_over_limit", "the contact force goes well over the limit while it lasts",
@@ -426,7 +433,9 @@ def in_scope(rule: Rule, phase: Phase) -> bool:
         return True
     if rule.scope is Scope.GROUND or phase in ON_GROUND:  # else the mission's time-outs judge there
         return rule.scope is Scope.GROUND and phase in ON_GROUND
-    return rule.scope is Scope.AIR or phase not in (Phase.OVERRULED, Phase.LANDING)
+    if rule.scope is Scope.AIR or phase is Phase.LANDING:
+        return rule.scope is Scope.AIR
+    return rule.scope is Scope.GUIDED or phase is not Phase.OVERRULED
 
 
 def table() -> str:
