@@ -38,9 +38,11 @@ STREAMS: tuple[Stream, ...] = (
     Stream("landed", "EXTENDED_SYS_STATE", 5.0, 1.0),
 )
 
-# Beside the table, asked for only where the configuration uses it. The telemetry plugin has no rate for it:
-# the number of the MAVLink message, for SET_MESSAGE_INTERVAL.
+# Beside the table: motor speeds where the configuration uses them, and the estimator's own judgement for the
+# guard. By PX4's default that comes once a second, in which a position adrift grows wrong by a metre. The
+# telemetry plugin has no rates for these: the number of the MAVLink message, for SET_MESSAGE_INTERVAL.
 ESC = Stream("esc", "ESC_STATUS", 125.0, 45.0)
-MESSAGE_ID = {ESC.message: 291}
+ESTIMATOR = Stream("estimator", "ESTIMATOR_STATUS", 10.0, 0.0)
+MESSAGE_ID = {ESC.message: 291, ESTIMATOR.message: 230}
 
 BY_NAME = {stream.name: stream for stream in STREAMS}

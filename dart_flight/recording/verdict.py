@@ -19,12 +19,14 @@ from dart_flight.base.records import (
     AttitudeSample,
     ContactEnd,
     ContactSide,
+    EstimatorSample,
     FrameAnchor,
     GoalPassed,
     GuardEvent,
     ImpactBody,
     ImpactOnset,
     ImpactPeak,
+    ImuSample,
     LockPhase,
     LockState,
     MissionEnd,
@@ -42,6 +44,7 @@ from dart_flight.base.records import (
 )
 from dart_flight.config.mission import Collision, Mission
 from dart_flight.config.provenance import VehicleSource
+from dart_flight.core.guard.estimator_resets import EstimatorReset, EstimatorResets
 from dart_flight.core.mission.phases import ON_GROUND
 from dart_flight.core.sense.incidence import side_of
 from dart_flight.recording.about import flown_mission
@@ -104,6 +107,20 @@ class CollisionVerdict(msgspec.Struct):
     mode_true: Mode | None = None  # of the simulated arms
 
 
+class ResetFigures(msgspec.Struct):
+    """One reset of PX4's estimator: the largest steps within 0.1 s of its counter's.
+
+    Attributes:
+        position_m, velocity_m_s: steps beside the motion.
+        heading_deg: step against the gyro, positive clockwise from above.
+    """
+
+    t_us: int
+    position_m: float
+    velocity_m_s: float
+    heading_deg: float
+
+
 class Px4Figures(msgspec.Struct):
     """A flight by PX4's log, while armed.
 
@@ -151,6 +168,7 @@ class Verdict(msgspec.Struct):
     goal_miss_planned_m: float | None = None  # as predicted; None: not known, or flown to from rest
     deviations: list[Deviation] = msgspec.field(default_factory=list)
     walls: list[MeasuredWall] = msgspec.field(default_factory=list)  # as the contacts have measured them
+    estimator_resets: list[ResetFigures] = msgspec.field(default_factory=list)  # in the air
     arms_moved: bool | None = None  # whether simulated arms ever followed the lock; None: it never moved
 
 
@@ -221,12 +239,16 @@ class VerdictBuilder:
         self._sought = {c.wall.name for c in mission.collisions if c.wall.sought}  # by names of their own
         self._measured_walls = WallMeasurements(mission)
         self._position_error = PositionError()
+        self._estimator = EstimatorResets()
+        self._resets: list[EstimatorReset] = []
         self._ticked_us: int | None = None
         self._late_us: int | None = None  # at worst, between ticks
         self._settled: set[Mode] = set()
         self._true_modes: set[Mode] = set()
         # By kind: most records matter to nothing here, and are passed over by one look-up.
         self.takers: dict[type, Callable[[Any], None]] = {
+            ImuSample: self._estimator.take_imu,
+            EstimatorSample: self._take_estimator,
             AttitudeSample: self._take_attitude,
             OdometrySample: self._take_odometry,
             TruthSample: self._take_truth,
@@ -257,7 +279,14 @@ class VerdictBuilder:
         if take is not None:
             take(record)
 
+    def _take_estimator(self, record: EstimatorSample) -> None:
+        counter, flies = record.reset_counter, self._airborne_us is not None and self._landed_us is None
+        if counter is not None and self._estimator.take_counter(counter, record.t_us) and flies:
+            assert self._estimator.newest is not None
+            self._resets.append(self._estimator.newest)
+
     def _take_attitude(self, record: AttitudeSample) -> None:
+        self._estimator.take_attitude(record)
         if self._airborne_us is not None and self._landed_us is None:
             self._tilt_rad = max(self._tilt_rad or 0.0, tilt_of(record.q_frd_to_ned))
 
@@ -298,6 +327,7 @@ class VerdictBuilder:
             self._landed_us = record.t_us
 
     def _take_odometry(self, record: OdometrySample) -> None:
+        self._estimator.take_odometry(record)
         self._anchor.take(record)
         frame = self._anchor.frame
         if frame is not None and self._airborne_us is not None and self._landed_us is None:
@@ -425,6 +455,10 @@ class VerdictBuilder:
             drawn=dict(drawn or {}),
             walls=self._measured_walls.build(end.t_us if end else self._landed_us or 0, drawn or {}),
             arms_moved=self._arms_moved(),
+            estimator_resets=[
+                ResetFigures(r.t_us, r.position_m, r.velocity_m_s, math.degrees(r.heading_rad))
+                for r in self._resets
+            ],
             goal_reached=self._goal_reached(),
             goal_miss_planned_m=planned.goal_miss_m if self._mission.standoff_m is None else None,
         )

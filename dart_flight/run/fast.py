@@ -87,7 +87,9 @@ class TelemetrySender:
 
     def __init__(self, vehicle: SimulatedVehicle, begins: bool = True) -> None:
         self._autopilot = a = vehicle.autopilot
-        self._status: tuple[object, ...] = () if begins else (a.armed, a.mode, a.landed, a.estimator.ok)
+        self._status: tuple[object, ...] = (
+            () if begins else (a.armed, a.mode, a.landed, a.estimator.ok, a.system_status)
+        )
         self._resets = -1
 
     def due(self, ticks: int, received: int) -> Iterator[Input]:
@@ -104,11 +106,11 @@ class TelemetrySender:
         if e.resets != self._resets or (e.position_sd_m is not None and ticks % _SURE_EVERY == 0):
             self._resets = e.resets
             yield EstimatorSample(t_us, received, e.resets, position_sd_m=e.position_sd_m)
-        status = (a.armed, a.mode, a.landed, e.ok)
+        status = (a.armed, a.mode, a.landed, e.ok, a.system_status)
         if status != self._status or ticks % _STATUS_EVERY == 0:
             self._status = status
             volts = a.vehicle.simulation.battery_v
-            yield StatusSample(t_us, received, *status, volts, a.battery_remaining)
+            yield StatusSample(t_us, received, *status[:4], volts, a.battery_remaining, a.system_status)
 
 
 class FastFlight:

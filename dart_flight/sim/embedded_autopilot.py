@@ -14,7 +14,7 @@ from typing import Final
 import msgspec
 
 from dart_flight.base.geometry import GRAVITY_M_S2, Quaternion, Vec3, distance2, rotate, yaw_ned_of
-from dart_flight.base.records import FlightMode, LandedState
+from dart_flight.base.records import FlightMode, LandedState, SystemStatus
 from dart_flight.config.mission import Mission
 from dart_flight.config.parameter_file import PositionSource, Value, vehicle_parameters
 from dart_flight.config.rotors import rotor_parameters
@@ -108,6 +108,15 @@ class Autopilot:
     def time_us(self) -> int:
         """The autopilot's clock."""
         return round(self.plant.time_s * 1e6) + self.plant.time_offset_us
+
+    @property
+    def system_status(self) -> SystemStatus:
+        """What the heartbeat reports, as PX4 puts it together."""
+        if self._killed_at_s is not None:
+            return SystemStatus.FLIGHT_TERMINATION
+        if not self.armed:
+            return SystemStatus.STANDBY
+        return SystemStatus.CRITICAL if self.failsafe else SystemStatus.ACTIVE
 
     @property
     def battery_remaining(self) -> float:

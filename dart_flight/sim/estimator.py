@@ -81,6 +81,13 @@ class Estimator:
         self.position = add(self.position, by_ned)
         self._history = deque((t, add(p, by_ned), v, q) for t, p, v, q in self._history)
 
+    def turn(self, by_rad: float) -> None:
+        """Turn the heading at once, as an EKF does at a reset; positive clockwise from above."""
+        self.resets += 1
+        turn = quaternion_from_rotation_vector((0.0, 0.0, by_rad))
+        self.q = quaternion_multiply(turn, self.q)
+        self._history = deque((t, p, v, quaternion_multiply(turn, q)) for t, p, v, q in self._history)
+
     def correct(self, t_s: float, position_ned: Vec3, q: Quaternion) -> None:
         """A pose measured at `t_s`, which may lie in the past."""
         self._updates += 1

@@ -18,7 +18,7 @@ from typing import Any
 from pymavlink.dialects.v20 import common as mavlink
 
 from dart_flight.base.geometry import distance2
-from dart_flight.base.records import MOTOR_FULL_US, MOTOR_STOP_US, FlightMode, LandedState
+from dart_flight.base.records import MOTOR_FULL_US, MOTOR_STOP_US, FlightMode, LandedState, SystemStatus
 from dart_flight.config.rotors import MAV_TYPES
 from dart_flight.sim import esc_status
 from dart_flight.sim.cascade import TrajectorySetpoint
@@ -45,6 +45,12 @@ _LANDED = {
     LandedState.IN_AIR: mavlink.MAV_LANDED_STATE_IN_AIR,
     LandedState.TAKING_OFF: mavlink.MAV_LANDED_STATE_TAKEOFF,
     LandedState.LANDING: mavlink.MAV_LANDED_STATE_LANDING,
+}
+_STATES = {
+    SystemStatus.STANDBY: mavlink.MAV_STATE_STANDBY,
+    SystemStatus.ACTIVE: mavlink.MAV_STATE_ACTIVE,
+    SystemStatus.CRITICAL: mavlink.MAV_STATE_CRITICAL,
+    SystemStatus.FLIGHT_TERMINATION: mavlink.MAV_STATE_FLIGHT_TERMINATION,
 }
 _DISARMED_US = 900.0  # pulse of a motor output that is off
 _SEVERITY = {"critical": 2, "error": 3, "warning": 4, "info": 6}
@@ -354,9 +360,7 @@ class MavlinkEndpoint:
         if a.mode is not FlightMode.MANUAL:
             base |= mavlink.MAV_MODE_FLAG_AUTO_ENABLED
         main, sub = _MODES[a.mode]
-        status = mavlink.MAV_STATE_ACTIVE if a.armed else mavlink.MAV_STATE_STANDBY
-        if a.failsafe:
-            status = mavlink.MAV_STATE_CRITICAL
+        status = _STATES[a.system_status]
         custom = main << 16 | sub << 24
         return mavlink.MAVLink_heartbeat_message(self._type, _PX4, base, custom, status, 3)
 

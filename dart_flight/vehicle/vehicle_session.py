@@ -47,9 +47,10 @@ from dart_flight.base.records import (
     Setpoint,
     StatusSample,
     StatusText,
+    SystemStatus,
     VehicleAction,
 )
-from dart_flight.base.streams import ESC, MESSAGE_ID, STREAMS, Stream
+from dart_flight.base.streams import ESC, ESTIMATOR, MESSAGE_ID, STREAMS, Stream
 from dart_flight.config.document import InputError
 from dart_flight.config.vehicle import Estimation
 from dart_flight.vehicle import arming_problems as reasons
@@ -76,7 +77,10 @@ _LANDED = {
     SdkLandedState.TAKING_OFF: LandedState.TAKING_OFF,
     SdkLandedState.LANDING: LandedState.LANDING,
 }
+_STATUSES = tuple(SystemStatus)[1:]  # in the order of MAV_STATE's numbers
+_AUTOPILOT_COMPONENT = 1
 _ACTION_TIMEOUT_S = 5.0
+_SYSTEM_STATUS = re.compile(r'"system_status":\s*(\d+)')
 _RESULT = re.compile(r'"result":\s*(\d+)')
 _SET_MESSAGE_INTERVAL = 511  # MAV_CMD
 _MOTOR_SPAN_US = MOTOR_FULL_US - MOTOR_STOP_US
@@ -215,7 +219,9 @@ class VehicleSession:
             self._extra.append(ESC)
             d.subscribe_message(ESC.message, self._on_esc)
         if guarded:
-            d.subscribe_message("ESTIMATOR_STATUS", self._on_estimator_status)
+            self._extra.append(ESTIMATOR)
+            d.subscribe_message(ESTIMATOR.message, self._on_estimator_status)
+            d.subscribe_message("HEARTBEAT", self._on_heartbeat)
 
     async def set_rates(self, names: Collection[str] | None = None, watching: bool = False) -> list[str]:
         """Ask for the rates of the table; returns the names of the streams that were refused.
@@ -402,6 +408,17 @@ class VehicleSession:
         )
         self._deliver(self._status)
 
+    def _on_heartbeat(self, message: Any, _: Any) -> None:
+        """Take the state of the autopilot's own heartbeat: a gimbal's or a camera's says nothing of PX4."""
+        sender = (message.system_id, message.component_id)
+        found = _SYSTEM_STATUS.search(message.fields_json)
+        if found is None or sender != (self._raw.get_system_id(), _AUTOPILOT_COMPONENT):
+            return
+        number = int(found[1])
+        status = _STATUSES[number] if number < len(_STATUSES) else SystemStatus.UNKNOWN
+        if status is not self._status.system_status:
+            self._on_status(system_status=status)
+
     def _on_battery(self, battery: Any, _: Any) -> None:
         volts, percent = float(battery.voltage_v), float(battery.remaining_percent)
         self._on_status(
@@ -441,7 +458,11 @@ class VehicleSession:
     def _on_event(self, event: Any, _: Any) -> None:
         received = host_us()
         text = StatusText(
-            self.clock.to_autopilot(received), received, reasons.severity(event.log_level), event.message
+            self.clock.to_autopilot(received),
+            received,
+            reasons.severity(event.log_level),
+            event.message,
+            event.event_name,
         )
         self._deliver(text)
 

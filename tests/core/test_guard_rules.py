@@ -40,6 +40,7 @@ from dart_flight.base.records import (
     Setpoint,
     Silence,
     StatusText,
+    SystemStatus,
     Tick,
     VehicleAction,
     VehicleCommand,
@@ -101,6 +102,18 @@ def px4_failsafe(c: HandFedCore) -> None:
     c.to_flight()
     c.give(StatusText(c.t_us, c.t_us, "critical", "Failsafe activated"))
     c.set_status(flight_mode=FlightMode.LAND)
+
+
+@cause
+def failsafe_announced(c: HandFedCore) -> None:
+    c.to_flight()
+    c.give(StatusText(c.t_us, c.t_us, "critical", "Critical battery level: switching to Land"))
+
+
+@cause
+def terminated(c: HandFedCore) -> None:
+    c.to_flight()
+    c.set_status(system_status=SystemStatus.FLIGHT_TERMINATION)
 
 
 @cause
@@ -219,6 +232,15 @@ def estimator_reset(c: HandFedCore) -> None:
     c.give(EstimatorSample(c.t_us, c.t_us, reset_counter=4))
     north, east, down = c.position_ned
     c.position_ned = (north + 0.08, east, down)
+    c.run(0.05)
+
+
+@cause
+def heading_reset(c: HandFedCore) -> None:
+    c.give(EstimatorSample(c.t_us, c.t_us, reset_counter=3))
+    c.to_flight()
+    c.q = quaternion_from_euler(0.0, 0.0, 0.5)
+    c.give(EstimatorSample(c.t_us, c.t_us, reset_counter=4))
     c.run(0.05)
 
 
@@ -920,7 +942,7 @@ def test_one_clock_that_leaps_in_a_landing_does_not_stop_the_motors(whose: str) 
     assert "still_armed" not in [e.rule for e in fired(c)]
 
 
-def test_a_reset_of_the_heading_alone_is_none() -> None:
+def test_a_count_without_a_step_is_no_reset() -> None:
     c = HandFedCore()
     c.to_flight()
     c.give(EstimatorSample(c.t_us, c.t_us, reset_counter=3))

@@ -32,7 +32,7 @@ from dart_flight.base.records import (
     StatusText,
     VehicleAction,
 )
-from dart_flight.base.streams import ESC, MESSAGE_ID, STREAMS
+from dart_flight.base.streams import ESC, ESTIMATOR, MESSAGE_ID, STREAMS
 from dart_flight.config.vehicle import load_vehicle, packaged
 from dart_flight.vehicle import arming_problems as reasons
 from dart_flight.vehicle import vehicle_session as module
@@ -144,10 +144,11 @@ def test_a_further_stream_is_asked_for_by_its_message(
             "target_component": 1,
             "command": 511,
             "confirmation": 0,
-            "param1": MESSAGE_ID["ESC_STATUS"],
-            "param2": round(1e6 / ESC.rate_hz),
+            "param1": MESSAGE_ID[stream.message],
+            "param2": round(1e6 / stream.rate_hz),
             **{f"param{i}": 0 for i in range(3, 8)},
         }
+        for stream in (ESC, ESTIMATOR)
     ]
 
 
@@ -255,7 +256,7 @@ def test_whatever_is_subscribed_to_is_delivered_with_its_receipt(monkeypatch: py
         ("Telemetry", "landed_state", SdkLandedState.IN_AIR, StatusSample),
         ("Telemetry", "battery", SimpleNamespace(voltage_v=15.0, remaining_percent=50.0), StatusSample),
         ("Telemetry", "status_text", SimpleNamespace(type="warning", text="low"), StatusText),
-        ("Events", "events", SimpleNamespace(log_level=4, message="gone"), StatusText),
+        ("Events", "events", SimpleNamespace(log_level=4, message="gone", event_name="went"), StatusText),
     ):
         before = len(rig.of(kind))
         rig.say(plugin, stream, value)
@@ -267,7 +268,7 @@ def test_whatever_is_subscribed_to_is_delivered_with_its_receipt(monkeypatch: py
             assert abs(found.t_us - UP_US) < 5_000_000
     status = rig.of(StatusSample)[-1]
     assert (status.armed, status.landed, status.battery_v) == (True, LandedState.IN_AIR, 15.0)
-    assert [text.text for text in rig.of(StatusText)] == ["low", "gone"]
+    assert [(text.text, text.event) for text in rig.of(StatusText)] == [("low", ""), ("gone", "went")]
     assert rig.of(EscSample)[0].rpm == (1.0,) * 4  # of so many motors
 
 
@@ -283,6 +284,26 @@ def test_the_estimators_word_is_delivered_beside_the_position(monkeypatch: pytes
     rig.session.subscribe(VEHICLE.estimation, 4)
     rig.say("MavlinkDirect", "ESTIMATOR_STATUS", message(flags=0, pos_horiz_accuracy=0.25))
     assert [(e.healthy, e.position_sd_m) for e in rig.of(EstimatorSample)] == [(False, 0.25)]
+
+
+def test_only_the_autopilots_heartbeat_says_whether_it_is_in_a_failsafe(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    rig = Rig(monkeypatch, {})
+    rig.session.subscribe(VEHICLE.estimation, 4)
+    own = rig.session._raw.get_system_id()
+    for system, component, number in (
+        (own, 1, 4),
+        (own, 154, 8),
+        (own + 1, 1, 8),
+        (own, 1, 5),
+        (own, 1, 5),
+        (own, 1, 9),
+    ):
+        beat = message(system_status=number)
+        beat.system_id, beat.component_id = system, component
+        rig.say("MavlinkDirect", "HEARTBEAT", beat)
+    assert [status.system_status for status in rig.of(StatusSample)] == ["active", "critical", "unknown"]
 
 
 # --- what is sent ----------------------------------------------------------------------------------------

@@ -8,10 +8,9 @@ judged by host time.
 from __future__ import annotations
 
 import math
-from collections import deque
 from typing import Final
 
-from dart_flight.base.geometry import Vec3, norm
+from dart_flight.base.geometry import norm
 from dart_flight.base.records import (
     ActuatorSample,
     AttitudeSample,
@@ -28,16 +27,19 @@ from dart_flight.base.records import (
     RoundTrip,
     StatusSample,
     StatusText,
+    SystemStatus,
 )
 from dart_flight.config.mission import Mission
+from dart_flight.core.guard.estimator_resets import REACH_US, EstimatorResets
+from dart_flight.core.guard.failsafe import FailsafeEvidence, in_failsafe
 from dart_flight.core.guard.second_vehicle import SecondClockDetector, SecondPositionDetector
 from dart_flight.core.guard.telemetry_delay import TelemetryDelay
+from dart_flight.core.mission.phases import ON_GROUND
 from dart_flight.core.mission.position_loop import STOP_TIME_S, stop_share
 from dart_flight.core.sense.senses import Sensed
 from dart_flight.core.sense.state import FlightState
 
-_FAILSAFE_WORDS: Final = ("failsafe",)
-_FAILSAFE_MEMORY_US: Final = 3_000_000
+_GAP_MEMORY_US: Final = 3_000_000  # a gap this long ago explains a change of mode
 _UNSURE_US: Final = 250_000  # in which a second vehicle shows for certain
 _DOUBT_US: Final = 100_000  # host time; another vehicle's samples come within this of its mode
 _GAP_US: Final = 500_000  # of silence, in which PX4 may have said anything
@@ -45,12 +47,11 @@ _RATE_WINDOW_US: Final = 1_000_000
 _LEAP_US: Final = 1_000_000
 _CLIP_SHARE: Final = 0.99
 _FALLING_M_S2: Final = 4.9  # half of what carries the vehicle
-_JUMP_REACH_US: Final = 100_000  # odometry further apart says nothing about a jump
-_RESET_REACH_US: Final = 100_000  # a step this near to a reset came with it
 _SURELY_DOWN: Final = 3.0  # times the way down from the top of the flight space
 _PAUSE_US: Final = 40_000  # host time goes on by 20 ms at most, by ticks: after more this program did not run
 _PAUSE_MEMORY_US: Final = 3_000_000
-_STEPS: Final = 16  # odometry of more than twice that reach
+# The heading aligns in the climb, where PX4 had none on the ground.
+_ALIGNING: Final = ON_GROUND | {Phase.CLIMB}
 Stamped = ImuSample | AttitudeSample | OdometrySample | ActuatorSample
 
 
@@ -76,6 +77,7 @@ class FlightConditions:
         self.land_asked = False
         self.was_offboard = False
         self.was_armed = False
+        self.was_inside = False  # above the floor of the flight space, since the motors run
         self.impact: ImpactOnset | None = None  # the newest
         self.rates_hz: dict[str, float] = {}
         self.stale: dict[str, int] = {}  # samples in a row whose stamp lies far in the past, where there are
@@ -88,8 +90,8 @@ class FlightConditions:
         # In land mode and armed: autopilot's and host's time.
         self._landing_since_us: tuple[int, int] | None = None
         self.jump: str = ""
-        self._reset_us: int | None = None  # the estimator's last reset, outside of the window after an impact
-        self._steps: deque[tuple[int, float, float]] = deque(maxlen=_STEPS)  # stamp, position m, velocity m/s
+        self._resets = EstimatorResets()
+        self._reset_phase = Phase.READYING  # at the newest reset
         self._tolerance_us = self.config.stamp_tolerance_s * 1e6
         self._imu_stream = _StampHistory("imu", self._tolerance_us)
         self._attitude_stream = _StampHistory("attitude", self._tolerance_us)
@@ -106,7 +108,7 @@ class FlightConditions:
         self._other_system: int | None = None
         self.second_vehicle: str | None = None  # how a second vehicle on the link shows; it does not go away
         self._left_since_us: int | None = None  # host time since when the mode says that offboard was left
-        self._failsafe_us: int | None = None
+        self._failsafe = FailsafeEvidence()
         self._gap_us: int | None = None
         self._host_us = 0  # of the newest stamped sample
         self._seen_us = 0  # host time at the step before
@@ -114,8 +116,6 @@ class FlightConditions:
         self.surely_down_s = self._surely_down_s()
         self._full_scale = _CLIP_SHARE * mission.vehicle.imu.full_scale_m_s2
         self._imu: ImuSample | None = None
-        self._odometry: OdometrySample | None = None
-        self._reset_counter: int | None = None
         self._estimator_bad = False
 
     def observe(self, item: Input, state: FlightState, sensed: Sensed, phase: Phase) -> None:
@@ -137,10 +137,13 @@ class FlightConditions:
             self.lateness.take_sample(item.t_us, item.received_us)
         elif isinstance(item, AttitudeSample):
             self._see_stamp(self._attitude_stream, item, state.attitude)
+            if item is state.attitude:
+                self._resets.take_attitude(item)
         elif isinstance(item, OdometrySample):
             if state.is_plausible(item):  # else no difference to it means anything
                 self._see_stamp(self._odometry_stream, item, state.odometry)
                 self._see_odometry(item)
+                self.was_inside = self.was_inside or state.position[2] >= self.mission.bounds.z[0]
             else:
                 away_m, fast_m_s = norm(item.position_ned), norm(item.velocity_ned)
                 self.jump = f"implausible: {away_m:.3g} m from the origin at {fast_m_s:.3g} m/s"
@@ -155,8 +158,8 @@ class FlightConditions:
             self.lateness.take_round_trip(item)
         elif isinstance(item, OtherVehicle):
             self._other_system = item.system
-        elif isinstance(item, StatusText) and any(w in item.text.lower() for w in _FAILSAFE_WORDS):
-            self._failsafe_us = state.now_us
+        elif isinstance(item, StatusText):
+            self._failsafe.take_text(item, state.now_us)
         self._see_flags()
 
     # -- what rules ask --
@@ -187,13 +190,44 @@ class FlightConditions:
 
     @property
     def failsafe_said(self) -> bool:
-        """Whether PX4 has spoken of a failsafe within the last seconds."""
-        return self._failsafe_us is not None and self.state.now_us - self._failsafe_us < _FAILSAFE_MEMORY_US
+        """Whether PX4 reports a failsafe, or has spoken of one within the last seconds."""
+        return in_failsafe(self.state.status.system_status) or self._failsafe.is_mentioned(self.state.now_us)
+
+    @property
+    def failsafe_announced(self) -> str | None:
+        """PX4's announcement that its failsafe takes over, in words; None if there is none."""
+        if in_failsafe(self.state.status.system_status) and not self.status_unreliable:
+            return self.failsafe_words
+        return self._failsafe.announcement(self.state.now_us)
+
+    @property
+    def failsafe_hands_to_sticks(self) -> bool:
+        """Whether the announced failsafe ends in a mode that sticks fly."""
+        return self._failsafe.hands_to_sticks(self.state.now_us)
+
+    @property
+    def failsafe_words(self) -> str:
+        """The cause of a failsafe in PX4's words, as far as it gave them."""
+        return self._failsafe.words(self.state.now_us) or "PX4 reports a failsafe and gives no cause"
+
+    @property
+    def termination(self) -> str | None:
+        """The termination of the flight by PX4, in words; None if there is none.
+
+        Status and words count in the air alone: a kill after touchdown is the end of a landing.
+        """
+        if not self.was_armed or self.state.on_ground:
+            return None
+        words = self._failsafe.termination(self.state.now_us)
+        if words is not None:
+            return f"PX4 has stopped the motors: {words}"
+        terminated = self.state.status.system_status is SystemStatus.FLIGHT_TERMINATION
+        return "PX4 has stopped the motors" if terminated and not self.status_unreliable else None
 
     @property
     def was_cut_off(self) -> bool:
         """Whether telemetry has come back within the last seconds after a gap."""
-        return self._gap_us is not None and self.state.now_us - self._gap_us < _FAILSAFE_MEMORY_US
+        return self._gap_us is not None and self.state.now_us - self._gap_us < _GAP_MEMORY_US
 
     @property
     def unrequested_mode(self) -> FlightMode | None:
@@ -281,19 +315,21 @@ class FlightConditions:
         return max(self.config.kill_after_s, _SURELY_DOWN * way_down_s)
 
     def reset_step(self) -> str | None:
-        """The step of position or velocity that came with a reset of the estimator, in words.
-
-        ODOMETRY has one counter for resets of position, velocity and heading; the heading alone is no reason
-        to stop.
-        """
-        if self._reset_us is None or self.state.now_us - self._reset_us > _RESET_REACH_US:
+        """The step of position or velocity that came with a reset of the estimator, in words."""
+        reset, c = self._resets.newest, self.config
+        if reset is None or self.state.now_us - reset.t_us > REACH_US or self.just_after_impact:
             return None
-        c = self.config
-        for t_us, position_m, velocity_m_s in self._steps:
-            large = position_m > c.reset_position_m or velocity_m_s > c.reset_velocity_m_s
-            if large and abs(t_us - self._reset_us) <= _RESET_REACH_US:
-                return f"by {position_m:.2f} m and {velocity_m_s:.2f} m/s"
+        if reset.position_m > c.reset_position_m or reset.velocity_m_s > c.reset_velocity_m_s:
+            return f"by {reset.position_m:.2f} m and {reset.velocity_m_s:.2f} m/s"
         return None
+
+    @property
+    def heading_step_rad(self) -> float:
+        """How far a reset of the estimator has just turned the heading, radians; 0 where it aligns."""
+        reset = self._resets.newest
+        if reset is None or self.state.now_us - reset.t_us > 2 * REACH_US or self._reset_phase in _ALIGNING:
+            return 0.0
+        return reset.heading_rad
 
     def _since_impact_us(self) -> float:
         return math.inf if self.impact is None else self.state.now_us - self.impact.t_us
@@ -348,6 +384,7 @@ class FlightConditions:
     def _see_imu(self, item: ImuSample) -> None:
         if item is not self.state.imu:
             return
+        self._resets.take_imu(item)
         before, self._imu = self._imu, item
         same = before is not None and before.specific_force_frd == item.specific_force_frd
         self.stuck_since_us = (self.stuck_since_us or item.t_us) if same else None
@@ -363,23 +400,19 @@ class FlightConditions:
     def _see_odometry(self, item: OdometrySample) -> None:
         if item is not self.state.odometry:
             return
-        before, self._odometry = self._odometry, item
-        if before is None or item.t_us - before.t_us > _JUMP_REACH_US or self.just_after_impact:
+        away_m, faster_m_s = self._resets.take_odometry(item)
+        if self.just_after_impact:
             return
-        dt = (item.t_us - before.t_us) * 1e-6
-        away_m = math.dist(item.position_ned, _carried(before, item, dt))
-        faster_m_s = math.dist(item.velocity_ned, before.velocity_ned)
-        self._steps.append((item.t_us, away_m, faster_m_s))
         if away_m > self.config.position_jump_m:
             self.jump = f"position by {away_m:.2f} m"
         if faster_m_s > self.config.velocity_jump_m_s:
             self.jump = f"velocity by {faster_m_s:.2f} m/s"
 
     def _see_estimator(self, item: EstimatorSample) -> None:
-        if item.reset_counter is not None:
-            if self._reset_counter not in (None, item.reset_counter) and not self.just_after_impact:
-                self._reset_us = self.state.now_us
-            self._reset_counter = item.reset_counter
+        if item.reset_counter is not None and self._resets.take_counter(
+            item.reset_counter, self.state.now_us
+        ):
+            self._reset_phase = self.phase
         if item.healthy is not None:
             self._estimator_bad = not item.healthy
 
@@ -404,13 +437,3 @@ class FlightConditions:
             self.flags_bad_since_us = None
         elif self.flags_bad_since_us is None and self.state.now_us:  # 0: nothing with a stamp has come yet
             self.flags_bad_since_us = self.state.now_us
-
-
-def _carried(before: OdometrySample, after: OdometrySample, dt: float) -> Vec3:
-    """Where the position should be by the mean of the two velocities."""
-    p, v, w = before.position_ned, before.velocity_ned, after.velocity_ned
-    return (
-        p[0] + 0.5 * dt * (v[0] + w[0]),
-        p[1] + 0.5 * dt * (v[1] + w[1]),
-        p[2] + 0.5 * dt * (v[2] + w[2]),
-    )

@@ -33,7 +33,7 @@ from dart_flight.base.records import (
 )
 from dart_flight.config.mission import Mission
 from dart_flight.core.guard.flight_conditions import FlightConditions
-from dart_flight.core.guard.rules import RULES, RULES_BY_NAME, Rule, in_scope
+from dart_flight.core.guard.rules import RULES, RULES_BY_NAME, Rule, Scope, in_scope
 from dart_flight.core.mission.phases import DOWN_US
 from dart_flight.core.mission.position_loop import STOP_TIME_S
 from dart_flight.core.mission.proposal import Proposal
@@ -85,6 +85,7 @@ class Guard:
         self._rank = self.action.rank
         self.reason: str | None = None
         self._rule: Rule | None = None
+        self._noted: set[str] = set()  # rules that would have overruled, had something as strong not done so
         self.end: MissionEnd | None = None
         self._since_us = 0
         self._asked_us: int | None = None
@@ -149,6 +150,8 @@ class Guard:
         else:
             due = judged.at_once.get(type(item), [])
         for rule, rank, cause in due:
+            if rule.scope is Scope.GUIDED and self._watch.land_asked:
+                continue  # a landing leaves the flight space through its floor
             # A rule whose action is in force already has nothing to add but, some of them, what explains it.
             if rank > self._rank:
                 detail = cause(self._watch)
@@ -156,6 +159,16 @@ class Guard:
                     self._fire(rule.name, detail, state, events)
             elif rank == self._rank and rule.explains:
                 self._explain(rule, cause(self._watch), state, events)
+            elif rule.noted and self._may_note(rule):
+                detail = cause(self._watch)
+                if detail is not None:
+                    self._noted.add(rule.name)
+                    self._fire(rule.name, detail, state, events, noted=True)
+
+    def _may_note(self, rule: Rule) -> bool:
+        """Whether a rule that changes nothing any more is still to be named."""
+        again = rule is self._rule or rule.name in self._noted
+        return not again and not self._watch.status_unreliable
 
     def _explain(self, rule: Rule, detail: str | None, state: FlightState, events: list[Output]) -> None:
         """The cause of what is in force already shows: its rule is named, and is the reason from now on."""
@@ -197,6 +210,7 @@ class Guard:
             self.reason = f"{rule.name}: {detail}" if detail else rule.name
         self.action, self._rule, self._rank = rule.action, rule, rule.action.rank
         self.overrules = True
+        self._hold = None  # for the new action to choose
         self._since_us = state.now_us
         self._asked_us = None
 
@@ -229,7 +243,8 @@ class Guard:
         if isinstance(item, OdometrySample) and state.frame is not None:
             impact = self._watch.impact
             again = impact is not self._held_impact  # hit again, it goes away from that
-            if self._hold is None or again or self._has_stopped_elsewhere(state, self._hold):
+            jumped = bool(self._watch.jump)  # the place to hold is another one by the new estimate
+            if self._hold is None or again or jumped or self._has_stopped_elsewhere(state, self._hold):
                 self._hold, self._held_impact = self._clear_of_walls(state), impact
             out.append(
                 Setpoint(

@@ -29,6 +29,7 @@ from dart_flight.base.records import (
 )
 from dart_flight.base.streams import BY_NAME
 from dart_flight.core.guard.flight_conditions import FlightConditions, Stamped
+from dart_flight.core.guard.heading_step import HEADING_STEP_RAD
 from dart_flight.core.mission.phases import ALTITUDE_EXEMPT, ON_GROUND
 
 _SPEED_TOLERANCE: Final = 1.1
@@ -36,6 +37,7 @@ _STALE_SAMPLES: Final = 5  # in a row; one late datagram is no clock that runs b
 _FALL_S: Final = 0.1
 _OTHERS_SINCE: Final = 12  # a tenth of a second of one other stream
 _ALTITUDE_SLACK_M: Final = 0.05
+_GUARD_STRAYS_M: Final = 0.2  # outside of the bounds, as when it breaks off from a wall that is their edge
 
 
 class Scope(StrEnum):
@@ -44,6 +46,7 @@ class Scope(StrEnum):
     ALWAYS = "always"
     GROUND = "before take-off"
     AIR = "in the air"
+    GUIDED = "while mission or guard flies"  # not while landing
     FLYING = "while the mission flies"  # not while landing or once overruled
 
 
@@ -63,6 +66,7 @@ class Rule(NamedTuple):
         explains: rules that may have fired for the same cause before it could be told: where their action is
             in force and no weaker, the reason becomes this rule's.
         of_streams: telemetry fails; what else is known of link and computer is said with it.
+        noted: once an action as strong is in force, it is noted in log and verdict, once a flight.
     """
 
     name: str
@@ -75,6 +79,7 @@ class Rule(NamedTuple):
     at_once: tuple[type, ...] = ()
     explains: frozenset[str] = frozenset()
     of_streams: bool = False
+    noted: bool = False
 
 
 # --- causes ------------------------------------------------------------------------------------------------
@@ -87,12 +92,24 @@ def _pilot(v: FlightConditions) -> str | None:
 
 def _px4_failsafe(v: FlightConditions) -> str | None:
     mode = v.unrequested_mode
-    return f"PX4 is in {mode.value}" if mode is not None and _by_px4(v) else None
+    if mode is None or not _by_px4(v):
+        return None
+    return f"{v.failsafe_words}; PX4 is in {mode.value}" if v.failsafe_said else f"PX4 is in {mode.value}"
 
 
 def _by_px4(v: FlightConditions) -> bool:
-    # No failsafe of PX4 hands over to sticks; a gap in the telemetry hides what PX4 says.
-    return v.unrequested_mode is not FlightMode.MANUAL and (v.failsafe_said or v.was_cut_off)
+    # Sticks are a pilot's unless PX4 named them; a gap in the telemetry hides what PX4 says.
+    if v.unrequested_mode is FlightMode.MANUAL:
+        return v.failsafe_hands_to_sticks
+    return v.failsafe_said or v.was_cut_off
+
+
+def _failsafe_announced(v: FlightConditions) -> str | None:
+    return v.failsafe_announced
+
+
+def _terminated(v: FlightConditions) -> str | None:
+    return v.termination
 
 
 def _disarmed(v: FlightConditions) -> str | None:
@@ -188,6 +205,13 @@ def _estimator_reset(v: FlightConditions) -> str | None:
     return v.reset_step()
 
 
+def _heading_reset(v: FlightConditions) -> str | None:
+    step = v.heading_step_rad
+    if abs(step) <= HEADING_STEP_RAD:
+        return None
+    return f"by {math.degrees(step):.1f} deg, allowed {math.degrees(HEADING_STEP_RAD):.0f}"
+
+
 def _position_uncertain(v: FlightConditions) -> str | None:
     sd, limit = v.state.position_sd_m, v.config.position_sd_m
     if sd is None or sd <= limit or not v.mission.collisions or v.just_after_impact or v.mission.is_anchored:
@@ -222,6 +246,8 @@ def _tilt(v: FlightConditions) -> str | None:
 def _bounds(v: FlightConditions) -> str | None:
     bounds = v.mission.bounds
     excess = bounds.excess2(v.state.position)
+    if v.phase is Phase.OVERRULED:  # the guard brakes already, and leaves what it was told to leave
+        return f"{excess:.2f} m outside" if excess > _GUARD_STRAYS_M else None
     if excess > 0.0:
         return f"{excess:.2f} m outside"
     excess = v.stop_excess_m()
@@ -229,7 +255,7 @@ def _bounds(v: FlightConditions) -> str | None:
 
 
 def _altitude(v: FlightConditions) -> str | None:
-    if v.phase in ALTITUDE_EXEMPT:
+    if v.phase in ALTITUDE_EXEMPT or not v.was_inside:
         return None
     low, high = v.mission.bounds.z
     tolerance = v.config.altitude_tolerance_m if v.just_after_impact else _ALTITUDE_SLACK_M
@@ -271,7 +297,8 @@ def _world_died(v: FlightConditions) -> str | None:
 
 # --- the table ---------------------------------------------------------------------------------------------
 
-_ALWAYS, _GROUND, _AIR, _FLYING = Scope.ALWAYS, Scope.GROUND, Scope.AIR, Scope.FLYING
+_ALWAYS, _GROUND, _AIR = Scope.ALWAYS, Scope.GROUND, Scope.AIR
+_GUIDED, _FLYING = Scope.GUIDED, Scope.FLYING
 _GIVE_UP, _BREAK_OFF, _HOLD = Override.GIVE_UP, Override.BREAK_OFF, Override.HOLD
 _LAND, _KILL, _RELEASE = Override.LAND, Override.KILL, Override.RELEASE
 _MODE = (StatusSample, StatusText)  # PX4's own words say whose doing a change of mode is
@@ -282,6 +309,10 @@ RULES: tuple[Rule, ...] = (
     # judged here
     Rule("px4_failsafe", "PX4 has left offboard by itself: its failsafe flies", "",
          _RELEASE, _ALWAYS, _px4_failsafe, at_once=_MODE),
+    Rule("terminated", "PX4 terminated the flight or a kill switch was thrown: motors off", "",
+         _RELEASE, _AIR, _terminated, at_once=_MODE),
+    Rule("failsafe_announced", "PX4 announces a failsafe, and telemetry does not show its mode yet",
+         "", _BREAK_OFF, _FLYING, _failsafe_announced, at_once=_MODE),
     Rule("pilot", "PX4 was taken out of offboard: the pilot flies", "",
          _RELEASE, _ALWAYS, _pilot, by_person=True, at_once=_MODE),
     Rule("disarmed", "disarmed in the air: PX4 says so, or the motors stand still and the vehicle falls", "",
@@ -321,27 +352,30 @@ RULES: tuple[Rule, ...] = (
          _LAND, _AIR, _imu_clipped),
     Rule("estimator_jump", "position or velocity has jumped, other than shortly after an impact",
          "guard.position_jump_m, guard.velocity_jump_m_s, guard.impact_window_s",
-         _HOLD, _FLYING, _estimator_jump, at_once=(OdometrySample,)),
+         _HOLD, _GUIDED, _estimator_jump, at_once=(OdometrySample,), noted=True),
     Rule("estimator_reset",
          "PX4's estimator counts a reset and position or velocity step, other than shortly after an impact",
          "guard.reset_position_m, guard.reset_velocity_m_s, guard.impact_window_s",
-         _HOLD, _FLYING, _estimator_reset),
+         _HOLD, _GUIDED, _estimator_reset, noted=True),
+    Rule("heading_reset",
+         "PX4's estimator counts a reset and the heading steps by more than 5 degrees against the gyro", "",
+         _BREAK_OFF, _FLYING, _heading_reset),
     Rule("estimator_flags", "PX4's estimator says that its position is not valid, and the impact is over",
          "guard.estimator_bad_s, guard.impact_window_s", _LAND, _AIR, _estimator_flags),
     Rule("position_uncertain", "PX4 itself is not sure enough of its position to fly at walls",
-         "guard.position_sd_m", _LAND, _FLYING, _position_uncertain),
+         "guard.position_sd_m", _LAND, _GUIDED, _position_uncertain, noted=True),
     Rule("battery", "the battery is low", "guard.battery_remaining, guard.battery_v, guard.battery_low_s",
          _LAND, _AIR, _battery),
     Rule("still_armed", "in PX4's land mode and still armed long after touchdown was due",
          "guard.kill_after_s, bounds_m.z", _KILL, _AIR, _still_armed),
     # No landing yet, as after `mode_felt`: PX4's land mode unwinds a tilt at MPC_JERK_AUTO and flies away.
     Rule("tilt", "tilt beyond what PX4 can be trusted to recover from", "guard.tilt_deg", _BREAK_OFF, _AIR,
-         _tilt, at_once=(AttitudeSample,)),
+         _tilt, at_once=(AttitudeSample,), noted=True),
     Rule("altitude", "outside of the flight space vertically; more is allowed after an impact",
-         "bounds_m.z, guard.altitude_tolerance_m, guard.impact_window_s", _LAND, _FLYING, _altitude,
-         at_once=(OdometrySample,)),
+         "bounds_m.z, guard.altitude_tolerance_m, guard.impact_window_s", _LAND, _GUIDED, _altitude,
+         at_once=(OdometrySample,), noted=True),
     Rule("bounds", "outside of the flight space horizontally, or would stop there", "bounds_m.x, bounds_m.y",
-         _HOLD, _FLYING, _bounds, at_once=(OdometrySample,)),
+         _HOLD, _GUIDED, _bounds, at_once=(OdometrySample,), noted=True),
     Rule("speed", "faster than the mission allows", "limits.speed_m_s", _HOLD, _FLYING, _speed,
          at_once=(OdometrySample,)),
     Rule("force_over_limit", "the contact force goes well over the limit while it lasts",
@@ -399,7 +433,9 @@ def in_scope(rule: Rule, phase: Phase) -> bool:
         return True
     if rule.scope is Scope.GROUND or phase in ON_GROUND:  # else the mission's time-outs judge there
         return rule.scope is Scope.GROUND and phase in ON_GROUND
-    return rule.scope is Scope.AIR or phase not in (Phase.OVERRULED, Phase.LANDING)
+    if rule.scope is Scope.AIR or phase is Phase.LANDING:
+        return rule.scope is Scope.AIR
+    return rule.scope is Scope.GUIDED or phase is not Phase.OVERRULED
 
 
 def table() -> str:

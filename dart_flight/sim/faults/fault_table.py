@@ -8,6 +8,7 @@ to the mock servo, `app` to the program itself.
 
 from __future__ import annotations
 
+import math
 from enum import StrEnum
 
 import msgspec
@@ -78,6 +79,15 @@ KINDS: tuple[FaultKind, ...] = (
     FaultKind("imu-clip", _P.SENSOR, "the accelerometer clips at this many g", "g", 4.0, 1.2, 16.0),
     FaultKind(
         "ekf-jump", _P.SENSOR, "estimate and motion capture jump by this much north", "m", 0.5, -3.0, 3.0
+    ),
+    FaultKind(
+        "heading-reset",
+        _P.SENSOR,
+        "the estimated heading is reset by this much, clockwise; motion capture leads it back",
+        "deg",
+        30.0,
+        -180.0,
+        180.0,
     ),
     FaultKind("clock-back", _P.AUTOPILOT, "the autopilot's clock goes back", "s", 5.0, 0.0, 1000.0),
     FaultKind("low-battery", _P.AUTOPILOT, "charge left", "%", 10.0, 0.0, 100.0),
@@ -246,6 +256,9 @@ class VehicleFault:
         shift = (self._fault.value, 0.0, 0.0)
         self._autopilot.estimator.shift(shift)
         self._autopilot.pose_sensor.offset_ned = shift
+
+    def _begin_heading_reset(self) -> None:
+        self._autopilot.estimator.turn(math.radians(self._fault.value))
 
     # -- autopilot --
 

@@ -1,0 +1,84 @@
+"""PX4's announcements of its own failsafes and of a termination, remembered for a few seconds.
+
+Texts and events arrive at once; the heartbeat that shows the new mode and status follows up to 1 s later.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import Final
+
+from dart_flight.base.records import StatusText, SystemStatus
+
+_MEMORY_US: Final = 3_000_000
+# Warnings that leave the mode alone: "Failsafe warning: ...", events ending in _warn, and the low battery's.
+_WARNING: Final = re.compile(r"failsafe warning|_warn$|_low_bat$")
+_EVENT: Final = "commander_failsafe_enter"
+_SWITCHING: Final = re.compile(r"^(.+): switching to (?!offboard)")  # PX4 main, as text or event
+_ACTIVATED: Final = re.compile(r"failsafe activated|autopilot disengaged")
+_TO_STICKS: Final = re.compile(r"switching to (position|altitude|stabilized)")
+_TERMINATED: Final = re.compile(r"flight termination|switching to terminat|kill(?:.switch)? engaged")
+_FAILSAFES: Final = frozenset({SystemStatus.CRITICAL, SystemStatus.EMERGENCY})
+
+_MENTIONED, _ANNOUNCED, _CAUSE_NAMED = 1, 2, 3
+
+
+class FailsafeEvidence:
+    """What PX4 has announced within the last seconds; times are the autopilot's, microseconds."""
+
+    def __init__(self) -> None:
+        self._rank, self._words, self._said_us = 0, "", 0
+        self._termination, self._terminated_us = "", 0
+
+    def take_text(self, item: StatusText, now_us: int) -> None:
+        """Remember a text or event of PX4 if it announces a failsafe or a termination.
+
+        A cause outlives the generic words that come with it.
+        """
+        words = "; ".join(line.strip() for line in item.text.splitlines() if line.strip())
+        text = item.text.strip().lower()
+        if _TERMINATED.search(text):
+            self._termination, self._terminated_us = words, now_us
+        rank = _rank_of(text, item.event)
+        if rank and rank >= self._rank_at(now_us):
+            self._rank, self._words, self._said_us = rank, words, now_us
+
+    def is_mentioned(self, now_us: int) -> bool:
+        """Whether PX4 has spoken of a failsafe, so that a change of mode is its own."""
+        return self._rank_at(now_us) >= _MENTIONED
+
+    def announcement(self, now_us: int) -> str | None:
+        """Return PX4's words where it said that it leaves the mode; None if it has not."""
+        return self._words if self._rank_at(now_us) >= _ANNOUNCED else None
+
+    def hands_to_sticks(self, now_us: int) -> bool:
+        """Whether the announced failsafe ends in a mode that sticks fly."""
+        words = self.announcement(now_us)
+        return words is not None and _TO_STICKS.search(words.lower()) is not None
+
+    def termination(self, now_us: int) -> str | None:
+        """Return PX4's words about a termination or kill; None if it said nothing of it."""
+        return self._termination if self._termination and now_us - self._terminated_us < _MEMORY_US else None
+
+    def words(self, now_us: int) -> str:
+        """Return the best of PX4's words about its failsafe; empty if there are none."""
+        return self._words if self._rank_at(now_us) else ""
+
+    def _rank_at(self, now_us: int) -> int:
+        return self._rank if now_us - self._said_us < _MEMORY_US else 0
+
+
+def in_failsafe(status: SystemStatus) -> bool:
+    """Whether the heartbeat reports a failsafe."""
+    return status in _FAILSAFES
+
+
+def _rank_of(text: str, event: str) -> int:
+    if _WARNING.search(text) or _WARNING.search(event):
+        return _MENTIONED if "failsafe" in text else 0
+    found = _SWITCHING.search(text)
+    if found is not None and ("\n" in text or not _ACTIVATED.search(found[1])):
+        return _CAUSE_NAMED  # PX4 appends the checks that failed, each on a line of its own
+    if found is not None or _ACTIVATED.search(text) or event.startswith(_EVENT):
+        return _ANNOUNCED
+    return _MENTIONED if "failsafe" in text else 0

@@ -1,0 +1,204 @@
+"""Resets of the estimated heading: told from turning by the gyro, named, and listed in the verdict."""
+
+from __future__ import annotations
+
+import math
+import random
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dart_flight.base.geometry import (
+    advance_attitude,
+    quaternion_from_euler,
+    quaternion_multiply,
+    quaternion_normalise,
+)
+from dart_flight.base.records import (
+    AttitudeSample,
+    EstimatorSample,
+    GuardEvent,
+    ImuSample,
+    OdometrySample,
+    Override,
+    Phase,
+)
+from dart_flight.config.vehicle import packaged
+from dart_flight.core.guard.estimator_resets import EstimatorResets
+from dart_flight.run.fast import fly_fast
+from dart_flight.run.prepare import load_flyable
+from dart_flight.sim.faults.fault_table import parse_fault
+from tests.core.conftest import HandFedCore
+
+NED = (0.0, 0.0, 0.0)
+
+
+def reset_heading(
+    step_deg: float, seed: int, lost: float = 0.0, counter: tuple[int, int] = (3, 4), lag: int = 0
+) -> float:
+    """The step measured for a vehicle that tumbles at up to 20 rad/s, degrees.
+
+    Args:
+        step_deg: of the heading, after half a second.
+        seed: of the motion.
+        lost: share of the attitudes that does not arrive.
+        counter: before and after.
+        lag: ticks by which the counter follows the attitude.
+    """
+    chance, resets = random.Random(seed), EstimatorResets()
+    q = quaternion_from_euler(*(chance.uniform(-1.0, 1.0) for _ in range(3)))
+    swing = [(chance.uniform(-11.0, 11.0), chance.uniform(1.0, 8.0), chance.uniform(0.0, 6.0)) for _ in NED]
+    resets.take_counter(counter[0], 0)
+    for tick in range(1, 250):
+        t_us = 1_000_000 + 4000 * tick
+        rate = [a * math.sin(f * tick * 0.02 + p) for a, f, p in swing]
+        rate_frd = (rate[0], rate[1], rate[2])
+        q = quaternion_normalise(advance_attitude(q, rate_frd, 0.004))
+        if tick == 125:
+            q = quaternion_multiply(quaternion_from_euler(0.0, 0.0, math.radians(step_deg)), q)
+        attitude_first = chance.random() < 0.5
+        arrives = tick % 2 == 0 and chance.random() >= lost
+        if arrives and attitude_first:
+            resets.take_attitude(AttitudeSample(t_us, t_us, q))
+        resets.take_imu(ImuSample(t_us, t_us, NED, rate_frd))
+        if arrives and not attitude_first:
+            resets.take_attitude(AttitudeSample(t_us, t_us, q))
+        if tick == 125 + lag:
+            resets.take_counter(counter[1], t_us)
+    return 0.0 if resets.newest is None else math.degrees(resets.newest.heading_rad)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.floats(-170.0, 170.0),
+    st.integers(0, 10_000),
+    st.sampled_from([0.0, 0.3]),
+    st.sampled_from([(3, 4), (255, 0), (7, 12)]),
+    st.integers(0, 12),
+)
+def test_a_step_is_measured_however_the_vehicle_turns(
+    step_deg: float, seed: int, lost: float, counter: tuple[int, int], lag: int
+) -> None:
+    assert reset_heading(step_deg, seed, lost, counter, lag) == pytest.approx(step_deg, abs=0.5)
+
+
+@given(st.integers(0, 10_000))
+@settings(max_examples=30, deadline=None)
+def test_turning_alone_is_no_step(seed: int) -> None:
+    """Also where the counter rises for another reason."""
+    assert abs(reset_heading(0.0, seed)) < 0.5
+
+
+def test_a_heading_far_from_the_counter_is_not_its() -> None:
+    assert reset_heading(30.0, 1, lag=60) == pytest.approx(0.0, abs=0.5)
+    assert reset_heading(30.0, 1, counter=(4, 4)) == 0.0
+
+
+def test_without_rates_in_between_nothing_can_be_compared() -> None:
+    resets = EstimatorResets()
+    resets.take_counter(0, 0)
+    for t_us, yaw in ((0, 0.0), (4000, 0.0), (400_000, 1.0), (404_000, 1.0)):
+        resets.take_imu(ImuSample(t_us, t_us, NED, NED))
+        resets.take_attitude(AttitudeSample(t_us, t_us, quaternion_from_euler(0.0, 0.0, yaw)))
+    resets.take_counter(1, 404_000)
+    assert resets.newest is not None
+    assert resets.newest.heading_rad == 0.0
+
+
+def test_steps_of_position_and_velocity_are_measured_beside_the_motion() -> None:
+    resets = EstimatorResets()
+    resets.take_counter(250, 0)
+    for n in range(40):
+        t_us, late = 8000 * n, n >= 20
+        x = 0.008 * n * 2.0 + (0.3 if late else 0.0)
+        resets.take_odometry(OdometrySample(t_us, t_us, (x, 0.0, 0.0), (2.0, 0.1 if late else 0.0, 0.0)))
+        if n == 22:
+            assert resets.take_counter(251, t_us)
+    assert resets.newest is not None
+    assert resets.newest.position_m == pytest.approx(0.3, abs=1e-6)
+    assert resets.newest.velocity_m_s == pytest.approx(0.1, abs=1e-6)
+
+
+# --- what the guard makes of it --------------------------------------------------------------------------
+
+
+def turn(c: HandFedCore, step_deg: float, counter: int = 2) -> None:
+    """Reset the heading."""
+    c.q = quaternion_multiply(quaternion_from_euler(0.0, 0.0, math.radians(step_deg)), c.q)
+    c.give(EstimatorSample(c.t_us, c.t_us, reset_counter=counter))
+    c.run(0.05)
+
+
+def fired(c: HandFedCore) -> list[tuple[str, str]]:
+    return [(o.rule, o.detail) for o in c.outputs if isinstance(o, GuardEvent)]
+
+
+def counted(c: HandFedCore) -> HandFedCore:
+    c.give(EstimatorSample(c.t_us, c.t_us, reset_counter=1))
+    return c
+
+
+@pytest.mark.parametrize("step_deg", [5.5, -30.0, 90.0, 175.0, -175.0])
+def test_a_step_of_the_heading_breaks_off_before_the_wall(step_deg: float) -> None:
+    c = counted(HandFedCore())
+    c.to_flight()
+    assert c.core.phase is Phase.APPROACH
+    turn(c, step_deg)
+    assert fired(c) == [("heading_reset", f"by {step_deg:.1f} deg, allowed 5")]
+    assert c.core.override is Override.BREAK_OFF
+
+
+def test_small_steps_and_counts_alone_end_nothing() -> None:
+    c = counted(HandFedCore())
+    c.to_flight()
+    turn(c, 4.5)
+    c.run(0.3)
+    turn(c, 0.0, counter=3)
+    c.run(0.3)
+    assert fired(c) == []
+
+
+def test_a_heading_may_align_in_the_climb() -> None:
+    c = counted(HandFedCore())
+    c.to_climb()
+    assert c.core.phase is Phase.CLIMB
+    turn(c, 60.0)
+    c.run(0.1)
+    c.q = quaternion_from_euler(0.0, 0.0, 0.0)  # it turns to where the mission wants it
+    c.position_ned = (0.0, 0.0, -1.0)
+    c.run(0.5)
+    assert c.core.phase is not Phase.CLIMB
+    assert fired(c) == []
+
+
+def test_an_impact_explains_no_step_of_the_heading() -> None:
+    c = counted(HandFedCore())
+    c.at_the_wood()
+    c.pulse((-10.0, -16.0))
+    c.set_lock("rigid")  # type: ignore[arg-type]
+    c.run(0.1)
+    assert c.core.phase is Phase.RECOVERY
+    turn(c, 30.0)
+    assert "heading_reset" in [rule for rule, _ in fired(c)]
+
+
+# --- whole flights ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("fault", "outcome", "heading_deg"),
+    [
+        ("heading-reset=4@approach", "completed", 4.0),
+        ("heading-reset=-90@recovery", "aborted", -90.0),
+        ("heading-reset=60@take-off", "completed", 60.0),
+    ],
+)
+def test_the_verdict_lists_resets_of_the_estimator(fault: str, outcome: str, heading_deg: float) -> None:
+    mission = load_flyable(packaged("missions", "paper_dual_collision.yaml"))
+    verdict = fly_fast(mission, 1, None, fault=parse_fault(fault))
+    assert verdict.outcome == outcome
+    assert (verdict.reason or "").startswith("heading_reset: by") is (outcome == "aborted")
+    (reset,) = verdict.estimator_resets
+    assert reset.heading_deg == pytest.approx(heading_deg, rel=0.06)  # motion capture has begun to correct
+    assert reset.position_m < 0.05

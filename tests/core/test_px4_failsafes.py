@@ -1,0 +1,178 @@
+"""PX4's failsafes: recognised at the first evidence, named with their cause, never taken for a pilot."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from dart_flight.base.records import (
+    FlightMode,
+    GuardEvent,
+    LandedState,
+    MissionEnd,
+    Override,
+    Phase,
+    Setpoint,
+    StatusText,
+    SystemStatus,
+    VehicleCommand,
+)
+from dart_flight.core.guard.failsafe import FailsafeEvidence
+from tests.core.conftest import HandFedCore
+
+ENTER = "commander_failsafe_enter"
+
+
+def fired(c: HandFedCore) -> list[tuple[str, str]]:
+    return [(o.rule, o.detail) for o in c.outputs if isinstance(o, GuardEvent)]
+
+
+def say(c: HandFedCore, text: str, event: str = "") -> None:
+    c.give(StatusText(c.t_us, c.t_us, "critical", text, event))
+
+
+def flying() -> HandFedCore:
+    c = HandFedCore()
+    c.to_flight()
+    c.set_status(system_status=SystemStatus.ACTIVE)
+    assert c.core.phase is Phase.APPROACH
+    return c
+
+
+@pytest.mark.parametrize(
+    ("text", "event", "mode"),
+    [
+        ("Critical battery level: switching to Land", "", FlightMode.LAND),
+        ("Critical battery level: switching to Land", ENTER, FlightMode.LAND),
+        ("Manual control loss: switching to RTL", ENTER, FlightMode.RETURN),
+        ("GCS connection loss: switching to Land in 5 seconds", ENTER + "_hold", FlightMode.HOLD),
+        ("Manual control loss: switching to Position mode", ENTER, FlightMode.MANUAL),
+        ("Failsafe activated: switching to Land\nGeofence violation", ENTER + "_generic", FlightMode.LAND),
+    ],
+)
+def test_a_failsafe_is_named_with_its_cause(text: str, event: str, mode: FlightMode) -> None:
+    c = flying()
+    say(c, text, event)
+    say(c, "Failsafe activated")  # the generic words follow, and take nothing back
+    text = text.replace("\n", "; ")
+    c.set_status(flight_mode=mode, system_status=SystemStatus.CRITICAL)
+    assert fired(c)[-1] == ("px4_failsafe", f"{text}; PX4 is in {mode.value}")
+    (end,) = [o for o in c.outputs if isinstance(o, MissionEnd)]
+    assert (end.outcome, end.reason) == ("aborted", f"px4_failsafe: {text}; PX4 is in {mode.value}")
+
+
+@pytest.mark.parametrize(
+    ("text", "event"),
+    [
+        ("Failsafe activated", ""),
+        ("Failsafe activated: switching to Hold", ENTER + "_generic"),
+        ("Failsafe activated: Autopilot disengaged, switching to Descend", ENTER + "_autopilot_disengaged"),
+        ("Geofence breached: switching to Return", ""),
+        ("Low battery level: switching to Land", ""),
+        ("in another language", ENTER),
+    ],
+)
+def test_the_announcement_breaks_off_before_a_heartbeat_shows_the_mode(text: str, event: str) -> None:
+    c = flying()
+    say(c, text, event)
+    assert fired(c) == [("failsafe_announced", text)]
+    assert c.core.override is Override.BREAK_OFF
+    c.outputs.clear()
+    c.run(0.5)
+    assert all(o.velocity_ned is None for o in c.outputs if isinstance(o, Setpoint))  # nothing approaches
+
+
+@pytest.mark.parametrize("status", [SystemStatus.CRITICAL, SystemStatus.EMERGENCY])
+def test_the_heartbeats_status_alone_is_evidence(status: SystemStatus) -> None:
+    c = flying()
+    c.set_status(system_status=status)
+    assert fired(c) == [("failsafe_announced", "PX4 reports a failsafe and gives no cause")]
+    c.set_status(flight_mode=FlightMode.LAND)  # at once: there is no doubt to wait out
+    assert fired(c)[-1] == (
+        "px4_failsafe",
+        "PX4 reports a failsafe and gives no cause; PX4 is in land",
+    )
+
+
+def test_a_mode_that_comes_before_the_status_of_the_same_heartbeat_is_no_pilots() -> None:
+    c = flying()
+    c.set_status(flight_mode=FlightMode.LAND)
+    c.run(0.004)
+    c.set_status(system_status=SystemStatus.CRITICAL)
+    assert [rule for rule, _ in fired(c)] == ["px4_failsafe"]
+
+
+@pytest.mark.parametrize(
+    ("text", "event"),
+    [
+        ("Low battery level, return advised", ENTER + "_low_bat"),
+        ("Critical battery level, land now", ENTER + "_crit_bat_warn"),
+        ("Failsafe warning: GCS connection loss", ENTER + "_warn"),
+        ("Switching to mode Hold is currently not available", "commander_modeswitch_not_avail"),
+        ("Takeoff detected", "commander_takeoff_detected"),
+    ],
+)
+def test_a_warning_ends_nothing(text: str, event: str) -> None:
+    c = flying()
+    say(c, text, event)
+    c.run(0.5)
+    assert fired(c) == []
+    c.set_status(flight_mode=FlightMode.MANUAL)
+    assert [rule for rule, _ in fired(c)] == ["pilot"]
+
+
+def test_before_take_off_and_in_a_landing_announcements_end_nothing() -> None:
+    c = HandFedCore()
+    say(c, "Failsafe activated")
+    c.run(0.1)
+    assert fired(c) == []
+
+
+@pytest.mark.parametrize("words", ["Kill engaged", "Failsafe activated: switching to terminate", None])
+def test_a_termination_is_called_one_before_streams_fall_silent(words: str | None) -> None:
+    c = flying()
+    c.silent |= {"actuator"}
+    if words is None:
+        c.set_status(system_status=SystemStatus.FLIGHT_TERMINATION, flight_mode=FlightMode.UNKNOWN)
+    else:
+        say(c, words)
+    c.run(1.0)
+    rule, detail = fired(c)[-1]
+    assert rule == "terminated"
+    assert detail == "PX4 has stopped the motors" + (f": {words}" if words else "")
+    assert len(fired(c)) == 1
+    (end,) = [o for o in c.outputs if isinstance(o, MissionEnd)]
+    assert end.outcome == "aborted"
+    assert not [o for o in c.outputs[c.outputs.index(end) :] if isinstance(o, Setpoint | VehicleCommand)]
+
+
+def test_a_kill_after_touchdown_is_no_termination_of_the_flight() -> None:
+    c = flying()
+    c.set_status(landed=LandedState.ON_GROUND, system_status=SystemStatus.FLIGHT_TERMINATION)
+    assert "terminated" not in [rule for rule, _ in fired(c)]
+
+
+@given(
+    st.lists(
+        st.tuples(
+            st.sampled_from(
+                ["Failsafe activated", "A: switching to Land", "Failsafe warning: B", "Armed", "Kill engaged"]
+            ),
+            st.integers(0, 4_000_000),
+        ),
+        max_size=8,
+    )
+)
+def test_nothing_that_was_said_counts_for_longer_than_three_seconds(said: list[tuple[str, int]]) -> None:
+    evidence, now_us = FailsafeEvidence(), 10_000_000
+    for text, after_us in said:
+        now_us += after_us
+        evidence.take_text(StatusText(now_us, now_us, "critical", text), now_us)
+        if "switching to" in text:
+            assert evidence.announcement(now_us) == text
+    now_us += 3_000_000
+    assert evidence.announcement(now_us) is None
+    assert evidence.termination(now_us) is None
+    assert not evidence.is_mentioned(now_us)
+    assert evidence.words(now_us) == ""
