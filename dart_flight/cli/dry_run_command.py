@@ -38,7 +38,7 @@ from dart_flight.run.prepare import as_rehearsal, load_flyable, with_driver
 from dart_flight.run.px4_flight import fly_px4
 from dart_flight.sim.draws import parse_vary
 from dart_flight.sim.faults.fault_table import parse_fault
-from dart_flight.sim.pipe import need_mavlink
+from dart_flight.sim.pipe import FULL_SPEED, need_mavlink
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -47,9 +47,15 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add_px4_options(parser)
     parser.add_argument(
         "--speed",
-        type=number(0.1, 10.0),
+        type=simulation_speed,
         metavar="X",
-        help="real-time factor, as far as the machine sustains it; not with --fast",
+        help="simulated seconds per second at most, 0.1 to 10, or max: as fast as the machine goes "
+        "(default 1, with --runs max); not with --fast",
+    )
+    parser.add_argument(
+        "--realtime",
+        action="store_true",
+        help="simulated time does not wait for this program: a busy computer fails the flight (docs/time.md)",
     )
     parser.add_argument("--fast", action="store_true", help="in process, in simulated time, without MAVLink")
     parser.add_argument("--seed", type=whole_number(0, 2**31 - 1), default=1, help="random seed (default 1)")
@@ -70,6 +76,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add_vary_option(parser)
 
 
+def simulation_speed(text: str) -> float:
+    """Return the speed of `--speed`: a number, or `max`."""
+    return FULL_SPEED if text == "max" else number(0.1, 10.0)(text)
+
+
 def flight_function(arguments: argparse.Namespace, mission: Mission) -> Callable[..., Verdict]:
     """The function that flies one mission in the wanted world; seed, log_dir and progress by name."""
     position_from = source_for(mission, position_source_of(arguments))
@@ -77,8 +88,11 @@ def flight_function(arguments: argparse.Namespace, mission: Mission) -> Callable
     spreads = parse_vary(arguments.vary, mission.vehicle)
     if fault is not None and (arguments.runs is not None or arguments.px4 is not None):
         raise InputError("--fault is for one flight in the fast or the embedded world")
-    if arguments.fast and arguments.speed is not None:
-        raise InputError("--speed applies to real-time flights; --fast always runs at full speed")
+    if arguments.fast and (arguments.speed is not None or arguments.realtime):
+        raise InputError("--fast always runs at full speed: leave out --speed and --realtime")
+    if arguments.realtime and arguments.speed == FULL_SPEED:
+        raise InputError("--speed max needs lockstep: leave out --realtime, or give --speed a number")
+    speed = arguments.speed or (1.0 if arguments.runs is None or arguments.realtime else FULL_SPEED)
     if arguments.live and (arguments.fast or arguments.runs is not None):
         raise InputError(
             "--live needs a single real-time flight; `export --foxglove` shows any flight afterwards"
@@ -89,7 +103,10 @@ def flight_function(arguments: argparse.Namespace, mission: Mission) -> Callable
     if arguments.hitl is not None:
         return prepare_hitl(arguments, mission, position_from, spreads)
     if arguments.px4 is None:
-        return partial(fly_embedded, deadman=True, fault=fault, spreads=spreads, speed=arguments.speed or 1.0)
+        realtime = arguments.realtime or (fault is not None and fault.kind.of_real_time)
+        return partial(
+            fly_embedded, deadman=True, fault=fault, spreads=spreads, speed=speed, realtime=realtime
+        )
 
     from dart_flight.sim.px4.launch import find_install
 
@@ -98,9 +115,19 @@ def flight_function(arguments: argparse.Namespace, mission: Mission) -> Callable
         fly_px4,
         directory=arguments.px4,
         position_from=position_from,
-        speed=arguments.speed or 1.0,
+        speed=speed,
+        realtime=arguments.realtime,
         parameter_files=tuple(arguments.params or ()),
         spreads=spreads,
+    )
+
+
+def is_realtime(arguments: argparse.Namespace) -> bool:
+    """Return whether simulated time does not wait for this program."""
+    if arguments.hitl is not None or arguments.realtime:
+        return True
+    return (
+        arguments.fault is not None and not arguments.fast and parse_fault(arguments.fault).kind.of_real_time
     )
 
 
@@ -115,7 +142,12 @@ def run(arguments: argparse.Namespace) -> int:
         *impact_warnings(mission),
         *position_warnings(source_for(mission, position_source_of(arguments))),
     ]
-    late_s = 0.0 if arguments.fast else measure_lateness_s()
+    realtime = is_realtime(arguments)
+    if realtime and not arguments.realtime and arguments.hitl is None:
+        warnings.append(
+            f"the fault {arguments.fault} is about time or link: flown in real time, not in lockstep"
+        )
+    late_s = measure_lateness_s() if realtime else 0.0
     if late_s > LATE_S:
         warnings.append(f"this program lags by up to {late_s * 1e3:.0f} ms: {TOO_BUSY}")
     for line in warnings:

@@ -20,7 +20,7 @@ from dart_flight.recording.plan_versus_flight import format_departures
 from dart_flight.recording.verdict import CollisionVerdict, Velocities, Verdict
 from dart_flight.run.many_flights import RunsSummary
 
-TOO_BUSY = "the computer cannot keep up with real time; use --fast or --speed 0.5"
+TOO_BUSY = "the computer cannot keep up with real time; leave out --realtime, or use --fast"
 
 
 class FlightLines:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable, Mapping
+from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
@@ -139,6 +140,14 @@ class Px4Figures(msgspec.Struct):
     attitude_failure: bool | None = None
 
 
+class TimeKind(StrEnum):
+    """How time passes in a simulated world."""
+
+    LOCKSTEP = "lockstep"  # simulated time waits for the application
+    REALTIME = "realtime"  # it does not
+    SIMULATED = "simulated"  # core and vehicle are one process
+
+
 class Verdict(msgspec.Struct):
     """A flight in one object (`docs/interfaces.md`); what is unknown is null."""
 
@@ -170,6 +179,8 @@ class Verdict(msgspec.Struct):
     walls: list[MeasuredWall] = msgspec.field(default_factory=list)  # as the contacts have measured them
     estimator_resets: list[ResetFigures] = msgspec.field(default_factory=list)  # in the air
     arms_moved: bool | None = None  # whether simulated arms ever followed the lock; None: it never moved
+    time: TimeKind | None = None  # how simulated time passed; None: a real vehicle's
+    speed: float | None = None  # simulated seconds per second of the computer, achieved
 
 
 class PositionError:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import gc
+import math
 import os
 import queue
 import signal
@@ -20,6 +21,8 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Protocol
+
+import msgspec
 
 from dart_flight.base.records import (
     AfterImpact,
@@ -33,6 +36,7 @@ from dart_flight.base.records import (
     OperatorRequest,
     Output,
     PhaseChange,
+    PlanAnswer,
     PlanRequest,
     Record,
     Request,
@@ -52,6 +56,7 @@ from dart_flight.lock.lock_session import LockSession
 from dart_flight.lock.state_machine import status_text
 from dart_flight.run.core_thread import CoreThread
 from dart_flight.run.deadman import CORE, FEED_PERIOD_S, LOOP, Deadman, SystemdNotice
+from dart_flight.run.lockstep import StepReporter
 from dart_flight.run.replanner_process import ReplannerProcess
 from dart_flight.run.runner import CoreRunner, Observe
 from dart_flight.vehicle.clock import Clock, host_us
@@ -81,6 +86,9 @@ class Simulator(Protocol):
     def send_horn(self, pulse_us: float) -> None:
         """Tell the plant where the mock servo's horn is."""
 
+    def send_line(self, line: bytes) -> object:
+        """Send a report of the lockstep."""
+
 
 class LockThread:
     """The lock's state machine on the core's time base, with a driver that may block.
@@ -92,6 +100,7 @@ class LockThread:
         clock_known: whether the autopilot's time is known.
         deliver: takes every state of the lock.
         after_poll: called after every look at the driver.
+        lockstep: reports to a simulated world that waits; the driver is then looked at by simulated time.
     """
 
     def __init__(
@@ -101,21 +110,37 @@ class LockThread:
         clock_known: Callable[[], bool],
         deliver: Callable[[LockState], None],
         after_poll: Callable[[], None],
+        lockstep: StepReporter | None = None,
     ) -> None:
         self._make_session, self._states, self._deliver = make_session, states, deliver
         self._clock_known, self._after_poll = clock_known, after_poll
-        self._orders: queue.SimpleQueue[LockCommand | LockPermission] = queue.SimpleQueue()
+        self._lockstep, self._due_us = lockstep, 0.0
+        self._orders: queue.SimpleQueue[LockCommand | LockPermission | None] = queue.SimpleQueue()
         self._stop = threading.Event()
         self.thread = threading.Thread(target=self._run, name="lock", daemon=True)
 
     def put(self, order: LockCommand | LockPermission) -> None:
         """Queue an order of the core; any thread, never blocks."""
+        self._open()
         self._orders.put(order)
+
+    def look(self) -> None:
+        """Look at the driver if that is due; called after every step in lockstep."""
+        assert self._lockstep is not None
+        if self._lockstep.clock.host_us() >= self._due_us:
+            self._due_us = math.inf  # until the thread has looked
+            self._open()
+            self._orders.put(None)
 
     def stop(self) -> None:
         """End the thread."""
         self._stop.set()
+        self._orders.put(None)
         self.thread.join(timeout=2.0)
+
+    def _open(self) -> None:
+        if self._lockstep is not None:
+            self._lockstep.open()
 
     def _run(self) -> None:
         # The lock lives on the autopilot's clock: it begins to exist once that is known.
@@ -126,14 +151,16 @@ class LockThread:
         session.start()
         while not self._stop.is_set():
             travels = session.state.phase is LockPhase.TRAVELLING
+            rest_s = _LOCK_PERIOD_S if travels else _LOCK_REST_S
+            order, ordered = None, True
             try:
-                order = self._orders.get(timeout=_LOCK_PERIOD_S if travels else _LOCK_REST_S)
-                if isinstance(order, LockCommand):
-                    session.command(order.mode)
-                else:
-                    session.permit(order.permitted)
+                order = self._orders.get(timeout=rest_s if self._lockstep is None else None)
             except queue.Empty:
-                pass
+                ordered = False
+            if isinstance(order, LockCommand):
+                session.command(order.mode)
+            elif isinstance(order, LockPermission):
+                session.permit(order.permitted)
             session.poll()
             self._after_poll()
             while True:
@@ -141,6 +168,11 @@ class LockThread:
                     self._deliver(self._states.get_nowait())
                 except queue.Empty:
                     break
+            if self._lockstep is not None and ordered:
+                travels = session.state.phase is LockPhase.TRAVELLING
+                period_s = _LOCK_PERIOD_S if travels else _LOCK_REST_S
+                self._due_us = self._lockstep.clock.host_us() + 1e6 * period_s
+                self._lockstep.close()
 
 
 class FlightApp:
@@ -157,6 +189,7 @@ class FlightApp:
         lock_faults: of the mock servo from the start on.
         opened: called once the link is open.
         unwanted: numbers of MAVLink messages that the vehicle is asked not to send on this link.
+        lockstep: the world waits for this program; its clock is then simulated time.
 
     Attributes:
         loop: the event loop, while it flies.
@@ -175,9 +208,14 @@ class FlightApp:
         lock_faults: MockFaults | None = None,
         opened: Callable[[], None] = lambda: None,
         unwanted: Sequence[int] = (),
+        lockstep: bool = False,
     ) -> None:
         self._mission, self._url, self._observe = mission, url, observe
-        self._world, self._progress, self._clock = world, progress, clock
+        self._world, self._progress = world, progress
+        assert world is not None or not lockstep
+        self._lockstep = StepReporter(world.send_line) if world is not None and lockstep else None
+        self._clock: Clock | None = clock if self._lockstep is None else self._lockstep.clock
+        self._host_us = host_us if self._clock is None else self._clock.host_us
         self._shown: deque[Record] = deque()
         self._deadman_note, self._lock_faults, self._opened = deadman_note, lock_faults, opened
         self._unwanted = unwanted
@@ -190,7 +228,10 @@ class FlightApp:
         self._tasks: set[asyncio.Task[None]] = set()
         self._stops = 0
         self._core = CoreThread(
-            CoreRunner(FlightCore(mission), self, self._see, host_us), lambda: self._feed(CORE)
+            CoreRunner(FlightCore(mission), self, self._see, self._host_us),
+            lambda: self._feed(CORE),
+            self._lockstep,
+            self._after_step,
         )
         self._lock: LockThread | None = None
         self._planner: ReplannerProcess | None = None
@@ -215,7 +256,7 @@ class FlightApp:
             if self._mission.vehicle.lock is not None:
                 self._lock = self._make_lock(session, self._mission.vehicle.lock)
             if self._mission.after_impact is AfterImpact.REPLAN:
-                self._planner = ReplannerProcess(self._mission, self._core.put)
+                self._planner = ReplannerProcess(self._mission, self._take_answer, self._host_us)
             sys.setswitchinterval(_SWITCH_INTERVAL_S)
             # What is loaded by now stays: the collector need not walk it in flight.
             gc.collect()
@@ -229,14 +270,18 @@ class FlightApp:
             session.subscribe(vehicle.estimation, len(vehicle.airframe.motors))
             self._listen_for_signals()
             keeper = asyncio.create_task(self._keep_alive())
-            measuring = asyncio.create_task(session.keep_measuring())
+            # In lockstep a round trip takes no time.
+            measuring = None if self._lockstep else asyncio.create_task(session.keep_measuring())
             try:
                 await session.stop_messages(self._unwanted)
                 await session.set_rates()
+                if self._lockstep is not None:
+                    self._lockstep.begin()
                 await self._watch(session)
             finally:
                 keeper.cancel()
-                measuring.cancel()
+                if measuring is not None:
+                    measuring.cancel()
                 if self._deadman is not None:
                     self._deadman.disarm()
                 self._core.stop()
@@ -257,11 +302,11 @@ class FlightApp:
         """The operator wants out: the first time leave the wall and land, the second time release."""
         self._stops += 1
         request = Request.LAND if self._stops == 1 else Request.RELEASE
-        self._core.put(OperatorRequest(host_us(), request))
+        self._core.put(OperatorRequest(self._host_us(), request))
 
     def resume(self) -> None:
         """The operator's word that ends a pause; at any other time it means nothing."""
-        self._core.put(OperatorRequest(host_us(), Request.CONTINUE))
+        self._core.put(OperatorRequest(self._host_us(), Request.CONTINUE))
 
     # -- deadman and terminal --
 
@@ -302,7 +347,7 @@ class FlightApp:
                 await asyncio.wait_for(self._done.wait(), _LOOK_PERIOD_S)
             await session.look_for_others()
             if self._world is not None and self._world.died and not self._done.is_set():
-                self._core.put(OperatorRequest(host_us(), Request.WORLD_DIED, self._world.cause))
+                self._core.put(OperatorRequest(self._host_us(), Request.WORLD_DIED, self._world.cause))
         await asyncio.sleep(_END_GRACE_S)
 
     def _listen_for_signals(self) -> None:
@@ -340,10 +385,14 @@ class FlightApp:
 
     def _make_lock(self, session: VehicleSession, config: LockConfig) -> LockThread:
         def clock_us() -> int:
-            return session.clock.to_autopilot(host_us())
+            return session.clock.to_autopilot(self._host_us())
+
+        def set_actuator(index: int, value: float) -> None:
+            with contextlib.nullcontext() if self._lockstep is None else self._lockstep.command():
+                session.set_actuator(index, value)
 
         driver: Driver = make_driver(
-            config, clock_us=clock_us, set_actuator=session.set_actuator, faults=self._lock_faults
+            config, clock_us=clock_us, set_actuator=set_actuator, faults=self._lock_faults
         )
         self.mock = driver if isinstance(driver, MockDriver) else None
         if self._world is not None and self.mock is None and config.driver is not LockDriver.PX4:
@@ -366,7 +415,26 @@ class FlightApp:
             lambda: session.clock.offset_us is not None,
             self._take_lock_state,
             after_poll,
+            self._lockstep,
         )
+
+    def _after_step(self) -> None:
+        """In lockstep: what else is due at this simulated time."""
+        if self._lock is not None:
+            self._lock.look()
+        self._deliver_answers()
+
+    def _take_answer(self, answer: PlanAnswer) -> None:
+        if self._lockstep is None:
+            self._core.put(answer)
+        else:
+            self._lockstep.hold_answer(answer)
+            self._deliver_answers()
+
+    def _deliver_answers(self) -> None:
+        assert self._lockstep is not None
+        for answer in self._lockstep.due_answers():
+            self._core.put(msgspec.structs.replace(answer, received_us=self._host_us()))
 
     def _take_lock_state(self, state: LockState) -> None:
         self._core.put(state)
@@ -381,27 +449,40 @@ class FlightApp:
         # A refused setpoint is not a fault of the core: PX4 keeps the last one, then its failsafe.
         with contextlib.suppress(Exception):
             self._session.send(setpoint)
+            if self._lockstep is not None:
+                self._lockstep.sent(setpoint)
 
     def execute(self, output: Output) -> None:
         """Every other command, without waiting for it."""
         assert self._session is not None
         assert self.loop is not None
         if isinstance(output, VehicleCommand):
+            if self._lockstep is not None:
+                self._lockstep.open_command()
             self.loop.call_soon_threadsafe(self._start_action, output.action)
         elif isinstance(output, LockCommand | LockPermission):
             if self._lock is not None:
                 self._lock.put(output)
         elif isinstance(output, PlanRequest | WallEstimate | FrameAnchor):
             if self._planner is not None:
+                if self._lockstep is not None and isinstance(output, PlanRequest):
+                    latency_s = self._mission.vehicle.simulation.replan_latency_s
+                    self._lockstep.open_plan(output, round(1e6 * latency_s))
                 self._planner.send(output)
         elif isinstance(output, PhaseChange):
             # For `monitor`; not on this thread, whose setpoints must not wait for it.
             self.loop.call_soon_threadsafe(self._session.tell_ground, f"phase {output.after}")
         elif isinstance(output, Silence):
-            self._session.silence()
+            self._fall_silent()
         elif isinstance(output, MissionEnd):
-            self._session.silence()
+            self._fall_silent()
             self.loop.call_soon_threadsafe(self._done.set)
+
+    def _fall_silent(self) -> None:
+        assert self._session is not None
+        self._session.silence()
+        if self._lockstep is not None:
+            self._lockstep.end()
 
     def _start_action(self, action: VehicleAction) -> None:
         assert self.loop is not None
@@ -412,7 +493,7 @@ class FlightApp:
     async def _perform(self, action: VehicleAction) -> None:
         assert self._session is not None
         problem = await self._session.perform(action)
-        t_us = self._session.clock.to_autopilot(host_us())
+        t_us = self._session.clock.to_autopilot(self._host_us())
         self._core.put(CommandResult(t_us, action.value, not problem, problem))
 
     def _see(self, record: Record, number: int) -> None:

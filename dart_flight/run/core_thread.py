@@ -1,8 +1,10 @@
-"""What owns the core in real time: one queue in, steps one after the other, setpoints out at once.
+"""What owns the core beside MAVSDK: one queue in, steps one after the other, setpoints out at once.
 
-There is one queue, and at any time one thread steps the core: it holds `_owner`. Which one that is goes by
-the core's own word (`core.pace`): its own thread, or near a wall MAVSDK's, on which a sample arrives, so that
-no other has to wake first (docs/latency.md).
+There is one queue, and at any time one thread steps the core: it holds `_owner`. In real time the core
+decides which one that is (`core.pace`): its own thread, or near a wall MAVSDK's, on which a sample arrives,
+so that no other has to wake first (docs/latency.md). In lockstep a simulated world waits until samples are
+stepped: they are stepped on the thread that brings them, near a wall one by one, elsewhere in batches whose
+length is counted in simulated time.
 """
 
 from __future__ import annotations
@@ -15,6 +17,7 @@ from typing import Final
 
 from dart_flight.base.records import ActuatorSample, AttitudeSample, Input, OdometrySample, Tick
 from dart_flight.core.pace import BATCH_S, Pace
+from dart_flight.run.lockstep import StepReporter
 from dart_flight.run.runner import CoreRunner
 from dart_flight.vehicle.clock import host_us
 
@@ -30,10 +33,20 @@ class CoreThread:
     Args:
         runner: steps the core and hands out what follows.
         alive: called at every turn, at least every 20 ms, as long as steps come to an end; feeds the deadman.
+        lockstep: reports to a simulated world that waits; None: real time.
+        after_step: called after every step in lockstep, before it is reported.
     """
 
-    def __init__(self, runner: CoreRunner, alive: Callable[[], None] = lambda: None) -> None:
+    def __init__(
+        self,
+        runner: CoreRunner,
+        alive: Callable[[], None] = lambda: None,
+        lockstep: StepReporter | None = None,
+        after_step: Callable[[], None] = lambda: None,
+    ) -> None:
         self._runner, self._alive = runner, alive
+        self._lockstep, self._after_step = lockstep, after_step
+        self._host_us = host_us if lockstep is None else lockstep.clock.host_us
         self._queue: queue.SimpleQueue[Input] = queue.SimpleQueue()
         self._owner = threading.Lock()  # whoever holds it steps
         self._pace = Pace.BATCHED  # changed by the owner
@@ -49,16 +62,23 @@ class CoreThread:
         return (host_us() - self._turned_us) * 1e-6
 
     def put(self, item: Input) -> None:
-        """Queue an input; any thread, never blocks."""
+        """Queue an input; any thread, never waits for another."""
+        if self._lockstep is not None:
+            self._lockstep.open()
         self._queue.put(item)
+        if self._lockstep is not None:
+            self._step_now()
 
     def arrive(self, item: Input) -> None:
-        """Take an input of the stream: queue it, and step at once where the core is in haste; any thread."""
+        """Queue an input of the stream, and step it at once if the core is in haste; any thread."""
+        now = self._lockstep is None or self._lockstep.completes_batch(item)
         self._queue.put(item)
+        if now:
+            self._step_now()
+
+    def _step_now(self) -> None:
         # Whoever steps looks into the queue again afterwards: what finds it owned is not forgotten.
-        while (
-            self._pace is Pace.IMMEDIATE and not self._queue.empty() and self._owner.acquire(blocking=False)
-        ):
+        while self._in_haste and not self._queue.empty() and self._owner.acquire(blocking=False):
             try:
                 self._step_queued([])
             except BaseException as fault:
@@ -66,8 +86,12 @@ class CoreThread:
                 self._fault, self._pace = fault, Pace.BATCHED
             finally:
                 self._owner.release()
-            if self._pace is not Pace.IMMEDIATE:
+            if not self._in_haste:
                 self._called.set()
+
+    @property
+    def _in_haste(self) -> bool:
+        return self._pace is Pace.IMMEDIATE if self._lockstep is None else self._fault is None
 
     def stop(self) -> None:
         """End the thread; what is queued is not stepped any more once this returns."""
@@ -84,15 +108,19 @@ class CoreThread:
             with self._owner:
                 if self._fault is not None:
                     raise self._fault
-                self._step_queued(first)
-                now = host_us()
-                if now - self._ticked_us >= _TICK_S * 1e6:
-                    self._ticked_us = now
-                    self._runner.take(Tick(now))
+                if self._lockstep is None:
+                    self._step_queued(first)
+                    self._tick()
+
+    def _tick(self) -> None:
+        now_us = self._host_us()
+        if now_us - self._ticked_us >= _TICK_S * 1e6:
+            self._ticked_us = now_us
+            self._runner.take(Tick(now_us))
 
     def _wait(self) -> list[Input]:
         """Until it is time for a turn; returns the input that ended the wait, where there is one."""
-        if self._pace is Pace.DEFERRED:
+        if self._pace is Pace.DEFERRED and self._lockstep is None:
             with contextlib.suppress(queue.Empty):
                 return [self._queue.get(timeout=_TICK_S)]
         elif self._called.wait(BATCH_S):
@@ -104,7 +132,7 @@ class CoreThread:
         queued = self._queue
         while not queued.empty():  # nobody else takes from it
             items.append(queued.get_nowait())
-        if len(items) > _BACKLOG:
+        if len(items) > _BACKLOG and self._lockstep is None:
             newest = {type(item): i for i, item in enumerate(items)}
             items = [
                 item
@@ -116,3 +144,7 @@ class CoreThread:
             left -= 1
             self._runner.take(item, more=left > 0)
         self._pace = self._runner.core.pace
+        if self._lockstep is not None and items:
+            self._tick()
+            self._after_step()
+            self._lockstep.close(items, self._pace is Pace.BATCHED)

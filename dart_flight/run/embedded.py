@@ -8,7 +8,7 @@ from pathlib import Path
 from dart_flight.base.records import World
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission
-from dart_flight.recording.verdict import Verdict
+from dart_flight.recording.verdict import TimeKind, Verdict
 from dart_flight.run.app import FlightApp
 from dart_flight.run.flight_record import FlightRecord, Onlooker
 from dart_flight.run.program_fault import ProgramFault
@@ -32,14 +32,15 @@ def fly_embedded(
     fault: Fault | None = None,
     spreads: Mapping[str, float] | None = None,
     speed: float = 1.0,
+    realtime: bool = False,
     viewer: Onlooker | None = None,
 ) -> Verdict:
     """Fly through MAVSDK over UDP against the embedded autopilot.
 
     `deadman` starts the process that kills this one when it hangs; `fault` is what goes wrong; `spreads`
-    says what is drawn anew by the seed (`sim.draws`); `speed` is simulated seconds per second: what the core
-    times by stamps goes by at that pace, silence alone is judged by the host's time; `viewer` sees every
-    record, on the thread that took it.
+    says what is drawn anew by the seed (`sim.draws`); `speed` is simulated seconds per second, at most;
+    `realtime` is without lockstep: the world does not wait for this program, and silence is judged by the
+    host's time; `viewer` sees every record, on the thread that took it.
 
     Raises:
         InputError: the log cannot be written.
@@ -53,13 +54,20 @@ def fly_embedded(
     except InputError:
         record.close()
         raise
-    spec = SimulatorSpec(mission, seed, [port], spreads=dict(spreads or {}), speed=speed)
+    realtime = realtime or (fault is not None and fault.kind.of_real_time)
+    record.time = TimeKind.REALTIME if realtime else TimeKind.LOCKSTEP
+    spec = SimulatorSpec(
+        mission, seed, [port], spreads=dict(spreads or {}), speed=speed, lockstep=not realtime
+    )
 
     def make_app(world: SimulatorProcess) -> FlightApp:
-        note = record.folder / DEADMAN_NOTE if deadman else None
+        # In lockstep the world waits for a program that hangs, and ends the flight.
+        note = record.folder / DEADMAN_NOTE if deadman and realtime else None
         url = f"udpin://127.0.0.1:{port}"
-        clock = None if speed == 1.0 else LockstepClock(speed)
-        app = FlightApp(mission, url, record, world, progress, clock, note, drawn.lock_faults)
+        clock = LockstepClock(speed) if realtime and speed != 1.0 else None
+        app = FlightApp(
+            mission, url, record, world, progress, clock, note, drawn.lock_faults, lockstep=not realtime
+        )
         if fault is not None:
             record.onlookers.append(ProgramFault(fault, app, world, record.path))
         return app

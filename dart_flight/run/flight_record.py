@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import msgspec
 
-from dart_flight.base.records import LogFailure, Record, World
+from dart_flight.base.records import LogFailure, Record, TruthSample, World
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission
 from dart_flight.config.provenance import display_path
 from dart_flight.recording.about import describe_flight
 from dart_flight.recording.found import LOG_NAME
 from dart_flight.recording.reader import IN_MEMORY, Log, LogEntry, read_log
-from dart_flight.recording.verdict import Verdict, VerdictBuilder
+from dart_flight.recording.verdict import TimeKind, Verdict, VerdictBuilder
 from dart_flight.recording.writer import FlightLog, new_flight_folder
 
 Onlooker = Callable[[Record], None]
@@ -76,6 +77,11 @@ class FlightRecord:
         self.viewers: list[Onlooker] = [] if viewer is None else [viewer]
         self.notice: Onlooker = lambda record: None
         self._fails = False
+        self.time: TimeKind | None = None
+        self._first: tuple[int, float] | None = (
+            None  # simulated time in microseconds, the computer's in seconds
+        )
+        self._last: tuple[int, float] | None = None
         self._log: FlightLog | MemoryLog | None = None
         if log_dir is not None or in_memory:
             about = describe_flight(mission, world, seed)
@@ -122,11 +128,21 @@ class FlightRecord:
 
     def truth(self, record: Record) -> None:
         """Take a record of the simulated vehicle that comes beside the core's inputs."""
+        if isinstance(record, TruthSample):
+            self._last = (record.t_us, time.monotonic())
+            self._first = self._first or self._last
         if self._log is not None:
             self._log.put(record, 0)
         self.verdict.take(record)
         for viewer in self.viewers:
             viewer(record)
+
+    @property
+    def _speed(self) -> float | None:
+        """Simulated seconds per second of the computer, achieved; None without a simulated vehicle."""
+        if self._first is None or self._last is None or self._last[1] <= self._first[1]:
+            return None
+        return 1e-6 * (self._last[0] - self._first[0]) / (self._last[1] - self._first[1])
 
     def close(self) -> None:
         """End the log."""
@@ -138,6 +154,7 @@ class FlightRecord:
         log = display_path(self.path) if isinstance(self._log, FlightLog) else None
         kept = display_path(px4_log) if px4_log is not None and px4_log.exists() else None
         built = self.verdict.build(self._world, self._seed, log, kept, self._drawn)
+        built.time, built.speed = self.time, self._speed
         built.log_failure = self._log.shortfall if self._log is not None else None
         return built
 

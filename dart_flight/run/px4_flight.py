@@ -15,7 +15,7 @@ from dart_flight.config.parameter_file import PositionSource
 from dart_flight.lab_entries import PX4_FIGURES, load_entry
 from dart_flight.planning.positioning import frame_problem
 from dart_flight.recording.found import PX4_LOG
-from dart_flight.recording.verdict import Px4Figures, Verdict
+from dart_flight.recording.verdict import Px4Figures, TimeKind, Verdict
 from dart_flight.run.app import FlightApp
 from dart_flight.run.flight_record import FlightRecord, Onlooker
 from dart_flight.run.prepare import with_px4_delays
@@ -23,7 +23,7 @@ from dart_flight.run.simulator_process import Px4SimulatorProcess, SimulatorProc
 from dart_flight.sim.draws import draw_world
 from dart_flight.sim.pipe import Px4SimulatorSpec, SimulatorSpec, need_mavlink
 from dart_flight.vehicle.clock import LockstepClock
-from dart_flight.vehicle.link import LinkLease
+from dart_flight.vehicle.link import LinkLease, free_link
 
 _LOCKSTEP_PAUSE_S = 0.5
 
@@ -37,6 +37,7 @@ def fly_px4(
     *,
     position_from: PositionSource = PositionSource.MOCAP,
     speed: float = 1.0,
+    realtime: bool = False,
     parameter_files: tuple[Path, ...] = (),
     spreads: Mapping[str, float] | None = None,
     viewer: Onlooker | None = None,
@@ -50,7 +51,8 @@ def fly_px4(
         log_dir: where the flight's folder goes; PX4's ULog is kept in it as `px4.ulg`.
         progress: sees every record.
         position_from: motion capture (indoors, no GPS) or a GPS receiver.
-        speed: simulated seconds per second.
+        speed: simulated seconds per second, at most.
+        realtime: simulated time does not wait for this program.
         parameter_files: PX4 parameters on top of `configs/px4/`.
         spreads: what is drawn anew by the seed (`sim.draws`).
         viewer: sees every record, on the thread that took it.
@@ -66,22 +68,38 @@ def fly_px4(
     problem = frame_problem(mission, position_from)
     if problem is not None:
         raise InputError(problem, source=mission.source, key=("frame", "origin"))
-    mission = with_px4_delays(_for_lockstep(mission, speed))
+    mission = with_px4_delays(_for_pauses(mission, speed) if realtime else mission)
     parameters = flight_parameters(mission.vehicle, position_from, list(parameter_files))
     motors_from(values_of(parameters), mission.vehicle)  # refused here, before PX4 starts
     drawn = draw_world(mission, seed, spreads or {})
     record = FlightRecord(mission, World.PX4, seed, log_dir, drawn.drawn, viewer=viewer)
     folder = record.folder
     px4 = Px4SimulatorSpec(str(install.program.parents[1]), str(folder.resolve()), parameters, position_from)
-    spec = SimulatorSpec(mission, seed, [], px4=px4, spreads=dict(spreads or {}), speed=speed)
+    record.time = TimeKind.REALTIME if realtime else TimeKind.LOCKSTEP
+    spec = SimulatorSpec(
+        mission, seed, [], px4=px4, spreads=dict(spreads or {}), speed=speed, lockstep=not realtime
+    )
 
     with contextlib.ExitStack() as leases:
+        if not realtime:
+            port, lease = free_link("dry-run --px4", record.path)
+            leases.callback(lease.release)
+            spec.ports = [port]
 
         def make_app(world: SimulatorProcess) -> FlightApp:
-            # PX4 chose the port itself, by its instance.
-            url, clock = f"udpin://127.0.0.1:{world.port}", LockstepClock(speed)
-            leases.enter_context(LinkLease(url, "dry-run --px4", record.path))
-            return FlightApp(mission, url, record, world, progress, clock, lock_faults=drawn.lock_faults)
+            url = f"udpin://127.0.0.1:{world.port}"
+            if realtime:  # PX4 chose the port itself, by its instance
+                leases.enter_context(LinkLease(url, "dry-run --px4", record.path))
+            return FlightApp(
+                mission,
+                url,
+                record,
+                world,
+                progress,
+                LockstepClock(speed) if realtime else None,
+                lock_faults=drawn.lock_faults,
+                lockstep=not realtime,
+            )
 
         world = fly_simulated(record, spec, make_app, Px4SimulatorProcess)
     ulog = folder / PX4_LOG
@@ -99,7 +117,7 @@ def _px4_figures(ulog: Path, version: str | None) -> Px4Figures:
     return figures
 
 
-def _for_lockstep(mission: Mission, speed: float) -> Mission:
+def _for_pauses(mission: Mission, speed: float) -> Mission:
     """The mission with a guard that lets the simulator pause.
 
     In lockstep a stall of the machine stops the vehicle's time, too: silence counts from half a second of

@@ -33,13 +33,20 @@ class ReplannerProcess:
     Args:
         mission: what is flown.
         deliver: takes every answer, on a thread of the planner's; must not block.
+        host_us: the host's clock, microseconds; simulated time in lockstep.
 
     Raises:
         OSError: the process cannot be started.
     """
 
-    def __init__(self, mission: Mission, deliver: Callable[[PlanAnswer], None]) -> None:
-        self._deliver = deliver
+    def __init__(
+        self,
+        mission: Mission,
+        deliver: Callable[[PlanAnswer], None],
+        host_us: Callable[[], int] = host_us,
+    ) -> None:
+        self._deliver, self._host_us = deliver, host_us
+        self._open: dict[int, PlanRequest] = {}
         self.process = ChildProcess(__name__, msgspec.json.encode(mission), self._take)
 
     def send(self, item: PlanRequest | WallEstimate | FrameAnchor) -> None:
@@ -47,20 +54,33 @@ class ReplannerProcess:
 
         Where there is no planner any more the answer to a request says so at once.
         """
-        if self.process.poll() is None and self.process.send(_KINDS[type(item)] + msgspec.json.encode(item)):
-            return
         if isinstance(item, PlanRequest):
-            problem = "the planner has died"
-            self._deliver(PlanAnswer(host_us(), item.number, item.begin_us, problem=problem))
+            self._open[item.number] = item
+        if self.process.poll() is not None or not self.process.send(
+            _KINDS[type(item)] + msgspec.json.encode(item)
+        ):
+            self._answer_open()
 
     def stop(self) -> None:
         """End it."""
         self.process.end(_END_S)
 
+    def _answer_open(self) -> None:
+        """Answer the requests that the planner has died with."""
+        while self._open:
+            with contextlib.suppress(KeyError):  # the other thread has answered it
+                _, request = self._open.popitem()
+                problem = "the planner has died"
+                self._deliver(PlanAnswer(self._host_us(), request.number, request.begin_us, problem=problem))
+
     def _take(self, line: bytes) -> None:
+        if not line:
+            self._answer_open()
+            return
         with contextlib.suppress(msgspec.MsgspecError):
             answer = msgspec.json.decode(line, type=PlanAnswer)
-            self._deliver(msgspec.structs.replace(answer, received_us=host_us()))
+            self._open.pop(answer.number, None)
+            self._deliver(msgspec.structs.replace(answer, received_us=self._host_us()))
 
 
 def serve(requests: BinaryIO, answers: BinaryIO) -> None:

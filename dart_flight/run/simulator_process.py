@@ -93,6 +93,10 @@ class SimulatorProcess:
         """Tell the plant where the mock servo's horn is."""
         self.process.send(msgspec.json.encode(Horn(pulse_us)))
 
+    def send_line(self, line: bytes) -> bool:
+        """Send an encoded line; any thread, never blocks."""
+        return self.process.send(line)
+
     def send_fault(self, fault: Fault) -> None:
         """A fault begins over there."""
         self.process.send(msgspec.json.encode(FaultLine(fault)))

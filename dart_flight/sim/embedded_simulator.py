@@ -1,4 +1,5 @@
-"""The simulated vehicle in a process of its own: plant, embedded autopilot, MAVLink, at a pace.
+"""The simulated vehicle in a process of its own: plant, embedded autopilot, MAVLink, at a pace
+or in lockstep with the app.
 
 Started by `dry-run` with its end of a pipe: commands come on standard input, truth goes to standard output,
 one JSON object a line. When the app dies (end of input) the vehicle flies on to its failsafe, which goes to
@@ -14,19 +15,31 @@ import os
 import signal
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import IO, Protocol
 
 import msgspec
 
 from dart_flight.base.records import FlightMode
 from dart_flight.sim.draws import draw_world
-from dart_flight.sim.embedded_autopilot import TICK_S
+from dart_flight.sim.embedded_autopilot import TICK_S, TICK_US
 from dart_flight.sim.faults.fault_table import Fault, FaultSite, VehicleFault, impairment_of
 from dart_flight.sim.faults.impairment import Impairment
 from dart_flight.sim.faults.twin import make_second_vehicle
+from dart_flight.sim.lockstep import Lockstep, NoAnswerError
 from dart_flight.sim.mavlink_endpoint import MavlinkEndpoint
-from dart_flight.sim.pipe import FaultLine, Horn, LineReader, LineWriter, Ready, SimulatorSpec, Truth
+from dart_flight.sim.pipe import (
+    FULL_SPEED,
+    FaultLine,
+    Horn,
+    LineReader,
+    LineWriter,
+    Ready,
+    SimulatorDied,
+    SimulatorSpec,
+    Stepped,
+    Truth,
+)
 from dart_flight.sim.plant import Plant
 from dart_flight.sim.simulated_vehicle import SimulatedVehicle
 
@@ -36,24 +49,36 @@ _PILOT_S = 3.0  # likewise in a pilot's hands, where it only has to hold still
 STALL_S = 0.25  # a stall longer than this is not caught up with: the world pauses instead
 
 
-def ticks_in_real_time(period_s: float = TICK_S) -> Iterator[int]:
-    """Numbers of ticks, one every period; after a long stall the world pauses rather than races.
+class Pacer:
+    """Holds a world back to a pace; after a long stall the world pauses rather than races."""
 
-    With a period of 4 ms a tick takes the time it simulates; a shorter one is a world at higher speed.
-    """
-    due = time.monotonic()
+    def __init__(self) -> None:
+        self._due_s = time.monotonic()
+
+    def wait(self, period_s: float) -> None:
+        """Wait until the next tick is due, a period after the one before; with 0 not at all."""
+        now_s = time.monotonic()
+        if self._due_s > now_s:
+            time.sleep(self._due_s - now_s)
+        elif now_s - self._due_s > STALL_S:
+            self._due_s = now_s
+        self._due_s += period_s
+
+
+def ticks_in_real_time(period_s: float = TICK_S) -> Iterator[int]:
+    """Yield numbers of ticks, one every period; with 4 ms a tick takes the time it simulates."""
+    pace = Pacer()
     for tick in itertools.count():
+        pace.wait(period_s)
         yield tick
-        due += period_s
-        now = time.monotonic()
-        if due > now:
-            time.sleep(due - now)
-        elif now - due > STALL_S:
-            due = now
 
 
 class ServedWorld(Protocol):
     """What is served to the app, whichever autopilot flies in it."""
+
+    @property
+    def time_us(self) -> int:
+        """The autopilot's time, microseconds."""
 
     def set_horn(self, pulse_us: float) -> None:
         """Where the mock servo's horn is."""
@@ -70,21 +95,55 @@ class ServedWorld(Protocol):
         ...
 
 
-def serve(world: ServedWorld, writer: LineWriter, commands: IO[bytes], period_s: float) -> int:
-    """Take the app's lines and tell the truth, a tick every period, until the app is gone and the world over.
+def serve(
+    world: ServedWorld,
+    writer: LineWriter,
+    commands: IO[bytes],
+    speed: float,
+    lockstep: Lockstep | None = None,
+    wake: Sequence[int] = (),
+) -> int:
+    """Take the app's lines and send the truth, tick by tick, until the app is gone and the world over.
 
-    Returns how many ticks that took.
+    Args:
+        world: what flies.
+        writer: takes the truth.
+        commands: the app's lines.
+        speed: simulated seconds per second, at most.
+        lockstep: whether time may advance; None: it does not wait for the app.
+        wake: descriptors of the world that become readable when something has arrived for it.
+
+    Returns:
+        How many ticks that took.
+
+    Raises:
+        NoAnswerError: the app does not answer.
     """
     reader, gone_s = LineReader(commands), math.inf
-    # What has been loaded by now stays: the collector need not walk it in flight.
-    gc.freeze()
-    for tick in ticks_in_real_time(period_s):
+
+    def take_lines() -> bool:
+        """Take the app's lines; returns whether the app is there."""
+        reader.clear()
         while reader.items:
             item = reader.items.popleft()
             if isinstance(item, Horn):
                 world.set_horn(item.pulse_us)
             elif isinstance(item, FaultLine):
                 world.begin_fault(item.fault)
+            elif isinstance(item, Stepped) and lockstep is not None:
+                lockstep.update(item)
+        return not reader.closed
+
+    # What has been loaded by now stays: the collector need not walk it in flight.
+    gc.freeze()
+    pace = Pacer()
+    for tick in itertools.count():
+        if lockstep is not None and not reader.closed:
+            lockstep.wait(world.time_us + TICK_US, (reader.wake, *wake), take_lines)
+        take_lines()
+        # As fast as the machine goes only while the app holds the world back.
+        waits = lockstep is not None and lockstep.holds and not reader.closed
+        pace.wait(TICK_S / (1.0 if speed == FULL_SPEED and not waits else speed))
         plant = world.advance()
         if tick % _TRUTH_EVERY == 0:
             writer.put(Truth(state=plant.truth()))
@@ -140,9 +199,22 @@ class EmbeddedSimulator:
         """Fly at the wanted pace until the app is gone and the vehicle is down."""
         writer = LineWriter(truth)
         writer.put(Ready(self._autopilot.time_us))
-        serve(self, writer, commands, TICK_S / self._spec.speed)
+        lockstep = None
+        if self._spec.lockstep:
+            lockstep = Lockstep(self._endpoint, answers_at_rest=True, waits_at_first=True)
+        try:
+            serve(self, writer, commands, self._spec.speed, lockstep, self._endpoint.sockets)
+        except NoAnswerError as error:
+            self._say("critical", str(error))
+            writer.put(SimulatorDied(str(error)))
+            writer.finish()
         self._say("info", "simulated vehicle stops")
         self._endpoint.close()
+
+    @property
+    def time_us(self) -> int:
+        """As `ServedWorld`."""
+        return self._autopilot.time_us
 
     def _say(self, severity: str, text: str) -> None:
         self._to_link(severity, text)

@@ -12,6 +12,7 @@ import errno
 import math
 import socket
 import struct
+import time
 from collections.abc import Callable
 from typing import Any
 
@@ -54,6 +55,14 @@ _STATES = {
 }
 _DISARMED_US = 900.0  # pulse of a motor output that is off
 _SEVERITY = {"critical": 2, "error": 3, "warning": 4, "info": 6}
+
+_HEARTBEAT_S = 1.0
+_STREAM_NAMES = {
+    mavlink.MAVLINK_MSG_ID_HIGHRES_IMU: "imu",
+    mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: "attitude",
+    mavlink.MAVLINK_MSG_ID_ODOMETRY: "odometry",
+    mavlink.MAVLINK_MSG_ID_ACTUATOR_OUTPUT_STATUS: "actuator",
+}
 
 _ESC_THRUST_N_PER_RPM2 = 1.1e-8  # where the configuration has none, example value
 
@@ -106,6 +115,10 @@ class MavlinkEndpoint:
         self._pack = mavlink.MAVLink(None, srcSystem=system, srcComponent=1)
         self._tick = 0
         self._texts: list[tuple[str, str]] = []
+        self._heartbeat_s = -math.inf  # host time of the last one
+        # What lockstep looks at (`sim.lockstep.Autopilot`), of the first link.
+        self.sent_us: dict[str, int] = {}
+        self.setpoint: tuple[float, ...] = (math.nan,) * 9
         self._type = MAV_TYPES.get(len(autopilot.motors), MAV_TYPES[4])
         self._builders: dict[int, Callable[[], Any]] = {
             message: getattr(self, build.__name__)  # a subclass may say it otherwise
@@ -141,6 +154,25 @@ class MavlinkEndpoint:
 
     # -- once per tick --
 
+    @property
+    def sockets(self) -> list[int]:
+        """Descriptors that become readable when something has arrived."""
+        return [link.socket.fileno() for link in self.links]
+
+    def rest(self) -> None:
+        """Answer what has arrived while simulated time stands still.
+
+        MAVSDK takes a vehicle without a heartbeat for lost after 3 s of the computer's time.
+        """
+        for link in self.links:
+            self._receive(link)
+        now_s = time.monotonic()
+        if now_s - self._heartbeat_s >= _HEARTBEAT_S:
+            self._heartbeat_s = now_s
+            for link in self.links:
+                self._send(link, self._heartbeat())
+        self._flush()
+
     def exchange(self) -> None:
         """Read what has arrived, then send what is due at this tick."""
         for link in self.links:
@@ -157,6 +189,11 @@ class MavlinkEndpoint:
                 # Each message has its own phase, so that the slow ones do not all fall into one tick.
                 if (self._tick + message_id) % period or message_id in self.stopped:
                     continue
+                if link is self.links[0] and message_id in _STREAM_NAMES:
+                    # ATTITUDE_QUATERNION is stamped in milliseconds; so are the ticks.
+                    self.sent_us[_STREAM_NAMES[message_id]] = self.autopilot.time_us
+                if message_id == mavlink.MAVLINK_MSG_ID_HEARTBEAT:
+                    self._heartbeat_s = time.monotonic()
                 if message_id not in cache:
                     cache[message_id] = self._builders[message_id]().pack(self._pack)
                     self._pack.seq = (self._pack.seq + 1) % 256
@@ -206,6 +243,9 @@ class MavlinkEndpoint:
             self._command(link, message)
         elif kind == "SET_POSITION_TARGET_LOCAL_NED":
             self._position_target(message)
+            if link is self.links[0]:
+                m = message
+                self.setpoint = (m.x, m.y, m.z, m.vx, m.vy, m.vz, m.afx, m.afy, m.afz)
         elif kind == "PARAM_REQUEST_READ":
             self._param_read(link, message)
         elif kind == "PARAM_REQUEST_LIST":
@@ -214,7 +254,9 @@ class MavlinkEndpoint:
         elif kind == "PARAM_SET":
             self._param_set(link, message)
         elif kind == "TIMESYNC" and message.tc1 == 0:
-            self._send(link, mavlink.MAVLink_timesync_message(self.autopilot.time_us * 1000, message.ts1))
+            self._send(
+                link, mavlink.MAVLink_timesync_message(self.autopilot.time_us * 1000 or 1, message.ts1)
+            )
         elif kind == "MISSION_REQUEST_LIST":
             reply = mavlink.MAVLink_mission_count_message(
                 message.get_srcSystem(), message.get_srcComponent(), 0, message.mission_type

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import importlib.util
+import os
 import threading
 from collections import deque
 from typing import IO
@@ -20,6 +21,8 @@ from dart_flight.config.mission import Mission
 from dart_flight.config.parameter_file import Parameter, PositionSource
 from dart_flight.config.vehicle import Motor
 from dart_flight.sim.faults.fault_table import Fault
+
+FULL_SPEED = 1e6  # simulated seconds per second: as fast as the machine goes
 
 
 class Px4SimulatorSpec(msgspec.Struct):
@@ -62,7 +65,8 @@ class SimulatorSpec(msgspec.Struct):
     px4: Px4SimulatorSpec | None = None
     hitl: HitlSpec | None = None
     spreads: dict[str, float] = msgspec.field(default_factory=dict)  # what differs from the mission (`draws`)
-    speed: float = 1.0  # simulated seconds per second
+    speed: float = 1.0  # simulated seconds per second, at most
+    lockstep: bool = False  # whether simulated time waits for the application (`sim.lockstep`)
 
 
 class Horn(msgspec.Struct, tag="horn"):
@@ -81,7 +85,28 @@ class FaultLine(msgspec.Struct, tag="fault"):
     fault: Fault
 
 
-WorldInput = Horn | Ping | FaultLine
+class Stepped(msgspec.Struct, tag="stepped"):
+    """How far the application has come; sent each time that nothing is left for it to do (`sim.lockstep`).
+
+    Attributes:
+        streams: newest stamp that the core has stepped of every telemetry stream, microseconds.
+        setpoint: the last one handed to MAVSDK: position, velocity and acceleration, local NED; None for
+            unused numbers.
+        commands: requests to the autopilot whose result is still to come.
+        plan_due_us: when the planner's answer is due; None: no open request.
+        batch_us: the core steps the samples of this time together; until then nothing is waited for.
+        flies: False once the application sends nothing more, and the world goes on without it.
+    """
+
+    streams: dict[str, int]
+    setpoint: tuple[float | None, ...] | None = None
+    commands: int = 0
+    plan_due_us: int | None = None
+    batch_us: int = 0
+    flies: bool = True
+
+
+WorldInput = Horn | Ping | FaultLine | Stepped
 
 
 class Ready(msgspec.Struct, tag="ready"):
@@ -143,20 +168,33 @@ class LineWriter:
 
 
 class LineReader:
-    """Lines from the app; `closed` once the app is gone."""
+    """Lines from the app; `closed` once the app is gone.
+
+    Attributes:
+        items: what has come and has not been taken.
+        wake: descriptor that is readable while there is news; `clear` makes it wait for the next.
+    """
 
     def __init__(self, stream: IO[bytes]) -> None:
         self._stream = stream
         self.items: deque[WorldInput] = deque()
         self.closed = False
+        self.wake = os.eventfd(0, os.EFD_NONBLOCK)
         threading.Thread(target=self._run, daemon=True, name="commands").start()
+
+    def clear(self) -> None:
+        """Forget the news so far; call it before looking at `items`."""
+        with contextlib.suppress(BlockingIOError):
+            os.eventfd_read(self.wake)
 
     def _run(self) -> None:
         decoder = msgspec.json.Decoder(WorldInput)
         for line in self._stream:
             with contextlib.suppress(msgspec.DecodeError):
                 self.items.append(decoder.decode(line))
+            os.eventfd_write(self.wake, 1)
         self.closed = True
+        os.eventfd_write(self.wake, 1)
 
 
 def need_mavlink() -> None:

@@ -1,10 +1,12 @@
-"""The autopilot's clock seen from the host."""
+"""The autopilot's clock and the host's: in real flight two clocks, in lockstep one."""
 
 from __future__ import annotations
 
 import time
 from collections import deque
 from typing import Protocol
+
+from dart_flight.base.records import RoundTrip
 
 _WINDOW = 8  # seconds, one best value each
 _LOCKSTEP_STEP_US = 2000
@@ -19,13 +21,16 @@ def host_us() -> int:
 
 
 class Clock(Protocol):
-    """Relates autopilot time and host time.
+    """Relates autopilot time and host time."""
 
-    Attributes:
-        runs_in_real_time: the autopilot's time goes as the host's does.
-    """
+    def host_us(self) -> int:
+        """Return the host's time in microseconds, monotonic; simulated time in lockstep."""
 
-    runs_in_real_time: bool
+    def round_trip(self, sent_us: int, received_us: int, autopilot_us: int | None) -> RoundTrip:
+        """Return the record of a request, sent and answered at these times of the computer, microseconds."""
+
+    def receive(self, t_us: int, received_us: int) -> int:
+        """Return the time of receipt of a message with this stamp, host time in microseconds."""
 
     @property
     def offset_us(self) -> int | None:
@@ -38,14 +43,28 @@ class Clock(Protocol):
         """Host time as autopilot time."""
 
 
-class ClockEstimate:
+class _RealHost:
+    """A clock whose host time is the computer's."""
+
+    host_us = staticmethod(host_us)
+    _PACE_KNOWN = True  # the autopilot's time advances as the host's does
+
+    def round_trip(self, sent_us: int, received_us: int, autopilot_us: int | None) -> RoundTrip:
+        """Return the record; without the autopilot's time where that has a pace of its own."""
+        return RoundTrip(received_us, sent_us, autopilot_us if self._PACE_KNOWN else None)
+
+    @staticmethod
+    def receive(t_us: int, received_us: int) -> int:
+        """Return the time of receipt as the caller has read it."""
+        return received_us
+
+
+class ClockEstimate(_RealHost):
     """Autopilot time minus host time, from stamps and receipts.
 
     Every message is late by an unknown, positive delay, so the largest difference of the last seconds is the
     nearest to the truth; the window lets it follow a drifting clock.
     """
-
-    runs_in_real_time = True
 
     def __init__(self) -> None:
         self._offset_us: int | None = None
@@ -87,8 +106,50 @@ class ClockEstimate:
         return host_time_us + (self._offset_us or 0)
 
 
-class LockstepClock:
-    """The clock of an autopilot in lockstep with a simulator.
+class SimulatedTime:
+    """The one clock of a world that waits for the application: the newest stamp of the vehicle.
+
+    Host time and autopilot time are the same, so a busy computer shows in no age and in no time-out.
+    """
+
+    def __init__(self) -> None:
+        self._now_us: int | None = None
+        self._reported = False
+
+    def host_us(self) -> int:
+        """Return the simulated time in microseconds; 0 before the first stamp."""
+        return self._now_us or 0
+
+    def receive(self, t_us: int, received_us: int) -> int:
+        """Advance to the stamp of a message; returns the time of its receipt, microseconds."""
+        if self._now_us is None or t_us > self._now_us:
+            self._now_us = t_us
+        return self._now_us
+
+    def round_trip(self, sent_us: int, received_us: int, autopilot_us: int | None) -> RoundTrip:
+        """Return the record of a trip that takes no simulated time."""
+        return RoundTrip(self.host_us(), self.host_us(), None)
+
+    @property
+    def offset_us(self) -> int | None:
+        """0 once a stamp is known; None before."""
+        return None if self._now_us is None else 0
+
+    def update(self, t_us: int, received_us: int) -> int | None:
+        """Advance to a stamp; returns the offset, 0, the first time."""
+        self.receive(t_us, received_us)
+        if self._reported:
+            return None
+        self._reported = True
+        return 0
+
+    def to_autopilot(self, host_time_us: int) -> int:
+        """Return the same time."""
+        return host_time_us
+
+
+class LockstepClock(_RealHost):
+    """The clock of an autopilot in lockstep with a simulator that does not wait for the application.
 
     Its time goes at any pace and stands still when the simulator does, so the newest stamp is the best
     estimate, carried on at the wanted pace for a few milliseconds only.
@@ -98,7 +159,7 @@ class LockstepClock:
     """
 
     _REACH_US = 50_000
-    runs_in_real_time = False
+    _PACE_KNOWN = False
 
     def __init__(self, speed: float = 1.0) -> None:
         self._speed = speed

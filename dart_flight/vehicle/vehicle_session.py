@@ -43,7 +43,6 @@ from dart_flight.base.records import (
     LandedState,
     OdometrySample,
     OtherVehicle,
-    RoundTrip,
     Setpoint,
     StatusSample,
     StatusText,
@@ -173,6 +172,7 @@ class VehicleSession:
         self._rpm_us: int | None = None
         self._reset_counter: int | None = None
         self.clock: Clock = clock if clock is not None else ClockEstimate()
+        self._host_us = self.clock.host_us
         self._status = StatusSample(t_us=0, received_us=0)
         self._place = LocalPosition()
         self._silent = False
@@ -284,13 +284,13 @@ class VehicleSession:
         except Exception as error:
             if getattr(getattr(error, "result", None), "name", "") == "TIMEOUT":
                 return ["TIMESYNC", f"rate of {stream.message}"]
-        self._deliver(RoundTrip(host_us(), sent, None))
+        self._deliver(self.clock.round_trip(sent, host_us(), None))
         return []
 
     async def keep_measuring(self) -> None:
         """Ask for the round trip again and again; what `measure_link` has subscribed to takes the answers."""
         while True:
-            now = host_us()
+            now = host_us()  # names the request, also in lockstep, where time stands still
             self._asked.append(now)
             with contextlib.suppress(Exception):  # a link that takes nothing shows by its silence
                 self._direct.send_message(request(now))
@@ -306,8 +306,7 @@ class VehicleSession:
             or message.system_id != self._raw.get_system_id()
         ):
             return False
-        own = answer.autopilot_us if self.clock.runs_in_real_time else None
-        self._deliver(RoundTrip(received, answer.sent_us, own))
+        self._deliver(self.clock.round_trip(answer.sent_us, received, answer.autopilot_us))
         return True
 
     def _ask_interval(self, number: int, interval_us: int) -> bool:
@@ -329,16 +328,19 @@ class VehicleSession:
         found = _RESULT.search(answer.fields_json)
         return found is not None and int(found[1]) == 0
 
-    def _stamp(self, t_us: int, received_us: int) -> None:
+    def _stamp(self, t_us: int, received_us: int) -> int:
+        """Relate the clocks by a stamped message; returns the time of its receipt."""
+        received_us = self.clock.receive(t_us, received_us)
         offset = self.clock.update(t_us, received_us)
         if offset is not None:
             self._deliver(ClockOffset(received_us, offset))
+        return received_us
 
     def _on_imu(self, imu: Any, _: Any) -> None:
-        received = host_us()
+        received = self._host_us()
         t_us = int(imu.timestamp_us)
         a, w = imu.acceleration_frd, imu.angular_velocity_frd
-        self._stamp(t_us, received)
+        received = self._stamp(t_us, received)
         self._deliver(
             ImuSample(
                 t_us,
@@ -349,12 +351,14 @@ class VehicleSession:
         )
 
     def _on_attitude(self, q: Any, _: Any) -> None:
-        received = host_us()
+        received = self._host_us()
         if math.isfinite(q.w):
-            self._deliver(AttitudeSample(int(q.timestamp_us), received, (q.w, q.x, q.y, q.z)))
+            t_us = int(q.timestamp_us)
+            received = self.clock.receive(t_us, received)
+            self._deliver(AttitudeSample(t_us, received, (q.w, q.x, q.y, q.z)))
 
     def _on_odometry(self, message: Any, _: Any) -> None:
-        received = host_us()
+        received = self._host_us()
         o = _decode_odometry(message.fields_json)
         if o.reset_counter != self._reset_counter:
             self._reset_counter = o.reset_counter
@@ -362,6 +366,7 @@ class VehicleSession:
         x, y, z, vx, vy, vz = o.x, o.y, o.z, o.vx, o.vy, o.vz
         if x is None or y is None or z is None or vx is None or vy is None or vz is None:
             return
+        received = self.clock.receive(o.time_usec, received)
         self._deliver(OdometrySample(o.time_usec, received, (x, y, z), (vx, vy, vz)))
 
     def _on_estimator_status(self, message: Any, _: Any) -> None:
@@ -377,19 +382,20 @@ class VehicleSession:
         self._on_status(local_position_ok=self._place.ok)
 
     def _deliver_estimator(self, **what: Any) -> None:
-        received = host_us()
+        received = self._host_us()
         self._deliver(EstimatorSample(self.clock.to_autopilot(received), received, **what))
 
     def _on_actuator(self, message: Any, _: Any) -> None:
-        received = host_us()
+        received = self._host_us()
         status = _decode_actuator(message.fields_json)
         outputs = status.actuator[: self._motors]
         if len(outputs) < self._motors:
             return
+        received = self.clock.receive(status.time_usec, received)
         self._deliver(ActuatorSample(status.time_usec, received, tuple([_throttle(pwm) for pwm in outputs])))
 
     def _on_esc(self, message: Any, _: Any) -> None:
-        received = host_us()
+        received = self._host_us()
         status = _decode_esc(message.fields_json)
         if status.index == 0:
             self._rpm, self._rpm_us = [], status.time_usec
@@ -401,7 +407,7 @@ class VehicleSession:
             self._rpm_us = None
 
     def _on_status(self, **changes: Any) -> None:
-        received = host_us()
+        received = self._host_us()
         pin_thread_state()  # here, where it is seldom asked: all callbacks come on one thread
         self._status = msgspec.structs.replace(
             self._status, t_us=self.clock.to_autopilot(received), received_us=received, **changes
@@ -427,7 +433,7 @@ class VehicleSession:
         )
 
     def _on_status_text(self, text: Any, _: Any) -> None:
-        received = host_us()
+        received = self._host_us()
         severity = text.type.name.lower() if hasattr(text.type, "name") else str(text.type)
         self._deliver(StatusText(self.clock.to_autopilot(received), received, severity, text.text))
 
@@ -440,7 +446,7 @@ class VehicleSession:
             raw = getattr(system, "_system", system)
             if raw.has_autopilot() and raw.get_system_id() != own:
                 self._other = int(raw.get_system_id())
-                received = host_us()
+                received = self._host_us()
                 self._deliver(OtherVehicle(self.clock.to_autopilot(received), received, self._other))
                 return
 
@@ -456,7 +462,7 @@ class VehicleSession:
             self._events.subscribe_health_and_arming_checks(self._on_checks)
 
     def _on_event(self, event: Any, _: Any) -> None:
-        received = host_us()
+        received = self._host_us()
         text = StatusText(
             self.clock.to_autopilot(received),
             received,
@@ -479,7 +485,7 @@ class VehicleSession:
         now = (can_arm, blocking, others)
         if now != self._health:
             self._health = now
-            received = host_us()
+            received = self._host_us()
             self._deliver(HealthReport(self.clock.to_autopilot(received), received, *now))
 
     # -- commands --
@@ -493,7 +499,7 @@ class VehicleSession:
         """
         if self._silent:
             return
-        said, now_us = _without_stamps(setpoint), host_us()
+        said, now_us = _without_stamps(setpoint), self._host_us()
         repeats = self._status.flight_mode is FlightMode.OFFBOARD and now_us - self._sent_us < _REPEATED_US
         if repeats and said == self._sent and not setpoint.recovery:
             return

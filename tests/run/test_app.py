@@ -463,7 +463,7 @@ def test_the_planner_lives_as_long_as_the_flight_where_the_mission_plans_again(
 
     connect_to(Flight(end), monkeypatch)
     asyncio.run(app.run())
-    assert made.mock_calls == [call(app._mission, app._core.put), call().stop()] * plans
+    assert made.mock_calls == [call(app._mission, app._take_answer, host_us), call().stop()] * plans
 
 
 @pytest.mark.parametrize(

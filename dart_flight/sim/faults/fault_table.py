@@ -48,6 +48,12 @@ class FaultKind(msgspec.Struct, frozen=True):
     low: float = 0.0
     high: float = 0.0
 
+    @property
+    def of_real_time(self) -> bool:
+        """Whether it is about the host's time or the link, so that it needs a world that does not wait."""
+        about_link = self.place is FaultSite.LINK or self.name == "clock-back"
+        return about_link or (self.place is FaultSite.APP and self.name != "disk-full")
+
 
 _P = FaultSite
 KINDS: tuple[FaultKind, ...] = (

@@ -7,6 +7,7 @@ than a quarter of a second the plant pauses instead, as it does beside the embed
 
 from __future__ import annotations
 
+import math
 import signal
 import time
 from typing import IO
@@ -101,9 +102,14 @@ class HitlSimulator:
             ahead_us = max(ahead_us, link.controls.time_us - self._vehicle.time_us)
         plant.time_offset_us = ahead_us
         writer.put(Ready(self._vehicle.time_us))
-        serve(self, writer, commands, 0.0)  # a tick waits until it is due: two paces would drift apart
+        serve(self, writer, commands, math.inf)  # a tick waits until it is due: two paces would drift apart
 
     # -- as `ServedWorld` --
+
+    @property
+    def time_us(self) -> int:
+        """The plant's time, microseconds."""
+        return self._vehicle.time_us
 
     def set_horn(self, pulse_us: float) -> None:
         """Where the lock's horn is, by the model beside the real servo."""

@@ -22,6 +22,7 @@ from dart_flight.sim.draws import draw_world
 from dart_flight.sim.embedded_autopilot import TICK_S
 from dart_flight.sim.embedded_simulator import TerminatedError, WorldLog, raise_terminated, serve
 from dart_flight.sim.faults.fault_table import Fault
+from dart_flight.sim.lockstep import Lockstep
 from dart_flight.sim.pipe import LineWriter, Px4SimulatorSpec, Ready, SimulatorDied, SimulatorSpec
 from dart_flight.sim.plant import Plant
 from dart_flight.sim.px4.bridge import HilLink, Px4LostError, Px4Vehicle
@@ -36,7 +37,9 @@ from dart_flight.sim.px4.launch import (
     motors_from,
     values_of,
 )
+from dart_flight.sim.px4.relay import Relay
 
+SENDER_LAG_US = 16_000  # PX4's MAVLink sender sleeps in simulated time, in a thread of its own
 _BOOT_TIMEOUT_S = 15.0
 # Simulated time after booting in which the EKF aligns: it runs as fast as the machine goes.
 _WARM_UP_S = {source: 6.0 if source is PositionSource.MOCAP else 15.0 for source in PositionSource}
@@ -140,9 +143,18 @@ class Px4Simulator:
         text = ".".join(map(str, self._version)) if self._version else None
         self._free_run(_WARM_UP_S[self._px4_spec.position_from])
         self._say("ready")
-        writer.put(Ready(self._vehicle.time_us, ONBOARD_PORT + px4.instance, text, px4.pid))
+        port = ONBOARD_PORT + px4.instance
+        lockstep, wake = None, []
+        if self._spec.lockstep:
+            (app_port,) = self._spec.ports
+            relay = Relay(port, app_port)
+            port, wake = app_port, [relay.wake]
+            lockstep = Lockstep(
+                relay, answers_at_rest=False, waits_at_first=False, sender_lag_us=SENDER_LAG_US
+            )
+        writer.put(Ready(self._vehicle.time_us, port, text, px4.pid))
         begun = time.monotonic()
-        ticks = serve(self, writer, commands, TICK_S / self._spec.speed)
+        ticks = serve(self, writer, commands, self._spec.speed, lockstep, wake)
         factor = ticks * TICK_S / (time.monotonic() - begun)
         self._say(f"flown at {factor:.2f} times real time, {self._vehicle.clipped} clipped ticks")
 
@@ -171,6 +183,11 @@ class Px4Simulator:
         for _ in range(round(seconds / TICK_S)):
             self._vehicle.step()
             self._ticks += 1
+
+    @property
+    def time_us(self) -> int:
+        """As `ServedWorld`."""
+        return self._vehicle.time_us
 
     def set_horn(self, pulse_us: float) -> None:
         """As `ServedWorld`."""

@@ -1,0 +1,154 @@
+"""Lockstep with the application: simulated time does not advance until the application has answered.
+
+The world counts what it has sent, the application reports what it has stepped and what came of it
+(`Stepped`). Time stands still while anything is outstanding: a telemetry message that the core has not
+stepped, a setpoint that has not reached the autopilot, a lock order that has not been carried out, a plan
+that is due. So a busy computer makes a simulated flight slower and never different.
+
+A message counts as stepped when a newer one of its stream has been. A lost datagram therefore holds the world
+up for `_LOST_S` only: then time advances by one tick, and the next message overtakes it.
+"""
+
+from __future__ import annotations
+
+import math
+import select
+import time
+from collections.abc import Callable, Mapping, Sequence
+from typing import Final, Protocol
+
+from dart_flight.base.errors import FlightError
+from dart_flight.sim.pipe import Stepped
+
+_SILENT_S: Final = 10.0  # host time without an answer, after which the flight ends
+_LOST_S: Final = 1.0  # host time after which an unanswered message may have been lost
+_LOOK_S: Final = 0.05  # host time between two looks where nothing wakes the world
+_STEP_MAX_S: Final = 0.2  # host time between two looks, beyond which this process did not run
+_SENDER_S: Final = 0.2  # host time that a sender gets to catch up
+_SENDER: Final = "the autopilot to send its telemetry"
+_TELEMETRY: Final = "the application to step its telemetry"
+_SETPOINT_TOLERANCE: Final = 1e-5  # relative; MAVLink carries single precision
+
+
+class NoAnswerError(FlightError):
+    """A participant of the lockstep did not answer."""
+
+
+class Autopilot(Protocol):
+    """The autopilot's side of the link, as far as lockstep looks at it."""
+
+    @property
+    def sent_us(self) -> Mapping[str, int]:
+        """Newest stamp sent of every telemetry stream, microseconds."""
+
+    @property
+    def setpoint(self) -> Sequence[float]:
+        """The last setpoint that has arrived: position, velocity, acceleration; NaN where unused."""
+
+    def rest(self) -> None:
+        """Answer what has arrived while time stands still."""
+
+
+class Lockstep:
+    """Whether simulated time may advance.
+
+    Args:
+        autopilot: what has been sent and received.
+        answers_at_rest: whether the autopilot answers requests while time stands still. A real PX4 does not:
+            with a request open, time goes on.
+        waits_at_first: whether time stands still until the first report.
+        sender_lag_us: how far the autopilot's sender may be behind its own time, simulated microseconds: one
+            that runs in a thread of its own gets that much time to send what is due.
+    """
+
+    def __init__(
+        self, autopilot: Autopilot, *, answers_at_rest: bool, waits_at_first: bool, sender_lag_us: int = 0
+    ) -> None:
+        self._autopilot, self._answers_at_rest = autopilot, answers_at_rest
+        self._waits_at_first, self._sender_lag_us = waits_at_first, sender_lag_us
+        self._report: Stepped | None = None
+        self._unanswered_s = 0.0  # host time waited since the last report
+        self._from_us: dict[str, int] = {}
+
+    @property
+    def engaged(self) -> bool:
+        """Whether the world waits for the application at present."""
+        return self._waits_at_first if self._report is None else self._report.flies
+
+    @property
+    def holds(self) -> bool:
+        """Whether the world cannot get away from the application, and may go as fast as the machine does."""
+        report = self._report
+        return self.engaged and not (report is not None and report.commands and not self._answers_at_rest)
+
+    def update(self, report: Stepped) -> None:
+        """Take a report of the application."""
+        if self._report is None:
+            # What was sent before the application listened is not waited for.
+            self._from_us = dict(self._autopilot.sent_us)
+        self._report, self._unanswered_s = report, 0.0
+
+    def outstanding(self, next_us: int) -> str | None:
+        """Return what has to happen before simulated time `next_us`, in words; None: time may advance."""
+        report = self._report
+        if report is None:
+            return "the application to connect" if self._waits_at_first else None
+        if not report.flies:
+            return None
+        if report.commands:
+            return "the result of a command" if self._answers_at_rest else None
+        if report.plan_due_us is not None and next_us > report.plan_due_us:
+            return "the planner"
+        if report.setpoint is not None and not self._has_arrived(report.setpoint):
+            return "a setpoint of the application"
+        if (
+            self._sender_lag_us
+            and self._autopilot.sent_us.get("imu", next_us) < next_us - self._sender_lag_us
+        ):
+            return _SENDER
+        batch_end_us = report.streams.get("imu", 0) + report.batch_us + self._sender_lag_us
+        if report.batch_us and next_us <= batch_end_us:
+            return None
+        for stream, sent_us in self._autopilot.sent_us.items():
+            if sent_us > max(report.streams.get(stream, 0), self._from_us.get(stream, 0)):
+                return _TELEMETRY
+        return None
+
+    def wait(self, next_us: int, wake: Sequence[int], look: Callable[[], bool]) -> None:
+        """Block until simulated time may advance to `next_us`.
+
+        Args:
+            next_us: simulated time of the next tick, microseconds.
+            wake: descriptors that become readable when something has arrived.
+            look: take what has arrived of the application; False: it is gone.
+
+        Raises:
+            NoAnswerError: nothing came from the application for 10 s of host time.
+        """
+        looked_s, waited_s = time.monotonic(), 0.0
+        while look():
+            missing = self.outstanding(next_us)
+            if missing is None:
+                return
+            now_s = time.monotonic()
+            # While this process itself did not run, nobody could answer it.
+            step_s, looked_s = min(now_s - looked_s, _STEP_MAX_S), now_s
+            waited_s += step_s
+            if self._report is not None:
+                self._unanswered_s += step_s
+                if self._unanswered_s > _SILENT_S:
+                    raise NoAnswerError(f"the simulation waited {_SILENT_S:g} s for {missing}")
+                if missing is _TELEMETRY and waited_s > _LOST_S:
+                    return
+                if missing is _SENDER and waited_s > _SENDER_S:
+                    return
+            self._autopilot.rest()
+            select.select(wake, [], [], _LOOK_S)
+
+    def _has_arrived(self, wanted: Sequence[float | None]) -> bool:
+        arrived = self._autopilot.setpoint
+        return all(
+            value is None
+            or math.isclose(value, here, rel_tol=_SETPOINT_TOLERANCE, abs_tol=_SETPOINT_TOLERANCE)
+            for value, here in zip(wanted, arrived, strict=True)
+        )

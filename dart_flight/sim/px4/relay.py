@@ -1,0 +1,132 @@
+"""Relay between PX4 and the application: forwards every datagram and counts for `sim.lockstep`.
+
+PX4 sends to its onboard port, where the relay listens; the application listens on a port of its own.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import os
+import select
+import socket
+import struct
+import threading
+import time
+from collections.abc import Iterator
+from typing import Final
+
+_HEARTBEAT, _SETPOINT = 0, 84
+# message id -> stream, and how its stamp begins the payload, with microseconds a unit
+_STREAMS: Final = {
+    105: ("imu", struct.Struct("<Q"), 1),
+    31: ("attitude", struct.Struct("<I"), 1000),
+    331: ("odometry", struct.Struct("<Q"), 1),
+    375: ("actuator", struct.Struct("<Q"), 1),
+}
+_SETPOINT_FIELDS: Final = struct.Struct("<I9f")
+_HEARTBEAT_S: Final = 1.0
+_HEADER: Final = 10  # bytes of a MAVLink 2 frame before its payload; the checksum has two more
+_FROM_AUTOPILOT: Final = 1  # component id
+
+
+class Relay:
+    """Forwards between PX4 and the application, on a thread of its own.
+
+    Args:
+        px4_port: where PX4 sends to.
+        app_port: where the application listens.
+
+    Attributes:
+        sent_us: newest stamp forwarded of every telemetry stream, microseconds.
+        setpoint: last setpoint forwarded: position, velocity, acceleration.
+        wake: descriptor that is readable once something was forwarded.
+    """
+
+    def __init__(self, px4_port: int, app_port: int) -> None:
+        self.sent_us: dict[str, int] = {}
+        self.setpoint: tuple[float, ...] = (math.nan,) * 9
+        self.wake = os.eventfd(0, os.EFD_NONBLOCK)
+        self._px4 = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._px4.bind(("127.0.0.1", px4_port))
+        self._app = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._app.bind(("127.0.0.1", 0))
+        self._app_address = ("127.0.0.1", app_port)
+        self._px4_address: tuple[str, int] | None = None
+        self._heartbeat, self._heartbeat_s = b"", 0.0
+        self._closed = False
+        self._thread = threading.Thread(target=self._run, name="relay", daemon=True)
+        self._thread.start()
+
+    def rest(self) -> None:
+        """Repeat PX4's last heartbeat after a second of the computer's time.
+
+        PX4 sends one every simulated second, and MAVSDK takes a vehicle without one for lost after 3 s.
+        """
+        with contextlib.suppress(BlockingIOError):
+            os.eventfd_read(self.wake)
+        if self._heartbeat and time.monotonic() - self._heartbeat_s >= _HEARTBEAT_S:
+            self._forward_to_app(self._heartbeat)
+            self._heartbeat_s = time.monotonic()
+
+    def close(self) -> None:
+        """End the thread and close the sockets."""
+        self._closed = True
+        self._thread.join(timeout=1.0)
+        self._px4.close()
+        self._app.close()
+
+    def _run(self) -> None:
+        while not self._closed:
+            ready, _, _ = select.select([self._px4, self._app], [], [], 0.1)
+            for source in ready:
+                try:
+                    data, sender = source.recvfrom(4096)
+                except OSError:  # refused by a peer that is not there: reported of an earlier datagram
+                    continue
+                if source is self._px4:
+                    self._px4_address = sender
+                    self._count(data)
+                    self._forward_to_app(data)
+                elif self._px4_address is not None:
+                    with contextlib.suppress(OSError):
+                        self._px4.sendto(data, self._px4_address)
+                    self._note_setpoint(data)
+            if ready:
+                os.eventfd_write(self.wake, 1)
+
+    def _forward_to_app(self, data: bytes) -> None:
+        with contextlib.suppress(OSError):  # no listener yet, or no more
+            self._app.sendto(data, self._app_address)
+
+    def _count(self, data: bytes) -> None:
+        for number, component, payload, frame in frames(data):
+            if component != _FROM_AUTOPILOT:
+                continue
+            if number == _HEARTBEAT:
+                self._heartbeat, self._heartbeat_s = frame, time.monotonic()
+            stream = _STREAMS.get(number)
+            if stream is not None:
+                name, stamp, unit_us = stream
+                # MAVLink 2 cuts zeros off the end of a payload.
+                (value,) = stamp.unpack(payload[: stamp.size].ljust(stamp.size, b"\0"))
+                self.sent_us[name] = max(value * unit_us, self.sent_us.get(name, 0))
+
+    def _note_setpoint(self, data: bytes) -> None:
+        for number, _, payload, _ in frames(data):
+            if number == _SETPOINT:
+                size = _SETPOINT_FIELDS.size
+                self.setpoint = _SETPOINT_FIELDS.unpack(payload[:size].ljust(size, b"\0"))[1:]
+
+
+def frames(data: bytes) -> Iterator[tuple[int, int, bytes, bytes]]:
+    """Yield message id, component id, payload and frame of every MAVLink 2 frame of a datagram."""
+    at = 0
+    while at + _HEADER <= len(data):
+        if data[at] != 0xFD:
+            return  # MAVLink 1, or noise: nothing that is counted
+        length, signed = data[at + 1], data[at + 2] & 1
+        end = at + _HEADER + length + 2 + (13 if signed else 0)
+        number = int.from_bytes(data[at + 7 : at + 10], "little")
+        yield number, data[at + 6], data[at + _HEADER : at + _HEADER + length], data[at:end]
+        at = end
