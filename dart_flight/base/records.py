@@ -54,6 +54,21 @@ class LandedState(StrEnum):
     LANDING = "landing"
 
 
+class SystemStatus(StrEnum):
+    """MAV_STATE of the autopilot's heartbeat: PX4 says critical in a failsafe."""
+
+    UNKNOWN = "unknown"
+    UNINIT = "uninit"
+    BOOT = "boot"
+    CALIBRATING = "calibrating"
+    STANDBY = "standby"
+    ACTIVE = "active"
+    CRITICAL = "critical"
+    EMERGENCY = "emergency"
+    POWEROFF = "poweroff"
+    FLIGHT_TERMINATION = "flight_termination"
+
+
 class World(StrEnum):
     """Where a flight takes place (docs/architecture.md)."""
 
@@ -215,6 +230,8 @@ class StatusSample(Record, frozen=True, gc=False):
     local_position_ok: bool = False  # a position has come, and ESTIMATOR_STATUS, where sent, has one
     battery_v: float | None = None
     battery_remaining: float | None = None  # 0 to 1
+    system_status: SystemStatus = SystemStatus.UNKNOWN  # of the heartbeat
+    battery_id: int | None = None  # of the battery that is judged, as BATTERY_STATUS has it
 
 
 class EstimatorSample(Record, frozen=True, gc=False):
