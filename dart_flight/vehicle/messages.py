@@ -39,7 +39,7 @@ class Unusable(NamedTuple):
 # --- decoded values ----------------------------------------------------------------------------------------
 
 
-class Imu(NamedTuple):
+class InertialReading(NamedTuple):
     """Specific force (m/s2) and body rate (rad/s), FRD."""
 
     t_us: int
@@ -243,7 +243,7 @@ class _RcChannelsFields(msgspec.Struct):
 _ACCELEROMETER_AND_GYRO: Final = 0x3F  # bits of fields_updated
 
 
-def _imu(m: _HighresImuFields) -> Imu | Unusable:
+def _imu(m: _HighresImuFields) -> InertialReading | Unusable:
     if m.fields_updated & _ACCELEROMETER_AND_GYRO != _ACCELEROMETER_AND_GYRO:
         return Unusable("with accelerometer and gyro updated")
     ax, ay, az, wx, wy, wz = m.xacc, m.yacc, m.zacc, m.xgyro, m.ygyro, m.zgyro
@@ -253,7 +253,7 @@ def _imu(m: _HighresImuFields) -> Imu | Unusable:
         return Unusable(f"with a specific force below {_MAX_SPECIFIC_FORCE_M_S2:g} m/s2: another unit")
     if max(wx, wy, wz, -wx, -wy, -wz) > _MAX_RATE_RAD_S:
         return Unusable(f"with a rate below {_MAX_RATE_RAD_S:g} rad/s: another unit")
-    return Imu(m.time_usec, (ax, ay, az), (wx, wy, wz))
+    return InertialReading(m.time_usec, (ax, ay, az), (wx, wy, wz))
 
 
 def _attitude(m: _AttitudeQuaternionFields) -> Attitude | Unusable:

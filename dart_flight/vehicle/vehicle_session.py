@@ -360,7 +360,7 @@ class VehicleSession:
         if offset is not None:
             self._deliver(ClockOffset(received_us, offset))
 
-    def _on_imu(self, imu: messages.Imu, received: int) -> None:
+    def _on_imu(self, imu: messages.InertialReading, received: int) -> None:
         self._stamp(imu.t_us, received)
         self._deliver(ImuSample(imu.t_us, received, imu.specific_force_frd, imu.rate_frd))
 

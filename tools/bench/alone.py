@@ -70,7 +70,7 @@ class Echo:
         """Send by this session."""
         self._offboard = session._offboard
 
-    def take(self, imu: messages.Imu, _: int) -> None:
+    def take(self, imu: messages.InertialReading, _: int) -> None:
         """Take an IMU sample."""
         self._count += 1
         if self._count % _ECHO_EVERY == 0:
