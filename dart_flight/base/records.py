@@ -231,6 +231,7 @@ class StatusSample(Record, frozen=True, gc=False):
     battery_v: float | None = None
     battery_remaining: float | None = None  # 0 to 1
     system_status: SystemStatus = SystemStatus.UNKNOWN  # of the heartbeat
+    battery_id: int | None = None  # of the battery that is judged, as BATTERY_STATUS has it
 
 
 class EstimatorSample(Record, frozen=True, gc=False):

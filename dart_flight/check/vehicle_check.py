@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
-from dart_flight.base.streams import BY_NAME
 from dart_flight.check.findings import CheckFinding
 from dart_flight.check.px4_parameters import (
     judge_parameters,
@@ -12,6 +12,15 @@ from dart_flight.check.px4_parameters import (
     names_to_read,
     other_names,
     position_source,
+)
+from dart_flight.check.telemetry_check import (
+    LOOPBACK,
+    judge_battery,
+    judge_motor_outputs,
+    judge_rates,
+    judge_resting_force,
+    judge_sources,
+    motor_output_names,
 )
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission
@@ -53,6 +62,9 @@ def check_vehicle(
         values = link.read_parameters(names)
         values |= link.read_parameters(dict.fromkeys(other_names(values)))
         values |= link.read_parameters(rotor_names(values.get(COUNT, 0.0)))
+        values |= _read_outputs(link, len(mission.vehicle.airframe.motors))
+        if any(s.reason for s in observed.sources if s.is_vehicle and s.sender.message == "ODOMETRY"):
+            values |= link.read_parameters([LOOPBACK])
     found = position_source(values, observed.gps_fix)
     return [
         *judge_position(mission, found, observed.gps_fix, position_from),
@@ -61,8 +73,21 @@ def check_vehicle(
         *judge_airframe(mission, values),
         late,
         *judge_observation(mission, observed),
+        *judge_rates(observed, values),
+        *judge_sources(observed),
+        judge_battery(mission, observed),
+        *judge_resting_force(observed),
+        *judge_motor_outputs(mission, observed, values),
         *judge_lock(mission, values),
     ]
+
+
+def _read_outputs(link: GroundLink, motors: int) -> dict[str, float]:
+    """Read what the motors are connected to; an absent bank is noted as NaN."""
+    values: dict[str, float] = {}
+    while names := motor_output_names(values, motors):
+        values |= dict.fromkeys(names, math.nan) | link.read_parameters(names)
+    return {name: value for name, value in values.items() if math.isfinite(value)}
 
 
 def _release_of(text: str) -> Version | None:
@@ -82,7 +107,7 @@ def judge_round_trip(mission: Mission, seconds: float | None) -> CheckFinding:
 
 
 def judge_observation(mission: Mission, observed: Observation) -> list[CheckFinding]:
-    """Rates, battery and estimator as observed."""
+    """Version, other vehicles and estimator as observed."""
     findings = [
         CheckFinding(
             "version", True, f"PX4 {observed.version}" if observed.version else "version not reported"
@@ -90,22 +115,6 @@ def judge_observation(mission: Mission, observed: Observation) -> list[CheckFind
     ]
     if observed.other_vehicle is not None:
         findings.append(CheckFinding("second_vehicle", False, observed.other_vehicle))
-    for name, rate in observed.rates_hz.items():
-        needed = BY_NAME[name].expected_hz
-        findings.append(CheckFinding(f"rate_{name}", rate >= needed, f"{rate:.0f} Hz, needs {needed:g}"))
-    guard, left, volts = mission.vehicle.guard, observed.battery_remaining, observed.battery_v
-    low = (left is not None and left < 2.0 * guard.battery_remaining) or (
-        volts is not None and volts < guard.battery_v
-    )
-    told = ", ".join(
-        text
-        for text in (
-            f"{100.0 * left:.0f} %" if left is not None else "",
-            f"{volts:.1f} V" if volts is not None else "",
-        )
-        if text
-    )
-    findings.append(CheckFinding("battery", not low, told or "not reported"))
     said = ", ".join(dict.fromkeys([*observed.blocking, *observed.texts]))
     says = "local position valid"
     if not observed.local_position_ok:

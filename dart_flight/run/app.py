@@ -267,7 +267,8 @@ class FlightApp:
             if self._lock is not None:
                 self._lock.thread.start()
             vehicle = self._mission.vehicle
-            session.subscribe(vehicle.estimation, len(vehicle.airframe.motors))
+            motors, lowest_v = len(vehicle.airframe.motors), vehicle.guard.battery_v
+            session.subscribe(vehicle.estimation, motors, lowest_battery_v=lowest_v)
             self._listen_for_signals()
             keeper = asyncio.create_task(self._keep_alive())
             # In lockstep a round trip takes no time.

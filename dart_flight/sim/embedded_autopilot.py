@@ -357,6 +357,10 @@ def default_parameters(
     }
     # Where the IMU is, in [forward, right, down].
     parameters |= {f"EKF2_IMU_POS_{axis}": p for axis, p in zip("XYZ", vehicle.imu.position_m, strict=True)}
+    # The motors are the first outputs, on PWM as PX4 ships it.
+    for k in range(1, len(vehicle.airframe.motors) + 1):
+        parameters |= {f"PWM_MAIN_FUNC{k}": 100 + k, f"PWM_MAIN_MIN{k}": 1000, f"PWM_MAIN_MAX{k}": 2000}
+    parameters["PWM_MAIN_TIM0"] = 400
     # The lock's servo hangs on the output that the configuration names, set up as it asks.
     if vehicle.lock is not None:
         for required in required_parameters(vehicle.lock):

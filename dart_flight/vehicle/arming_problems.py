@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import re
 from typing import Any
 
+from dart_flight.vehicle.messages import SEVERITIES, Sensors
+
 _BAD_AT_MAX = 4  # log level: warning; 0 is emergency
-_SEVERITIES = ("emergency", "alert", "critical", "error", "warning", "notice", "info", "debug")
-SEVERE = frozenset(_SEVERITIES[: _BAD_AT_MAX + 1])
-_ENABLED = re.compile(r'"onboard_control_sensors_enabled":\s*(\d+)')
-_HEALTHY = re.compile(r'"onboard_control_sensors_health":\s*(\d+)')
+SEVERE = frozenset(SEVERITIES[: _BAD_AT_MAX + 1])
 _PREARM = 1 << 28  # MAV_SYS_STATUS_PREARM_CHECK
 # MAV_SYS_STATUS_SENSOR, as far as a vehicle like this has them.
 _SENSORS = {
@@ -36,7 +34,7 @@ Report = tuple[bool, tuple[str, ...], tuple[str, ...]]  # can arm, what blocks, 
 def severity(log_level: Any) -> str:
     """An event's log level by the name that STATUSTEXT has for it."""
     level = int(log_level)
-    return _SEVERITIES[level] if 0 <= level < len(_SEVERITIES) else "debug"
+    return SEVERITIES[level] if 0 <= level < len(SEVERITIES) else "debug"
 
 
 def of_checks(report: Any) -> Report:
@@ -47,14 +45,11 @@ def of_checks(report: Any) -> Report:
     return bool(mode.can_arm_or_run), blocking, others
 
 
-def of_sys_status(fields_json: str) -> Report | None:
-    """What SYS_STATUS says, for a PX4 without reports: sensors in use that are not well; None: nothing."""
-    enabled, healthy = _ENABLED.search(fields_json), _HEALTHY.search(fields_json)
-    if enabled is None or healthy is None:
-        return None
-    bad = int(enabled[1]) & ~int(healthy[1])
+def of_sys_status(sensors: Sensors) -> Report:
+    """What SYS_STATUS says, for a PX4 without reports: sensors in use that are not well."""
+    bad = sensors.enabled & ~sensors.healthy
     words = tuple(f"{name} not healthy" for bit, name in _SENSORS.items() if bad & 1 << bit)
-    refused = not int(healthy[1]) & _PREARM  # PX4 v1.14 reports it among what is well, and never as in use
+    refused = not sensors.healthy & _PREARM  # PX4 v1.14 reports it among what is well, and never as in use
     # The sensors need not be what the checks fail on.
     return not refused, ("preflight checks failed",) if refused else (), words
 

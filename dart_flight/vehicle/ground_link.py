@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import json
-import queue
 import time
 from collections.abc import Callable, Iterable
 from functools import partial
@@ -17,30 +15,34 @@ from mavsdk.component_type import ComponentType
 from mavsdk.mavsdk import Configuration, Mavsdk
 from mavsdk.plugins.action import Action
 from mavsdk.plugins.info import Info
-from mavsdk.plugins.mavlink_direct import MavlinkDirect
 from mavsdk.plugins.param import Param, ParamResult
-from mavsdk.plugins.telemetry import Telemetry
 
-from dart_flight.base.records import (
-    ActuatorSample,
-    AttitudeSample,
-    HealthReport,
-    ImuSample,
-    Input,
-    Record,
-    RoundTrip,
-    StatusSample,
-    StatusText,
-)
+from dart_flight.base.geometry import norm
+from dart_flight.base.motor_outputs import OutputScale
+from dart_flight.base.records import HealthReport, ImuSample, Input, RoundTrip, StatusSample, StatusText
 from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.core.guard.second_vehicle import SecondClockDetector
 from dart_flight.vehicle import arming_problems as reasons
-from dart_flight.vehicle import sdk_log
-from dart_flight.vehicle.vehicle_session import NoAnswerError, VehicleError, VehicleSession
+from dart_flight.vehicle import messages, sdk_log
+from dart_flight.vehicle.messages import AUTOPILOT, BatteryReading, MessageEntry
+from dart_flight.vehicle.vehicle_session import NoAnswerError, Sender, VehicleError, VehicleSession
+
+
+class Source(msgspec.Struct, frozen=True):
+    """One sender of a message, with its rates over the observation."""
+
+    sender: Sender
+    arriving_hz: float
+    usable_hz: float
+    is_vehicle: bool  # the autopilot's component of the connected vehicle
+    reason: str  # why its messages are unusable; empty if they are not
 
 
 class Observation(msgspec.Struct):
-    """What a vehicle on the ground says in a few seconds."""
+    """What a vehicle on the ground says in a few seconds.
+
+    `rates_hz` counts usable samples only.
+    """
 
     version: str = ""
     rates_hz: dict[str, float] = {}
@@ -51,6 +53,12 @@ class Observation(msgspec.Struct):
     blocking: tuple[str, ...] = ()  # what keeps PX4 from arming in its present mode, in its words
     other_vehicle: str | None = None  # another vehicle on the same link, in words
     texts: list[str] = []  # its texts and events, warnings and worse
+    sources: tuple[Source, ...] = ()
+    battery_id: int | None = None
+    batteries: tuple[BatteryReading, ...] = ()  # those that count
+    other_batteries: tuple[BatteryReading, ...] = ()
+    motor_scale: OutputScale | None = None  # by the values; None: all outputs were 0
+    specific_force_m_s2: float | None = None  # mean magnitude
 
 
 class HeartbeatMode(msgspec.Struct, frozen=True):
@@ -61,14 +69,12 @@ class HeartbeatMode(msgspec.Struct, frozen=True):
 
 
 _HEARTBEAT_S = 3.0
-_AUTOPILOT = 1  # component id
-_ARMED, _HIL = 128, 32  # bits of MAV_MODE_FLAG
 _STAMP_TOLERANCE_US = 500_000
 _REPORT_S = 5.0  # on top, where something is amiss: until MAVSDK has fetched the words for it
 _ROUND_TRIPS_S, _ROUND_TRIP_MAX_S = 1.0, 5.0
 _MAX_UNANSWERED = 2  # requests, where none has been answered; MAVSDK asks for each of them for seconds
 _PARAMETERS_S = 90.0  # for all parameters; a few that a build does not have take 3 s each
-_COUNTED: dict[type[Record], str] = {ImuSample: "imu", AttitudeSample: "attitude", ActuatorSample: "actuator"}
+_RATED = ("imu", "attitude", "odometry", "actuator")  # streams whose rates are reported
 
 
 class _Listener:
@@ -76,22 +82,24 @@ class _Listener:
 
     def __init__(self) -> None:
         self.seen = Observation()
-        self.counts = dict.fromkeys(("imu", "attitude", "odometry", "actuator"), 0)
         self.round_trips_us: list[int] = []
         self._clocks = SecondClockDetector(_STAMP_TOLERANCE_US)
+        self._forces_m_s2, self._imu_samples = 0.0, 0
 
     def take(self, record: Input) -> None:
         """Take a record; on MAVSDK's thread."""
-        seen, counted = self.seen, _COUNTED.get(type(record))
-        if counted is not None:
-            self.counts[counted] += 1
+        seen = self.seen
         if isinstance(record, ImuSample):
+            self._forces_m_s2 += norm(record.specific_force_frd)
+            self._imu_samples += 1
+            seen.specific_force_m_s2 = self._forces_m_s2 / self._imu_samples
             self._clocks.update(record.t_us, record.received_us)
             apart_s = self._clocks.apart_s(record.received_us)
             if apart_s is not None:
                 seen.other_vehicle = f"two clocks alternate under one system id, {apart_s:.1f} s apart"
         elif isinstance(record, StatusSample):
             seen.battery_v, seen.battery_remaining = record.battery_v, record.battery_remaining
+            seen.battery_id = record.battery_id
             seen.local_position_ok = record.local_position_ok
         elif isinstance(record, HealthReport):
             seen.blocking = record.blocking
@@ -119,7 +127,6 @@ class GroundLink:
         self._mavsdk: Any = None
         self._answered = False  # whether any request was
         self._unanswered: list[str] = []  # requests, while none was
-        self._kept: list[Any] = []  # plugins with subscriptions
 
     def __enter__(self) -> GroundLink:
         sdk_log.redirect()
@@ -152,19 +159,9 @@ class GroundLink:
         self._heard.take(record)
         self._viewer(record)
 
-    def newest_message(self, name: str, seconds: float) -> dict[str, Any] | None:
-        """The last message of a kind that comes within so long, which it blocks for; None: none came."""
-        fields: list[str] = []
-
-        def take(message: Any, _: Any) -> None:
-            if message.system_id == self._system_id:
-                fields[:] = [message.fields_json]
-
-        direct = MavlinkDirect(self._system)
-        handle = direct.subscribe_message(name, take)
-        time.sleep(seconds)
-        direct.unsubscribe_message(handle)
-        return json.loads(fields[-1]) if fields else None
+    def newest(self, entry: MessageEntry, seconds: float) -> Any:
+        """Return the newest usable value of a message that comes within so many seconds, or None."""
+        return self._session.newest(entry, seconds)
 
     def round_trip_s(self) -> float | None:
         """The shortest of some TIMESYNC requests with their answers, seconds; None: no answer within 5 s.
@@ -212,21 +209,8 @@ class GroundLink:
 
     def heartbeat_mode(self) -> HeartbeatMode | None:
         """What the next HEARTBEAT of the autopilot says; None: none within 3 s."""
-        came: queue.SimpleQueue[int] = queue.SimpleQueue()
-
-        def take(message: Any, _: Any) -> None:
-            if message.system_id == self._system_id and message.component_id == _AUTOPILOT:
-                came.put(int(json.loads(message.fields_json)["base_mode"]))
-
-        direct = MavlinkDirect(self._system)
-        handle = direct.subscribe_message("HEARTBEAT", take)
-        try:
-            mode = came.get(timeout=_HEARTBEAT_S)
-        except queue.Empty:
-            return None
-        finally:
-            direct.unsubscribe_message(handle)
-        return HeartbeatMode(armed=bool(mode & _ARMED), hil=bool(mode & _HIL))
+        beat = self._session.next(messages.HEARTBEAT, _HEARTBEAT_S)
+        return None if beat is None else HeartbeatMode(armed=beat.armed, hil=beat.hil)
 
     def kill(self) -> None:
         """Disarm at once, in the air, too; raises what MAVSDK raises where that is refused."""
@@ -261,25 +245,30 @@ class GroundLink:
 
         Where PX4 has no position or would not arm, up to 5 s more until it has said why.
         """
-        seen, counts = self._heard.seen, self._heard.counts
+        seen, session = self._heard.seen, self._session
 
-        def count_odometry(_message: Any, _: Any) -> None:
-            counts["odometry"] += 1  # those without a position, which are no samples, too
+        def take_fix(fix: str, _: int) -> None:
+            seen.gps_fix = fix
 
-        def gps(info: Any, _: Any) -> None:
-            seen.gps_fix = str(info.fix_type.name).lower()
-
-        asyncio.run(self._session.set_rates(counts))  # refused: the count shows what comes anyway
-        self._session.subscribe(vehicle.estimation, len(vehicle.airframe.motors))
-        # Kept: a plugin that is collected takes its subscriptions with it.
-        self._kept = [Telemetry(self._system), MavlinkDirect(self._system)]
-        self._kept[0].subscribe_gps_info(gps)
-        self._kept[1].subscribe_message("ODOMETRY", count_odometry)
+        asyncio.run(session.set_rates(_RATED))  # refused: the count shows what comes anyway
+        motors, lowest_v = len(vehicle.airframe.motors), vehicle.guard.battery_v
+        session.subscribe(vehicle.estimation, motors, lowest_battery_v=lowest_v)
+        session.listen(messages.GPS_RAW_INT, take_fix)
         began = time.monotonic()
-        before = dict(counts)
+        before = {sender: (n.messages, n.usable) for sender, n in list(session.senders.items())}
         time.sleep(seconds)
-        elapsed = time.monotonic() - began
-        seen.rates_hz = {name: (counts[name] - before[name]) / elapsed for name in counts}
+        seen.sources = self._sources(before, time.monotonic() - began)
+        seen.rates_hz = {
+            name: sum(
+                s.usable_hz
+                for s in seen.sources
+                if s.is_vehicle and messages.STREAM_OF[s.sender.message] == name
+            )
+            for name in _RATED
+        }
+        batteries = session.batteries
+        seen.batteries, seen.other_batteries = tuple(batteries.counted()), tuple(batteries.others())
+        seen.motor_scale = None if session.motor_outputs is None else session.motor_outputs.scale
         for system in self._mavsdk.get_systems():
             if system.has_autopilot() and system.get_system_id() != self._system.get_system_id():
                 seen.other_vehicle = f"system {system.get_system_id()} sends on the same link"
@@ -290,3 +279,14 @@ class GroundLink:
             v = self._info.get_version()
             seen.version = f"{v.flight_sw_major}.{v.flight_sw_minor}.{v.flight_sw_patch}"
         return seen
+
+    def _sources(self, before: dict[Any, tuple[int, int]], elapsed_s: float) -> tuple[Source, ...]:
+        """Return the senders of the observation, by message."""
+        found = []
+        for key, count in sorted(self._session.senders.items()):
+            sender, (messages_then, usable_then) = Sender(*key), before.get(key, (0, 0))
+            is_vehicle = sender.system == self._system_id and sender.component == AUTOPILOT
+            came, usable = count.messages - messages_then, count.usable - usable_then
+            reason = count.reason if came and not usable else ""
+            found.append(Source(sender, came / elapsed_s, usable / elapsed_s, is_vehicle, reason))
+        return tuple(found)

@@ -10,10 +10,12 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import math
+import queue
 import re
+import time
 from collections import deque
 from collections.abc import Callable, Collection, Iterable
-from typing import Any
+from typing import Any, NamedTuple
 
 import msgspec
 from mavsdk.asyncio import ComponentType, Configuration, Mavsdk
@@ -23,14 +25,11 @@ from mavsdk.plugins.mavlink_direct import MavlinkDirect, MavlinkMessage
 from mavsdk.plugins.offboard import AccelerationNed, Offboard, PositionNedYaw, VelocityNedYaw
 from mavsdk.plugins.server_utility import ServerUtility
 from mavsdk.plugins.server_utility import StatusTextType as OwnStatusTextType
-from mavsdk.plugins.telemetry import FlightMode as SdkFlightMode
-from mavsdk.plugins.telemetry import LandedState as SdkLandedState
 from mavsdk.plugins.telemetry import Telemetry
 
 from dart_flight.base.errors import FlightError
+from dart_flight.base.motor_outputs import MotorOutputDecoder
 from dart_flight.base.records import (
-    MOTOR_FULL_US,
-    MOTOR_STOP_US,
     ActuatorSample,
     AttitudeSample,
     ClockOffset,
@@ -46,96 +45,53 @@ from dart_flight.base.records import (
     Setpoint,
     StatusSample,
     StatusText,
-    SystemStatus,
     VehicleAction,
 )
 from dart_flight.base.streams import ESC, ESTIMATOR, MESSAGE_ID, STREAMS, Stream
 from dart_flight.config.document import InputError
 from dart_flight.config.vehicle import Estimation
 from dart_flight.vehicle import arming_problems as reasons
-from dart_flight.vehicle import sdk_log
+from dart_flight.vehicle import messages, sdk_log
+from dart_flight.vehicle.batteries import Batteries
 from dart_flight.vehicle.callback_thread import pin_thread_state
 from dart_flight.vehicle.clock import Clock, ClockEstimate, host_us
-from dart_flight.vehicle.local_position import LocalPosition, is_healthy, position_sd_m
-from dart_flight.vehicle.timesync import answer_of, request
+from dart_flight.vehicle.messages import AUTOPILOT, MessageEntry, Unusable
+from dart_flight.vehicle.text_parts import TextAssembler
+from dart_flight.vehicle.timesync import request
 
-_MODES = {
-    SdkFlightMode.READY: FlightMode.READY,
-    SdkFlightMode.TAKEOFF: FlightMode.TAKEOFF,
-    SdkFlightMode.HOLD: FlightMode.HOLD,
-    SdkFlightMode.MISSION: FlightMode.MISSION,
-    SdkFlightMode.RETURN_TO_LAUNCH: FlightMode.RETURN,
-    SdkFlightMode.LAND: FlightMode.LAND,
-    SdkFlightMode.OFFBOARD: FlightMode.OFFBOARD,
-    SdkFlightMode.FOLLOW_ME: FlightMode.MISSION,
-    SdkFlightMode.UNKNOWN: FlightMode.UNKNOWN,
-}
-_LANDED = {
-    SdkLandedState.ON_GROUND: LandedState.ON_GROUND,
-    SdkLandedState.IN_AIR: LandedState.IN_AIR,
-    SdkLandedState.TAKING_OFF: LandedState.TAKING_OFF,
-    SdkLandedState.LANDING: LandedState.LANDING,
-}
-_STATUSES = tuple(SystemStatus)[1:]  # in the order of MAV_STATE's numbers
-_AUTOPILOT_COMPONENT = 1
 _ACTION_TIMEOUT_S = 5.0
 _SYSTEM_STATUS = re.compile(r'"system_status":\s*(\d+)')
 _RESULT = re.compile(r'"result":\s*(\d+)')
 _SET_MESSAGE_INTERVAL = 511  # MAV_CMD
-_MOTOR_SPAN_US = MOTOR_FULL_US - MOTOR_STOP_US
 _REPEATED_US = 100_000  # a setpoint that stays the same leaves as often
 _ASK_PERIOD_S = 0.1  # the round trip
 _MAX_ASKED = 256  # requests remembered; their answers may come seconds later
+_AIRBORNE = (LandedState.IN_AIR, LandedState.TAKING_OFF)
+_REPORTED_US = 3_000_000  # between reports that a stream is unusable
+_ENOUGH_MESSAGES = 25  # unusable in a row, until that is reported
 
 
-class _ActuatorOutputs(msgspec.Struct):
-    """ACTUATOR_OUTPUT_STATUS as JSON; NaN arrives as null."""
+class Sender(NamedTuple):
+    """Origin of a message: several instances may be in one component."""
 
-    time_usec: int
-    actuator: list[float | None]
-
-
-class _EscStatusJson(msgspec.Struct):
-    """ESC_STATUS as JSON."""
-
-    time_usec: int
-    index: int
-    rpm: list[int]
+    message: str
+    system: int
+    component: int
+    instance: int
 
 
-class _Odometry(msgspec.Struct):
-    """ODOMETRY as JSON. PX4 sends NaN until its estimator is ready, which arrives as null.
+class SenderCount(msgspec.Struct):
+    """Messages of one sender, those that became a sample, and why the last other one did not."""
 
-    Position and velocity are in local NED, whatever its frames are called.
-    """
-
-    time_usec: int
-    x: float | None
-    y: float | None
-    z: float | None
-    vx: float | None
-    vy: float | None
-    vz: float | None
-    reset_counter: int = 0  # an extension of the message: older autopilots leave it out
-
-
-_decode_actuator = msgspec.json.Decoder(_ActuatorOutputs).decode
-_decode_odometry = msgspec.json.Decoder(_Odometry).decode
-_decode_esc = msgspec.json.Decoder(_EscStatusJson).decode
+    messages: int = 0
+    usable: int = 0
+    reason: str = ""
+    unusable_in_a_row: int = 0
 
 
 def _without_stamps(s: Setpoint) -> tuple[object, ...]:
     """What a setpoint says to the vehicle, without its stamps."""
     return (s.position_ned, s.yaw_ned_rad, s.velocity_ned, s.acceleration_ned)
-
-
-def _throttle(pwm_us: float | None) -> float:
-    """A motor's output, 0 (stopped) to 1."""
-    if pwm_us is None or pwm_us <= MOTOR_STOP_US:
-        return 0.0
-    if pwm_us >= MOTOR_FULL_US:
-        return 1.0
-    return (pwm_us - MOTOR_STOP_US) / _MOTOR_SPAN_US
 
 
 class VehicleError(FlightError):
@@ -154,6 +110,11 @@ class VehicleSession:
         system: the autopilot on it.
         deliver: takes every record, on MAVSDK's thread.
         clock: relates the autopilot's time and the host's.
+
+    Attributes:
+        senders: every sender of a message that is subscribed to; only the autopilot's component is used.
+        batteries: the newest reading of each battery.
+        motor_outputs: decoder of the motor outputs; None until `subscribe`.
     """
 
     def __init__(
@@ -168,13 +129,20 @@ class VehicleSession:
         self._direct = MavlinkDirect(self._raw)
         self._extra: list[Stream] = []  # beside the table, as the configuration asks
         self._motors = 0
+        self.senders: dict[tuple[str, int, int, int], SenderCount] = {}
+        self.batteries = Batteries()
+        self.motor_outputs: MotorOutputDecoder | None = None
+        self._texts = TextAssembler()
+        self._reported_us: dict[str, int] = {}  # streams without a usable message
+        self._reports_unusable = False
         self._rpm: list[float] = []  # of one stamp; a message has four motors
         self._rpm_us: int | None = None
         self._reset_counter: int | None = None
         self.clock: Clock = clock if clock is not None else ClockEstimate()
         self._host_us = self.clock.host_us
         self._status = StatusSample(t_us=0, received_us=0)
-        self._place = LocalPosition()
+        self._has_position = False  # a usable ODOMETRY has come
+        self._estimator_ok = True  # by ESTIMATOR_STATUS; a vehicle may not send it
         self._silent = False
         self._sent: tuple[object, ...] | None = None  # the last setpoint, and when it left
         self._sent_us = 0
@@ -186,42 +154,110 @@ class VehicleSession:
 
     # -- telemetry --
 
-    def subscribe(self, estimation: Estimation, motors: int, guarded: bool = True) -> None:
+    def subscribe(
+        self, estimation: Estimation, motors: int, guarded: bool = True, lowest_battery_v: float = 0.0
+    ) -> None:
         """Subscribe to the streams of the table and to the slow state.
 
         Args:
             estimation: which sources of thrust it uses.
             motors: how many the vehicle has.
             guarded: also to what only the guard asks for.
+            lowest_battery_v: voltage at which the vehicle still flies (`guard.battery_v`).
         """
-        self._motors = motors
-        t = self._telemetry
-        t.subscribe_imu(self._on_imu)
-        t.subscribe_attitude_quaternion(self._on_attitude)
-        t.subscribe_armed(lambda armed, _: self._on_status(armed=bool(armed)))
-        t.subscribe_flight_mode(
-            lambda mode, _: self._on_status(flight_mode=_MODES.get(mode, FlightMode.MANUAL))
-        )
-        t.subscribe_landed_state(
-            lambda landed, _: self._on_status(landed=_LANDED.get(landed, LandedState.UNKNOWN))
-        )
-        t.subscribe_health(self._on_health)
-        t.subscribe_battery(self._on_battery)
-        t.subscribe_status_text(self._on_status_text)
-        if guarded:
-            self._subscribe_events()
-        # What the telemetry plugin leaves out: the stamp of the motors' outputs, the estimator's count of
-        # resets, and all of the others. Both ways for one message cost more than what the plugin spares.
-        d = self._direct
-        d.subscribe_message("ACTUATOR_OUTPUT_STATUS", self._on_actuator)
-        d.subscribe_message("ODOMETRY", self._on_odometry)
+        self._motors, self.motor_outputs = motors, MotorOutputDecoder(motors)
+        self.batteries = Batteries(lowest_battery_v)
+        self._reports_unusable = guarded
+        self.listen(messages.HIGHRES_IMU, self._on_imu)
+        self.listen(messages.ATTITUDE_QUATERNION, self._on_attitude)
+        self.listen(messages.ODOMETRY, self._on_odometry)
+        self.listen(messages.ACTUATOR_OUTPUT_STATUS, self._on_actuator)
+        self.listen(messages.HEARTBEAT, self._on_heartbeat)
+        self.listen(messages.EXTENDED_SYS_STATE, self._on_landed)
+        self.listen(messages.BATTERY_STATUS, self._on_battery, self._on_battery_gone)
+        self.listen(messages.STATUSTEXT, self._on_status_text)
         if estimation.uses_esc:
             self._extra.append(ESC)
-            d.subscribe_message(ESC.message, self._on_esc)
+            self.listen(messages.ESC_STATUS, self._on_esc)
         if guarded:
             self._extra.append(ESTIMATOR)
-            d.subscribe_message(ESTIMATOR.message, self._on_estimator_status)
-            d.subscribe_message("HEARTBEAT", self._on_heartbeat)
+            self.listen(messages.ESTIMATOR_STATUS, self._on_estimator_status)
+            self._subscribe_events()
+
+    def listen(
+        self,
+        entry: MessageEntry,
+        on_value: Callable[[Any, int], Unusable | None],
+        on_unusable: Callable[[int], None] | None = None,
+    ) -> Any:
+        """Subscribe to a message of the table; returns the handle.
+
+        Args:
+            entry: the message.
+            on_value: takes each usable value of the autopilot's component and its time of receipt; returns
+                None, or why it was no sample after all.
+            on_unusable: takes the instance of each unusable one of the autopilot's component.
+        """
+        decode, counts, name = entry.reader(), self.senders, entry.message
+        own = self._raw.get_system_id()
+
+        def take(message: Any, _: Any) -> None:
+            received = self._host_us()
+            instance, value = decode(message.fields_json)
+            sender = (name, message.system_id, message.component_id, instance)
+            count = counts.get(sender)
+            if count is None:
+                count = counts[sender] = SenderCount()
+            count.messages += 1
+            if message.component_id != AUTOPILOT or message.system_id != own:
+                return
+            if not isinstance(value, Unusable):
+                stamp_us = getattr(value, "t_us", None)
+                if stamp_us is not None:
+                    received = self.clock.receive(stamp_us, received)
+                value = on_value(value, received)
+                if value is None:
+                    count.usable += 1
+                    count.unusable_in_a_row = 0
+                    return
+            elif on_unusable is not None:
+                on_unusable(instance)
+            count.reason = value.reason
+            count.unusable_in_a_row += 1
+            if entry.stream is not None and count.unusable_in_a_row >= _ENOUGH_MESSAGES:
+                self._report_unusable(name, value.reason, received)
+
+        return self._direct.subscribe_message(name, take)
+
+    def newest(self, entry: MessageEntry, seconds: float) -> Any:
+        """Return the newest usable value that comes within so many seconds, or None; blocks until then."""
+        found: list[Any] = []
+
+        def keep(value: Any, _: int) -> None:
+            found[:] = [value]
+
+        handle = self.listen(entry, keep)
+        time.sleep(seconds)
+        self._direct.unsubscribe_message(handle)
+        return found[0] if found else None
+
+    def next(self, entry: MessageEntry, timeout_s: float) -> Any:
+        """Return the next usable value, or None if none comes in time; blocks."""
+        came: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        handle = self.listen(entry, lambda value, _: came.put(value))
+        try:
+            return came.get(timeout=timeout_s)
+        except queue.Empty:
+            return None
+        finally:
+            self._direct.unsubscribe_message(handle)
+
+    def _report_unusable(self, name: str, reason: str, received: int) -> None:
+        """Deliver, every few seconds, why a stream that arrives gives no sample."""
+        if self._reports_unusable and received - self._reported_us.get(name, -_REPORTED_US) >= _REPORTED_US:
+            self._reported_us[name] = received
+            text = f"{name} arrives, none {reason}"
+            self._deliver(StatusText(self.clock.to_autopilot(received), received, "error", text))
 
     async def set_rates(self, names: Collection[str] | None = None, watching: bool = False) -> list[str]:
         """Ask for the rates of the table; returns the names of the streams that were refused.
@@ -265,11 +301,13 @@ class VehicleSession:
         """
         loop, heard = asyncio.get_running_loop(), asyncio.Event()
 
-        def take(message: Any, _: Any) -> None:
-            if self._take_answer(message):
+        def take(answer: messages.Timesync, received: int) -> Unusable | None:
+            refused = self._take_answer(answer, received)
+            if refused is None:
                 loop.call_soon_threadsafe(heard.set)
+            return refused
 
-        self._direct.subscribe_message("TIMESYNC", take)
+        self.listen(messages.TIMESYNC, take)
         asking = asyncio.create_task(self.keep_measuring())
         try:
             await asyncio.wait_for(heard.wait(), timeout_s)
@@ -296,18 +334,11 @@ class VehicleSession:
                 self._direct.send_message(request(now))
             await asyncio.sleep(_ASK_PERIOD_S)
 
-    def _take_answer(self, message: Any) -> bool:
-        """TIMESYNC: an answer to one of ours, or what another asks."""
-        received = host_us()
-        answer = answer_of(message)
-        if (
-            answer is None
-            or answer.sent_us not in self._asked
-            or message.system_id != self._raw.get_system_id()
-        ):
-            return False
-        self._deliver(self.clock.round_trip(answer.sent_us, received, answer.autopilot_us))
-        return True
+    def _take_answer(self, answer: messages.Timesync, _: int) -> Unusable | None:
+        if answer.sent_us not in self._asked:
+            return Unusable("with an answer to a request of this program")
+        self._deliver(self.clock.round_trip(answer.sent_us, host_us(), answer.autopilot_us))
+        return None
 
     def _ask_interval(self, number: int, interval_us: int) -> bool:
         """SET_MESSAGE_INTERVAL for a message without a rate in the telemetry plugin; blocking."""
@@ -328,83 +359,59 @@ class VehicleSession:
         found = _RESULT.search(answer.fields_json)
         return found is not None and int(found[1]) == 0
 
-    def _stamp(self, t_us: int, received_us: int) -> int:
-        """Relate the clocks by a stamped message; returns the time of its receipt."""
-        received_us = self.clock.receive(t_us, received_us)
+    def _stamp(self, t_us: int, received_us: int) -> None:
         offset = self.clock.update(t_us, received_us)
         if offset is not None:
             self._deliver(ClockOffset(received_us, offset))
-        return received_us
 
-    def _on_imu(self, imu: Any, _: Any) -> None:
-        received = self._host_us()
-        t_us = int(imu.timestamp_us)
-        a, w = imu.acceleration_frd, imu.angular_velocity_frd
-        received = self._stamp(t_us, received)
-        self._deliver(
-            ImuSample(
-                t_us,
-                received,
-                (a.forward_m_s2, a.right_m_s2, a.down_m_s2),
-                (w.forward_rad_s, w.right_rad_s, w.down_rad_s),
-            )
-        )
+    def _on_imu(self, imu: messages.InertialReading, received: int) -> None:
+        self._stamp(imu.t_us, received)
+        self._deliver(ImuSample(imu.t_us, received, imu.specific_force_frd, imu.rate_frd))
 
-    def _on_attitude(self, q: Any, _: Any) -> None:
-        received = self._host_us()
-        if math.isfinite(q.w):
-            t_us = int(q.timestamp_us)
-            received = self.clock.receive(t_us, received)
-            self._deliver(AttitudeSample(t_us, received, (q.w, q.x, q.y, q.z)))
+    def _on_attitude(self, attitude: messages.Attitude, received: int) -> None:
+        self._deliver(AttitudeSample(attitude.t_us, received, attitude.q_frd_to_ned))
 
-    def _on_odometry(self, message: Any, _: Any) -> None:
-        received = self._host_us()
-        o = _decode_odometry(message.fields_json)
+    def _on_odometry(self, o: messages.Odometry, received: int) -> None:
         if o.reset_counter != self._reset_counter:
             self._reset_counter = o.reset_counter
             self._deliver_estimator(reset_counter=self._reset_counter)
-        x, y, z, vx, vy, vz = o.x, o.y, o.z, o.vx, o.vy, o.vz
-        if x is None or y is None or z is None or vx is None or vy is None or vz is None:
-            return
-        received = self.clock.receive(o.time_usec, received)
-        self._deliver(OdometrySample(o.time_usec, received, (x, y, z), (vx, vy, vz)))
+        self._deliver(OdometrySample(o.t_us, received, o.position_ned, o.velocity_ned))
+        if not self._has_position:
+            self._has_position = True
+            self._update_local_position()
 
-    def _on_estimator_status(self, message: Any, _: Any) -> None:
-        healthy = is_healthy(message.fields_json)
-        if healthy is not None:
-            self._place.healthy = healthy
-            self._deliver_estimator(healthy=healthy, position_sd_m=position_sd_m(message.fields_json))
-            if self._status.local_position_ok is not self._place.ok:
-                self._on_status(local_position_ok=self._place.ok)
+    def _on_estimator_status(self, estimator: messages.EstimatorState, _: int) -> None:
+        self._estimator_ok = estimator.healthy
+        self._deliver_estimator(healthy=estimator.healthy, position_sd_m=estimator.position_sd_m)
+        self._update_local_position()
 
-    def _on_health(self, health: Any, _: Any) -> None:
-        self._place.sent = bool(health.is_local_position_ok)
-        self._on_status(local_position_ok=self._place.ok)
+    def _update_local_position(self) -> None:
+        ok = self._has_position and self._estimator_ok
+        if self._status.local_position_ok is not ok:
+            self._on_status(local_position_ok=ok)
 
     def _deliver_estimator(self, **what: Any) -> None:
         received = self._host_us()
         self._deliver(EstimatorSample(self.clock.to_autopilot(received), received, **what))
 
-    def _on_actuator(self, message: Any, _: Any) -> None:
-        received = self._host_us()
-        status = _decode_actuator(message.fields_json)
-        outputs = status.actuator[: self._motors]
-        if len(outputs) < self._motors:
-            return
-        received = self.clock.receive(status.time_usec, received)
-        self._deliver(ActuatorSample(status.time_usec, received, tuple([_throttle(pwm) for pwm in outputs])))
+    def _on_actuator(self, outputs: messages.Outputs, received: int) -> Unusable | None:
+        assert self.motor_outputs is not None
+        throttles = self.motor_outputs.decode(outputs.values, self._status.landed in _AIRBORNE)
+        if isinstance(throttles, str):
+            return Unusable(f"of the motors: {throttles}")
+        self._deliver(ActuatorSample(outputs.t_us, received, throttles))
+        return None
 
-    def _on_esc(self, message: Any, _: Any) -> None:
-        received = self._host_us()
-        status = _decode_esc(message.fields_json)
-        if status.index == 0:
-            self._rpm, self._rpm_us = [], status.time_usec
-        if status.time_usec != self._rpm_us or status.index != len(self._rpm):
-            return  # a part of it was lost
-        self._rpm += [float(rpm) for rpm in status.rpm]
+    def _on_esc(self, group: messages.EscGroup, received: int) -> Unusable | None:
+        if group.first == 0:
+            self._rpm, self._rpm_us = [], group.t_us
+        if group.t_us != self._rpm_us or group.first != len(self._rpm):
+            return Unusable("with all groups of one stamp")
+        self._rpm += group.rpm
         if len(self._rpm) >= self._motors:
-            self._deliver(EscSample(status.time_usec, received, tuple(self._rpm[: self._motors])))
+            self._deliver(EscSample(group.t_us, received, tuple(self._rpm[: self._motors])))
             self._rpm_us = None
+        return None
 
     def _on_status(self, **changes: Any) -> None:
         received = self._host_us()
@@ -414,28 +421,35 @@ class VehicleSession:
         )
         self._deliver(self._status)
 
-    def _on_heartbeat(self, message: Any, _: Any) -> None:
-        """Take the state of the autopilot's own heartbeat: a gimbal's or a camera's says nothing of PX4."""
-        sender = (message.system_id, message.component_id)
-        found = _SYSTEM_STATUS.search(message.fields_json)
-        if found is None or sender != (self._raw.get_system_id(), _AUTOPILOT_COMPONENT):
-            return
-        number = int(found[1])
-        status = _STATUSES[number] if number < len(_STATUSES) else SystemStatus.UNKNOWN
-        if status is not self._status.system_status:
-            self._on_status(system_status=status)
+    def _on_heartbeat(self, beat: messages.Heartbeat, received: int) -> None:
+        for text in self._texts.overdue():
+            self._deliver_text(text, received)
+        self._on_status(armed=beat.armed, flight_mode=beat.flight_mode, system_status=beat.system_status)
 
-    def _on_battery(self, battery: Any, _: Any) -> None:
-        volts, percent = float(battery.voltage_v), float(battery.remaining_percent)
-        self._on_status(
-            battery_v=volts if math.isfinite(volts) else None,
-            battery_remaining=percent / 100.0 if math.isfinite(percent) else None,
-        )
+    def _on_landed(self, landed: LandedState, _: int) -> None:
+        self._on_status(landed=landed)
 
-    def _on_status_text(self, text: Any, _: Any) -> None:
-        received = self._host_us()
-        severity = text.type.name.lower() if hasattr(text.type, "name") else str(text.type)
-        self._deliver(StatusText(self.clock.to_autopilot(received), received, severity, text.text))
+    def _on_battery(self, reading: messages.BatteryReading, _: int) -> None:
+        self.batteries.update(reading)
+        self._deliver_battery()
+
+    def _on_battery_gone(self, number: int) -> None:
+        if self.batteries.remove(number):
+            self._deliver_battery()
+
+    def _deliver_battery(self) -> None:
+        worst = self.batteries.worst()
+        if worst is None:
+            self._on_status(battery_v=None, battery_remaining=None, battery_id=None)
+        else:
+            self._on_status(battery_v=worst.voltage_v, battery_remaining=worst.remaining, battery_id=worst.id)
+
+    def _on_status_text(self, chunk: messages.TextChunk, received: int) -> None:
+        for text in self._texts.add(chunk):
+            self._deliver_text(text, received)
+
+    def _deliver_text(self, text: tuple[str, str], received: int) -> None:
+        self._deliver(StatusText(self.clock.to_autopilot(received), received, *text))
 
     async def look_for_others(self) -> None:
         """Deliver another autopilot on the link, once; its messages are told apart by its system id."""
@@ -456,12 +470,14 @@ class VehicleSession:
         MAVSDK fetches the words from the vehicle, or from its cache; a vehicle without them has only texts
         and the sensors of SYS_STATUS.
         """
-        self._direct.subscribe_message("SYS_STATUS", self._on_sys_status)
+        self.listen(messages.SYS_STATUS, self._on_sys_status)
         with contextlib.suppress(Exception):  # of no use to a flight that has the rest
             self._events.subscribe_events(self._on_event)
             self._events.subscribe_health_and_arming_checks(self._on_checks)
 
     def _on_event(self, event: Any, _: Any) -> None:
+        if event.compid != AUTOPILOT:
+            return
         received = self._host_us()
         text = StatusText(
             self.clock.to_autopilot(received),
@@ -476,10 +492,9 @@ class VehicleSession:
         self.checked = True
         self._deliver_health(*reasons.of_checks(report))
 
-    def _on_sys_status(self, message: Any, _: Any) -> None:
-        found = None if self.checked else reasons.of_sys_status(message.fields_json)
-        if found is not None:
-            self._deliver_health(*found)
+    def _on_sys_status(self, sensors: messages.Sensors, _: int) -> None:
+        if not self.checked:
+            self._deliver_health(*reasons.of_sys_status(sensors))
 
     def _deliver_health(self, can_arm: bool, blocking: tuple[str, ...], others: tuple[str, ...]) -> None:
         now = (can_arm, blocking, others)

@@ -1,6 +1,7 @@
 """`check`: what is wrong with a mission or a vehicle is a no-go with a name, which alone overrules it."""
 
 import json
+import math
 import os
 import subprocess
 import sys
@@ -9,6 +10,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
+from dart_flight.base.motor_outputs import DSHOT, PWM, OutputScale
 from dart_flight.base.records import Record, TruthContact, TruthSample
 from dart_flight.check.findings import CheckFinding, decide
 from dart_flight.check.mission_check import check_mission
@@ -21,6 +23,14 @@ from dart_flight.check.px4_parameters import (
     names_to_read,
     position_source,
 )
+from dart_flight.check.telemetry_check import (
+    judge_battery,
+    judge_motor_outputs,
+    judge_rates,
+    judge_resting_force,
+    judge_sources,
+    motor_output_names,
+)
 from dart_flight.check.vehicle_check import judge_lock, judge_mode, judge_observation
 from dart_flight.cli import main
 from dart_flight.config.document import Document, InputError
@@ -31,7 +41,9 @@ from dart_flight.config.vehicle import LockDriver
 from dart_flight.lock.drivers.px4_output import required_parameters
 from dart_flight.run.fast import fly_fast
 from dart_flight.run.prepare import as_rehearsal, load_flyable, with_driver
-from dart_flight.vehicle.ground_link import HeartbeatMode, Observation
+from dart_flight.vehicle.ground_link import HeartbeatMode, Observation, Source
+from dart_flight.vehicle.messages import BatteryReading
+from dart_flight.vehicle.vehicle_session import Sender
 from tests.flights.test_embedded_flights import simulated_vehicle
 
 ROOT = Path(__file__).parents[2]
@@ -302,17 +314,114 @@ def test_plain_gps_is_refused_without_a_vehicle_too(capsys: pytest.CaptureFixtur
     assert main(["check", path, "--position-from", "rtk"]) == 0
 
 
+RATES = {"imu": 240.0, "attitude": 120.0, "odometry": 120.0, "actuator": 120.0}
+OBSERVED = Observation("1.16.0", RATES, 15.6, 0.9, True)
+
+
+def judged(observed: Observation, **values: float) -> dict[str, CheckFinding]:
+    findings = [
+        *judge_observation(mission(), observed),
+        *judge_rates(observed, values),
+        *judge_sources(observed),
+        judge_battery(mission(), observed),
+        *judge_resting_force(observed),
+        *judge_motor_outputs(mission(), observed, values),
+    ]
+    return {finding.item: finding for finding in findings}
+
+
 def test_what_is_observed_is_judged() -> None:
-    rates = {"imu": 240.0, "attitude": 120.0, "odometry": 120.0, "actuator": 120.0}
-    good = Observation("1.16.0", rates, 15.6, 0.9, True)
-    assert not no_goes(judge_observation(mission(), good))
+    assert not no_goes(judged(OBSERVED).values())
     for changes, item in (
-        ({"rates_hz": {**rates, "imu": 49.0}}, "rate_imu"),
+        ({"rates_hz": {**RATES, "imu": 49.0}}, "rate_imu"),
         ({"battery_v": 12.5}, "battery"),
         ({"battery_remaining": 0.2}, "battery"),
         ({"local_position_ok": False}, "estimator"),
+        ({"specific_force_m_s2": 1.0}, "imu_scale"),  # in g
     ):
-        assert no_goes(judge_observation(mission(), msgspec.structs.replace(good, **changes))) == [item]
+        assert no_goes(judged(msgspec.structs.replace(OBSERVED, **changes)).values()) == [item]
+
+
+def source(
+    message: str, component: int, instance: int, rate_hz: float, usable: bool = True, reason: str = ""
+) -> Source:
+    sender = Sender(message, 1, component, instance)
+    return Source(sender, rate_hz, rate_hz if usable else 0.0, component == 1, reason)
+
+
+def test_a_stream_that_arrives_without_values_is_a_no_go_with_the_cause() -> None:
+    echo = source("ODOMETRY", 1, 2, 125.0, False, "with a velocity")
+    seen = msgspec.structs.replace(OBSERVED, rates_hz={**RATES, "odometry": 0.0}, sources=(echo,))
+    assert judged(seen)["rate_odometry"].says == "125 Hz arrive, none with a velocity"
+    says = judged(seen, MAV_ODOM_LP=1.0)["rate_odometry"].says
+    assert says == "125 Hz arrive, none with a velocity: MAV_ODOM_LP is 1, set it to 0"
+
+
+def test_another_sender_of_a_stream_is_a_remark() -> None:
+    own = (source("ODOMETRY", 1, 8, 125.0), source("HIGHRES_IMU", 1, 0, 250.0))
+    alone = judged(msgspec.structs.replace(OBSERVED, sources=own))["sources"]
+    assert (alone.go, alone.remark) == (True, False)
+    assert alone.says == "system 1 component 1: ODOMETRY, HIGHRES_IMU"
+    vio = source("ODOMETRY", 197, 2, 30.0, False)
+    found = judged(msgspec.structs.replace(OBSERVED, sources=(*own, vio)))["sources"]
+    assert (found.go, found.remark) == (True, True)
+    assert found.says.endswith("not used: ODOMETRY of system 1 component 197, instance 2, 30 Hz")
+
+
+def test_every_battery_is_named() -> None:
+    low, full = BatteryReading(0, 9.0, 0.04, True), BatteryReading(1, 16.2, 0.95, True)
+    rail = BatteryReading(2, 5.0, 0.4, True)
+    seen = msgspec.structs.replace(
+        OBSERVED, battery_id=0, battery_v=9.0, battery_remaining=0.04, batteries=(low, full),
+        other_batteries=(rail,),
+    )  # fmt: skip
+    found = judged(seen)["battery"]
+    assert not found.go
+    assert (
+        found.says == "id 0: 4 %, 9.0 V; better: id 1: 16.2 V, 95 %; not a flight battery: id 2: 5.0 V, 40 %"
+    )
+
+
+MAIN = {f"PWM_MAIN_FUNC{k}": 100.0 + k for k in range(1, 5)} | {"PWM_MAIN_TIM0": 400.0}
+AUX = {name.replace("MAIN", "AUX"): value for name, value in MAIN.items()}
+CAN = {f"UAVCAN_EC_FUNC{k}": 100.0 + k for k in range(1, 5)}
+NO_MAIN = dict.fromkeys((f"PWM_MAIN_FUNC{k}" for k in range(1, 5)), 0.0)
+
+
+@pytest.mark.parametrize(
+    ("values", "seen", "go", "says"),
+    [
+        (MAIN, PWM, True, "PWM 1000 to 2000 us, on PWM_MAIN"),
+        ({**MAIN, "PWM_MAIN_TIM0": -4.0}, None, True, "DShot 0 to 1999, on PWM_MAIN"),
+        ({**NO_MAIN, **CAN}, None, True, "UAVCAN 0 to 8191, on UAVCAN_EC"),
+        ({}, DSHOT, True, "DShot 0 to 1999, by the values"),
+        (MAIN, DSHOT, False, "sends values of DShot"),
+        ({**MAIN, "PWM_MAIN_FUNC2": 103.0}, PWM, False, "output 2 of PWM_MAIN has function 103, not motor 2"),
+        ({**MAIN, "PWM_MAIN_MIN3": 1075.0}, PWM, False, "set 1000 and 2000"),
+        ({**NO_MAIN, "PWM_MAIN_FUNC1": 201.0, **AUX}, PWM, False, "the motors are on PWM_AUX"),
+        (NO_MAIN, PWM, False, "thrust is not known"),
+    ],
+)
+def test_the_motor_outputs_have_a_type_or_are_a_no_go(
+    values: dict[str, float], seen: OutputScale | None, go: bool, says: str
+) -> None:
+    found = judged(msgspec.structs.replace(OBSERVED, motor_scale=seen), **values)["motor_outputs"]
+    assert found.go is go
+    assert says in found.says
+
+
+@pytest.mark.parametrize(
+    ("has", "asked"), [(MAIN, 13), ({**NO_MAIN, **AUX}, 17), ({**NO_MAIN, **CAN}, 9), ({}, 3)]
+)
+def test_what_the_motors_are_connected_to_is_read_bank_by_bank(has: dict[str, float], asked: int) -> None:
+    """An absent parameter costs seconds: at most the first one of a bank is asked for in vain."""
+    values: dict[str, float] = {}
+    while names := motor_output_names(values, 4):
+        assert not values.keys() & set(names)
+        values |= {name: has.get(name, math.nan) for name in names}
+    assert len(values) == asked
+    vain = [name for name in values if name not in has and not name[:-1].endswith(("MIN", "MAX"))]
+    assert all(name.endswith("FUNC1") for name in vain)
 
 
 def test_a_lock_that_would_not_move_is_a_no_go() -> None:

@@ -285,7 +285,7 @@ class Flight(Session):
     async def keep_measuring(self) -> None:
         await asyncio.sleep(60.0)
 
-    def subscribe(self, estimation: object, motors: int) -> None:
+    def subscribe(self, estimation: object, motors: int, *, lowest_battery_v: float) -> None:
         self.motors = motors
         self.clock.update(5_000_000, host_us())  # the autopilot has been up for five seconds
 

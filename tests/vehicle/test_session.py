@@ -10,8 +10,6 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from mavsdk.plugins.telemetry import FlightMode as SdkFlightMode
-from mavsdk.plugins.telemetry import LandedState as SdkLandedState
 
 from dart_flight.base.records import (
     ActuatorSample,
@@ -30,6 +28,7 @@ from dart_flight.base.records import (
     Setpoint,
     StatusSample,
     StatusText,
+    SystemStatus,
     VehicleAction,
 )
 from dart_flight.base.streams import ESC, ESTIMATOR, MESSAGE_ID, STREAMS
@@ -93,9 +92,14 @@ class Rig:
     def say(self, plugin: str, stream: str, value: Any) -> None:
         self.plugins[plugin].callbacks[stream](value, None)
 
+    def hear(self, stream: str, **fields: object) -> None:
+        """The autopilot's component sends a message."""
+        self.say("MavlinkDirect", stream, message(**fields))
+
 
 def message(**fields: object) -> Any:
-    return SimpleNamespace(fields_json=json.dumps(fields))
+    """A message of the autopilot's component."""
+    return SimpleNamespace(system_id=1, component_id=1, fields_json=json.dumps(fields))
 
 
 def test_a_new_session_sends(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -155,39 +159,39 @@ def test_a_further_stream_is_asked_for_by_its_message(
 def test_a_local_position_is_one_that_is_sent_and_is_well(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """`is_local_position_ok` alone is true without motion capture and GPS, too."""
+    """PX4 sends a position without motion capture and GPS, too."""
     rig = Rig(monkeypatch, {})
     rig.session.subscribe(VEHICLE.estimation, 4)
-    rig.say("Telemetry", "health", SimpleNamespace(is_local_position_ok=True))
-    rig.say("MavlinkDirect", "ESTIMATOR_STATUS", message(flags=0))
-    assert not rig.of(StatusSample)[-1].local_position_ok
-    rig.say("MavlinkDirect", "ESTIMATOR_STATUS", message(flags=0xFFFF & ~0x0400))
+    rig.hear("ESTIMATOR_STATUS", flags=0, pos_horiz_accuracy=None)
+    rig.hear("ODOMETRY", **ODOMETRY)
+    assert not any(status.local_position_ok for status in rig.of(StatusSample))
+    rig.hear("ESTIMATOR_STATUS", flags=0xFFFF & ~0x0400, pos_horiz_accuracy=0.1)
     assert rig.of(StatusSample)[-1].local_position_ok
-    rig.say("Telemetry", "health", SimpleNamespace(is_local_position_ok=False))
-    assert rig.of(StatusSample)[-1].local_position_ok  # the estimator knows better
-    rig.say("MavlinkDirect", "ESTIMATOR_STATUS", message(flags=0))
+    rig.hear("ESTIMATOR_STATUS", flags=0, pos_horiz_accuracy=0.1)
     assert not rig.of(StatusSample)[-1].local_position_ok
 
 
-def test_without_word_of_the_estimator_mavsdk_is_believed(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_word_of_the_estimator_a_usable_odometry_counts(monkeypatch: pytest.MonkeyPatch) -> None:
     rig = Rig(monkeypatch, {})
     rig.session.subscribe(VEHICLE.estimation, 4)
-    for ok in (True, False):
-        rig.say("Telemetry", "health", SimpleNamespace(is_local_position_ok=ok))
-        assert rig.of(StatusSample)[-1].local_position_ok is ok
+    rig.hear("ODOMETRY", **{**ODOMETRY, "vx": None})
+    assert rig.of(StatusSample) == []
+    rig.hear("ODOMETRY", **ODOMETRY)
+    assert rig.of(StatusSample)[-1].local_position_ok
 
 
 def test_what_keeps_px4_from_arming_is_delivered_when_it_changes(monkeypatch: pytest.MonkeyPatch) -> None:
     rig = Rig(monkeypatch, {})
-    monkeypatch.setattr(reasons, "of_sys_status", lambda text: (False, (text,), ()))
+    monkeypatch.setattr(reasons, "of_sys_status", lambda sensors: (False, (str(sensors.enabled),), ()))
     rig.session.subscribe(VEHICLE.estimation, 4)
-    for text in ("gyro", "gyro", "compass"):
-        rig.say("MavlinkDirect", "SYS_STATUS", SimpleNamespace(fields_json=text))
-    assert [report.blocking for report in rig.of(HealthReport)] == [("gyro",), ("compass",)]
+    sensors = {"onboard_control_sensors_present": 7, "onboard_control_sensors_health": 7}
+    for number in (1, 1, 2):
+        rig.hear("SYS_STATUS", **sensors, onboard_control_sensors_enabled=number)
+    assert [report.blocking for report in rig.of(HealthReport)] == [("1",), ("2",)]
     monkeypatch.setattr(reasons, "of_checks", lambda report: (True, (), (report,)))
     rig.say("Events", "health_and_arming_checks", "its own words")
-    rig.say("MavlinkDirect", "SYS_STATUS", SimpleNamespace(fields_json="gyro"))  # they count from then on
-    assert [report.blocking for report in rig.of(HealthReport)] == [("gyro",), ("compass",), ()]
+    rig.hear("SYS_STATUS", **sensors, onboard_control_sensors_enabled=1)  # the checks count from then on
+    assert [report.blocking for report in rig.of(HealthReport)] == [("1",), ("2",), ()]
 
 
 @pytest.mark.parametrize(("name", "said"), [("SUCCESS", ""), ("COMMAND_DENIED", "COMMAND_DENIED")])
@@ -219,48 +223,56 @@ def test_another_autopilot_on_the_link_is_delivered_once(monkeypatch: pytest.Mon
 def test_modes_that_no_word_of_ours_has_are_the_pilots(monkeypatch: pytest.MonkeyPatch) -> None:
     rig = Rig(monkeypatch, {})
     rig.session.subscribe(VEHICLE.estimation, 4)
-    for mode, expected in (
-        (SdkFlightMode.OFFBOARD, FlightMode.OFFBOARD),
-        (SdkFlightMode.POSCTL, FlightMode.MANUAL),
+    for main, sub, expected in (
+        (6, 0, FlightMode.OFFBOARD),
+        (3, 0, FlightMode.MANUAL),
+        (4, 9, FlightMode.LAND),
+        (10, 0, FlightMode.UNKNOWN),
     ):
-        rig.say("Telemetry", "flight_mode", mode)
+        rig.hear("HEARTBEAT", **{**HEARTBEAT, "custom_mode": main << 16 | sub << 24})
         assert rig.of(StatusSample)[-1].flight_mode is expected
 
 
 # --- what comes ------------------------------------------------------------------------------------------
 
 UP_US = 7_000_000_000  # the autopilot's time at the first sample
-AXES = SimpleNamespace(forward_m_s2=0.0, right_m_s2=0.0, down_m_s2=-9.8)
-RATES = SimpleNamespace(forward_rad_s=0.0, right_rad_s=0.0, down_rad_s=0.0)
-IMU = SimpleNamespace(timestamp_us=UP_US, acceleration_frd=AXES, angular_velocity_frd=RATES)
-ATTITUDE = SimpleNamespace(timestamp_us=UP_US, w=1.0, x=0.0, y=0.0, z=0.0)
-ODOMETRY = message(time_usec=UP_US, x=0.0, y=0.0, z=0.0, vx=0.0, vy=0.0, vz=0.0)
+IMU = {
+    "time_usec": UP_US, "xacc": 0.0, "yacc": 0.0, "zacc": -9.8, "xgyro": 0.0, "ygyro": 0.0, "zgyro": 0.0,
+    "fields_updated": 0x1FFF, "id": 0,
+}  # fmt: skip
+ATTITUDE = {"time_boot_ms": UP_US // 1000, "q1": 1.0, "q2": 0.0, "q3": 0.0, "q4": 0.0}
+ODOMETRY: dict[str, Any] = {
+    "time_usec": UP_US, "x": 0.0, "y": 0.0, "z": 0.0, "vx": 0.0, "vy": 0.0, "vz": 0.0,
+    "frame_id": 1, "child_frame_id": 1, "estimator_type": 8, "reset_counter": 0,
+}  # fmt: skip
+HEARTBEAT = {"autopilot": 12, "base_mode": 129, "custom_mode": 6 << 16, "system_status": 4}
+BATTERY = {"id": 0, "battery_function": 1, "battery_remaining": 50, "voltages": [15000] + [65535] * 9}
 
 
 def test_whatever_is_subscribed_to_is_delivered_with_its_receipt(monkeypatch: pytest.MonkeyPatch) -> None:
     rig, estimation = Rig(monkeypatch, {}), SimpleNamespace(uses_esc=True, thrust_source=None)
     began_us = host_us()
     rig.session.subscribe(estimation, 4)  # type: ignore[arg-type]
-    for plugin, stream, value, kind in (
-        ("Telemetry", "imu", IMU, ImuSample),
-        ("Telemetry", "attitude_quaternion", ATTITUDE, AttitudeSample),
-        ("MavlinkDirect", "ODOMETRY", ODOMETRY, OdometrySample),
-        (
-            "MavlinkDirect",
-            "ACTUATOR_OUTPUT_STATUS",
-            message(time_usec=1, actuator=[1500] * 4),
-            ActuatorSample,
-        ),
-        ("MavlinkDirect", "ESC_STATUS", message(time_usec=1, index=0, rpm=[1] * 4), EscSample),
-        ("Telemetry", "armed", True, StatusSample),
-        ("Telemetry", "landed_state", SdkLandedState.IN_AIR, StatusSample),
-        ("Telemetry", "battery", SimpleNamespace(voltage_v=15.0, remaining_percent=50.0), StatusSample),
-        ("Telemetry", "status_text", SimpleNamespace(type="warning", text="low"), StatusText),
-        ("Events", "events", SimpleNamespace(log_level=4, message="gone", event_name="went"), StatusText),
-    ):
+    event = SimpleNamespace(compid=1, log_level=4, message="gone", event_name="went")
+    streams: tuple[tuple[str, dict[str, Any], type[Any]], ...] = (
+        ("HIGHRES_IMU", IMU, ImuSample),
+        ("ATTITUDE_QUATERNION", ATTITUDE, AttitudeSample),
+        ("ODOMETRY", ODOMETRY, OdometrySample),
+        ("ACTUATOR_OUTPUT_STATUS", {"time_usec": 1, "active": 4, "actuator": [1500] * 4}, ActuatorSample),
+        ("ESC_STATUS", {"time_usec": 1, "index": 0, "rpm": [1] * 4}, EscSample),
+        ("HEARTBEAT", HEARTBEAT, StatusSample),
+        ("EXTENDED_SYS_STATE", {"landed_state": 2}, StatusSample),
+        ("BATTERY_STATUS", BATTERY, StatusSample),
+        ("STATUSTEXT", {"severity": 4, "text": "low\t", "id": 0}, StatusText),
+    )
+    said: list[tuple[str, str, Any, type[Any]]] = [
+        *(("MavlinkDirect", name, message(**fields), kind) for name, fields, kind in streams),
+        ("Events", "events", event, StatusText),
+    ]
+    for plugin, stream, value, kind in said:
         before = len(rig.of(kind))
         rig.say(plugin, stream, value)
-        (found,) = rig.of(kind)[before:]
+        found = rig.of(kind)[before:][-1]
         assert began_us <= found.received_us <= host_us()
         if isinstance(found, StatusSample | StatusText):  # unstamped: by the clock that the IMU has told
             (offset,) = rig.of(ClockOffset)
@@ -268,6 +280,7 @@ def test_whatever_is_subscribed_to_is_delivered_with_its_receipt(monkeypatch: py
             assert abs(found.t_us - UP_US) < 5_000_000
     status = rig.of(StatusSample)[-1]
     assert (status.armed, status.landed, status.battery_v) == (True, LandedState.IN_AIR, 15.0)
+    assert (status.system_status, status.battery_id) == (SystemStatus.ACTIVE, 0)
     assert [(text.text, text.event) for text in rig.of(StatusText)] == [("low", ""), ("gone", "went")]
     assert rig.of(EscSample)[0].rpm == (1.0,) * 4  # of so many motors
 
@@ -276,13 +289,13 @@ def test_only_a_guarded_flight_asks_for_what_the_guard_wants(monkeypatch: pytest
     rig = Rig(monkeypatch, {})
     rig.session.subscribe(VEHICLE.estimation, 4, guarded=False)
     assert rig.plugins["Events"].calls == []
-    assert set(rig.plugins["MavlinkDirect"].callbacks) == {"ACTUATOR_OUTPUT_STATUS", "ODOMETRY"}
+    assert not rig.plugins["MavlinkDirect"].callbacks.keys() & {"ESTIMATOR_STATUS", "SYS_STATUS"}
 
 
 def test_the_estimators_word_is_delivered_beside_the_position(monkeypatch: pytest.MonkeyPatch) -> None:
     rig = Rig(monkeypatch, {})
     rig.session.subscribe(VEHICLE.estimation, 4)
-    rig.say("MavlinkDirect", "ESTIMATOR_STATUS", message(flags=0, pos_horiz_accuracy=0.25))
+    rig.hear("ESTIMATOR_STATUS", flags=0, pos_horiz_accuracy=0.25)
     assert [(e.healthy, e.position_sd_m) for e in rig.of(EstimatorSample)] == [(False, 0.25)]
 
 

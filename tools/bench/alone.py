@@ -12,6 +12,8 @@ from typing import Any
 from mavsdk.plugins.offboard import PositionNedYaw
 
 from dart_flight.config.mission import Mission
+from dart_flight.vehicle import messages
+from dart_flight.vehicle.messages import MessageEntry
 from dart_flight.vehicle.vehicle_session import VehicleSession, connect
 
 _ECHO_EVERY = 75  # IMU samples: 0.3 s
@@ -31,11 +33,17 @@ async def stay(
         watching: with the streams and rates of `monitor` instead.
     """
     async with connect(url, mission.vehicle.connection.timeout_s, _nothing, ground=watching) as session:
-        for name in dir(VehicleSession):
-            if name.startswith("_on_"):
-                setattr(session, name, _nothing)
-        if echo is not None:
-            echo.attach(session)
+        listen = session.listen
+
+        def listen_idly(entry: MessageEntry, *_: object) -> None:
+            if echo is not None and entry is messages.HIGHRES_IMU:
+                echo.attach(session)
+                listen(entry, echo.take)
+            else:
+                session._direct.subscribe_message(entry.message, _nothing)
+
+        session.listen = listen_idly  # type: ignore[method-assign, assignment]
+        session._on_event = session._on_checks = _nothing  # type: ignore[method-assign]
         motors = len(mission.vehicle.airframe.motors)
         session.subscribe(mission.vehicle.estimation, motors, guarded=not watching)
         await session.set_rates(watching=watching)
@@ -59,13 +67,13 @@ class Echo:
         self._offboard: Any = None
 
     def attach(self, session: VehicleSession) -> None:
-        """Take the session's IMU samples once it subscribes."""
+        """Send by this session."""
         self._offboard = session._offboard
-        session._on_imu = self._take  # type: ignore[method-assign]
 
-    def _take(self, imu: Any, _: Any) -> None:
+    def take(self, imu: messages.InertialReading, _: int) -> None:
+        """Take an IMU sample."""
         self._count += 1
         if self._count % _ECHO_EVERY == 0:
             north = _STEP_M * (len(self.asked) + 1)
             self._offboard.set_position_ned(PositionNedYaw(north, 0.0, -1.0, 0.0))
-            self.asked.append((int(imu.timestamp_us), north))
+            self.asked.append((imu.t_us, north))

@@ -23,12 +23,13 @@ from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from statistics import fmean, median
+from types import SimpleNamespace
 from typing import Any, NamedTuple, TypeVar
 
 import msgspec
 from mavsdk.plugins.mavlink_direct.mavlink_direct import MavlinkMessage, MavlinkMessageCStruct
-from mavsdk.plugins.telemetry.telemetry import Imu, ImuCStruct, Quaternion, QuaternionCStruct
 
+from dart_flight.base.motor_outputs import MotorOutputDecoder
 from dart_flight.base.records import (
     MOTOR_FULL_US,
     MOTOR_STOP_US,
@@ -42,6 +43,7 @@ from dart_flight.base.records import (
     OdometrySample,
     Output,
     Record,
+    StatusSample,
     WallEstimate,
 )
 from dart_flight.core.flight_core import FlightCore
@@ -50,12 +52,15 @@ from dart_flight.recording.encoding import encode
 from dart_flight.recording.reader import Log, read_log
 from dart_flight.recording.schema import INPUTS
 from dart_flight.recording.writer import _FLUSH_S, LogPart
+from dart_flight.vehicle import messages
 from dart_flight.vehicle.clock import ClockEstimate, host_us
+from dart_flight.vehicle.messages import AUTOPILOT, MessageEntry
 from dart_flight.vehicle.vehicle_session import VehicleSession
 
 ROOT = Path(__file__).parents[2]
 FLIGHT = ROOT / "tests" / "data" / "flights" / "embedded.mcap"
 _OUTPUTS = 32  # of ACTUATOR_OUTPUT_STATUS
+_SYSTEM = 1  # its id
 
 T = TypeVar("T")
 Read = Callable[[], int]
@@ -197,16 +202,45 @@ def _writing(path: Path, about: dict[str, str]) -> Callable[[_Logged], None]:
     return write
 
 
-def _imu(sample: ImuSample) -> ImuCStruct:
-    struct = ImuCStruct(timestamp_us=host_us())  # the recorded time would leap, as the samples come at once
-    a, w = struct.acceleration_frd, struct.angular_velocity_frd
-    a.forward_m_s2, a.right_m_s2, a.down_m_s2 = sample.specific_force_frd
-    w.forward_rad_s, w.right_rad_s, w.down_rad_s = sample.rate_frd
-    return struct
+def _imu(sample: ImuSample) -> MavlinkMessageCStruct:
+    (ax, ay, az), (wx, wy, wz) = sample.specific_force_frd, sample.rate_frd
+    return _as_text(
+        message_id=105,
+        message_name="HIGHRES_IMU",
+        abs_pressure=1013.25,
+        diff_pressure=0.0,
+        fields_updated=0x1FFF,
+        id=0,
+        pressure_alt=0.0,
+        temperature=25.0,
+        time_usec=host_us(),  # the recorded time would leap, as the samples come at once
+        xacc=ax,
+        xgyro=wx,
+        xmag=0.2,
+        yacc=ay,
+        ygyro=wy,
+        ymag=0.0,
+        zacc=az,
+        zgyro=wz,
+        zmag=0.45,
+    )
 
 
-def _attitude(sample: AttitudeSample) -> QuaternionCStruct:
-    return QuaternionCStruct(*sample.q_frd_to_ned, timestamp_us=sample.t_us)
+def _attitude(sample: AttitudeSample) -> MavlinkMessageCStruct:
+    w, x, y, z = sample.q_frd_to_ned
+    return _as_text(
+        message_id=31,
+        message_name="ATTITUDE_QUATERNION",
+        pitchspeed=x,  # as long as a rate would be
+        q1=w,
+        q2=x,
+        q3=y,
+        q4=z,
+        repr_offset_q=[0.0] * 4,
+        rollspeed=y,
+        time_boot_ms=sample.t_us // 1000,
+        yawspeed=z,
+    )
 
 
 def _odometry(sample: OdometrySample) -> MavlinkMessageCStruct:
@@ -250,7 +284,10 @@ def _motor_outputs(sample: ActuatorSample) -> MavlinkMessageCStruct:
 
 def _as_text(**fields: Any) -> MavlinkMessageCStruct:
     return MavlinkMessageCStruct(
-        message_name=fields["message_name"].encode(), fields_json=msgspec.json.encode(fields)
+        message_name=fields["message_name"].encode(),
+        system_id=_SYSTEM,
+        component_id=AUTOPILOT,
+        fields_json=msgspec.json.encode(fields),
     )
 
 
@@ -265,18 +302,21 @@ HANDED_OVER: dict[type[Any], Callable[[Any], Any]] = {
 
 def receiving(kind: type[Any], motors: int, deliver: Callable[[Input], None]) -> Callable[[Any], None]:
     """What takes such a message until it is delivered: MAVSDK's Python half and the session's callback."""
+    callbacks: list[Callable[[Any, Any], None]] = []
+    link = SimpleNamespace(subscribe_message=lambda _, take: callbacks.append(take))
     session = object.__new__(VehicleSession)  # its constructor wants a connection, the callbacks none
-    session._deliver = deliver
-    session._motors, session._reset_counter = motors, 0
-    session.clock = ClockEstimate()
-    by_kind: dict[type[Any], tuple[Any, Callable[[Any, Any], None]]] = {
-        ImuSample: (Imu, session._on_imu),
-        AttitudeSample: (Quaternion, session._on_attitude),
-        OdometrySample: (MavlinkMessage, session._on_odometry),
-        ActuatorSample: (MavlinkMessage, session._on_actuator),
+    session._deliver, session._direct, session.senders = deliver, link, {}
+    session._raw = SimpleNamespace(get_system_id=lambda: _SYSTEM)
+    session.motor_outputs, session._reset_counter, session._has_position = MotorOutputDecoder(motors), 0, True
+    session._status, session.clock = StatusSample(0, 0), ClockEstimate()
+    takers: dict[type[Any], tuple[MessageEntry, Callable[[Any, int], Any]]] = {
+        ImuSample: (messages.HIGHRES_IMU, session._on_imu),
+        AttitudeSample: (messages.ATTITUDE_QUATERNION, session._on_attitude),
+        OdometrySample: (messages.ODOMETRY, session._on_odometry),
+        ActuatorSample: (messages.ACTUATOR_OUTPUT_STATUS, session._on_actuator),
     }
-    record, take = by_kind[kind]
-    return lambda struct: take(record.from_c_struct(struct), None)
+    session.listen(*takers[kind])
+    return lambda struct: callbacks[0](MavlinkMessage.from_c_struct(struct), None)
 
 
 def main() -> None:

@@ -12,7 +12,15 @@ from collections.abc import Callable
 from pathlib import Path
 
 from dart_flight.core.guard import rules as guard_rules
-from tools.docs import configuration_comments, fault_table, key_tables, log_channels, phase_diagram, schemas
+from tools.docs import (
+    configuration_comments,
+    fault_table,
+    key_tables,
+    log_channels,
+    message_table,
+    phase_diagram,
+    schemas,
+)
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 PARTS: dict[str, Callable[[], str]] = {
@@ -21,6 +29,7 @@ PARTS: dict[str, Callable[[], str]] = {
     "guard rules": guard_rules.table,
     "lock states": phase_diagram.lock_diagram,
     "log channels": log_channels.tables,
+    "messages": message_table.table,
     "mission keys": key_tables.mission_tables,
     "mission phases": phase_diagram.diagram,
     "scenario keys": key_tables.scenario_tables,

@@ -34,6 +34,7 @@ from dart_flight.core.sense.senses import Senses
 from dart_flight.lock.drivers import DRIVERS, DriverError
 from dart_flight.lock.ground import GroundLock, ground_driver
 from dart_flight.lock.persistence import CommandStore, ServoOwnership, ServoTakenError, load_last
+from dart_flight.vehicle import messages
 from dart_flight.vehicle.baud_rate import listen_for_mavlink
 from dart_flight.vehicle.ground_link import GroundLink
 from dart_flight.vehicle.vehicle_session import NoAnswerError, VehicleError
@@ -205,9 +206,10 @@ class Bringup:
     def _judge_link(self) -> StepFinding:
         link = self._connect()
         round_trip_s = link.round_trip_s()
-        status = link.newest_message("SYS_STATUS", _STATUS_S) or {}
+        status = link.newest(messages.SYS_STATUS, _STATUS_S)
         errors: dict[str, float] = {}
-        errors |= {name: float(status[name]) for name in ("drop_rate_comm", "errors_comm") if name in status}
+        if status is not None:
+            errors |= {"drop_rate_comm": status.drop_rate_comm, "errors_comm": status.errors_comm}
         limit_s = 2.0 * self._mission.vehicle.guard.telemetry_late_s
         return judgements.judge_link(self._rates_hz, round_trip_s, limit_s, errors)
 
@@ -276,8 +278,7 @@ class Bringup:
     def _judge_remote(self) -> StepFinding:
         link, t = self._connect(), self._telemetry
         t.clear()
-        radio = link.newest_message("RC_CHANNELS", _RADIO_S)
-        received = bool(radio and radio.get("chancount") and radio.get("rssi") != 0)
+        received = link.newest(messages.RC_CHANNELS, _RADIO_S) is not None
         if received:
             with contextlib.suppress(NotDoneError):
                 self._wait("Flip the mode switch to another mode and back.", lambda: len(t.modes) > 1 or None)

@@ -1,0 +1,116 @@
+"""Motor outputs as PX4 reports them: the output type, its scale, and throttle 0 to 1.
+
+ACTUATOR_OUTPUT_STATUS and the topic `actuator_outputs` of PX4's logs carry the raw values of the output
+driver, and nothing that names the driver. The live link and the reader of logs determine the scale here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import msgspec
+
+SHORTEST_PULSE_US, LONGEST_PULSE_US = 800.0, 2200.0  # no armed PWM output is outside
+_STOPPED = 1.0  # UAVCAN_EC_MIN: an armed motor that does not turn
+
+
+class OutputScale(msgspec.Struct, frozen=True):
+    """Scale of an output type.
+
+    Attributes:
+        name: of the type, such as DShot.
+        stop: raw value at throttle 0.
+        full: raw value at throttle 1.
+        unit: of the raw values, with a leading space; empty for counts.
+    """
+
+    name: str
+    stop: float
+    full: float
+    unit: str = ""
+
+    def describe(self) -> str:
+        """Return words such as "DShot 0 to 1999"."""
+        return f"{self.name} {self.stop:g} to {self.full:g}{self.unit}".lstrip()
+
+    def throttle(self, raw: float) -> float:
+        """Return the throttle, 0 to 1, of a raw value."""
+        if raw <= self.stop:
+            return 0.0
+        return 1.0 if raw >= self.full else (raw - self.stop) / (self.full - self.stop)
+
+
+PWM = OutputScale("PWM", 1000.0, 2000.0, " us")
+DSHOT = OutputScale("DShot", 0.0, 1999.0)
+UAVCAN = OutputScale("UAVCAN", 0.0, 8191.0)
+SHARE = OutputScale("", 0.0, 1.0)  # logs of a simulation
+
+
+def scale_of(lowest: float, highest: float) -> OutputScale | None:
+    """Return the scale that raw values are of.
+
+    Args:
+        lowest: smallest value above 0 of any motor.
+        highest: largest value of any motor.
+
+    Returns:
+        None if no value is above 0, or one is above every scale.
+    """
+    if highest <= 0.0 or highest > UAVCAN.full:
+        return None
+    if highest <= SHARE.full:
+        return SHARE
+    if highest > LONGEST_PULSE_US:
+        return UAVCAN
+    return DSHOT if lowest < SHORTEST_PULSE_US else PWM
+
+
+class MotorOutputDecoder:
+    """Throttle of the motors from a stream of raw outputs, as they arrive.
+
+    The scale follows from the smallest and the largest value since the start. The motors of an armed vehicle
+    pass through small values before it leaves the ground, which tells DShot from PWM. UAVCAN is known once a
+    motor passes a quarter of full throttle; below that it is read as DShot.
+
+    Args:
+        motors: number of motors, which are the first outputs.
+
+    Attributes:
+        scale: the scale in use; None before any output was above 0.
+    """
+
+    def __init__(self, motors: int) -> None:
+        self._motors = motors
+        self._lowest, self._highest = UAVCAN.full, 0.0
+        self._has_turned = False
+        self.scale: OutputScale | None = None
+
+    def decode(self, outputs: Sequence[float | None], airborne: bool) -> tuple[float, ...] | str:
+        """Return the throttle of each motor, or why the outputs are not those of the motors.
+
+        Args:
+            outputs: raw values; None where one is not a number.
+            airborne: whether the land detector reports flight.
+        """
+        raw = [value for value in outputs[: self._motors] if value is not None]
+        if len(raw) < self._motors:
+            return f"{len(raw)} outputs with a value for {self._motors} motors"
+        low, high = min(raw), max(raw)
+        if high > UAVCAN.full:
+            return f"output {high:g} is of no known type (PWM, DShot, UAVCAN)"
+        if high > self._highest or _STOPPED < low < self._lowest:
+            self._learn(raw)
+        scale = self.scale
+        if scale is not None and high > scale.stop:
+            self._has_turned = self._has_turned or high > max(scale.stop, _STOPPED)
+            return tuple([scale.throttle(value) for value in raw])
+        if airborne and not self._has_turned:
+            return "all are idle in flight, the motors are on another output bank"
+        return (0.0,) * self._motors
+
+    def _learn(self, raw: Sequence[float]) -> None:
+        turning = [value for value in raw if value > _STOPPED]
+        if turning:
+            self._lowest = min(self._lowest, *turning)
+            self._highest = max(self._highest, *turning)
+            self.scale = scale_of(self._lowest, self._highest)

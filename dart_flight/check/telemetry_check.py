@@ -1,0 +1,197 @@
+"""What the telemetry of a connected vehicle holds: rates, senders, batteries, motor outputs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+from dart_flight.base.geometry import GRAVITY_M_S2
+from dart_flight.base.motor_outputs import DSHOT, PWM, UAVCAN, OutputScale
+from dart_flight.base.streams import BY_NAME
+from dart_flight.check.findings import CheckFinding
+from dart_flight.config.mission import Mission
+from dart_flight.vehicle.batteries import describe_reading
+from dart_flight.vehicle.ground_link import Observation, Source
+from dart_flight.vehicle.messages import STREAM_OF
+
+LOOPBACK = "MAV_ODOM_LP"  # PX4 before 1.14
+_REST_TOLERANCE = 0.3  # share of g: an accelerometer in another unit is off by ten times or more
+_ARRIVES_HZ = 0.2  # a slower stream is only a message or two
+
+
+def judge_rates(observed: Observation, values: Mapping[str, float]) -> list[CheckFinding]:
+    """Return whether each stream brings enough usable samples, and why not.
+
+    Args:
+        observed: rates and senders.
+        values: parameters as read; `LOOPBACK` if the vehicle has it.
+    """
+    findings = []
+    for name, rate in observed.rates_hz.items():
+        needed = BY_NAME[name].expected_hz
+        says = f"{rate:.0f} Hz, needs {needed:g}"
+        own = [s for s in observed.sources if s.is_vehicle and STREAM_OF[s.sender.message] == name]
+        bad = max((s for s in own if s.reason), key=lambda s: s.arriving_hz, default=None)
+        if rate < needed and bad is not None:
+            says = f"{bad.arriving_hz:.0f} Hz arrive, none {bad.reason}"
+        go = rate >= needed
+        if name == "odometry" and values.get(LOOPBACK):
+            go, says = False, f"{says}: {LOOPBACK} is {values[LOOPBACK]:g}, set it to 0"
+        findings.append(CheckFinding(f"rate_{name}", go, says))
+    return findings
+
+
+def judge_sources(observed: Observation) -> list[CheckFinding]:
+    """Return which component each stream comes from, and every other sender of the same message."""
+    taken = [s for s in observed.sources if s.is_vehicle and s.usable_hz > 0.0]
+    if not taken:
+        return []
+    systems = sorted({s.sender.system for s in taken})
+    names = ", ".join(dict.fromkeys(s.sender.message for s in taken))
+    says = f"system {', '.join(map(str, systems))} component 1: {names}"
+    others = [_describe(s) for s in observed.sources if _is_other(s)]
+    if others:
+        says += "; not used: " + "; ".join(others)
+    return [CheckFinding("sources", True, says, remark=bool(others))]
+
+
+def _is_other(source: Source) -> bool:
+    if source.is_vehicle:
+        return (
+            bool(source.reason) and source.arriving_hz >= _ARRIVES_HZ and source.sender.message != "TIMESYNC"
+        )
+    return source.sender.message not in ("HEARTBEAT", "TIMESYNC")
+
+
+def _describe(source: Source) -> str:
+    sender = source.sender
+    instance = f", instance {sender.instance}" if sender.instance else ""
+    return (
+        f"{sender.message} of system {sender.system} component {sender.component}{instance}, "
+        f"{source.arriving_hz:.0f} Hz"
+    )
+
+
+def judge_battery(mission: Mission, observed: Observation) -> CheckFinding:
+    """Return whether the worst of the batteries that the vehicle flies on is charged."""
+    guard, left, volts = mission.vehicle.guard, observed.battery_remaining, observed.battery_v
+    low = (left is not None and left < 2.0 * guard.battery_remaining) or (
+        volts is not None and volts < guard.battery_v
+    )
+    parts = (
+        f"{100.0 * left:.0f} %" if left is not None else "",
+        f"{volts:.1f} V" if volts is not None else "",
+    )
+    says = ", ".join(part for part in parts if part) or "not reported"
+    if observed.battery_id is not None:
+        says = f"id {observed.battery_id}: {says}"
+    also = [r for r in observed.batteries if r.id != observed.battery_id]
+    if also:
+        says += "; better: " + ", ".join(describe_reading(r) for r in also)
+    if observed.other_batteries:
+        says += "; not a flight battery: " + ", ".join(describe_reading(r) for r in observed.other_batteries)
+    return CheckFinding("battery", not low, says)
+
+
+def judge_resting_force(observed: Observation) -> list[CheckFinding]:
+    """Return a no-go if the accelerometer of a vehicle at rest does not measure gravity."""
+    force = observed.specific_force_m_s2
+    if force is None or abs(force - GRAVITY_M_S2) <= _REST_TOLERANCE * GRAVITY_M_S2:
+        return []
+    says = f"HIGHRES_IMU reads {force:.2f} m/s2 on the ground, not 9.81: another unit, or not calibrated"
+    return [CheckFinding("imu_scale", False, says)]
+
+
+# --- motor outputs -----------------------------------------------------------------------------------------
+
+_BANKS = ("PWM_MAIN", "PWM_AUX", "UAVCAN_EC")  # in the order in which PX4 starts them
+_MOTOR_1 = 101  # output function
+_SLOWEST_DSHOT = -2  # PWM_<bank>_TIM<n>: from here down DShot, -1 OneShot
+
+
+def motor_output_names(values: Mapping[str, float], motors: int) -> list[str]:
+    """Return the parameters to read next to find the outputs of the motors; empty when nothing is left.
+
+    An absent parameter costs seconds, so the first output of a bank tells whether the vehicle has the bank.
+    """
+    for bank in _BANKS:
+        pins = [f"{bank}_FUNC{k}" for k in range(1, motors + 1)]
+        if pins[0] not in values:
+            return [pins[0]]
+        if pins[0] in values and math.isfinite(values[pins[0]]) and pins[1] not in values:
+            return pins[1:]
+        if _has_motors(bank, values, motors):
+            break
+    else:
+        return []
+    if bank.startswith("PWM") and f"{bank}_TIM0" not in values:
+        return [f"{bank}_TIM0", *(f"{bank}_{end}{k}" for k in range(1, motors + 1) for end in ("MIN", "MAX"))]
+    return []
+
+
+def _has_motors(bank: str, values: Mapping[str, float], motors: int) -> bool:
+    functions = [values.get(f"{bank}_FUNC{k}", 0.0) for k in range(1, motors + 1)]
+    return any(_MOTOR_1 <= function < _MOTOR_1 + motors for function in functions)
+
+
+def judge_motor_outputs(
+    mission: Mission, observed: Observation, values: Mapping[str, float]
+) -> list[CheckFinding]:
+    """Return the output type and scale of the motors, or why they cannot be decoded.
+
+    Args:
+        mission: for its vehicle.
+        observed: scale by the values that arrived.
+        values: parameters by `motor_output_names`.
+    """
+    item, motors = "motor_outputs", len(mission.vehicle.airframe.motors)
+    seen = observed.motor_scale
+    bank = next((bank for bank in _BANKS if _has_motors(bank, values, motors)), None)
+    if bank is None:
+        if f"{_BANKS[0]}_FUNC1" in values:
+            says = f"no output of {', '.join(_BANKS)} 1 to {motors} is a motor's: thrust is not known"
+            return [CheckFinding(item, False, says)]
+        by_values = (
+            f"{seen.describe()}, by the values" if seen else "all 0 while disarmed: type not known yet"
+        )
+        return [CheckFinding(item, True, by_values)]
+    wrong = _problem_of(bank, values, motors)
+    if wrong:
+        return [CheckFinding(item, False, wrong)]
+    told = _scale_of(bank, values)
+    if seen is not None and seen != told:
+        says = f"{bank} is {told.describe()} by its parameters, but sends values of {seen.describe()}"
+        return [CheckFinding(item, False, says)]
+    return [CheckFinding(item, True, f"{told.describe()}, on {bank}")]
+
+
+def _scale_of(bank: str, values: Mapping[str, float]) -> OutputScale:
+    if bank == "UAVCAN_EC":
+        return UAVCAN
+    return DSHOT if values.get(f"{bank}_TIM0", 0.0) <= _SLOWEST_DSHOT else PWM
+
+
+def _problem_of(bank: str, values: Mapping[str, float], motors: int) -> str:
+    for k in range(1, motors + 1):
+        function = round(values.get(f"{bank}_FUNC{k}", 0))
+        if function != _MOTOR_1 + k - 1:
+            return (
+                f"output {k} of {bank} has function {function}, not motor {k}: outputs 1 to {motors} are read"
+            )
+    earlier = [
+        b for b in _BANKS[: _BANKS.index(bank)] if any(values.get(f"{b}_FUNC{k}") for k in range(1, 17))
+    ]
+    if earlier:
+        return (
+            f"the motors are on {bank}, and PX4 reports only the bank that it starts first ({earlier[0]}): "
+            f"thrust is not known. Free the outputs of {earlier[0]}, or move the motors there"
+        )
+    if _scale_of(bank, values) is PWM:
+        for k in range(1, motors + 1):
+            low, high = values.get(f"{bank}_MIN{k}", PWM.stop), values.get(f"{bank}_MAX{k}", PWM.full)
+            if (low, high) != (PWM.stop, PWM.full):
+                return (
+                    f"{bank}_MIN{k} and MAX{k} are {low:g} and {high:g}: set {PWM.stop:g} and {PWM.full:g}, "
+                    "which the thrust is computed from"
+                )
+    return ""

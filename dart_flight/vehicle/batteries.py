@@ -1,0 +1,72 @@
+"""Batteries of one vehicle: the newest reading of each, and the one that is judged."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from dart_flight.vehicle.messages import BatteryReading
+
+# A pack at half of the voltage at which the vehicle must land carries nothing: that is another supply.
+_LEAST_SHARE = 0.5
+
+
+class Batteries:
+    """The batteries that BATTERY_STATUS reports, by id.
+
+    PX4 acts on the worst connected battery, so the worst one is judged here as well. A battery does not count
+    if it belongs to the avionics or a payload, or if its voltage has never been one to fly on.
+
+    Args:
+        lowest_v: voltage at which the vehicle must land.
+    """
+
+    def __init__(self, lowest_v: float = 0.0) -> None:
+        self._lowest_v = lowest_v
+        self._readings: dict[int, BatteryReading] = {}
+        self._highest_v: dict[int, float] = {}
+
+    def update(self, reading: BatteryReading) -> None:
+        """Take a reading."""
+        self._readings[reading.id] = reading
+        if reading.voltage_v is not None:
+            self._highest_v[reading.id] = max(self._highest_v.get(reading.id, 0.0), reading.voltage_v)
+
+    def remove(self, number: int) -> bool:
+        """Forget a battery that is no longer connected; returns whether it was known."""
+        return self._readings.pop(number, None) is not None
+
+    def counted(self) -> list[BatteryReading]:
+        """Return the batteries that the vehicle may fly on, or all if there is none."""
+        able = [reading for reading in self._readings.values() if self._carries(reading)]
+        return able or list(self._readings.values())
+
+    def others(self) -> list[BatteryReading]:
+        """Return the batteries that are not judged."""
+        counted = self.counted()
+        return [reading for reading in self._readings.values() if reading not in counted]
+
+    def worst(self) -> BatteryReading | None:
+        """Return the battery to judge: below the lowest voltage first, then with the least charge."""
+        return min(self.counted(), key=self._rank, default=None)
+
+    def _carries(self, reading: BatteryReading) -> bool:
+        highest_v = self._highest_v.get(reading.id)
+        return reading.flies and (highest_v is None or highest_v >= _LEAST_SHARE * self._lowest_v)
+
+    def _rank(self, reading: BatteryReading) -> tuple[bool, float, float, int]:
+        volts = reading.voltage_v
+        return (
+            volts is None or volts >= self._lowest_v,
+            1.0 if reading.remaining is None else reading.remaining,
+            1e3 if volts is None else volts,
+            reading.id,
+        )
+
+
+def describe_reading(reading: BatteryReading) -> str:
+    """Return words such as "id 0: 16.2 V, 95 %"."""
+    parts: Iterable[str] = (
+        "" if reading.voltage_v is None else f"{reading.voltage_v:.1f} V",
+        "" if reading.remaining is None else f"{100.0 * reading.remaining:.0f} %",
+    )
+    return f"id {reading.id}: " + ", ".join(part for part in parts if part)

@@ -1,0 +1,654 @@
+"""The acceptance table: every MAVLink message that the program takes, and what makes one usable.
+
+A message counts only if the autopilot's component sent it, if it is of the right instance, and if it holds
+usable values. `VehicleSession` subscribes by this table, and docs/link.md shows it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Final, NamedTuple
+
+import msgspec
+
+from dart_flight.base.geometry import Quaternion, Vec3
+from dart_flight.base.records import FlightMode, LandedState, SystemStatus
+
+AUTOPILOT: Final = 1  # component id
+_PX4: Final = 12  # MAV_AUTOPILOT
+_OTHER_AUTOPILOTS: Final = {0: "a generic autopilot", 3: "ArduPilot", 8: "no autopilot"}
+_MAX_SPECIFIC_FORCE_M_S2: Final = 600.0  # three axes at 32 g give 544
+_MAX_RATE_RAD_S: Final = 75.0  # 4000 deg/s give 70
+_UNIT_TOLERANCE: Final = 0.01
+_MAX_POSITION_M: Final = 10_000.0
+_MAX_SPEED_M_S: Final = 100.0
+_MIN_BATTERY_V, _MAX_BATTERY_V = 3.0, 150.0  # one cell; a reading below is a sensor without a battery
+_MAX_RPM: Final = 200_000
+_MAX_SD_M: Final = 10_000.0
+_ESCS: Final = 4  # in one message
+_CHUNK: Final = 50  # bytes of text in one STATUSTEXT
+SEVERITIES: Final = ("emergency", "alert", "critical", "error", "warning", "notice", "info", "debug")
+
+
+class Unusable(NamedTuple):
+    """The reason why a message is no sample; it completes "none ...", such as "with a velocity"."""
+
+    reason: str
+
+
+# --- decoded values ----------------------------------------------------------------------------------------
+
+
+class InertialReading(NamedTuple):
+    """Specific force (m/s2) and body rate (rad/s), FRD."""
+
+    t_us: int
+    specific_force_frd: Vec3
+    rate_frd: Vec3
+
+
+class Attitude(NamedTuple):
+    """Body FRD to world NED."""
+
+    t_us: int
+    q_frd_to_ned: Quaternion
+
+
+class Odometry(NamedTuple):
+    """Position (m) and velocity (m/s) of PX4's own estimator, local NED."""
+
+    t_us: int
+    position_ned: Vec3
+    velocity_ned: Vec3
+    reset_counter: int
+
+
+class Heartbeat(NamedTuple):
+    """Mode and state; `hil`: the vehicle flies from simulated sensors."""
+
+    armed: bool
+    hil: bool
+    flight_mode: FlightMode
+    system_status: SystemStatus
+
+
+class Outputs(NamedTuple):
+    """Raw values of one bank of outputs."""
+
+    t_us: int
+    values: list[float | None]
+
+
+class EscGroup(NamedTuple):
+    """Speeds of four motors, revolutions per minute; `first` is the number of the first one, from 0."""
+
+    t_us: int
+    first: int
+    rpm: tuple[float, ...]
+
+
+class BatteryReading(NamedTuple):
+    """One battery; a value that it does not report is None.
+
+    `flies` is False for a battery of the avionics or of a payload.
+    """
+
+    id: int
+    voltage_v: float | None
+    remaining: float | None  # 0 to 1
+    flies: bool
+
+
+class EstimatorState(NamedTuple):
+    """Whether attitude, horizontal velocity and position are valid, and how certain the position is."""
+
+    healthy: bool
+    position_sd_m: float | None
+
+
+class Sensors(NamedTuple):
+    """Sensors in use and healthy, bits of MAV_SYS_STATUS_SENSOR; errors of the autopilot's links.
+
+    `drop_rate_comm` is in 0.01 %.
+    """
+
+    enabled: int
+    healthy: int
+    drop_rate_comm: int = 0
+    errors_comm: int = 0
+
+
+class TextChunk(NamedTuple):
+    """Part of a text; `id` 0: the text is complete."""
+
+    severity: str
+    id: int
+    chunk: int
+    text: str
+    is_last: bool
+
+
+class Timesync(NamedTuple):
+    """Answer to a request: host's time of the request and the autopilot's time, microseconds."""
+
+    sent_us: int
+    autopilot_us: int
+
+
+# --- fields of the messages, as JSON; NaN arrives as null --------------------------------------------------
+
+
+class _HighresImuFields(msgspec.Struct):
+    time_usec: int
+    xacc: float | None
+    yacc: float | None
+    zacc: float | None
+    xgyro: float | None
+    ygyro: float | None
+    zgyro: float | None
+    fields_updated: int
+    id: int = 0
+
+
+class _AttitudeQuaternionFields(msgspec.Struct):
+    time_boot_ms: int
+    q1: float | None
+    q2: float | None
+    q3: float | None
+    q4: float | None
+
+
+class _OdometryFields(msgspec.Struct):
+    time_usec: int
+    frame_id: int
+    child_frame_id: int
+    x: float | None
+    y: float | None
+    z: float | None
+    vx: float | None
+    vy: float | None
+    vz: float | None
+    reset_counter: int = 0
+    estimator_type: int = 0
+    quality: int = 0
+
+
+class _HeartbeatFields(msgspec.Struct):
+    autopilot: int
+    base_mode: int
+    custom_mode: int
+    system_status: int
+
+
+class _ExtendedSysStateFields(msgspec.Struct):
+    landed_state: int
+
+
+class _ActuatorOutputStatusFields(msgspec.Struct):
+    time_usec: int
+    active: int
+    actuator: list[float | None]
+
+
+class _EscStatusFields(msgspec.Struct):
+    time_usec: int
+    index: int
+    rpm: list[int]
+
+
+class _BatteryStatusFields(msgspec.Struct):
+    id: int
+    battery_function: int
+    battery_remaining: int
+    voltages: list[int]
+    voltages_ext: list[int] = []
+
+
+class _EstimatorStatusFields(msgspec.Struct):
+    flags: int
+    pos_horiz_accuracy: float | None
+
+
+class _SysStatusFields(msgspec.Struct):
+    onboard_control_sensors_present: int
+    onboard_control_sensors_enabled: int
+    onboard_control_sensors_health: int
+    drop_rate_comm: int = 0
+    errors_comm: int = 0
+
+
+class _StatusTextFields(msgspec.Struct):
+    severity: int
+    text: str
+    id: int = 0
+    chunk_seq: int = 0
+
+
+class _TimesyncFields(msgspec.Struct):
+    tc1: int
+    ts1: int
+
+
+class _GpsRawIntFields(msgspec.Struct):
+    fix_type: int
+
+
+class _RcChannelsFields(msgspec.Struct):
+    chancount: int
+    rssi: int
+
+
+# --- decoders ----------------------------------------------------------------------------------------------
+
+_ACCELEROMETER_AND_GYRO: Final = 0x3F  # bits of fields_updated
+
+
+def _imu(m: _HighresImuFields) -> InertialReading | Unusable:
+    if m.fields_updated & _ACCELEROMETER_AND_GYRO != _ACCELEROMETER_AND_GYRO:
+        return Unusable("with accelerometer and gyro updated")
+    ax, ay, az, wx, wy, wz = m.xacc, m.yacc, m.zacc, m.xgyro, m.ygyro, m.zgyro
+    if ax is None or ay is None or az is None or wx is None or wy is None or wz is None:
+        return Unusable("with a specific force and a rate")
+    if ax * ax + ay * ay + az * az > _MAX_SPECIFIC_FORCE_M_S2 * _MAX_SPECIFIC_FORCE_M_S2:
+        return Unusable(f"with a specific force below {_MAX_SPECIFIC_FORCE_M_S2:g} m/s2: another unit")
+    if max(wx, wy, wz, -wx, -wy, -wz) > _MAX_RATE_RAD_S:
+        return Unusable(f"with a rate below {_MAX_RATE_RAD_S:g} rad/s: another unit")
+    return InertialReading(m.time_usec, (ax, ay, az), (wx, wy, wz))
+
+
+def _attitude(m: _AttitudeQuaternionFields) -> Attitude | Unusable:
+    w, x, y, z = m.q1, m.q2, m.q3, m.q4
+    if w is None or x is None or y is None or z is None:
+        return Unusable("with an attitude")
+    if abs(w * w + x * x + y * y + z * z - 1.0) > 2.0 * _UNIT_TOLERANCE:
+        return Unusable("with a quaternion of length 1")
+    return Attitude(m.time_boot_ms * 1000, (w, x, y, z))
+
+
+_ESTIMATORS: Final = (
+    "unknown",
+    "naive",
+    "vision",
+    "visual-inertial",
+    "GPS",
+    "GPS and inertial",
+    "motion capture",
+    "lidar",
+    "autopilot",
+)
+_OWN_ESTIMATOR, _LOCAL_NED, _BODY_FRD = 8, 1, 12  # MAV_ESTIMATOR_TYPE, MAV_FRAME
+
+
+def _odometry(m: _OdometryFields) -> Odometry | Unusable:
+    vx, vy, vz, x, y, z = m.vx, m.vy, m.vz, m.x, m.y, m.z
+    if m.estimator_type != _OWN_ESTIMATOR:
+        kind = m.estimator_type
+        name = _ESTIMATORS[kind] if kind < len(_ESTIMATORS) else f"type {kind}"
+        poses = " without a velocity" if vx is None else ""
+        return Unusable(f"of PX4's own estimator, but poses{poses} of an external one ({name})")
+    if m.frame_id != _LOCAL_NED:
+        return Unusable(f"in local NED, but in frame {m.frame_id}: an external pose")
+    if m.child_frame_id != _LOCAL_NED:
+        old = ", as before PX4 1.14" if m.child_frame_id == _BODY_FRD else ""
+        return Unusable(f"with a velocity in local NED, but in frame {m.child_frame_id}{old}")
+    if x is None or y is None or z is None:
+        return Unusable("with a position")
+    if vx is None or vy is None or vz is None:
+        return Unusable("with a velocity")
+    if m.quality < 0:
+        return Unusable("of a valid estimate (quality -1)")
+    if max(abs(x), abs(y), abs(z)) > _MAX_POSITION_M or max(abs(vx), abs(vy), abs(vz)) > _MAX_SPEED_M_S:
+        return Unusable(f"within {_MAX_POSITION_M:g} m and {_MAX_SPEED_M_S:g} m/s: another unit")
+    return Odometry(m.time_usec, (x, y, z), (vx, vy, vz), m.reset_counter)
+
+
+_CUSTOM_MODE, _ARMED, _HIL = 1, 128, 32  # bits of MAV_MODE_FLAG
+_AUTO: Final = 4
+_MAIN_MODES: Final = {
+    1: FlightMode.MANUAL,
+    2: FlightMode.MANUAL,  # altitude
+    3: FlightMode.MANUAL,  # position
+    5: FlightMode.MANUAL,  # acro
+    6: FlightMode.OFFBOARD,
+    7: FlightMode.MANUAL,  # stabilized
+    8: FlightMode.MANUAL,  # rattitude
+}
+_AUTO_MODES: Final = {
+    1: FlightMode.READY,
+    2: FlightMode.TAKEOFF,
+    3: FlightMode.HOLD,
+    4: FlightMode.MISSION,
+    5: FlightMode.RETURN,
+    6: FlightMode.LAND,
+    8: FlightMode.MISSION,  # follow a target
+    9: FlightMode.LAND,  # precision landing
+    10: FlightMode.TAKEOFF,
+    **dict.fromkeys(range(11, 19), FlightMode.MISSION),  # a mode of another program
+}
+_STATES: Final = tuple(SystemStatus)[1:]  # MAV_STATE's order
+
+
+def _heartbeat(m: _HeartbeatFields) -> Heartbeat | Unusable:
+    if m.autopilot != _PX4:
+        other = _OTHER_AUTOPILOTS.get(m.autopilot, f"autopilot {m.autopilot}")
+        return Unusable(f"of PX4, but of {other}")
+    if not m.base_mode & _CUSTOM_MODE:
+        return Unusable("with a flight mode of PX4")
+    main, sub = m.custom_mode >> 16 & 255, m.custom_mode >> 24 & 255
+    modes, number = (_AUTO_MODES, sub) if main == _AUTO else (_MAIN_MODES, main)
+    state = m.system_status
+    return Heartbeat(
+        bool(m.base_mode & _ARMED),
+        bool(m.base_mode & _HIL),
+        modes.get(number, FlightMode.UNKNOWN),
+        _STATES[state] if state < len(_STATES) else SystemStatus.UNKNOWN,
+    )
+
+
+_LANDED: Final = {
+    1: LandedState.ON_GROUND,
+    2: LandedState.IN_AIR,
+    3: LandedState.TAKING_OFF,
+    4: LandedState.LANDING,
+}
+
+
+def _landed(m: _ExtendedSysStateFields) -> LandedState | Unusable:
+    return _LANDED.get(m.landed_state) or Unusable("with a state of the land detector")
+
+
+def _outputs(m: _ActuatorOutputStatusFields) -> Outputs | Unusable:
+    # PX4 sends as many as the first bank has; `active` 0 is not set.
+    values = m.actuator[: m.active] if m.active else m.actuator
+    return Outputs(m.time_usec, values)
+
+
+def _esc(m: _EscStatusFields) -> EscGroup | Unusable:
+    if m.index % _ESCS or len(m.rpm) != _ESCS:
+        return Unusable("in groups of four motors")
+    if max(abs(rpm) for rpm in m.rpm) > _MAX_RPM:
+        return Unusable(f"below {_MAX_RPM} 1/min: another unit")
+    return EscGroup(m.time_usec, m.index, tuple([float(rpm) for rpm in m.rpm]))
+
+
+_UNKNOWN_MV: Final = 65535
+_FLIGHT_FUNCTIONS: Final = (0, 1, 2)  # MAV_BATTERY_FUNCTION: unknown, all, propulsion
+
+
+def _battery(m: _BatteryStatusFields) -> BatteryReading | Unusable:
+    cells = [mv for mv in m.voltages if mv != _UNKNOWN_MV]
+    cells += [mv for mv in m.voltages_ext if mv not in (0, _UNKNOWN_MV)]
+    volts = sum(cells) * 1e-3 if cells else None
+    remaining = m.battery_remaining / 100.0 if 0 <= m.battery_remaining <= 100 else None
+    if volts is None and remaining is None:
+        return Unusable("of a connected battery")
+    if volts is not None and not _MIN_BATTERY_V <= volts <= _MAX_BATTERY_V:
+        return Unusable(f"with a voltage of a battery, but {volts:.2f} V")
+    return BatteryReading(m.id, volts, remaining, m.battery_function in _FLIGHT_FUNCTIONS)
+
+
+# ESTIMATOR_STATUS_FLAGS: attitude and horizontal velocity; horizontal position, relative or absolute.
+_NEEDED, _PLACED = 1 | 2, 8 | 16
+
+
+def _estimator(m: _EstimatorStatusFields) -> EstimatorState | Unusable:
+    sd = m.pos_horiz_accuracy
+    if sd is not None and not 0.0 <= sd <= _MAX_SD_M:
+        return Unusable("with a standard deviation in metres")
+    healthy = m.flags & _NEEDED == _NEEDED and bool(m.flags & _PLACED)
+    return EstimatorState(healthy, sd)
+
+
+def _sys_status(m: _SysStatusFields) -> Sensors | Unusable:
+    if not m.onboard_control_sensors_present:
+        return Unusable("with sensors")
+    enabled, healthy = m.onboard_control_sensors_enabled, m.onboard_control_sensors_health
+    return Sensors(enabled, healthy, m.drop_rate_comm, m.errors_comm)
+
+
+def _status_text(m: _StatusTextFields) -> TextChunk | Unusable:
+    if not 0 <= m.severity < len(SEVERITIES):
+        return Unusable("with a severity")
+    is_last = m.id == 0 or len(m.text.encode()) < _CHUNK
+    if not m.text and m.id == 0:
+        return Unusable("with a text")
+    return TextChunk(SEVERITIES[m.severity], m.id, m.chunk_seq, m.text, is_last)
+
+
+def _timesync(m: _TimesyncFields) -> Timesync | Unusable:
+    if m.tc1 <= 0:
+        return Unusable("with an answer")  # PX4 asks as well
+    return Timesync(m.ts1 // 1000, m.tc1 // 1000)
+
+
+_FIXES: Final = ("no_gps", "no_fix", "fix_2d", "fix_3d", "fix_dgps", "rtk_float", "rtk_fixed")
+
+
+def _gps(m: _GpsRawIntFields) -> str | Unusable:
+    return _FIXES[m.fix_type] if m.fix_type < len(_FIXES) else Unusable("with a known type of fix")
+
+
+def _radio(m: _RcChannelsFields) -> bool | Unusable:
+    return True if m.chancount > 0 and m.rssi != 0 else Unusable("of a receiver with a signal")
+
+
+# --- the table ---------------------------------------------------------------------------------------------
+
+
+class MessageEntry(msgspec.Struct, frozen=True):
+    """One message.
+
+    Attributes:
+        message: MAVLink's name.
+        stream: name in `base/streams.py`, or None.
+        fields: type of the fields that are read.
+        convert: makes a value from the fields, or says why they are unusable.
+        frame: coordinate frame.
+        units: units and scale.
+        invalid: what marks a message without usable values.
+        instance: field that tells several senders in one component apart, or None.
+        instances: accepted values of `instance`, or None for all.
+        which: what is accepted of several instances, in words.
+    """
+
+    message: str
+    stream: str | None
+    fields: type[msgspec.Struct]
+    convert: Callable[[Any], Any]
+    frame: str
+    units: str
+    invalid: str
+    instance: str | None = None
+    instances: tuple[int, ...] | None = None
+    which: str = "-"
+
+    def reader(self) -> Callable[[str], tuple[int, Any]]:
+        """Return a function from a message's JSON to its instance and its value or `Unusable`."""
+        read, convert = msgspec.json.Decoder(self.fields).decode, self.convert
+        instance, instances = self.instance, self.instances
+
+        def decode(fields_json: str) -> tuple[int, Any]:
+            try:
+                fields = read(fields_json)
+            except msgspec.MsgspecError:
+                return 0, Unusable("with the fields of the message")
+            if instance is None:
+                return 0, convert(fields)
+            number = getattr(fields, instance)
+            if instances is not None and number not in instances:
+                return number, Unusable(f"of {instance} {instances[0]}, but of {instance} {number}")
+            return number, convert(fields)
+
+        return decode
+
+    def decode(self, fields_json: str) -> Any:
+        """Return the value that a message holds, or None if it holds no usable one."""
+        value = self.reader()(fields_json)[1]
+        return None if isinstance(value, Unusable) else value
+
+
+HIGHRES_IMU = MessageEntry(
+    "HIGHRES_IMU",
+    "imu",
+    _HighresImuFields,
+    _imu,
+    "body FRD",
+    "m/s², rad/s",
+    "a value NaN, fields_updated without accelerometer or gyro, over 600 m/s² or 75 rad/s",
+    "id",
+    (0,),
+    "id 0",
+)
+ATTITUDE_QUATERNION = MessageEntry(
+    "ATTITUDE_QUATERNION",
+    "attitude",
+    _AttitudeQuaternionFields,
+    _attitude,
+    "body FRD to NED",
+    "unit quaternion, ms",
+    "a value NaN, length not 1",
+)
+ODOMETRY = MessageEntry(
+    "ODOMETRY",
+    "odometry",
+    _OdometryFields,
+    _odometry,
+    "frame_id and child_frame_id LOCAL_NED, as PX4 sends from 1.14 on",
+    "m, m/s",
+    "position or velocity NaN, quality -1, over 10 km or 100 m/s",
+    "estimator_type",
+    None,
+    "estimator_type 8 (autopilot)",
+)
+HEARTBEAT = MessageEntry(
+    "HEARTBEAT",
+    None,
+    _HeartbeatFields,
+    _heartbeat,
+    "-",
+    "PX4's main and sub mode, MAV_STATE",
+    "autopilot not PX4, no custom mode",
+)
+EXTENDED_SYS_STATE = MessageEntry(
+    "EXTENDED_SYS_STATE",
+    "landed",
+    _ExtendedSysStateFields,
+    _landed,
+    "-",
+    "MAV_LANDED_STATE",
+    "state 0 (undefined)",
+)
+ACTUATOR_OUTPUT_STATUS = MessageEntry(
+    "ACTUATOR_OUTPUT_STATUS",
+    "actuator",
+    _ActuatorOutputStatusFields,
+    _outputs,
+    "-",
+    "PWM 1000 to 2000 µs, DShot 0 to 1999, UAVCAN 0 to 8191, by the values",
+    "fewer outputs than motors, a value NaN or of no type, all idle in flight",
+    None,
+    None,
+    "the bank that PX4 started first: it sends no other",
+)
+ESC_STATUS = MessageEntry(
+    "ESC_STATUS",
+    "esc",
+    _EscStatusFields,
+    _esc,
+    "-",
+    "1/min",
+    "a group of one stamp missing, over 200 000 1/min",
+    "index",
+    None,
+    "groups of four from index 0 on",
+)
+BATTERY_STATUS = MessageEntry(
+    "BATTERY_STATUS",
+    None,
+    _BatteryStatusFields,
+    _battery,
+    "-",
+    "mV per cell or in all, %",
+    "neither voltage nor charge, under 3 V or over 150 V",
+    "id",
+    None,
+    "one reading per id; the worst of those that carry the vehicle",
+)
+ESTIMATOR_STATUS = MessageEntry(
+    "ESTIMATOR_STATUS",
+    None,
+    _EstimatorStatusFields,
+    _estimator,
+    "-",
+    "flags, m",
+    "standard deviation negative or over 10 km; NaN is not reported",
+    None,
+    None,
+    "PX4 sends the selected one; the message has no id",
+)
+SYS_STATUS = MessageEntry(
+    "SYS_STATUS",
+    None,
+    _SysStatusFields,
+    _sys_status,
+    "-",
+    "bits of MAV_SYS_STATUS_SENSOR",
+    "no sensor present",
+)
+STATUSTEXT = MessageEntry(
+    "STATUSTEXT",
+    None,
+    _StatusTextFields,
+    _status_text,
+    "-",
+    "MAV_SEVERITY, UTF-8 in parts of 50 bytes",
+    "severity over 7, empty",
+    "id",
+    None,
+    "parts of one id are joined",
+)
+TIMESYNC = MessageEntry(
+    "TIMESYNC",
+    None,
+    _TimesyncFields,
+    _timesync,
+    "-",
+    "ns",
+    "a request (tc1 0), an answer to no request of ours",
+)
+GPS_RAW_INT = MessageEntry(
+    "GPS_RAW_INT",
+    None,
+    _GpsRawIntFields,
+    _gps,
+    "-",
+    "GPS_FIX_TYPE",
+    "a fix of no known type",
+)
+RC_CHANNELS = MessageEntry(
+    "RC_CHANNELS",
+    None,
+    _RcChannelsFields,
+    _radio,
+    "-",
+    "number of channels, signal",
+    "no channels, signal 0",
+)
+
+ENTRIES: Final = (
+    HIGHRES_IMU,
+    ATTITUDE_QUATERNION,
+    ODOMETRY,
+    HEARTBEAT,
+    EXTENDED_SYS_STATE,
+    ACTUATOR_OUTPUT_STATUS,
+    ESC_STATUS,
+    BATTERY_STATUS,
+    ESTIMATOR_STATUS,
+    SYS_STATUS,
+    STATUSTEXT,
+    TIMESYNC,
+    GPS_RAW_INT,
+    RC_CHANNELS,
+)
+STREAM_OF: Final = {entry.message: entry.stream for entry in ENTRIES}
