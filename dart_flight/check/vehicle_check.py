@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 from dart_flight.base.streams import BY_NAME
 from dart_flight.check.findings import CheckFinding
+from dart_flight.check.place_check import judge_place
 from dart_flight.check.px4_parameters import (
     judge_parameters,
     judge_position,
@@ -61,6 +62,7 @@ def check_vehicle(
         *judge_airframe(mission, values),
         late,
         *judge_observation(mission, observed),
+        *judge_place(mission, observed.position_ned, observed.q_frd_to_ned),
         *judge_lock(mission, values),
     ]
 

@@ -21,12 +21,14 @@ from mavsdk.plugins.mavlink_direct import MavlinkDirect
 from mavsdk.plugins.param import Param, ParamResult
 from mavsdk.plugins.telemetry import Telemetry
 
+from dart_flight.base.geometry import Quaternion, Vec3
 from dart_flight.base.records import (
     ActuatorSample,
     AttitudeSample,
     HealthReport,
     ImuSample,
     Input,
+    OdometrySample,
     Record,
     RoundTrip,
     StatusSample,
@@ -51,6 +53,8 @@ class Observation(msgspec.Struct):
     blocking: tuple[str, ...] = ()  # what keeps PX4 from arming in its present mode, in its words
     other_vehicle: str | None = None  # another vehicle on the same link, in words
     texts: list[str] = []  # its texts and events, warnings and worse
+    position_ned: Vec3 | None = None  # local, metres, the newest
+    q_frd_to_ned: Quaternion | None = None  # attitude, the newest
 
 
 class HeartbeatMode(msgspec.Struct, frozen=True):
@@ -90,6 +94,10 @@ class _Listener:
             apart_s = self._clocks.apart_s(record.received_us)
             if apart_s is not None:
                 seen.other_vehicle = f"two clocks alternate under one system id, {apart_s:.1f} s apart"
+        elif isinstance(record, OdometrySample):
+            seen.position_ned = record.position_ned
+        elif isinstance(record, AttitudeSample):
+            seen.q_frd_to_ned = record.q_frd_to_ned
         elif isinstance(record, StatusSample):
             seen.battery_v, seen.battery_remaining = record.battery_v, record.battery_remaining
             seen.local_position_ok = record.local_position_ok
