@@ -1,4 +1,4 @@
-"""Where a connected vehicle stands in the mission's frame, so that the operator can compare it with the room."""
+"""Where a connected vehicle stands in the mission's frame, for the operator to compare with the room."""
 
 from __future__ import annotations
 
@@ -53,7 +53,10 @@ def judge_place(
     wrong = list(_wrong(mission, place, off_m))
     if wrong:
         says = f"{'; '.join(wrong)}: check frame, normals and where the vehicle stands. {says}"
-    doubtful = not wrong and (off_m > START_SD_M or any(_is_behind(mission, place)))
+    behind = list(_walls_seen_from_behind(mission, place))
+    if behind:
+        says += f"; it is behind the face of wall {', '.join(behind)}: is that normal turned round?"
+    doubtful = not wrong and (off_m > START_SD_M or bool(behind))
     return [
         CheckFinding("place", not wrong, says, remark=doubtful, figures=figures),
         *_judge_heading(mission, heading_deg),
@@ -99,11 +102,12 @@ def _wrong(mission: Mission, place: Vec2, off_m: float) -> Iterator[str]:
             yield f"post {post.name} stands between vehicle and start"
 
 
-def _is_behind(mission: Mission, place: Vec2) -> Iterator[bool]:
-    """Yield for every wall whether the vehicle looks at its back although no later hit explains that."""
+def _walls_seen_from_behind(mission: Mission, place: Vec2) -> Iterator[str]:
+    """Yield the walls whose back the vehicle looks at, although no later hit explains that."""
     later = {collision.wall.name for collision in mission.collisions[1:]}
     for wall in mission.walls:
-        yield wall.name not in later and wall.spans(place) and wall.signed_distance(place) < 0.0
+        if wall.name not in later and wall.spans(place) and wall.signed_distance(place) < 0.0:
+            yield wall.name
 
 
 def _judge_heading(mission: Mission, heading_deg: float) -> Iterator[CheckFinding]:
@@ -112,10 +116,8 @@ def _judge_heading(mission: Mission, heading_deg: float) -> Iterator[CheckFindin
     if 0.0 < abs(given) <= 2.0 * math.pi and (
         _apart_deg(heading_deg, in_radians) < _FITS_DEG and _apart_deg(heading_deg, given) > _MISFITS_DEG
     ):
-        says = (
-            f"frame.heading_deg {given:g} looks like radians: the vehicle heads {heading_deg:.0f} deg, and "
-        )
-        says += f"{given:g} rad are {in_radians % 360.0:.0f} deg"
+        says = f"frame.heading_deg {given:g} looks like radians: the vehicle heads {heading_deg:.0f} deg, "
+        says += f"and {given:g} rad are {in_radians % 360.0:.0f} deg"
         yield CheckFinding("heading", False, says)
 
 

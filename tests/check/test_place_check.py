@@ -122,7 +122,7 @@ def test_a_normal_turned_round_shows_as_a_wall_that_the_vehicle_is_behind() -> N
     assert not place(own())["place"].remark
     found = place(own(normal=[-1.0, 0.0]))["place"]
     assert found.remark
-    assert "wall door 1.70 m" not in found.says
+    assert "behind the face of wall door: is that normal turned round?" in found.says
 
 
 def test_a_forgotten_given_at_shows_in_the_distance_to_the_surface() -> None:
