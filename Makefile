@@ -1,12 +1,14 @@
-# Two commands for a newcomer: `make dry-run` and `make test`. Both set up .venv themselves.
+# For a newcomer: `make dry-run` flies, `make install` adds what reports, plans and fits need, `make test` runs
+# every check. Each sets up .venv itself.
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 FLYING := $(VENV)/.installed-to-fly
+FULL := $(VENV)/.installed-in-full
 MISSION ?= missions/dual_collision.yaml
 
-.PHONY: dry-run test bench campaign compiled wheels docs format clean
+.PHONY: dry-run install test bench campaign compiled wheels docs format clean
 .DEFAULT_GOAL := test
 
 $(VENV)/bin/python:
@@ -17,14 +19,21 @@ $(VENV)/bin/python:
 
 $(STAMP): pyproject.toml constraints.txt | $(VENV)/bin/python
 	$(BIN)/python -m pip install --disable-pip-version-check -c constraints.txt -e '.[dev]'
-	@touch $@ $(FLYING)
+	@touch $@ $(FLYING) $(FULL)
 
 $(FLYING): pyproject.toml constraints.txt | $(VENV)/bin/python
 	$(BIN)/python -m pip install --disable-pip-version-check -c constraints.txt -e '.[sim]'
 	@touch $@
 
+$(FULL): pyproject.toml constraints.txt | $(VENV)/bin/python
+	$(BIN)/python -m pip install --disable-pip-version-check -c constraints.txt -e '.[full]'
+	@touch $@ $(FLYING)
+
 dry-run: $(FLYING)  # installs only what a dry-run needs
 	$(BIN)/dart-flight dry-run $(MISSION)
+	@test -e $(FULL) || echo "next: \`make install\` adds what report, plan, export --foxglove and identify need"
+
+install: $(FULL)
 
 # Hundreds of processes: without bytecode on the disk each of them would compile the package once more.
 test: export PYTHONDONTWRITEBYTECODE :=

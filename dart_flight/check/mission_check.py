@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from dart_flight.base.geometry import Vec3
 from dart_flight.base.records import AfterImpact
 from dart_flight.check.findings import CheckFinding
+from dart_flight.check.place_check import check_heading
 from dart_flight.check.probe_check import check_anchors, check_found, check_probe
 from dart_flight.check.wall_check import check_walls
 from dart_flight.config.mission import Collision, Mission
@@ -47,7 +48,7 @@ _PEAK_SPEED = 1.875  # over the mean, of a transit
 
 def check_mission(mission: Mission) -> list[CheckFinding]:
     """What can be judged without a vehicle."""
-    findings = _check_places(mission)
+    findings = [*_check_places(mission), *check_heading(mission)]
     findings += _check_waypoints(mission)
     planned = predict_flight_path(mission)
     for collision in mission.collisions:

@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping
 
 from dart_flight.check.findings import CheckFinding
+from dart_flight.check.place_check import judge_place
 from dart_flight.check.px4_parameters import (
     judge_parameters,
     judge_position,
@@ -78,6 +79,7 @@ def check_vehicle(
         judge_battery(mission, observed),
         *judge_resting_force(observed),
         *judge_motor_outputs(mission, observed, values),
+        *judge_place(mission, observed.position_ned, observed.q_frd_to_ned),
         *judge_lock(mission, values),
     ]
 

@@ -8,6 +8,7 @@ from rich.console import Console
 
 from dart_flight.check.computer_load import check_this_computer
 from dart_flight.check.findings import CheckReport, decide
+from dart_flight.check.inherited_check import check_inherited
 from dart_flight.check.log_space import check_log_space
 from dart_flight.check.mission_check import check_mission
 from dart_flight.check.px4_parameters import judge_claim
@@ -48,6 +49,7 @@ def run(arguments: argparse.Namespace) -> int:
         write_picture(mission, arguments.plot)
     findings = [*check_mission(mission), check_log_space(mission, arguments.log_dir)]
     findings += check_this_computer(mission)
+    findings += check_inherited(mission)
     if arguments.connection is not None:
         url = link_of(arguments, mission.vehicle.connection)
         with LinkLease(url, "check"):

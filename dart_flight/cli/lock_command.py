@@ -20,7 +20,7 @@ from dart_flight.config.provenance import find_vehicle
 from dart_flight.config.vehicle import LockConfig, LockDriver
 from dart_flight.config.vehicle.configuration import default_config_path
 from dart_flight.lock.calibration import HELP, Calibration, CalibrationError
-from dart_flight.lock.drivers import Driver, DriverError, SetActuator
+from dart_flight.lock.drivers import DRIVERS, Driver, DriverError, SetActuator, driver_names
 from dart_flight.lock.drivers.px4_output import parameter_problems, required_parameters
 from dart_flight.lock.ground import GroundLock, calibration, ground_driver
 from dart_flight.lock.persistence import CommandStore, ServoOwnership, ServoTakenError, forget_last, load_last
@@ -96,6 +96,9 @@ def _with_servo(
     last = load_last()
     driver = ground_driver(config, last, set_actuator)
     driver.open()
+    if not DRIVERS[config.driver].moves and arguments.action != "status":
+        real = driver_names(lambda entry: entry.moves)
+        print_status(f"lock.driver is {config.driver.value}: no servo moves; choose {real} (--driver)")
     try:
         if arguments.action == "calibrate":
             return _calibrate(arguments, config, path, driver)
@@ -139,6 +142,7 @@ def _report(
         report: dict[str, Any] = {
             "action": arguments.action,
             "driver": config.driver,
+            "moves": DRIVERS[config.driver].moves,
             "ok": ok,
             "state": state,
             "text": None if state is None else describe(state),

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, ParamSpec
 
 from dart_flight.config.document import InputError, writing
+from dart_flight.config.packages import missing_package
 
 TRUE = {"color": "#000000", "linestyle": "-", "linewidth": 1.8}
 ESTIMATED = {"color": "#1f6fd0", "linestyle": (0, (5, 1.5)), "linewidth": 1.6}
@@ -113,7 +114,7 @@ def _styled(look: Look) -> Iterator[None]:
     try:
         import matplotlib as mpl  # noqa: PLC0415
     except ImportError as error:
-        raise InputError(f"a picture needs {error.name}: pip install 'dart-flight[report]'") from None
+        raise missing_package(f"a picture needs {error.name}", "report") from None
     sizes = {
         "font.size": look.font_pt,
         "axes.titlesize": look.font_pt,

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dart_flight.config.document import InputError, open_file
+from dart_flight.config.packages import missing_package
 from dart_flight.config.rotors import COUNT, MAV_TYPES
 
 Array = NDArray[np.float64]
@@ -108,7 +109,7 @@ def open_ulog(path: str | Path, topics: Sequence[str]) -> ULogFile:
     try:
         from pyulog import ULog  # noqa: PLC0415  (an extra, slow to import)
     except ImportError:
-        raise InputError("needs pyulog: pip install 'dart-flight[identify]'", source=source) from None
+        raise missing_package("needs pyulog", "identify", source=source) from None
     # pyulog prints what it stumbles over, to where JSON goes.
     with open_file(path) as file, contextlib.redirect_stdout(io.StringIO()) as printed:
         try:

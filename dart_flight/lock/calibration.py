@@ -15,6 +15,8 @@ from dart_flight.base.records import Mode
 from dart_flight.config.document import Key
 from dart_flight.config.vehicle import LockConfig
 
+# A servo that turns a whole circle within its range needs 5.5 us a degree, a usual one 10.
+_LEAST_US_PER_DEG = 5.0
 STEP_US = 10.0  # about one degree: a rod that jams does so gently
 HELP = (
     "+ or - moves 10 us, +25 or -40 that much, a number such as 1500 goes there; "
@@ -76,9 +78,16 @@ class Calibration:
                 flexible_pulse_us=flexible,
                 direction=1 if rises else -1,
             )
-            return msgspec.structs.replace(self._config, servo=new)
+            config = msgspec.structs.replace(self._config, servo=new)
         except ValueError as error:
             raise CalibrationError(str(error)) from None
+        if new.us_per_deg < _LEAST_US_PER_DEG:
+            turn_deg = abs(new.rigid_deg - new.flexible_deg)
+            raise CalibrationError(
+                f"the ends are {abs(rigid - flexible):g} us apart; to turn the cam by {turn_deg:g} degrees a "
+                f"servo needs at least {_LEAST_US_PER_DEG * turn_deg:g} us: look for the other end further on"
+            )
+        return config
 
     def values(self) -> dict[Key, float]:
         """What to write into the configuration file.

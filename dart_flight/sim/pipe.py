@@ -16,8 +16,8 @@ from typing import IO
 import msgspec
 
 from dart_flight.base.records import TruthContact, TruthSample
-from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission
+from dart_flight.config.packages import missing_package
 from dart_flight.config.parameter_file import Parameter, PositionSource
 from dart_flight.config.vehicle import Motor
 from dart_flight.sim.faults.fault_table import Fault
@@ -204,4 +204,4 @@ def need_mavlink() -> None:
         InputError: a package is not installed.
     """
     if importlib.util.find_spec("pymavlink") is None:
-        raise InputError("simulation needs pymavlink: pip install 'dart-flight[sim]'")
+        raise missing_package("simulation needs pymavlink", "sim")

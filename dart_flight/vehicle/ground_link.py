@@ -17,9 +17,18 @@ from mavsdk.plugins.action import Action
 from mavsdk.plugins.info import Info
 from mavsdk.plugins.param import Param, ParamResult
 
-from dart_flight.base.geometry import norm
+from dart_flight.base.geometry import Quaternion, Vec3, norm
 from dart_flight.base.motor_outputs import OutputScale
-from dart_flight.base.records import HealthReport, ImuSample, Input, RoundTrip, StatusSample, StatusText
+from dart_flight.base.records import (
+    AttitudeSample,
+    HealthReport,
+    ImuSample,
+    Input,
+    OdometrySample,
+    RoundTrip,
+    StatusSample,
+    StatusText,
+)
 from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.core.guard.second_vehicle import SecondClockDetector
 from dart_flight.vehicle import arming_problems as reasons
@@ -59,6 +68,8 @@ class Observation(msgspec.Struct):
     other_batteries: tuple[BatteryReading, ...] = ()
     motor_scale: OutputScale | None = None  # by the values; None: all outputs were 0
     specific_force_m_s2: float | None = None  # mean magnitude
+    position_ned: Vec3 | None = None  # local, metres, the newest
+    q_frd_to_ned: Quaternion | None = None  # attitude, the newest
 
 
 class HeartbeatMode(msgspec.Struct, frozen=True):
@@ -97,6 +108,10 @@ class _Listener:
             apart_s = self._clocks.apart_s(record.received_us)
             if apart_s is not None:
                 seen.other_vehicle = f"two clocks alternate under one system id, {apart_s:.1f} s apart"
+        elif isinstance(record, OdometrySample):
+            seen.position_ned = record.position_ned
+        elif isinstance(record, AttitudeSample):
+            seen.q_frd_to_ned = record.q_frd_to_ned
         elif isinstance(record, StatusSample):
             seen.battery_v, seen.battery_remaining = record.battery_v, record.battery_remaining
             seen.battery_id = record.battery_id

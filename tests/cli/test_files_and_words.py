@@ -6,6 +6,8 @@ import importlib.util
 import io
 import re
 import subprocess
+import sys
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -16,6 +18,7 @@ from dart_flight.base.records import ImpactPeak, ImuSample, Phase, PhaseChange
 from dart_flight.cli import main
 from dart_flight.cli.flight_output import FlightLines, next_steps
 from dart_flight.config.mission import load_mission
+from dart_flight.config.packages import IN_FULL, install_command
 from dart_flight.config.provenance import find_vehicle
 from dart_flight.lab.report.player import player_data
 from dart_flight.lab.report.recorded_flight import RecordedFlight
@@ -107,17 +110,49 @@ def test_only_what_is_installed_is_recommended(monkeypatch: pytest.MonkeyPatch) 
     ) + 1  # fmt: skip
 
 
-def test_a_dry_run_installs_what_it_needs_and_shows_it(tmp_path: Path) -> None:
-    done = subprocess.run(
-        ["make", "-n", f"VENV={tmp_path}/venv", "dry-run"],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    (install,) = (line for line in done.stdout.splitlines() if "pip install" in line)
+def test_a_dry_run_installs_what_it_needs_and_names_what_installs_the_rest(tmp_path: Path) -> None:
+    done = make("dry-run", tmp_path)
+    (install,) = (line for line in done if "pip install" in line)
     assert "-e '.[sim]'" in install
     assert "--quiet" not in install
+    assert "`make install`" in done[-1].replace("\\", "")
+
+
+def make(target: str, folder: Path) -> list[str]:
+    """What `make` would run in a checkout without a virtual environment."""
+    words = ["make", "-n", f"VENV={folder}/venv", target]
+    return subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=True).stdout.splitlines()
+
+
+def test_the_advice_installs_every_extra_with_the_pinned_versions(tmp_path: Path) -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+    assert project["full"] == [f"dart-flight[{','.join(IN_FULL)}]"]
+    (install,) = (line for line in make("install", tmp_path) if "pip install" in line)
+    assert "-c constraints.txt -e '.[full]'" in install
+    for extra in [name for name in project if name not in ("dev", "full")]:
+        says = install_command(extra, tmp_path)  # an installed wheel has no Makefile
+        assert says.endswith(
+            f"-m pip install -c constraints.txt '.[{extra}]' in the checkout that it was installed from"
+        )
+        says = install_command(extra)
+        assert says.endswith("install") if "make" in says else "-c constraints.txt -e" in says
+
+
+def test_the_advice_is_one_place_and_its_bracket_is_printed() -> None:
+    advised = [path for path in (ROOT / "dart_flight").rglob("*.py") if "pip install" in path.read_text()]
+    assert {path.name for path in advised} == {"packages.py", "limit_switch.py"}  # gpiod is no extra of ours
+
+
+def test_a_plan_without_ruckig_prints_the_advice_whole(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "ruckig", None)
+    monkeypatch.setattr(
+        "dart_flight.lab.search.plan_table.install_command", lambda extra: install_command(extra, tmp_path)
+    )
+    scenario = str(ROOT / "missions" / "scenarios" / "one_wall.yaml")
+    assert main(["plan", scenario, "-o", str(tmp_path / "planned.yaml")]) == 0
+    assert ".[plan]" in "".join(capsys.readouterr().out.split())
 
 
 # --- missions --------------------------------------------------------------------------------------------

@@ -18,6 +18,7 @@ import pytest
 from dart_flight.base.records import World
 from dart_flight.cli import main
 from dart_flight.config.mission import load_mission
+from dart_flight.config.packages import install_command
 from dart_flight.config.vehicle import packaged
 from dart_flight.recording.about import describe_flight
 from dart_flight.recording.writer import FlightLog
@@ -220,5 +221,5 @@ def test_without_the_extra_nothing_is_begun(
     before = set(folder.rglob("*"))
     assert main(words) == 2
     said = capsys.readouterr().err.splitlines()
-    assert said[-1] == "simulation needs pymavlink: pip install 'dart-flight[sim]'"
+    assert said[-1] == f"simulation needs pymavlink: {install_command('sim')}"
     assert set(folder.rglob("*")) == before, "no log folder of a flight that cannot be"

@@ -88,21 +88,22 @@ def test_the_only_configuration_of_the_folder_is_taken_and_named(
     assert "vehicle: configs/lab.yaml" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(
-    "names",
-    [
-        ["mine.yaml"],
-        ["configs/lab.yaml", "configs/outdoors.yaml"],
-    ],  # which of two is meant is not to be guessed
-    ids=["elsewhere", "two"],
-)
-def test_a_configuration_that_is_passed_over_is_named(
-    names: list[str], folder: Path, capsys: pytest.CaptureFixture[str]
+def test_which_of_two_configurations_is_meant_is_not_guessed(
+    folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    for name in names:
-        own(folder, name)
+    own(folder, "configs/lab.yaml")
+    own(folder, "configs/outdoors.yaml")
+    assert main(PREDICT) == 2
+    assert "configs: holds several vehicles (lab.yaml, outdoors.yaml)" in capsys.readouterr().err
+    assert main([*PREDICT, "--config", "configs/outdoors.yaml"]) == 0
+
+
+def test_a_configuration_that_is_passed_over_is_named(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    own(folder, "mine.yaml")
     assert main(PREDICT) == 0
-    assert f"note: {names[0]}" in capsys.readouterr().err
+    assert "note: mine.yaml" in capsys.readouterr().err
     assert main([*PREDICT, "--config", str(packaged("configs", "dart.yaml"))]) == 0
     assert "not used" not in capsys.readouterr().err, "asked for by name"
 

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import pytest
 
 from dart_flight.base.records import Mode
+from dart_flight.config.document import InputError
 from dart_flight.config.edit import edit_values
+from dart_flight.config.inherited import FOLLOWS_FROM, LOCK, Inherited, find_inherited
 from dart_flight.config.vehicle import default_config_path, load_vehicle, packaged
 
 OWN = {
@@ -64,4 +67,95 @@ def test_beside_dart_the_only_vehicle_that_extends_it_is_meant(
     (tmp_path / "configs" / "cage.yaml").write_text("extends: dart.yaml  # DART\n")
     assert default_config_path().name == "cage.yaml"
     (tmp_path / "configs" / "stiff.yaml").write_text("# a variant\nextends: 'dart.yaml'\n")
-    assert default_config_path().name == "dart.yaml", "which of two is meant is not to be guessed"
+    with pytest.raises(InputError, match=r"holds several vehicles \(cage.yaml, stiff.yaml\)"):
+        default_config_path()
+    monkeypatch.setenv("DART_FLIGHT_CONFIG", "configs/stiff.yaml")
+    assert default_config_path().name == "stiff.yaml"
+
+
+def test_several_packaged_vehicles_leave_dart_the_default(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As in a checkout, and where notes or PX4 tables lie beside them."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("DART_FLIGHT_CONFIG", raising=False)
+    shutil.copytree(packaged("configs"), tmp_path / "configs")
+    (tmp_path / "configs" / "rooms.yaml").write_text("rooms: {hall: 3}\n")
+    assert default_config_path().name == "dart.yaml"
+    with (tmp_path / "configs" / "hexarotor.yaml").open("a") as file:
+        file.write("detection: {force_threshold_n: 7.0}\n")
+    with pytest.raises(InputError, match="choose one by --config"):
+        default_config_path()
+
+
+# --- what an own vehicle takes from another ---------------------------------------------------------------
+
+SIZE = "mass_kg: 0.6, contact_distance_m: 0.15, arm_x_m: 0.07, arm_y_m: 0.07"
+CAGE = f"extends: dart.yaml\nairframe: {{{SIZE}}}\nlock: {{driver: none}}\n"
+
+
+def inherited_of(text: str, folder: Path, name: str = "mine.yaml", *settings: str) -> Inherited | None:
+    shutil.copy(packaged("configs", "dart.yaml"), folder)
+    (folder / name).write_text(text)
+    return find_inherited(load_vehicle(folder / name, settings), str(folder / name), settings)
+
+
+def test_what_contradicts_the_given_is_told_from_what_is_only_kept(tmp_path: Path) -> None:
+    found = inherited_of(CAGE, tmp_path)
+    assert found is not None
+    by_mass = found.contradictions["airframe.mass_kg 0.6 instead of 1.3"]
+    assert "detection.force_threshold_n 5.5" in by_mass
+    assert "materials.acrylic" in by_mass
+    by_lock = found.contradictions["lock none instead of servo"]
+    assert [text.split()[0] for text in by_lock] == ["estimation.arm_vibration", "simulation.arm_vibration"]
+    by_size = found.contradictions["airframe.contact_distance_m 0.15 instead of 0.2"]
+    assert "simulation.contact.guard_out_m 0.2" in by_size
+    assert "guard.battery_v 13.2" in found.keys
+    assert not any(key.startswith("airframe.mass_kg") for key in found.keys)
+
+
+def test_what_is_given_is_not_inherited_though_it_has_the_same_value(tmp_path: Path) -> None:
+    own = f"{CAGE}detection: {{force_threshold_n: 5.5}}\n"
+    found = inherited_of(own, tmp_path, "mine.yaml", "guard.battery_v=13.2")
+    assert found is not None
+    assert "force_threshold_n" not in str(found)
+    assert "guard.battery_v" not in str(found)
+
+
+def test_an_edited_copy_inherits_what_was_not_edited(tmp_path: Path) -> None:
+    text = packaged("configs", "dart.yaml").read_text("utf-8").replace("mass_kg: 1.3", "mass_kg: 1.85")
+    found = inherited_of(text, tmp_path)
+    assert found is not None
+    assert "detection.force_threshold_n 5.5" in found.contradictions["airframe.mass_kg 1.85 instead of 1.3"]
+    copy = packaged("configs", "rigid_cage.yaml").read_text("utf-8").replace("mass_kg: 0.9", "mass_kg: 1.2")
+    found = inherited_of(copy, tmp_path, "rigid_cage.yaml")
+    assert found is not None
+    assert found.base == "rigid_cage.yaml"
+    assert "detection.force_threshold_n 4" in found.contradictions["airframe.mass_kg 1.2 instead of 0.9"]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "extends: dart.yaml\npx4: {MPC_XY_P: 1.2}\n",
+        "extends: dart.yaml\nairframe: {mass_kg: 1.33}\n",
+        "extends: dart.yaml\nlock: {driver: maestro}\n",
+    ],
+)
+def test_dart_itself_inherits_nothing(tmp_path: Path, text: str) -> None:
+    assert inherited_of(text, tmp_path) is None
+
+
+@pytest.mark.parametrize("name", ["dart", "rigid_cage", "hexarotor"])
+def test_a_packaged_vehicle_inherits_nothing(name: str) -> None:
+    path = packaged("configs", f"{name}.yaml")
+    assert find_inherited(load_vehicle(path), str(path)) is None
+
+
+def test_every_key_that_may_be_inherited_exists() -> None:
+    """A key that is renamed would never be listed again."""
+    tree = load_vehicle(packaged("configs", "dart.yaml")).to_dict()
+    for key in {key for row in FOLLOWS_FROM.items() for key in (row[0], *row[1])} - {LOCK}:
+        value = tree
+        for part in key.split("."):
+            value = value[part]

@@ -77,6 +77,21 @@ def test_what_is_learnt_is_limited(sign: float) -> None:
     assert bias.scale == pytest.approx(1.0 + sign * HOVER.thrust_scale_limit)
 
 
+@pytest.mark.parametrize("share", [0.46, 0.8, 1.0, 1.25, 2.2])
+def test_the_thrust_ratio_has_no_limit(share: float) -> None:
+    """0.46: 1.85 kg fly, 0.85 kg are configured; the motors carry what flies."""
+    bias = learnt((0.0, 0.0, -GRAVITY_M_S2), 1.2, thrust_n=WEIGHT_N / share)
+    assert bias.thrust_ratio == pytest.approx(share)
+    assert learnt((0.0, 0.0, -GRAVITY_M_S2), 0.5, thrust_n=WEIGHT_N / share).thrust_ratio is None
+
+
+def test_a_climb_does_not_change_the_thrust_ratio() -> None:
+    """Accelerating takes thrust, and the accelerometer feels it."""
+    assert learnt((0.0, 0.0, -1.4 * GRAVITY_M_S2), thrust_n=1.4 * WEIGHT_N, seconds=1.2).thrust_ratio == (
+        pytest.approx(1.0)
+    )
+
+
 def test_a_bump_counts_for_a_quarter_of_the_thrust_at_most() -> None:
     hard, soft = (learnt((0.0, 0.0, -factor * GRAVITY_M_S2), DT_S) for factor in (5.0, 1.25))
     assert hard.scale == pytest.approx(soft.scale)

@@ -452,6 +452,15 @@ def hit_in_noise(c: HandFedCore) -> None:
     c.run(0.02)
 
 
+@cause_with({"vehicle.airframe.mass_kg": 0.85})
+def hover_thrust(c: HandFedCore) -> None:
+    """1.3 kg fly, 0.85 kg are configured."""
+    c.to_climb()
+    c.run(2.0)
+    c.position_ned = (0.0, 0.0, -1.0)
+    c.run(0.5)
+
+
 def rigid_pulse(c: HandFedCore) -> None:
     """The lock says flexible; a pulse as of locked arms at 0.6 m/s, without the friction of free ones."""
     c.at_the_wood()

@@ -69,6 +69,19 @@ def test_two_ends_at_one_place_are_no_calibration(vary: Vary) -> None:
         steps.enter("ok")
 
 
+@pytest.mark.parametrize(("rigid_us", "apart"), [("1940", 440), ("1100", 400), ("1540", 40)])
+def test_ends_nearer_than_a_cam_can_need_are_refused(vary: Vary, rigid_us: str, apart: int) -> None:
+    steps = Calibration(vary(), 1500.0, lambda pulse: None)
+    steps.enter("ok")
+    steps.enter(rigid_us)
+    with pytest.raises(CalibrationError, match=f"the ends are {apart} us apart; .* at least 450 us"):
+        steps.enter("ok")
+    assert steps.seeking is Mode.RIGID
+    steps.enter("1960")
+    steps.enter("ok")
+    assert steps.result().servo.us_per_deg == pytest.approx(460.0 / 90.0)
+
+
 def test_a_failing_step_leaves_the_position_known(vary: Vary) -> None:
     def fails(pulse_us: float) -> None:
         if pulse_us > 1520.0:

@@ -158,8 +158,8 @@ def test_a_controller_that_does_not_answer_is_status_1(
     [
         ("driver: mock", "driver: maestro", (), ": lock.maestro.port: "),
         (
-            "chip: 0",
-            "chip: 7",
+            "chip: null                          # number",
+            "chip: 7  # number",
             ("--driver", "pwm"),
             ": lock.pwm.chip: /sys/class/pwm/pwmchip7 does not exist",
         ),
@@ -229,7 +229,7 @@ def test_two_processes_and_the_death_of_the_first(world: World, capsys: pytest.C
 def test_calibrate_writes_the_two_ends(world: World, maestro: EmulatedMaestro) -> None:
     before = world.config.read_text().splitlines()
     process = world.start("calibrate")
-    lines = ("y", "1400", "up", "ok", "1590", "+", "ok", "y")
+    lines = ("y", "1200", "up", "ok", "1690", "+", "ok", "y")
     out, error = process.communicate("".join(f"{line}\n" for line in lines), timeout=30)
     assert process.returncode == 0, error
     assert out == "maestro: flexible: settled (no feedback)\n"
@@ -237,11 +237,11 @@ def test_calibrate_writes_the_two_ends(world: World, maestro: EmulatedMaestro) -
     assert "up is not understood" in error
     changed = [a for a, b in zip(world.config.read_text().splitlines(), before, strict=True) if a != b]
     assert [line.split("#")[0].strip() for line in changed] == [
-        "rigid_pulse_us: 1600.0",
-        "flexible_pulse_us: 1400.0",
+        "rigid_pulse_us: 1700.0",
+        "flexible_pulse_us: 1200.0",
     ]
-    assert maestro.output_us() == 1400.0
-    assert servo_of(world).us_per_deg == pytest.approx(200.0 / 90.0)
+    assert maestro.output_us() == 1200.0
+    assert servo_of(world).us_per_deg == pytest.approx(500.0 / 90.0)
 
 
 @pytest.mark.parametrize(
@@ -272,3 +272,16 @@ def test_calibrate_does_not_write_the_packaged_default(
     assert main(["lock", "calibrate"]) == 2
     assert "is the packaged default" in capsys.readouterr().err
     assert os.listdir(tmp_path) == []
+
+
+@pytest.mark.parametrize("action", ["rigid", "flexible", "toggle"])
+def test_the_mock_says_first_that_no_servo_moves(
+    world: World, capsys: pytest.CaptureFixture[str], action: str
+) -> None:
+    assert main(world.command("flexible")) == 0
+    capsys.readouterr()
+    assert main(world.command(action)) == 0
+    first = capsys.readouterr().err.splitlines()[0]
+    assert first == "lock.driver is mock: no servo moves; choose maestro, pwm or px4 (--driver)"
+    status, told = report(world, capsys, "rigid")
+    assert (status, told["moves"]) == (0, False)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import shutil
 import threading
 import time
 from collections.abc import Callable
@@ -18,6 +19,7 @@ from dart_flight.lock.drivers.pwm import PwmDriver
 from dart_flight.lock.lock_session import LockSession
 
 Vary = Callable[..., LockConfig]
+DATA = Path(__file__).parents[1] / "data"
 
 
 class Sysfs:
@@ -69,7 +71,7 @@ class Sysfs:
 
 @pytest.fixture
 def config(vary: Vary, tmp_path: Path) -> LockConfig:
-    return vary(driver=LockDriver.PWM, pwm={"sysfs_dir": str(tmp_path), "channel": 1})
+    return vary(driver=LockDriver.PWM, pwm={"sysfs_dir": str(tmp_path), "chip": 0, "channel": 1})
 
 
 def test_byte_for_byte(config: LockConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -188,7 +190,7 @@ def test_what_is_missing_is_said(
             use()
     sysfs = Sysfs(tmp_path, monkeypatch, exported=False)
     with pytest.raises(DriverError, match="pwmchip0 has 2 channels, from 0") as caught:
-        PwmDriver(vary(pwm={"sysfs_dir": str(tmp_path), "channel": 2})).open()
+        PwmDriver(vary(pwm={"sysfs_dir": str(tmp_path), "chip": 0, "channel": 2})).open()
     assert caught.value.key == ("pwm", "channel")
     monkeypatch.setattr(pwm, "_APPEAR_S", 0.02)
     with pytest.raises(DriverError, match="pwm1 did not appear"):
@@ -218,3 +220,69 @@ def test_the_kernel_refuses(config: LockConfig, tmp_path: Path, monkeypatch: pyt
     driver.open()
     with pytest.raises(DriverError, match=r"cannot write 30000000 to .*duty_cycle: Invalid argument"):
         driver.set_pulse(30_000.0)
+
+
+# --- which chip and which channel ----------------------------------------------------------------------
+
+
+@pytest.fixture
+def pi5(tmp_path: Path) -> Path:
+    """The tree of a Raspberry Pi 5 with kernel 6.12: four channels, GPIO 18 is the third."""
+    return shutil.copytree(DATA / "pi5_pwm", tmp_path / "sysfs", symlinks=True)
+
+
+def opened(sysfs: Path, vary: Vary, **keys: int | None) -> PwmDriver:
+    driver = PwmDriver(vary(driver=LockDriver.PWM, pwm={"sysfs_dir": str(sysfs), **keys}))
+    driver.set_pulse(1500.0)
+    return driver
+
+
+def board(sysfs: Path, device: str, number: int, channels: int) -> None:
+    """Make the chip of another board, or another kernel."""
+    chip = (sysfs / "pwmchip0").rename(sysfs / f"pwmchip{number}")
+    (chip / "device").unlink()
+    (chip / "device").symlink_to(f"../../platform/{device}")
+    (chip / "npwm").write_text(f"{channels}\n")
+
+
+@pytest.mark.parametrize("keys", [{}, {"channel": 2}, {"chip": 0}, {"chip": 0, "channel": 2}])
+def test_gpio_18_of_a_pi_5_is_its_third_channel(pi5: Path, vary: Vary, keys: dict[str, int]) -> None:
+    opened(pi5, vary, **keys)
+    assert (pi5 / "pwmchip0" / "pwm2" / "duty_cycle").read_text() == "1500000"
+    assert (pi5 / "pwmchip0" / "pwm0" / "duty_cycle").read_text() == "0\n"
+
+
+@pytest.mark.parametrize("channel", [0, 1])
+def test_the_channels_of_other_pins_are_refused_on_a_pi_5(pi5: Path, vary: Vary, channel: int) -> None:
+    with pytest.raises(DriverError, match="GPIO 18 is channel 2 on a Raspberry Pi 5, not") as caught:
+        opened(pi5, vary, chip=0, channel=channel)
+    assert caught.value.key == ("pwm", "channel")
+    assert (pi5 / "pwmchip0" / "pwm0" / "enable").read_text() == "0\n"
+
+
+def test_the_chip_is_found_under_any_number(pi5: Path, vary: Vary) -> None:
+    """Kernel 6.6 calls it pwmchip2, and the fan has a chip as well."""
+    board(pi5, "1f00098000.pwm", 2, 4)
+    fan = pi5 / "pwmchip0"
+    fan.mkdir()
+    (fan / "device").symlink_to("../../platform/1f0009c000.pwm")
+    (fan / "npwm").write_text("4\n")
+    opened(pi5, vary)
+    assert (pi5 / "pwmchip2" / "pwm2" / "duty_cycle").read_text() == "1500000"
+
+
+@pytest.mark.parametrize("device", ["fe20c000.pwm", "3f20c000.pwm"])
+def test_gpio_18_of_an_older_pi_is_its_first_channel(pi5: Path, vary: Vary, device: str) -> None:
+    board(pi5, device, 0, 2)
+    opened(pi5, vary)
+    assert (pi5 / "pwmchip0" / "pwm0" / "duty_cycle").read_text() == "1500000"
+
+
+def test_another_boards_chip_has_to_be_named(pi5: Path, vary: Vary) -> None:
+    board(pi5, "2000000.pwm", 0, 2)
+    with pytest.raises(DriverError, match=r"no PWM of a Raspberry Pi in .*, there is pwmchip0"):
+        opened(pi5, vary)
+    with pytest.raises(DriverError, match="which channel has the servo"):
+        opened(pi5, vary, chip=0)
+    opened(pi5, vary, chip=0, channel=0)
+    assert (pi5 / "pwmchip0" / "pwm0" / "enable").read_text() == "1"

@@ -121,8 +121,11 @@ def packaged(*parts: str) -> Path:
 def default_config_path() -> Path:
     """$DART_FLIGHT_CONFIG, else the one of ./configs that is meant, else the packaged default.
 
-    That is the only one there that no other extends, as `init --vehicle` leaves a vehicle beside dart.yaml;
-    where there are several, dart.yaml.
+    That is the only one there that no other extends, as `init --vehicle` leaves a vehicle beside dart.yaml.
+    Where all of several are as packaged, it is dart.yaml.
+
+    Raises:
+        InputError: there are several, and one of them is the user's own.
     """
     named = os.environ.get("DART_FLIGHT_CONFIG")
     if named:
@@ -133,7 +136,22 @@ def default_config_path() -> Path:
     last = [path for path in there if path not in bases]
     if len(last) == 1:
         return last[0]
+    if any(not _is_as_packaged(path) for path in last):
+        names = ", ".join(path.name for path in last)
+        says = f"holds several vehicles ({names}): choose one by --config or $DART_FLIGHT_CONFIG"
+        raise InputError(says, source=str(local.parent))
     return local if local.exists() else packaged("configs", "dart.yaml")
+
+
+def _is_as_packaged(path: Path) -> bool:
+    """Whether a file is a packaged one, unchanged; what is no vehicle configuration counts as one."""
+    try:
+        text = read_text(path)
+        if re.search(rf"^({EXTENDS}|airframe):", text, re.MULTILINE) is None:
+            return True
+        return text == read_text(packaged("configs", path.name))
+    except InputError:
+        return False
 
 
 def base_of(path: Path) -> str | None:

@@ -154,14 +154,14 @@ class Pwm(DriverSection, frozen=True):
 
     Attributes:
         sysfs_dir: where the kernel shows its PWM chips.
-        chip: number N of pwmchipN.
-        channel: of the chip, to which the servo is connected.
+        chip: number N of pwmchipN; null: the Raspberry Pi's own, whose number depends on the kernel.
+        channel: of the chip, to which the servo is connected; null: that of GPIO 18.
         period_us: of the pulses.
     """
 
     sysfs_dir: str
-    chip: Annotated[int, Meta(ge=0)]
-    channel: Annotated[int, Meta(ge=0)]
+    chip: Annotated[int, Meta(ge=0)] | None
+    channel: Annotated[int, Meta(ge=0)] | None
     period_us: Annotated[float, Meta(ge=2_500.0, le=50_000.0)]
 
     def refuse_servo(self, servo: Servo) -> None:

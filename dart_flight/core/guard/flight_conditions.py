@@ -74,6 +74,7 @@ class FlightConditions:
         self.state = FlightState()  # replaced by the core's at the first step
         self.force: ForceEstimate | None = None  # of this step
         self.request: OperatorRequest | None = None  # of this step
+        self.thrust_ratio: float | None = None  # in the last seconds of free flight
         self.land_asked = False
         self.was_offboard = False
         self.was_armed = False
@@ -122,6 +123,7 @@ class FlightConditions:
         """Take the step's input, which has gone into `state`, and what it has taught."""
         self.state, self.phase, self.force = state, phase, sensed.estimate
         self.request = item if isinstance(item, OperatorRequest) else None
+        self.thrust_ratio = sensed.thrust_ratio or self.thrust_ratio
         for event in sensed.impacts:
             if isinstance(event, ImpactOnset):
                 # For a while the contact explains what estimator and altitude do.

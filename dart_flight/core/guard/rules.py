@@ -38,6 +38,8 @@ _FALL_S: Final = 0.1
 _OTHERS_SINCE: Final = 12  # a tenth of a second of one other stream
 _ALTITUDE_SLACK_M: Final = 0.05
 _GUARD_STRAYS_M: Final = 0.2  # outside of the bounds, as when it breaks off from a wall that is their edge
+_THRUST_MISFIT: Final = 0.25  # mass drawn by 3 and battery by 5 per cent: 4.3 standard deviations
+_AFTER_CLIMB: Final = frozenset({Phase.WAYPOINT, Phase.PAUSE, Phase.TRANSIT, Phase.PREPARE})
 
 
 class Scope(StrEnum):
@@ -238,6 +240,18 @@ def _battery(v: FlightConditions) -> str | None:
     return ", ".join(part for part in (left, volts) if part)
 
 
+def _hover_thrust(v: FlightConditions) -> str | None:
+    ratio, vehicle = v.thrust_ratio, v.mission.vehicle
+    if ratio is None or v.impact is not None or v.phase not in _AFTER_CLIMB or not v.mission.collisions:
+        return None
+    allowed = max(_THRUST_MISFIT, vehicle.estimation.hover.thrust_scale_limit)
+    if abs(ratio - 1.0) <= allowed:
+        return None
+    mass_kg = vehicle.airframe.mass_kg
+    says = f"by the thrust curve the motors carry {mass_kg / max(ratio, 0.01):.2f} kg, airframe.mass_kg is "
+    return f"{says}{mass_kg:g}: {ratio:.2f} of the curve, allowed {1.0 - allowed:.2f} to {1.0 + allowed:.2f}"
+
+
 def _tilt(v: FlightConditions) -> str | None:
     tilt = math.degrees(v.state.tilt_rad)
     return f"{tilt:.0f} deg" if tilt > v.config.tilt_deg else None
@@ -368,6 +382,8 @@ RULES: tuple[Rule, ...] = (
          _LAND, _AIR, _battery),
     Rule("still_armed", "in PX4's land mode and still armed long after touchdown was due",
          "guard.kill_after_s, bounds_m.z", _KILL, _AIR, _still_armed),
+    Rule("hover_thrust", "before the first impact the thrust is over 25 % beside mass and thrust curve",
+         "estimation.hover.thrust_scale_limit", _BREAK_OFF, _FLYING, _hover_thrust),
     # No landing yet, as after `mode_felt`: PX4's land mode unwinds a tilt at MPC_JERK_AUTO and flies away.
     Rule("tilt", "tilt beyond what PX4 can be trusted to recover from", "guard.tilt_deg", _BREAK_OFF, _AIR,
          _tilt, at_once=(AttitudeSample,), noted=True),

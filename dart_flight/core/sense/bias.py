@@ -19,6 +19,7 @@ from dart_flight.config.vehicle import Estimation
 _NOISE_TIME_S: Final = 0.5
 _MIN_NOISE2: Final = 1e-4  # m2/s4
 _SCALE_STEP: Final = 0.25
+_LEARNT: Final = 0.4  # share of its final value that a low-pass has after half a time constant
 _BASELINE_DELAY: Final = 10  # samples: 40 ms, in which even a slow contact reaches the threshold
 _BASELINE_STEP_N: Final = 2.0  # further than this from the baseline it is not followed any faster
 
@@ -28,7 +29,8 @@ class HoverBias:
 
     Attributes:
         bias_x, bias_y: body FRD, m/s2; part of the reading.
-        scale: true thrust over the curve's.
+        scale: true thrust over the curve's, limited.
+        thrust_ratio: likewise, without a limit; None: not learnt for long enough.
         noise_m_s2: standard deviation of the white part of one sample and axis.
     """
 
@@ -40,6 +42,8 @@ class HoverBias:
         self.noise_m_s2 = config.imu_noise_m_s2
         self._variance = LearntVariance(config.imu_noise_m_s2**2, _NOISE_TIME_S, _MIN_NOISE2)
         self._last: Vec3 | None = None
+        self._weight = self._felt_n = self._curve_n = 0.0  # low-passes from zero: their quotient has no bias
+        self.thrust_ratio: float | None = None
 
     def learn(self, f: Vec3, rate: Vec3, speed_m_s: float, curve_thrust_n: float, dt_s: float) -> None:
         """A sample outside of contacts.
@@ -53,9 +57,14 @@ class HoverBias:
         """
         self._learn_noise(f, dt_s)
         c = self._config
+        share = taken_share(dt_s, c.time_constant_s)
+        self._weight += share * (1.0 - self._weight)
+        self._felt_n += share * (-f[2] * self._mass - self._felt_n)
+        self._curve_n += share * (curve_thrust_n - self._curve_n)
+        if self._weight > _LEARNT and self._curve_n > 0.0:
+            self.thrust_ratio = self._felt_n / self._curve_n
         if curve_thrust_n < 0.5 * self._mass * GRAVITY_M_S2:
             return
-        share = taken_share(dt_s, c.time_constant_s)
         most = c.thrust_scale_limit
         seen = -f[2] * self._mass / curve_thrust_n
         # A seen scale far off is a bump and no thrust: it counts only as far as the limit.

@@ -45,9 +45,11 @@ class Sensed:
         body: how an impact met the body, after its peak and at its end.
         wall: what a planned contact says of its wall and of the arms, at its end.
         height_m: of the walls' force above the centre of mass, by the contacts so far; None: not known.
+        thrust_ratio: thrust by mass and accelerometer over that by the curve, in the last seconds of free
+            flight; None: not known.
     """
 
-    __slots__ = ("body", "estimate", "height_m", "impacts", "in_contact", "torque", "wall")
+    __slots__ = ("body", "estimate", "height_m", "impacts", "in_contact", "thrust_ratio", "torque", "wall")
 
     def __init__(
         self,
@@ -58,9 +60,11 @@ class Sensed:
         body: ImpactBody | None = None,
         wall: WallEstimate | None = None,
         height_m: float | None = None,
+        thrust_ratio: float | None = None,
     ) -> None:
         self.estimate, self.impacts, self.in_contact = estimate, impacts, in_contact
         self.torque, self.body, self.wall, self.height_m = torque, body, wall, height_m
+        self.thrust_ratio = thrust_ratio
 
 
 _NOTHING: Final = Sensed()
@@ -150,4 +154,5 @@ class Senses:
             if impacts or self.walls.is_busy:
                 wall = self.walls.update(state, slow, impacts, expected)
         found = tuple(impacts) if impacts else ()
-        return Sensed(estimate, found, detector.in_contact, torque, body, wall, self.height.height_m)
+        ratio = estimator.hover.thrust_ratio
+        return Sensed(estimate, found, detector.in_contact, torque, body, wall, self.height.height_m, ratio)

@@ -14,7 +14,7 @@ from functools import partial
 from typing import Any
 
 from dart_flight.base.errors import FlightError
-from dart_flight.config.document import InputError
+from dart_flight.config.packages import missing_package
 from dart_flight.lab.campaign.campaign_folder import Engine, Landings
 from dart_flight.lab.campaign.campaign_spec import Item
 from dart_flight.lab.campaign.flight_job import Flown, ItemFlyer
@@ -37,7 +37,7 @@ def on_cluster(url: str) -> Engine:
     try:
         import distributed  # noqa: F401, PLC0415
     except ImportError:
-        raise InputError("needs Dask: pip install 'dart-flight[cluster]'", key=("--scheduler",)) from None
+        raise missing_package("needs Dask", "cluster", key=("--scheduler",)) from None
     return partial(_work, url)
 
 

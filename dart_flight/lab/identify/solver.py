@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from dart_flight.config.document import InputError
+from dart_flight.config.packages import missing_package
 from dart_flight.contact.coefficients import Array
 from dart_flight.contact.law import Onset
 from dart_flight.lab.identify.sample_fit import SampleFit
@@ -29,7 +29,7 @@ def least_squares(residuals: Callable[[Array], Array], start: Array, **how: Any)
     try:
         from scipy.optimize import least_squares as of_scipy  # noqa: PLC0415
     except ImportError:
-        raise InputError("needs SciPy: pip install 'dart-flight[identify]'") from None
+        raise missing_package("needs SciPy", "identify") from None
     return of_scipy(residuals, start, **how)
 
 

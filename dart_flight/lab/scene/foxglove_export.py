@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from dart_flight.config.document import InputError, writing
+from dart_flight.config.document import writing
+from dart_flight.config.packages import missing_package
 from dart_flight.recording.about import flown_mission
 from dart_flight.recording.reader import Log
 
@@ -26,7 +27,7 @@ def export_foxglove(log: Log, path: Path) -> int:
         from dart_flight.lab.scene.downsampling import Downsampler  # noqa: PLC0415
         from dart_flight.lab.scene.translation import SceneTranslator  # noqa: PLC0415
     except ImportError:
-        raise InputError("--foxglove needs foxglove-sdk: pip install 'dart-flight[live]'") from None
+        raise missing_package("--foxglove needs foxglove-sdk", "live") from None
     channels, thinning, translation = Channels(), Downsampler(), SceneTranslator(mission)
     with writing(path):
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -23,6 +23,7 @@ from dart_flight.base.processes import ChildProcess
 from dart_flight.base.records import Record
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission
+from dart_flight.config.packages import missing_package
 from dart_flight.lab.scene.downsampling import WANTED, Downsampler
 from dart_flight.recording.encoding import encode
 
@@ -76,7 +77,7 @@ class LiveViewProcess:
 
     def __init__(self, show: LiveViewSpec, say: Callable[[str], None]) -> None:
         if importlib.util.find_spec("foxglove") is None:
-            raise InputError("--live needs foxglove-sdk: pip install 'dart-flight[live]'")
+            raise missing_package("--live needs foxglove-sdk", "live")
         self._say = say
         self.dropped = 0
         self._waiting: deque[Record] = deque()

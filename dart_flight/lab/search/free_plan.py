@@ -15,7 +15,7 @@ from collections.abc import Sequence
 import msgspec
 
 from dart_flight.base.geometry import GRAVITY_M_S2, Vec2, distance2
-from dart_flight.config.document import InputError
+from dart_flight.config.packages import missing_package
 from dart_flight.lab.search.optimal_trajectory import (
     HitLimits,
     MotionLimits,
@@ -122,7 +122,7 @@ def _leg_s(
     try:
         import ruckig  # noqa: PLC0415  (an extra)
     except ImportError:
-        raise InputError("the free plan needs ruckig: pip install 'dart-flight[plan]'") from None
+        raise missing_package("the free plan needs ruckig", "plan") from None
     count = len(begin)
     wanted = ruckig.InputParameter(count)
     wanted.current_position, wanted.current_velocity = list(begin), list(v_begin)

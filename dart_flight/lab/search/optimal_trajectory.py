@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 from dart_flight.base.geometry import Vec2, distance2
 from dart_flight.base.records import Mode
 from dart_flight.base.walls import Wall
-from dart_flight.config.document import InputError
 from dart_flight.config.mission_file import TrajectoryPieces
+from dart_flight.config.packages import missing_package
 from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.contact.coefficients import CoefficientArrays
 from dart_flight.contact.contact_map import contact_map
@@ -409,7 +409,7 @@ def solve(problem: Problem, intervals: int = INTERVALS, tolerance: float = 1e-6)
     try:
         import casadi  # noqa: PLC0415  (an extra)
     except ImportError:
-        raise InputError("the quickest flight needs casadi: pip install 'dart-flight[plan]'") from None
+        raise missing_package("the quickest flight needs casadi", "plan") from None
     if not all(_is_possible(problem.vehicle, part.to) for part in problem.parts):
         return None
     t = _Transcription(casadi, problem, intervals)

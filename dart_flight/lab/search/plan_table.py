@@ -5,8 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 import msgspec
+from rich.markup import escape
 from rich.table import Table
 
+from dart_flight.config.packages import install_command
 from dart_flight.lab.search.free_plan import FreePlan, limits_of
 from dart_flight.lab.search.quickest import QuickestPlan, QuickestResult
 from dart_flight.lab.search.scenario import Objective, Scenario
@@ -80,7 +82,7 @@ def plan_table(result: SearchResult) -> Table:
         f"{result.feasible} of {result.candidates} candidates feasible, {result.trajectories} trajectories "
         f"in {result.elapsed_s:.3f} s"
     )
-    table.caption += f"\n{describe_free(result.free, result.plans[0])}"
+    table.caption += "\n" + escape(describe_free(result.free, result.plans[0]))
     table.caption_justify = "left"
     return table
 
@@ -88,7 +90,7 @@ def plan_table(result: SearchResult) -> Table:
 def describe_free(free: FreePlan | None, best: Plan) -> str:
     """The free plan beside the best colliding one, in words."""
     if free is None:
-        return "without any collision: needs the extra plan (pip install 'dart-flight[plan]')"
+        return f"without any collision: needs ruckig: {install_command('plan')}"
     if free.time_s is None:
         return "without any collision: no way"
     limits, gap = free.limits, ""

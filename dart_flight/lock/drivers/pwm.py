@@ -6,6 +6,9 @@
     pwmchipN/pwmM/polarity       normal or inversed; can be written only while disabled
     pwmchipN/pwmM/enable         1 or 0
 
+A Raspberry Pi's own chip is known by its device: its number depends on the kernel, and GPIO 18 is another
+channel on a Raspberry Pi 5 (Pioreactor/rpi_hardware_pwm#10, raspberrypi/linux#6818).
+
 The channel stays exported when the program ends: taking it back would stop the pulses.
 """
 
@@ -13,12 +16,27 @@ from __future__ import annotations
 
 import os
 import time
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Final, NamedTuple
 
 from dart_flight.config.vehicle import LockConfig
 from dart_flight.lock.drivers import DriverError
 from dart_flight.lock.state_machine import DriverReading
 
+
+class _BoardPwm(NamedTuple):
+    """The PWM that reaches GPIO 18 on a board, and the channel that does."""
+
+    board: str
+    gpio18: int
+
+
+_BOARDS: Final[Mapping[str, _BoardPwm]] = {  # by device, as pwmchipN/device names it
+    "1f00098000.pwm": _BoardPwm("Raspberry Pi 5", 2),
+    "fe20c000.pwm": _BoardPwm("Raspberry Pi 4", 0),
+    "3f20c000.pwm": _BoardPwm("Raspberry Pi 3", 0),
+}
 _APPEAR_S = 1.0  # udev needs a moment to give the new files to their group
 
 
@@ -40,8 +58,8 @@ class PwmDriver:
 
     def __init__(self, config: LockConfig) -> None:
         self._config = config.pwm
-        self._chip = Path(config.pwm.sysfs_dir) / f"pwmchip{config.pwm.chip}"
-        self._channel = self._chip / f"pwm{config.pwm.channel}"
+        self._sysfs = Path(config.pwm.sysfs_dir)
+        self._chip = self._channel = self._sysfs  # until they are found
         self._period_ns = round(config.pwm.period_us * 1000.0)
 
     def open(self) -> None:
@@ -50,14 +68,8 @@ class PwmDriver:
         Raises:
             DriverError: chip or channel do not exist, are not writable, or refuse (with the key).
         """
-        if not self._chip.is_dir():
-            hint = "is dtoverlay=pwm-2chan in config.txt?"
-            raise DriverError(f"{self._chip} does not exist; {hint}", ("pwm", "chip"))
-        if self._config.channel >= self._number(self._chip / "npwm"):
-            has = self._number(self._chip / "npwm")
-            raise DriverError(f"{self._chip.name} has {has} channels, from 0", ("pwm", "channel"))
-        if not self._channel.is_dir():
-            self._write(self._chip / "export", str(self._config.channel))
+        if not (self._channel / "enable").exists():
+            self._find()
         self._wait_until_writable()
         if self._number(self._channel / "period") != self._period_ns:
             # Older kernels refuse every write while the period is 0 or shorter than the pulse.
@@ -90,6 +102,41 @@ class PwmDriver:
 
     def close(self) -> None:
         """Nothing is held open; the pulses stay."""
+
+    def _find(self) -> None:
+        """Find chip and channel, and export the channel."""
+        self._chip = self._find_chip()
+        board = _BOARDS.get(_device(self._chip))
+        channel = self._config.channel
+        if channel is None:
+            if board is None:
+                says = f"{self._chip.name} is none of a Raspberry Pi: which channel has the servo?"
+                raise DriverError(says, ("pwm", "channel"))
+            channel = board.gpio18
+        if board is not None and channel < board.gpio18:
+            says = f"GPIO 18 is channel {board.gpio18} on a {board.board}, not {channel}: set it, or null"
+            raise DriverError(says, ("pwm", "channel"))
+        has = self._number(self._chip / "npwm")
+        if channel >= has:
+            raise DriverError(f"{self._chip.name} has {has} channels, from 0", ("pwm", "channel"))
+        self._channel = self._chip / f"pwm{channel}"
+        if not self._channel.is_dir():
+            self._write(self._chip / "export", str(channel))
+
+    def _find_chip(self) -> Path:
+        hint = "is dtoverlay=pwm-2chan in config.txt?"
+        if self._config.chip is None:
+            chips = sorted(self._sysfs.glob("pwmchip*"))
+            for chip in chips:
+                if _device(chip) in _BOARDS:
+                    return chip
+            seen = ", ".join(chip.name for chip in chips) or "no chip"
+            says = f"no PWM of a Raspberry Pi in {self._sysfs}, there is {seen}; {hint}"
+            raise DriverError(f"{says} Elsewhere set chip and channel", ("pwm", "chip"))
+        chip = self._sysfs / f"pwmchip{self._config.chip}"
+        if not chip.is_dir():
+            raise DriverError(f"{chip} does not exist; {hint}", ("pwm", "chip"))
+        return chip
 
     # -- files --
 
@@ -130,3 +177,12 @@ class PwmDriver:
         except (OSError, UnicodeDecodeError) as error:
             reason = getattr(error, "strerror", None) or str(error)
             raise DriverError(f"cannot read {path}: {reason}", ("pwm", "chip")) from None
+
+
+def _device(chip: Path) -> str:
+    """Name of the device that a chip belongs to, such as `1f00098000.pwm`; empty where it cannot be read."""
+    link = chip / "device"
+    try:
+        return os.path.basename(os.readlink(link) if link.is_symlink() else link.read_text().strip())
+    except (OSError, UnicodeDecodeError):
+        return ""

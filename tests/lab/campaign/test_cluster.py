@@ -13,11 +13,10 @@ from pathlib import Path
 import pytest
 
 from dart_flight.cli import main
+from dart_flight.config.packages import install_command
 from tests.lab.campaign.test_campaign import ROOT, rows, words
 
-distributed = pytest.importorskip(
-    "distributed", reason="needs Dask's distributed: pip install 'dart-flight[cluster]'"
-)
+distributed = pytest.importorskip("distributed", reason="needs Dask's distributed, the extra cluster")
 
 
 def spawn(*command: str) -> subprocess.Popen[bytes]:
@@ -133,4 +132,4 @@ def test_without_dask_the_extra_is_named(
 ) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
     assert main(words(tmp_path / "none", 2, "--scheduler", "tcp://127.0.0.1:9")) == 2
-    assert "pip install 'dart-flight[cluster]'" in capsys.readouterr().err
+    assert install_command("cluster") in capsys.readouterr().err

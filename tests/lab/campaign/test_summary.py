@@ -5,10 +5,12 @@ from __future__ import annotations
 import random
 import re
 import sys
+from html import escape
 from pathlib import Path
 
 import pytest
 
+from dart_flight.config.packages import install_command
 from dart_flight.config.vehicle import packaged
 from dart_flight.lab.campaign import campaign_folder as campaigns
 from dart_flight.lab.campaign.campaign_spec import CampaignSpec
@@ -101,7 +103,7 @@ def test_without_matplotlib_the_page_says_what_is_missing(
 ) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     page = campaign_page(summary)
-    assert "Not drawn: a picture needs matplotlib: pip install &#x27;dart-flight[report]&#x27;." in page
+    assert f"Not drawn: a picture needs matplotlib: {escape(install_command('report'))}." in page
     assert "<img" not in page
 
 

@@ -11,6 +11,7 @@ import pytest
 
 from dart_flight.base.records import Mode
 from dart_flight.cli import main
+from dart_flight.config.packages import install_command
 from dart_flight.config.vehicle import packaged
 from dart_flight.config.vehicle.airframe import Coefficients
 from dart_flight.config.vehicle.configuration import load_vehicle
@@ -377,7 +378,7 @@ def test_without_scipy(
 ) -> None:
     monkeypatch.setitem(sys.modules, "scipy.optimize", None)
     said = refused(capsys, str(folder / "hit_1.csv"))
-    assert "needs SciPy: pip install 'dart-flight[identify]'" in said
+    assert f"needs SciPy: {install_command('identify')}" in said
 
 
 # --- PX4 logs -------------------------------------------------------------------------------------------

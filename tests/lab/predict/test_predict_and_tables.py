@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from dart_flight.cli import main
+from dart_flight.config.packages import install_command
 from dart_flight.config.vehicle import Coefficients, packaged
 from dart_flight.config.vehicle.configuration import load_vehicle
 from dart_flight.contact.contact_map import drop
@@ -180,7 +181,7 @@ def test_plot_without_matplotlib_says_what_to_install(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib", None)
-    assert "pip install 'dart-flight[report]'" in refused(capsys, *WALL, "--plot", "x.png")
+    assert install_command("report") in refused(capsys, *WALL, "--plot", "x.png")
 
 
 # --- tables ---------------------------------------------------------------------------------------------

@@ -12,6 +12,7 @@ import pytest
 
 from dart_flight.cli import main
 from dart_flight.config.mission import Mission, load_mission
+from dart_flight.config.packages import install_command
 from dart_flight.config.vehicle import packaged
 from dart_flight.lab.figure_style import as_svg
 from dart_flight.lab.report.figures.mission_figure import mission_figure, prediction_lines
@@ -111,7 +112,7 @@ def test_check_says_what_a_picture_needs(
     assert main(["check", DUAL, "--plot", str(tmp_path / "mission.png")]) == 2
     error = capsys.readouterr().err
     assert error.count("\n") == 1
-    assert "pip install 'dart-flight[report]'" in error
+    assert install_command("report") in error
 
 
 def test_a_mission_of_way_points_shows_its_ways() -> None:

@@ -1,0 +1,26 @@
+"""What a vehicle that is not DART takes from another vehicle's file."""
+
+from __future__ import annotations
+
+from dart_flight.check.findings import CheckFinding
+from dart_flight.config.inherited import find_inherited
+from dart_flight.config.mission import Mission
+
+
+def check_inherited(mission: Mission) -> list[CheckFinding]:
+    """Return one remark that lists the inherited values, contradictions first; nothing without any."""
+    source = mission.vehicle_source
+    if source is None:
+        return []
+    found = find_inherited(mission.vehicle, source.source, source.set)
+    if found is None or not (found.keys or found.contradictions):
+        return []
+    parts = []
+    if found.contradictions:
+        groups = [f"{', '.join(keys)} (has {why})" for why, keys in found.contradictions.items()]
+        parts.append(f"{found.file} contradicts what it keeps of {found.base}: {'; '.join(groups)}")
+    if found.keys:
+        parts.append(f"kept of {found.base}, measure them: {', '.join(found.keys)}")
+    wrong = sum(len(keys) for keys in found.contradictions.values())
+    figures = {"inherited": float(len(found.keys)), "contradictions": float(wrong)}
+    return [CheckFinding("inherited", True, ". ".join(parts), remark=True, figures=figures)]

@@ -1,0 +1,125 @@
+"""Where a connected vehicle stands in the mission's frame, for the operator to compare with the room."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Final
+
+from dart_flight.base.geometry import MissionFrame, Quaternion, Vec2, Vec3, wrap_angle, yaw_ned_of
+from dart_flight.check.findings import CheckFinding
+from dart_flight.config.mission import Mission
+from dart_flight.core.mission.anchors import START_SD_M
+from dart_flight.core.mission.approach import is_blocked, is_post_in_the_way
+
+START_TOLERANCE_M: Final = 1.0  # a vehicle that is put down by hand stands nearer to the mission's start
+_FITS_DEG, _MISFITS_DEG = 15.0, 30.0  # of a heading that the vehicle has, and that it does not have
+_NEAR_RAD: Final = 0.01  # of 1.57 and 3.14, as people round them
+_SIDES: Final = ("ahead", "right", "behind", "left")
+
+
+def check_heading(mission: Mission) -> list[CheckFinding]:
+    """Return a remark where `frame.heading_deg` looks like an angle in radians, without a vehicle."""
+    given = mission.frame.heading_deg
+    eighths = round(given / (0.25 * math.pi))
+    if eighths == 0 or abs(eighths) > 8 or abs(given - eighths * 0.25 * math.pi) > _NEAR_RAD:
+        return []
+    says = f"frame.heading_deg is {given:g}, which is {45 * eighths} deg in radians: degrees are expected"
+    return [CheckFinding("heading", True, says, remark=True)]
+
+
+def judge_place(
+    mission: Mission, position_ned: Vec3 | None, q_frd_to_ned: Quaternion | None
+) -> list[CheckFinding]:
+    """Judge where the vehicle stands before it takes off: start, walls, heading.
+
+    Args:
+        mission: what it is to fly.
+        position_ned, q_frd_to_ned: of the vehicle as PX4 reports them; None: not reported.
+    """
+    if position_ned is None or q_frd_to_ned is None:
+        return []
+    frame = mission.frame_at(position_ned)
+    x, y, _ = frame.point_from_ned(position_ned)
+    place, yaw_ned = (x, y), yaw_ned_of(q_frd_to_ned)
+    off_m = math.dist(place, mission.start)
+    heading_deg = math.degrees(yaw_ned) % 360.0
+    figures = {"x_m": x, "y_m": y, "heading_deg": heading_deg, "start_offset_m": off_m}
+    says = f"vehicle at ({x:.2f}, {y:.2f}) of the mission's frame, {off_m:.2f} m from start, "
+    says += f"heading {heading_deg:.0f} deg"
+    for name, distance_m, bearing_deg, side in _surroundings(mission, frame, place, yaw_ned):
+        says += f"; {name} {distance_m:.2f} m at {bearing_deg:.0f} deg ({side})"
+        figures |= {f"{name}_distance_m": distance_m, f"{name}_bearing_deg": bearing_deg}
+    wrong = list(_wrong(mission, place, off_m))
+    if wrong:
+        says = f"{'; '.join(wrong)}: check frame, normals and where the vehicle stands. {says}"
+    behind = list(_walls_seen_from_behind(mission, place))
+    if behind:
+        says += f"; it is behind the face of wall {', '.join(behind)}: is that normal turned round?"
+    doubtful = not wrong and (off_m > START_SD_M or bool(behind))
+    return [
+        CheckFinding("place", not wrong, says, remark=doubtful, figures=figures),
+        *_judge_heading(mission, heading_deg),
+    ]
+
+
+def _surroundings(
+    mission: Mission, frame: MissionFrame, place: Vec2, yaw_ned: float
+) -> Iterator[tuple[str, float, float, str]]:
+    """Yield every wall's and post's surface: name, distance, bearing in degrees, side of the vehicle.
+
+    The surface and not the plane of the centre at first touch: a tape measure finds it, and shows a
+    forgotten `given_at: surface`.
+    """
+    to_surface_m = mission.vehicle.airframe.contact_distance_m
+    points = [
+        (f"wall {wall.name}", wall.moved(-to_surface_m).foot(place), 0.0)
+        for wall in mission.walls
+        if not wall.sought and not wall.post_radius_m
+    ]
+    points += [(f"post {post.name}", post.centre, post.radius_m) for post in mission.posts]
+    for name, point, radius_m in points:
+        dx, dy = point[0] - place[0], point[1] - place[1]
+        bearing = frame.yaw_to_ned(math.atan2(dy, dx))
+        side = _SIDES[round(wrap_angle(bearing - yaw_ned) / (0.5 * math.pi)) % 4]
+        yield name, math.hypot(dx, dy) - radius_m, math.degrees(bearing) % 360.0, side
+
+
+def _wrong(mission: Mission, place: Vec2, off_m: float) -> Iterator[str]:
+    """Yield the reasons not to take off from a place, in words."""
+    excess_m = mission.bounds.excess2(place)
+    if excess_m > 0.0:
+        yield f"vehicle is {excess_m:.2f} m outside of bounds_m"
+    if off_m > START_TOLERANCE_M:
+        yield f"vehicle is {off_m:.2f} m from start, allowed are {START_TOLERANCE_M:g} m"
+    for wall in mission.walls:
+        if not wall.sought and is_blocked(wall, place, mission.start):
+            behind = wall.signed_distance(place) < 0.0 < wall.signed_distance(mission.start)
+            side = "behind" if behind else "too near to or cut off by"
+            yield f"vehicle is {side} wall {wall.name}"
+    for post in mission.posts:
+        if is_post_in_the_way(mission, post, place, mission.start):
+            yield f"post {post.name} stands between vehicle and start"
+
+
+def _walls_seen_from_behind(mission: Mission, place: Vec2) -> Iterator[str]:
+    """Yield the walls whose back the vehicle looks at, although no later hit explains that."""
+    later = {collision.wall.name for collision in mission.collisions[1:]}
+    for wall in mission.walls:
+        if wall.name not in later and wall.spans(place) and wall.signed_distance(place) < 0.0:
+            yield wall.name
+
+
+def _judge_heading(mission: Mission, heading_deg: float) -> Iterator[CheckFinding]:
+    given = mission.frame.heading_deg
+    in_radians = math.degrees(given)
+    if 0.0 < abs(given) <= 2.0 * math.pi and (
+        _apart_deg(heading_deg, in_radians) < _FITS_DEG and _apart_deg(heading_deg, given) > _MISFITS_DEG
+    ):
+        says = f"frame.heading_deg {given:g} looks like radians: the vehicle heads {heading_deg:.0f} deg, "
+        says += f"and {given:g} rad are {in_radians % 360.0:.0f} deg"
+        yield CheckFinding("heading", False, says)
+
+
+def _apart_deg(a: float, b: float) -> float:
+    return abs((a - b + 180.0) % 360.0 - 180.0)

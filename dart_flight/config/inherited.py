@@ -1,0 +1,166 @@
+"""What an own vehicle file leaves as another vehicle has it: listed by `check`, contradictions marked."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+from dart_flight.config.document import Document, InputError
+from dart_flight.config.file_kinds import EXTENDS
+from dart_flight.config.vehicle import VehicleConfig, load_vehicle, packaged
+
+_SAME: Final = 0.1  # relative: two values this near count as the same
+_SIZE: Final = ("airframe.arm_x_m", "airframe.arm_y_m", "airframe.motors")
+_TURNING: Final = ("airframe.mass_kg", "airframe.inertia_kg_m2", "thrust.full_n", *_SIZE)
+LOCK: Final = "lock"
+
+# What each vehicle has of its own -> the keys that it follows from.
+FOLLOWS_FROM: Final[Mapping[str, tuple[str, ...]]] = {
+    "airframe.mass_kg": (),
+    "airframe.contact_distance_m": _SIZE,
+    "airframe.guard_along_m": ("airframe.contact_distance_m", *_SIZE),
+    "airframe.inertia_kg_m2": ("airframe.mass_kg", *_SIZE),
+    "airframe.arm_x_m": ("airframe.motors",),
+    "airframe.arm_y_m": ("airframe.motors",),
+    "airframe.yaw_torque_per_thrust_m": (),
+    "airframe.drag_per_s": (),
+    "thrust.full_n": ("thrust.table",),
+    "thrust.model_factor": ("thrust.table",),
+    "thrust.motor_lag_s": (),
+    "imu.full_scale_m_s2": (),
+    "imu.position_m": (),
+    "estimation.thrust_error_n": ("airframe.mass_kg",),
+    "estimation.baseline_limit_n": ("airframe.mass_kg",),
+    "estimation.battery.reference_v": (),
+    "estimation.arm_vibration": (LOCK,),
+    "detection.force_threshold_n": ("airframe.mass_kg",),
+    "guard.battery_v": ("estimation.battery.reference_v",),
+    "px4.MC_ROLLRATE_P": _TURNING,
+    "px4.MC_PITCHRATE_P": _TURNING,
+    "px4.MC_YAWRATE_P": _TURNING,
+    "simulation.arm_vibration": (LOCK,),
+    "simulation.battery_v": ("estimation.battery.reference_v",),
+    "simulation.contact.guard_out_m": ("airframe.contact_distance_m",),
+    "simulation.contact.guard_along_m": ("airframe.guard_along_m",),
+}
+_MATERIALS: Final = "materials."
+_SAYS_WHICH_VEHICLE: Final = ("airframe.mass_kg", "airframe.contact_distance_m", LOCK, *_SIZE)
+
+
+class Inherited(NamedTuple):
+    """What an own vehicle file leaves as another has it.
+
+    Attributes:
+        file, base: the vehicle's own file, and the one whose values it keeps.
+        keys: with their values, in words.
+        contradictions: other kept keys, which follow from a value that this vehicle has otherwise; by that
+            value, in words.
+    """
+
+    file: str
+    base: str
+    keys: tuple[str, ...]
+    contradictions: dict[str, list[str]]
+
+
+def find_inherited(
+    vehicle: VehicleConfig, file: str | None, settings: Sequence[str] = ()
+) -> Inherited | None:
+    """Return what a vehicle takes from the packaged one, or from what its file extends.
+
+    Args:
+        vehicle: the whole configuration.
+        file: where it came from; None: built in Python.
+        settings: `KEY=VALUE` that `--set` gave beside the file.
+
+    Returns:
+        None: it is a packaged vehicle, or the same one with other settings.
+    """
+    found = None if file is None else _given_and_base(Path(file))
+    if file is None or found is None:
+        return None
+    given, base_path = found
+    given |= {setting.partition("=")[0].strip() for setting in settings}
+    own, base = _values(vehicle), _values(load_vehicle(base_path))
+    if not any(_differ(own.get(key), base.get(key)) for key in _SAYS_WHICH_VEHICLE):
+        return None
+    kept: list[str] = []
+    contradictions: dict[str, list[str]] = {}
+    materials = {f"{_MATERIALS}{name}": ("airframe.mass_kg", LOCK) for name in vehicle.materials}
+    for key, follows in {**FOLLOWS_FROM, **materials}.items():
+        value = own.get(key)
+        if value is None or value != base.get(key) or _is_given(key, given):
+            continue
+        text = key if key.startswith(_MATERIALS) else f"{key} {_short(value)}"
+        reason = next((k for k in follows if _differ(own.get(k), base.get(k))), None)
+        if reason is None:
+            kept.append(text)
+        else:
+            there, here = _short(base.get(reason)), _short(own.get(reason))
+            contradictions.setdefault(f"{reason} {here} instead of {there}", []).append(text)
+    return Inherited(file, base_path.name, tuple(kept), contradictions)
+
+
+def _given_and_base(path: Path) -> tuple[set[str], Path] | None:
+    """The keys that a file gives itself, and the file that the rest comes from; None: a packaged one."""
+    document = Document.load(path)
+    try:
+        original = packaged("configs", path.name)
+    except InputError:
+        base = document.tree.get(EXTENDS)
+        if isinstance(base, str):
+            return set(_leaves(document.tree)), path.parent / base
+        original = packaged("configs", "dart.yaml")
+    # A copy that was edited: what is as in the packaged file was not given.
+    leaves, known = _leaves(document.tree), _leaves(Document.load(original).tree)
+    given = {key for key, value in leaves.items() if value != known.get(key)}
+    return (given, original) if given else None
+
+
+def _leaves(tree: Mapping[str, Any], above: str = "") -> dict[str, Any]:
+    return dict(_walk(tree, above))
+
+
+def _walk(tree: Mapping[str, Any], above: str) -> Iterator[tuple[str, Any]]:
+    for key, value in tree.items():
+        if isinstance(value, dict):
+            yield from _walk(value, f"{above}{key}.")
+        else:
+            yield f"{above}{key}", value
+
+
+def _values(vehicle: VehicleConfig) -> dict[str, Any]:
+    """By the keys of `FOLLOWS_FROM` and of materials."""
+    tree = vehicle.to_dict()
+    values: dict[str, Any] = {LOCK: "servo" if vehicle.has_lock else "none"}
+    for key in {key for row in FOLLOWS_FROM.items() for key in (row[0], *row[1])} - {LOCK}:
+        value: Any = tree
+        for part in key.split("."):
+            value = value.get(part) if isinstance(value, dict) else None
+        values[key] = value
+    values |= {f"{_MATERIALS}{name}": material["rigid"] for name, material in tree["materials"].items()}
+    return values
+
+
+def _is_given(key: str, given: set[str]) -> bool:
+    return any(one == key or one.startswith(f"{key}.") or key.startswith(f"{one}.") for one in given)
+
+
+def _differ(a: Any, b: Any) -> bool:
+    """Whether two values differ by more than a measurement of the same thing would."""
+    if isinstance(a, int | float) and isinstance(b, int | float):
+        return abs(a - b) > _SAME * max(abs(a), abs(b))
+    if isinstance(a, Sequence) and isinstance(b, Sequence) and len(a) == len(b) and not isinstance(a, str):
+        return any(_differ(x, y) for x, y in zip(a, b, strict=True))
+    if isinstance(a, dict) and isinstance(b, dict) and a.keys() == b.keys():
+        return any(_differ(a[key], b[key]) for key in a)
+    return bool(a != b)
+
+
+def _short(value: Any) -> str:
+    if isinstance(value, dict):
+        return "of unlocked arms" if "damping_ratio" in value else "of another vehicle"
+    if isinstance(value, list | tuple):
+        return f"of {len(value)} motors" if value and isinstance(value[0], dict) else f"{list(value)}"
+    return f"{value:g}" if isinstance(value, int | float) else str(value)

@@ -1,0 +1,39 @@
+"""The advice where an optional package is missing: one command, and it keeps to constraints.txt."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Final
+
+from dart_flight.config.document import InputError, Key
+
+_CHECKOUT: Final = Path(__file__).resolve().parents[2]
+IN_FULL: Final = ("sim", "identify", "report", "live", "plan")  # what `make install` installs
+
+
+def missing_package(what: str, extra: str, *, source: str = "", key: Key = ()) -> InputError:
+    """Return the error that names a missing package and the command that installs it.
+
+    Args:
+        what: what needs which package, such as "a picture needs matplotlib".
+        extra: that pyproject.toml lists the package under.
+        source, key: of the input that asked for it.
+    """
+    return InputError(f"{what}: {install_command(extra)}", source=source, key=key)
+
+
+def install_command(extra: str, checkout: Path = _CHECKOUT) -> str:
+    """Return the command that installs an extra with the versions of constraints.txt, in words.
+
+    Args:
+        extra: of pyproject.toml.
+        checkout: where the package's source lies; an installed wheel has none.
+    """
+    is_checkout = (checkout / "Makefile").is_file() and (checkout / "constraints.txt").is_file()
+    if is_checkout and extra in IN_FULL and Path(sys.prefix).resolve() == (checkout / ".venv").resolve():
+        where = "" if checkout == Path.cwd().resolve() else f" -C {checkout}"
+        return f"make{where} install"
+    editable = "-e " if is_checkout else ""
+    command = f"{sys.executable} -m pip install -c constraints.txt {editable}'.[{extra}]'"
+    return f"{command} in {checkout if is_checkout else 'the checkout that it was installed from'}"
