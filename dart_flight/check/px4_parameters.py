@@ -12,6 +12,7 @@ from dart_flight.check.findings import CheckFinding
 from dart_flight.config.mission import Mission
 from dart_flight.config.parameter_file import (
     Parameter,
+    ParameterDifference,
     PositionSource,
     Version,
     differences,
@@ -24,6 +25,8 @@ _NO_TERMINATION = 121212  # CBRK_FLIGHTTERM: PX4's magic number for "off"
 _OVERRIDE_IN_OFFBOARD = 2  # bit 1 of COM_RC_OVERRIDE
 _HORIZONTAL = 1  # bit 0 of EKF2_EV_CTRL and of EKF2_GPS_CTRL
 _RTK_FIX = "rtk_fixed"
+_POSE_DELAY = "EKF2_EV_DELAY"
+_POSE_DELAY_TOLERANCE_MS = 30.0
 
 
 _LOSS_ACTIONS = {
@@ -218,6 +221,8 @@ def judge_parameters(
         if go and difference is not None:
             says += f"; recommended {difference.wanted:g}, not {difference.actual:g}: {difference.reason}"
         findings.append(CheckFinding(name, go, says, remark=go and difference is not None))
+    if source is PositionSource.MOCAP and _POSE_DELAY in values:
+        findings.append(_judge_pose_delay(mission, values[_POSE_DELAY], different.pop(_POSE_DELAY, None)))
     findings += _judge_gains(mission, values)
     findings += _judge_imu_position(mission, values)
     findings += [CheckFinding(d.name, True, d.line(), remark=True) for d in different.values()]
@@ -246,6 +251,25 @@ def _judge_gains(mission: Mission, values: Mapping[str, float]) -> list[CheckFin
             says = f"{actual:g} on the vehicle, {configured:g} in the configuration: recoveries go elsewhere"
             findings.append(CheckFinding(name, False, says))
     return findings
+
+
+def _judge_pose_delay(
+    mission: Mission, delay_ms: float, difference: ParameterDifference | None
+) -> CheckFinding:
+    """How old PX4 takes a pose to be, against what was measured; unknown, `difference` says what is usual."""
+    measured_ms = mission.vehicle.mocap.delay_ms
+    if measured_ms is None:
+        says = f"{delay_ms:g} ms" if difference is None else difference.line()
+        says += "; mocap.delay_ms is not known: measure how old a pose is when it reaches PX4, and set both"
+        return CheckFinding(_POSE_DELAY, True, says, remark=True)
+    apart_ms = abs(delay_ms - measured_ms)
+    says = f"{delay_ms:g} ms on the vehicle, {measured_ms:g} ms in mocap.delay_ms"
+    if apart_ms > _POSE_DELAY_TOLERANCE_MS:
+        says += (
+            f": {apart_ms:g} ms apart, allowed {_POSE_DELAY_TOLERANCE_MS:g} ms, and the position estimate "
+            f"swings; set {_POSE_DELAY} to {measured_ms:g}"
+        )
+    return CheckFinding(_POSE_DELAY, apart_ms <= _POSE_DELAY_TOLERANCE_MS, says)
 
 
 def _judge_imu_position(mission: Mission, values: Mapping[str, float]) -> list[CheckFinding]:

@@ -9,6 +9,8 @@ from pathlib import Path
 
 import msgspec
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from dart_flight.base.motor_outputs import DSHOT, PWM, OutputScale
 from dart_flight.base.records import Record, TruthContact, TruthSample
@@ -53,6 +55,12 @@ DUAL = (ROOT / "missions/paper_dual_collision.yaml").read_text()
 def mission(old: str = "", new: str = "") -> Mission:
     assert old in DUAL
     return parse_mission(Document(DUAL.replace(old, new, 1), str(ROOT / "missions/x.yaml")))
+
+
+def mocap_mission(delay_ms: float | None = 10.0) -> Mission:
+    """The mission of a vehicle whose motion capture has been measured."""
+    plain = mission()
+    return msgspec.structs.replace(plain, vehicle=plain.vehicle.replace({"mocap.delay_ms": delay_ms}))
 
 
 def no_goes(findings: list[CheckFinding]) -> list[str]:
@@ -153,10 +161,10 @@ def remarks(findings: list[CheckFinding]) -> list[str]:
 
 
 def test_a_vehicle_set_up_by_our_files_is_go_without_a_remark() -> None:
-    findings = judge_parameters(mission(), GOOD, PositionSource.MOCAP)
+    findings = judge_parameters(mocap_mission(), GOOD, PositionSource.MOCAP)
     assert not no_goes(findings)
     assert not remarks(findings)
-    assert set(PARAMETERS) - {"MAN_OVERRIDE_SPD"} == {f.item for f in findings}
+    assert (set(PARAMETERS) - {"MAN_OVERRIDE_SPD"}) | {"EKF2_EV_DELAY"} == {f.item for f in findings}
     assert all(len(f.says.split()) >= 3 for f in findings)
 
 
@@ -170,7 +178,7 @@ def test_a_vehicle_of_a_version_that_has_renamed_and_dropped_parameters_is_go(
     version: tuple[int, int] | None,
 ) -> None:
     """v1.18 has MAN_OVERRIDE_SPD instead of COM_RC_OVERRIDE, no COM_IMB_PROP_ACT, no COM_LKDOWN_TKO."""
-    findings = judge_parameters(mission(), NEWER, PositionSource.MOCAP, version)
+    findings = judge_parameters(mocap_mission(), NEWER, PositionSource.MOCAP, version)
     assert not no_goes(findings)
     assert not remarks(findings)
     assert {"MAN_OVERRIDE_SPD"} == {f.item for f in findings} - set(GOOD)
@@ -206,7 +214,7 @@ def test_a_parameter_that_the_version_has_and_that_was_not_read_is_a_no_go(name:
     ],
 )
 def test_a_dangerous_parameter_is_a_no_go(name: str, value: float) -> None:
-    findings = judge_parameters(mission(), {**GOOD, name: value}, PositionSource.MOCAP)
+    findings = judge_parameters(mocap_mission(), {**GOOD, name: value}, PositionSource.MOCAP)
     assert no_goes(findings) == [name]
     assert [f.item for f in findings].count(name) == 1
 
@@ -215,7 +223,6 @@ def test_a_dangerous_parameter_is_a_no_go(name: str, value: float) -> None:
     ("name", "value", "words"),
     [
         ("COM_FAIL_ACT_T", 5.0, "COM_FAIL_ACT_T is 5, wanted 0: Land at once"),
-        ("EKF2_EV_DELAY", 40.0, "wanted 10: Measure yours"),
         ("EKF2_GPS_CTRL", 7.0, "wanted 0: No GPS in the room"),
         (
             "COM_OBL_RC_ACT",
@@ -227,12 +234,45 @@ def test_a_dangerous_parameter_is_a_no_go(name: str, value: float) -> None:
     ],
 )
 def test_another_difference_is_a_remark_with_the_files_reason(name: str, value: float, words: str) -> None:
-    findings = judge_parameters(mission(), {**GOOD, name: value}, PositionSource.MOCAP)
+    findings = judge_parameters(mocap_mission(), {**GOOD, name: value}, PositionSource.MOCAP)
     assert not no_goes(findings)
     assert remarks(findings) == [name]
     says = next(f.says for f in findings if f.item == name)
     assert words in says
     assert vehicle_parameters(PositionSource.MOCAP)[name].reason in says
+
+
+def _delay_finding(actual_ms: float, measured_ms: float | None) -> CheckFinding:
+    findings = judge_parameters(
+        mocap_mission(measured_ms), {**GOOD, "EKF2_EV_DELAY": actual_ms}, PositionSource.MOCAP
+    )
+    (found,) = (f for f in findings if f.item == "EKF2_EV_DELAY")
+    return found
+
+
+@given(st.floats(0.0, 300.0), st.floats(0.0, 300.0))
+def test_a_pose_delay_far_from_the_measured_one_is_a_no_go(actual_ms: float, measured_ms: float) -> None:
+    found = _delay_finding(actual_ms, measured_ms)
+    assert found.go is (abs(actual_ms - measured_ms) <= 30.0)
+    assert not found.remark
+    if not found.go:
+        assert "allowed 30 ms" in found.says
+        assert f"set EKF2_EV_DELAY to {measured_ms:g}" in found.says
+
+
+@pytest.mark.parametrize(("actual_ms", "words"), [(10.0, "10 ms;"), (150.0, "wanted 10: Measure yours")])
+def test_a_pose_delay_that_nobody_has_measured_is_a_remark(actual_ms: float, words: str) -> None:
+    found = _delay_finding(actual_ms, None)
+    assert found.go
+    assert found.remark
+    assert words in found.says
+    assert "mocap.delay_ms is not known" in found.says
+
+
+@pytest.mark.parametrize("source", [PositionSource.RTK, PositionSource.PLAIN, None])
+def test_the_pose_delay_does_not_matter_without_motion_capture(source: PositionSource | None) -> None:
+    findings = judge_parameters(mocap_mission(), {**GOOD, "EKF2_EV_DELAY": 300.0}, source)
+    assert "EKF2_EV_DELAY" not in {f.item for f in findings}
 
 
 def test_the_imus_place_is_compared_with_the_configuration() -> None:

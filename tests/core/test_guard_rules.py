@@ -1,6 +1,7 @@
 """The table of the guard's rules: each fires on its cause, and not once it is taken out of the table."""
 
 import inspect
+import math
 import random
 import re
 from collections.abc import Callable, Mapping
@@ -256,6 +257,19 @@ def position_uncertain(c: HandFedCore) -> None:
     c.to_flight()
     c.give(EstimatorSample(c.t_us, c.t_us, healthy=True, position_sd_m=0.23))
     c.run(0.1)
+
+
+@cause
+def position_delayed(c: HandFedCore) -> None:
+    """The vehicle goes up and down; its velocity is estimated as with EKF2_EV_DELAY 0.15 s too long."""
+    c.to_flight()
+    mass_kg = c.core.mission.vehicle.airframe.mass_kg
+    for tick in range(750):
+        t_s = 0.004 * tick
+        c.force_ned = (0.0, 0.0, mass_kg * math.sin(4.0 * t_s))
+        pull = 0.75 * 0.15 * math.sin(4.0 * (t_s - 0.45))
+        c.velocity_ned = (0.0, 0.0, -math.cos(4.0 * t_s) / 4.0 + pull)
+        c.run(0.004)
 
 
 @cause
@@ -549,6 +563,25 @@ def test_a_rule_fires_on_its_cause_and_says_so(rule: Rule) -> None:
     elif rule.action is not Override.GIVE_UP:
         assert c.core.override is rule.action
         assert c.core.phase in (Phase.OVERRULED, Phase.DONE)
+
+
+def test_a_delayed_position_is_said_with_its_number_and_what_to_do() -> None:
+    c = HandFedCore()
+    CAUSES["position_delayed"](c)
+    (event,) = fired(c)
+    found = re.fullmatch(
+        r"the position estimate runs about (\d+) ms ahead of the IMU, allowed 50 ms: check EKF2_EV_DELAY",
+        event.detail,
+    )
+    assert found is not None
+    assert 100 < int(found[1]) < 200
+
+
+def test_a_vehicle_without_the_limit_is_not_judged_by_the_delay() -> None:
+    """As its log was flown, from before there was the rule."""
+    c = HandFedCore(settings={"vehicle.guard.position_delay_s": None})
+    CAUSES["position_delayed"](c)
+    assert not fired(c)
 
 
 def test_a_lock_that_lies_is_only_noted_where_the_mission_goes_on() -> None:

@@ -22,6 +22,7 @@ from dart_flight.config.vehicle.autopilot import ConnectionConfig, Px4Parameters
 from dart_flight.config.vehicle.estimation import Detection, Estimation
 from dart_flight.config.vehicle.flying import Flying, GuardThresholds
 from dart_flight.config.vehicle.lock_config import NO_LOCK, LockConfig, LockDriver
+from dart_flight.config.vehicle.mocap import MotionCapture
 from dart_flight.config.vehicle.simulation import Simulation
 
 
@@ -50,6 +51,7 @@ class VehicleConfig(Section, frozen=True, kw_only=True):
     flying: Flying
     lock: LockConfig | None = None
     connection: ConnectionConfig
+    mocap: MotionCapture = MotionCapture()
     px4: Px4Parameters
     simulation: Simulation
 

@@ -42,6 +42,8 @@ class GuardThresholds(Section, frozen=True):
         telemetry_late_s: samples older than this when they come: do not take off, or land.
         position_sd_m: standard deviation of the horizontal position by PX4's own estimator: with more a
             mission with walls does not take off, or lands.
+        position_delay_s: the position estimate runs further ahead of the IMU, or behind it: break off; null:
+            not judged.
     """
 
     stream_timeout_s: Seconds
@@ -72,6 +74,7 @@ class GuardThresholds(Section, frozen=True):
     deadman_s: Annotated[float, Meta(ge=0.1, le=2.0)]
     telemetry_late_s: Seconds = 0.075
     position_sd_m: Metres = 0.1
+    position_delay_s: Seconds | None = None
 
 
 class Flying(Section, frozen=True):

@@ -221,6 +221,17 @@ def _position_uncertain(v: FlightConditions) -> str | None:
     return f"standard deviation {sd:.2f} m, allowed {limit:.2f}"
 
 
+def _position_delayed(v: FlightConditions) -> str | None:
+    ahead_s, limit_s = v.state.position_ahead_s, v.config.position_delay_s
+    if ahead_s is None or limit_s is None or abs(ahead_s) <= limit_s:
+        return None
+    way = "ahead of" if ahead_s > 0.0 else "behind"
+    return (
+        f"the position estimate runs about {abs(ahead_s) * 1e3:.0f} ms {way} the IMU, allowed "
+        f"{limit_s * 1e3:.0f} ms: check EKF2_EV_DELAY"
+    )
+
+
 def _estimator_flags(v: FlightConditions) -> str | None:
     lasting = v.lasting_s(v.flags_bad_since_us)
     return f"no valid estimate for {lasting:.1f} s" if lasting > v.config.estimator_bad_s else None
@@ -378,6 +389,8 @@ RULES: tuple[Rule, ...] = (
          "guard.estimator_bad_s, guard.impact_window_s", _LAND, _AIR, _estimator_flags),
     Rule("position_uncertain", "PX4 itself is not sure enough of its position to fly at walls",
          "guard.position_sd_m", _LAND, _GUIDED, _position_uncertain, noted=True),
+    Rule("position_delayed", "the position estimate runs ahead of the IMU's motion, or behind it",
+         "guard.position_delay_s", _BREAK_OFF, _FLYING, _position_delayed),
     Rule("battery", "the battery is low", "guard.battery_remaining, guard.battery_v, guard.battery_low_s",
          _LAND, _AIR, _battery),
     Rule("still_armed", "in PX4's land mode and still armed long after touchdown was due",

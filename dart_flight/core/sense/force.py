@@ -39,6 +39,7 @@ class ForceEstimator:
         turning: rate and angular acceleration of the newest sample.
         attitude: that the newest estimate was made with, body FRD to NED; None where there was none.
         thrust_n: that the newest estimate took off.
+        felt_mission_n: specific force times mass of the newest estimate, hover bias taken off, mission frame.
     """
 
     def __init__(self, vehicle: VehicleConfig) -> None:
@@ -54,6 +55,7 @@ class ForceEstimator:
         self.turning = AngularMotion()
         self.attitude: Quaternion | None = None
         self.thrust_n = 0.0
+        self.felt_mission_n: Vec3 = (0.0, 0.0, 0.0)
         at = vehicle.imu.position_m
         self._imu_at = at if any(at) else None
         self._thrust_variance = e.thrust_error_n**2
@@ -115,8 +117,11 @@ class ForceEstimator:
         v, b = state.velocity, self._drag
         drag = (m * b[0] * v[0], m * b[1] * v[1], m * b[2] * v[2])
         up = (-(down_n * c + down_e * s), -(down_n * s - down_e * c), down_d)
-        push = (thrust_n * up[0] - drag[0], thrust_n * up[1] - drag[1])
-        force = (n * c + e * s + drag[0], n * s - e * c + drag[1], -d + drag[2])
+        tx, ty, tz = thrust_n * up[0], thrust_n * up[1], thrust_n * up[2]
+        push = (tx - drag[0], ty - drag[1])
+        n, e = n * c + e * s, n * s - e * c
+        self.felt_mission_n = (n + tx, e + ty, tz - d)
+        force = (n + drag[0], e + drag[1], -d + drag[2])
         if self._arms is not None:
             force = self._still(self._arms, force, state, dt_s)
         clip, noise = self._clip, m * hover.noise_m_s2

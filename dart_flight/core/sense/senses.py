@@ -29,6 +29,7 @@ from dart_flight.core.sense.contact_height import ContactHeight
 from dart_flight.core.sense.detector import Event, ExpectedContact, ImpactDetector
 from dart_flight.core.sense.force import ForceEstimator
 from dart_flight.core.sense.incidence import ContactSample, ContactSampleBuffer, IncidenceEstimator
+from dart_flight.core.sense.position_delay import PositionDelay
 from dart_flight.core.sense.state import FlightState
 from dart_flight.core.sense.torque import TorqueEstimator
 from dart_flight.core.sense.wall_estimator import WallEstimator
@@ -82,6 +83,7 @@ class Senses:
         body: how they meet the body.
         walls: what they say of the walls and of the arms.
         height: of their force above the centre of mass.
+        delay: how far the position estimate runs ahead of the IMU.
     """
 
     def __init__(self, mission: Mission) -> None:
@@ -93,6 +95,8 @@ class Senses:
         self.body = IncidenceEstimator(mission.vehicle, self._samples)
         self.walls = WallEstimator(mission.vehicle, self._samples)
         self.height = ContactHeight(mission.vehicle.airframe.contact_distance_m, self._samples)
+        window_s = mission.vehicle.guard.impact_window_s
+        self.delay = PositionDelay(mission.vehicle.airframe.mass_kg, window_s)
 
     def update(self, item: Input, expected: ExpectedContact) -> Sensed:
         """Take one input, knowing what contact the mission expects; returns what that teaches."""
@@ -104,7 +108,8 @@ class Senses:
             if state.take_attitude(item):
                 estimator.take_attitude(item)
         elif isinstance(item, OdometrySample):
-            state.take_odometry(item)
+            if state.take_odometry(item):
+                self._compare_velocity(item.t_us)
         elif isinstance(item, ActuatorSample):
             state.take_actuator(item)
             estimator.thrust.take_actuator(item)
@@ -129,6 +134,13 @@ class Senses:
             state.take_result(item)
         return _TOUCHING if self.detector.in_contact else _NOTHING
 
+    def _compare_velocity(self, t_us: int) -> None:
+        state, delay = self.state, self.delay
+        if self.detector.in_contact:
+            delay.disturb(t_us)
+        delay.take_odometry(t_us, state.velocity)
+        state.position_ahead_s = delay.ahead_s
+
     def _feel(self, item: ImuSample, expected: ExpectedContact) -> Sensed:
         state, estimator, detector = self.state, self.estimator, self.detector
         touching = detector.in_contact
@@ -142,6 +154,7 @@ class Senses:
         )
         if estimate is None:
             return Sensed(in_contact=touching)
+        self.delay.take_imu(item.t_us, estimator.felt_mission_n)
         slow = detector.slow_force.value
         impacts = detector.update(estimate, item.received_us, state, expected)
         body = wall = None

@@ -19,6 +19,7 @@ from dart_flight.config.document import InputError, unknown_name
 from dart_flight.lock.drivers.mock import MockFaults
 from dart_flight.lock.servo import ServoFaults
 from dart_flight.sim.cascade import TrajectorySetpoint
+from dart_flight.sim.delayed_filter import DelayedEstimator
 from dart_flight.sim.faults.impairment import Impairment
 from dart_flight.sim.simulated_vehicle import SimulatedVehicle
 
@@ -94,6 +95,15 @@ KINDS: tuple[FaultKind, ...] = (
         30.0,
         -180.0,
         180.0,
+    ),
+    FaultKind(
+        "ev-delay",
+        _P.AUTOPILOT,
+        "PX4 believes a pose of the motion capture to be this old when it arrives (EKF2_EV_DELAY)",
+        "ms",
+        150.0,
+        0.0,
+        300.0,
     ),
     FaultKind("clock-back", _P.AUTOPILOT, "the autopilot's clock goes back", "s", 5.0, 0.0, 1000.0),
     FaultKind("low-battery", _P.AUTOPILOT, "charge left", "%", 10.0, 0.0, 100.0),
@@ -267,6 +277,11 @@ class VehicleFault:
         self._autopilot.estimator.turn(math.radians(self._fault.value))
 
     # -- autopilot --
+
+    def _begin_ev_delay(self) -> None:
+        a = self._autopilot
+        if a.gps is None:  # else there is no motion capture
+            a.estimator = DelayedEstimator(a.estimator, a.now_s, self._fault.value * 1e-3)
 
     def _begin_clock_back(self) -> None:
         self._autopilot.plant.time_offset_us -= round(self._fault.value * 1e6)

@@ -1,0 +1,195 @@
+"""How far PX4's position estimate runs ahead of the IMU, or behind it.
+
+PX4 assumes that a pose of the motion capture is as old as EKF2_EV_DELAY. If that is wrong by d, the estimate
+follows where the vehicle will be d later, or was d earlier. Each acceleration then pulls the estimated
+velocity away from what the IMU measures, by about d times the acceleration. The pull comes some 0.45 s later,
+because the filter runs behind the present and its output follows slowly. A regression of the pull on that
+acceleration finds d.
+
+    e = v_odometry - integral of the specific force and gravity,   z = acceleration from 0.6 s to 0.3 s ago
+    d = covariance of e and z / variance of z
+
+Accelerometer bias and attitude errors make e drift. e and z pass the same high-pass filter, which makes a
+steady drift a constant, and a covariance is blind to that.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from typing import Final
+
+from dart_flight.base.geometry import GRAVITY_M_S2, Vec3
+
+_STEP_US: Final = 50_000  # slow against the IMU, quick against the estimate's swing
+_NEAR, _FAR = 6, 12  # steps: the acceleration is the mean from 0.6 s to 0.3 s ago
+_HIGH_PASS_S: Final = 0.5
+_MEMORY_S: Final = 4.0  # of the sums: one manoeuvre
+_RECENT: Final = 16  # IMU samples: odometry comes no later than this behind them
+_IMU_GAP_S: Final = 0.05
+_ODOMETRY_GAP_S: Final = 0.15
+_JUMP_M_S: Final = 0.15  # in one step: a reset of the estimate, which other rules judge
+# The pose pulls the output through two filters: the regression finds this share of the delay.
+_SHARE: Final = 0.75
+# With less acceleration in memory, (m/s2)^2 s, or a lower correlation than this nothing is concluded.
+_MOTION: Final = 0.2
+_CORRELATION: Final = 0.6
+
+
+class PositionDelay:
+    """Regression of the estimate's velocity error on past acceleration.
+
+    Args:
+        mass_kg: of the vehicle.
+        window_s: nothing is compared for this long after a disturbance.
+
+    Attributes:
+        ahead_s: by which the position estimate runs ahead of the IMU, seconds; negative: behind; None: not
+            known, for lack of acceleration or of correlation.
+    """
+
+    def __init__(self, mass_kg: float, window_s: float) -> None:
+        self._per_mass, self._window_us = 1.0 / mass_kg, round(window_s * 1e6)
+        self.ahead_s: float | None = None
+        self._by_imu: Vec3 = (0.0, 0.0, 0.0)  # velocity since the start
+        self._recent: deque[tuple[int, float, float, float]] = deque(maxlen=_RECENT)  # stamp, the same
+        self._imu_us = 0
+        self._waiting: tuple[int, Vec3] | None = None  # an odometry sample that the IMU has not reached
+        self._due_us = self._quiet_us = 0
+        self._past: deque[tuple[int, float, float, float]] = deque(maxlen=_FAR + 1)  # one of every step
+        self._error: Vec3 = (0.0, 0.0, 0.0)  # of the velocity, at the step before
+        self._high_e: Vec3 = (0.0, 0.0, 0.0)
+        self._high_z: Vec3 = (0.0, 0.0, 0.0)
+        self._z: Vec3 | None = None
+        self._sums, self._weight = (_Sums(), _Sums(), _Sums()), 0.0
+        self.figures = (0.0, 0.0, 0.0)
+
+    def take_imu(self, t_us: int, felt_mission_n: Vec3) -> None:
+        """Integrate one IMU sample; stamps advance.
+
+        Args:
+            t_us: its stamp.
+            felt_mission_n: specific force times mass, mission frame, N.
+        """
+        dt_s = (t_us - self._imu_us) * 1e-6
+        self._imu_us = t_us
+        if dt_s > _IMU_GAP_S:
+            self._recent.clear()
+            self._restart()
+        else:
+            x, y, z = self._by_imu
+            per_s = self._per_mass * dt_s
+            x += per_s * felt_mission_n[0]
+            y += per_s * felt_mission_n[1]
+            z += per_s * felt_mission_n[2] - GRAVITY_M_S2 * dt_s
+            self._by_imu = (x, y, z)
+            self._recent.append((t_us, x, y, z))
+        waiting = self._waiting
+        if waiting is not None and t_us >= waiting[0]:
+            self._waiting = None
+            self._compare(*waiting)
+
+    def disturb(self, t_us: int) -> None:
+        """Compare nothing for a while: a contact moves the estimate in its own way."""
+        self._quiet_us = t_us + self._window_us
+
+    def take_odometry(self, t_us: int, velocity_mission: Vec3) -> None:
+        """Compare one odometry sample of every 50 ms; stamps advance."""
+        if t_us < self._due_us:
+            return
+        self._due_us = max(self._due_us, t_us - _STEP_US) + _STEP_US
+        if t_us > self._imu_us:
+            self._waiting = (t_us, velocity_mission)
+        else:
+            self._compare(t_us, velocity_mission)
+
+    def _compare(self, t_us: int, velocity: Vec3) -> None:
+        by_imu = self._by_imu_at(t_us)
+        if t_us < self._quiet_us or by_imu is None:
+            self._restart()
+            return
+        past = self._past
+        dt_s = (t_us - past[-1][0]) * 1e-6 if past else 0.0
+        error = (velocity[0] - by_imu[0], velocity[1] - by_imu[1], velocity[2] - by_imu[2])
+        (x, y, z), self._error = self._error, error
+        change = (error[0] - x, error[1] - y, error[2] - z)
+        if not 0.0 < dt_s < _ODOMETRY_GAP_S or max(map(abs, change)) > _JUMP_M_S:
+            self._restart()
+            past.append((t_us, *by_imu))
+            return
+        past.append((t_us, *by_imu))
+        self._follow(change, dt_s)
+
+    def _by_imu_at(self, t_us: int) -> Vec3 | None:
+        """The velocity by the IMU at a moment, between two samples; None: they do not reach so far back."""
+        later = None
+        for one in reversed(self._recent):
+            if one[0] <= t_us:
+                if later is None:
+                    return one[1:] if one[0] == t_us else None
+                share = (t_us - one[0]) / (later[0] - one[0])
+                return (
+                    one[1] + share * (later[1] - one[1]),
+                    one[2] + share * (later[2] - one[2]),
+                    one[3] + share * (later[3] - one[3]),
+                )
+            later = one
+        return None
+
+    def _restart(self) -> None:
+        """Begin again, with the sums of before."""
+        self._past.clear()
+        self._high_e = self._high_z = (0.0, 0.0, 0.0)
+        self._z = None
+
+    def _follow(self, change: Vec3, dt_s: float) -> None:
+        """Take a step's change of the velocity error."""
+        keep, high = 1.0 - dt_s / _HIGH_PASS_S, self._high_e
+        e = self._high_e = (
+            keep * (high[0] + change[0]),
+            keep * (high[1] + change[1]),
+            keep * (high[2] + change[2]),
+        )
+        past = self._past
+        if len(past) <= _FAR:
+            return
+        far, near = past[0], past[_FAR - _NEAR]
+        per = 1e6 / (near[0] - far[0])
+        now = (per * (near[1] - far[1]), per * (near[2] - far[2]), per * (near[3] - far[3]))
+        before, self._z = self._z, now
+        if before is None:
+            return
+        high = self._high_z
+        z = self._high_z = (
+            keep * (high[0] + now[0] - before[0]),
+            keep * (high[1] + now[1] - before[1]),
+            keep * (high[2] + now[2] - before[2]),
+        )
+        kept = 1.0 - dt_s / _MEMORY_S
+        self._weight = weight = kept * self._weight + dt_s
+        ez = zz = ee = 0.0
+        for sums, a, b in zip(self._sums, e, z, strict=True):
+            sums.add(kept, dt_s, a, b)
+            ez += sums.ez - sums.e * sums.z / weight
+            zz += sums.zz - sums.z * sums.z / weight
+            ee += sums.ee - sums.e * sums.e / weight
+        self.figures = (ez, zz, ee)
+        sure = zz > _MOTION and abs(ez) > _CORRELATION * math.sqrt(zz * ee)
+        self.ahead_s = ez / (_SHARE * zz) if sure else None
+
+
+class _Sums:
+    """Sums of one axis over the memory."""
+
+    __slots__ = ("e", "ee", "ez", "z", "zz")
+
+    def __init__(self) -> None:
+        self.e = self.z = self.ee = self.ez = self.zz = 0.0
+
+    def add(self, kept: float, dt_s: float, e: float, z: float) -> None:
+        """Forget a little, and add a step."""
+        self.e = kept * self.e + dt_s * e
+        self.z = kept * self.z + dt_s * z
+        self.ee = kept * self.ee + dt_s * e * e
+        self.ez = kept * self.ez + dt_s * e * z
+        self.zz = kept * self.zz + dt_s * z * z

@@ -1,0 +1,224 @@
+"""A small copy of PX4's EKF2 that is told a wrong age of the motion capture's poses, as EKF2_EV_DELAY is.
+
+`Estimator` knows the age of every pose, so it has no place for that error. This filter works as EKF2 does. A
+Kalman filter runs some 0.15 s behind the present and fuses the pose whose configured time has come there. An
+output predictor carries its state to the present by the IMU. The filter explains a pose of the wrong moment
+by a wrong velocity, tilt and accelerometer bias, and rejects poses beyond its gate, so the estimate swings.
+Gains, gates and time constants are PX4's defaults and those of `configs/px4/indoor.params`.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from dart_flight.base.geometry import (
+    GRAVITY_M_S2,
+    Quaternion,
+    Vec3,
+    add,
+    advance_attitude,
+    norm,
+    quaternion_conjugate,
+    quaternion_from_rotation_vector,
+    quaternion_multiply,
+    quaternion_normalise,
+    rotate,
+    scale,
+    subtract,
+    wrap_angle,
+    yaw_ned_of,
+)
+from dart_flight.sim.estimator import Estimator
+
+_Matrix = npt.NDArray[np.float64]
+
+_TICKS: Final = 2  # of 4 ms in one step of the filter: EKF2_PREDICT_US 10000 at 250 Hz
+_STEP_S: Final = 0.004 * _TICKS
+_PREDICT_S: Final = 0.01
+_DELAY_MAX_S: Final = 0.2  # EKF2_DELAY_MAX; a longer EKF2_EV_DELAY raises it
+_REACH_S: Final = 0.1  # a pose further behind the filter's time is not fused
+_ACCELERATION_M_S2, _RATE_RAD_S, _BIAS_M_S3 = 0.35, 0.015, 0.003  # EKF2_ACC_NOISE, GYR_NOISE, ACC_B_NOISE
+_POSITION_M, _YAW_RAD = 0.01, 0.02  # EKF2_EVP_NOISE, EKF2_EVA_NOISE
+_POSITION_GATE, _YAW_GATE = 5.0, 2.6  # EKF2_EVP_GATE, EKF2_HDG_GATE, standard deviations
+_RESET_AFTER_S: Final = 1.0  # without a pose that passes the gate
+_BIAS_MOST_M_S2: Final = 0.4  # EKF2_ABL_LIM
+_BIAS_LEARNT_BELOW_M_S2, _BIAS_MEMORY_S = 25.0, 0.5  # EKF2_ABL_ACCLIM, EKF2_ABL_TAU
+_OUTPUT_S: Final = 0.25  # EKF2_TAU_POS, EKF2_TAU_VEL
+_START_SD: Final = np.repeat((0.01, 0.05, 0.02, 0.05), 3)  # position, velocity, tilt, bias
+_P, _V, _R, _B = (slice(3 * i, 3 * i + 3) for i in range(4))
+
+
+class DelayedEstimator(Estimator):
+    """An estimator that takes every pose for `delay_s` old when it arrives.
+
+    Args:
+        before: the estimator that it replaces, at the present.
+        now_s: the present.
+        delay_s: the configured age, EKF2_EV_DELAY.
+    """
+
+    def __init__(self, before: Estimator, now_s: float, delay_s: float) -> None:
+        super().__init__()
+        self.position, self.velocity, self.q = before.position, before.velocity, before.q
+        self.ok, self.resets, self._updates = before.ok, before.resets, before._updates
+        self._now_s, self._delay_s = now_s, delay_s
+        # What the filter knows lies this many steps in the past.
+        self._behind = int(np.ceil(max(_DELAY_MAX_S, delay_s) / _PREDICT_S))
+        self._at_p, self._at_v, self._at_q = before.position, before.velocity, before.q
+        self._accelerometer_bias: Vec3 = (0.0, 0.0, 0.0)  # FRD
+        self._covariance: _Matrix = np.diag(_START_SD**2)
+        self._steps: deque[tuple[float, Vec3, Vec3]] = deque()  # end, mean specific force, mean rate
+        self._outputs: deque[tuple[Vec3, Vec3, Quaternion]] = deque()  # at the ends of the same steps
+        self._poses: deque[tuple[float, Vec3, Quaternion]] = deque()  # by their configured times
+        self._ticks: list[tuple[Vec3, Vec3]] = []
+        self._turn: Vec3 = (0.0, 0.0, 0.0)  # rad/s that lead the output's attitude to the filter's
+        self._off_v: Vec3 = (0.0, 0.0, 0.0)  # sums of the output's errors
+        self._off_p: Vec3 = (0.0, 0.0, 0.0)
+        self._fused_s = now_s
+        self._strongest_m_s2 = 0.0
+
+    def predict(self, t_s: float, specific_force_frd: Vec3, rate_frd: Vec3, dt_s: float) -> None:
+        """One IMU tick ending at `t_s`: the output predictor at each, the filter at every second one."""
+        self._now_s = t_s
+        if not self._updates:
+            return
+        self.rate = rate_frd
+        f = subtract(specific_force_frd, self._accelerometer_bias)
+        self.position, self.velocity, self.q = _moved(
+            self.position, self.velocity, self.q, f, add(rate_frd, self._turn), dt_s
+        )
+        self._ticks.append((specific_force_frd, rate_frd))
+        if len(self._ticks) < _TICKS:
+            return
+        forces, rates = zip(*self._ticks, strict=True)
+        self._ticks.clear()
+        self._steps.append((t_s, _mean(forces), _mean(rates)))
+        self._outputs.append((self.position, self.velocity, self.q))
+        if len(self._steps) > self._behind:
+            self._step(*self._steps.popleft())
+            self._follow(self._outputs.popleft())
+
+    def correct(self, t_s: float, position_ned: Vec3, q: Quaternion) -> None:
+        """A pose that arrives now; when it was measured is not asked."""
+        self._updates += 1
+        if self._updates == 1:
+            self.position, self.q = position_ned, q
+            self._at_p, self._at_q = position_ned, q
+        self._poses.append((self._now_s - self._delay_s - 0.5 * _STEP_S, position_ned, q))
+        self.ok = self._updates > 50
+
+    def shift(self, by_ned: Vec3) -> None:
+        """Jump, as EKF2 does at a reset."""
+        self.resets += 1
+        self.position, self._at_p = add(self.position, by_ned), add(self._at_p, by_ned)
+        self._outputs = deque((add(p, by_ned), v, q) for p, v, q in self._outputs)
+        self._poses = deque((t, add(p, by_ned), q) for t, p, q in self._poses)
+
+    # -- the filter, in the past --
+
+    def _step(self, t_s: float, specific_force_frd: Vec3, rate_frd: Vec3) -> None:
+        f = subtract(specific_force_frd, self._accelerometer_bias)
+        self._strongest_m_s2 = max(norm(f), self._strongest_m_s2 * (1.0 - _STEP_S / _BIAS_MEMORY_S))
+        self._at_p, self._at_v, self._at_q = _moved(self._at_p, self._at_v, self._at_q, f, rate_frd, _STEP_S)
+        self._grow(f)
+        pose = None
+        while self._poses and self._poses[0][0] <= t_s:
+            pose = self._poses.popleft()
+        if pose is not None and t_s - pose[0] < _REACH_S:
+            self._fuse(t_s, pose[1], yaw_ned_of(pose[2]))
+
+    def _grow(self, f: Vec3) -> None:
+        """The covariance, one step later."""
+        body = np.array([rotate(self._at_q, axis) for axis in ((1.0, 0, 0), (0, 1.0, 0), (0, 0, 1.0))]).T
+        x, y, z = rotate(self._at_q, f)
+        step = np.eye(12)
+        step[_P, _V] = _STEP_S * np.eye(3)
+        # A rotation of the estimate by r turns the specific force by r x f.
+        step[_V, _R] = -_STEP_S * np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+        step[_V, _B] = -_STEP_S * body
+        grown = _STEP_S * np.repeat((0.0, _ACCELERATION_M_S2, _RATE_RAD_S, _BIAS_M_S3), 3)
+        self._covariance = step @ self._covariance @ step.T + np.diag(grown**2)
+
+    def _fuse(self, t_s: float, position_ned: Vec3, yaw_ned: float) -> None:
+        turned = wrap_angle(yaw_ned - yaw_ned_of(self._at_q))
+        self._correct_by(8, turned, _YAW_RAD, _YAW_GATE)
+        away = subtract(position_ned, self._at_p)
+        sd = np.sqrt(np.diag(self._covariance)[:3] + _POSITION_M**2)
+        near = [abs(away[axis]) <= _POSITION_GATE * sd[axis] for axis in range(3)]
+        if near[2]:
+            self._correct_by(2, away[2], _POSITION_M)
+        if near[0] and near[1]:
+            self._fused_s = t_s
+            self._correct_by(0, position_ned[0] - self._at_p[0], _POSITION_M)
+            self._correct_by(1, position_ned[1] - self._at_p[1], _POSITION_M)
+        elif t_s - self._fused_s > _RESET_AFTER_S:
+            self._fused_s = t_s
+            self._jump_to(position_ned)
+
+    def _correct_by(self, state: int, innovation: float, noise: float, gate: float = np.inf) -> None:
+        p = self._covariance
+        variance = p[state, state] + noise**2
+        if innovation**2 > gate**2 * variance:
+            return
+        gain = p[:, state] / variance
+        if self._strongest_m_s2 > _BIAS_LEARNT_BELOW_M_S2:
+            gain[_B] = 0.0
+        joseph = np.eye(12)
+        joseph[:, state] -= gain
+        self._covariance = joseph @ p @ joseph.T + noise**2 * np.outer(gain, gain)
+        d = [float(one) for one in gain * innovation]
+        self._at_p = add(self._at_p, (d[0], d[1], d[2]))
+        self._at_v = add(self._at_v, (d[3], d[4], d[5]))
+        turn = quaternion_from_rotation_vector((d[6], d[7], d[8]))
+        self._at_q = quaternion_normalise(quaternion_multiply(turn, self._at_q))
+        x, y, z = add(self._accelerometer_bias, (d[9], d[10], d[11]))
+        self._accelerometer_bias = (_bounded(x), _bounded(y), _bounded(z))
+
+    def _jump_to(self, position_ned: Vec3) -> None:
+        """Reset the horizontal position to the pose; poses that are waiting stay as they are."""
+        by = (position_ned[0] - self._at_p[0], position_ned[1] - self._at_p[1], 0.0)
+        waiting = self._poses
+        self.shift(by)
+        self._poses = waiting
+        p = self._covariance
+        for axis in (0, 1):
+            p[axis, :] = p[:, axis] = 0.0
+            p[axis, axis] = _POSITION_M**2
+
+    # -- the output predictor, at the present --
+
+    def _follow(self, then: tuple[Vec3, Vec3, Quaternion]) -> None:
+        """Lead the outputs to the filter; `then` is the output of the filter's time."""
+        p, v, q = then
+        error = quaternion_multiply(quaternion_conjugate(self._at_q), q)
+        sign = -2.0 if error[0] >= 0.0 else 2.0
+        self._turn = scale((error[1], error[2], error[3]), sign * 0.5 / (self._behind * _STEP_S))
+        gain = _STEP_S / _OUTPUT_S
+        off_v, off_p = subtract(self._at_v, v), subtract(self._at_p, p)
+        self._off_v, self._off_p = add(self._off_v, off_v), add(self._off_p, off_p)
+        by_v = add(scale(off_v, gain), scale(self._off_v, 0.1 * gain * gain))
+        by_p = add(scale(off_p, gain), scale(self._off_p, 0.1 * gain * gain))
+        self._outputs = deque((add(p, by_p), add(v, by_v), q) for p, v, q in self._outputs)
+        self.position, self.velocity = add(self.position, by_p), add(self.velocity, by_v)
+
+
+def _moved(
+    p: Vec3, v: Vec3, q: Quaternion, f: Vec3, rate: Vec3, dt_s: float
+) -> tuple[Vec3, Vec3, Quaternion]:
+    """Position, velocity and attitude after a time, by specific force and rate, FRD."""
+    q = quaternion_normalise(advance_attitude(q, rate, dt_s))
+    a = add(rotate(q, f), (0.0, 0.0, GRAVITY_M_S2))
+    return add(p, add(scale(v, dt_s), scale(a, 0.5 * dt_s * dt_s))), add(v, scale(a, dt_s)), q
+
+
+def _mean(vectors: tuple[Vec3, ...]) -> Vec3:
+    x, y, z = (sum(axis) / len(vectors) for axis in zip(*vectors, strict=True))
+    return (x, y, z)
+
+
+def _bounded(bias_m_s2: float) -> float:
+    return max(-_BIAS_MOST_M_S2, min(_BIAS_MOST_M_S2, bias_m_s2))

@@ -1,0 +1,141 @@
+"""Where the position estimate runs ahead of the IMU, the regression finds by how much."""
+
+import math
+import random
+from collections.abc import Callable
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dart_flight.base.geometry import GRAVITY_M_S2, Vec3
+from dart_flight.core.sense.position_delay import PositionDelay
+
+MASS_KG = 1.3
+TICK_US = 4000
+LAG_S = 0.45  # from a motion to what a wrong delay makes of it
+
+Motion = Callable[[float], Vec3]
+
+
+def accelerated(t_s: float) -> Vec3:
+    """Velocity of a flight that begins to move, stops and turns, m/s."""
+    return (0.8 * math.sin(1.7 * t_s) ** 3, 0.5 * math.sin(1.1 * t_s), 0.3 * math.sin(2.3 * t_s))
+
+
+def fly(
+    delay: PositionDelay,
+    wrong_s: float,
+    *,
+    motion: Motion = accelerated,
+    duration_s: float = 8.0,
+    bias: Vec3 = (0.0, 0.0, 0.0),
+    noise_m_s2: float = 0.0,
+    late_us: int = 0,
+    seed: int = 1,
+) -> list[float | None]:
+    """Feed a flight whose estimated velocity is pulled as a wrong delay of `wrong_s` pulls it.
+
+    Args:
+        delay: takes the samples.
+        wrong_s: configured less true delay.
+        motion: the true velocity at a time.
+        duration_s: of the flight.
+        bias: of the accelerometer, m/s2.
+        noise_m_s2: of it, of one sample.
+        late_us: by which odometry comes behind IMU samples of the same stamp.
+        seed: of the noise.
+
+    Returns:
+        `ahead_s` after every odometry sample.
+    """
+    rng, found, waiting = random.Random(seed), [], []
+    for tick in range(1, round(duration_s * 1e6 / TICK_US)):
+        t_us = tick * TICK_US
+        t_s = t_us * 1e-6
+        before, now = motion(t_s - TICK_US * 1e-6), motion(t_s)
+        felt = [
+            (after - earlier) / (TICK_US * 1e-6) + b + rng.gauss(0.0, noise_m_s2)
+            for after, earlier, b in zip(now, before, bias, strict=True)
+        ]
+        felt[2] += GRAVITY_M_S2
+        delay.take_imu(t_us, (MASS_KG * felt[0], MASS_KG * felt[1], MASS_KG * felt[2]))
+        if tick % 2 == 0:
+            past, earlier = motion(t_s - LAG_S + 0.15), motion(t_s - LAG_S - 0.15)
+            pull = [0.75 * wrong_s * (a - b) / 0.3 for a, b in zip(past, earlier, strict=True)]
+            waiting.append((t_us, (now[0] + pull[0], now[1] + pull[1], now[2] + pull[2])))
+        while waiting and waiting[0][0] + late_us <= t_us:
+            delay.take_odometry(*waiting.pop(0))
+            found.append(delay.ahead_s)
+    return found
+
+
+def new() -> PositionDelay:
+    return PositionDelay(MASS_KG, 2.0)
+
+
+@pytest.mark.parametrize("late_us", [0, 4000, 20_000, 40_000])
+@pytest.mark.parametrize("wrong_s", [-0.15, 0.08, 0.3])
+def test_a_wrong_delay_is_found_with_its_sign(wrong_s: float, late_us: int) -> None:
+    ahead_s = fly(new(), wrong_s, late_us=late_us)[-1]
+    assert ahead_s == pytest.approx(wrong_s, rel=0.2)
+
+
+@given(
+    bias=st.tuples(*[st.floats(-0.3, 0.3)] * 3),
+    noise_m_s2=st.floats(0.0, 0.3),
+    seed=st.integers(0, 1000),
+)
+@settings(max_examples=15, deadline=None)
+def test_bias_and_noise_of_the_accelerometer_are_no_delay(bias: Vec3, noise_m_s2: float, seed: int) -> None:
+    found = fly(new(), 0.0, bias=bias, noise_m_s2=noise_m_s2, seed=seed)
+    assert all(ahead_s is None or abs(ahead_s) < 0.05 for ahead_s in found)
+
+
+def test_a_vehicle_that_hovers_tells_nothing() -> None:
+    found = fly(new(), 0.3, motion=lambda t_s: (0.01 * math.sin(3.0 * t_s), 0.0, 0.0))
+    assert set(found) == {None}
+
+
+def test_nothing_is_compared_for_a_while_after_a_contact() -> None:
+    """A contact changes the estimate in its own way; what was found before it stays."""
+    delay = new()
+    delay.disturb(0)
+    found = fly(delay, 0.15, duration_s=2.0)
+    assert set(found) == {None}
+    assert fly(new(), 0.15, duration_s=5.0)[-1] is not None
+
+
+def test_a_reset_of_the_estimate_is_no_delay() -> None:
+    """Other rules judge the step; the comparison begins anew behind it."""
+
+    def reset(t_s: float) -> Vec3:
+        x, y, z = accelerated(t_s)
+        return (x + (1.0 if t_s > 4.0 else 0.0), y, z)
+
+    delay, rng_free = new(), []
+    for tick in range(1, 2000):
+        t_us = tick * TICK_US
+        t_s = t_us * 1e-6
+        before, now = accelerated(t_s - 0.004), accelerated(t_s)
+        felt = [MASS_KG * (a - b) / 0.004 for a, b in zip(now, before, strict=True)]
+        delay.take_imu(t_us, (felt[0], felt[1], felt[2] + MASS_KG * GRAVITY_M_S2))
+        if tick % 2 == 0:
+            delay.take_odometry(t_us, reset(t_s))
+            rng_free.append(delay.ahead_s)
+    assert all(ahead_s is None or abs(ahead_s) < 0.02 for ahead_s in rng_free)
+
+
+def test_a_gap_in_the_imu_stream_is_no_delay() -> None:
+    delay, found = new(), []
+    for tick in range(1, 2000):
+        t_us = tick * TICK_US
+        t_s = t_us * 1e-6
+        before, now = accelerated(t_s - 0.004), accelerated(t_s)
+        felt = [MASS_KG * (a - b) / 0.004 for a, b in zip(now, before, strict=True)]
+        if not 3.0 < t_s < 3.4:
+            delay.take_imu(t_us, (felt[0], felt[1], felt[2] + MASS_KG * GRAVITY_M_S2))
+        if tick % 2 == 0:
+            delay.take_odometry(t_us, now)
+            found.append(delay.ahead_s)
+    assert all(ahead_s is None or abs(ahead_s) < 0.02 for ahead_s in found)
