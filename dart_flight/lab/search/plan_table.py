@@ -117,6 +117,7 @@ def quickest_summary(result: QuickestResult) -> dict[str, Any]:
         "computed": result.computed,
         "pruned": result.pruned,
         "gap_s": result.gap_s,
+        "most_hits": result.most_hits,
         "free": result.free
         and {"time_s": result.free.time_s, "limits": limits, "cruise_m_s": result.free.cruise_m_s},
         "plans": [
@@ -179,6 +180,8 @@ def describe_quickest(result: QuickestResult) -> str:
         says += f"; cruising until the wall is seen at {' and '.join(cruises)} m/s"
     if result.gap_s > _SHOWN_S:
         gap = f"; what was not computed could be quicker by {result.gap_s:.2f} s at most"
+    if result.most_hits is not None:
+        gap += f"; sequences of more than {result.most_hits} hits were left out"
     return f"{says}; {result.computed} sequences computed, {result.pruned} ruled out{gap}"
 
 
