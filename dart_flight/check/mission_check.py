@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shlex
 from collections.abc import Iterator
 
 from dart_flight.base.geometry import Vec3
@@ -69,6 +70,7 @@ def check_mission(mission: Mission) -> list[CheckFinding]:
     findings += check_walls(mission, planned)
     findings += check_anchors(mission)
     findings += _check_coefficients(mission)
+    findings.append(_check_flown(mission))
     return findings
 
 
@@ -388,6 +390,32 @@ def _check_servo(mission: Mission, collision: Collision) -> list[CheckFinding]:
     if free < needed and go:
         says += "; if the lock is late, the approach is aborted in flight"
     return [CheckFinding(item, go, says)]
+
+
+def _check_flown(mission: Mission) -> CheckFinding:
+    """Whether the mission has flown in simulation as it is now, and how."""
+    flown = mission.flown
+    again = f"dart-flight dry-run {shlex.quote(mission.source)} --fast --runs 20 --vary all"
+    if flown is None:
+        says = f"the mission file has no record of simulated flights; fly them: {again}"
+        return CheckFinding("flown", True, says, remark=True)
+    if flown.digest != mission.digest:
+        says = f"mission or vehicle changed since the mission was flown in simulation; fly it again: {again}"
+        return CheckFinding("flown", True, says, remark=True)
+    if flown.danger is not None:
+        return CheckFinding(
+            "flown", False, f"in simulation {flown.danger}: plan it with less speed, or touches"
+        )
+    says = f"flown in simulation by {flown.software}: nominal flight completed"
+    figures: dict[str, float] = {}
+    if flown.drawn is not None:
+        says += f", {flown.drawn.completed} of {flown.drawn.flights} drawn flights completed"
+        figures = {"flights": flown.drawn.flights, "completed": flown.drawn.completed}
+    if flown.saving_s is not None:
+        verb = "quicker" if flown.saving_s > 0.0 else "slower"
+        says += f", {abs(flown.saving_s):.2f} s {verb} than without a collision"
+        figures["saving_s"] = flown.saving_s
+    return CheckFinding("flown", True, says, remark=flown.failure is not None, figures=figures)
 
 
 def _check_coefficients(mission: Mission) -> list[CheckFinding]:

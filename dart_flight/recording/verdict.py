@@ -50,6 +50,7 @@ from dart_flight.recording.found import PX4_LOG
 from dart_flight.recording.measured_walls import MeasuredWall, WallMeasurements
 from dart_flight.recording.plan_versus_flight import Deviation, deviations, predict_flight
 from dart_flight.recording.reader import IN_MEMORY, Log
+from dart_flight.recording.uncontrolled import TruthExtremes, find_uncontrolled
 
 _TICK_US = 20_000
 _KEPT = 1024  # samples of estimate and truth until they have met: 8 s at 125 Hz
@@ -152,6 +153,7 @@ class Verdict(msgspec.Struct):
     deviations: list[Deviation] = msgspec.field(default_factory=list)
     walls: list[MeasuredWall] = msgspec.field(default_factory=list)  # as the contacts have measured them
     arms_moved: bool | None = None  # whether simulated arms ever followed the lock; None: it never moved
+    uncontrolled: list[str] = msgspec.field(default_factory=list)  # why, by the truth of a simulated vehicle
 
 
 class PositionError:
@@ -221,6 +223,7 @@ class VerdictBuilder:
         self._sought = {c.wall.name for c in mission.collisions if c.wall.sought}  # by names of their own
         self._measured_walls = WallMeasurements(mission)
         self._position_error = PositionError()
+        self._extremes = TruthExtremes(mission.bounds)
         self._ticked_us: int | None = None
         self._late_us: int | None = None  # at worst, between ticks
         self._settled: set[Mode] = set()
@@ -270,6 +273,7 @@ class VerdictBuilder:
     def _take_truth(self, record: TruthSample) -> None:
         self._position_error.take_truth(record.t_us, record.position_mission)
         self._true_modes.add(record.mode)
+        self._extremes.update(record)
 
     def _take_contact(self, record: TruthContact) -> None:
         self._truths.append(record)
@@ -425,6 +429,7 @@ class VerdictBuilder:
             drawn=dict(drawn or {}),
             walls=self._measured_walls.build(end.t_us if end else self._landed_us or 0, drawn or {}),
             arms_moved=self._arms_moved(),
+            uncontrolled=self._find_uncontrolled(),
             goal_reached=self._goal_reached(),
             goal_miss_planned_m=planned.goal_miss_m if self._mission.standoff_m is None else None,
         )
@@ -437,6 +442,13 @@ class VerdictBuilder:
         if nearest_m is None and self._end.outcome is Outcome.COMPLETED:
             nearest_m = self._end.final_error_m
         return nearest_m is not None and nearest_m <= self._mission.goal.capture_radius_m
+
+    def _find_uncontrolled(self) -> list[str]:
+        """Why the simulated flight is uncontrolled; empty on the drone, where no truth is known."""
+        if self._extremes.last is None:
+            return []
+        completed = self._end is not None and self._end.outcome is Outcome.COMPLETED
+        return list(find_uncontrolled(self._extremes, completed, self._end is None or bool(self._end.reason)))
 
     def _arms_moved(self) -> bool | None:
         if len(self._settled) < len(Mode) or not self._true_modes:

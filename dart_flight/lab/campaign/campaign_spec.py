@@ -150,7 +150,7 @@ def points_of(asked: CampaignSpec) -> list[Point]:
 
 
 def _digest(mission: Mission, spreads: Mapping[str, float]) -> str:
-    bare = msgspec.structs.replace(mission, source="", vehicle_source=None)
+    bare = msgspec.structs.replace(mission, source="", vehicle_source=None, flown=None)
     return hashlib.sha256(msgspec.json.encode([bare, spreads], order="sorted")).hexdigest()[:32]
 
 

@@ -90,7 +90,7 @@ def describe_free(free: FreePlan | None, best: Plan) -> str:
     if free is None:
         return "without any collision: needs the extra plan (pip install 'dart-flight[plan]')"
     if free.time_s is None:
-        return "without any collision: no way"
+        return "without any collision: the goal is not reached"
     limits, gap = free.limits, ""
     if free.gap_s > _SHOWN_S:
         gap = f", {free.time_s - free.gap_s:.2f} at best"
@@ -101,7 +101,7 @@ def describe_free(free: FreePlan | None, best: Plan) -> str:
     )
     if best.saving_s is None or best.time_to_rest_s is None:
         return says
-    wins = "saves" if best.saving_s > 0.0 else "loses"
+    wins = "would save" if best.saving_s > 0.0 else "would lose"
     return (
         f"{says}; plan 1 rests after {best.time_to_rest_s:.2f} s: the hit {wins} {abs(best.saving_s):.2f} s"
     )
@@ -161,20 +161,20 @@ def describe_quickest(result: QuickestResult) -> str:
     """The colliding plan beside the free one, in words."""
     limits, gap = limits_of(result.scenario), ""
     jerk = "" if limits.jerk_m_s3 is None else f", {limits.jerk_m_s3:g} m/s3"
-    says = f"at {limits.speed_m_s:g} m/s, {limits.acceleration_m_s2:g} m/s2{jerk}: "
+    says = f"planned, at {limits.speed_m_s:g} m/s, {limits.acceleration_m_s2:g} m/s2{jerk}: "
     if result.free is None:
-        says += "no way without a collision"
+        says += "no flight without a collision reaches the goal"
     elif result.saving_s is None:
         says += f"{result.free.time_s:.2f} s without a collision; no hit can be quicker"
     else:
-        wins = "saves" if result.saving_s > 0.0 else "loses"
+        wins = "would save" if result.saving_s > 0.0 else "would lose"
         share = abs(result.saving_s) / result.free.time_s
         says += (
             f"{result.free.time_s:.2f} s without a collision; colliding {wins} {abs(result.saving_s):.2f} s"
         )
         says += f" ({share:.0%})"
         if result.saving_s < 0.0 and result.best is result.colliding:
-            says += ", and is returned because the scenario demands the hits"
+            says += "; the scenario demands the hits"
     if result.free and result.free.cruise_m_s is not None:
         cruises = [f"{plan.cruise_m_s:.2f}" for plan in (result.free, result.colliding) if plan is not None]
         says += f"; cruising until the wall is seen at {' and '.join(cruises)} m/s"
