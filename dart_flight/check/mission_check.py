@@ -37,7 +37,12 @@ from dart_flight.planning.envelope import (
     incidence_warning,
     speed_warning,
 )
-from dart_flight.planning.predicted_flight import PredictedFlight, describe_goal_miss, predict_mission
+from dart_flight.planning.predicted_flight import (
+    PredictedFlight,
+    describe_goal_miss,
+    predict_mission,
+    predicted_segments,
+)
 
 _CLEARANCE_M = 0.15  # of start and goal from a wall's plane
 _WEAK = 1.3  # an impact below this many thresholds may be missed
@@ -49,8 +54,8 @@ _PEAK_SPEED = 1.875  # over the mean, of a transit
 def check_mission(mission: Mission) -> list[CheckFinding]:
     """What can be judged without a vehicle."""
     findings = _check_places(mission)
-    findings += _check_waypoints(mission)
     planned = predict_flight_path(mission)
+    findings += _check_waypoints(mission, planned)
     for collision in mission.collisions:
         if collision.wall.sought and collision.probe is None:
             findings += [*check_found(collision), *_check_force(mission, collision)]
@@ -125,9 +130,9 @@ def _check_places(mission: Mission) -> list[CheckFinding]:
     return findings
 
 
-def _check_waypoints(mission: Mission) -> list[CheckFinding]:
+def _check_waypoints(mission: Mission, planned: PredictedFlight | None) -> list[CheckFinding]:
     """Whether no wall stands between waypoints, and the legs can be flown as asked."""
-    legs = transit_segments(mission)
+    legs = predicted_segments(mission, {} if planned is None else planned.hits)
     if not legs:
         return []
     try:
@@ -143,9 +148,14 @@ def _check_waypoints(mission: Mission) -> list[CheckFinding]:
     flown_s = sum(t.duration_s for _, t in known) + held_s
     pauses = sum(w.position is None for w in mission.waypoints)
     says = f"{way_m:.1f} m from rest to rest in {flown_s:.0f} s with what is held"
+    if len(known) < len(legs):
+        says += f", and {len(legs) - len(known)} from where a contact leads, which is not known yet"
     says += f", {pauses} pause{'s' if pauses > 1 else ''} beside that" if pauses else ""
     findings = [CheckFinding("waypoints", True, says)]
+    asked = {leg.name for leg in transit_segments(mission) if leg.begin is not None}
     for leg, transit in known:
+        if leg.name not in asked:
+            continue
         peak = _PEAK_SPEED * math.dist(transit.begin, transit.end) / transit.duration_s
         if leg.speed_m_s > peak + 0.01 > 0.02:
             slower = f"{leg.name}: the way is too short for {leg.speed_m_s:g} m/s, {peak:.2f} are reached"
