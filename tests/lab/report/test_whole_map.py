@@ -102,6 +102,7 @@ def test_an_arrow_points_north(heading_deg: float) -> None:
 
     mission = room(frame={"heading_deg": heading_deg})
     (box,) = (one for one in drawn(mission).artists if isinstance(one, AnchoredOffsetbox))
+    arrow: Any
     (arrow,) = box.findobj(FancyArrow)
     north = mission.frame_at((0.0, 0.0, 0.0)).vector_from_ned((1.0, 0.0, 0.0))
     length = math.hypot(arrow._dx, arrow._dy)
