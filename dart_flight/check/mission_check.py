@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shlex
 from collections.abc import Iterator
 
 from dart_flight.base.geometry import Vec3
@@ -37,7 +38,12 @@ from dart_flight.planning.envelope import (
     incidence_warning,
     speed_warning,
 )
-from dart_flight.planning.predicted_flight import PredictedFlight, describe_goal_miss, predict_mission
+from dart_flight.planning.predicted_flight import (
+    PredictedFlight,
+    describe_goal_miss,
+    predict_mission,
+    predicted_segments,
+)
 
 _CLEARANCE_M = 0.15  # of start and goal from a wall's plane
 _WEAK = 1.3  # an impact below this many thresholds may be missed
@@ -49,8 +55,8 @@ _PEAK_SPEED = 1.875  # over the mean, of a transit
 def check_mission(mission: Mission) -> list[CheckFinding]:
     """What can be judged without a vehicle."""
     findings = [*_check_places(mission), *check_heading(mission)]
-    findings += _check_waypoints(mission)
     planned = predict_flight_path(mission)
+    findings += _check_waypoints(mission, planned)
     for collision in mission.collisions:
         if collision.wall.sought and collision.probe is None:
             findings += [*check_found(collision), *_check_force(mission, collision)]
@@ -70,6 +76,7 @@ def check_mission(mission: Mission) -> list[CheckFinding]:
     findings += check_walls(mission, planned)
     findings += check_anchors(mission)
     findings += _check_coefficients(mission)
+    findings.append(_check_flown(mission))
     return findings
 
 
@@ -124,9 +131,9 @@ def _check_places(mission: Mission) -> list[CheckFinding]:
     return findings
 
 
-def _check_waypoints(mission: Mission) -> list[CheckFinding]:
+def _check_waypoints(mission: Mission, planned: PredictedFlight | None) -> list[CheckFinding]:
     """Whether no wall stands between waypoints, and the legs can be flown as asked."""
-    legs = transit_segments(mission)
+    legs = predicted_segments(mission, {} if planned is None else planned.hits)
     if not legs:
         return []
     try:
@@ -142,9 +149,14 @@ def _check_waypoints(mission: Mission) -> list[CheckFinding]:
     flown_s = sum(t.duration_s for _, t in known) + held_s
     pauses = sum(w.position is None for w in mission.waypoints)
     says = f"{way_m:.1f} m from rest to rest in {flown_s:.0f} s with what is held"
+    if len(known) < len(legs):
+        says += f", and {len(legs) - len(known)} from where a contact leads, which is not known yet"
     says += f", {pauses} pause{'s' if pauses > 1 else ''} beside that" if pauses else ""
     findings = [CheckFinding("waypoints", True, says)]
+    asked = {leg.name for leg in transit_segments(mission) if leg.begin is not None}
     for leg, transit in known:
+        if leg.name not in asked:
+            continue
         peak = _PEAK_SPEED * math.dist(transit.begin, transit.end) / transit.duration_s
         if leg.speed_m_s > peak + 0.01 > 0.02:
             slower = f"{leg.name}: the way is too short for {leg.speed_m_s:g} m/s, {peak:.2f} are reached"
@@ -389,6 +401,32 @@ def _check_servo(mission: Mission, collision: Collision) -> list[CheckFinding]:
     if free < needed and go:
         says += "; if the lock is late, the approach is aborted in flight"
     return [CheckFinding(item, go, says)]
+
+
+def _check_flown(mission: Mission) -> CheckFinding:
+    """Whether the mission has flown in simulation as it is now, and how."""
+    flown = mission.flown
+    again = f"dart-flight dry-run {shlex.quote(mission.source)} --fast --runs 20 --vary all"
+    if flown is None:
+        says = f"the mission file has no record of simulated flights; fly them: {again}"
+        return CheckFinding("flown", True, says, remark=True)
+    if flown.digest != mission.digest:
+        says = f"mission or vehicle changed since the mission was flown in simulation; fly it again: {again}"
+        return CheckFinding("flown", True, says, remark=True)
+    if flown.danger is not None:
+        return CheckFinding(
+            "flown", False, f"in simulation {flown.danger}: plan it with less speed, or touches"
+        )
+    says = f"flown in simulation by {flown.software}: nominal flight completed"
+    figures: dict[str, float] = {}
+    if flown.drawn is not None:
+        says += f", {flown.drawn.completed} of {flown.drawn.flights} drawn flights completed"
+        figures = {"flights": flown.drawn.flights, "completed": flown.drawn.completed}
+    if flown.saving_s is not None:
+        verb = "quicker" if flown.saving_s > 0.0 else "slower"
+        says += f", {abs(flown.saving_s):.2f} s {verb} than without a collision"
+        figures["saving_s"] = flown.saving_s
+    return CheckFinding("flown", True, says, remark=flown.failure is not None, figures=figures)
 
 
 def _check_coefficients(mission: Mission) -> list[CheckFinding]:

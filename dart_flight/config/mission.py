@@ -6,6 +6,7 @@ vehicle's centre, unit normals, gains in the wall's own axes, the point of impac
 
 from __future__ import annotations
 
+import hashlib
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -223,6 +224,15 @@ class Mission(MissionKeys, frozen=True, kw_only=True, forbid_unknown_fields=Fals
         if self.vehicle_source is None:
             return VehicleSource(None, None, mass_kg)
         return msgspec.structs.replace(self.vehicle_source, mass_kg=mass_kg)
+
+    @property
+    def digest(self) -> str:
+        """Fingerprint of what is flown: mission and vehicle, without their files, link and lock driver."""
+        bare = msgspec.structs.replace(self, source="", vehicle_source=None, flown=None, standoff_m=None)
+        tree = msgspec.to_builtins(bare)
+        tree["vehicle"].pop("connection")
+        (tree["vehicle"]["lock"] or {}).pop("driver", None)
+        return hashlib.sha256(msgspec.json.encode(tree, order="sorted")).hexdigest()[:32]
 
     def to_dict(self) -> dict[str, Any]:
         """As a mission file says it, resolved, with its vehicle: `load_mission` makes the same mission of it.

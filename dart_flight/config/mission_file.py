@@ -14,7 +14,7 @@ import msgspec
 from msgspec import Meta
 
 from dart_flight.base.geometry import Vec2, Vec3
-from dart_flight.base.records import AfterImpact, Mode, ModeMismatch
+from dart_flight.base.records import AfterImpact, Mode, ModeMismatch, Outcome
 from dart_flight.config.section import Section
 
 Coordinate = Annotated[float, Meta(ge=-10_000.0, le=10_000.0)]
@@ -27,6 +27,7 @@ Direction = Annotated[float, Meta(ge=-1e6, le=1e6)]
 Alpha = Annotated[float, Meta(ge=0.0, le=1.0)]
 Point2 = tuple[Coordinate, Coordinate]
 Range = tuple[Coordinate, Coordinate]
+_MOST_BROKEN_OFF = 0.1  # of the drawn flights of a plan that is offered
 Standoff = Annotated[float, Meta(ge=0.1, le=2.0)]
 Name = Annotated[str, Meta(pattern=r"^[A-Za-z0-9][A-Za-z0-9 _.-]{0,63}$")]
 
@@ -416,12 +417,99 @@ class Tolerance(Section, frozen=True):
     place_m: Annotated[float, Meta(gt=0.0, le=100.0)] = 0.25
 
 
+FlightSeconds = Annotated[float, Meta(ge=0.0, le=3600.0)]
+Count = Annotated[int, Meta(ge=0, le=1_000_000)]
+
+
+class NominalFlight(Section, frozen=True):
+    """The simulated flight in which nothing is drawn.
+
+    Attributes:
+        outcome: completed, aborted or released.
+        uncontrolled: whether it tumbled, crashed or left the bounds far behind (docs/interfaces.md).
+        time_s: from take-off to landing, touches included; null: it did not land.
+        max_tilt_deg: largest tilt.
+        reason: of a flight that did not complete.
+    """
+
+    outcome: Outcome
+    uncontrolled: bool
+    time_s: FlightSeconds | None = None
+    max_tilt_deg: Annotated[float, Meta(ge=0.0, le=180.0)] | None = None
+    reason: str | None = None
+
+
+class DrawnFlights(Section, frozen=True):
+    """Simulated flights in which everything is drawn (`--vary all`).
+
+    Attributes:
+        flights: how many.
+        first_seed: of consecutive seeds.
+        completed: how many completed.
+        uncontrolled: how many were uncontrolled, completed or not.
+        ended_by: guard rule, or other cause, to how many of the others it ended.
+        median_time_s: of the completed ones, from take-off to landing, touches included.
+        max_tilt_deg: largest tilt of all.
+    """
+
+    flights: Count
+    first_seed: Count
+    completed: Count
+    uncontrolled: Count
+    ended_by: dict[str, Count] = msgspec.field(default_factory=dict)
+    median_time_s: FlightSeconds | None = None
+    max_tilt_deg: Annotated[float, Meta(ge=0.0, le=180.0)] | None = None
+
+
+class FlownRecord(Section, frozen=True):
+    """How the mission flew in simulation; written by `plan`, shown by `check`, ignored by the flight.
+
+    Attributes:
+        software: version that flew it.
+        digest: of mission and vehicle as they were flown: `check` compares it.
+        nominal, drawn: the flights; drawn is null if the nominal flight failed already.
+        free_time_s: median of the flight without a collision in the same drawn worlds; null: not flown.
+        saving_s: median of what this mission is quicker by in the same worlds; negative: it is slower.
+    """
+
+    software: str
+    digest: str
+    nominal: NominalFlight
+    drawn: DrawnFlights | None = None
+    free_time_s: FlightSeconds | None = None
+    saving_s: Annotated[float, Meta(ge=-3600.0, le=3600.0)] | None = None
+
+    @property
+    def danger(self) -> str | None:
+        """Why the mission must not be flown, in words; None: it was controlled, and completed nominally."""
+        nominal = self.nominal
+        if nominal.uncontrolled:
+            return f"its nominal flight is uncontrolled ({nominal.reason or nominal.outcome.value})"
+        if nominal.outcome is not Outcome.COMPLETED:
+            return f"its nominal flight does not complete ({nominal.reason or nominal.outcome.value})"
+        if self.drawn is not None and self.drawn.uncontrolled:
+            return f"{self.drawn.uncontrolled} of {self.drawn.flights} drawn flights are uncontrolled"
+        return None
+
+    @property
+    def failure(self) -> str | None:
+        """Why it is no plan to offer: `danger`, or too few drawn flights complete; None: it is one."""
+        if self.danger is not None or self.drawn is None:
+            return self.danger
+        if self.drawn.flights - self.drawn.completed > _MOST_BROKEN_OFF * self.drawn.flights:
+            causes = ", ".join(f"{rule} {count}" for rule, count in self.drawn.ended_by.items())
+            says = f"only {self.drawn.completed} of {self.drawn.flights} drawn flights complete"
+            return f"{says} ({causes})"
+        return None
+
+
 class MissionKeys(SpaceKeys, frozen=True, kw_only=True):
     """Keys of a mission that the flight reads as they are written.
 
     Attributes:
         name: letters, digits and ' _.-', at most 64; names the flight's folder.
         predicted: written by plan.
+        flown: written by plan.
         goal_trajectory: to the goal, from the last collision as it is predicted, or from rest at start.
         after_impact: setpoint: the paper's recovery setpoint leads on; replan: a trajectory planned in
             flight, from what was felt, takes over from it.
@@ -434,6 +522,7 @@ class MissionKeys(SpaceKeys, frozen=True, kw_only=True):
 
     name: Name
     predicted: MissPrediction | None = None
+    flown: FlownRecord | None = None
     goal_trajectory: TrajectoryPieces | None = None
     after_impact: AfterImpact = AfterImpact.SETPOINT
     tolerance: Tolerance = Tolerance()

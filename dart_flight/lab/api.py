@@ -32,7 +32,8 @@ from dart_flight.lab.identify.identify_trials import columns_of, identify_trials
 from dart_flight.lab.identify.trials import UNLABELLED, Trial, TrialReading
 from dart_flight.lab.predict import prediction
 from dart_flight.lab.search import scenario as scenario_files
-from dart_flight.lab.search.mission_writer import mission_text, write_mission
+from dart_flight.lab.search.flown_plan import fly_in_process, fly_mission
+from dart_flight.lab.search.mission_writer import mission_text, planned_mission, write_mission
 from dart_flight.lab.search.plan_table import with_objective
 from dart_flight.lab.search.scenario import Objective, Scenario
 from dart_flight.lab.search.search import Plan, SearchResult, search
@@ -277,13 +278,21 @@ class PlanResult:
         mission = mission_files.parse_mission(Document(text, "<plan>"), scenario.vehicle)
         return msgspec.structs.replace(mission, vehicle_source=scenario.vehicle_source)
 
-    def write(self, path: str | Path, rank: int = 1) -> Path:
+    def write(self, path: str | Path, rank: int = 1, *, verify: bool = True) -> Path:
         """Write a plan as a mission file; what was changed in Python of its vehicle is not in it.
+
+        Args:
+            path: of the file.
+            rank: of the plan.
+            verify: fly it in simulation first, 21 flights in this process that take half a minute, and
+                write into the file what came of them (`flown`).
 
         Raises:
             InputError: it cannot be written, or there are not that many plans.
         """
-        write_mission(self.search.scenario, self._plan(rank), Path(path))
+        plan, scenario = self._plan(rank), self.search.scenario
+        record = fly_mission(planned_mission(scenario, plan), fly=fly_in_process).record if verify else None
+        write_mission(scenario, plan, Path(path), record)
         return Path(path)
 
     def _plan(self, rank: int) -> Plan:

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import msgspec
 
 Z95 = 1.959964  # 97.5 % point of the normal distribution
+_FEWEST_PAIRS, _SURE = 10, 1.0 - 1e-12
 _T_FEW = (12.7062, 4.3027, 3.1824, 2.7764, 2.5706, 2.4469, 2.3646, 2.3060, 2.2622, 2.2281)
 
 
@@ -93,6 +94,19 @@ def rank_correlation(pairs: Sequence[tuple[float, float]]) -> float:
         return [bisect.bisect_left(ordered, v) + bisect.bisect_right(ordered, v) for v in values]
 
     return statistics.correlation(ranks([x for x, _ in pairs]), ranks([y for _, y in pairs]))
+
+
+def rank_correlation_chance(correlation: float, pairs: int) -> float:
+    """Return the two-sided p value of a rank correlation: Fisher's z with Fieller's variance 1.06 / (n - 3).
+
+    Args:
+        correlation: Spearman's.
+        pairs: of values; with fewer than ten nothing is significant, and the result is 1.
+    """
+    if pairs < _FEWEST_PAIRS:
+        return 1.0
+    z = math.atanh(max(-_SURE, min(_SURE, correlation))) * math.sqrt((pairs - 3) / 1.06)
+    return math.erfc(abs(z) / math.sqrt(2.0))
 
 
 def student_t(freedom: int) -> float:

@@ -19,6 +19,7 @@ from dart_flight.base.records import AfterImpact
 from dart_flight.base.walls import Wall
 from dart_flight.config.mission import Collision, Mission
 from dart_flight.config.mission_file import GoalSpec, MotionState, TrajectoryPieces
+from dart_flight.core.mission.approach import TransitSegment, transit_segments
 from dart_flight.core.mission.trajectories import PlannedTrajectory
 from dart_flight.planning.flight_model import FreeFlight
 from dart_flight.planning.rollout import (
@@ -81,6 +82,23 @@ def impact_place(collision: Collision, hits: Mapping[int, PredictedImpact]) -> V
         return collision.predicted.position_m
     hit = hits.get(collision.index)
     return hit.position if hit is not None else collision.wall.point
+
+
+def predicted_segments(mission: Mission, hits: Mapping[int, PredictedImpact]) -> list[TransitSegment]:
+    """The segments from rest to rest; one behind a recovery begins at the setpoint that the model predicts.
+
+    Args:
+        mission: to be flown.
+        hits: by the model; the begin behind a hit that is not among them stays None.
+    """
+    found = []
+    ends = {w.name: w.after for w in mission.waypoints}
+    for segment in transit_segments(mission):
+        flown = ends.get(segment.name, len(mission.collisions))
+        if segment.begin is None and flown in hits and mission.standoff_m is None:
+            segment = segment._replace(begin=(*hits[flown].setpoint, mission.altitude_at(flown - 1)))
+        found.append(segment)
+    return found
 
 
 def describe_goal_miss(

@@ -54,6 +54,7 @@ from dart_flight.recording.found import PX4_LOG
 from dart_flight.recording.measured_walls import MeasuredWall, WallMeasurements
 from dart_flight.recording.plan_versus_flight import Deviation, deviations, predict_flight
 from dart_flight.recording.reader import IN_MEMORY, Log
+from dart_flight.recording.uncontrolled import TruthExtremes, find_uncontrolled
 
 _TICK_US = 20_000
 _KEPT = 1024  # samples of estimate and truth until they have met: 8 s at 125 Hz
@@ -181,6 +182,7 @@ class Verdict(msgspec.Struct):
     arms_moved: bool | None = None  # whether simulated arms ever followed the lock; None: it never moved
     time: TimeKind | None = None  # how simulated time passed; None: a real vehicle's
     speed: float | None = None  # simulated seconds per second of the computer, achieved
+    uncontrolled: list[str] = msgspec.field(default_factory=list)  # why, by the truth of a simulated vehicle
 
 
 class PositionError:
@@ -252,6 +254,7 @@ class VerdictBuilder:
         self._position_error = PositionError()
         self._estimator = EstimatorResets()
         self._resets: list[EstimatorReset] = []
+        self._extremes = TruthExtremes(mission.bounds)
         self._ticked_us: int | None = None
         self._late_us: int | None = None  # at worst, between ticks
         self._settled: set[Mode] = set()
@@ -310,6 +313,7 @@ class VerdictBuilder:
     def _take_truth(self, record: TruthSample) -> None:
         self._position_error.take_truth(record.t_us, record.position_mission)
         self._true_modes.add(record.mode)
+        self._extremes.update(record)
 
     def _take_contact(self, record: TruthContact) -> None:
         self._truths.append(record)
@@ -470,6 +474,7 @@ class VerdictBuilder:
                 ResetFigures(r.t_us, r.position_m, r.velocity_m_s, math.degrees(r.heading_rad))
                 for r in self._resets
             ],
+            uncontrolled=self._find_uncontrolled(),
             goal_reached=self._goal_reached(),
             goal_miss_planned_m=planned.goal_miss_m if self._mission.standoff_m is None else None,
         )
@@ -482,6 +487,13 @@ class VerdictBuilder:
         if nearest_m is None and self._end.outcome is Outcome.COMPLETED:
             nearest_m = self._end.final_error_m
         return nearest_m is not None and nearest_m <= self._mission.goal.capture_radius_m
+
+    def _find_uncontrolled(self) -> list[str]:
+        """Why the simulated flight is uncontrolled; empty on the drone, where no truth is known."""
+        if self._extremes.last is None:
+            return []
+        completed = self._end is not None and self._end.outcome is Outcome.COMPLETED
+        return list(find_uncontrolled(self._extremes, completed, self._end is None or bool(self._end.reason)))
 
     def _arms_moved(self) -> bool | None:
         if len(self._settled) < len(Mode) or not self._true_modes:

@@ -272,7 +272,7 @@ def fly(job: Job) -> Flown:
         outcome=verdict.outcome.value,
         rule=rule,
         problems=problems,
-        tilt_deg=math.degrees(watch.tilt),
+        tilt_deg=math.degrees(watch.truth.tilt_rad),
         miss_m=verdict.goal_miss_m,
         hits=hits.figures(),
         drawn=world.drawn,

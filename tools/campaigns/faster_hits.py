@@ -61,11 +61,12 @@ from dart_flight.lab.search.optimal_trajectory import (
 )
 from dart_flight.lab.statistics import wilson
 from dart_flight.recording.reader import read_log
+from dart_flight.recording.uncontrolled import find_uncontrolled
 from dart_flight.recording.verdict import Verdict, VerdictBuilder
 from dart_flight.run.fast import FastFlight
 from dart_flight.run.px4_flight import fly_px4
 from dart_flight.sim.draws import draw_world, parse_vary, with_walls
-from tools.campaigns.faults import Watch, excursion_allowed_m, judge, judge_truth, run_out
+from tools.campaigns.faults import Watch, judge, run_out
 from tools.campaigns.kept import fly_missing
 from tools.campaigns.results import RESULTS, markdown, measured_by
 
@@ -104,7 +105,6 @@ _MOTION = (5.0, 8.0, 30.0)  # acceleration m/s2, jerk m/s3, tilt degrees
 _JUDGED_S = 1.0  # after the hit, for tilt, height and estimate
 _SETTLED_US = 16_000  # two samples of the odometry
 _NEAR_M, _STILL_M_S = 0.25, 0.3
-_OUT_M = excursion_allowed_m(None)
 
 
 class Job(msgspec.Struct, frozen=True):
@@ -396,7 +396,8 @@ def flown_of(verdict: Verdict, mission: Mission) -> Flown:
     if verdict.outcome != Outcome.COMPLETED and not fired[0]:
         rule, _, detail = (verdict.reason or "").partition(": ")
         fired = (rule, detail)
-    problems = list(judge_truth(watch, verdict.outcome, fired[0], _OUT_M))
+    completed = verdict.outcome == Outcome.COMPLETED
+    problems = list(find_uncontrolled(watch.truth, completed, bool(fired[0])))
     if not watch.is_down:
         problems.append("in the air at last")
     return _flown(mission, verdict, fired, onlooker, problems)

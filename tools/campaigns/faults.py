@@ -10,9 +10,8 @@ A flight counts as controlled only when all of this holds:
   held still in another mode than offboard after a pilot took over;
 * what did not complete says why: a rule of the guard is in the log and in the verdict's reason (where the app
   itself was hung or killed nothing is left to say it: then PX4's failsafe must have landed the vehicle);
-* truth left the flight space by no more than `excursion_allowed_m`;
-* it touched the ground at no more than 1.5 m/s downwards and never tilted by 80 degrees (not asked of a
-  vehicle whose kill switch was thrown);
+* by its truth it is controlled as `dart_flight.recording.uncontrolled` defines that, out of the bounds by no
+  more than `excursion_allowed_m` (a vehicle whose kill switch was thrown may tilt and fall);
 * its log opens.
 """
 
@@ -33,11 +32,12 @@ import msgspec
 from mcap.records import Chunk, Metadata
 from mcap.stream_reader import StreamReader, breakup_chunk
 
-from dart_flight.base.geometry import distance2, tilt_of
+from dart_flight.base.geometry import distance2
 from dart_flight.base.records import FlightMode, GuardEvent, Record, TruthSample, World
 from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import packaged
 from dart_flight.recording.reader import read_log
+from dart_flight.recording.uncontrolled import OUT_M, TruthExtremes, find_uncontrolled
 from dart_flight.recording.verdict import VerdictBuilder
 from dart_flight.recording.writer import FlightLog
 from dart_flight.run.fast import FastFlight
@@ -57,8 +57,6 @@ _OTHER_VALUES = {"delay": (100, 300, 1000, 2000), "heading-reset": (90,)}
 ROWS = tuple(
     row for name in _NAMES for row in (name, *(f"{name}={value}" for value in _OTHER_VALUES.get(name, ())))
 )
-_LANDING_M_S = 1.5
-_TILT_DEG = 80.0
 _DOWN_M = 0.2  # lying on its side the vehicle's centre is this high
 _STILL_M_S = 0.3
 
@@ -86,31 +84,23 @@ class Watch:
     """What truth did in one flight, and when a part of the program first decided something."""
 
     def __init__(self, mission: Mission) -> None:
-        self._bounds = mission.bounds
+        self.truth = TruthExtremes(mission.bounds)
         self.flight: FastFlight | None = None
-        self.excursion = self.landing = self.tilt = 0.0
         self.decided_us: int | None = None
         self.rules: list[str] = []
-        self.last: TruthSample | None = None
-        self._was_high = False
 
     def take(self, record: Record) -> None:
         if isinstance(record, GuardEvent):
             self.rules.append(record.rule)
             self._decide()
         elif isinstance(record, TruthSample):
-            self.last = record
-            x, y, z = record.position_mission
-            self.excursion = max(self.excursion, self._bounds.excess2((x, y)), z - self._bounds.z[1])
-            self.tilt = max(self.tilt, tilt_of(record.q_frd_to_ned))
-            self._was_high = self._was_high or z > 0.2
-            if self._was_high and z < 0.03:
-                self.landing = max(self.landing, -record.velocity_mission[2])
+            self.truth.update(record)
 
     @property
     def is_down(self) -> bool:
         """Whether the vehicle lay on the ground at last; true of one that has not been seen."""
-        return self.last is None or self.last.position_mission[2] <= _DOWN_M
+        last = self.truth.last
+        return last is None or last.position_mission[2] <= _DOWN_M
 
     def on_text(self, text: str) -> None:
         if "failsafe" in text.lower():
@@ -173,9 +163,9 @@ def fly(mission: Mission, fault: Fault, seed: int, folder: Path | None = None) -
         outcome=verdict.outcome,
         rule=rule,
         decision_ms=None if watch.decided_us is None or began is None else (watch.decided_us - began) * 1e-3,
-        excursion_m=watch.excursion,
-        landing_m_s=watch.landing,
-        tilt_deg=math.degrees(watch.tilt),
+        excursion_m=watch.truth.excursion_m,
+        landing_m_s=watch.truth.landing_m_s,
+        tilt_deg=math.degrees(watch.truth.tilt_rad),
         problems=problems,
     )
 
@@ -225,7 +215,7 @@ def excursion_allowed_m(fault: Fault | None) -> float:
     Half a metre for braking; and where the position itself is wrong, as much as it is wrong by.
     """
     wrong = abs(fault.value) if fault is not None and fault.name == "ekf-jump" else 0.0
-    return 0.5 + wrong if math.isfinite(wrong) else math.inf
+    return OUT_M + wrong if math.isfinite(wrong) else math.inf
 
 
 def judge(flight: FastFlight, watch: Watch, fault: Fault | None, outcome: str, rule: str) -> Iterator[str]:
@@ -242,29 +232,8 @@ def judge(flight: FastFlight, watch: Watch, fault: Fault | None, outcome: str, r
             yield f"still armed in {a.mode.value} at {speed:.2f} m/s"
     elif not falls and not watch.is_down:
         yield "disarmed in the air"
-    yield from judge_truth(watch, outcome, rule, excursion_allowed_m(fault), falls)
-
-
-def judge_truth(
-    watch: Watch, outcome: str, rule: str, allowed_m: float, falls: bool = False
-) -> Iterator[str]:
-    """What is uncontrolled about a flight by its records alone.
-
-    Args:
-        watch: has seen them.
-        outcome: of the flight.
-        rule: that ended it.
-        allowed_m: out of the bounds.
-        falls: the vehicle is meant to fall.
-    """
-    if outcome != "completed" and not rule:
-        yield "not completed, and no reason given"
-    if watch.excursion > allowed_m:
-        yield f"{watch.excursion:.2f} m out of bounds, {allowed_m:.2f} allowed"
-    if watch.landing > _LANDING_M_S and not falls:
-        yield f"met the ground at {watch.landing:.2f} m/s"
-    if math.degrees(watch.tilt) > _TILT_DEG and not falls:
-        yield f"tilted by {math.degrees(watch.tilt):.0f} degrees"
+    allowed_m = excursion_allowed_m(fault)
+    yield from find_uncontrolled(watch.truth, outcome == "completed", bool(rule), allowed_m, falls)
 
 
 # --- the matrix --------------------------------------------------------------------------------------------

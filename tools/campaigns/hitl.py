@@ -30,12 +30,13 @@ from pathlib import Path
 import msgspec
 
 from dart_flight.recording.reader import read_log
+from dart_flight.recording.uncontrolled import find_uncontrolled
 from dart_flight.recording.verdict import Verdict
 from dart_flight.run.prepare import load_flyable
 from dart_flight.sim.px4.launch import ENVIRONMENT as LOCKSTEP
 from tests.doubles.emulated_maestro import EmulatedMaestro
 from tests.doubles.hitl_px4 import ENVIRONMENT, HitlPx4
-from tools.campaigns.faults import Watch, excursion_allowed_m
+from tools.campaigns.faults import Watch
 from tools.campaigns.kept import kept_lines
 from tools.campaigns.results import RESULTS, ROOT, markdown, measured_by
 
@@ -44,7 +45,6 @@ SEEDS = range(1, 6)
 KEPT = ROOT / "build" / "hitl.jsonl"
 PAGE, FIRST, LAST = RESULTS / "hitl.md", "<!-- flown -->\n", "<!-- end -->"
 _NO_REMOTE = {"COM_RC_IN_MODE": 4, "NAV_DLL_ACT": 0}  # nobody at a stick or a ground station
-_TILT_DEG, _LANDING_M_S = 80.0, 1.5
 _LIMIT_S = 240.0  # for a command; a flight takes 40 s
 _LINK = re.compile(r"(\d+) not taken by the port; (\d+) of (\d+) ticks reported late; .*? (\d+) ms")
 
@@ -202,13 +202,8 @@ def _add_truth(flight: BenchFlight, log: Path) -> None:
     watch = Watch(load_flyable(ROOT / "missions" / f"{flight.mission}.yaml"))
     for entry in read_log(log).entries:
         watch.take(entry.record)
-    flight.tilt_deg, flight.excursion_m = math.degrees(watch.tilt), watch.excursion
-    if watch.excursion > excursion_allowed_m(None):
-        flight.problems.append(f"{watch.excursion:.2f} m out of bounds")
-    if flight.tilt_deg > _TILT_DEG:
-        flight.problems.append(f"tilted by {flight.tilt_deg:.0f} degrees")
-    if watch.landing > _LANDING_M_S:
-        flight.problems.append(f"met the ground at {watch.landing:.2f} m/s")
+    flight.tilt_deg, flight.excursion_m = math.degrees(watch.truth.tilt_rad), watch.truth.excursion_m
+    flight.problems += find_uncontrolled(watch.truth, completed=True, explained=True)
 
 
 def fly_lockstep(name: str, seed: int, speed: float) -> BenchFlight:

@@ -291,7 +291,7 @@ def fly(planned: Planned, way: str, seed: int) -> Flown:
         planned.kind, planned.seed, way, seed, verdict.outcome, verdict.reason, None, False, None, ""
     )
     found.tilt_deg = verdict.max_tilt_deg
-    found.uncontrolled = _uncontrolled(mission.bounds, place, t, verdict)
+    found.uncontrolled = "; ".join(verdict.uncontrolled)
     visits = [
         (visit["position_m"], visit["within_m"] + BESIDE_M)
         for visit in scenario_of(planned.kind, planned.seed, FLOWN).get("visits", [])
@@ -307,19 +307,6 @@ def fly(planned: Planned, way: str, seed: int) -> Flown:
     if verdict.outcome == "completed":
         found.there_s = arrival.there_s
     return found
-
-
-def _uncontrolled(bounds: Any, place: np.ndarray, t: np.ndarray, verdict: Any) -> str:
-    out = max(
-        float(np.max(np.abs(place[:, 0]))) - bounds.x[1], float(np.max(np.abs(place[:, 1]))) - bounds.y[1]
-    )
-    if out > 0.5:
-        return f"{out:.1f} m out of bounds"
-    if (verdict.max_tilt_deg or 0.0) > 80.0:
-        return f"tilted by {verdict.max_tilt_deg:.0f} degrees"
-    if verdict.outcome != "completed" and not verdict.reason:
-        return "no cause"
-    return ""
 
 
 def _cruise_m_s(wall_x: float, place: np.ndarray, speed: np.ndarray) -> float | None:

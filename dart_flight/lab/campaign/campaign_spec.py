@@ -150,7 +150,7 @@ def points_of(asked: CampaignSpec) -> list[Point]:
 
 
 def _digest(mission: Mission, spreads: Mapping[str, float]) -> str:
-    bare = msgspec.structs.replace(mission, source="", vehicle_source=None)
+    bare = msgspec.structs.replace(mission, source="", vehicle_source=None, flown=None)
     return hashlib.sha256(msgspec.json.encode([bare, spreads], order="sorted")).hexdigest()[:32]
 
 
@@ -167,6 +167,7 @@ def campaign_of(asked: CampaignSpec, points: Sequence[Point]) -> Campaign:
     collisions = max(len(p.mission.collisions) for p in points)
     columns = (
         *("mission", *asked.settings, "seed", *drawn, "outcome", "reason", "guard_rule", "plan_followed"),
+        "not_followed",
         *("goal_miss_m", "final_error_m", "max_tilt_deg", "flight_time_s", "unexplained_modes"),
         *(f"c{i + 1}_{name}" for i in range(collisions) for name in ("normal_m_s", "peak_force_n")),
     )

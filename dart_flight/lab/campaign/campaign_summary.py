@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import shlex
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from itertools import islice
 from pathlib import Path
@@ -13,6 +14,7 @@ from typing import NamedTuple
 import msgspec
 
 from dart_flight.base.records import Outcome
+from dart_flight.config.mission import Mission
 from dart_flight.config.provenance import VehicleSource
 from dart_flight.lab.campaign.campaign_folder import TABLE, CampaignFolder
 from dart_flight.lab.campaign.campaign_spec import Item, Point, command_of
@@ -24,9 +26,11 @@ from dart_flight.lab.statistics import (
     bin_edges,
     bin_of,
     rank_correlation,
+    rank_correlation_chance,
     separation,
     share,
 )
+from dart_flight.recording.plan_versus_flight import Deviation
 
 _MAX_FAILED = 1000  # that are listed; the table has them all
 _CLEAR_Z = 4.0  # from here on a quantity tells failed flights from others, also among fifty looked at
@@ -34,6 +38,8 @@ _MIN_FAILED = 5
 _MAX_TOLD = 4
 _MAX_OVER = 2  # drawn quantities for one figure
 _MAX_POINTS = 400
+_SIGNIFICANT = 0.05  # p value, corrected for the number of quantities tried
+_OF_WALLS = ("contact", "wall_offset_m", "wall_yaw_deg")
 
 
 class FigureSpread(msgspec.Struct, frozen=True):
@@ -78,18 +84,42 @@ class Drawn(msgspec.Struct, frozen=True):
 
 
 class FigureTrend(msgspec.Struct, frozen=True):
-    """A figure of the flights that completed, over the drawn quantity that it follows most.
+    """A figure of the flights that completed, over a drawn quantity that it follows significantly.
 
     Attributes:
         figure, name: of the figure and of the drawn quantity.
         correlation: of their ranks (Spearman), -1 to 1; 0: the figure does not follow it.
+        p_value: that chance alone correlates any of the quantities tried as much (Bonferroni).
         points: drawn and figure of each flight, of the first 400.
     """
 
     figure: str
     name: str
     correlation: float
+    p_value: float
     points: list[tuple[float, float]]
+
+
+class Departure(msgspec.Struct, frozen=True):
+    """A planned figure that flights did not keep to within its tolerance.
+
+    Attributes:
+        mission: file.
+        what: in words, with its unit.
+        flights: that did not keep to it, of so many that had a plan.
+        not_flown: those of them in which it was not flown at all.
+        planned, flown: medians over those flights, or words; flown is None where it was never flown.
+        tolerance: as the mission says; None: it must be the same.
+    """
+
+    mission: str
+    what: str
+    flights: int
+    of: int
+    not_flown: int
+    planned: float | str
+    flown: float | str | None
+    tolerance: float | None
 
 
 class GridPoint(msgspec.Struct, frozen=True):
@@ -147,6 +177,8 @@ class CampaignSummary(msgspec.Struct, frozen=True):
         points: by mission and settings; rules: why flights did not complete.
         drawn: success over what was drawn; empty where all flights completed, or none.
         varied: miss and peak forces over what was drawn, of the flights that completed.
+        tried: figure to the number of drawn quantities that can matter to it, significant or not.
+        not_followed: what flights did not keep to of their plan, the most frequent first.
         failed: flights that did not complete, at most 1000.
         unexplained_modes: those whose arms were in another mode than the lock although no fault of it was
             drawn; the campaign proves nothing while there are any.
@@ -164,6 +196,8 @@ class CampaignSummary(msgspec.Struct, frozen=True):
     rules: list[EndCause]
     drawn: list[Drawn]
     varied: list[FigureTrend]
+    tried: dict[str, int]
+    not_followed: list[Departure]
     failed: list[FailedFlight]
     unexplained_modes: list[FailedFlight]
     vary: dict[str, float]
@@ -181,6 +215,7 @@ class _SummaryRow(NamedTuple):
     reason: str
     unexplained: str
     followed: bool | None
+    departures: str
     drawn: tuple[float | str | None, ...]
     figures: tuple[float | None, ...]
 
@@ -203,6 +238,7 @@ def summarise(opened: CampaignFolder) -> CampaignSummary:
     figures = (*_FIGURES, *(c for c in columns if c.endswith(("_normal_m_s", "_peak_force_n"))))
     rows = list(_rows(opened, names, figures))
     judged = [row for row in rows if row.outcome != ERROR]
+    varied, tried = _varied([row for row in judged if row.completed], names, figures)
     return CampaignSummary(
         flights=len(rows),
         asked=opened.flights,
@@ -217,7 +253,9 @@ def summarise(opened: CampaignFolder) -> CampaignSummary:
         points=[_at_point(opened, point, judged) for point in opened.points],
         rules=_rules(rows, names),
         drawn=_drawn(judged, names),
-        varied=_varied([row for row in judged if row.completed], names, figures),
+        varied=varied,
+        tried=tried,
+        not_followed=_departures(judged),
         failed=[_failed(opened, row) for row in islice((r for r in rows if not r.completed), _MAX_FAILED)],
         unexplained_modes=[
             _failed(opened, row, row.unexplained)
@@ -243,6 +281,7 @@ def _rows(opened: CampaignFolder, names: Sequence[str], figures: Sequence[str]) 
             row["reason"],
             row["unexplained_modes"],
             {"true": True, "false": False}.get(row["plan_followed"]),
+            row["not_followed"],
             tuple(_value(row[name]) for name in names),
             tuple(_number(row[name]) for name in figures),
         )
@@ -300,21 +339,76 @@ def _drawn(rows: Sequence[_SummaryRow], names: Sequence[str]) -> list[Drawn]:
     return sorted(found, key=lambda drawn: -abs(drawn.z or 0.0))
 
 
-def _varied(rows: Sequence[_SummaryRow], names: Sequence[str], figures: Sequence[str]) -> list[FigureTrend]:
-    """Miss and peak forces, each over the two drawn quantities that it follows most."""
-    found = []
+def _varied(
+    rows: Sequence[_SummaryRow], names: Sequence[str], figures: Sequence[str]
+) -> tuple[list[FigureTrend], dict[str, int]]:
+    """Miss and peak forces over the quantities that they follow most, and how many were tried."""
+    found: list[FigureTrend] = []
+    tried: dict[str, int] = {}
     for j, figure in enumerate(figures):
         if figure != "goal_miss_m" and not figure.endswith("_peak_force_n"):
             continue
-        over = []
+        over: list[tuple[float, str, list[tuple[float, float]]]] = []
         for i, name in enumerate(names):
             known = [
-                (x, y) for r in rows if isinstance(x := r.drawn[i], float) and (y := r.figures[j]) is not None
+                (x, y)
+                for r in rows
+                if isinstance(x := r.drawn[i], float)
+                and (y := r.figures[j]) is not None
+                and _can_matter(name, figure, r.point.mission)
             ]
             if len({x for x, _ in known}) > 1 and len({y for _, y in known}) > 1:
-                over.append(FigureTrend(figure, name, rank_correlation(known), known[:_MAX_POINTS]))
-        found += sorted(over, key=lambda varied: -abs(varied.correlation))[:_MAX_OVER]
-    return found
+                over.append((rank_correlation(known), name, known))
+        if not over:
+            continue
+        tried[figure] = len(over)
+        over.sort(key=lambda one: -abs(one[0]))
+        for correlation, name, known in over[:_MAX_OVER]:
+            p_value = min(1.0, len(over) * rank_correlation_chance(correlation, len(known)))
+            if p_value < _SIGNIFICANT:
+                found.append(FigureTrend(figure, name, correlation, p_value, known[:_MAX_POINTS]))
+    return found, tried
+
+
+def _can_matter(name: str, figure: str, mission: Mission) -> bool:
+    """Whether a drawn quantity of a wall can matter to a figure: the wall is hit, in that mode, by then."""
+    kind, _, rest = name.partition(".")
+    if kind not in _OF_WALLS:
+        return True
+    collisions = mission.collisions
+    if figure.startswith("c"):
+        collisions = collisions[: int(figure[1 : figure.index("_")])]
+    if any(c.wall.sought for c in collisions):
+        return True  # which of the walls in the simulated room it is only the flight tells
+    wall, mode = rest, None
+    if kind == "contact":
+        wall, mode, _ = rest.rsplit(".", 2)
+    return any(c.wall.name == wall and mode in (None, c.mode.value) for c in collisions)
+
+
+def _departures(rows: Sequence[_SummaryRow]) -> list[Departure]:
+    """What was not kept to, by mission and figure."""
+    planned = Counter(row.point.path for row in rows if row.followed is not None)
+    by_figure: dict[tuple[str, str], list[Deviation]] = {}
+    for row in rows:
+        for one in msgspec.json.decode(row.departures, type=list[Deviation]) if row.departures else ():
+            by_figure.setdefault((row.point.path, one.what), []).append(one)
+    found = [
+        Departure(
+            mission, what, len(these), planned[mission], sum(one.flown is None for one in these),
+            _middle([one.planned for one in these]) or 0.0, _middle([one.flown for one in these]),
+            these[0].tolerance,
+        )
+        for (mission, what), these in by_figure.items()
+    ]  # fmt: skip
+    return sorted(found, key=lambda one: -one.flights)
+
+
+def _middle(values: Sequence[float | str | None]) -> float | str | None:
+    """The median of numbers, the most frequent of words; None where nothing is known."""
+    numbers = [value for value in values if isinstance(value, float)]
+    words = Counter(value for value in values if isinstance(value, str))
+    return median(numbers) if numbers else words.most_common(1)[0][0] if words else None
 
 
 def _bins(rows: Sequence[_SummaryRow], i: int) -> list[Bin]:

@@ -9,9 +9,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+import msgspec
+
 from dart_flight.base.records import Outcome, Override
 from dart_flight.lab.campaign.campaign_spec import Campaign, Item, Keep, Point
 from dart_flight.recording.found import LOG_NAME
+from dart_flight.recording.plan_versus_flight import out_of_tolerance
 from dart_flight.recording.reader import Log
 from dart_flight.recording.verdict import Verdict
 from dart_flight.recording.writer import LogPart
@@ -75,6 +78,7 @@ def cells_of(verdict: Verdict) -> dict[str, Cell]:
         "reason": verdict.reason,
         "guard_rule": next(fired, None),
         "plan_followed": verdict.plan_followed,
+        "not_followed": _not_followed(verdict),
         "goal_miss_m": verdict.goal_miss_m,
         "final_error_m": verdict.final_error_m,
         "max_tilt_deg": verdict.max_tilt_deg,
@@ -85,6 +89,12 @@ def cells_of(verdict: Verdict) -> dict[str, Cell]:
         cells[f"c{c.index}_normal_m_s"] = c.measured.normal_m_s
         cells[f"c{c.index}_peak_force_n"] = c.measured.peak_force_n
     return cells
+
+
+def _not_followed(verdict: Verdict) -> str | None:
+    """The deviations out of tolerance, as JSON; None where there is none."""
+    outside = out_of_tolerance(verdict.deviations)
+    return msgspec.json.encode(outside).decode() if outside else None
 
 
 def line_of(cells: Sequence[Cell]) -> bytes:

@@ -7,11 +7,19 @@ from pathlib import Path
 
 from rich.progress import Progress
 
+from dart_flight.cli import EXIT_INTERRUPTED
 from dart_flight.cli.mission_picture import add_plot_option, write_picture
 from dart_flight.cli.options import add_set_option, link_of, whole_number
-from dart_flight.cli.terminal import emit_json, messages, tables
+from dart_flight.cli.terminal import emit_json, messages, print_status, tables
 from dart_flight.cli.vehicle_line import say_vehicle
 from dart_flight.config.document import InputError
+from dart_flight.lab.search.flown_plan import (
+    Done,
+    OfferedPlan,
+    choose_flown,
+    describe_record,
+    fly_mission,
+)
 from dart_flight.lab.search.limited_sight import plan_limited_sight
 from dart_flight.lab.search.mission_writer import planned_mission, write_mission
 from dart_flight.lab.search.plan_table import (
@@ -27,6 +35,10 @@ from dart_flight.lab.search.quickest import plan_quickest
 from dart_flight.lab.search.scenario import Objective, Scenario, load_scenario
 from dart_flight.lab.search.search import search
 from dart_flight.planning.predicted_flight import describe_goal_miss
+from dart_flight.recording.verdict import Verdict
+from dart_flight.run.many_flights import RunsInterruptedError
+
+NOT_VERIFIED = "not flown in simulation (--no-verify): whether the plan flies is not known"
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -61,6 +73,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--seed", type=whole_number(0, 2**31 - 1), default=1, help="of the draws of robust (1)"
     )
+    parser.add_argument(
+        "--no-verify",
+        dest="verify",
+        action="store_false",
+        help="do not fly the plan in simulation before it is offered",
+    )
     add_plot_option(parser)
     parser.add_argument(
         "--connection",
@@ -72,6 +90,14 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; returns the exit status."""
+    try:
+        return _plan(arguments)
+    except RunsInterruptedError:
+        print_status("interrupted while the plan was flown in simulation; nothing is written")
+        return EXIT_INTERRUPTED
+
+
+def _plan(arguments: argparse.Namespace) -> int:
     console = messages()
     scenario = load_scenario(arguments.scenario, arguments.config, settings=arguments.set)
     if arguments.connection is not None:
@@ -95,28 +121,51 @@ def run(arguments: argparse.Namespace) -> int:
         )
     say_vehicle(scenario.vehicle_source, arguments)
     plan = result.plans[min(arguments.rank, len(result.plans)) - 1]
+    record = None
+    if arguments.output is not None and arguments.verify:
+        with Progress(console=console, transient=True) as bar:
+            record = fly_mission(planned_mission(scenario, plan), _show_flights(bar)).record
     if arguments.output is not None:
-        write_mission(scenario, plan, arguments.output)
+        write_mission(scenario, plan, arguments.output, record)
         console.print(f"plan {plan.rank} written to {arguments.output}", soft_wrap=True)
-        if arguments.set:
-            console.print(
-                "the mission names the configuration without what was set: fly it with the same --set",
-                style="yellow",
-                soft_wrap=True,
-            )
+        _say_settings(arguments)
     if arguments.plot is not None:
         write_picture(planned_mission(scenario, plan), arguments.plot)
     if arguments.json:
-        emit_json(plan_summary(result))
+        emit_json({**plan_summary(result), "flown": record})
     else:
         for table in (plan_table(result), refusal_table(result)):
             tables().print(table)
         tables().print(f"plan {plan.rank} {describe_goal_miss(plan.goal_miss_m, scenario.spec.goal)}")
+        if record is not None and record.failure is not None:
+            print_status(f"plan {plan.rank} does not fly well in simulation: {record.failure}")
+        elif record is not None:
+            tables().print(f"plan {plan.rank} flies in simulation: {describe_record(record)}", soft_wrap=True)
+        elif arguments.output is not None:
+            print_status(NOT_VERIFIED)
     return 0
 
 
+def _say_settings(arguments: argparse.Namespace) -> None:
+    if arguments.set:
+        messages().print(
+            "[yellow]the mission names the configuration without what was set: fly it with the same --set[/]",
+            soft_wrap=True,
+        )
+
+
+def _show_flights(bar: Progress) -> Done:
+    """A line that counts simulated flights; the callback to be called after each."""
+    task = bar.add_task("flights in simulation", total=None)
+
+    def done(_: Verdict) -> None:
+        bar.advance(task)
+
+    return done
+
+
 def _plan_quickest(scenario: Scenario, arguments: argparse.Namespace) -> int:
-    """Search for the quickest flight, write it and say how it compares; returns the exit status."""
+    """Search for the quickest flight, fly it in simulation, write it and compare; returns the exit status."""
     console = messages()
     with Progress(console=console, transient=True) as bar:
         task = bar.add_task("sequences", total=None)
@@ -129,17 +178,24 @@ def _plan_quickest(scenario: Scenario, arguments: argparse.Namespace) -> int:
         else:
             result = plan_quickest(scenario, arguments.within, progress)
     say_vehicle(scenario.vehicle_source, arguments)
-    plan = result.free if arguments.free else result.best
-    if plan is None:
-        raise InputError("without a collision there is no way", source=scenario.source)
-    if arguments.output is not None:
-        write_mission(scenario, plan, arguments.output)
-        console.print(f"plan written to {arguments.output}", soft_wrap=True)
-    if arguments.plot is not None:
-        write_picture(planned_mission(scenario, plan), arguments.plot)
+    if arguments.free and result.free is None:
+        raise InputError("no flight reaches the goal without a collision", source=scenario.source)
+    offered = OfferedPlan(result.free if arguments.free else result.best, scenario, None, [NOT_VERIFIED], {})
+    if arguments.verify:
+        with Progress(console=console, transient=True) as bar:
+            offered = choose_flown(result, arguments.free, _show_flights(bar))
+    if offered.plan is not None:
+        if arguments.output is not None:
+            write_mission(offered.scenario, offered.plan, arguments.output, offered.record)
+            console.print(f"plan written to {arguments.output}", soft_wrap=True)
+            _say_settings(arguments)
+        if arguments.plot is not None:
+            write_picture(planned_mission(offered.scenario, offered.plan), arguments.plot)
     if arguments.json:
-        emit_json(quickest_summary(result))
+        emit_json({**quickest_summary(result), "flown": offered.flown, "says": offered.says})
     else:
         tables().print(quickest_table(result))
-        tables().print(describe_quickest(result))
-    return 0
+        tables().print(describe_quickest(result), soft_wrap=True)
+        for line in offered.says:
+            tables().print(line, soft_wrap=True)
+    return 0 if offered.plan is not None else 1

@@ -20,12 +20,13 @@ def campaign_page(summary: CampaignSummary) -> str:
         _head(summary),
         section("By mission and setting", _points(summary)),
         section("Why flights did not complete", _rules(summary)),
+        *([section("What was not followed", _not_followed(summary))] if summary.not_followed else []),
         section("Flights that did not complete", _failed(summary)),
         section("Figures", _figures(summary)),
     ]
     if summary.drawn:
         parts.append(section("Success versus drawn quantity", _over_draws(summary)))
-    if summary.varied:
+    if summary.tried:
         parts.append(section("Figures versus drawn quantity", _varied(summary)))
     return page("Campaign", parts)
 
@@ -43,13 +44,19 @@ def _over_draws(summary: CampaignSummary) -> str:
 
 def _varied(summary: CampaignSummary) -> str:
     note = (
-        "<p class=note>Flights that completed, a point each; for every figure the two drawn quantities that "
-        "it follows most.</p>"
+        "<p class=note>Flights that completed, a point each; for every figure at most two drawn quantities "
+        "that it follows significantly (rank correlation, p below 0.05 corrected for the number tried). "
+        "Walls that are not hit, or in the other mode, or later, are not tried.</p>"
     )
+    followed = {one.figure for one in summary.varied}
+    for figure, count in summary.tried.items():
+        if figure not in followed:
+            note += f"<p>{_words(figure)}: none of {count} drawn quantities is significant.</p>"
     return note + _pictures(
         (
             varied_figure(one, _words(one.figure)),
-            f"{_words(one.figure)} over {one.name}: rank correlation {one.correlation:.2f}",
+            f"{_words(one.figure)} over {one.name}: rank correlation {one.correlation:.2f}, "
+            f"p {one.p_value:.2g}",
         )
         for one in summary.varied
     )
@@ -116,6 +123,18 @@ def _rules(summary: CampaignSummary) -> str:
         "and Whitney; told from four standard deviations on). Nothing below a rule: nothing stands out.</p>"
     )
     return table(["", "in these", "in completed ones", "higher in these"], rows) + note
+
+
+def _not_followed(summary: CampaignSummary) -> str:
+    rows: list[Row] = [
+        [d.mission, d.what, f"{d.flights} of {d.of}", d.not_flown or "", d.planned,
+         "–" if d.flown is None else d.flown, "the same" if d.tolerance is None else d.tolerance]
+        for d in summary.not_followed
+    ]  # fmt: skip
+    note = "<p class=note>Planned and flown are medians over the flights that were out of tolerance.</p>"
+    heads = ["mission", "figure", "flights", "not flown", "planned", "flown", "tolerance"]
+    first, rest = rows[:_SHOWN], rows[_SHOWN:]
+    return table(heads, first) + (details(f"{len(rest)} more", table(heads, rest)) if rest else "") + note
 
 
 def _figures(summary: CampaignSummary) -> str:

@@ -16,7 +16,7 @@ from dart_flight.base.records import AfterImpact
 from dart_flight.base.walls import Wall
 from dart_flight.config.document import Document, writing
 from dart_flight.config.mission import Mission, parse_mission
-from dart_flight.config.mission_file import Limits, TrajectoryPieces, WallSpec
+from dart_flight.config.mission_file import FlownRecord, Limits, TrajectoryPieces, WallSpec
 from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.lab.search.optimal_trajectory import ContactResponse, OptimalTrajectory, TrajectoryHit
 from dart_flight.lab.search.quickest import QuickestPlan
@@ -30,13 +30,16 @@ _REST_S = 1.0  # at the start after a touch
 _LEAST_FRICTION_N = 2.0  # under which the friction force is too small to lead anywhere
 
 
-def mission_text(scenario: Scenario, plan: Plan | QuickestPlan, target: Path) -> str:
+def mission_text(
+    scenario: Scenario, plan: Plan | QuickestPlan, target: Path, flown: FlownRecord | None = None
+) -> str:
     """The mission file.
 
     Args:
         scenario: what was planned.
         plan: the chosen candidate.
         target: where the file will be; paths in it are relative to that.
+        flown: how the mission flew in simulation.
     """
     spec = scenario.spec
     tree: dict[str, Any] = {"version": 1, "name": scenario.name}
@@ -61,6 +64,8 @@ def mission_text(scenario: Scenario, plan: Plan | QuickestPlan, target: Path) ->
     else:
         tree["collisions"] = [_collision(scenario, plan, c) for c in plan.collisions]
         tree["predicted"] = {"goal_miss_m": _short(plan.goal_miss_m)}
+    if flown is not None:
+        tree["flown"] = _without_none(msgspec.to_builtins(flown))
     head = (
         f"# Planned by `dart-flight plan` from {Path(scenario.source).name}, objective "
         f"{scenario.objective.value}. `predicted` is what the flight model expects.\n"
@@ -181,13 +186,15 @@ def planned_mission(scenario: Scenario, plan: Plan | QuickestPlan, text: str | N
     return parse_mission(document, scenario.vehicle)
 
 
-def write_mission(scenario: Scenario, plan: Plan | QuickestPlan, target: Path) -> str:
+def write_mission(
+    scenario: Scenario, plan: Plan | QuickestPlan, target: Path, flown: FlownRecord | None = None
+) -> str:
     """Write the mission file and read it back as `dry-run` will; returns the text.
 
     Raises:
         InputError: it cannot be written.
     """
-    text = mission_text(scenario, plan, target)
+    text = mission_text(scenario, plan, target, flown)
     planned_mission(scenario, plan, text)
     with writing(target):
         target.write_text(text, encoding="utf-8")
@@ -196,7 +203,16 @@ def write_mission(scenario: Scenario, plan: Plan | QuickestPlan, target: Path) -
 
 def _given(section: WallSpec | Limits) -> dict[str, Any]:
     """Keys without those that say nothing."""
-    return {key: value for key, value in msgspec.to_builtins(section).items() if value is not None}
+    return _without_none(msgspec.to_builtins(section))
+
+
+def _without_none(tree: dict[str, Any]) -> dict[str, Any]:
+    """A tree without the keys that are None, at every level."""
+    return {
+        key: _without_none(value) if isinstance(value, dict) else value
+        for key, value in tree.items()
+        if value is not None
+    }
 
 
 def _short(value: float) -> float:

@@ -92,7 +92,7 @@ def describe_free(free: FreePlan | None, best: Plan) -> str:
     if free is None:
         return f"without any collision: needs ruckig: {install_command('plan')}"
     if free.time_s is None:
-        return "without any collision: no way"
+        return "without any collision: the goal is not reached"
     limits, gap = free.limits, ""
     if free.gap_s > _SHOWN_S:
         gap = f", {free.time_s - free.gap_s:.2f} at best"
@@ -103,7 +103,7 @@ def describe_free(free: FreePlan | None, best: Plan) -> str:
     )
     if best.saving_s is None or best.time_to_rest_s is None:
         return says
-    wins = "saves" if best.saving_s > 0.0 else "loses"
+    wins = "would save" if best.saving_s > 0.0 else "would lose"
     return (
         f"{says}; plan 1 rests after {best.time_to_rest_s:.2f} s: the hit {wins} {abs(best.saving_s):.2f} s"
     )
@@ -119,6 +119,7 @@ def quickest_summary(result: QuickestResult) -> dict[str, Any]:
         "computed": result.computed,
         "pruned": result.pruned,
         "gap_s": result.gap_s,
+        "most_hits": result.most_hits,
         "free": result.free
         and {"time_s": result.free.time_s, "limits": limits, "cruise_m_s": result.free.cruise_m_s},
         "plans": [
@@ -162,25 +163,27 @@ def describe_quickest(result: QuickestResult) -> str:
     """The colliding plan beside the free one, in words."""
     limits, gap = limits_of(result.scenario), ""
     jerk = "" if limits.jerk_m_s3 is None else f", {limits.jerk_m_s3:g} m/s3"
-    says = f"at {limits.speed_m_s:g} m/s, {limits.acceleration_m_s2:g} m/s2{jerk}: "
+    says = f"planned, at {limits.speed_m_s:g} m/s, {limits.acceleration_m_s2:g} m/s2{jerk}: "
     if result.free is None:
-        says += "no way without a collision"
+        says += "no flight without a collision reaches the goal"
     elif result.saving_s is None:
         says += f"{result.free.time_s:.2f} s without a collision; no hit can be quicker"
     else:
-        wins = "saves" if result.saving_s > 0.0 else "loses"
+        wins = "would save" if result.saving_s > 0.0 else "would lose"
         share = abs(result.saving_s) / result.free.time_s
         says += (
             f"{result.free.time_s:.2f} s without a collision; colliding {wins} {abs(result.saving_s):.2f} s"
         )
         says += f" ({share:.0%})"
         if result.saving_s < 0.0 and result.best is result.colliding:
-            says += ", and is returned because the scenario demands the hits"
+            says += "; the scenario demands the hits"
     if result.free and result.free.cruise_m_s is not None:
         cruises = [f"{plan.cruise_m_s:.2f}" for plan in (result.free, result.colliding) if plan is not None]
         says += f"; cruising until the wall is seen at {' and '.join(cruises)} m/s"
     if result.gap_s > _SHOWN_S:
         gap = f"; what was not computed could be quicker by {result.gap_s:.2f} s at most"
+    if result.most_hits is not None:
+        gap += f"; sequences of more than {result.most_hits} hits were left out"
     return f"{says}; {result.computed} sequences computed, {result.pruned} ruled out{gap}"
 
 

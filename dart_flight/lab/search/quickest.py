@@ -48,7 +48,8 @@ from dart_flight.lab.search.scenario import Scenario
 Progress = Callable[[int, int], None]
 Array = NDArray[np.float64]
 
-MOST_HITS = 4
+# A guard against sequences that grow for ever; what it leaves out counts as not computed (`gap_s`).
+MOST_HITS = 16
 # Of a visit's tolerance: what the flight that follows the plan may be off by is left to it.
 _TOLERANCE_USED = 0.8
 _FORCE_USED = 0.8  # likewise, of limits.peak_force_n: stiffness is known to some 15 %
@@ -93,6 +94,7 @@ class QuickestResult(msgspec.Struct, frozen=True):
         colliding: the quickest with hits; None: none was found that might be quicker than the free one.
         computed, pruned: sequences.
         gap_s: by how much a sequence that was not computed could be quicker at most; 0: none can.
+        most_hits: sequences with more hits were left out, and count as not computed; None: none was.
         elapsed_s: of the search.
     """
 
@@ -104,6 +106,7 @@ class QuickestResult(msgspec.Struct, frozen=True):
     pruned: int
     gap_s: float
     elapsed_s: float
+    most_hits: int | None = None
 
     @property
     def saving_s(self) -> float | None:
@@ -139,6 +142,7 @@ def plan_quickest(
         search.pruned,
         max(0.0, best.time_s - search.least_open_s) if search.least_open_s < math.inf else 0.0,
         time.perf_counter() - began,
+        MOST_HITS if search.left_out_s < best.time_s else None,
     )
 
 
@@ -266,7 +270,7 @@ class _Search:
         self.colliding: QuickestPlan | None = None
         self.computed = self.pruned = 0
         self._compared: dict[tuple[Event, ...], QuickestPlan | None] = {}
-        self.least_open_s = math.inf
+        self.least_open_s = self.left_out_s = math.inf  # bounds of sequences not computed, too long
         # Asked for with every bound: computed once.
         self._responses = {
             (wall.name, mode): ContactResponse.of(self.vehicle, wall, mode)
@@ -280,9 +284,23 @@ class _Search:
         """Compute sequences, best bound first, until no other can be better, or it is enough."""
         self.free = self._solved(tuple(self._visits()))
         tie, found = itertools.count(), list[QuickestPlan]()
-        open_ = [(self._bound_s(events), next(tie), events) for events in self._serving_sequences()]
-        heapq.heapify(open_)
-        seen = {events for _, _, events in open_}
+        open_ = list[tuple[float, int, tuple[Event, ...]]]()
+        seen = set[tuple[Event, ...]]()
+
+        def put(events: tuple[Event, ...]) -> None:
+            if events in seen or (bound_s := self._bound_s(events)) >= self._to_beat_s():
+                return
+            if _count_hits(events) > MOST_HITS:
+                self.left_out_s = min(self.left_out_s, bound_s)
+                return
+            heapq.heappush(open_, (bound_s, next(tie), events))
+            seen.add(events)
+
+        for events in self._serving_sequences():
+            put(events)
+            if enough():
+                self.least_open_s = 0.0  # nothing is known of the others
+                break
         while open_:
             bound_s, _, events = heapq.heappop(open_)
             progress(self.computed, self.computed + len(open_))
@@ -290,16 +308,15 @@ class _Search:
                 self.pruned += 1 + len(open_)
                 break
             if enough():
-                self.least_open_s = bound_s
+                self.least_open_s = min(self.least_open_s, bound_s)
                 break
             if self._is_wanted(events):
                 plan = self._solved(events)
                 found += [] if plan is None else [plan]
                 self.colliding = min(plan, self.colliding, key=_time_s)
             for more in self._with_one_more(events):
-                if more not in seen and (bound_s := self._bound_s(more)) < self._to_beat_s():
-                    heapq.heappush(open_, (bound_s, next(tie), more))
-                    seen.add(more)
+                put(more)
+        self.least_open_s = min(self.least_open_s, self.left_out_s)
         # Another mode may make the second or third the first.
         for plan in sorted(found, key=_time_s)[:_TRIED_IN_OTHER_MODE]:
             for mode in self.scenario.modes:
@@ -327,13 +344,11 @@ class _Search:
             for visit in self._visits()
         ]
         for events in itertools.product(*choices):
-            if _count_hits(events) <= MOST_HITS and self._may_be_wanted(events):
+            if self._may_be_wanted(events):
                 yield events
 
     def _with_one_more(self, events: tuple[Event, ...]) -> Iterator[tuple[Event, ...]]:
         """The events with one more hit before, between or after them."""
-        if _count_hits(events) == MOST_HITS:
-            return
         for wall, k in itertools.product(self.walls, range(len(events) + 1)):
             more = (*events[:k], Hit(wall, first_mode(self.scenario)), *events[k:])
             if not _repeats(more) and self._may_be_wanted(more):

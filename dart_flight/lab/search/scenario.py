@@ -46,7 +46,8 @@ from dart_flight.config.vehicle import Px4Parameters, VehicleConfig
 
 _MAX_STEPS = 2001
 _MAX_CANDIDATES = 20_000_000
-_MAX_COLLISIONS = 4
+_MAX_COLLISIONS = 4  # of a grid's sequence; along trajectories, of the objective quickest:
+_MAX_QUICKEST = 16
 
 
 class Objective(StrEnum):
@@ -137,8 +138,8 @@ class ScenarioFile(SpaceKeys, frozen=True, kw_only=True):
         posts: by name; obstacles, with the objective quickest only.
         touch_m_s: at this speed each wall that is to be hit is touched before, from the start and back, so
             that it is known how it stands and how high it pushes; with the objective quickest only.
-        sequence: walls in the order of the hits, one to four; any: the planner chooses walls and order, with
-            the objective quickest also whether any is hit at all.
+        sequence: walls in the order of the hits, one to four, with the objective quickest up to 16; any: the
+            planner chooses walls and order, with the objective quickest also whether any is hit at all.
         search: the approaches to try; with the objective quickest there is nothing to say.
         name: of the mission that is written; without it, the file's name.
         vehicle: vehicle configuration, relative to this file; without it, the default one.
@@ -366,8 +367,9 @@ def _sequences(spec: ScenarioFile, document: Document) -> tuple[tuple[str, ...],
             found = [*found, *frontier]
         return tuple(found)
     sequence = tuple(spec.sequence)
-    if not 1 <= len(sequence) <= _MAX_COLLISIONS:
-        raise document.error(key, f"one to {_MAX_COLLISIONS} walls, not {len(sequence)}; or: any")
+    most = _MAX_QUICKEST if spec.objective is Objective.QUICKEST else _MAX_COLLISIONS
+    if not 1 <= len(sequence) <= most:
+        raise document.error(key, f"one to {most} walls, not {len(sequence)}; or: any")
     for i, name in enumerate(sequence):
         if name not in spec.walls:
             raise document.error((*key, i), unknown_name(name, list(spec.walls)))

@@ -8,7 +8,11 @@ import sys
 from html import escape
 from pathlib import Path
 
+import msgspec
 import pytest
+import scipy.stats
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from dart_flight.config.packages import install_command
 from dart_flight.config.vehicle import packaged
@@ -18,6 +22,7 @@ from dart_flight.lab.campaign.campaign_summary import CampaignSummary, summarise
 from dart_flight.lab.campaign.flight_job import line_of
 from dart_flight.lab.campaign.table import Table
 from dart_flight.lab.report.campaign_page import campaign_page
+from dart_flight.lab.statistics import rank_correlation, rank_correlation_chance
 
 SINGLE = str(packaged("missions", "paper_single_wall.yaml"))
 FLIGHTS = 400
@@ -137,3 +142,77 @@ def test_a_campaign_without_a_row_has_a_page(tmp_path: Path) -> None:
     summary = summarise(empty)
     assert summary.completed.share is None
     assert "2 of 2 flights are not flown yet" in campaign_page(summary)
+
+
+DUAL = str(packaged("missions", "paper_dual_collision.yaml"))
+
+
+def two_walls(folder: Path, rows: int, follows: str | None) -> CampaignSummary:
+    """Flights of the dual collision (wood flexible, then acrylic rigid); the first peak follows one draw."""
+    asked = CampaignSpec((DUAL,), vary=("contact", "wall_offset_m", "mass", "battery"), runs=rows)
+    opened = campaigns.open_campaign(asked, folder / "out", resume=False)
+    columns, rng = opened.campaign.columns, random.Random(5)
+    names = columns[columns.index("seed") + 1 : columns.index("outcome")]
+    with Table(opened.folder / campaigns.TABLE, columns) as table:
+        for seed in range(1, rows + 1):
+            drawn = {name: rng.gauss(1.0, 0.1) for name in names}
+            peak_n = rng.gauss(20.0, 1.0) if follows is None else 20.0 * drawn[follows]
+            missed = msgspec.json.encode([
+                {"what": "collision 1 peak force, N", "planned": 20.0, "flown": 28.0 + seed,
+                 "tolerance": 5.0},
+                {"what": "collision 2 mode", "planned": "rigid", "flown": None, "tolerance": None},
+            ][: 2 if seed % 2 else 0]).decode()  # fmt: skip
+            cells: dict[str, str | float | int | bool | None] = {
+                **drawn, "mission": DUAL, "seed": seed, "outcome": "completed", "c1_peak_force_n": peak_n,
+                "plan_followed": seed % 2 == 0, "not_followed": missed if seed % 2 else None,
+            }  # fmt: skip
+            table.append(line_of([cells.get(name) for name in columns]))
+    return summarise(opened)
+
+
+@pytest.mark.parametrize(
+    ("follows", "seen"),
+    [
+        ("contact.wood.flexible.k", True),
+        ("mass", True),
+        ("contact.wood.rigid.k", False),  # the other mode
+        ("contact.acrylic.rigid.k", False),  # of a wall that is hit later
+        ("wall_offset_m.acrylic", False),
+        (None, False),
+    ],
+)
+def test_a_peak_follows_only_what_can_matter_to_it(follows: str | None, seen: bool, tmp_path: Path) -> None:
+    summary = two_walls(tmp_path, 40, follows)
+    assert [one.name for one in summary.varied if one.figure == "c1_peak_force_n"][:1] == [follows] * seen
+    tried = summary.tried["c1_peak_force_n"]
+    assert tried == len(("k", "f", "mu", "nu")) + len(("wall_offset_m.wood", "mass", "battery"))
+    words = f"c1 peak force, N: none of {tried} drawn quantities is significant"
+    assert (words in campaign_page(summary)) is not seen
+
+
+def test_the_page_says_what_was_not_followed(tmp_path: Path) -> None:
+    summary = two_walls(tmp_path, 20, None)
+    peak, mode = summary.not_followed
+    assert (peak.what, peak.flights, peak.of, peak.not_flown) == ("collision 1 peak force, N", 10, 20, 0)
+    assert (peak.planned, peak.flown, peak.tolerance) == (20.0, 38.0, 5.0)
+    assert (mode.what, mode.not_flown, mode.planned, mode.flown) == ("collision 2 mode", 10, "rigid", None)
+    page = campaign_page(summary)
+    assert "What was not followed" in page
+    assert "10 of 20" in page
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.lists(st.tuples(*[st.floats(-5.0, 5.0)] * 2), min_size=12, max_size=80, unique_by=lambda p: p[0]))
+def test_the_p_value_is_near_that_of_scipy(pairs: list[tuple[float, float]]) -> None:
+    if len({y for _, y in pairs}) < 2:
+        return
+    exact = scipy.stats.spearmanr(*zip(*pairs, strict=True))
+    assert rank_correlation(pairs) == pytest.approx(float(exact.statistic), abs=1e-9)
+    found = rank_correlation_chance(float(exact.statistic), len(pairs))
+    assert found == pytest.approx(float(exact.pvalue), abs=0.02)
+
+
+def test_of_a_few_pairs_nothing_is_significant() -> None:
+    assert rank_correlation_chance(1.0, 9) == 1.0
+    assert rank_correlation_chance(1.0, 10) < 0.001
+    assert rank_correlation_chance(0.0, 100) == pytest.approx(1.0)

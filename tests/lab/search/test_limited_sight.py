@@ -73,7 +73,7 @@ def test_both_cruise_until_the_reaction_to_the_wall_is_over() -> None:
 
 def test_the_free_plan_is_written_and_flown(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     target = tmp_path / "free.yaml"
-    assert main(["plan", str(SHIPPED), "--free", "--json", "-o", str(target)]) == 0
+    assert main(["plan", str(SHIPPED), "--free", "--json", "--no-verify", "-o", str(target)]) == 0
     said = json.loads(capsys.readouterr().out)
     assert said["free"]["cruise_m_s"] == pytest.approx(1.63, abs=0.01)
     mission = dart_flight.load_mission(target)

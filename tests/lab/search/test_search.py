@@ -181,6 +181,7 @@ def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
         "--plot",
         str(picture),
         "--json",
+        "--no-verify",
     ]
     assert main([*arguments, "--top", "3"]) == 0
     result = json.loads(capsys.readouterr().out)

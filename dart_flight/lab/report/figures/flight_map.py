@@ -28,6 +28,7 @@ from dart_flight.lab.report.figures.map_drawing import (
     along,
     draw_arrow,
     draw_hit,
+    draw_north,
     draw_room,
     fit_map,
     name_hits,
@@ -59,6 +60,7 @@ def flight_map(flights: Sequence[RecordedFlight], *, look: Look = PAGE) -> Any:
         shown += flight.planned_lines()  # the walls that a flight broken off never came to
     set_view(axis, view_of(mission, np.vstack(shown)))
     draw_room(axis, mission)
+    draw_north(axis, mission)
     if len(flights) == 1:
         labels, lines = _draw_one(axis, flights[0])
     else:

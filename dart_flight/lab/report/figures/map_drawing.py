@@ -18,6 +18,10 @@ from dart_flight.lab.flight_arrays import Array
 _WIDE_IN = 6.0  # from this width on a legend has three columns
 LONGEST_ARROW_M = 0.45  # of the largest force
 _HUB_SHARE = 0.45  # of the way to the motors: where the drawn arms end at the frame
+_NORTH_PT = 16.0  # length of the arrow to the north
+_OPPOSED, _SAME_PLANE_M = -0.9, 0.01  # cosine between two normals; faces that a file puts into one plane
+_OUTSIDE_M = 0.6  # of the bounds: a wall there may still be met
+_BACK_TO_BACK_M = 0.4  # between two faces: a name behind one would stand before the other
 THICKNESS_M = 0.12  # of a drawn wall; what is behind the surface is not known
 
 
@@ -28,7 +32,7 @@ def draw_room(axis: Any, mission: Mission) -> None:
         [x0, x1, x1, x0, x0], [y0, y0, y1, y1, y0], color="#999999", linewidth=0.8, linestyle=(0, (1, 2))
     )
     for wall in mission.flat_walls:
-        draw_wall(axis, wall, mission.vehicle.airframe)
+        draw_wall(axis, wall, mission.vehicle.airframe, _thickness_m(mission, wall))
     around = np.linspace(0.0, 2.0 * math.pi, 49)
     for post in mission.posts:
         (cx, cy), r = post.centre, post.radius_m
@@ -40,7 +44,11 @@ def draw_room(axis: Any, mission: Mission) -> None:
         if waypoint.position is not None:
             x, y, _ = waypoint.position
             axis.plot(x, y, "s", color="black", markersize=5, label="waypoint", linestyle="none")
-    axis.plot(*mission.start, "o", color="black", markersize=5, label="start", linestyle="none")
+    # A ring about whatever else is there: waypoints, goal, the begin of a run-up.
+    axis.plot(
+        *mission.start, "o", color="black", markersize=11, markerfacecolor="none", label="start",
+        linestyle="none", zorder=4.5,
+    )  # fmt: skip
     radius = mission.goal.capture_radius_m
     angle = np.linspace(0.0, 2.0 * math.pi, 49)
     goal = mission.goal.position_m
@@ -50,10 +58,33 @@ def draw_room(axis: Any, mission: Mission) -> None:
     axis.plot(*goal, "*", color="black", markersize=9, label="goal", linestyle="none")
 
 
-def draw_wall(axis: Any, wall: Wall, airframe: Airframe) -> None:
+def draw_north(axis: Any, mission: Mission) -> None:
+    """An arrow to the north, above the right end of the map."""
+    from matplotlib.offsetbox import AnchoredOffsetbox, DrawingArea, TextArea, VPacker  # noqa: PLC0415  (slow)
+    from matplotlib.patches import FancyArrow  # noqa: PLC0415
+
+    heading, size = math.radians(mission.frame.heading_deg), _NORTH_PT
+    area = DrawingArea(size, size)
+    x, y = 0.9 * size * math.cos(heading), 0.9 * size * math.sin(heading)
+    area.add_artist(
+        FancyArrow(
+            0.5 * (size - x), 0.5 * (size - y), x, y, length_includes_head=True, width=0.8, head_width=5.0,
+            head_length=6.0, color="#000000",
+        )
+    )  # fmt: skip
+    north = VPacker(children=[TextArea("N"), area], pad=0.0, sep=1.0, align="center")
+    axis.add_artist(
+        AnchoredOffsetbox(
+            "lower right", child=north, pad=0.1, frameon=False, bbox_to_anchor=(1.0, 1.0),
+            bbox_transform=axis.transAxes,
+        )
+    )  # fmt: skip
+
+
+def draw_wall(axis: Any, wall: Wall, airframe: Airframe, thickness_m: float = THICKNESS_M) -> None:
     """The wall from its surface back, and thin the plane that the centre meets."""
     plane, surface = np.array(wall.ends), np.array(airframe.surface_of(wall).ends)
-    back = surface - THICKNESS_M * np.array(wall.normal)
+    back = surface - thickness_m * np.array(wall.normal)
     axis.fill(
         *np.vstack([surface, back[::-1]]).T, facecolor="#dcdcdc", edgecolor="#777777", hatch="////",
         linewidth=0.0, zorder=1.5,
@@ -62,8 +93,28 @@ def draw_wall(axis: Any, wall: Wall, airframe: Airframe) -> None:
     axis.plot(*plane.T, color=GREY, linewidth=0.7, linestyle=(0, (4, 3)), zorder=1.6)
 
 
+def _gap_behind_m(mission: Mission, wall: Wall) -> float:
+    """Distance from a wall's surface back to a surface that faces the other way; infinite without one."""
+    surface_of = mission.vehicle.airframe.surface_of
+    own, gaps = surface_of(wall), [math.inf]
+    for other in mission.flat_walls:
+        face = surface_of(other)
+        opposed = own.normal[0] * face.normal[0] + own.normal[1] * face.normal[1] < _OPPOSED
+        # The nearer ends decide whether they stand behind each other at all.
+        beside_m = abs(own.along(face.point)) - 0.5 * (own.length_m + face.length_m)
+        if opposed and beside_m < 0.0:
+            gap_m = -own.signed_distance(face.point)
+            gaps += [gap_m] if gap_m > -_SAME_PLANE_M else []
+    return max(0.0, min(gaps))
+
+
+def _thickness_m(mission: Mission, wall: Wall) -> float:
+    """How thick a wall is drawn: no further than to the middle of the partition of which it is one face."""
+    return min(THICKNESS_M, 0.5 * _gap_behind_m(mission, wall))
+
+
 def name_walls(axis: Any, mission: Mission, font_pt: float) -> list[Array]:
-    """Write the walls' names and materials behind their parts that the axis shows.
+    """Write the walls' names and materials behind their parts that the axis shows, of thin partitions before.
 
     Returns:
         What the names cover: [[low x, low y], [high x, high y]] each, metres.
@@ -73,9 +124,11 @@ def name_walls(axis: Any, mission: Mission, font_pt: float) -> list[Array]:
     covered = []
     for wall in mission.walls:
         tangent, normal = np.array(wall.tangent), np.array(wall.normal)
-        back = np.array(mission.vehicle.airframe.surface_of(wall).point) - THICKNESS_M * normal
+        line, away = np.array(mission.vehicle.airframe.surface_of(wall).point) - THICKNESS_M * normal, -normal
+        if _gap_behind_m(mission, wall) < _BACK_TO_BACK_M:
+            line, away = np.array(wall.point), normal
         along = np.linspace(-0.5 * wall.length_m, 0.5 * wall.length_m, 201)
-        place = back + along[:, None] * tangent - 0.75 * font_pt / unit * normal
+        place = line + along[:, None] * tangent + 0.75 * font_pt / unit * away
         seen = (place[:, 0] > x0) & (place[:, 0] < x1) & (place[:, 1] > y0) & (place[:, 1] < y1)
         if not seen.any():
             continue
@@ -100,7 +153,8 @@ def set_view(axis: Any, view: Array) -> None:
 def view_of(mission: Mission, points: Array, margin_m: float = 0.45) -> Array:
     """[[low x, low y], [high x, high y]]: the part of the room in which the points (n, 2) are, with a margin.
 
-    No more than the room: its bounds and its walls with their names.
+    Of every wall within the bounds the part nearest to the points is shown as well. No more than the room:
+    its bounds and its walls with their names.
     """
     (x0, x1), (y0, y1) = mission.bounds.x, mission.bounds.y
     room = [np.array([[x0, y0], [x1, y1]])]
@@ -109,12 +163,24 @@ def view_of(mission: Mission, points: Array, margin_m: float = 0.45) -> Array:
         room.append(surface - (THICKNESS_M + 0.15) * np.array(wall.normal))
     corners = np.vstack(room)
     inside = points[np.isfinite(points).all(axis=1)]
+    inside = np.vstack([inside, *(_nearest_part(mission, wall, inside) for wall in mission.walls)])
     low = np.maximum(inside.min(axis=0) - margin_m, corners.min(axis=0) - 0.05)
     high = np.minimum(inside.max(axis=0) + margin_m, corners.max(axis=0) + 0.05)
     # Never a strip: what is narrow is widened about its middle.
     least = 0.5 * (high - low).max()
     middle, size = 0.5 * (low + high), np.maximum(high - low, least)
     return np.stack([middle - 0.5 * size, middle + 0.5 * size])
+
+
+def _nearest_part(mission: Mission, wall: Wall, points: Array) -> Array:
+    """The part of a wall's surface nearest to the box about points (n, 2); empty if out of the bounds."""
+    ends = np.array(mission.vehicle.airframe.surface_of(wall).ends)
+    line = ends[0] + np.linspace(0.0, 1.0, 101)[:, None] * (ends[1] - ends[0])
+    low, high = points.min(axis=0), points.max(axis=0)
+    away = np.linalg.norm(np.maximum(0.0, np.maximum(low - line, line - high)), axis=1)
+    part = line[away <= away.min() + 1e-6]
+    within = [mission.bounds.excess2((float(x), float(y))) <= _OUTSIDE_M for x, y in part]
+    return np.asarray(part[np.array(within)])
 
 
 def points_per_unit(axis: Any) -> float:

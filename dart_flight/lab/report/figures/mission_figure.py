@@ -30,6 +30,7 @@ from dart_flight.lab.report.figures.map_drawing import (
     along,
     draw_arrow,
     draw_hit,
+    draw_north,
     draw_room,
     fit_map,
     name_hits,
@@ -38,7 +39,7 @@ from dart_flight.lab.report.figures.map_drawing import (
     view_of,
 )
 from dart_flight.lab.search.drawn import predict_with_draws
-from dart_flight.planning.predicted_flight import PredictedFlight, describe_goal_miss
+from dart_flight.planning.predicted_flight import PredictedFlight, describe_goal_miss, predicted_segments
 
 SHEET = Look(7.2, 9.0)
 _NOTE_WIDTH = 96  # characters below the picture
@@ -57,7 +58,9 @@ def mission_figure(mission: Mission, planned: PredictedFlight | None, *, look: L
         planned: by the flight model; None where an approach cannot be flown, so that only the room is drawn.
         look: size of the figure.
     """
-    drawn = predict_with_draws(mission) if planned is not None and planned.hits else []
+    # Trajectories end at their goal whatever is drawn; uncertain walls move all the same.
+    follows = mission.goal_trajectory is None or any(wall.is_uncertain for wall in mission.walls)
+    drawn = predict_with_draws(mission) if planned is not None and planned.hits and follows else []
     view = view_of(mission, _extent(mission, planned))
     highest = max(mission.altitude_m, *(leg.end[2] for leg in transit_segments(mission)), 0.0)
     top = min(mission.bounds.z[1], highest + _ABOVE_M) + 0.05
@@ -78,6 +81,7 @@ def mission_figure(mission: Mission, planned: PredictedFlight | None, *, look: L
         axis.grid(visible=False)
     plan.set_ylabel("y, m")
     side.set(xlabel="x, m", ylabel="z, m")
+    draw_north(plan, mission)
     plan.set_title(mission.name, fontsize=look.font_pt + 1.0, loc="left")
     words = "\n".join(textwrap.fill(line, _NOTE_WIDTH) for line in prediction_lines(mission, planned, drawn))
     fit_map(figure, plan, below=side, note=words)
@@ -88,7 +92,7 @@ def mission_figure(mission: Mission, planned: PredictedFlight | None, *, look: L
     if planned is not None:
         lines += [along(np.array(line)) for line in planned.approaches.values()]
         lines += [along(leg[:, :2]) for leg in planned.legs.values()]
-        lines += [along(way[:, :2]) for way in _from_rest(mission)]
+        lines += [along(way[:, :2]) for way in _from_rest(mission, planned)]
     place_labels(plan, labels, lines, names, look.small_pt)
     return figure
 
@@ -113,7 +117,10 @@ def prediction_lines(
         )
         lines.append(f"{words[0].upper()}{words[1:]}.")
     misses = [flight.goal_miss_m for flight in drawn if flight.goal_miss_m is not None]
-    if misses:
+    if mission.goal_trajectory is not None:
+        # It ends at the goal whatever is drawn: only flights tell.
+        lines.append(_flown_line(mission))
+    elif misses:
         low, high = np.quantile(misses, (0.05, 0.95))
         spread = mission.vehicle.estimation.walls.spread
         unsure = [wall.name for wall in mission.walls if wall.is_uncertain]
@@ -134,6 +141,19 @@ def prediction_lines(
     return lines
 
 
+def _flown_line(mission: Mission) -> str:
+    """What the mission file says of simulated flights in drawn worlds."""
+    record = mission.flown
+    if record is None or record.digest != mission.digest:
+        return "Not flown in simulation as it is now: whether the trajectories can be flown is not known."
+    if record.drawn is None or record.danger is not None:
+        return f"Flown in simulation: {record.danger}."
+    drawn = record.drawn
+    return (
+        f"Flown in simulation: {drawn.completed} of {drawn.flights} drawn flights completed, all controlled."
+    )
+
+
 def _extent(mission: Mission, planned: PredictedFlight | None) -> Array:
     """What the plan view has to show; a setpoint far outside of the bounds is only pointed at."""
     points = [np.array([mission.start, mission.goal.position_m])]
@@ -141,7 +161,7 @@ def _extent(mission: Mission, planned: PredictedFlight | None) -> Array:
         b = mission.bounds
         return np.array([[b.x[0], b.y[0]], [b.x[1], b.y[1]]])
     points += [np.array(line) for line in planned.approaches.values()]
-    points += [np.array([leg.end[:2]]) for leg in transit_segments(mission)]
+    points += [way[:, :2] for way in _from_rest(mission, planned)]
     points += [leg[:, :2] for leg in planned.legs.values()]
     points += [np.array([hit.position]) for hit in planned.hits.values()]
     points += [
@@ -168,9 +188,10 @@ def _draw_probes(axis: Any, mission: Mission) -> list[tuple[Label, Array]]:
     return found
 
 
-def _from_rest(mission: Mission) -> list[Array]:
-    """The ways between waypoints whose both ends are known: (2, 3), mission frame, metres."""
-    return [np.array([leg.begin, leg.end]) for leg in transit_segments(mission) if leg.begin is not None]
+def _from_rest(mission: Mission, planned: PredictedFlight) -> list[Array]:
+    """The segments from rest to rest, also from where a recovery is predicted to lead: (2, 3), metres."""
+    segments = predicted_segments(mission, planned.hits)
+    return [np.array([one.begin or one.end, one.end]) for one in segments]
 
 
 def _draw_draws(axis: Any, mission: Mission, drawn: Sequence[PredictedFlight]) -> None:
@@ -183,7 +204,7 @@ def _draw_draws(axis: Any, mission: Mission, drawn: Sequence[PredictedFlight]) -
 
 
 def _draw_trajectory(axis: Any, mission: Mission, planned: PredictedFlight) -> None:
-    for way in _from_rest(mission):
+    for way in _from_rest(mission, planned):
         axis.plot(way[:, 0], way[:, 1], label="predicted trajectory", **PREDICTED)
     for index, line in planned.approaches.items():
         way = np.array(line)
@@ -249,7 +270,7 @@ def _draw_side(axis: Any, mission: Mission, planned: PredictedFlight | None, top
         for index, line in [*planned.approaches.items(), *planned.legs.items()]:
             way = np.array(line)
             axis.plot(way[:, 0], np.full(len(way), mission.altitude_at(index - 1)), **PREDICTED)
-        for way in _from_rest(mission):
+        for way in _from_rest(mission, planned):
             axis.plot(way[:, 0], way[:, 2], **PREDICTED)
         for (x, z), numbers in _side_by_side(mission, planned):
             axis.plot(x + np.array([-out, out]), [z, z], color="#000000", linewidth=2.5)
@@ -265,8 +286,10 @@ def _draw_side(axis: Any, mission: Mission, planned: PredictedFlight | None, top
 
 
 def _stops(mission: Mission) -> list[tuple[str, Vec2]]:
-    """What is written beside waypoints, and where: their numbers, and each change of the altitude."""
-    found: dict[Vec2, str] = {}
+    """Return names of start and goal, numbers of waypoints and each change of the altitude, with places."""
+    found: dict[Vec2, str] = {mission.start: "start"}
+    goal = mission.goal.position_m
+    found[goal] = f"{found[goal]}, goal" if goal in found else "goal"
     z_before = mission.altitude_m
     for waypoint in mission.waypoints:
         if waypoint.position is None:

@@ -1,0 +1,225 @@
+"""Flies plans in the fast world before they are called a saving, and chooses the one to offer.
+
+`fly_mission` flies a mission once as planned and twenty times in drawn worlds; `choose_flown` compares the
+flights with hits and without, from take-off to landing, so that the touches a mission needs count as well.
+"""
+
+from __future__ import annotations
+
+import statistics
+from collections.abc import Callable
+from typing import NamedTuple
+
+import msgspec
+
+from dart_flight.base.records import Outcome
+from dart_flight.config.mission import Mission
+from dart_flight.config.mission_file import DrawnFlights, FlownRecord, NominalFlight
+from dart_flight.lab.search.mission_writer import planned_mission
+from dart_flight.lab.search.quickest import QuickestPlan, QuickestResult
+from dart_flight.lab.search.scenario import Scenario
+from dart_flight.recording.about import software_version
+from dart_flight.recording.verdict import Verdict
+from dart_flight.run.fast import fly_fast
+from dart_flight.run.many_flights import fly_fast_many, summarise
+from dart_flight.sim.draws import parse_vary
+
+DRAWN, FIRST_SEED = 20, 700_001  # a base of its own: campaigns and tests begin at 1
+TOUCH_M_S = 0.6  # as the shipped missions touch
+_DIGITS = 3
+
+# Flies a mission with some seeds and spreads; calls back after each flight.
+FlyMany = Callable[[Mission, list[int], dict[str, float], Callable[[Verdict], None]], list[Verdict]]
+Done = Callable[[Verdict], None]
+
+
+class FlownMission(NamedTuple):
+    """A mission after its simulated flights.
+
+    Attributes:
+        record: for the mission file.
+        times_s: from take-off to landing, by seed, of the drawn flights that completed.
+    """
+
+    record: FlownRecord
+    times_s: dict[int, float]
+
+
+def fly_on_all_cores(
+    mission: Mission, seeds: list[int], spreads: dict[str, float], done: Done
+) -> list[Verdict]:
+    """Fly in processes side by side, as `dry-run --fast --runs` does."""
+    return fly_fast_many(mission, seeds, None, done, spreads)
+
+
+def fly_in_process(
+    mission: Mission, seeds: list[int], spreads: dict[str, float], done: Done
+) -> list[Verdict]:
+    """Fly one after the other: a script that is no command may not start processes."""
+    verdicts = []
+    for seed in seeds:
+        verdicts.append(fly_fast(mission, seed, None, spreads=spreads))
+        done(verdicts[-1])
+    return verdicts
+
+
+def fly_mission(
+    mission: Mission, done: Done = lambda verdict: None, fly: FlyMany = fly_on_all_cores
+) -> FlownMission:
+    """Fly a mission once as planned, and unless that fails in twenty drawn worlds.
+
+    Args:
+        mission: as its file will be read.
+        done: called after each flight.
+        fly: flies the seeds.
+
+    Raises:
+        RunsInterruptedError: by Ctrl-C.
+    """
+    (first,) = fly(mission, [FIRST_SEED], {}, done)
+    nominal = NominalFlight(
+        outcome=first.outcome,
+        uncontrolled=bool(first.uncontrolled),
+        time_s=_rounded(first.flight_time_s),
+        max_tilt_deg=_rounded(first.max_tilt_deg),
+        reason="; ".join(first.uncontrolled) or first.reason,
+    )
+    record = FlownRecord(software_version(), mission.digest, nominal)
+    if record.danger is not None:
+        return FlownMission(record, {})
+    seeds = list(range(FIRST_SEED, FIRST_SEED + DRAWN))
+    verdicts = fly(mission, seeds, parse_vary(["all"], mission.vehicle), done)
+    times_s = {
+        seed: v.flight_time_s
+        for seed, v in zip(seeds, verdicts, strict=True)
+        if v.outcome is Outcome.COMPLETED and v.flight_time_s is not None
+    }
+    drawn = DrawnFlights(
+        flights=DRAWN,
+        first_seed=FIRST_SEED,
+        completed=sum(v.outcome is Outcome.COMPLETED for v in verdicts),
+        uncontrolled=sum(bool(v.uncontrolled) for v in verdicts),
+        ended_by=summarise(verdicts).reasons,
+        median_time_s=_rounded(statistics.median(times_s.values()) if times_s else None),
+        max_tilt_deg=_rounded(max((v.max_tilt_deg or 0.0 for v in verdicts), default=None)),
+    )
+    return FlownMission(msgspec.structs.replace(record, drawn=drawn), times_s)
+
+
+def compare(colliding: FlownMission, free: FlownMission) -> FlownRecord:
+    """The record of the colliding mission with what it saves in the worlds that both completed."""
+    both = colliding.times_s.keys() & free.times_s.keys()
+    saving_s = statistics.median(free.times_s[k] - colliding.times_s[k] for k in both) if both else None
+    drawn = free.record.drawn
+    return msgspec.structs.replace(
+        colliding.record,
+        free_time_s=None if drawn is None else drawn.median_time_s,
+        saving_s=_rounded(saving_s),
+    )
+
+
+class OfferedPlan(NamedTuple):
+    """What `plan` offers after the flights.
+
+    Attributes:
+        plan: to be written; None: no plan flies.
+        scenario: that it is written from, with the touches that it needs.
+        record: of its flights.
+        says: what was flown and why this plan, a line each.
+        flown: every record, by `free`, `colliding` and `touched`.
+    """
+
+    plan: QuickestPlan | None
+    scenario: Scenario
+    record: FlownRecord | None
+    says: list[str]
+    flown: dict[str, FlownRecord]
+
+
+def choose_flown(
+    result: QuickestResult,
+    free_only: bool,
+    done: Done = lambda verdict: None,
+    fly: FlyMany = fly_on_all_cores,
+) -> OfferedPlan:
+    """Fly what was planned and choose what to offer.
+
+    The colliding plan is offered if it flies and is quicker from take-off to landing than the free one, or
+    if the scenario demands its hits or touches. A plan that flies only after touching its walls is offered
+    with touches.
+
+    Args:
+        result: of the search.
+        free_only: offer the plan without a collision.
+        done: called after each flight.
+        fly: flies the seeds of a mission.
+
+    Raises:
+        RunsInterruptedError: by Ctrl-C.
+    """
+    scenario, flown, says = result.scenario, dict[str, FlownRecord](), list[str]()
+    free: FlownMission | None = None
+    if result.free is not None:
+        free = fly_mission(planned_mission(scenario, result.free), done, fly)
+        flown["free"] = free.record
+        if free.record.failure is not None:
+            says.append(f"the flight without a collision is not offered: {free.record.failure}")
+    hits = None if free_only or result.best is not result.colliding else result.colliding
+    if hits is not None:
+        for name, wanted in _ways_to_collide(scenario).items():
+            mission = fly_mission(planned_mission(wanted, hits), done, fly)
+            record = mission.record if free is None else compare(mission, free)
+            flown[name] = record
+            with_touches = (
+                f" with a touch of each wall at {wanted.spec.touch_m_s:g} m/s" if name == "touched" else ""
+            )
+            if record.failure is not None:
+                says.append(f"the colliding plan{with_touches} is not offered as a saving: {record.failure}")
+                continue
+            says.append(f"the colliding plan{with_touches} flies: {describe_record(record)}")
+            if _is_offered(record, free, scenario):
+                return OfferedPlan(hits, wanted, record, says, flown)
+            break
+    if (
+        free is None
+        or free.record.failure is not None
+        or (hits is not None and not scenario.chosen_by_planner)
+    ):
+        says.append("no plan is offered")
+        return OfferedPlan(None, scenario, None, says, flown)
+    says.append(f"offered is the flight without a collision: {describe_record(free.record)}")
+    return OfferedPlan(result.free, scenario, free.record, says, flown)
+
+
+def _ways_to_collide(scenario: Scenario) -> dict[str, Scenario]:
+    """The scenario as it is, then with the touches that it does not ask for."""
+    ways = {"colliding": scenario}
+    if scenario.spec.touch_m_s is None:
+        spec = msgspec.structs.replace(scenario.spec, touch_m_s=TOUCH_M_S)
+        ways["touched"] = msgspec.structs.replace(scenario, spec=spec)
+    return ways
+
+
+def _is_offered(record: FlownRecord, free: FlownMission | None, scenario: Scenario) -> bool:
+    """Whether a colliding plan that flies is what the scenario asks for, or pays."""
+    asked = not scenario.chosen_by_planner or scenario.spec.touch_m_s is not None
+    pays = record.saving_s is not None and record.saving_s > 0.0
+    return asked or pays or free is None or free.record.failure is not None
+
+
+def describe_record(record: FlownRecord) -> str:
+    """Flights, times and saving in one line."""
+    drawn = record.drawn
+    if drawn is None:
+        return record.failure or "not flown in drawn worlds"
+    says = f"{drawn.completed} of {drawn.flights} drawn flights complete, {drawn.uncontrolled} uncontrolled"
+    if drawn.median_time_s is not None:
+        says += f", {drawn.median_time_s:.1f} s from take-off to landing"
+    if record.saving_s is not None and record.free_time_s is not None:
+        verb = "saves" if record.saving_s > 0.0 else "loses"
+        says += f" against {record.free_time_s:.1f} s free: {verb} {abs(record.saving_s):.2f} s in a flight"
+    return says
+
+
+def _rounded(value: float | None) -> float | None:
+    return None if value is None else round(value, _DIGITS)

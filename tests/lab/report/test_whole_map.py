@@ -1,0 +1,121 @@
+"""The map of a mission shows all that is flown and all that stands there, each under its own name."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+import dart_flight
+from dart_flight.check.mission_check import check_mission
+from dart_flight.config.mission import Mission
+from dart_flight.lab.figure_style import as_svg
+from dart_flight.lab.report.figures.map_drawing import view_of
+from dart_flight.lab.report.figures.mission_figure import mission_figure, prediction_lines
+from dart_flight.planning.predicted_flight import predict_mission, predicted_segments
+from tests.lab.report.svg import texts_of
+
+TOUCH = {"approach": {"normal_m_s": -0.6}, "alpha_wall_m_per_n": [0.025, 0.025], "mode": "flexible"}
+
+
+def wall(x: float, y: float, normal: list[float], length_m: float = 3.0) -> dict[str, Any]:
+    return {"point_m": [x, y], "normal": normal, "length_m": length_m, "material": "acrylic"}
+
+
+def room(**other: Any) -> Mission:
+    """Touch a wall in the east, rest at the start after it, with a wall in the north that nobody goes to."""
+    tree = {
+        "version": 1, "name": "room", "start": {"position_m": [0.0, 0.0], "altitude_m": 1.2},
+        "goal": {"position_m": [0.0, 0.0]}, "bounds_m": {"x": [-3.0, 3.0], "y": [-3.0, 3.0], "z": [0.3, 2.5]},
+        "walls": {"east": wall(1.5, 0.0, [-1.0, 0.0]), "north": wall(0.0, 2.4, [0.0, -1.0])},
+        "collisions": [{"wall": "east", **TOUCH}],
+        "waypoints": [{"after": 1, "position_m": [0.0, 0.0], "hold_s": 1.0}],
+    }  # fmt: skip
+    return dart_flight.load_mission(tree | other)
+
+
+def drawn(mission: Mission) -> Any:
+    return mission_figure(mission, predict_mission(mission)).axes[0]
+
+
+def test_the_way_back_from_a_touch_is_counted_and_drawn() -> None:
+    mission = room()
+    planned = predict_mission(mission)
+    (back, to_goal) = predicted_segments(mission, planned.hits)
+    assert back.begin is not None
+    assert back.begin[:2] == planned.hits[1].setpoint
+    way_m = math.dist(back.begin[:2], (0.0, 0.0))
+    assert way_m > 0.3
+    finding = next(f for f in check_mission(mission) if f.item == "waypoints")
+    assert f"{way_m:.1f} m from rest to rest" in finding.says
+    assert to_goal.begin == (0.0, 0.0, 1.2)
+    lines = [line.get_xydata() for line in drawn(mission).lines]
+    assert any(len(xy) == 2 and np.allclose(xy, [back.begin[:2], (0.0, 0.0)]) for xy in lines)
+
+
+def test_a_way_from_where_nothing_is_predicted_is_not_called_none() -> None:
+    rehearsal = room(standoff_m=0.5)
+    says = next(f for f in check_mission(rehearsal) if f.item == "waypoints").says
+    assert "1 from where a contact leads, which is not known yet" in says
+
+
+@pytest.mark.parametrize("place", [(0.0, 2.4, [0.0, -1.0]), (0.0, -2.4, [0.0, 1.0]), (-2.4, 0.5, [1.0, 0.0])])
+def test_a_wall_that_is_not_hit_is_in_the_picture(place: tuple[float, float, list[float]]) -> None:
+    mission = room(walls={"east": wall(1.5, 0.0, [-1.0, 0.0]), "third": wall(*place)})
+    plan = drawn(mission)
+    x, y = mission.vehicle.airframe.surface_of(mission.walls[1]).point
+    assert plan.get_xlim()[0] < x < plan.get_xlim()[1]
+    assert plan.get_ylim()[0] < y < plan.get_ylim()[1]
+    assert "third (acrylic)" in {text.get_text() for text in plan.texts}
+
+
+def test_a_wall_far_outside_of_the_bounds_does_not_shrink_the_map() -> None:
+    near, far = room(), room(walls={"east": wall(1.5, 0.0, [-1.0, 0.0]), "far": wall(0.0, 90.0, [0.0, -1.0])})
+    points = np.array([[0.0, 0.0], [1.5, 0.0]])
+    assert view_of(far, points)[1, 1] <= view_of(near, points)[1, 1]
+
+
+@pytest.mark.parametrize("gap_m", [0.0, 0.1, 0.3])
+@pytest.mark.parametrize("turned", [False, True])
+def test_each_face_of_a_partition_has_its_own_name(gap_m: float, turned: bool) -> None:
+    """Back to back the name of a face stands before it, not before the other one."""
+    off_m = 0.2 + 0.5 * gap_m  # the centre is 0.2 m from a surface
+    faces = {"one": ([0.0, 1.0], off_m), "other": ([0.0, -1.0], -off_m)}
+    if turned:
+        faces = {name: ([-n[1], n[0]], at) for name, (n, at) in faces.items()}
+    walls = {
+        name: wall(-abs(n[0]) * at - 1.5 * abs(n[1]), at * abs(n[1]) - 1.5 * abs(n[0]), n, 1.0)
+        for name, (n, at) in faces.items()
+    }
+    mission = room(walls={"east": wall(1.5, 0.0, [-1.0, 0.0])} | walls)
+    written = {text.get_text(): text for text in drawn(mission).texts}
+    for one in mission.walls[1:]:
+        assert one.signed_distance(written[f"{one.name} (acrylic)"].xy) > 0.0
+
+
+@pytest.mark.parametrize("heading_deg", [0.0, 30.0, -90.0, 200.0])
+def test_an_arrow_points_north(heading_deg: float) -> None:
+    from matplotlib.offsetbox import AnchoredOffsetbox
+    from matplotlib.patches import FancyArrow
+
+    mission = room(frame={"heading_deg": heading_deg})
+    (box,) = (one for one in drawn(mission).artists if isinstance(one, AnchoredOffsetbox))
+    arrow: Any
+    (arrow,) = box.findobj(FancyArrow)
+    north = mission.frame_at((0.0, 0.0, 0.0)).vector_from_ned((1.0, 0.0, 0.0))
+    length = math.hypot(arrow._dx, arrow._dy)
+    assert (arrow._dx / length, arrow._dy / length) == pytest.approx(north[:2], abs=1e-9)
+
+
+def test_start_and_goal_are_named_where_they_are_one_place() -> None:
+    words = texts_of(as_svg(mission_figure(room(), predict_mission(room()))))
+    assert "start, goal, 1" in words
+
+
+def test_trajectories_are_not_said_to_end_at_their_goal_whatever_is_drawn() -> None:
+    shuttle = dart_flight.load_mission(dart_flight.packaged("missions", "shuttle.yaml"))
+    words = " ".join(prediction_lines(shuttle, predict_mission(shuttle), []))
+    assert "in nine of ten draws" not in words
+    assert "Not flown in simulation as it is now" in words
