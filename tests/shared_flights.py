@@ -28,7 +28,7 @@ from tests.doubles.ports import free_udp_port
 
 ROOT = Path(__file__).parents[1]
 VERDICT, SAID = "verdict.json", "said.json"
-PATIENCE_S = 0.5  # as with a PX4 in lockstep
+PATIENCE_S = 0.5
 # The same as `patient`, as settings.
 PATIENT = tuple(
     f"guard.{key}={PATIENCE_S}" for key in ("imu_timeout_s", "stream_timeout_s", "telemetry_late_s")
@@ -76,10 +76,6 @@ class SharedFlights:
                 (folder / "done").touch()
         return folder
 
-    def forget(self, name: str) -> None:
-        """Let `once` do it again."""
-        (self._folder / name / "done").unlink(missing_ok=True)
-
 
 class Commanded(msgspec.Struct):
     """What a command in real time has left: what it said, and the folder that it ran in."""
@@ -107,15 +103,14 @@ def patient(config: str) -> str:
 
 
 class LiveFlights:
-    """Commands that fly in real time, each in a folder made by `init` with a `patient` guard.
+    """Commands that fly through MAVSDK, each in a folder made by `init` with a `patient` guard.
 
     Args:
         shared: where their folders are.
-        again: the test is run once more: nothing that an earlier flight left is good enough.
     """
 
-    def __init__(self, shared: SharedFlights, again: bool = False) -> None:
-        self._shared, self._again = shared, again
+    def __init__(self, shared: SharedFlights) -> None:
+        self._shared = shared
 
     def __call__(self, command: str, simulate: str | None = None) -> Commanded:
         """What a command has left; `simulate` is the vehicle that it flies, in a process beside it.
@@ -124,8 +119,6 @@ class LiveFlights:
         terminal is asked, and `--json`.
         """
         name = "-".join(re.findall(r"[\w.]+", command))
-        if self._again:
-            self._shared.forget(name)
         folder = self._shared.once(name, lambda folder: self._run(folder, command, simulate))
         return msgspec.json.decode((folder / SAID).read_bytes(), type=Commanded)
 
@@ -196,6 +189,6 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> SharedFlights:
 
 
 @pytest.fixture
-def commanded(flown: SharedFlights, request: pytest.FixtureRequest) -> LiveFlights:
-    """Commands in real time that are run once, and once more where a test is (`--reruns`)."""
-    return LiveFlights(flown, getattr(request.node, "execution_count", 1) > 1)
+def commanded(flown: SharedFlights) -> LiveFlights:
+    """Commands that fly through MAVSDK, run once for all tests that look at them."""
+    return LiveFlights(flown)

@@ -1,9 +1,9 @@
-"""`make test`: lint, types and all tests; those in real time beside the others.
+"""`make test`: lint, types and all tests.
 
     python -m tools.run_tests
 
-Tests in real time mostly wait. Meanwhile types and all other tests run in the idle class, which gives way at
-once; what they say is shown when those in real time have ended. Ctrl-C ends both.
+Tests in real time run first and alone. They are skipped, and counted, where the computer is too busy for them.
+All others run in simulated time and pass at any load; types are checked beside them. Ctrl-C ends everything.
 """
 
 from __future__ import annotations
@@ -20,22 +20,12 @@ import time
 from collections.abc import Callable, Sequence
 from typing import IO
 
-from dart_flight.base.processes import use_idle_priority
-
 BEHIND = "--behind"
 _PATIENCE_S = 20.0
 LINT = ("ruff format --check .", "ruff check .")
-OTHERS = (
-    "mypy",
-    # The stand-in for PX4 has five seconds to answer, in which the idle class may not have run at all.
-    "pytest -m 'not mavlink and not px4' -n auto --dist worksteal -rR --reruns 1 --only-rerun Px4LostError",
-)
-REAL_TIME = (
-    "pytest -m px4 -rs --reruns 1 tests/px4",
-    # Two side by side. The guard lands after 100 ms of silence; a shared machine may stall for longer: up to
-    # twice more.
-    "pytest -m mavlink -n 2 --dist worksteal -rsR --reruns 2 --reruns-delay 1",
-)
+REAL_TIME = ("pytest -m 'realtime and not px4' -n 2 --dist worksteal -rs",)
+TESTS = ("pytest -m 'not realtime and not px4' -n auto --dist worksteal -rs", "pytest -m px4 -rs tests/px4")
+TYPES = ("mypy",)
 
 
 def run(commands: Sequence[str]) -> bool:
@@ -68,10 +58,7 @@ def end(process: subprocess.Popen[bytes], send: Callable[[int], None]) -> None:
 
 
 def behind(commands: Sequence[str], output: IO[bytes]) -> subprocess.Popen[bytes]:
-    """Start to run commands in the idle class, in a process group of their own.
-
-    In the same session: where the kernel shares the processor by sessions, a class counts only within one.
-    """
+    """Start to run commands in a process group of their own."""
     words = [sys.executable, "-m", "tools.run_tests", BEHIND, *commands]
     return subprocess.Popen(
         words, stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT, process_group=0
@@ -89,7 +76,7 @@ def show(said: IO[bytes], process: subprocess.Popen[bytes]) -> None:
 
 
 def run_both(first: Sequence[str], others: Sequence[str]) -> bool:
-    """Run `first`, beside it `others` in the idle class, then show what these said; whether all were good."""
+    """Run `first` and `others` side by side, then show the output of `others`; whether all were good."""
     with tempfile.NamedTemporaryFile() as output, open(output.name, "rb") as said:
         process = behind(others, output)
         try:
@@ -105,10 +92,10 @@ def main(arguments: Sequence[str]) -> int:
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
     try:
         if arguments[:1] == [BEHIND]:
-            use_idle_priority()
             good = run(arguments[1:])
         else:
-            good = run(LINT) and run_both(REAL_TIME, OTHERS)
+            good = run(LINT) and run(REAL_TIME)
+            good &= run_both(TESTS, TYPES)
     except KeyboardInterrupt:
         good = False
     return 0 if good else 1

@@ -474,6 +474,7 @@ def test_a_lock_that_would_not_move_is_a_no_go() -> None:
     assert not no_goes(judge_lock(by_px4, values))
 
 
+@pytest.mark.realtime
 @pytest.mark.mavlink
 def test_check_and_fly_with_a_vehicle(tmp_path: Path) -> None:
     """`check` reads a vehicle; `fly` refuses on the same no-go."""

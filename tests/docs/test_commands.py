@@ -266,7 +266,7 @@ def test_the_error_in_the_quickstart_is_the_one_that_comes(laboratory: Path, tmp
     assert f"```\n{done.stderr.strip()}\n```" in page
 
 
-# --- in real time ----------------------------------------------------------------------------------------
+# --- through MAVSDK --------------------------------------------------------------------------------------
 
 
 def real_time() -> list[tuple[str, str | None]]:
@@ -287,8 +287,23 @@ def real_time() -> list[tuple[str, str | None]]:
     return list(found.values())
 
 
-@pytest.mark.mavlink
-@pytest.mark.parametrize(("command", "simulate"), real_time(), ids=[text for text, _ in real_time()])
-def test_in_real_time(command: str, simulate: str | None, commanded: LiveFlights) -> None:
+def _flights() -> list[object]:
+    """Dry-runs in lockstep, at full speed; in real time flights with a vehicle beside them."""
+    return [
+        pytest.param(
+            command if simulate or "--speed" in command else f"{command} --speed max",
+            simulate,
+            id=command,
+            marks=[
+                pytest.mark.mavlink,
+                *([pytest.mark.realtime] if simulate or "--realtime" in command else []),
+            ],
+        )
+        for command, simulate in real_time()
+    ]
+
+
+@pytest.mark.parametrize(("command", "simulate"), _flights())
+def test_through_mavsdk(command: str, simulate: str | None, commanded: LiveFlights) -> None:
     done = commanded(command, simulate)
     assert done.status == 0, done.errors[-2000:]

@@ -310,6 +310,7 @@ def vehicle_behind_proxy(record: Path) -> Iterator[str]:
             process.wait(10)
 
 
+@pytest.mark.realtime
 @pytest.mark.mavlink
 @pytest.mark.parametrize("fault", ["hang-core", "hang-loop", "hang-lock", "sigstop", "sigkill"])
 def test_set_points_stop_on_the_wire_within_half_a_second(fault: str, tmp_path: Path) -> None:

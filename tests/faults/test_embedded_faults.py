@@ -1,4 +1,4 @@
-"""A chosen part of the fault matrix through real MAVSDK, in real time."""
+"""A chosen part of the fault matrix through real MAVSDK; in real time where the fault is about time."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -10,6 +10,7 @@ from dart_flight.recording.reader import read_log
 from dart_flight.run.embedded import fly_embedded
 from dart_flight.run.prepare import load_flyable
 from dart_flight.sim.faults.fault_table import Fault, parse_fault
+from dart_flight.sim.pipe import FULL_SPEED
 from tests.shared_flights import PATIENT
 from tools.campaigns.faults import ROWS, expected
 
@@ -17,11 +18,10 @@ ROOT = Path(__file__).parents[2]
 NEAR = ROOT / "tests/data/near_wall.yaml"
 
 
-def flown(
-    text: str, folder: Path, speed: float = 1.0, settings: Sequence[str] = PATIENT
-) -> tuple[str, list[object], Fault]:
+def flown(text: str, folder: Path, settings: Sequence[str] = PATIENT) -> tuple[str, list[object], Fault]:
     """A flight with a fault; with a guard that bears the silences of a shared machine, unless they are it."""
     fault = parse_fault(text)
+    speed = 1.0 if fault.kind.of_real_time else FULL_SPEED
     verdict = fly_embedded(load_flyable(NEAR, settings=settings), 1, folder, fault=fault, speed=speed)
     assert verdict.log is not None
     log = read_log(next(folder.glob("*/flight.mcap")))
@@ -31,24 +31,25 @@ def flown(
 
 @pytest.mark.mavlink
 @pytest.mark.parametrize(
-    ("text", "speed"),
+    "text",
     [
-        # No silence in these: the pace is not their subject.
-        ("wall-missing@approach", 2.0),
-        ("servo-unplugged@approach", 2.0),
-        ("packet-loss=10@take-off", 1.0),
-        ("link-loss@recovery", 1.0),
-        ("delay=1000@approach", 1.0),
+        "wall-missing@approach",
+        "servo-unplugged@approach",
+        *(
+            pytest.param(text, marks=pytest.mark.realtime)
+            for text in ("packet-loss=10@take-off", "link-loss@recovery", "delay=1000@approach")
+        ),
     ],
 )
-def test_a_cell_through_mavsdk(text: str, speed: float, tmp_path: Path) -> None:
-    came, records, fault = flown(text, tmp_path, speed)
+def test_a_cell_through_mavsdk(text: str, tmp_path: Path) -> None:
+    came, records, fault = flown(text, tmp_path)
     row = text.partition("@")[0]
     assert came in expected()[row if row in ROWS else fault.name, str(fault.phase)]
     if came != "completed":
         assert came in [r.rule for r in records if isinstance(r, GuardEvent)]
 
 
+@pytest.mark.realtime
 @pytest.mark.mavlink
 def test_imu_drop_out_to_decision_within_a_tenth_of_a_second(tmp_path: Path) -> None:
     came, records, _ = flown("imu-dropout@approach", tmp_path, settings=())

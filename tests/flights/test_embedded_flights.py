@@ -1,4 +1,4 @@
-"""Whole missions through real MAVSDK over UDP against the embedded autopilot, in real time.
+"""Whole missions through real MAVSDK over UDP against the embedded autopilot.
 
 What happens to processes is tested on processes: the command line in one, the vehicle in another.
 """
@@ -92,7 +92,7 @@ def simulated_vehicle(mission: str) -> Iterator[str]:
 
 @pytest.mark.mavlink
 def test_dual_collision_through_mavsdk(commanded: LiveFlights) -> None:
-    verdict = RecordedFlight.read(commanded(f"dart-flight dry-run {DUAL}").log).verdict
+    verdict = RecordedFlight.read(commanded(f"dart-flight dry-run {DUAL} --speed max").log).verdict
     assert (verdict.outcome, verdict.reason) == ("completed", None)
     assert [(c.wall, c.mode) for c in verdict.collisions] == [("wood", "flexible"), ("acrylic", "rigid")]
     first = verdict.collisions[0]
@@ -112,7 +112,7 @@ def test_dual_collision_through_mavsdk(commanded: LiveFlights) -> None:
 @pytest.mark.mavlink
 def test_a_hexarotor_through_mavsdk(commanded: LiveFlights) -> None:
     """Six motors on the wire: commands in one message, measured speeds in two."""
-    fly = f"dart-flight dry-run {NEAR} --speed 2 --config configs/hexarotor.yaml"
+    fly = f"dart-flight dry-run {NEAR} --speed max --config configs/hexarotor.yaml"
     done = commanded(
         f"{fly} --set estimation.thrust_source=esc --set estimation.esc_thrust_n_per_rpm2=1.1e-8"
     )
@@ -126,6 +126,7 @@ def test_a_hexarotor_through_mavsdk(commanded: LiveFlights) -> None:
     assert {len(r.rpm) for r in records if isinstance(r, EscSample)} == {6}
 
 
+@pytest.mark.realtime
 @pytest.mark.mavlink
 def test_simulate_in_one_terminal_and_fly_in_another(commanded: LiveFlights) -> None:
     fly = f"dart-flight fly {DUAL} --driver px4 --connection udpin://127.0.0.1:14540"
@@ -142,6 +143,7 @@ def test_simulate_in_one_terminal_and_fly_in_another(commanded: LiveFlights) -> 
     assert verdict["collisions"][1]["contact_time_ms"] < 75
 
 
+@pytest.mark.realtime
 @pytest.mark.mavlink
 def test_a_plain_mavsdk_script_flies_the_simulated_vehicle() -> None:
     with simulated_vehicle(SINGLE) as url:
@@ -251,6 +253,7 @@ def test_a_silent_port_is_said_in_one_line(tmp_path: Path) -> None:
     assert "no autopilot" in errors or "cannot open" in errors
 
 
+@pytest.mark.realtime
 @pytest.mark.mavlink
 def test_the_lock_command_moves_the_servo_on_px4s_output() -> None:
     with simulated_vehicle(SINGLE) as url:

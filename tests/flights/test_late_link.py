@@ -16,6 +16,7 @@ ROOT = Path(__file__).parents[2]
 MISSION = "missions/single_wall.yaml"
 
 
+@pytest.mark.realtime
 @pytest.mark.mavlink
 @pytest.mark.parametrize(
     ("options", "words"),

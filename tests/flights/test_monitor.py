@@ -63,6 +63,7 @@ def hand_fed_view() -> str:
     return console.export_text()
 
 
+@pytest.mark.realtime
 @pytest.mark.mavlink
 @pytest.mark.parametrize("source", ["auto", "esc"])
 def test_through_mavlink(source: str, tmp_path: Path) -> None:

@@ -12,6 +12,7 @@ from tests.doubles.ports import free_udp_port
 ROOT = Path(__file__).parents[2]
 
 
+@pytest.mark.realtime
 @pytest.mark.mavlink
 @pytest.mark.parametrize("silent_after_s", [4.0, 60.0])
 def test_a_vehicle_that_answers_nothing_is_told_within_seconds(silent_after_s: float, tmp_path: Path) -> None:

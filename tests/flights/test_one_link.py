@@ -136,6 +136,7 @@ def test_a_vehicle_that_has_px4s_own_port_is_heard_of_though_a_flight_has_the_ot
     assert f"process {os.getpid()}, from UDP port {port + 40}" in error
 
 
+@pytest.mark.realtime
 @pytest.mark.mavlink
 def test_what_else_is_started_beside_a_flight_does_it_no_harm(commands: Commands) -> None:
     """In one flight: another vehicle of its own system id, programs on its link, monitors of its log."""
@@ -187,6 +188,7 @@ def wait_for_phase(fly: subprocess.Popen[str], phase: str) -> None:
     pytest.fail(said)
 
 
+@pytest.mark.realtime
 @pytest.mark.mavlink
 @pytest.mark.parametrize(("system", "ahead_s"), [(1, 238.0), (1, 0.0), (7, 0.0)])
 def test_fly_beside_a_second_vehicle_on_the_port_does_not_take_off(
@@ -208,6 +210,7 @@ def test_fly_beside_a_second_vehicle_on_the_port_does_not_take_off(
     assert "CLIMB" not in error
 
 
+@pytest.mark.realtime
 @pytest.mark.mavlink
 def test_a_second_vehicle_that_begins_to_send_in_the_approach_makes_it_land(commands: Commands) -> None:
     """Its clock is the flight's own; with another one, and in every phase: tests/faults/test_matrix.py."""
@@ -221,6 +224,7 @@ def test_a_second_vehicle_that_begins_to_send_in_the_approach_makes_it_land(comm
     assert verdict["reason"].startswith("second_vehicle: "), verdict["reason"]
 
 
+@pytest.mark.realtime
 @pytest.mark.mavlink
 def test_monitor_without_a_flight_or_a_vehicle_says_so(commands: Commands) -> None:
     text = commands.config.read_text()

@@ -1,4 +1,4 @@
-"""A vehicle without a lock in real time, through MAVSDK; its pause ends by the signal that a service gets."""
+"""A vehicle without a lock through MAVSDK; its pause ends by the signal that a service gets."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def test_a_rigid_cage_pauses_goes_on_at_the_signal_and_hits_a_wall(tmp_path: Pat
     text = packaged("missions", "rigid_cage", "single_wall.yaml").read_text("utf-8")
     mission.write_text(f"{text}waypoints: [{{pause: operator, timeout_s: 30.0}}]\n")
     command = ["dry-run", str(mission), "--config", str(config), "--log-dir", str(tmp_path), "--json"]
-    command += ["--speed", "2"]
+    command += ["--speed", "max"]
     with subprocess.Popen(
         [sys.executable, "-m", "dart_flight", *command],
         stdout=subprocess.PIPE,

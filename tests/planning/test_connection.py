@@ -13,6 +13,7 @@ from dart_flight.lab.search.scenario import load_scenario
 SCENARIOS = Path(__file__).parents[2] / "missions" / "scenarios"
 
 
+@pytest.mark.realtime
 @pytest.mark.mavlink
 def test_gains_come_from_the_vehicle(tmp_path: Path) -> None:
     from dart_flight.lab.search.scenario import with_vehicle_parameters

@@ -73,6 +73,6 @@ def test_a_sample_of_the_campaign(mission: str, seed: int, tmp_path: Path) -> No
 @pytest.mark.mavlink
 def test_a_real_time_flight_replays_bit_for_bit(commanded: LiveFlights) -> None:
     """Whatever becomes of the flight on a busy machine: what was decided is decided again."""
-    result = judge(commanded("dart-flight dry-run missions/paper_dual_collision.yaml").log)
+    result = judge(commanded("dart-flight dry-run missions/paper_dual_collision.yaml --speed max").log)
     assert (result.differences, result.missing) == (0, 0)
     assert result.inputs > 5000

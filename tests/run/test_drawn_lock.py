@@ -12,7 +12,7 @@ from dart_flight.run.fast import fly_fast
 from dart_flight.run.many_flights import summarise, unexplained_modes
 from dart_flight.run.prepare import load_flyable
 from dart_flight.sim.draws import LOCK_TRUE_MODE, parse_vary
-from tests.shared_flights import PATIENT
+from dart_flight.sim.pipe import FULL_SPEED
 
 ROOT = Path(__file__).parents[2]
 
@@ -20,9 +20,9 @@ ROOT = Path(__file__).parents[2]
 @pytest.mark.mavlink
 def test_a_drawn_servo_locks_the_arms_before_the_second_hit(tmp_path: Path) -> None:
     """Its faults used to be set before the autopilot's clock was known, which froze its model's time."""
-    mission = load_flyable(ROOT / "missions/paper_dual_collision.yaml", settings=PATIENT)
+    mission = load_flyable(ROOT / "missions/paper_dual_collision.yaml")
     spreads = parse_vary(["servo"], mission.vehicle)
-    embedded = fly_embedded(mission, 4, tmp_path, spreads=spreads, speed=2.0)
+    embedded = fly_embedded(mission, 4, tmp_path, spreads=spreads, speed=FULL_SPEED)
     fast = fly_fast(mission, 4, None, spreads=spreads)
     assert embedded.world is World.EMBEDDED
     assert [c.mode_felt for c in embedded.collisions] == [c.mode_felt for c in fast.collisions]

@@ -19,6 +19,7 @@ MISSION = ROOT / "missions" / "paper_single_wall.yaml"
 _WAIT_S, _ENOUGH = 20.0, 100
 
 
+@pytest.mark.realtime
 @pytest.mark.mavlink
 def test_what_a_callback_leaves_behind_the_next_one_finds() -> None:
     """A thread that the interpreter forgets between two callbacks begins at one every time."""

@@ -69,6 +69,7 @@ def walk(vehicle: BenchVehicle, *names: str) -> dict[str, StepFinding]:
 TELEMETRY_STEPS = ("link", "imu_axes", "force_sign", "position", "remote_control")
 
 
+@pytest.mark.realtime
 @pytest.mark.mavlink
 def test_every_step_of_a_good_vehicle_passes() -> None:
     with BenchVehicle(MISSION) as vehicle:
@@ -82,6 +83,7 @@ def test_every_step_of_a_good_vehicle_passes() -> None:
     assert abs(direction_deg) < 10.0
 
 
+@pytest.mark.realtime
 @pytest.mark.mavlink
 def test_each_thing_that_is_wrong_is_named() -> None:
     with BenchVehicle(MISSION, wrong=("axes", "frame", "radio")) as vehicle:
@@ -92,6 +94,7 @@ def test_each_thing_that_is_wrong_is_named() -> None:
     assert "no remote control is received" in found["remote_control"].message
 
 
+@pytest.mark.realtime
 @pytest.mark.mavlink
 def test_a_wrong_baud_rate_is_recognised() -> None:
     with BenchVehicle(MISSION) as vehicle:
@@ -120,7 +123,6 @@ def maestro(tmp_path: Path) -> Iterator[Mission]:
 
 
 # A real pseudo-terminal with real time-outs: on a machine that is busy with other tests it may be late.
-@pytest.mark.flaky(reruns=3, reruns_delay=1, only_rerun=["AssertionError"])
 @pytest.mark.parametrize(
     ("sees", "result", "words"),
     [
@@ -150,6 +152,7 @@ def test_an_unplugged_servo_is_named() -> None:
     assert lock.maestro.port in found.message
 
 
+@pytest.mark.realtime
 @pytest.mark.mavlink
 def test_it_is_remembered_and_filed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = tmp_path / "bench"
