@@ -603,9 +603,7 @@ STATUSTEXT = MessageEntry(
     "-",
     "MAV_SEVERITY, UTF-8 in parts of 50 bytes",
     "severity over 7, empty",
-    "id",
-    None,
-    "parts of one id are joined",
+    which="parts of one id are joined",
 )
 TIMESYNC = MessageEntry(
     "TIMESYNC",
