@@ -10,6 +10,8 @@ from collections.abc import Sequence
 
 import msgspec
 
+from dart_flight.base.records import MOTOR_FULL_US, MOTOR_STOP_US
+
 SHORTEST_PULSE_US, LONGEST_PULSE_US = 800.0, 2200.0  # no armed PWM output is outside
 _STOPPED = 1.0  # UAVCAN_EC_MIN: an armed motor that does not turn
 
@@ -40,7 +42,7 @@ class OutputScale(msgspec.Struct, frozen=True):
         return 1.0 if raw >= self.full else (raw - self.stop) / (self.full - self.stop)
 
 
-PWM = OutputScale("PWM", 1000.0, 2000.0, " us")
+PWM = OutputScale("PWM", MOTOR_STOP_US, MOTOR_FULL_US, " us")
 DSHOT = OutputScale("DShot", 0.0, 1999.0)
 UAVCAN = OutputScale("UAVCAN", 0.0, 8191.0)
 SHARE = OutputScale("", 0.0, 1.0)  # logs of a simulation

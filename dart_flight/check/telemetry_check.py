@@ -11,8 +11,7 @@ from dart_flight.base.streams import BY_NAME
 from dart_flight.check.findings import CheckFinding
 from dart_flight.config.mission import Mission
 from dart_flight.vehicle.batteries import describe_reading
-from dart_flight.vehicle.ground_link import Observation, Source
-from dart_flight.vehicle.messages import STREAM_OF
+from dart_flight.vehicle.ground_link import Observation, Source, unusable_streams
 
 LOOPBACK = "MAV_ODOM_LP"  # PX4 before 1.14
 _REST_TOLERANCE = 0.3  # share of g: an accelerometer in another unit is off by ten times or more
@@ -26,14 +25,12 @@ def judge_rates(observed: Observation, values: Mapping[str, float]) -> list[Chec
         observed: rates and senders.
         values: parameters as read; `LOOPBACK` if the vehicle has it.
     """
-    findings = []
+    findings, unusable = [], unusable_streams(observed.sources)
     for name, rate in observed.rates_hz.items():
         needed = BY_NAME[name].expected_hz
         says = f"{rate:.0f} Hz, needs {needed:g}"
-        own = [s for s in observed.sources if s.is_vehicle and STREAM_OF[s.sender.message] == name]
-        bad = max((s for s in own if s.reason), key=lambda s: s.arriving_hz, default=None)
-        if rate < needed and bad is not None:
-            says = f"{bad.arriving_hz:.0f} Hz arrive, none {bad.reason}"
+        if rate < needed:
+            says = unusable.get(name, says)
         go = rate >= needed
         if name == "odometry" and values.get(LOOPBACK):
             go, says = False, f"{says}: {LOOPBACK} is {values[LOOPBACK]:g}, set it to 0"

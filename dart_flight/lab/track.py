@@ -26,6 +26,7 @@ from dart_flight.lab.ulog import (
     columns,
     motor_commands,
     open_ulog,
+    refuse_other_vehicles,
     seconds,
 )
 from dart_flight.recording.reader import Log, NothingInItError, read_log
@@ -38,6 +39,7 @@ _TOPICS = (
     "vehicle_local_position",
     "battery_status",
     "vehicle_land_detected",
+    "vehicle_status",
 )
 _NONE, _NO_ROWS, _NO_FOURS = np.empty(0), np.empty((0, 3)), np.empty((0, 4))
 NO_MOTORS = MotorCommands(_NONE, _NO_FOURS, "")
@@ -86,11 +88,12 @@ def read_calibration_series(path: str | Path) -> Track:
     """One flight with its motor commands: our own log (`.mcap`) or a PX4 ULog (`.ulg`).
 
     Raises:
-        InputError: it cannot be read, or has no IMU or no motor commands.
+        InputError: it cannot be read, has no IMU or no motor commands, or is of another kind of vehicle.
     """
     if Path(path).suffix.lower() != ".ulg":
         return _of_own(read_log(path))
     log = open_ulog(path, _TOPICS)
+    refuse_other_vehicles(log)
     if log.first("sensor_combined") is None:
         raise InputError("has no sensor_combined", source=log.source)
     return calibration_series_of(log, motor_commands(log))

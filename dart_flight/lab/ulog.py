@@ -18,6 +18,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from dart_flight.base.motor_outputs import PWM, scale_of
 from dart_flight.config.document import InputError, open_file
 from dart_flight.config.packages import missing_package
 from dart_flight.config.rotors import COUNT, MAV_TYPES
@@ -27,11 +28,6 @@ Array = NDArray[np.float64]
 _MIN_CELL_V = 3.0  # a flying pack has at least one cell; 0.05 V is a sensor that is not connected
 _LONGEST_COUNT = 8
 _MOTORS_OF_TYPE = {kind: motors for motors, kind in MAV_TYPES.items()}
-_PWM = (1000.0, 2000.0)
-_DSHOT = (0.0, 1999.0)
-_UAVCAN = (0.0, 8191.0)
-_LOWEST_PULSE = 800.0  # a pulse width of an armed output is never shorter
-_LONGEST_PULSE = 2200.0
 # Largest magnitude that a field can mean; a flipped bit makes others. 1000 m/s2 are 100 g: no IMU has that.
 _PLAUSIBLE = {
     "sensor_combined": {"accelerometer_m_s2": 1000.0, "gyro_rad": 100.0},
@@ -42,6 +38,16 @@ _PLAUSIBLE = {
 }
 _MAX_OUT_OF_STEP_US = 100_000  # of a stamp among its neighbours
 _MAX_SPAN_US = 86_400e6  # of a log: a day
+ARMED = 2  # vehicle_status.arming_state
+_OLDEST = (1, 9, 0)
+_ROTARY_WING = 1  # vehicle_status.vehicle_type
+_VEHICLE_TYPES = {2: "plane", 3: "rover", 4: "airship"}
+# MAV_TYPE: multirotors, and what else PX4 flies and drives.
+_MULTIROTORS = (0, 2, 3, 13, 14, 15, 29, 35)
+_MAV_TYPES = {
+    **{1: "plane", 4: "helicopter", 7: "airship", 8: "balloon", 10: "rover", 11: "boat", 12: "submarine"},
+    **dict.fromkeys(range(19, 26), "VTOL"),
+}
 _STILL = 1e-3  # share of the range: outputs that vary less are not motors
 
 
@@ -155,6 +161,40 @@ def _plausible(name: str, data: dict[str, Any]) -> NDArray[np.bool_]:
     return good
 
 
+def refuse_other_vehicles(log: ULogFile) -> None:
+    """Make sure that a log is of a multicopter that was armed, and of a version that is read.
+
+    What the log does not say is no reason.
+
+    Raises:
+        InputError: it is not, by name.
+    """
+    if log.version is not None and log.version < _OLDEST:
+        raise InputError(
+            f"of PX4 {'.'.join(map(str, log.version))}, logs of {_OLDEST[0]}.{_OLDEST[1]} and later are read",
+            source=log.source,
+        )
+    other = _other_than_multicopter(log)
+    if other is not None:
+        raise InputError(f"log of a {other}: only multicopters are supported", source=log.source)
+    status = log.first("vehicle_status")
+    if status is not None and not (np.asarray(status["arming_state"]) == ARMED).any():
+        raise InputError("the vehicle was never armed: the log contains no flight", source=log.source)
+
+
+def _other_than_multicopter(log: ULogFile) -> str | None:
+    """What the vehicle is, if it is no multicopter."""
+    status, kind = log.first("vehicle_status") or {}, log.parameters.get("MAV_TYPE", 0.0)
+    if "system_type" in status:
+        kind = float(status["system_type"][-1])
+    if "is_vtol" in status and np.asarray(status["is_vtol"]).any():
+        return "VTOL"
+    if kind not in _MULTIROTORS:
+        return _MAV_TYPES.get(int(kind), f"vehicle of MAV_TYPE {kind:.0f}")
+    types = [int(t) for t in np.unique(status.get("vehicle_type", [])) if t not in (0, _ROTARY_WING)]
+    return _VEHICLE_TYPES.get(types[0], f"vehicle of type {types[0]}") if types else None
+
+
 def seconds(data: dict[str, Any]) -> Array:
     """Stamps of a topic in seconds of the autopilot's clock: of the measurement where the topic has it."""
     name = (
@@ -204,14 +244,12 @@ def _decoded(log: ULogFile, instance: int, data: dict[str, Any]) -> MotorCommand
     top = float(raw.max(initial=0.0))
     if top <= 0.0:
         return None
-    turning = raw[raw > 0.0]
-    if top <= 1.0:
-        kind, low, high = "0 to 1", np.zeros(raw.shape[1]), np.ones(raw.shape[1])
-    elif top > _LONGEST_PULSE:
-        kind, low, high = "UAVCAN 0 to 8191", *_range(raw.shape[1], _UAVCAN)
-    elif float(turning.min()) < _LOWEST_PULSE:
-        kind, low, high = "DShot 0 to 1999", *_range(raw.shape[1], _DSHOT)
-    else:
+    scale = scale_of(float(raw[raw > 0.0].min()), top)
+    if scale is None:
+        return None
+    low, high = np.full(raw.shape[1], scale.stop), np.full(raw.shape[1], scale.full)
+    kind = scale.describe()
+    if scale is PWM:
         low, high = _pulse_range(log.parameters, instance, raw.shape[1])
         kind = f"PWM {low.min():.0f} to {high.max():.0f} us"
     values = np.clip((raw - low) / (high - low), 0.0, 1.0)
@@ -221,15 +259,11 @@ def _decoded(log: ULogFile, instance: int, data: dict[str, Any]) -> MotorCommand
     return MotorCommands(seconds(data), values, said)
 
 
-def _range(count: int, limits: tuple[float, float]) -> tuple[Array, Array]:
-    return np.full(count, limits[0]), np.full(count, limits[1])
-
-
 def _pulse_range(parameters: dict[str, float], instance: int, count: int) -> tuple[Array, Array]:
     """Shortest and longest pulse of each output: the pin's own, else the port's, else all of them."""
     bank = "MAIN" if instance == 0 else "AUX"
     ends = []
-    for end, default in (("MIN", _PWM[0]), ("MAX", _PWM[1])):
+    for end, default in (("MIN", PWM.stop), ("MAX", PWM.full)):
         names = [(f"PWM_{bank}_{end}{pin}", f"PWM_{bank}_{end}", f"PWM_{end}") for pin in range(1, count + 1)]
         # A pin's value of -1 (and 0) means: as the port.
         ends.append(
@@ -238,7 +272,7 @@ def _pulse_range(parameters: dict[str, float], instance: int, count: int) -> tup
             )
         )
     low, high = ends
-    return low, np.where(high > low, high, low + _PWM[1] - _PWM[0])
+    return low, np.where(high > low, high, low + PWM.full - PWM.stop)
 
 
 def battery(log: ULogFile) -> Battery:

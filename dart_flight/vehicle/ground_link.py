@@ -47,6 +47,18 @@ class Source(msgspec.Struct, frozen=True):
     reason: str  # why its messages are unusable; empty if they are not
 
 
+def unusable_streams(sources: Iterable[Source]) -> dict[str, str]:
+    """Return the streams that arrive from the vehicle without a usable message, and why, in words."""
+    found: dict[str, Source] = {}
+    for source in sources:
+        stream = messages.STREAM_OF[source.sender.message]
+        if stream is None or not source.is_vehicle or not source.reason:
+            continue
+        if stream not in found or source.arriving_hz > found[stream].arriving_hz:
+            found[stream] = source
+    return {name: f"{s.arriving_hz:.0f} Hz arrive, none {s.reason}" for name, s in found.items()}
+
+
 class Observation(msgspec.Struct):
     """What a vehicle on the ground says in a few seconds.
 

@@ -285,7 +285,7 @@ def _odometry(m: _OdometryFields) -> Odometry | Unusable:
         kind = m.estimator_type
         name = _ESTIMATORS[kind] if kind < len(_ESTIMATORS) else f"type {kind}"
         poses = " without a velocity" if vx is None else ""
-        return Unusable(f"of PX4's own estimator, but poses{poses} of an external one ({name})")
+        return Unusable(f"of PX4's own estimator, but poses{poses} of an external one ({name}; MAV_ODOM_LP)")
     if m.frame_id != _LOCAL_NED:
         return Unusable(f"in local NED, but in frame {m.frame_id}: an external pose")
     if m.child_frame_id != _LOCAL_NED:
@@ -603,9 +603,7 @@ STATUSTEXT = MessageEntry(
     "-",
     "MAV_SEVERITY, UTF-8 in parts of 50 bytes",
     "severity over 7, empty",
-    "id",
-    None,
-    "parts of one id are joined",
+    which="parts of one id are joined",
 )
 TIMESYNC = MessageEntry(
     "TIMESYNC",

@@ -68,7 +68,7 @@ _ASK_PERIOD_S = 0.1  # the round trip
 _MAX_ASKED = 256  # requests remembered; their answers may come seconds later
 _AIRBORNE = (LandedState.IN_AIR, LandedState.TAKING_OFF)
 _REPORTED_US = 3_000_000  # between reports that a stream is unusable
-_ENOUGH_MESSAGES = 25  # unusable in a row, until that is reported
+_ENOUGH_MESSAGES = 10  # unusable in a row, until that is reported
 
 
 class Sender(NamedTuple):

@@ -64,6 +64,8 @@ def test_our_own_setup_is_go_and_each_change_is_told(px4_dir: Path, tmp_path: Pa
     remarks = {item for item, f in found.items() if f.remark} - {"round_trip"}
     assert remarks == {"COM_FAIL_ACT_T", "px4_checks"}
     assert "Land at once" in found["COM_FAIL_ACT_T"].says
+    assert found["motor_outputs"].says == "PWM 1000 to 2000 us, on PWM_MAIN"
+    assert " component 1: ACTUATOR_OUTPUT_STATUS, ATTITUDE" in found["sources"].says
 
 
 @pytest.mark.parametrize(("source", "go"), [(PositionSource.RTK, True), (PositionSource.PLAIN, False)])

@@ -71,7 +71,11 @@ def failed(message: str, **measured: float | str | None) -> StepFinding:
 
 
 def judge_link(
-    rates_hz: Mapping[str, float], round_trip_s: float | None, limit_s: float, errors: Mapping[str, float]
+    rates_hz: Mapping[str, float],
+    round_trip_s: float | None,
+    limit_s: float,
+    errors: Mapping[str, float],
+    unusable: Mapping[str, str] | None = None,
 ) -> StepFinding:
     """Whether the streams of a mission come fast enough, and answers soon enough.
 
@@ -80,6 +84,7 @@ def judge_link(
         round_trip_s: the shortest; None: TIMESYNC was not answered.
         limit_s: of the round trip.
         errors: `drop_rate_comm` (0.01 %) and `errors_comm` of SYS_STATUS.
+        unusable: streams that arrive without a usable message, and why.
     """
     measured: Measured = {f"{name}_hz": round(rate, 1) for name, rate in rates_hz.items()}
     measured["round_trip_ms"] = None if round_trip_s is None else round(1e3 * round_trip_s, 2)
@@ -89,6 +94,9 @@ def judge_link(
         for name, rate in rates_hz.items()
         if rate < BY_NAME[name].expected_hz
     ]
+    empty = [f"{name}: {why}" for name, why in (unusable or {}).items()]
+    if slow and empty:
+        return failed("; ".join(empty), **measured)
     if slow:
         says = "too slow: " + "; ".join(slow) + ". Raise SER_TEL2_BAUD and MAV_1_RATE, MAV_1_MODE Onboard"
         return failed(says, **measured)

@@ -36,7 +36,7 @@ from dart_flight.lock.ground import GroundLock, ground_driver
 from dart_flight.lock.persistence import CommandStore, ServoOwnership, ServoTakenError, load_last
 from dart_flight.vehicle import messages
 from dart_flight.vehicle.baud_rate import listen_for_mavlink
-from dart_flight.vehicle.ground_link import GroundLink
+from dart_flight.vehicle.ground_link import GroundLink, unusable_streams
 from dart_flight.vehicle.vehicle_session import NoAnswerError, VehicleError
 
 STEPS = {
@@ -149,6 +149,7 @@ class Bringup:
         self._telemetry = Telemetry(mission)
         self._ground: GroundLink | None = None
         self._rates_hz: dict[str, float] = {}
+        self._unusable: dict[str, str] = {}
 
     def carry_out(self, name: str) -> StepFinding:
         """One step of `STEPS`; the link stays open for the next."""
@@ -181,7 +182,8 @@ class Bringup:
             link = GroundLink(self._url, min(self._wait_s, _CONNECT_S), self._telemetry.take)
             self._ground = link.__enter__()
             self._opened()
-            self._rates_hz = link.observe(self._mission.vehicle, _OBSERVE_S).rates_hz
+            observed = link.observe(self._mission.vehicle, _OBSERVE_S)
+            self._rates_hz, self._unusable = observed.rates_hz, unusable_streams(observed.sources)
         return self._ground
 
     def _why_silent(self, says: str) -> str:
@@ -211,7 +213,7 @@ class Bringup:
         if status is not None:
             errors |= {"drop_rate_comm": status.drop_rate_comm, "errors_comm": status.errors_comm}
         limit_s = 2.0 * self._mission.vehicle.guard.telemetry_late_s
-        return judgements.judge_link(self._rates_hz, round_trip_s, limit_s, errors)
+        return judgements.judge_link(self._rates_hz, round_trip_s, limit_s, errors, self._unusable)
 
     def _judge_axes(self) -> StepFinding:
         self._connect()

@@ -125,21 +125,23 @@ def _disarmed(v: FlightConditions) -> str | None:
     return None if v.status_unreliable else "PX4 has disarmed in the air"
 
 
-def _silent(v: FlightConditions, newest: Stamped | None, limit_s: float) -> str | None:
+def _silent(v: FlightConditions, name: str, newest: Stamped | None, limit_s: float) -> str | None:
     age = v.age_s(newest)
-    return f"for {min(age, 999.0) * 1e3:.0f} ms" if age > limit_s else None
+    if age <= limit_s:
+        return None
+    return f"for {min(age, 999.0) * 1e3:.0f} ms" + v.state.text_about(BY_NAME[name].message)
 
 
 def _attitude_silent(v: FlightConditions) -> str | None:
-    return _silent(v, v.state.attitude, v.config.stream_timeout_s)
+    return _silent(v, "attitude", v.state.attitude, v.config.stream_timeout_s)
 
 
 def _odometry_silent(v: FlightConditions) -> str | None:
-    return _silent(v, v.state.odometry, v.config.stream_timeout_s)
+    return _silent(v, "odometry", v.state.odometry, v.config.stream_timeout_s)
 
 
 def _actuator_silent(v: FlightConditions) -> str | None:
-    return _silent(v, v.state.actuator, v.config.actuator_timeout_s)
+    return _silent(v, "actuator", v.state.actuator, v.config.actuator_timeout_s)
 
 
 def _imu_silent(v: FlightConditions) -> str | None:

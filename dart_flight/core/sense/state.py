@@ -190,6 +190,11 @@ class FlightState:
             if len(self._said) > _MAX_REASONS:
                 del self._said[next(iter(self._said))]
 
+    def text_about(self, beginning: str) -> str:
+        """Return the newest warning that begins so, to be appended after "; "; empty if there is none."""
+        found = [text for text in self._said if text.startswith(beginning)]
+        return f"; {found[-1]}" if found else ""
+
     def take_health(self, sample: HealthReport) -> None:
         """PX4's health and arming checks."""
         self.health = sample

@@ -13,7 +13,7 @@ and says nothing of the factor, which is fitted only where climbs, descents or p
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 
 import msgspec
 import numpy as np
@@ -37,11 +37,14 @@ _MAX_ACCELERATION_M_S2 = 1.5
 _MAX_COMMAND_CHANGE = 0.06  # from the first half of a window to the second, mean over the motors
 _MIN_COMMAND, _MAX_COMMAND = 0.05, 0.98  # of any motor's mean
 _MAX_SPEED_M_S = 1.5
-_MIN_POINTS = 6
+MIN_POINTS = 8
 _FACTOR_ERROR = 0.1  # a factor less certain than this is not taken from the flight
 _MIN_VOLTAGE_SPREAD = 0.02  # relative standard deviation
 _MIN_SPREAD_V = 1e-6  # below it all voltages are one
 _MAX_EXPONENT = 3.0  # of the voltage
+_FOLDS = 4  # held-out parts
+_BLOCK = 5  # windows that are held out together, 2.5 s
+_MAX_ERROR = 0.1  # of the thrust on held-out stretches
 
 # Tests of a window, in the order in which they are made, with what they mean.
 TESTS = {
@@ -251,11 +254,61 @@ def fit_curve(p: Points, factor: float, exponent: float | None, *, fit_factor: b
     return curve
 
 
+def best_fit(points: Points, square_share: float) -> tuple[float, Callable[[Points], Curve]]:
+    """Return how well the best kind of curve predicts the thrust, and the function that fits it.
+
+    Each kind, without or with the voltage and with the configured factor or a fitted one, is fitted to a part
+    of the stretches and compared with the others.
+
+    Args:
+        points: quiet stretches.
+        square_share: configured factor.
+
+    Returns:
+        Error on held-out stretches, root mean square, over the mean thrust; and the fit.
+    """
+    known = bool(np.isfinite(points.volts).all())
+    choices = [
+        _fitter(square_share, fitted, by_volts)
+        for by_volts in ((False, True) if known else (False,))
+        for fitted in (False, True)
+    ]
+    return min(((_held_out(points, fit), fit) for fit in choices), key=lambda scored: scored[0])
+
+
+def fit_problem(error: float) -> str:
+    """Return why a curve with such an error on held-out stretches is not used; empty if it is."""
+    if error <= _MAX_ERROR:
+        return ""
+    return f"on those left out it is off by {100.0 * error:.0f} %, over {100.0 * _MAX_ERROR:.0f} %: no fit"
+
+
+def _fitter(factor: float, fitted: bool, by_volts: bool) -> Callable[[Points], Curve]:
+    def fit(p: Points) -> Curve:
+        curve = fit_curve(p, factor, None if by_volts else 0.0, fit_factor=fitted)
+        # The median: a bump that no test has seen is one window.
+        curve.full *= float(np.median(p.force / np.maximum(curve.of(p), 1e-6)))
+        return curve
+
+    return fit
+
+
+def _held_out(points: Points, fit: Callable[[Points], Curve]) -> float:
+    """Return the error on held-out stretches, root mean square, over the mean thrust."""
+    part = (np.arange(len(points.force)) // _BLOCK) % min(_FOLDS, max(2, len(points.force) // _BLOCK))
+    squares = []
+    for fold in np.unique(part):
+        train, test = points.chosen(part != fold), points.chosen(part == fold)
+        if len(train.force):
+            squares.append((fit(train).of(test) - test.force) ** 2)
+    return float(np.sqrt(np.concatenate(squares).mean()) / points.force.mean())
+
+
 def calibrate_thrust(tracks: Iterable[Track], vehicle: VehicleConfig) -> ThrustCalibration:
     """Fit the thrust curve to the quiet stretches of some flights.
 
     Raises:
-        InputError: too few quiet stretches.
+        InputError: too few quiet stretches, or no curve fits them.
     """
     tracks = list(tracks)
     mass, lag = vehicle.airframe.mass_kg, vehicle.thrust.motor_lag_s
@@ -263,10 +316,17 @@ def calibrate_thrust(tracks: Iterable[Track], vehicle: VehicleConfig) -> ThrustC
     if len({part.motors for part in parts}) > 1:
         raise InputError("logs of vehicles with different numbers of motors", source=_sources(tracks))
     p = _joined(parts)
-    if len(p.force) < _MIN_POINTS:
+    if len(p.force) < MIN_POINTS:
         raise InputError(
-            f"{len(p.force)} quiet half seconds of hover, at least {_MIN_POINTS} are needed; rejected: "
+            f"{len(p.force)} quiet half seconds of hover, at least {MIN_POINTS} are needed; rejected: "
             f"{format_rejected(p.rejected) or 'none'}",
+            source=_sources(tracks),
+        )
+    problem = fit_problem(best_fit(p, vehicle.thrust.square_share)[0])
+    if problem:
+        raise InputError(
+            f"thrust fitted to {len(p.force)} half seconds, but {problem}; compare the type of the motor "
+            "outputs (check: motor_outputs) and the mass",
             source=_sources(tracks),
         )
     share, kept = vehicle.thrust.square_share, vehicle.estimation.battery.exponent

@@ -9,7 +9,7 @@ import numpy as np
 
 from dart_flight.config.document import InputError
 from dart_flight.lab.track import Track
-from dart_flight.lab.ulog import ULogFile, seconds
+from dart_flight.lab.ulog import ARMED, ULogFile, seconds
 
 TOPICS = (
     "sensor_combined",
@@ -34,54 +34,10 @@ _TAKEOFF_S = 5.0  # ... where the height is not known
 _LANDED_S = 1.0  # PX4 says landed after a second on the ground; for less, and so high, it was in the air
 _HIGH_M = 2.0
 _LOW_M = 0.5
-_ARMED = 2  # vehicle_status.arming_state
-_OLDEST = (1, 9, 0)
-_ROTARY_WING = 1  # vehicle_status.vehicle_type
-_VEHICLE_TYPES = {2: "plane", 3: "rover", 4: "airship"}
-# MAV_TYPE: multirotors, and what else PX4 flies and drives.
-_MULTIROTORS = (0, 2, 3, 13, 14, 15, 29, 35)
-_MAV_TYPES = {
-    **{1: "plane", 4: "helicopter", 7: "airship", 8: "balloon", 10: "rover", 11: "boat", 12: "submarine"},
-    **dict.fromkeys(range(19, 26), "VTOL"),
-}
 _PROFILE = (
     "SDLOG_PROFILE 17, the default (bit 0) with high rate (bit 4): motors and attitude as fast as they are "
     "computed"
 )
-
-
-def refuse_other_vehicles(log: ULogFile) -> None:
-    """Make sure that a log is of a multicopter that was armed, and of a version that is read.
-
-    What the log does not say is no reason.
-
-    Raises:
-        InputError: it is not, by name.
-    """
-    if log.version is not None and log.version < _OLDEST:
-        raise InputError(
-            f"of PX4 {'.'.join(map(str, log.version))}, logs of {_OLDEST[0]}.{_OLDEST[1]} and later are read",
-            source=log.source,
-        )
-    other = _other_than_multicopter(log)
-    if other is not None:
-        raise InputError(f"log of a {other}: only multicopters are supported", source=log.source)
-    status = log.first("vehicle_status")
-    if status is not None and not (np.asarray(status["arming_state"]) == _ARMED).any():
-        raise InputError("the vehicle was never armed: the log contains no flight", source=log.source)
-
-
-def _other_than_multicopter(log: ULogFile) -> str | None:
-    """What the vehicle is, if it is no multicopter."""
-    status, kind = log.first("vehicle_status") or {}, log.parameters.get("MAV_TYPE", 0.0)
-    if "system_type" in status:
-        kind = float(status["system_type"][-1])
-    if "is_vtol" in status and np.asarray(status["is_vtol"]).any():
-        return "VTOL"
-    if kind not in _MULTIROTORS:
-        return _MAV_TYPES.get(int(kind), f"vehicle of MAV_TYPE {kind:.0f}")
-    types = [int(t) for t in np.unique(status.get("vehicle_type", [])) if t not in (0, _ROTARY_WING)]
-    return _VEHICLE_TYPES.get(types[0], f"vehicle of type {types[0]}") if types else None
 
 
 def missing(log: ULogFile) -> list[str]:
@@ -143,7 +99,7 @@ def height_at(track: Track, t_s: float) -> float:
 def flights_of(log: ULogFile, track: Track) -> list[tuple[float, float]]:
     """From, to in seconds: in the air, from 0.3 m up to what PX4 calls landed, and armed at some moment."""
     begin, end = float(track.imu_s[0]), float(track.imu_s[-1])
-    armed = _stretches(log, "vehicle_status", "arming_state", _ARMED)
+    armed = _stretches(log, "vehicle_status", "arming_state", ARMED)
     detected = log.first("vehicle_land_detected")
     if detected is None:
         return _clipped(armed, begin, end) if log.first("vehicle_status") is not None else [(begin, end)]

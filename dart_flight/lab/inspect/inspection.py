@@ -7,7 +7,7 @@ from pathlib import Path
 
 from dart_flight.config.document import InputError
 from dart_flight.config.vehicle import VehicleConfig
-from dart_flight.lab.inspect.content import TOPICS, flights_of, missing, refuse_other_vehicles
+from dart_flight.lab.inspect.content import TOPICS, flights_of, missing
 from dart_flight.lab.inspect.impacts import ImpactScan, InspectedFlight, Listener
 from dart_flight.lab.inspect.log_samples import samples_of, vehicle_for
 from dart_flight.lab.inspect.specific_thrust import (
@@ -17,7 +17,7 @@ from dart_flight.lab.inspect.specific_thrust import (
     fit_specific_thrust,
 )
 from dart_flight.lab.track import calibration_series_of
-from dart_flight.lab.ulog import ULogFile, motor_commands, open_ulog
+from dart_flight.lab.ulog import ULogFile, motor_commands, open_ulog, refuse_other_vehicles
 
 
 def inspect_file(path: str | Path, vehicle: VehicleConfig, mass_kg: float | None = None) -> InspectedFlight:

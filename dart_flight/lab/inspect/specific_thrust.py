@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import msgspec
 import numpy as np
 
 from dart_flight.config.vehicle import VehicleConfig
-from dart_flight.lab.calibrate.thrust_curve import Curve, Points, fit_curve, format_rejected, quiet_points
+from dart_flight.lab.calibrate.thrust_curve import (
+    MIN_POINTS,
+    best_fit,
+    fit_problem,
+    format_rejected,
+    quiet_points,
+)
 from dart_flight.lab.track import Track
 
-_MIN_WINDOWS = 8
-_FOLDS = 4  # held-out parts
-_BLOCK = 5  # windows that are held out together, 2.5 s
-_MAX_HELD_OUT = 0.1  # error of the thrust on held-out stretches: what is worse is no fit
 _MAX_DRAG_PER_S = 1.0
 # At speed a vehicle changes its thrust and back within the time of a contact: contacts last 50 to 180 ms,
 # and motors that lag by 30 to 50 ms follow within 100 ms. Two motor outputs in such a change are the least
@@ -49,27 +49,18 @@ def fit_specific_thrust(track: Track, vehicle: VehicleConfig) -> SpecificThrust 
     lag = vehicle.thrust.motor_lag_s
     points = quiet_points(track, 1.0, lag)
     said = "slow flight"
-    if len(points.force) < _MIN_WINDOWS:
+    if len(points.force) < MIN_POINTS:
         slow, points = points, quiet_points(track, 1.0, lag, _FAST_M_S)
         said = "flight at any speed: what speed does to the propellers is in the residual"
-        if len(points.force) < _MIN_WINDOWS:
+        if len(points.force) < MIN_POINTS:
             return (
-                f"{len(points.force)} quiet half seconds, at least {_MIN_WINDOWS} are needed; rejected: "
+                f"{len(points.force)} quiet half seconds, at least {MIN_POINTS} are needed; rejected: "
                 f"{format_rejected(slow.rejected) or 'none'}"
             )
-    known = bool(np.isfinite(points.volts).all())
-    # Without or with the voltage, with the configured factor or a fitted one: what predicts best.
-    choices: list[Callable[[Points], Curve]] = []
-    for by_volts in (False, True) if known else (False,):
-        for fitted in (False, True):
-            choices.append(_fitter(vehicle.thrust.square_share, fitted, by_volts))
-    scored = [(_held_out(points, fit), fit) for fit in choices]
-    error, best = min(scored, key=lambda s: s[0])
-    if not error <= _MAX_HELD_OUT:
-        return (
-            f"fitted to {len(points.force)} half seconds of {said}, but on those left out it is off by "
-            f"{100.0 * error:.0f} %, over {100.0 * _MAX_HELD_OUT:.0f} %: no fit"
-        )
+    error, best = best_fit(points, vehicle.thrust.square_share)
+    problem = fit_problem(error)
+    if problem:
+        return f"fitted to {len(points.force)} half seconds of {said}, but {problem}"
     curve = best(points)
     return SpecificThrust(
         full_m_s2=curve.full * points.motors,
@@ -80,27 +71,6 @@ def fit_specific_thrust(track: Track, vehicle: VehicleConfig) -> SpecificThrust 
         held_out_percent=100.0 * error,
         said=said,
     )
-
-
-def _fitter(factor: float, fitted: bool, by_volts: bool) -> Callable[[Points], Curve]:
-    def fit(p: Points) -> Curve:
-        curve = fit_curve(p, factor, None if by_volts else 0.0, fit_factor=fitted)
-        # The median: a bump that no test has seen is one window.
-        curve.full *= float(np.median(p.force / np.maximum(curve.of(p), 1e-6)))
-        return curve
-
-    return fit
-
-
-def _held_out(points: Points, fit: Callable[[Points], Curve]) -> float:
-    """Error of predictions of held-out stretches, root mean square, of the mean thrust."""
-    part = (np.arange(len(points.force)) // _BLOCK) % min(_FOLDS, max(2, len(points.force) // _BLOCK))
-    squares = []
-    for fold in np.unique(part):
-        train, test = points.chosen(part != fold), points.chosen(part == fold)
-        if len(train.force):
-            squares.append((fit(train).of(test) - test.force) ** 2)
-    return float(np.sqrt(np.concatenate(squares).mean()) / points.force.mean())
 
 
 def is_thrust_known(track: Track, curve: SpecificThrust | None, t_s: float) -> bool:
@@ -146,7 +116,7 @@ def fit_drag(track: Track, flying: list[tuple[float, float]]) -> float:
             speed = float(np.hypot(*velocity))
             if speed > 1.0:
                 pairs.append((-float(across[inside].mean(axis=0) @ velocity) / speed, speed))
-    if len(pairs) < _MIN_WINDOWS:
+    if len(pairs) < MIN_POINTS:
         return 0.0
     table = np.array(pairs)
     return float(np.clip(np.median(table[:, 0] / table[:, 1]), 0.0, _MAX_DRAG_PER_S))

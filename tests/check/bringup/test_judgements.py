@@ -119,6 +119,9 @@ def test_a_slow_stream_is_named_with_what_it_needs() -> None:
     assert judge_link(rates, 0.005, 0.2, {}).result is StepOutcome.PASS
     assert "radio" in judge_link(rates, 0.5, 0.2, {}).message
     assert "5.0 %" in judge_link(rates, 0.005, 0.2, {"drop_rate_comm": 500.0}).message
+    why = {"odometry": "125 Hz arrive, none with a velocity"}
+    empty = judge_link({**rates, "odometry": 0.0}, 0.005, 0.2, {}, why)
+    assert empty.message == "odometry: 125 Hz arrive, none with a velocity"  # and no word of a baud rate
 
 
 @given(st.binary(max_size=400))

@@ -12,7 +12,11 @@ from dart_flight.cli import main
 from dart_flight.config.document import InputError
 from dart_flight.config.vehicle.configuration import load_vehicle
 from dart_flight.lab.calibrate.thrust_curve import calibrate_thrust, quiet_points
+from dart_flight.lab.inspect.content import TOPICS
+from dart_flight.lab.inspect.inspection import inspect_log
+from dart_flight.lab.inspect.specific_thrust import fit_specific_thrust
 from dart_flight.lab.track import read_calibration_series
+from dart_flight.lab.ulog import open_ulog
 from tests.doubles.ulog_file import write_ulog
 from tests.shared_flights import SharedFlights
 
@@ -55,7 +59,9 @@ def test_command_line_writes_the_configuration(
     assert "# at full command, at the voltage estimation.battery.reference_v\n" in config.read_text()
 
 
-def ulog(path: Path, volts: float, factor: float, full_n: float) -> None:
+def ulog(
+    path: Path, volts: float, factor: float, full_n: float, noise: float = 0.0, release: int = 0
+) -> None:
     """A PX4 log of slow climbs and descents on a given curve at a voltage (16 V, exponent 1)."""
 
     rng = np.random.default_rng(4)
@@ -64,13 +70,13 @@ def ulog(path: Path, volts: float, factor: float, full_n: float) -> None:
         stamp, u = 10_000_000 + 4000 * i, 0.55 + 0.1 * np.sin(0.3 * i * 0.004)
         force = 4.0 * full_n * (factor * u * u + (1.0 - factor) * u) * volts / 16.0
         imu.append((stamp, [0.0, 0.0, 0.0, *rng.normal((0.0, 0.0, -force / 1.3), 0.2)]))
-        sent.append((stamp, [u] * 4))
+        sent.append((stamp, [u * (1.0 + noise * np.sin(0.7 * (i // 250)))] * 4))
     topics = {
         ("sensor_combined", 0): ("float[3] gyro_rad;float[3] accelerometer_m_s2;", imu),
         ("actuator_motors", 0): ("float[4] control;", sent),
         ("battery_status", 0): ("float voltage_v;", [(stamp, [volts]) for stamp, _ in sent[::50]]),
     }
-    write_ulog(path, topics)
+    write_ulog(path, topics, release=release)
 
 
 def test_px4_logs_give_curve_and_battery(tmp_path: Path) -> None:
@@ -94,3 +100,31 @@ def test_what_cannot_be_used_is_refused(tmp_path: Path, capsys: pytest.CaptureFi
         read_calibration_series(bad)
     assert main(["calibrate", "thrust", str(tmp_path / "none.mcap")]) == 2
     assert "cannot read" in capsys.readouterr().err
+
+
+def test_a_fit_that_does_not_hold_is_refused_by_calibrate_and_by_inspect(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Commands that do not explain the thrust: both judge the fit by the same function."""
+    path, config = tmp_path / "a.ulg", tmp_path / "mine.yaml"
+    ulog(path, 16.0, 0.7, 7.0, noise=0.35)
+    config.write_text((ROOT / "configs" / "dart.yaml").read_text())
+    track = read_calibration_series(path)
+    refused = fit_specific_thrust(track, VEHICLE)
+    assert isinstance(refused, str)
+    assert "over 10 %: no fit" in refused
+    assert main(["calibrate", "thrust", str(path), "--config", str(config), "--write"]) == 2
+    assert "over 10 %: no fit" in capsys.readouterr().err
+    assert load_vehicle(config).thrust.full_n == 7.0
+    ulog(path, 16.0, 0.7, 7.0)
+    track = read_calibration_series(path)
+    assert not isinstance(fit_specific_thrust(track, VEHICLE), str)
+    assert calibrate_thrust([track], VEHICLE).full_n == pytest.approx(7.0, rel=0.02)
+
+
+def test_a_log_of_a_version_that_inspect_refuses_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "old.ulg"
+    ulog(path, 16.0, 0.7, 7.0, release=0x010703FF)
+    for read in (read_calibration_series, lambda log: inspect_log(open_ulog(log, TOPICS), VEHICLE)):
+        with pytest.raises(InputError, match=r"of PX4 1\.7\.3, logs of 1\.9 and later"):
+            read(path)

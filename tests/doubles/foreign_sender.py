@@ -1,0 +1,80 @@
+"""Another component of the vehicle's system on its link, as mavlink-router hands it on."""
+
+from __future__ import annotations
+
+import math
+import socket
+import threading
+import time
+from types import TracebackType
+
+from pymavlink.dialects.v20 import common as mavlink
+
+COMPONENT = 197  # visual-inertial odometry
+_PERIOD_S = 0.02
+_FAR_AHEAD_US = 10**12
+_Q_TURNED = [math.cos(math.radians(30.0)), 0.0, 0.0, math.sin(math.radians(30.0))]
+
+
+class ForeignSender:
+    """`with ForeignSender(port):` sends every message of `MESSAGES` to a UDP port, 50 times a second."""
+
+    def __init__(self, port: int, component: int = COMPONENT) -> None:
+        self._to = ("127.0.0.1", port)
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._pack = mavlink.MAVLink(None, srcSystem=1, srcComponent=component)
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, daemon=True, name="foreign sender")
+
+    def __enter__(self) -> ForeignSender:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._stop.set()
+        self._thread.join(1.0)
+        self._socket.close()
+
+    def _run(self) -> None:
+        while not self._stop.is_set():
+            for message in messages():
+                self._socket.sendto(message.pack(self._pack), self._to)
+            time.sleep(_PERIOD_S)
+
+
+def messages() -> list[mavlink.MAVLink_message]:
+    """What each of the vehicle's messages must not be taken from."""
+    zeros = [0.0] * 21
+    far_ms = _FAR_AHEAD_US // 1000 % 2**32
+    return [
+        mavlink.MAVLink_odometry_message(
+            _FAR_AHEAD_US,
+            1,
+            1,
+            77.0,
+            77.0,
+            -77.0,
+            _Q_TURNED,
+            1.0,
+            0.0,
+            0.0,
+            0.0,
+            0.0,
+            0.0,
+            zeros,
+            zeros,
+            99,
+            8,
+        ),
+        mavlink.MAVLink_attitude_quaternion_message(far_ms, *_Q_TURNED, 0.0, 0.0, 0.0),
+        mavlink.MAVLink_highres_imu_message(
+            _FAR_AHEAD_US, 1.0, 2.0, -77.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 20.0, 63
+        ),
+        mavlink.MAVLink_extended_sys_state_message(0, mavlink.MAV_LANDED_STATE_LANDING),
+        mavlink.MAVLink_battery_status_message(0, 1, 1, 32767, [7700] + [65535] * 9, -1, -1, -1, 7),
+        mavlink.MAVLink_statustext_message(2, b"failsafe"),
+        mavlink.MAVLink_estimator_status_message(_FAR_AHEAD_US, 0, *[0.0] * 6, 77.0, 77.0),
+        mavlink.MAVLink_actuator_output_status_message(_FAR_AHEAD_US, 4, [1770.0] * 4 + [0.0] * 28),
+    ]
