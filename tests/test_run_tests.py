@@ -45,7 +45,8 @@ def test_what_is_interrupted_leaves_nothing_behind(
         for _ in range(2)
     ]
     code = "import sys; from tools import run_tests as r; r._PATIENCE_S = 1.0; "
-    code += f"r.LINT, r.REAL_TIME, r.TESTS, r.TYPES = (), (), *{[[sleep] for sleep in sleeps]}; sys.exit(r.main([]))"
+    code += f"r.LINT, r.REAL_TIME, r.TESTS, r.TYPES = (), (), *{[[sleep] for sleep in sleeps]}; "
+    code += "sys.exit(r.main([]))"
     process = subprocess.Popen(
         [sys.executable, "-c", code],
         cwd=ROOT,

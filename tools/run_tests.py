@@ -2,7 +2,7 @@
 
     python -m tools.run_tests
 
-Tests in real time run first and alone. They are skipped, and counted, where the computer is too busy for them.
+Tests in real time run first and alone; one that fails is skipped, and counted, if the computer was too busy.
 All others run in simulated time and pass at any load; types are checked beside them. Ctrl-C ends everything.
 """
 

@@ -7,13 +7,16 @@ it is flown.
 
 from __future__ import annotations
 
+import importlib
 import logging
 import time
+import warnings
 from collections.abc import Iterable, Iterator
 from functools import partial
 from typing import Any
 
 from dart_flight.base.errors import FlightError
+from dart_flight.config.document import InputError
 from dart_flight.config.packages import missing_package
 from dart_flight.lab.campaign.campaign_folder import Engine, Landings
 from dart_flight.lab.campaign.campaign_spec import Item
@@ -25,6 +28,7 @@ _PATIENCE_S = 30.0  # for the scheduler to answer, and for a first worker
 _POLL_S = 0.05
 _END_S = 2.0
 _COUNT_S = 5.0  # how often it is asked for its workers
+_ABOUT = "dart_flight.recording.about"
 _AHEAD = 2  # flights given out for each thread: the next one is there when one lands
 
 
@@ -45,39 +49,98 @@ def _work(url: str, flyer: ItemFlyer, items: Iterable[Item], interrupt: Interrup
     """As `worlds.workers.work`.
 
     Raises:
-        FlightError: the scheduler does not answer, has no worker, or one with another version.
+        FlightError: the scheduler does not answer or has no worker.
+        InputError: a worker cannot fly; no flight was begun then.
     """
-    import distributed  # noqa: PLC0415
-
-    for name in ("distributed", "distributed.client"):  # what it would say at length is said here in a line
-        logging.getLogger(name).setLevel(logging.CRITICAL)
+    client = _connect(url)
     try:
-        client = distributed.Client(url, timeout=_PATIENCE_S, set_as_default=False)
-    except (OSError, ValueError) as error:
-        raise FlightError(f"--scheduler {url}: {error}") from None
-    try:
-        _refuse_others(client, url)
-        yield from _hand_out(client, flyer, iter(items), interrupt)
+        _refuse_unfit(client, url)
+        yield from _hand_out(client, url, flyer, iter(items), interrupt)
     except OSError as error:
         raise FlightError(
-            f"--scheduler {url}: {error}; completed rows are kept; continue with --resume"
+            f"--scheduler {url}: {_in_a_line(error)}; completed rows are kept; continue with --resume"
         ) from None
     finally:
         client.close(timeout=_END_S)
 
 
-def _refuse_others(client: Any, url: str) -> None:
+def _connect(url: str) -> Any:
+    """Return a client of the scheduler at a URL.
+
+    Raises:
+        FlightError: it does not answer.
+        InputError: it has another version of Dask, with which this one cannot talk.
+    """
+    import distributed  # noqa: PLC0415
+
+    class Client(distributed.Client):  # type: ignore[misc]
+        def __del__(self) -> None:
+            """Close nothing: `_work` does, and closing what never connected takes a minute."""
+
+    for name in ("distributed", "distributed.client"):  # what it would say at length is said here in a line
+        logging.getLogger(name).setLevel(logging.CRITICAL)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of packages that no flight needs
+            return Client(url, timeout=_PATIENCE_S, set_as_default=False)
+    except (OSError, ValueError) as error:
+        raise FlightError(f"--scheduler {url}: {_in_a_line(error)}") from None
+    except Exception as error:  # another version raises whatever its protocol stumbles over
+        raise InputError(f"--scheduler {url}: {_in_a_line(error)}; {_own_version()}") from None
+
+
+def _refuse_unfit(client: Any, url: str) -> None:
+    """Make sure that there is a worker, and that every worker has this program in this version.
+
+    Raises:
+        FlightError: no worker connects, or the scheduler does not answer.
+        InputError: a worker lacks the program or has another version; names the worker.
+    """
     try:
         client.wait_for_workers(1, timeout=_PATIENCE_S)
     except TimeoutError:
         raise FlightError(f"--scheduler {url}: no worker connected within {_PATIENCE_S:g} s") from None
     own = software_version()
-    for worker, version in client.run(software_version).items():
+    try:
+        # The first call needs nothing but Python on the worker: what is missing there is an answer.
+        client.run_on_scheduler(importlib.import_module, _ABOUT)
+        imported = client.run(importlib.import_module, _ABOUT, on_error="return")
+        lacking = [worker for worker, answer in imported.items() if isinstance(answer, Exception)]
+        fit = [worker for worker in imported if worker not in lacking]
+        versions = client.run(software_version, workers=fit) if fit else {}
+    except ModuleNotFoundError as error:
+        raise InputError(
+            f"--scheduler {url}: the scheduler: {error}; install dart-flight {own} there, too"
+        ) from None
+    except OSError:
+        raise  # the scheduler is gone
+    except Exception as error:  # another version raises whatever its protocol stumbles over
+        raise InputError(f"--scheduler {url}: {_in_a_line(error)}; {_own_version()}") from None
+    for worker in lacking:
+        raise InputError(
+            f"--scheduler {url}: worker {worker}: {_in_a_line(imported[worker])}; install dart-flight {own} "
+            "there, or stop that worker"
+        )
+    for worker, version in versions.items():
         if version != own:
-            raise FlightError(f"--scheduler {url}: {worker} has dart-flight {version}, this is {own}")
+            raise InputError(
+                f"--scheduler {url}: worker {worker} has dart-flight {version}, this is {own}; install that"
+            )
 
 
-def _hand_out(client: Any, flyer: ItemFlyer, waiting: Iterator[Item], interrupt: Interrupt) -> Landings:
+def _own_version() -> str:
+    import distributed  # noqa: PLC0415
+
+    return f"distributed is {distributed.__version__} here: install that version on scheduler and workers"
+
+
+def _in_a_line(error: BaseException) -> str:
+    return " ".join(f"{type(error).__name__}: {error}".split())
+
+
+def _hand_out(
+    client: Any, url: str, flyer: ItemFlyer, waiting: Iterator[Item], interrupt: Interrupt
+) -> Landings:
     # A result of its own, so that it goes to each worker once and is made again where that worker dies.
     shared = client.submit(_same, flyer, pure=False)
     under_way: dict[Any, Item] = {}
@@ -96,16 +159,34 @@ def _hand_out(client: Any, flyer: ItemFlyer, waiting: Iterator[Item], interrupt:
         if not landed:
             time.sleep(_POLL_S)
         for future in landed:
-            yield FinishedItem(under_way.pop(future), _result(future))
+            try:
+                result = _result(future)
+            except _UnfitWorkerError as error:  # it has joined since the workers were looked at
+                _refuse_unfit(client, url)
+                raise FlightError(
+                    f"--scheduler {url}: {error}; completed rows are kept; continue with --resume"
+                ) from None
+            yield FinishedItem(under_way.pop(future), result)
+
+
+class _UnfitWorkerError(Exception):
+    """A worker could not begin a flight."""
 
 
 def _result(future: Any) -> Flown | Failure:
-    """Raises OSError: lost connection to the scheduler."""
+    """Return what came of a flight.
+
+    Raises:
+        OSError: lost connection to the scheduler.
+        _UnfitWorkerError: the worker could not begin it.
+    """
     if future.status in ("cancelled", "lost"):
         raise OSError("lost connection to the scheduler")
     error = future.exception()
-    if error is not None:  # the flights' own are results: this is the scheduler's
-        return Failure(" ".join(f"{type(error).__name__}: {error}".split()))
+    if error is not None:  # a flight's own error is a result: this one is the scheduler's or the worker's
+        if type(error).__name__ != "KilledWorker":
+            raise _UnfitWorkerError(_in_a_line(error))
+        return Failure(_in_a_line(error))
     result: Flown | Failure = future.result()
     return result
 

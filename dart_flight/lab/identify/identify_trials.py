@@ -83,6 +83,7 @@ def identify_trials(
     trials = list(given) + list(
         chain.from_iterable(from_each(files, lambda path: read_trials(path, weighed), left_out.append))
     )
+    left_out += [note for trial in trials for note in trial.notes]
     flown, at_hand = _flown(trials, vehicle), vehicle
     vehicle = flown.config if flown else at_hand
     mass_kg, onset = _mass(how, vehicle), onset or Onset(vehicle.onset)

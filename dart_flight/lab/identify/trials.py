@@ -17,10 +17,12 @@ from typing import NamedTuple
 import numpy as np
 
 from dart_flight.base.geometry import GRAVITY_M_S2
+from dart_flight.base.records import ImuSample
 from dart_flight.config.document import InputError, read_text
 from dart_flight.config.file_kinds import FileKind, refuse_other_kind
 from dart_flight.config.provenance import FoundVehicle
 from dart_flight.contact.coefficients import Array
+from dart_flight.lab.holes import describe_holes
 from dart_flight.lab.track import calibration_series_of
 from dart_flight.lab.ulog import open_ulog
 from dart_flight.recording.reader import read_log
@@ -76,6 +78,7 @@ class Trial:
             the intervals are widened by it.
         flown: the vehicle, where the recording itself says it, as a flight log does.
         turn_rad_s: largest rate about the vertical while it touched; None where that was not recorded.
+        notes: what is missing of the recording, a line each.
     """
 
     name: str
@@ -87,6 +90,7 @@ class Trial:
     allowance: Mapping[str, float] = field(default_factory=dict)
     flown: FoundVehicle | None = None
     turn_rad_s: float | None = None
+    notes: tuple[str, ...] = ()
 
     @property
     def normal(self) -> Series:
@@ -244,7 +248,14 @@ def _trial(source: str, series: dict[str, Series], how: TrialReading) -> Trial:
         time, felt = series.pop("specific_force_m_s2")
         series["normal_force_n"] = Series(time, how.kg * felt)
     height = how.height_m if how.drop else None
-    return Trial(source, series, how.mode, _acceleration(how), height, measured or "normal_m" not in series)
+    notes = [
+        f"{source}: {line}"
+        for name in ("normal_m", "normal_force_n", "specific_force_m_s2")
+        if name in series
+        for line in describe_holes(series[name].time_s, name)
+    ]
+    shown = measured or "normal_m" not in series
+    return Trial(source, series, how.mode, _acceleration(how), height, shown, notes=tuple(notes))
 
 
 def _number(cell: str, name: str, source: str, line: int) -> float:
@@ -330,7 +341,15 @@ def read_flight(path: Path, how: TrialReading) -> list[Trial]:
             source=str(path),
             key=("drop",),
         )
-    return trials_at_one(read_log(path), how.surface, how.mode)
+    log = read_log(path)
+    trials = trials_at_one(log, how.surface, how.mode)
+    if log.complete:
+        return trials
+    stamps_us = [e.record.t_us for e in log.entries if isinstance(e.record, ImuSample)]
+    note = (
+        f"{path}: the log is cut: it ends {(stamps_us[-1] - stamps_us[0]) * 1e-6:.2f} s after its beginning"
+    )
+    return [replace(trials[0], notes=(*trials[0].notes, note)), *trials[1:]]
 
 
 # Suffix -> reader. A further kind of recording is one function more.

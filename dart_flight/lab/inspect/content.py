@@ -6,8 +6,10 @@ import math
 from collections.abc import Iterable
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dart_flight.config.document import InputError
+from dart_flight.lab.holes import describe_holes
 from dart_flight.lab.track import Track
 from dart_flight.lab.ulog import ARMED, ULogFile, seconds
 
@@ -70,9 +72,16 @@ def missing(log: ULogFile) -> list[str]:
         out.append("no vehicle_land_detected: the whole log counts as flight")
     if log.gaps_s > 0.0:
         out.append(f"{log.gaps_s:.2f} s that the logger lost")
+    for name in ("sensor_combined", "vehicle_attitude"):
+        out += describe_holes(_stamps(log, name), name)
     if log.first("vehicle_status") is None:
         out.append("no vehicle_status: whether it is a multicopter, and was armed")
     return [*out, *[f"recommended logging: {_PROFILE}"] * slow, *log.damage]
+
+
+def _stamps(log: ULogFile, name: str) -> NDArray[np.float64]:
+    data = log.first(name)
+    return np.empty(0) if data is None else seconds(data)
 
 
 def landings_of(log: ULogFile, track: Track) -> list[tuple[float, float]]:
@@ -113,6 +122,19 @@ def flights_of(log: ULogFile, track: Track) -> list[tuple[float, float]]:
     known = max(first, begin + 0.1)
     taken_off = [(begin if a <= known else _off_the_ground(track, a, b), b) for a, b in air]
     return [(a, b) for a, b in taken_off if b > a]
+
+
+def describe_cut(log: ULogFile, track: Track, flying: list[tuple[float, float]]) -> list[str]:
+    """Return a line if a log begins or ends in the air, where PX4 says whether it has landed."""
+    if not flying or log.first("vehicle_land_detected") is None:
+        return []
+    begin, end = float(track.imu_s[0]), float(track.imu_s[-1])
+    lines = []
+    if flying[0][0] <= begin:
+        lines.append("cut: the log begins in the air")
+    if flying[-1][1] >= end:
+        lines.append(f"cut: the log ends in the air, at {end - begin:.2f} s")
+    return lines
 
 
 def _clipped(stretches: Iterable[tuple[float, float]], begin: float, end: float) -> list[tuple[float, float]]:

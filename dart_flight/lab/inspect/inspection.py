@@ -7,7 +7,7 @@ from pathlib import Path
 
 from dart_flight.config.document import InputError
 from dart_flight.config.vehicle import VehicleConfig
-from dart_flight.lab.inspect.content import TOPICS, flights_of, missing
+from dart_flight.lab.inspect.content import TOPICS, describe_cut, flights_of, missing
 from dart_flight.lab.inspect.impacts import ImpactScan, InspectedFlight, Listener
 from dart_flight.lab.inspect.log_samples import samples_of, vehicle_for
 from dart_flight.lab.inspect.specific_thrust import (
@@ -61,6 +61,7 @@ def inspect_log(
             "hover is evaluated"
         )
     flying = flights_of(log, track)
+    unknown += describe_cut(log, track, flying)
     drag = fit_drag(track, flying)
     if not drag:
         unknown.append("drag: flight too slow to estimate it")

@@ -1,0 +1,101 @@
+"""Logs with a hole, cut short, or without a flight: said, with where and how long."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from dart_flight.cli import main
+from dart_flight.lab.holes import describe_holes
+from dart_flight.lab.identify.trials import TrialReading, read_trials
+from tests.doubles.ulog_file import write_ulog
+from tests.lab.inspect.test_inspect import felt, topics
+from tests.shared_flights import SharedFlights
+
+pytest.importorskip("pyulog")
+
+
+@given(
+    st.floats(0.002, 0.05),
+    st.integers(20, 300),
+    st.integers(1, 18),
+    st.floats(0.6, 30.0),
+    st.floats(0.0, 1e4),
+)
+def test_one_hole_is_found_where_it_is(
+    interval_s: float, count: int, place: int, hole_s: float, begin_s: float
+) -> None:
+    time_s = np.asarray(begin_s + interval_s * np.arange(count), dtype=np.float64)
+    assert describe_holes(time_s, "normal_m") == []
+    time_s[place + 1 :] += hole_s
+    (line,) = describe_holes(time_s, "normal_m")
+    at_s, long_s = time_s[place] - time_s[0], time_s[place + 1] - time_s[place]
+    assert line == f"hole of {long_s:.2f} s in normal_m, from {at_s:.2f} s on"
+
+
+def test_many_holes_are_counted() -> None:
+    time_s = np.concatenate([np.arange(0.0, 1.0, 0.01) + 2.0 * k for k in range(6)])
+    lines = describe_holes(time_s, "imu")
+    assert len(lines) == 4
+    assert lines[-1].startswith("2 more holes in imu, 2.0")
+    assert describe_holes(np.array([0.0, 5.0]), "imu") == []
+
+
+def _without(part: Any, begin_s: float, end_s: float) -> Any:
+    """The topics without what lies between two times, seconds after the log's beginning."""
+    return {
+        key: (fields, [row for row in rows if not begin_s <= row[0] * 1e-6 - 1.0 < end_s])
+        for key, (fields, rows) in part.items()
+    }
+
+
+def test_inspect_says_where_a_log_has_a_hole_and_where_it_is_cut(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    whole = felt(write_ulog(tmp_path / "whole.ulg", topics()), capsys)["unknown"]
+    assert not [what for what in whole if "hole" in what or "cut" in what]
+    holed = felt(write_ulog(tmp_path / "hole.ulg", _without(topics(), 12.0, 13.5)), capsys)["unknown"]
+    assert "hole of 1.50 s in sensor_combined, from 12.00 s on" in holed
+    short = felt(write_ulog(tmp_path / "short.ulg", _without(topics(), 35.0, 99.0)), capsys)["unknown"]
+    assert "cut: the log ends in the air, at 35.00 s" in short
+    late = felt(write_ulog(tmp_path / "late.ulg", _without(topics(), 0.0, 8.0)), capsys)["unknown"]
+    assert "cut: the log begins in the air" in late
+
+
+def test_a_log_without_a_flight_has_no_impact_to_find(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    grounded = dict(topics())
+    fields, rows = grounded["vehicle_land_detected", 0]
+    grounded["vehicle_land_detected", 0] = (fields, [(stamp, [True]) for stamp, _ in rows])
+    assert main(["inspect", str(write_ulog(tmp_path / "ground.ulg", grounded))]) == 0
+    said = capsys.readouterr().out
+    assert "0 s in the air: no impact can be found" in said
+    assert "\nno impact" not in said
+
+
+def test_a_trial_says_where_it_has_a_hole(tmp_path: Path) -> None:
+    time_s = np.arange(0.0, 2.0, 0.004)
+    normal_m = np.abs(time_s - 1.0) * 0.8 - 0.05 * np.exp(-(((time_s - 1.0) / 0.05) ** 2))
+    keep = ~((time_s > 0.3) & (time_s < 0.65))
+    rows = "".join(f"{t:.3f},{x:.5f}\n" for t, x in zip(time_s[keep], normal_m[keep], strict=True))
+    (tmp_path / "trial.csv").write_text(f"time_s,normal_m\n{rows}")
+    (trial,) = read_trials(tmp_path / "trial.csv", TrialReading())
+    assert trial.notes == (f"{tmp_path}/trial.csv: hole of 0.35 s in normal_m, from 0.30 s on",)
+
+
+def test_identify_says_that_a_flight_log_is_cut(
+    flown: SharedFlights, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    data = flown("single_wall", 1).log.read_bytes()
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(data[: round(0.8 * len(data))])
+    assert main(["identify", str(cut), "--mode", "flexible"]) == 0
+    said = capsys.readouterr().err
+    assert f"{cut}: the log is cut: it ends " in said
+    assert " s after its beginning" in said
