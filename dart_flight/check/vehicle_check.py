@@ -21,9 +21,10 @@ from dart_flight.config.rotors import COUNT, motors_of, rotor_differences, rotor
 from dart_flight.config.vehicle import LockDriver
 from dart_flight.lock.drivers import DRIVERS, driver_names
 from dart_flight.lock.drivers.px4_output import parameter_problems, required_parameters
-from dart_flight.vehicle.ground_link import GroundLink, HeartbeatMode, Observation
+from dart_flight.vehicle.ground_link import PX4, GroundLink, HeartbeatMode, Observation
 
 _MEASURE_S = 3.0
+_AUTOPILOTS = {0: "a generic autopilot", 3: "ArduPilot", 4: "OpenPilot", 8: "no autopilot", 13: "SMACCMPilot"}
 
 
 def check_vehicle(
@@ -42,11 +43,14 @@ def check_vehicle(
     """
     lock = mission.vehicle.lock
     with GroundLink(url, mission.vehicle.connection.timeout_s) as link:
+        mode = link.heartbeat_mode()
+        other = judge_autopilot(mode)
+        if other:
+            return other  # it knows neither PX4's parameters nor its modes
         late = judge_round_trip(mission, link.round_trip_s())
         if not late.go:
             return [late]  # over such a link the rest would take minutes, and tell nothing
         observed = link.observe(mission.vehicle, _MEASURE_S)
-        mode = link.heartbeat_mode()
         version = _release_of(observed.version)
         names = [*names_to_read(version), COUNT]
         if lock is not None and lock.driver is LockDriver.PX4:
@@ -118,6 +122,15 @@ def judge_observation(mission: Mission, observed: Observation) -> list[CheckFind
         begin = "PX4 would refuse to arm: " if observed.blocking else "PX4 says: "
         findings.append(CheckFinding("px4_checks", True, begin + said, remark=True))
     return findings
+
+
+def judge_autopilot(mode: HeartbeatMode | None) -> list[CheckFinding]:
+    """Return a no-go for an autopilot that is not PX4, with its name."""
+    if mode is None or mode.autopilot == PX4:
+        return []
+    name = _AUTOPILOTS.get(mode.autopilot, f"an autopilot of MAVLink's type {mode.autopilot}")
+    says = f"the vehicle flies {name}: this program flies PX4 only"
+    return [CheckFinding("autopilot", False, says)]
 
 
 def judge_mode(mode: HeartbeatMode | None) -> list[CheckFinding]:

@@ -57,11 +57,15 @@ class Observation(msgspec.Struct):
     q_frd_to_ned: Quaternion | None = None  # attitude, the newest
 
 
+PX4 = 12  # MAV_AUTOPILOT
+
+
 class HeartbeatMode(msgspec.Struct, frozen=True):
-    """What an autopilot's HEARTBEAT says of its mode; `hil`: it flies from simulated sensors."""
+    """What a HEARTBEAT says; `hil`: it flies from simulated sensors; `autopilot`: of MAV_AUTOPILOT."""
 
     armed: bool
     hil: bool
+    autopilot: int = PX4
 
 
 _HEARTBEAT_S = 3.0
@@ -220,21 +224,23 @@ class GroundLink:
 
     def heartbeat_mode(self) -> HeartbeatMode | None:
         """What the next HEARTBEAT of the autopilot says; None: none within 3 s."""
-        came: queue.SimpleQueue[int] = queue.SimpleQueue()
+        came: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
 
         def take(message: Any, _: Any) -> None:
             if message.system_id == self._system_id and message.component_id == _AUTOPILOT:
-                came.put(int(json.loads(message.fields_json)["base_mode"]))
+                came.put(json.loads(message.fields_json))
 
         direct = MavlinkDirect(self._system)
         handle = direct.subscribe_message("HEARTBEAT", take)
         try:
-            mode = came.get(timeout=_HEARTBEAT_S)
+            heartbeat = came.get(timeout=_HEARTBEAT_S)
         except queue.Empty:
             return None
         finally:
             direct.unsubscribe_message(handle)
-        return HeartbeatMode(armed=bool(mode & _ARMED), hil=bool(mode & _HIL))
+        mode = int(heartbeat["base_mode"])
+        autopilot = int(heartbeat.get("autopilot", PX4))
+        return HeartbeatMode(armed=bool(mode & _ARMED), hil=bool(mode & _HIL), autopilot=autopilot)
 
     def kill(self) -> None:
         """Disarm at once, in the air, too; raises what MAVSDK raises where that is refused."""
