@@ -51,11 +51,14 @@ def check_vehicle(
     """
     lock = mission.vehicle.lock
     with GroundLink(url, mission.vehicle.connection.timeout_s) as link:
+        mode = link.heartbeat_mode()
+        other = judge_autopilot(mode)
+        if other:
+            return other  # it knows neither PX4's parameters nor its modes
         late = judge_round_trip(mission, link.round_trip_s())
         if not late.go:
             return [late]  # over such a link the rest would take minutes, and tell nothing
         observed = link.observe(mission.vehicle, _MEASURE_S)
-        mode = link.heartbeat_mode()
         version = _release_of(observed.version)
         names = [*names_to_read(version), COUNT]
         if lock is not None and lock.driver is LockDriver.PX4:
@@ -127,6 +130,14 @@ def judge_observation(mission: Mission, observed: Observation) -> list[CheckFind
         begin = "PX4 would refuse to arm: " if observed.blocking else "PX4 says: "
         findings.append(CheckFinding("px4_checks", True, begin + said, remark=True))
     return findings
+
+
+def judge_autopilot(mode: HeartbeatMode | None) -> list[CheckFinding]:
+    """Return a no-go for an autopilot that is not PX4, with its name."""
+    if mode is None or not mode.not_px4:
+        return []
+    says = f"heartbeats arrive, none {mode.not_px4}: this program flies PX4 only"
+    return [CheckFinding("autopilot", False, says)]
 
 
 def judge_mode(mode: HeartbeatMode | None) -> list[CheckFinding]:

@@ -167,6 +167,9 @@ class Document:
             mark = error.problem_mark or error.context_mark
             line = mark.line + 1 if mark else None
             problem = f"not valid YAML: {error.problem or error.context}"
+            lines = text.splitlines()
+            if mark is not None and mark.line < len(lines) and "\t" in lines[mark.line][: mark.column + 1]:
+                problem = "a tab in front of the text: YAML is indented by spaces"
             raise InputError(problem, source=source, line=line) from None
         except (yaml.YAMLError, ValueError, RecursionError) as error:
             raise InputError(f"not valid YAML: {error}", source=source) from None

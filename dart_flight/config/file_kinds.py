@@ -18,6 +18,8 @@ class FileKind(Enum):
     CONFIGURATION = "a vehicle configuration: --config takes it"
     FLIGHT_LOG = "a flight log: replay, report, export, identify and calibrate take it"
     ULOG = "a PX4 ULog: inspect, identify and calibrate take it"
+    ENCRYPTED = "an encrypted PX4 log: decrypt it first, PX4's Tools folder has the script"
+    COMPRESSED = "a compressed file: unpack it first (gunzip, unzip or unzstd)"
     TRIAL = "a CSV file: identify takes trials, `predict --batch` wall hits"
 
 
@@ -28,7 +30,14 @@ _MARKS = {
     FileKind.SCENARIO: ("search", "sequence"),
     FileKind.CONFIGURATION: ("airframe", "thrust", EXTENDS),
 }
-_MAGIC = {b"\x89MCAP0\r\n": FileKind.FLIGHT_LOG, b"ULog\x01\x12\x35": FileKind.ULOG}
+_MAGIC = {
+    b"\x89MCAP0\r\n": FileKind.FLIGHT_LOG,
+    b"ULog\x01\x12\x35": FileKind.ULOG,
+    b"ULogEnc": FileKind.ENCRYPTED,
+    b"\x1f\x8b": FileKind.COMPRESSED,
+    b"PK\x03\x04": FileKind.COMPRESSED,
+    b"\x28\xb5\x2f\xfd": FileKind.COMPRESSED,
+}
 
 
 def kind_of_tree(tree: Mapping[str, Any]) -> FileKind | None:

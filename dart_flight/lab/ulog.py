@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from dart_flight.base.motor_outputs import PWM, scale_of
 from dart_flight.config.document import InputError, open_file
+from dart_flight.config.file_kinds import FileKind, refuse_other_kind
 from dart_flight.config.packages import missing_package
 from dart_flight.config.rotors import COUNT, MAV_TYPES
 
@@ -124,6 +125,7 @@ def open_ulog(path: str | Path, topics: Sequence[str]) -> ULogFile:
             raise InputError(f"cannot read: {error.strerror or error}", source=source) from None
         except Exception:
             # pyulog raises whatever its parsing stumbles over.
+            refuse_other_kind(path, FileKind.ULOG)
             raise InputError("not a readable ULog", source=source) from None
     found: dict[str, dict[int, dict[str, Any]]] = {}
     damage = ["parts of the file are damaged"] if log.file_corruption or printed.getvalue() else []

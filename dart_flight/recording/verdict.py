@@ -62,7 +62,7 @@ _TRUTH_MATCH_US = 60_000  # an impact and its truth lie this near in time
 
 
 class Velocities(msgspec.Struct):
-    """Velocity before the contact in the collision frame, peaks, and how the body met the wall.
+    """Velocity before and after the contact in the collision frame, peaks, and how the body met the wall.
 
     Attributes:
         normal_m_s, tangential_m_s: the last before the contact.
@@ -70,6 +70,7 @@ class Velocities(msgspec.Struct):
         contact_side: which point of the side came first, seen when flying into the wall: left, right, both.
         incidence_deg: leading edge against the wall at the first touch, positive turned left.
         peak_torque_nm: largest external torque about the centre of mass.
+        normal_out_m_s, tangential_out_m_s: the first after the contact; measured, that of the odometry.
     """
 
     normal_m_s: float | None = None
@@ -78,6 +79,8 @@ class Velocities(msgspec.Struct):
     contact_side: ContactSide | None = None
     incidence_deg: float | None = None
     peak_torque_nm: float | None = None
+    normal_out_m_s: float | None = None
+    tangential_out_m_s: float | None = None
 
 
 class LockTimes(msgspec.Struct):
@@ -242,6 +245,7 @@ class VerdictBuilder:
         self._truths: list[TruthContact] = []
         self._guard: list[GuardEvent] = []
         self._onset: ImpactOnset | None = None
+        self._left_us: int | None = None  # end of the last collision's contact, until its velocity is known
         self._end: MissionEnd | None = None
         self._phase = Phase.READYING
         self._miss_m: float | None = None
@@ -345,6 +349,11 @@ class VerdictBuilder:
         self._estimator.take_odometry(record)
         self._anchor.take(record)
         frame = self._anchor.frame
+        if frame is not None and self._left_us is not None and record.t_us >= self._left_us:
+            self._left_us, hit = None, self._collisions[-1]
+            wall = self._mission.collisions[hit.index - 1].wall
+            normal, tangential, _ = wall.to_collision(frame.vector_from_ned(record.velocity_ned))
+            hit.measured.normal_out_m_s, hit.measured.tangential_out_m_s = normal, tangential
         if frame is not None and self._airborne_us is not None and self._landed_us is None:
             self._position_error.take_estimate(record.t_us, frame.point_from_ned(record.position_ned))
 
@@ -398,6 +407,7 @@ class VerdictBuilder:
             return
         last = self._collisions[-1]
         last.contact_time_ms = (record.t_us - record.first_us) * 1e-3
+        self._left_us = record.t_us
         if last.lock is not None and self._relaxation_us is not None:
             last.lock.contact_end_us = record.t_us
             last.lock.relaxed_us = record.t_us + self._relaxation_us
@@ -518,6 +528,8 @@ class VerdictBuilder:
             side_of(truth.lead_m),
             math.degrees(truth.incidence_rad),
             truth.peak_torque_nm,
+            truth.normal_out_m_s,
+            truth.tangential_out_m_s,
         )
         collision.detection_latency_ms = (collision.t_us - truth.t_us) * 1e-3
 

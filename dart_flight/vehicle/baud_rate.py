@@ -19,16 +19,21 @@ _LISTEN_S = 0.6
 _SPEED = 4, 5  # in termios' list: input and output speed
 
 
+_CONSOLE_BAUDS = (115200, 57600)  # of login consoles and of PX4's shell
+
+
 class PortFinding(msgspec.Struct, frozen=True):
     """What arrives on a serial port.
 
     Attributes:
         received: bytes at the rate that was asked for.
         baud: the rate at which there is MAVLink; None: at none of the usual ones.
+        console: the line that answers an empty one, such as `login:`; empty: none.
     """
 
     received: int
     baud: int | None
+    console: str = ""
 
 
 def listen_for_mavlink(device: str, baud: int) -> PortFinding:
@@ -46,9 +51,22 @@ def listen_for_mavlink(device: str, baud: int) -> PortFinding:
             for other in USUAL_BAUDS:
                 if other != baud and has_frames(_listen(port, other)):
                     return PortFinding(len(heard), other)
+        for rate in dict.fromkeys((baud, *_CONSOLE_BAUDS)):
+            console = console_line(_listen(port, rate, b"\r"))
+            if console:
+                return PortFinding(len(heard), None, console)
         return PortFinding(len(heard), None)
     finally:
         os.close(port)
+
+
+def console_line(data: bytes) -> str:
+    """The last line of text that a console has answered; empty where it is noise or nothing."""
+    text = data.decode("ascii", "replace").replace("\x1b[K", "")
+    lines = [line.strip() for line in text.splitlines() if line.strip()]
+    if not lines or sum(c.isprintable() and c.isascii() for c in lines[-1]) < len(lines[-1]):
+        return ""
+    return lines[-1][:40]
 
 
 def has_frames(data: bytes) -> bool:
@@ -63,7 +81,7 @@ def has_frames(data: bytes) -> bool:
     return False
 
 
-def _listen(port: int, baud: int) -> bytes:
+def _listen(port: int, baud: int, asked: bytes = b"") -> bytes:
     speed = getattr(termios, f"B{baud}", None)
     if speed is None:
         return b""
@@ -74,6 +92,8 @@ def _listen(port: int, baud: int) -> bytes:
         settings[k] = speed
     termios.tcsetattr(port, termios.TCSANOW, settings)
     termios.tcflush(port, termios.TCIFLUSH)
+    if asked:
+        os.write(port, asked)
     data, end_s = b"", time.monotonic() + _LISTEN_S
     while time.monotonic() < end_s:
         try:

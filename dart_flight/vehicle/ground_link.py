@@ -85,10 +85,17 @@ class Observation(msgspec.Struct):
 
 
 class HeartbeatMode(msgspec.Struct, frozen=True):
-    """What an autopilot's HEARTBEAT says of its mode; `hil`: it flies from simulated sensors."""
+    """What a HEARTBEAT says.
+
+    Attributes:
+        armed: the motors may turn.
+        hil: it flies from simulated sensors.
+        not_px4: why it is not PX4's, in words; empty where it is.
+    """
 
     armed: bool
     hil: bool
+    not_px4: str = ""
 
 
 _HEARTBEAT_S = 3.0
@@ -237,7 +244,10 @@ class GroundLink:
     def heartbeat_mode(self) -> HeartbeatMode | None:
         """What the next HEARTBEAT of the autopilot says; None: none within 3 s."""
         beat = self._session.next(messages.HEARTBEAT, _HEARTBEAT_S)
-        return None if beat is None else HeartbeatMode(armed=beat.armed, hil=beat.hil)
+        if beat is not None:
+            return HeartbeatMode(armed=beat.armed, hil=beat.hil)
+        other = self._session.refused_because(messages.HEARTBEAT)
+        return HeartbeatMode(armed=False, hil=False, not_px4=other) if other else None
 
     def kill(self) -> None:
         """Disarm at once, in the air, too; raises what MAVSDK raises where that is refused."""

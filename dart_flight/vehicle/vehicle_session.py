@@ -252,6 +252,14 @@ class VehicleSession:
         finally:
             self._direct.unsubscribe_message(handle)
 
+    def refused_because(self, entry: MessageEntry) -> str:
+        """Return why the last message of the autopilot's component was refused; empty if none was."""
+        own = self._raw.get_system_id()
+        for (name, system, component, _), count in self.senders.items():
+            if (name, system, component) == (entry.message, own, AUTOPILOT) and count.unusable_in_a_row:
+                return count.reason
+        return ""
+
     def _report_unusable(self, name: str, reason: str, received: int) -> None:
         """Deliver, every few seconds, why a stream that arrives gives no sample."""
         if self._reports_unusable and received - self._reported_us.get(name, -_REPORTED_US) >= _REPORTED_US:

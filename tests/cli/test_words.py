@@ -8,9 +8,15 @@ from pathlib import Path
 
 import pytest
 
+from dart_flight.check.vehicle_check import judge_autopilot
 from dart_flight.cli import main
 from dart_flight.config.link_url import link_problem
+from dart_flight.config.mission import load_mission
 from dart_flight.config.vehicle import packaged
+from dart_flight.lab.commands.export_command import _files
+from dart_flight.run.fast import fly_fast
+from dart_flight.vehicle.baud_rate import console_line
+from dart_flight.vehicle.ground_link import HeartbeatMode
 
 MISSION = str(packaged("missions", "paper_single_wall.yaml"))
 SCENARIO = str(packaged("missions", "scenarios", "one_wall.yaml"))
@@ -186,3 +192,86 @@ def test_a_program_that_calls_monitor_keeps_its_own_priority(tmp_path: Path) -> 
     before = priority()
     assert main(["monitor", "--log", str(tmp_path / "none.mcap"), "--seconds", "0.1"]) == 2
     assert priority() == before
+
+
+# --- files that are not what they seem -----------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "text", ["version: 1\nwalls:\n\ta: 1\n", "version: 1\n\tname: x\n", "a:\n  b: 1\n \tc: 2\n"]
+)
+def test_a_tab_is_called_a_tab(capsys: pytest.CaptureFixture[str], tmp_path: Path, text: str) -> None:
+    path = tmp_path / "room.yaml"
+    path.write_text(text)
+    assert "a tab in front of the text: YAML is indented by spaces" in refused(capsys, "check", str(path))
+
+
+@pytest.mark.parametrize(("driver", "given"), [("no", "no"), ("false", "false"), ("~", "null"), ("0", "0")])
+def test_a_driver_that_is_none_leads_to_none(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, driver: str, given: str
+) -> None:
+    path = tmp_path / "dart.yaml"
+    path.write_text(Path(CONFIG).read_text().replace("driver: mock", f"driver: {driver}"))
+    said = refused(capsys, "lock", "status", "--config", str(path))
+    assert (
+        f"lock.driver: {given!r} is not allowed, only: maestro, pwm, px4, mock, or none for a vehicle" in said
+    )
+
+
+@pytest.mark.parametrize("command", ["inspect", "identify", "report", "replay"])
+@pytest.mark.parametrize(
+    ("name", "data", "says"),
+    [
+        ("log.ulg.gz", b"\x1f\x8b\x08\x00", "a compressed file: unpack it first"),
+        ("log.ulg.zst", b"\x28\xb5\x2f\xfd\x00", "a compressed file: unpack it first"),
+        ("log.zip", b"PK\x03\x04", "a compressed file: unpack it first"),
+        ("log.ulge", b"ULogEnc\x01", "an encrypted PX4 log: decrypt it first"),
+    ],
+)
+def test_packed_and_encrypted_logs_are_named(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, command: str, name: str, data: bytes, says: str
+) -> None:
+    (tmp_path / name).write_bytes(data + bytes(40))
+    assert says in refused(capsys, command, str(tmp_path / name))
+
+
+def test_inspect_says_what_takes_our_own_log(capsys: pytest.CaptureFixture[str]) -> None:
+    assert "this is a flight log: replay, report, export" in refused(capsys, "inspect", FLIGHT)
+
+
+@pytest.mark.parametrize(("given", "written"), [("play", "play.mcap"), ("play.bin", "play.bin")])
+def test_an_export_without_an_ending_gets_the_viewers(tmp_path: Path, given: str, written: str) -> None:
+    assert _files([Path("flight.mcap")], tmp_path / given) == [tmp_path / written]
+
+
+@pytest.mark.parametrize(
+    ("autopilot", "says"), [(12, None), (3, "flies ArduPilot"), (0, "a generic autopilot"), (42, "type 42")]
+)
+def test_an_autopilot_that_is_not_px4_is_named(autopilot: int, says: str | None) -> None:
+    found = judge_autopilot(HeartbeatMode(armed=False, hil=False, autopilot=autopilot))
+    assert [says in f.says and not f.go for f in found if says] == [True] * (says is not None)
+    assert bool(found) == (says is not None)
+
+
+@pytest.mark.parametrize(
+    ("data", "line"),
+    [
+        (b"\r\nDebian GNU/Linux 12 dart ttyAMA0\r\n\r\ndart login: ", "dart login:"),
+        (b"\r\nnsh> \x1b[K", "nsh>"),
+        (b"", ""),
+        (b"\xfd\x1c\x00\x00\x80\x01", ""),
+        (b"\r\n", ""),
+    ],
+)
+def test_a_console_is_told_from_noise(data: bytes, line: str) -> None:
+    assert console_line(data) == line
+
+
+def test_two_plans_of_one_name_are_told_apart(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    logs = []
+    for speed in (-0.8, -1.0):
+        mission = load_mission(MISSION).replace({"collisions[0].approach.normal_m_s": speed})
+        fly_fast(mission, 1, tmp_path / str(speed))
+        logs += [str(path) for path in (tmp_path / str(speed)).rglob("flight.mcap")]
+    said = refused(capsys, "report", *logs, "-o", str(tmp_path / "x.html"))
+    assert "of the same name, collisions[0].approach.normal_m_s is -" in said

@@ -195,6 +195,11 @@ class Bringup:
             found = listen_for_mavlink(link.place, link.number)
         except OSError as error:
             return f"{says}; {link.place}: {error.strerror}"
+        if found.console:
+            return (
+                f"a console answers on {link.place} ({found.console!r}) and no MAVLink: set MAV_1_CONFIG to "
+                "that port of the autopilot, or take the login console off it"
+            )
         if not found.received:
             return f"nothing arrives on {link.place}: TX and RX exchanged, MAV_1_CONFIG, or no power"
         if found.baud is None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
@@ -202,6 +203,11 @@ def vehicle_of(document: Document) -> VehicleConfig:
     lock = document.tree.get("lock")
     if isinstance(lock, dict) and lock.get("driver") == NO_LOCK:
         document.tree["lock"] = None
+    elif isinstance(lock, dict) and "driver" in lock and lock["driver"] not in list(LockDriver):
+        given = lock["driver"] if isinstance(lock["driver"], str) else json.dumps(lock["driver"])
+        known = ", ".join(driver.value for driver in LockDriver)
+        says = f"{given!r} is not allowed, only: {known}, or {NO_LOCK} for a vehicle without a lock"
+        raise document.error(("lock", "driver"), says)
     config = document.convert(VehicleConfig)
     for name, material in config.materials.items():
         if config.has_lock and material.flexible is None:

@@ -25,7 +25,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
         type=Path,
         metavar="PATH",
         help="folder of the CSV files (default: csv beside the log), of several logs a folder each in it; "
-        f"with --foxglove the file (default: {FOXGLOVE_NAME} beside the log), of several the folder",
+        f"with --foxglove the file, .mcap without an ending (default: {FOXGLOVE_NAME} beside the log), of "
+        "several the folder",
     )
 
 
@@ -82,7 +83,8 @@ def _files(logs: list[Path], output: Path | None) -> list[Path]:
         names = [FOXGLOVE_NAME if log.stem == "flight" else f"{log.stem}_{FOXGLOVE_NAME}" for log in logs]
         return [log.with_name(name) for log, name in zip(logs, names, strict=True)]
     if len(logs) == 1 and not output.is_dir():
-        return [output]
+        # Viewers go by the ending.
+        return [output if output.suffix else output.with_name(f"{output.name}.mcap")]
     return [output / f"{name}.mcap" for name in _names(logs)]
 
 

@@ -7,8 +7,9 @@ the animation and nothing else.
 from __future__ import annotations
 
 import html
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from statistics import fmean, stdev
+from typing import Any
 
 import msgspec
 
@@ -172,9 +173,32 @@ def _check_same_mission(flights: Sequence[RecordedFlight]) -> None:
         if alike != first.mission:
             raise InputError(
                 f"another mission ({other.verdict.mission}) than {first.log.source} "
-                f"({first.verdict.mission}): a comparison takes flights of one",
+                f"({first.verdict.mission}){_first_difference(first, other)}: a comparison takes flights of "
+                "one",
                 source=other.log.source,
             )
+
+
+def _first_difference(first: RecordedFlight, other: RecordedFlight) -> str:
+    """The first key in which two missions of one name differ, in words; empty where the names differ."""
+    if first.verdict.mission != other.verdict.mission:
+        return ""
+    there, here = (dict(_leaves(flight.mission.to_dict())) for flight in (first, other))
+    for key in there | here:
+        if not key.startswith("vehicle") and there.get(key) != here.get(key):
+            return f" of the same name, {key} is {here.get(key)} and not {there.get(key)}"
+    return ""
+
+
+def _leaves(tree: Any, key: str = "") -> Iterator[tuple[str, Any]]:
+    if isinstance(tree, dict):
+        for name, value in tree.items():
+            yield from _leaves(value, f"{key}.{name}" if key else name)
+    elif isinstance(tree, list | tuple):
+        for i, value in enumerate(tree):
+            yield from _leaves(value, f"{key}[{i}]")
+    else:
+        yield key, tree
 
 
 # --- parts ---------------------------------------------------------------------------------------------

@@ -1,0 +1,43 @@
+"""The velocity after a contact in the verdict: measured by odometry, true in simulation."""
+
+from __future__ import annotations
+
+import pytest
+
+import dart_flight
+from dart_flight.base.records import ContactEnd, OdometrySample
+from dart_flight.config.mission import load_mission
+from dart_flight.recording.verdict import VerdictBuilder
+
+SD_M_S = 0.06  # of the measured one: by then the recovery has pushed for two hundredths of a second
+
+
+@pytest.mark.parametrize(
+    "name", [("single_wall.yaml",), ("dual_collision.yaml",), ("rigid_cage", "single_wall.yaml")]
+)
+def test_measured_and_true_agree(name: tuple[str, ...]) -> None:
+    flight = dart_flight.simulate(dart_flight.packaged("missions", *name), seed=2)
+    assert flight.verdict.collisions
+    for hit in flight.verdict.collisions:
+        assert hit.truth is not None
+        assert hit.truth.normal_out_m_s is not None
+        assert hit.truth.tangential_out_m_s is not None
+        assert hit.measured.normal_out_m_s == pytest.approx(hit.truth.normal_out_m_s, abs=SD_M_S)
+        assert hit.measured.tangential_out_m_s == pytest.approx(hit.truth.tangential_out_m_s, abs=SD_M_S)
+        assert 0.0 < hit.truth.normal_out_m_s < -(hit.measured.normal_m_s or 0.0), "no wall gives energy"
+
+
+def test_without_the_contacts_end_it_is_not_known() -> None:
+    """The log was cut in the contact, or the odometry is of before its end."""
+    mission = dart_flight.packaged("missions", "single_wall.yaml")
+    log = dart_flight.simulate(mission, seed=2).log
+    builder, ended = VerdictBuilder(load_mission(mission)), None
+    for entry in log.entries:
+        if ended is not None and isinstance(entry.record, OdometrySample) and entry.record.t_us >= ended:
+            break
+        builder.take(entry.record)
+        if isinstance(entry.record, ContactEnd):
+            ended = entry.record.t_us
+    (hit,) = builder.build(None, None).collisions
+    assert (hit.measured.normal_out_m_s, hit.measured.tangential_out_m_s) == (None, None)
+    assert hit.contact_time_ms is not None
