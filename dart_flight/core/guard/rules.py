@@ -214,7 +214,7 @@ def _heading_reset(v: FlightConditions) -> str | None:
 
 def _position_uncertain(v: FlightConditions) -> str | None:
     sd, limit = v.state.position_sd_m, v.config.position_sd_m
-    if sd is None or sd <= limit or not v.mission.collisions or v.just_after_impact or v.mission.is_anchored:
+    if sd is None or sd <= limit or not v.mission.collisions or v.mission.is_anchored:
         return None
     return f"standard deviation {sd:.2f} m, allowed {limit:.2f}"
 
