@@ -2,8 +2,8 @@
 
     DART_PX4_DIR=... python -m tools.campaigns.px4_failsafes [--only NAME] [--phase PHASE]
 
-Each begins when the mission reaches a phase, by a second MAVLink link. `tools.campaigns.faults` judges what is
-uncontrolled. Rows that are flown again replace theirs on the page.
+Each begins when the mission reaches a phase, by a second MAVLink link. `tools.campaigns.faults` judges what
+is uncontrolled. Rows that are flown again replace theirs on the page.
 """
 
 from __future__ import annotations
@@ -173,7 +173,7 @@ _PAGE = """# PX4's failsafes in flight
 
 {}
 
-PX4 v1.18 (release/1.18 of 2026-08-08) SITL, seed 1. Geofence and position reset: RTK, the paper's single wall;
+PX4 v1.18 (release/1.18 of 2026-08-08) SITL, seed 1. Geofence and position reset: RTK, single wall;
 all others: motion capture, the paper's dual collision. Each begins 0.1 to 0.3 s after the phase.
 Times are the vehicle's. Tilt, distance outside of the bounds and speed at the ground are true. After a
 termination PX4 SITL ends its link to the simulator: how the vehicle falls is not seen there.
