@@ -34,6 +34,7 @@ from tools.campaigns.results import RESULTS, measured_by
 PHASES = {Phase.TRANSIT: 0.3, Phase.APPROACH: 0.2, Phase.RECOVERY: 0.1}  # seconds after which it begins
 _PORT = 18570  # PX4's link to a ground station, first instance
 _JUMP_M = 1.0
+_BEFORE, _TRIES = "before it", 4  # on a busy computer a flight may end for another reason before it begins
 
 
 class Second:
@@ -125,7 +126,7 @@ def fly(name: str, phase: Phase, seed: int = 1) -> str:
             begun_us[0] = record.t_us + round(PHASES[phase] * 1e6)
             threading.Timer(PHASES[phase], row.begin, (second,)).start()
         elif isinstance(record, GuardEvent):
-            late_s = f"{(record.t_us - begun_us[0]) * 1e-6:.2f} s" if begun_us[0] else "before"
+            late_s = f"{(record.t_us - begun_us[0]) * 1e-6:.2f} s" if begun_us[0] else _BEFORE
             said.append(f"`{record.rule}` {late_s}: {record.detail}")
 
     with tempfile.TemporaryDirectory() as folder:
@@ -162,8 +163,13 @@ def main() -> int:
     rows = {key: line for key in keys for line in lines if line.startswith(key)}
     for name in a.only:
         for phase in map(Phase, a.phase):
-            rows[f"| {name} | {phase.value} |"] = fly(name, phase)
-            print(rows[f"| {name} | {phase.value} |"], flush=True)
+            flown = next(
+                (row for row in (fly(name, phase) for _ in range(_TRIES)) if _BEFORE not in row), None
+            )
+            print(flown or f"| {name} | {phase.value} |: ended {_TRIES} times before it began", flush=True)
+            if flown is None:
+                continue
+            rows[f"| {name} | {phase.value} |"] = flown
             table = "\n".join(rows[key] for key in keys if key in rows)
             a.page.write_text(_PAGE.format(measured_by("tools.campaigns.px4_failsafes"), HEAD, table))
     return 0
