@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import re
 import socket
 import struct
 import sys
@@ -32,7 +33,8 @@ from tools.campaigns.faults import Watch, judge_truth
 from tools.campaigns.results import RESULTS, measured_by
 
 PHASES = {Phase.TRANSIT: 0.3, Phase.APPROACH: 0.2, Phase.RECOVERY: 0.1}  # seconds after which it begins
-_PORT = 18570  # PX4's link to a ground station, first instance
+_PORT = 18570  # PX4's link to a ground station, of the first instance
+_INSTANCE = re.compile(r"PX4 instance (\d+)")
 _JUMP_M = 1.0
 _BEFORE, _TRIES = "before it", 4  # on a busy computer a flight may end for another reason before it begins
 
@@ -45,10 +47,18 @@ class Second:
         self._pack = mavlink.MAVLink(None, srcSystem=255, srcComponent=190)
         self.yaw_rad, self.position_ned = 0.0, (0.0, 0.0, 0.0)
         self.sticks_lost = threading.Event()
+        self.instance: int | None = None
+
+    def find(self, folder: Path) -> None:
+        """Read which instance of PX4 flies, from the log of its world."""
+        for log in folder.glob("*/autopilot.log"):
+            found = _INSTANCE.search(log.read_text())
+            self.instance = int(found[1]) if found else None
 
     def send(self, message: Any) -> None:
-        """Send one message."""
-        self._socket.sendto(message.pack(self._pack), ("127.0.0.1", _PORT))
+        """Send one message, once the instance is known."""
+        if self.instance is not None:
+            self._socket.sendto(message.pack(self._pack), ("127.0.0.1", _PORT + self.instance))
 
     def command(self, number: int, **parameters: float) -> None:
         """Send COMMAND_LONG; parameters that are not given are NaN."""
@@ -118,6 +128,8 @@ def fly(name: str, phase: Phase, seed: int = 1) -> str:
 
     def see(record: Record) -> None:
         watch.take(record)
+        if second.instance is None:
+            second.find(Path(folder))
         if isinstance(record, AttitudeSample):
             second.yaw_rad = yaw_ned_of(record.q_frd_to_ned)
         elif isinstance(record, OdometrySample):
