@@ -112,11 +112,7 @@ ROWS = {
     "position reset 1 m": Row(Second.move, PositionSource.RTK, off_m=_JUMP_M),
     "motion capture off": Row(lambda s: s.set(EKF2_EV_CTRL=0)),
 }
-HEAD = (
-    "| disturbance | phase | rules, time after it, words | tilt ° | outside m | down m/s | |\n"
-    + 7 * "|---"
-    + "|"
-)
+HEAD = "| disturbance | phase | rules, time after it, words | tilt ° | outside m | down m/s | |"
 
 
 def fly(name: str, phase: Phase, seed: int = 1) -> str:
@@ -124,7 +120,8 @@ def fly(name: str, phase: Phase, seed: int = 1) -> str:
     row, second = ROWS[name], Second()
     gps = row.position_from is not PositionSource.MOCAP
     mission = load_flyable(packaged("missions", f"paper_{'single_wall' if gps else 'dual_collision'}.yaml"))
-    watch, said, begun_us = Watch(mission), [], [0]
+    watch, begun_us = Watch(mission), [0]
+    said: list[str] = []
 
     def see(record: Record) -> None:
         watch.take(record)
@@ -197,6 +194,7 @@ Times are the vehicle's. Tilt, distance outside of the bounds and speed at the g
 termination PX4 SITL ends its link to the simulator: how the vehicle falls is not seen there.
 
 {}
+|---|---|---|---|---|---|---|
 {}
 """
 
