@@ -168,12 +168,24 @@ def verdict_table(verdict: Verdict) -> RenderableType:
     ]
     if figures:
         parts.append(Text(", ".join(figures)))
+    if verdict.estimator_resets:
+        parts.append(_resets_line(verdict))
     if verdict.goal_reached is not None and verdict.outcome is Outcome.COMPLETED:
         parts.append(_goal_line(verdict))
     # Of a flight that was broken off the reason says what is to be known.
     if verdict.plan_followed is not None and verdict.outcome is Outcome.COMPLETED:
         parts.append(_plan_line(verdict))
     return Group(*parts)
+
+
+def _resets_line(verdict: Verdict) -> Text:
+    """Return how often PX4's estimator was reset in the air, and by how much at most."""
+    resets = verdict.estimator_resets
+    position_m, velocity_m_s = max(r.position_m for r in resets), max(r.velocity_m_s for r in resets)
+    heading_deg = max((r.heading_deg for r in resets), key=abs)
+    figures = f"{position_m:.2f} m, {velocity_m_s:.2f} m/s, heading {heading_deg:.1f} deg"
+    times = "once" if len(resets) == 1 else f"{len(resets)} times"
+    return Text(f"PX4 reset its estimator {times}, at most by {figures}", style="yellow")
 
 
 def _goal_line(verdict: Verdict) -> Text:

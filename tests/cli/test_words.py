@@ -6,6 +6,7 @@ import os
 import sys
 from pathlib import Path
 
+import msgspec
 import pytest
 
 from dart_flight.check.vehicle_check import judge_autopilot
@@ -15,8 +16,10 @@ from dart_flight.config.mission import load_mission
 from dart_flight.config.vehicle import packaged
 from dart_flight.lab.commands.export_command import _files
 from dart_flight.run.fast import fly_fast
+from dart_flight.vehicle import messages
 from dart_flight.vehicle.baud_rate import console_line
 from dart_flight.vehicle.ground_link import HeartbeatMode
+from dart_flight.vehicle.messages import Unusable
 
 MISSION = str(packaged("missions", "paper_single_wall.yaml"))
 SCENARIO = str(packaged("missions", "scenarios", "one_wall.yaml"))
@@ -245,10 +248,13 @@ def test_an_export_without_an_ending_gets_the_viewers(tmp_path: Path, given: str
 
 
 @pytest.mark.parametrize(
-    ("autopilot", "says"), [(12, None), (3, "flies ArduPilot"), (0, "a generic autopilot"), (42, "type 42")]
+    ("autopilot", "says"), [(12, None), (3, "of ArduPilot"), (0, "a generic autopilot"), (42, "autopilot 42")]
 )
 def test_an_autopilot_that_is_not_px4_is_named(autopilot: int, says: str | None) -> None:
-    found = judge_autopilot(HeartbeatMode(armed=False, hil=False, autopilot=autopilot))
+    fields = {"autopilot": autopilot, "base_mode": 129, "custom_mode": 6 << 16, "system_status": 4}
+    _, value = messages.HEARTBEAT.reader()(msgspec.json.encode(fields).decode())
+    refused = value.reason if isinstance(value, Unusable) else ""
+    found = judge_autopilot(HeartbeatMode(armed=False, hil=False, not_px4=refused))
     assert [says in f.says and not f.go for f in found if says] == [True] * (says is not None)
     assert bool(found) == (says is not None)
 

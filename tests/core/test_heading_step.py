@@ -95,6 +95,19 @@ def test_a_heading_far_from_the_counter_is_not_its() -> None:
     assert reset_heading(30.0, 1, counter=(4, 4)) == 0.0
 
 
+def test_a_step_of_the_tilt_is_none_of_the_heading() -> None:
+    resets, q = EstimatorResets(), quaternion_from_euler(0.0, 0.0, 1.0)
+    resets.take_counter(0, 0)
+    for tick in range(1, 40):
+        if tick == 20:
+            resets.take_counter(1, 4000 * tick)
+            q = quaternion_multiply(quaternion_from_euler(0.3, 0.0, 0.0), q)
+        resets.take_imu(ImuSample(4000 * tick, 4000 * tick, NED, NED))
+        resets.take_attitude(AttitudeSample(4000 * tick, 4000 * tick, q))
+    assert resets.newest is not None
+    assert abs(math.degrees(resets.newest.heading_rad)) < 0.1
+
+
 def test_without_rates_in_between_nothing_can_be_compared() -> None:
     resets = EstimatorResets()
     resets.take_counter(0, 0)

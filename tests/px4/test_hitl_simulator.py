@@ -127,3 +127,46 @@ def test_after_a_stall_the_plant_pauses(mission: Mission, monkeypatch: pytest.Mo
     assert host.simulator._vehicle.plant.time_offset_us - offset_us == pytest.approx(1e6, abs=8000)
     assert host.run(0.004, 1) == [3]
     assert host.simulator._merged == 0
+
+
+class SilentLink(KeptMessages):
+    """A link whose flight controller has been silent for so long."""
+
+    silent_s = 0.0
+
+
+def test_the_plant_stands_still_while_an_armed_flight_controller_is_silent(
+    mission: Mission, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It would tumble on the last outputs; the samples go on, and so does the clock of the truth."""
+    host, link = Host(mission, monkeypatch), SilentLink()
+    host.link = link
+    host.simulator._vehicle = Px4Vehicle(mission, 1, link)
+    host.simulator._link = link  # type: ignore[assignment]
+    plant = host.simulator._vehicle.plant
+    plant.position, plant.rate = (0.0, 0.0, -1.0), (3.0, 2.0, 1.0)
+    host.run(0.004, 10)
+    before, at_us = plant.truth(), plant.truth().t_us
+    link.silent_s = 0.2
+    host.run(0.004, 100)
+    still = plant.truth()
+    assert still.q_frd_to_ned == before.q_frd_to_ned
+    assert still.position_mission == before.position_mission
+    assert still.t_us - at_us == 100 * 4000
+    assert len(link.sensors) == 100
+    assert len({tuple(imu(sensor)) for sensor in link.sensors}) == 1
+    link.silent_s = 0.0
+    host.run(0.004, 10)
+    assert plant.truth().q_frd_to_ned != before.q_frd_to_ned
+
+
+def test_a_disarmed_flight_controller_may_be_silent(
+    mission: Mission, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    host, link = Host(mission, monkeypatch), SilentLink()
+    link.silent_s, link.controls = 0.2, Controls(0, False, (0.0,) * 16)
+    host.link, host.simulator._vehicle = link, Px4Vehicle(mission, 1, link)
+    host.simulator._link = link  # type: ignore[assignment]
+    before = host.simulator._vehicle.plant.time_s
+    host.run(0.004, 10)
+    assert host.simulator._vehicle.plant.time_s > before

@@ -12,12 +12,12 @@ from dart_flight.base.records import StatusText, SystemStatus
 
 _MEMORY_US: Final = 3_000_000
 # Warnings that leave the mode alone: "Failsafe warning: ...", events ending in _warn, and the low battery's.
-_WARNING: Final = re.compile(r"failsafe warning|_warn$|_low_bat$")
+_WARNING = re.compile(r"failsafe warning|_warn$|_low_bat$")
 _EVENT: Final = "commander_failsafe_enter"
-_SWITCHING: Final = re.compile(r"^(.+): switching to (?!offboard)")  # PX4 main, as text or event
-_ACTIVATED: Final = re.compile(r"failsafe activated|autopilot disengaged")
-_TO_STICKS: Final = re.compile(r"switching to (position|altitude|stabilized)")
-_TERMINATED: Final = re.compile(r"flight termination|switching to terminat|kill(?:.switch)? engaged")
+_SWITCHING = re.compile(r"^(.+): switching to (?!offboard)")  # PX4 main, as text or event
+_ACTIVATED = re.compile(r"failsafe activated|autopilot disengaged")
+_TO_STICKS = re.compile(r"switching to (position|altitude|stabilized)")
+_TERMINATED = re.compile(r"flight termination|switching to terminat|kill(?:.switch)? engaged")
 _FAILSAFES: Final = frozenset({SystemStatus.CRITICAL, SystemStatus.EMERGENCY})
 
 _MENTIONED, _ANNOUNCED, _CAUSE_NAMED = 1, 2, 3

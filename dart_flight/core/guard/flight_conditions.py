@@ -51,7 +51,7 @@ _SURELY_DOWN: Final = 3.0  # times the way down from the top of the flight space
 _PAUSE_US: Final = 40_000  # host time goes on by 20 ms at most, by ticks: after more this program did not run
 _PAUSE_MEMORY_US: Final = 3_000_000
 # The heading aligns in the climb, where PX4 had none on the ground.
-_ALIGNING: Final = ON_GROUND | {Phase.CLIMB}
+_ALIGNING: Final = frozenset((*ON_GROUND, Phase.CLIMB))
 Stamped = ImuSample | AttitudeSample | OdometrySample | ActuatorSample
 
 

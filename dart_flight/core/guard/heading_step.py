@@ -25,7 +25,7 @@ from dart_flight.base.geometry import (
 from dart_flight.base.records import AttitudeSample, ImuSample
 
 # Smaller steps end nothing. [ours] PX4's heading from motion capture is good to 2 degrees in and after hits.
-HEADING_STEP_RAD: Final = math.radians(5.0)
+HEADING_STEP_DEG: Final = 5.0
 _BEFORE_US: Final = 100_000
 _GAP_US: Final = 20_000  # without a rate the integral says nothing
 

@@ -29,7 +29,7 @@ from dart_flight.base.records import (
 )
 from dart_flight.base.streams import BY_NAME
 from dart_flight.core.guard.flight_conditions import FlightConditions, Stamped
-from dart_flight.core.guard.heading_step import HEADING_STEP_RAD
+from dart_flight.core.guard.heading_step import HEADING_STEP_DEG
 from dart_flight.core.mission.phases import ALTITUDE_EXEMPT, ON_GROUND
 
 _SPEED_TOLERANCE: Final = 1.1
@@ -210,15 +210,15 @@ def _estimator_reset(v: FlightConditions) -> str | None:
 
 
 def _heading_reset(v: FlightConditions) -> str | None:
-    step = v.heading_step_rad
-    if abs(step) <= HEADING_STEP_RAD:
-        return None
-    return f"by {math.degrees(step):.1f} deg, allowed {math.degrees(HEADING_STEP_RAD):.0f}"
+    step_deg = math.degrees(v.heading_step_rad)
+    return (
+        f"by {step_deg:.1f} deg, allowed {HEADING_STEP_DEG:.0f}" if abs(step_deg) > HEADING_STEP_DEG else None
+    )
 
 
 def _position_uncertain(v: FlightConditions) -> str | None:
     sd, limit = v.state.position_sd_m, v.config.position_sd_m
-    if sd is None or sd <= limit or not v.mission.collisions or v.just_after_impact or v.mission.is_anchored:
+    if sd is None or sd <= limit or not v.mission.collisions or v.mission.is_anchored:
         return None
     return f"standard deviation {sd:.2f} m, allowed {limit:.2f}"
 

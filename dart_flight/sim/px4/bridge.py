@@ -194,6 +194,7 @@ class Px4Vehicle:
         self.clipped = 0  # ticks with a saturated accelerometer axis
         self._unreported: list[tuple[Vec3, Vec3]] = []  # specific force and rate of ticks not yet sent
         self._others: list[Any] = []
+        self._last_sensor: Any = None
 
     @property
     def time_us(self) -> int:
@@ -239,7 +240,16 @@ class Px4Vehicle:
         self._measure_imu(specific_force, any(m[: self._motors]))
         if report:
             others, self._others = self._others, []
-            self._link.exchange(self._sensor_message(), *others)
+            self._last_sensor = self._sensor_message()
+            self._link.exchange(self._last_sensor, *others)
+
+    def stand_still(self) -> None:
+        """Stop the plant for one tick: its last IMU sample is sent again, so that PX4 is not without any.
+
+        Raises:
+            Px4LostError: as the link's `exchange`.
+        """
+        self._link.exchange(self._last_sensor)
 
     def _measure_imu(self, specific_force_frd: Vec3, motors_turn: bool) -> None:
         f, w = self._imu.measure(specific_force_frd, self.plant.rate, motors_turn)

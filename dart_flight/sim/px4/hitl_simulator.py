@@ -2,7 +2,8 @@
 
 The flight controller flies in its own time and nobody waits for anybody. Ticks go by the host's clock; those
 that a busy machine has missed are computed at once and reported as one (`hitl_link`). After a stall of more
-than a quarter of a second the plant pauses instead, as it does beside the embedded autopilot.
+than a quarter of a second the plant pauses instead, as it does beside the embedded autopilot. It also stands
+still while an armed flight controller is silent: on its last outputs alone no vehicle stays upright for long.
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ _FIRST_S = 10.0  # for the first actuator outputs
 # In which PX4's estimator aligns and its bias settles, as far as arming asks for it.
 _ALIGN_S = {source: 10.0 if source is PositionSource.MOCAP else 20.0 for source in PositionSource}
 _ORPHAN_S = 25.0  # after the app's death: until PX4 has flown its failsafe
+_SILENT_S = 0.1  # without outputs, which come at 200 Hz: the plant stands still
 _STALL_TICKS = round(STALL_S / TICK_S)
 
 
@@ -46,6 +48,8 @@ class HitlSimulator:
         self._ticks = self._merged = 0
         self._start_s = 0.0
         self._armed = False
+        self._link: HitlLink | None = None
+        self._still_ticks = 0
 
     def run(self, commands: IO[bytes], truth: IO[bytes]) -> int:
         """Feed the flight controller until the app is gone and it has disarmed; returns the exit status."""
@@ -76,11 +80,12 @@ class HitlSimulator:
         self._say(
             f"{link.sent} messages sent, {link.dropped} not taken by the port; {self._merged} of "
             f"{self._ticks} ticks reported late; longest gap between actuator outputs "
-            f"{link.longest_gap_s * 1e3:.0f} ms; "
+            f"{link.longest_gap_s * 1e3:.0f} ms; stood still for {self._still_ticks * TICK_S * 1e3:.0f} ms; "
             + ("real outputs stayed off" if link.outputs_seen else "outputs could not be looked at")
         )
 
     def _fly(self, link: HitlLink, writer: LineWriter, commands: IO[bytes]) -> None:
+        self._link = link
         self._vehicle = Px4Vehicle(
             self._mission, self._spec.seed, link, self._hitl.position_from, self._hitl.motors
         )
@@ -128,6 +133,11 @@ class HitlSimulator:
             self._vehicle.plant.time_offset_us += round(behind * TICK_S * 1e6)
             behind = 0
         self._ticks += 1
+        if self._armed and self._link is not None and self._link.silent_s > _SILENT_S:
+            self._still_ticks += 1
+            self._vehicle.plant.time_offset_us += round(TICK_S * 1e6)
+            self._vehicle.stand_still()
+            return self._vehicle.plant
         self._merged += behind > 0
         self._vehicle.step(report=behind <= 0)
         if self._vehicle.armed is not self._armed:

@@ -1,0 +1,116 @@
+"""What the guard still judges once a rule has overruled the mission, and that a landing is left alone."""
+
+from __future__ import annotations
+
+import pytest
+
+from dart_flight.base.geometry import quaternion_from_euler
+from dart_flight.base.records import (
+    EstimatorSample,
+    FlightMode,
+    GuardEvent,
+    OperatorRequest,
+    Override,
+    Phase,
+    Request,
+    Setpoint,
+    VehicleAction,
+    VehicleCommand,
+)
+from dart_flight.core.guard.rules import RULES
+from tests.core.conftest import HandFedCore
+
+
+def fired(c: HandFedCore) -> list[tuple[str, str]]:
+    return [(o.rule, o.action.value) for o in c.outputs if isinstance(o, GuardEvent)]
+
+
+def broken_off() -> HandFedCore:
+    c = HandFedCore()
+    c.to_flight()
+    return ask_to_land(c)
+
+
+def ask_to_land(c: HandFedCore) -> HandFedCore:
+    c.give(OperatorRequest(c.t_us, Request.LAND))
+    c.run(0.1)
+    assert fired(c) == [("operator", "break_off")]
+    c.velocity_ned = (0.3, 0.0, 0.0)  # under way: it lands only after 3 s
+    return c
+
+
+@pytest.mark.parametrize(
+    ("north_m", "rules"),
+    [(2.3, []), (2.6, [("bounds", "hold")]), (-2.6, [("bounds", "hold")])],
+)
+def test_a_break_off_that_leaves_the_bounds_holds(north_m: float, rules: list[tuple[str, str]]) -> None:
+    """By more than the little that a wall at their edge may take; the bounds end at 2.2 and -2."""
+    c = broken_off()
+    c.position_ned = (north_m, 0.0, -1.0)
+    out = c.run(0.1)
+    assert fired(c)[1:] == rules
+    if rules:
+        assert c.core.override is Override.HOLD
+        assert [o for o in out if isinstance(o, Setpoint)][-1].position_ned[0] == pytest.approx(north_m)
+
+
+@pytest.mark.parametrize(("height_m", "lands"), [(2.2, True), (2.04, False), (0.2, True), (0.27, False)])
+def test_a_break_off_that_leaves_the_altitudes_lands(height_m: float, lands: bool) -> None:
+    c = broken_off()
+    c.position_ned = (0.0, 0.0, -height_m)
+    c.run(0.1)
+    assert fired(c)[1:] == ([("altitude", "land")] if lands else [])
+
+
+def test_a_landing_may_go_through_the_floor() -> None:
+    c = broken_off()
+    c.velocity_ned = (0.0, 0.0, 0.0)
+    c.run(2.0)
+    assert any(isinstance(o, VehicleCommand) and o.action is VehicleAction.LAND for o in c.outputs)
+    c.set_status(flight_mode=FlightMode.LAND)
+    for height_m in (0.25, 0.1, 0.0):
+        c.position_ned = (2.6, 0.0, -height_m)
+        c.run(0.1)
+    assert fired(c) == [("operator", "break_off")]
+
+
+def test_a_climb_that_is_broken_off_is_not_below_the_floor() -> None:
+    c = HandFedCore()
+    c.to_climb()
+    assert c.core.phase is Phase.CLIMB
+    c.position_ned = (0.0, 0.0, -0.1)
+    ask_to_land(c)
+    c.run(0.3)
+    assert fired(c) == [("operator", "break_off")]
+
+
+def test_a_tilt_that_changes_nothing_any_more_is_noted_once() -> None:
+    c = broken_off()
+    for _ in range(2):
+        c.q = quaternion_from_euler(1.3, 0.0, 0.0)
+        c.run(0.1)
+        c.q = quaternion_from_euler(0.0, 0.0, 0.0)
+        c.run(0.1)
+    assert fired(c)[1:] == [("tilt", "none")]
+    assert c.core.override is Override.BREAK_OFF
+    assert c.core._guard.reason == "operator: landing requested"
+
+
+def test_an_estimate_that_jumps_moves_the_place_to_hold_with_it() -> None:
+    c = broken_off()
+    c.judge_by(RULES)
+    for east_m in (0.5, 1.0):  # the second jump finds the guard holding already
+        c.position_ned = (0.0, east_m, -1.0)
+        last = [o for o in c.run(0.1) if isinstance(o, Setpoint)][-1]
+        assert last.position_ned[1] == pytest.approx(east_m)
+    assert fired(c)[1:] == [("estimator_jump", "hold")]
+
+
+def test_an_impact_explains_no_doubt_of_px4_about_its_position() -> None:
+    """Its deviation does not rise in a hit; that of a position adrift passed the limit within the window."""
+    c = HandFedCore()
+    c.at_the_wood()
+    c.pulse((-10.0, -16.0))
+    c.give(EstimatorSample(c.t_us, c.t_us, position_sd_m=0.11))
+    c.run(0.05)
+    assert ("position_uncertain", "land") in fired(c)
