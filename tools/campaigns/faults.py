@@ -53,10 +53,9 @@ PHASES = (ON_GROUND, "take-off", "approach", "contact", "recovery", "goal")
 MISSIONS = ("paper_dual_collision", "paper_single_wall")
 _NAMES = tuple(kind.name for kind in KINDS)
 # Every fault at its default value, and where more than one value matters those.
+_VALUES = {"delay": (100, 300, 1000, 2000), "ev-delay": (90,)}
 ROWS = tuple(
-    row
-    for name in _NAMES
-    for row in ((name, "delay=100", "delay=300", "delay=1000", "delay=2000") if name == "delay" else (name,))
+    row for name in _NAMES for row in (name, *(f"{name}={value}" for value in _VALUES.get(name, ())))
 )
 _LANDING_M_S = 1.5
 _TILT_DEG = 80.0
