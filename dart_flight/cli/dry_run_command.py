@@ -37,7 +37,7 @@ from dart_flight.run.many_flights import RunsInterruptedError, fly_fast_many, fl
 from dart_flight.run.prepare import as_rehearsal, load_flyable, with_driver
 from dart_flight.run.px4_flight import fly_px4
 from dart_flight.sim.draws import parse_vary
-from dart_flight.sim.faults.fault_table import parse_fault
+from dart_flight.sim.faults.fault_table import parse_fault_of
 from dart_flight.sim.pipe import need_mavlink
 
 
@@ -73,7 +73,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def flight_function(arguments: argparse.Namespace, mission: Mission) -> Callable[..., Verdict]:
     """The function that flies one mission in the wanted world; seed, log_dir and progress by name."""
     position_from = source_for(mission, position_source_of(arguments))
-    fault = None if arguments.fault is None else parse_fault(arguments.fault, mission.vehicle.has_lock)
+    fault = None if arguments.fault is None else parse_fault_of(mission, arguments.fault)
     spreads = parse_vary(arguments.vary, mission.vehicle)
     if fault is not None and (arguments.runs is not None or arguments.px4 is not None):
         raise InputError("--fault is for one flight in the fast or the embedded world")

@@ -15,7 +15,6 @@ steady drift a constant, and a covariance is blind to that.
 
 from __future__ import annotations
 
-import math
 from collections import deque
 from typing import Final
 
@@ -30,9 +29,9 @@ _MEMORY_S: Final = 4.0  # of the sums: one manoeuvre
 _JUMP_M_S: Final = 0.15  # in one step: a reset of the estimate, which other rules judge
 # The pose pulls the output through two filters: the regression finds this share of the delay.
 _SHARE: Final = 0.75
-# With less acceleration in memory, (m/s2)^2 s, or a lower correlation than this nothing is concluded.
-_MOTION: Final = 0.2
-_CORRELATION: Final = 0.6
+# With this much acceleration in memory, (m/s2)^2 s, the correlation has to be at least this; with less than
+# the first nothing is concluded. The accelerometer's noise alone reaches 0.5 (docs/results/fault_matrix.md).
+_SURE: Final = ((0.1, 0.75), (0.2, 0.6))
 
 
 class PositionDelay:
@@ -141,7 +140,7 @@ class PositionDelay:
             zz += sums.zz - sums.z * sums.z / weight
             ee += sums.ee - sums.e * sums.e / weight
         self.figures = (ez, zz, ee)
-        sure = zz > _MOTION and abs(ez) > _CORRELATION * math.sqrt(zz * ee)
+        sure = any(zz > motion and ez * ez > correlation**2 * zz * ee for motion, correlation in _SURE)
         self.ahead_s = ez / (_SHARE * zz) if sure else None
 
 
