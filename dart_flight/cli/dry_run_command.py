@@ -37,7 +37,7 @@ from dart_flight.run.many_flights import RunsInterruptedError, fly_fast_many, fl
 from dart_flight.run.prepare import as_rehearsal, load_flyable, with_driver
 from dart_flight.run.px4_flight import fly_px4
 from dart_flight.sim.draws import parse_vary
-from dart_flight.sim.faults.fault_table import parse_fault
+from dart_flight.sim.faults.fault_table import parse_fault_of
 from dart_flight.sim.pipe import FULL_SPEED, need_mavlink
 
 
@@ -84,7 +84,7 @@ def simulation_speed(text: str) -> float:
 def flight_function(arguments: argparse.Namespace, mission: Mission) -> Callable[..., Verdict]:
     """The function that flies one mission in the wanted world; seed, log_dir and progress by name."""
     position_from = source_for(mission, position_source_of(arguments))
-    fault = None if arguments.fault is None else parse_fault(arguments.fault, mission.vehicle.has_lock)
+    fault = None if arguments.fault is None else parse_fault_of(mission, arguments.fault)
     spreads = parse_vary(arguments.vary, mission.vehicle)
     if fault is not None and (arguments.runs is not None or arguments.px4 is not None):
         raise InputError("--fault is for one flight in the fast or the embedded world")
@@ -103,7 +103,7 @@ def flight_function(arguments: argparse.Namespace, mission: Mission) -> Callable
     if arguments.hitl is not None:
         return prepare_hitl(arguments, mission, position_from, spreads)
     if arguments.px4 is None:
-        realtime = arguments.realtime or (fault is not None and fault.kind.of_real_time)
+        realtime = is_realtime(arguments, mission)
         return partial(
             fly_embedded, deadman=True, fault=fault, spreads=spreads, speed=speed, realtime=realtime
         )
@@ -122,13 +122,13 @@ def flight_function(arguments: argparse.Namespace, mission: Mission) -> Callable
     )
 
 
-def is_realtime(arguments: argparse.Namespace) -> bool:
+def is_realtime(arguments: argparse.Namespace, mission: Mission) -> bool:
     """Return whether simulated time does not wait for this program."""
     if arguments.hitl is not None or arguments.realtime:
         return True
-    return (
-        arguments.fault is not None and not arguments.fast and parse_fault(arguments.fault).kind.of_real_time
-    )
+    if arguments.fault is None or arguments.fast:
+        return False
+    return parse_fault_of(mission, arguments.fault).kind.of_real_time
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -142,7 +142,7 @@ def run(arguments: argparse.Namespace) -> int:
         *impact_warnings(mission),
         *position_warnings(source_for(mission, position_source_of(arguments))),
     ]
-    realtime = is_realtime(arguments)
+    realtime = is_realtime(arguments, mission)
     if realtime and not arguments.realtime and arguments.hitl is None:
         warnings.append(
             f"the fault {arguments.fault} is about time or link: flown in real time, not in lockstep"

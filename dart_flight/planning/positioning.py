@@ -16,6 +16,11 @@ def source_for(mission: Mission, source: PositionSource) -> PositionSource:
     return PositionSource.ANCHORED if source is PositionSource.PLAIN and mission.is_anchored else source
 
 
+def simulated_source(mission: Mission) -> PositionSource:
+    """Where the embedded autopilot's position comes from, by the vehicle's configuration."""
+    return source_for(mission, PositionSource(mission.vehicle.simulation.position_from))
+
+
 def frame_problem(mission: Mission, source: PositionSource) -> str | None:
     """Why a mission's frame means nothing with this source; None where it does.
 

@@ -20,7 +20,7 @@ from dart_flight.config.parameter_file import PositionSource, Value, vehicle_par
 from dart_flight.config.rotors import rotor_parameters
 from dart_flight.config.vehicle import Px4Parameters, VehicleConfig
 from dart_flight.lock.drivers.px4_output import PREARM_ALWAYS, actuator_pulse_us, required_parameters
-from dart_flight.planning.positioning import source_for
+from dart_flight.planning.positioning import simulated_source
 from dart_flight.sim.cascade import Cascade, TrajectorySetpoint
 from dart_flight.sim.estimator import Estimator
 from dart_flight.sim.gps_filter import GpsWeights
@@ -370,5 +370,4 @@ def default_parameters(
 
 def make_autopilot(mission: Mission, seed: int, say: Callable[[str, str], None] | None = None) -> Autopilot:
     """The simulated vehicle standing on the ground below a mission's start."""
-    source = source_for(mission, PositionSource(mission.vehicle.simulation.position_from))
-    return Autopilot(make_plant(mission, seed=seed), seed, say, source)
+    return Autopilot(make_plant(mission, seed=seed), seed, say, simulated_source(mission))

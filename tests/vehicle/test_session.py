@@ -313,10 +313,11 @@ def test_only_the_autopilots_heartbeat_says_whether_it_is_in_a_failsafe(
         (own, 1, 5),
         (own, 1, 9),
     ):
-        beat = message(system_status=number)
+        beat = message(**{**HEARTBEAT, "system_status": number})
         beat.system_id, beat.component_id = system, component
         rig.say("MavlinkDirect", "HEARTBEAT", beat)
-    assert [status.system_status for status in rig.of(StatusSample)] == ["active", "critical", "unknown"]
+    statuses = [status.system_status for status in rig.of(StatusSample)]
+    assert statuses == ["active", "critical", "critical", "unknown"]
 
 
 # --- what is sent ----------------------------------------------------------------------------------------

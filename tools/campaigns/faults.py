@@ -53,9 +53,9 @@ PHASES = (ON_GROUND, "take-off", "approach", "contact", "recovery", "goal")
 MISSIONS = ("paper_dual_collision", "paper_single_wall")
 _NAMES = tuple(kind.name for kind in KINDS)
 # Every fault at its default value, and where more than one value matters those.
-_OTHER_VALUES = {"delay": (100, 300, 1000, 2000), "heading-reset": (90,)}
+_VALUES = {"delay": (100, 300, 1000, 2000), "ev-delay": (90,), "heading-reset": (90,)}
 ROWS = tuple(
-    row for name in _NAMES for row in (name, *(f"{name}={value}" for value in _OTHER_VALUES.get(name, ())))
+    row for name in _NAMES for row in (name, *(f"{name}={value}" for value in _VALUES.get(name, ())))
 )
 _DOWN_M = 0.2  # lying on its side the vehicle's centre is this high
 _STILL_M_S = 0.3

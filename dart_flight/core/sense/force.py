@@ -28,6 +28,8 @@ from dart_flight.core.sense.thrust_model import ThrustModel
 _ATTITUDE_REACH_US: Final = 60_000  # older attitudes are not carried on by the gyro
 _CLIP_SHARE: Final = 0.99  # a reading this near full scale is a lower bound
 _HISTORY: Final = 32
+_MOMENTA: Final = 40  # 0.16 s
+_MOMENTUM_GAP_S: Final = 0.05
 
 
 class ForceEstimator:
@@ -39,7 +41,8 @@ class ForceEstimator:
         turning: rate and angular acceleration of the newest sample.
         attitude: that the newest estimate was made with, body FRD to NED; None where there was none.
         thrust_n: that the newest estimate took off.
-        felt_mission_n: specific force times mass of the newest estimate, hover bias taken off, mission frame.
+        momenta: stamp, and specific force times mass integrated since the start, mission frame, N s, of the
+            last estimates without a gap between them; hover bias is taken off, gravity is in it.
     """
 
     def __init__(self, vehicle: VehicleConfig) -> None:
@@ -55,7 +58,7 @@ class ForceEstimator:
         self.turning = AngularMotion()
         self.attitude: Quaternion | None = None
         self.thrust_n = 0.0
-        self.felt_mission_n: Vec3 = (0.0, 0.0, 0.0)
+        self.momenta: deque[tuple[int, float, float, float]] = deque([(0, 0.0, 0.0, 0.0)], maxlen=_MOMENTA)
         at = vehicle.imu.position_m
         self._imu_at = at if any(at) else None
         self._thrust_variance = e.thrust_error_n**2
@@ -120,7 +123,13 @@ class ForceEstimator:
         tx, ty, tz = thrust_n * up[0], thrust_n * up[1], thrust_n * up[2]
         push = (tx - drag[0], ty - drag[1])
         n, e = n * c + e * s, n * s - e * c
-        self.felt_mission_n = (n + tx, e + ty, tz - d)
+        last_us, px, py, pz = self.momenta[-1]
+        step_s = (imu.t_us - last_us) * 1e-6
+        if step_s > _MOMENTUM_GAP_S:
+            self.momenta.clear()
+        self.momenta.append(
+            (imu.t_us, px + (n + tx) * step_s, py + (e + ty) * step_s, pz + (tz - d) * step_s)
+        )
         force = (n + drag[0], e + drag[1], -d + drag[2])
         if self._arms is not None:
             force = self._still(self._arms, force, state, dt_s)

@@ -15,25 +15,23 @@ steady drift a constant, and a covariance is blind to that.
 
 from __future__ import annotations
 
-import math
 from collections import deque
 from typing import Final
 
 from dart_flight.base.geometry import GRAVITY_M_S2, Vec3
 
+Momenta = deque[tuple[int, float, float, float]]
+
 _STEP_US: Final = 50_000  # slow against the IMU, quick against the estimate's swing
 _NEAR, _FAR = 6, 12  # steps: the acceleration is the mean from 0.6 s to 0.3 s ago
 _HIGH_PASS_S: Final = 0.5
 _MEMORY_S: Final = 4.0  # of the sums: one manoeuvre
-_RECENT: Final = 16  # IMU samples: odometry comes no later than this behind them
-_IMU_GAP_S: Final = 0.05
-_ODOMETRY_GAP_S: Final = 0.15
 _JUMP_M_S: Final = 0.15  # in one step: a reset of the estimate, which other rules judge
 # The pose pulls the output through two filters: the regression finds this share of the delay.
 _SHARE: Final = 0.75
-# With less acceleration in memory, (m/s2)^2 s, or a lower correlation than this nothing is concluded.
-_MOTION: Final = 0.2
-_CORRELATION: Final = 0.6
+# With this much acceleration in memory, (m/s2)^2 s, the correlation has to be at least this; with less than
+# the first nothing is concluded. The accelerometer's noise alone reaches 0.5 (docs/results/fault_matrix.md).
+_SURE: Final = ((0.1, 0.75), (0.2, 0.6))
 
 
 class PositionDelay:
@@ -44,6 +42,8 @@ class PositionDelay:
         window_s: nothing is compared for this long after a disturbance.
 
     Attributes:
+        due_us: odometry is compared from this stamp on.
+        figures: covariance of e and z, variance of z and of e, times the seconds in memory.
         ahead_s: by which the position estimate runs ahead of the IMU, seconds; negative: behind; None: not
             known, for lack of acceleration or of correlation.
     """
@@ -51,90 +51,56 @@ class PositionDelay:
     def __init__(self, mass_kg: float, window_s: float) -> None:
         self._per_mass, self._window_us = 1.0 / mass_kg, round(window_s * 1e6)
         self.ahead_s: float | None = None
-        self._by_imu: Vec3 = (0.0, 0.0, 0.0)  # velocity since the start
-        self._recent: deque[tuple[int, float, float, float]] = deque(maxlen=_RECENT)  # stamp, the same
-        self._imu_us = 0
+        self.due_us = self._quiet_us = 0
         self._waiting: tuple[int, Vec3] | None = None  # an odometry sample that the IMU has not reached
-        self._due_us = self._quiet_us = 0
-        self._past: deque[tuple[int, float, float, float]] = deque(maxlen=_FAR + 1)  # one of every step
-        self._error: Vec3 = (0.0, 0.0, 0.0)  # of the velocity, at the step before
+        self._past: deque[tuple[int, float, float, float]] = deque(maxlen=_FAR + 1)  # momenta, of every step
+        self._velocity: Vec3 = (0.0, 0.0, 0.0)  # by odometry, at the step before
         self._high_e: Vec3 = (0.0, 0.0, 0.0)
         self._high_z: Vec3 = (0.0, 0.0, 0.0)
         self._z: Vec3 | None = None
         self._sums, self._weight = (_Sums(), _Sums(), _Sums()), 0.0
         self.figures = (0.0, 0.0, 0.0)
 
-    def take_imu(self, t_us: int, felt_mission_n: Vec3) -> None:
-        """Integrate one IMU sample; stamps advance.
-
-        Args:
-            t_us: its stamp.
-            felt_mission_n: specific force times mass, mission frame, N.
-        """
-        dt_s = (t_us - self._imu_us) * 1e-6
-        self._imu_us = t_us
-        if dt_s > _IMU_GAP_S:
-            self._recent.clear()
-            self._restart()
-        else:
-            x, y, z = self._by_imu
-            per_s = self._per_mass * dt_s
-            x += per_s * felt_mission_n[0]
-            y += per_s * felt_mission_n[1]
-            z += per_s * felt_mission_n[2] - GRAVITY_M_S2 * dt_s
-            self._by_imu = (x, y, z)
-            self._recent.append((t_us, x, y, z))
-        waiting = self._waiting
-        if waiting is not None and t_us >= waiting[0]:
-            self._waiting = None
-            self._compare(*waiting)
-
     def disturb(self, t_us: int) -> None:
         """Compare nothing for a while: a contact moves the estimate in its own way."""
         self._quiet_us = t_us + self._window_us
 
-    def take_odometry(self, t_us: int, velocity_mission: Vec3) -> None:
-        """Compare one odometry sample of every 50 ms; stamps advance."""
-        if t_us < self._due_us:
-            return
-        self._due_us = max(self._due_us, t_us - _STEP_US) + _STEP_US
-        if t_us > self._imu_us:
-            self._waiting = (t_us, velocity_mission)
-        else:
-            self._compare(t_us, velocity_mission)
+    def take_odometry(self, t_us: int, velocity_mission: Vec3, momenta: Momenta) -> None:
+        """Compare an odometry sample with the IMU, or keep it until the IMU has come as far.
 
-    def _compare(self, t_us: int, velocity: Vec3) -> None:
-        by_imu = self._by_imu_at(t_us)
-        if t_us < self._quiet_us or by_imu is None:
+        Args:
+            t_us: its stamp, `due_us` or later; stamps advance.
+            velocity_mission: its velocity.
+            momenta: by the IMU, as `ForceEstimator.momenta`.
+        """
+        waiting = self._waiting or (t_us, velocity_mission)
+        if waiting[0] > momenta[-1][0]:
+            self._waiting = waiting
+            return
+        self._waiting = None
+        self.due_us = max(self.due_us, waiting[0] - _STEP_US) + _STEP_US
+        self._compare(*waiting, momenta)
+
+    def _compare(self, t_us: int, velocity: Vec3, momenta: Momenta) -> None:
+        past, now = self._past, _momentum_at(t_us, momenta)
+        if t_us < self._quiet_us or now is None:
             self._restart()
             return
-        past = self._past
-        dt_s = (t_us - past[-1][0]) * 1e-6 if past else 0.0
-        error = (velocity[0] - by_imu[0], velocity[1] - by_imu[1], velocity[2] - by_imu[2])
-        (x, y, z), self._error = self._error, error
-        change = (error[0] - x, error[1] - y, error[2] - z)
-        if not 0.0 < dt_s < _ODOMETRY_GAP_S or max(map(abs, change)) > _JUMP_M_S:
-            self._restart()
-            past.append((t_us, *by_imu))
-            return
-        past.append((t_us, *by_imu))
-        self._follow(change, dt_s)
-
-    def _by_imu_at(self, t_us: int) -> Vec3 | None:
-        """The velocity by the IMU at a moment, between two samples; None: they do not reach so far back."""
-        later = None
-        for one in reversed(self._recent):
-            if one[0] <= t_us:
-                if later is None:
-                    return one[1:] if one[0] == t_us else None
-                share = (t_us - one[0]) / (later[0] - one[0])
-                return (
-                    one[1] + share * (later[1] - one[1]),
-                    one[2] + share * (later[2] - one[2]),
-                    one[3] + share * (later[3] - one[3]),
-                )
-            later = one
-        return None
+        (x, y, z), self._velocity = self._velocity, velocity
+        if past and momenta[0][0] <= past[-1][0]:  # else the IMU has had a gap since then
+            last, per = past[-1], self._per_mass
+            dt_s = (t_us - last[0]) * 1e-6
+            change = (
+                velocity[0] - x - per * (now[1] - last[1]),
+                velocity[1] - y - per * (now[2] - last[2]),
+                velocity[2] - z - per * (now[3] - last[3]) + GRAVITY_M_S2 * dt_s,
+            )
+            if max(map(abs, change)) <= _JUMP_M_S:
+                past.append(now)
+                self._follow(change, dt_s)
+                return
+        self._restart()
+        past.append(now)
 
     def _restart(self) -> None:
         """Begin again, with the sums of before."""
@@ -154,7 +120,7 @@ class PositionDelay:
         if len(past) <= _FAR:
             return
         far, near = past[0], past[_FAR - _NEAR]
-        per = 1e6 / (near[0] - far[0])
+        per = 1e6 * self._per_mass / (near[0] - far[0])
         now = (per * (near[1] - far[1]), per * (near[2] - far[2]), per * (near[3] - far[3]))
         before, self._z = self._z, now
         if before is None:
@@ -174,7 +140,7 @@ class PositionDelay:
             zz += sums.zz - sums.z * sums.z / weight
             ee += sums.ee - sums.e * sums.e / weight
         self.figures = (ez, zz, ee)
-        sure = zz > _MOTION and abs(ez) > _CORRELATION * math.sqrt(zz * ee)
+        sure = any(zz > motion and ez * ez > correlation**2 * zz * ee for motion, correlation in _SURE)
         self.ahead_s = ez / (_SHARE * zz) if sure else None
 
 
@@ -193,3 +159,19 @@ class _Sums:
         self.ee = kept * self.ee + dt_s * e * e
         self.ez = kept * self.ez + dt_s * e * z
         self.zz = kept * self.zz + dt_s * z * z
+
+
+def _momentum_at(t_us: int, momenta: Momenta) -> tuple[int, float, float, float] | None:
+    """The momentum at a stamp, between two samples; None: they do not reach so far back."""
+    later = momenta[-1]
+    for one in reversed(momenta):
+        if one[0] <= t_us:
+            share = (t_us - one[0]) / (later[0] - one[0]) if later[0] > one[0] else 0.0
+            return (
+                t_us,
+                one[1] + share * (later[1] - one[1]),
+                one[2] + share * (later[2] - one[2]),
+                one[3] + share * (later[3] - one[3]),
+            )
+        later = one
+    return None

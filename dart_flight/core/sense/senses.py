@@ -108,7 +108,7 @@ class Senses:
             if state.take_attitude(item):
                 estimator.take_attitude(item)
         elif isinstance(item, OdometrySample):
-            if state.take_odometry(item):
+            if state.take_odometry(item) and item.t_us >= self.delay.due_us:
                 self._compare_velocity(item.t_us)
         elif isinstance(item, ActuatorSample):
             state.take_actuator(item)
@@ -138,7 +138,7 @@ class Senses:
         state, delay = self.state, self.delay
         if self.detector.in_contact:
             delay.disturb(t_us)
-        delay.take_odometry(t_us, state.velocity)
+        delay.take_odometry(t_us, state.velocity, self.estimator.momenta)
         state.position_ahead_s = delay.ahead_s
 
     def _feel(self, item: ImuSample, expected: ExpectedContact) -> Sensed:
@@ -154,7 +154,6 @@ class Senses:
         )
         if estimate is None:
             return Sensed(in_contact=touching)
-        self.delay.take_imu(item.t_us, estimator.felt_mission_n)
         slow = detector.slow_force.value
         impacts = detector.update(estimate, item.received_us, state, expected)
         body = wall = None

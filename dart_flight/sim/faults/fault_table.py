@@ -16,8 +16,11 @@ import msgspec
 from dart_flight.base.geometry import GRAVITY_M_S2, scale
 from dart_flight.base.records import FlightMode, Phase, PhaseChange, Record
 from dart_flight.config.document import InputError, unknown_name
+from dart_flight.config.mission import Mission
+from dart_flight.config.parameter_file import PositionSource
 from dart_flight.lock.drivers.mock import MockFaults
 from dart_flight.lock.servo import ServoFaults
+from dart_flight.planning.positioning import simulated_source
 from dart_flight.sim.cascade import TrajectorySetpoint
 from dart_flight.sim.delayed_filter import DelayedEstimator
 from dart_flight.sim.faults.impairment import Impairment
@@ -163,11 +166,22 @@ class Fault(msgspec.Struct, frozen=True):
         return BY_NAME[self.name]
 
 
-def parse_fault(text: str, has_lock: bool = True) -> Fault:
+def parse_fault_of(mission: Mission, text: str) -> Fault:
+    """`NAME[=VALUE][@PHASE]` as a fault of the vehicle that flies a mission in simulation.
+
+    Raises:
+        InputError: as `parse_fault`.
+    """
+    has_mocap = simulated_source(mission) is PositionSource.MOCAP
+    return parse_fault(text, mission.vehicle.has_lock, has_mocap)
+
+
+def parse_fault(text: str, has_lock: bool = True, has_mocap: bool = True) -> Fault:
     """`NAME[=VALUE][@PHASE]` as a fault.
 
     Raises:
-        InputError: no such fault or phase, the value is out of range, or it is of a lock that is not there.
+        InputError: no such fault or phase, the value is out of range, or it is of a lock or a motion capture
+            that is not there.
     """
     body, at, phase = text.partition("@")
     name, equals, number = body.partition("=")
@@ -176,6 +190,8 @@ def parse_fault(text: str, has_lock: bool = True) -> Fault:
     kind = BY_NAME[name]
     if kind.place is FaultSite.LOCK and not has_lock:
         raise InputError(f"{name}: this vehicle has no lock", key=("--fault",))
+    if name == "ev-delay" and not has_mocap:
+        raise InputError(f"{name}: this vehicle's position comes from GPS", key=("--fault",))
     if at and phase not in PHASES:
         raise InputError(unknown_name(phase, list(PHASES), "phase"), key=("--fault",))
     value = kind.value
@@ -280,8 +296,7 @@ class VehicleFault:
 
     def _begin_ev_delay(self) -> None:
         a = self._autopilot
-        if a.gps is None:  # else there is no motion capture
-            a.estimator = DelayedEstimator(a.estimator, a.now_s, self._fault.value * 1e-3)
+        a.estimator = DelayedEstimator(a.estimator, a.now_s, self._fault.value * 1e-3)
 
     def _begin_clock_back(self) -> None:
         self._autopilot.plant.time_offset_us -= round(self._fault.value * 1e6)

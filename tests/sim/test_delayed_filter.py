@@ -1,0 +1,163 @@
+"""The filter that is told a wrong age of the poses: it runs ahead, as EKF2 does, and swings."""
+
+from __future__ import annotations
+
+import math
+import random
+from collections import deque
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dart_flight.base.geometry import GRAVITY_M_S2, Vec3
+from dart_flight.base.records import GuardEvent, ImpactOnset, Outcome, Phase, PhaseChange, Record
+from dart_flight.config.document import InputError
+from dart_flight.config.vehicle import packaged
+from dart_flight.run.fast import FastFlight
+from dart_flight.run.prepare import load_flyable
+from dart_flight.sim.delayed_filter import DelayedEstimator
+from dart_flight.sim.estimator import Estimator
+from dart_flight.sim.faults.fault_table import parse_fault
+
+LEVEL = (1.0, 0.0, 0.0, 0.0)
+TICK_S, TRUE_S = 0.004, 0.012
+
+
+class Level:
+    """A vehicle that stays level and goes north as it is told, and its filter."""
+
+    def __init__(self, delay_s: float) -> None:
+        self.filter = DelayedEstimator(Estimator(), 0.0, delay_s)
+        self.north = self.speed = self.time_s = 0.0
+        self._rng = random.Random(1)
+        self._poses: deque[tuple[float, Vec3]] = deque()
+        self._ticks = 0
+
+    def fly(self, seconds: float, acceleration: float = 0.0) -> float:
+        """Returns the largest error of the position meanwhile, forward positive by its sign."""
+        worst = 0.0
+        for _ in range(round(seconds / TICK_S)):
+            self.time_s += TICK_S
+            self._ticks += 1
+            self.north += self.speed * TICK_S + 0.5 * acceleration * TICK_S**2
+            self.speed += acceleration * TICK_S
+            felt = (acceleration + self._rng.gauss(0.0, 0.05), 0.0, -GRAVITY_M_S2)
+            self.filter.predict(self.time_s, felt, (0.0, 0.0, 0.0), TICK_S)
+            if self._ticks % 3 == 0:
+                self._poses.append((self.time_s, (self.north + self._rng.gauss(0.0, 0.001), 0.0, 0.0)))
+            while self._poses and self._poses[0][0] + TRUE_S <= self.time_s:
+                self.filter.correct(*self._poses.popleft(), LEVEL)
+            error = self.error_m
+            worst = error if abs(error) > abs(worst) else worst
+        return worst
+
+    @property
+    def error_m(self) -> float:
+        return self.filter.position[0] - self.north
+
+
+@settings(max_examples=8, deadline=None)
+@given(delay_ms=st.floats(0.0, 150.0), speed=st.floats(-1.5, 1.5))
+def test_at_constant_speed_it_runs_ahead_by_the_wrong_part_of_the_delay(
+    delay_ms: float, speed: float
+) -> None:
+    level = Level(delay_ms * 1e-3)
+    level.fly(1.0)
+    level.fly(1.0, speed)
+    level.fly(4.0)
+    assert level.error_m == pytest.approx(speed * (delay_ms * 1e-3 - TRUE_S), abs=0.015)
+    assert level.filter.velocity[0] == pytest.approx(speed, abs=0.05)
+
+
+def test_with_the_right_delay_it_follows_a_manoeuvre() -> None:
+    level = Level(TRUE_S)
+    level.fly(1.0)
+    for acceleration in (2.0, -2.0, -2.0, 2.0):
+        assert abs(level.fly(0.5, acceleration)) < 0.03
+
+
+def test_with_a_wrong_one_it_swings_when_the_vehicle_stops() -> None:
+    """And passes on: what it has learnt of tilt and velocity on the way is wrong."""
+    level = Level(0.15 + TRUE_S)
+    level.fly(1.0)
+    level.fly(0.5, 2.0)
+    level.fly(2.0)
+    level.fly(0.5, -2.0)
+    swing = [level.fly(0.25) for _ in range(12)]
+    assert max(swing) > 0.05
+    assert min(swing) < -0.01
+    assert abs(swing[-1]) < 0.03
+
+
+def test_poses_beyond_the_gate_end_in_a_reset_to_them() -> None:
+    level = Level(TRUE_S)
+    level.fly(2.0)
+    before = level.filter.resets
+    level.north += 1.0  # carried away, which the IMU did not feel
+    assert abs(level.fly(0.8)) > 0.9
+    level.fly(1.5)
+    assert level.filter.resets == before + 1
+    assert abs(level.error_m) < 0.02
+
+
+# --- what it makes of a flight, and what the guard makes of that --------------------------------------------
+
+
+class Flown:
+    """A fast flight of the single wall: when its wall came near, what the guard found, and how it ended."""
+
+    def __init__(self, fault: str, settings: dict[str, object] | None = None, mission: str = "") -> None:
+        self.found: list[GuardEvent] = []
+        self.onset_us = self.approach_us = math.inf
+        loaded = load_flyable(packaged("missions", mission or "paper_single_wall.yaml"))
+        loaded = loaded.replace(settings) if settings else loaded
+        flight = FastFlight(loaded, 3, observe=self.take, fault=parse_fault(fault))
+        flight.run()
+        self.end = flight.core.end
+
+    def take(self, record: Record, number: int) -> None:
+        if isinstance(record, GuardEvent):
+            self.found.append(record)
+        elif isinstance(record, ImpactOnset):
+            self.onset_us = min(self.onset_us, record.t_us)
+        elif isinstance(record, PhaseChange) and record.after is Phase.APPROACH:
+            self.approach_us = min(self.approach_us, record.t_us)
+
+
+@pytest.mark.parametrize("delay_ms", [90, 160, 300])
+def test_a_wrong_delay_breaks_the_flight_off_before_its_wall(delay_ms: int) -> None:
+    flown = Flown(f"ev-delay={delay_ms}")
+    (event,) = flown.found
+    assert event.rule == "position_delayed"
+    assert "ahead of the IMU" in event.detail
+    assert flown.onset_us == math.inf
+    assert event.t_us < flown.approach_us + 2_000_000
+    assert flown.end is not None
+    assert flown.end.outcome is Outcome.ABORTED
+
+
+def test_poses_that_are_older_than_configured_put_the_estimate_behind() -> None:
+    flown = Flown("ev-delay=10", {"vehicle.simulation.pose_delay_s": 0.12})
+    assert [event.rule for event in flown.found] == ["position_delayed"]
+    assert "behind the IMU" in flown.found[0].detail
+    assert flown.onset_us == math.inf
+
+
+def test_a_wrong_delay_is_found_with_a_slow_motion_capture_too() -> None:
+    flown = Flown("ev-delay=160", {"vehicle.simulation.pose_rate_hz": 30.0})
+    assert [event.rule for event in flown.found] == ["position_delayed"]
+    assert flown.onset_us == math.inf
+
+
+@pytest.mark.parametrize("delay_ms", [10, 30])
+def test_the_right_delay_and_one_near_it_complete(delay_ms: int) -> None:
+    flown = Flown(f"ev-delay={delay_ms}")
+    assert not flown.found
+    assert flown.end is not None
+    assert flown.end.outcome is Outcome.COMPLETED
+
+
+def test_without_motion_capture_there_is_no_such_fault() -> None:
+    with pytest.raises(InputError, match="ev-delay: this vehicle's position comes from GPS"):
+        parse_fault("ev-delay=90", has_mocap=False)
