@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import itertools
 from pathlib import Path
 
 from rich.progress import Progress
@@ -155,11 +156,14 @@ def _say_settings(arguments: argparse.Namespace) -> None:
 
 
 def _show_flights(bar: Progress) -> Done:
-    """A line that counts simulated flights; the callback to be called after each."""
-    task = bar.add_task("flights in simulation", total=None)
+    """Announce simulated flights, with a line that counts them; returns what to call after each."""
+    print_status(
+        "flying the plan in simulation, with nothing drawn and in 20 drawn worlds (--no-verify skips it)"
+    )
+    task, flown = bar.add_task("simulated flights", total=None), itertools.count(1)
 
     def done(_: Verdict) -> None:
-        bar.advance(task)
+        bar.update(task, advance=1, description=f"simulated flights: {next(flown)}")
 
     return done
 
