@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import time
 from collections.abc import Callable
 from functools import partial
 
@@ -161,7 +162,10 @@ def _fly_one(arguments: argparse.Namespace, mission: Mission, fly: Callable[...,
     lines = FlightLines(console, arguments.verbose > 0, live_line)
     with live_view(arguments, mission) as live, contextlib.closing(lines):
         seen = {} if live is None else {"viewer": live}
+        began_s = time.monotonic()
         verdict = fly(mission, seed=arguments.seed, log_dir=arguments.log_dir, progress=lines, **seen)
+        if verdict.speed is None and verdict.flight_time_s is not None:  # in process: with its start
+            verdict.speed = verdict.flight_time_s / (time.monotonic() - began_s)
     show_end(verdict, console, arguments.json)
     if arguments.hitl is not None:
         say_how_to_end()
