@@ -5,6 +5,7 @@ import math
 import os
 import subprocess
 import sys
+from collections.abc import Iterable
 from pathlib import Path
 
 import msgspec
@@ -63,7 +64,7 @@ def mocap_mission(delay_ms: float | None = 10.0) -> Mission:
     return msgspec.structs.replace(plain, vehicle=plain.vehicle.replace({"mocap.delay_ms": delay_ms}))
 
 
-def no_goes(findings: list[CheckFinding]) -> list[str]:
+def no_goes(findings: Iterable[CheckFinding]) -> list[str]:
     return [f.item for f in findings if not f.go]
 
 

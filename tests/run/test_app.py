@@ -310,6 +310,9 @@ class World:
     def send_horn(self, pulse_us: float) -> None:
         self.horns.append(pulse_us)
 
+    def send_line(self, line: bytes) -> object:
+        raise AssertionError("not in real time")
+
 
 def connect_to(session: Flight, monkeypatch: pytest.MonkeyPatch) -> list[object]:
     """What the app connects to, whatever its URL; returns what the app does to its process, as it comes."""

@@ -38,7 +38,9 @@ def test_no_sample_of_another_component_reaches_the_core() -> None:
 
     async def listen() -> dict[tuple[str, int, int, int], Any]:
         loop, enough = asyncio.get_running_loop(), asyncio.Event()
-        counts = dict.fromkeys((ImuSample, OdometrySample, AttitudeSample, ActuatorSample), 0)
+        counts: dict[type[Any], int] = dict.fromkeys(
+            (ImuSample, OdometrySample, AttitudeSample, ActuatorSample), 0
+        )
 
         def deliver(record: Any) -> None:
             seen.append(record)

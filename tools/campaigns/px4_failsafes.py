@@ -23,13 +23,22 @@ from typing import Any, NamedTuple
 from pymavlink.dialects.v20 import common as mavlink
 
 from dart_flight.base.geometry import yaw_ned_of
-from dart_flight.base.records import AttitudeSample, GuardEvent, OdometrySample, Phase, PhaseChange, Record
+from dart_flight.base.records import (
+    AttitudeSample,
+    GuardEvent,
+    OdometrySample,
+    Outcome,
+    Phase,
+    PhaseChange,
+    Record,
+)
 from dart_flight.config.parameter_file import PositionSource
 from dart_flight.config.vehicle import packaged
+from dart_flight.recording.uncontrolled import find_uncontrolled
 from dart_flight.run.prepare import load_flyable
 from dart_flight.run.px4_flight import fly_px4
 from dart_flight.sim.px4.bridge import geodetic
-from tools.campaigns.faults import Watch, judge_truth
+from tools.campaigns.faults import Watch
 from tools.campaigns.results import RESULTS, measured_by
 
 PHASES = {Phase.TRANSIT: 0.3, Phase.APPROACH: 0.2, Phase.RECOVERY: 0.1}  # seconds after which it begins
@@ -153,9 +162,10 @@ def fly(name: str, phase: Phase, seed: int = 1) -> str:
             viewer=see,
         )
     second.sticks_lost.set()
-    problems = list(judge_truth(watch, flown.outcome, "".join(said), 0.5 + row.off_m, row.falls))
-    down = "–" if row.falls else f"{watch.landing:.2f}"
-    figures = f"{math.degrees(watch.tilt):.0f} | {watch.excursion:.2f} | {down}"
+    completed, truth = flown.outcome is Outcome.COMPLETED, watch.truth
+    problems = list(find_uncontrolled(truth, completed, bool(said), 0.5 + row.off_m, row.falls))
+    down = "–" if row.falls else f"{truth.landing_m_s:.2f}"
+    figures = f"{math.degrees(truth.tilt_rad):.0f} | {truth.excursion_m:.2f} | {down}"
     end = f"**uncontrolled: {'; '.join(problems)}**" if problems else "controlled"
     return f"| {name} | {phase.value} | {'<br>'.join(said) or flown.outcome.value} | {figures} | {end} |"
 

@@ -1,0 +1,126 @@
+"""The relay between PX4 and the application: it forwards everything, and counts what lockstep asks about."""
+
+from __future__ import annotations
+
+import math
+import socket
+import time
+from collections.abc import Callable, Iterator
+
+import pytest
+from pymavlink.dialects.v20 import common as mavlink
+
+from dart_flight.sim.px4.relay import Relay, frames
+from tests.doubles.ports import free_udp_port
+
+ORIGIN = (0.0, 0.0, 0.0)
+
+
+class Ends:
+    """PX4's end and the application's, with a relay between them."""
+
+    def __init__(self) -> None:
+        self.app = self._socket()
+        px4_port = free_udp_port()
+        self.relay = Relay(px4_port, self.app.getsockname()[1])
+        self.px4 = self._socket()
+        self.px4.connect(("127.0.0.1", px4_port))
+
+    @staticmethod
+    def _socket() -> socket.socket:
+        end = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        end.bind(("127.0.0.1", 0))
+        end.settimeout(5.0)
+        return end
+
+    def close(self) -> None:
+        self.relay.close()
+        self.px4.close()
+        self.app.close()
+
+
+@pytest.fixture
+def ends() -> Iterator[Ends]:
+    found = Ends()
+    yield found
+    found.close()
+
+
+def packed(message: mavlink.MAVLink_message, component: int = 1) -> bytes:
+    return bytes(message.pack(mavlink.MAVLink(None, srcSystem=1, srcComponent=component)))
+
+
+def attitude(ms: int) -> mavlink.MAVLink_message:
+    return mavlink.MAVLink_attitude_quaternion_message(ms, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+def imu(t_us: int) -> mavlink.MAVLink_message:
+    return mavlink.MAVLink_highres_imu_message(t_us, *ORIGIN, *ORIGIN, *ORIGIN, 0.0, 0.0, 0.0, 0.0, 63)
+
+
+def until(there: Callable[[], bool]) -> None:
+    ends = time.monotonic() + 10.0
+    while not there():
+        assert time.monotonic() < ends
+        time.sleep(0.01)
+
+
+def test_both_directions_pass_unchanged(ends: Ends) -> None:
+    ends.px4.send(b"noise that is no MAVLink")
+    data, relay = ends.app.recvfrom(4096)
+    assert data == b"noise that is no MAVLink"
+    ends.app.sendto(b"back", relay)
+    assert ends.px4.recv(4096) == b"back"
+
+
+def test_the_newest_stamp_of_every_stream_of_the_autopilot_counts(ends: Ends) -> None:
+    ends.px4.send(packed(imu(8_000)) + packed(attitude(12)))
+    ends.px4.send(packed(imu(4_000)))
+    ends.px4.send(packed(imu(99_000), component=197))
+    for _ in range(3):
+        ends.app.recv(4096)
+    until(lambda: bool(ends.relay.sent_us))
+    assert ends.relay.sent_us == {"imu": 8_000, "attitude": 12_000}
+
+
+def test_a_stamp_whose_zeros_were_cut_off_is_read(ends: Ends) -> None:
+    """MAVLink 2 leaves out the zeros at the end of a payload, here all of it but two bytes of the stamp."""
+    message = mavlink.MAVLink_attitude_quaternion_message(0x0102, *(0.0,) * 7)
+    data = packed(message)
+    assert data[1] == 2
+    ends.px4.send(data)
+    ends.app.recv(4096)
+    assert ends.relay.sent_us == {"attitude": 0x0102 * 1000}
+
+
+def test_a_setpoint_is_seen_once_it_has_been_forwarded(ends: Ends) -> None:
+    ends.px4.send(packed(imu(4_000)))
+    _, relay = ends.app.recvfrom(4096)
+    message = mavlink.MAVLink_set_position_target_local_ned_message(
+        0, 1, 1, 1, 0, 1.0, 2.0, -1.0, 0.5, math.nan, 0.0, 0.0, 0.0, 0.25, 0.0, 0.0
+    )
+    ends.app.sendto(packed(message, component=191), relay)
+    assert ends.px4.recv(4096) == packed(message, component=191)
+    until(lambda: ends.relay.setpoint[0] == 1.0)
+    assert ends.relay.setpoint == pytest.approx(
+        (1.0, 2.0, -1.0, 0.5, math.nan, 0.0, 0.0, 0.0, 0.25), nan_ok=True
+    )
+
+
+def test_px4s_heartbeat_is_repeated_while_simulated_time_stands_still(
+    ends: Ends, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    beat = packed(mavlink.MAVLink_heartbeat_message(2, 12, 0, 0, 3, 3))
+    ends.px4.send(packed(imu(4_000)) + beat)
+    ends.app.recv(4096)
+    ends.relay._heartbeat_s -= 1.5
+    ends.relay.rest()
+    assert ends.app.recv(4096) == beat
+    ends.relay.rest()
+    ends.px4.send(b"next")
+    assert ends.app.recv(4096) == b"next", "not more than once a second"
+
+
+@pytest.mark.parametrize("data", [b"", b"\xfd", b"\xfd\xff" + bytes(7), bytes(300), b"\xfe" + bytes(30)])
+def test_frames_of_noise_end_without_an_error(data: bytes) -> None:
+    assert all(number >= 0 for number, _, _, _ in frames(data))

@@ -1,0 +1,211 @@
+"""The world's side of the lockstep: simulated time never passes what the application has not answered."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from dart_flight.sim import lockstep as module
+from dart_flight.sim.embedded_autopilot import TICK_US
+from dart_flight.sim.lockstep import Lockstep, NoAnswerError
+from dart_flight.sim.pipe import Stepped
+
+STREAMS = ("imu", "attitude", "odometry", "actuator")
+SETPOINT = (1.0, 2.0, -1.0, 0.5, None, None, None, None, None)
+
+
+class Sender:
+    """An autopilot that has sent and received what a test says."""
+
+    def __init__(self) -> None:
+        self.sent_us: dict[str, int] = {}
+        self.setpoint: tuple[float, ...] = (math.nan,) * 9
+        self.rests = 0
+
+    def rest(self) -> None:
+        self.rests += 1
+
+
+class Host:
+    """The computer's time, which passes only while the world waits."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.now_s = 100.0
+        self.after: Callable[[], None] = lambda: None
+        monkeypatch.setattr(module.time, "monotonic", lambda: self.now_s)
+        monkeypatch.setattr(module.select, "select", self._select)
+
+    def _select(self, *_: Any) -> tuple[list[int], list[int], list[int]]:
+        self.now_s += 0.05
+        self.after()
+        return [], [], []
+
+
+@pytest.fixture
+def wake() -> Iterator[int]:
+    descriptor = os.eventfd(0)
+    with closing(os.fdopen(descriptor)):
+        yield descriptor
+
+
+def lockstep(sender: Sender, **more: Any) -> Lockstep:
+    return Lockstep(sender, **{"answers_at_rest": True, "waits_at_first": True, **more})
+
+
+@given(
+    sent=st.dictionaries(st.sampled_from(STREAMS), st.integers(1, 100)),
+    stepped=st.dictionaries(st.sampled_from(STREAMS), st.integers(1, 100)),
+)
+def test_time_stands_still_while_a_stream_is_not_stepped(
+    sent: dict[str, int], stepped: dict[str, int]
+) -> None:
+    sender = Sender()
+    world = lockstep(sender)
+    world.update(Stepped({}))
+    sender.sent_us = {name: tick * TICK_US for name, tick in sent.items()}
+    world.update(Stepped({name: tick * TICK_US for name, tick in stepped.items()}))
+    behind = [name for name, tick in sent.items() if tick > stepped.get(name, 0)]
+    assert (world.outstanding(101 * TICK_US) is not None) == bool(behind)
+
+
+def test_what_was_sent_before_the_application_listened_is_not_waited_for() -> None:
+    sender = Sender()
+    sender.sent_us = {"imu": 40_000}
+    world = lockstep(sender)
+    assert world.outstanding(44_000) == "the application to connect"
+    world.update(Stepped({}))
+    assert world.outstanding(44_000) is None
+
+
+def test_a_setpoint_counts_once_it_has_arrived_in_single_precision() -> None:
+    sender = Sender()
+    world = lockstep(sender)
+    world.update(Stepped({}, SETPOINT))
+    assert world.outstanding(4_000) == "a setpoint of the application"
+    sender.setpoint = (1.0000001, 2.0, -1.0, 0.5, *(math.nan,) * 5)
+    assert world.outstanding(4_000) is None
+
+
+def test_a_batch_is_not_waited_for_before_its_end() -> None:
+    sender = Sender()
+    world = lockstep(sender)
+    world.update(Stepped({"imu": 100_000}, batch_us=20_000))
+    sender.sent_us = {"imu": 116_000}
+    assert world.outstanding(120_000) is None
+    assert world.outstanding(124_000) is not None
+
+
+def test_the_planner_is_waited_for_when_its_answer_is_due() -> None:
+    world = lockstep(Sender())
+    world.update(Stepped({}, plan_due_us=50_000))
+    assert world.outstanding(48_000) is None
+    assert world.outstanding(52_000) == "the planner"
+
+
+@pytest.mark.parametrize("answers_at_rest", [True, False], ids=["embedded", "PX4"])
+def test_time_goes_on_for_an_autopilot_that_answers_commands_only_then(answers_at_rest: bool) -> None:
+    sender = Sender()
+    world = lockstep(sender, answers_at_rest=answers_at_rest)
+    world.update(Stepped({}, commands=1))
+    sender.sent_us = {"imu": 4_000}
+    assert (world.outstanding(8_000) is None) != answers_at_rest
+    assert world.holds is answers_at_rest, "else a world at full speed would run away"
+
+
+def test_once_the_application_is_silent_nothing_holds_the_world() -> None:
+    sender = Sender()
+    world = lockstep(sender)
+    world.update(Stepped({}, SETPOINT, commands=1, flies=False))
+    sender.sent_us = {"imu": 4_000}
+    assert world.outstanding(8_000) is None
+    assert not world.engaged
+
+
+def test_a_lost_datagram_holds_the_world_for_a_second_only(
+    monkeypatch: pytest.MonkeyPatch, wake: int
+) -> None:
+    host, sender = Host(monkeypatch), Sender()
+    world = lockstep(sender)
+    world.update(Stepped({"imu": 4_000}))
+    sender.sent_us = {"imu": 8_000}
+    began_s = host.now_s
+    world.wait(12_000, [wake], lambda: True)
+    assert host.now_s - began_s == pytest.approx(1.0, abs=0.2)
+    assert sender.rests > 10
+
+
+@pytest.mark.parametrize(
+    ("report", "missing"),
+    [
+        (Stepped({"imu": 4_000}, SETPOINT), "a setpoint of the application"),
+        (Stepped({"imu": 4_000}, plan_due_us=4_000), "the planner"),
+        (Stepped({"imu": 4_000}, commands=1), "the result of a command"),
+    ],
+)
+def test_who_does_not_answer_for_ten_seconds_ends_the_flight_and_is_named(
+    monkeypatch: pytest.MonkeyPatch, wake: int, report: Stepped, missing: str
+) -> None:
+    host = Host(monkeypatch)
+    world = lockstep(Sender())
+    world.update(report)
+    began_s = host.now_s
+    with pytest.raises(NoAnswerError, match=f"waited 10 s for {missing}"):
+        world.wait(8_000, [wake], lambda: True)
+    assert host.now_s - began_s == pytest.approx(10.0, abs=0.2)
+
+
+def test_an_application_that_is_stopped_ends_the_flight_although_messages_may_be_lost(
+    monkeypatch: pytest.MonkeyPatch, wake: int
+) -> None:
+    host, sender = Host(monkeypatch), Sender()
+    world = lockstep(sender)
+    world.update(Stepped({"imu": 4_000}))
+    began_s, ticks = host.now_s, 0
+    with pytest.raises(NoAnswerError, match="step its telemetry"):
+        while ticks < 1000:
+            sender.sent_us = {"imu": 8_000 + ticks * TICK_US}
+            world.wait(12_000 + ticks * TICK_US, [wake], lambda: True)
+            ticks += 1
+    assert host.now_s - began_s == pytest.approx(10.0, abs=0.5)
+    assert ticks <= 10
+
+
+def test_time_in_which_the_world_itself_did_not_run_is_nobodys_silence(
+    monkeypatch: pytest.MonkeyPatch, wake: int
+) -> None:
+    host = Host(monkeypatch)
+    world = lockstep(Sender())
+    world.update(Stepped({}, plan_due_us=0))
+
+    def sleep() -> None:
+        host.now_s += 3600.0  # the computer was suspended
+        host.after = answer
+
+    def answer() -> None:
+        world.update(Stepped({}))
+
+    host.after = sleep
+    world.wait(4_000, [wake], lambda: True)
+
+
+def test_a_world_without_its_application_goes_on(wake: int) -> None:
+    lockstep(Sender()).wait(4_000, [wake], lambda: False)
+
+
+def test_px4s_sender_gets_time_to_send_what_is_due(monkeypatch: pytest.MonkeyPatch, wake: int) -> None:
+    host, sender = Host(monkeypatch), Sender()
+    world = lockstep(sender, answers_at_rest=False, sender_lag_us=16_000)
+    world.update(Stepped({"imu": 100_000}))
+    sender.sent_us = {"imu": 100_000}
+    assert world.outstanding(116_000) is None
+    assert world.outstanding(120_000) == "the autopilot to send its telemetry"
+    began_s = host.now_s
+    world.wait(120_000, [wake], lambda: True)
+    assert host.now_s - began_s == pytest.approx(0.2, abs=0.1)
