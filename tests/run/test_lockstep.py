@@ -71,9 +71,14 @@ def test_a_command_is_open_until_its_result_is_stepped() -> None:
 
 def test_a_request_that_fails_is_no_longer_open() -> None:
     told = Reports()
-    with pytest.raises(OSError, match="gone"), told.reporter.command():
-        assert told.last.commands == 1
-        raise OSError("gone")
+
+    def fail() -> None:
+        with told.reporter.command():
+            assert told.last.commands == 1
+            raise OSError("gone")
+
+    with pytest.raises(OSError, match="gone"):
+        fail()
     assert told.last.commands == 0
 
 
