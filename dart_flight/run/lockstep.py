@@ -39,6 +39,9 @@ _STREAMS: Final[dict[type, str]] = {
 }
 _WORK: Final = (LockState, CommandResult, PlanAnswer, OperatorRequest)  # inputs that are not telemetry
 _BATCH_US: Final = round(1e6 * BATCH_S)
+_MARGIN_US: Final = (
+    40_000  # at least from the answer to the beginning of its trajectory: later ones do not count
+)
 _UNUSED: Final = (None, None, None)
 
 
@@ -133,7 +136,8 @@ class StepReporter:
     def open_plan(self, request: PlanRequest, latency_us: int) -> None:
         """The planner works; its answer counts so long after the request, and closes it."""
         with self._guard:
-            self._plans[request.number] = min(request.begin_us, request.t_us + latency_us)
+            latest_us = max(request.begin_us - _MARGIN_US, request.t_us)
+            self._plans[request.number] = min(latest_us, request.t_us + latency_us)
 
     def hold_answer(self, answer: PlanAnswer) -> None:
         """Keep an answer of the planner until it is due."""

@@ -18,6 +18,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Final, Protocol
 
 from dart_flight.base.errors import FlightError
+from dart_flight.sim.embedded_autopilot import TICK_US
 from dart_flight.sim.pipe import Stepped
 
 _SILENT_S: Final = 10.0  # host time without an answer, after which the flight ends
@@ -97,7 +98,8 @@ class Lockstep:
             return None
         if report.commands:
             return "the result of a command" if self._answers_at_rest else None
-        if report.plan_due_us is not None and next_us > report.plan_due_us:
+        # The application's clock is the newest stamp: it has to get to the time itself.
+        if report.plan_due_us is not None and next_us > report.plan_due_us + TICK_US + self._sender_lag_us:
             return "the planner"
         if report.setpoint is not None and not self._has_arrived(report.setpoint):
             return "a setpoint of the application"
@@ -136,7 +138,7 @@ class Lockstep:
             waited_s += step_s
             if self._report is not None:
                 self._unanswered_s += step_s
-                if self._unanswered_s > _SILENT_S:
+                if max(self._unanswered_s, waited_s) > _SILENT_S:
                     raise NoAnswerError(f"the simulation waited {_SILENT_S:g} s for {missing}")
                 if missing is _TELEMETRY and waited_s > _LOST_S:
                     return

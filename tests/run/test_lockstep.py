@@ -86,7 +86,7 @@ def test_an_answer_of_the_planner_counts_from_its_latency_on_and_before_its_traj
     told = Reports()
     clock = told.reporter.clock
     told.reporter.open_plan(request(1, 100_000, 300_000), 60_000)
-    told.reporter.open_plan(request(2, 100_000, 120_000), 60_000)
+    told.reporter.open_plan(request(2, 100_000, 160_000), 60_000)
     told.reporter.close([imu(100_000)], False)
     assert told.last.plan_due_us == 120_000
     for number in (1, 2):

@@ -105,8 +105,8 @@ def test_a_batch_is_not_waited_for_before_its_end() -> None:
 def test_the_planner_is_waited_for_when_its_answer_is_due() -> None:
     world = lockstep(Sender())
     world.update(Stepped({}, plan_due_us=50_000))
-    assert world.outstanding(48_000) is None
-    assert world.outstanding(52_000) == "the planner"
+    assert world.outstanding(54_000) is None, "the next stamp lies behind that time"
+    assert world.outstanding(55_000) == "the planner"
 
 
 @pytest.mark.parametrize("answers_at_rest", [True, False], ids=["embedded", "PX4"])
@@ -145,7 +145,7 @@ def test_a_lost_datagram_holds_the_world_for_a_second_only(
     ("report", "missing"),
     [
         (Stepped({"imu": 4_000}, SETPOINT), "a setpoint of the application"),
-        (Stepped({"imu": 4_000}, plan_due_us=4_000), "the planner"),
+        (Stepped({"imu": 4_000}, plan_due_us=3_000), "the planner"),
         (Stepped({"imu": 4_000}, commands=1), "the result of a command"),
     ],
 )
@@ -159,6 +159,17 @@ def test_who_does_not_answer_for_ten_seconds_ends_the_flight_and_is_named(
     with pytest.raises(NoAnswerError, match=f"waited 10 s for {missing}"):
         world.wait(8_000, [wake], lambda: True)
     assert host.now_s - began_s == pytest.approx(10.0, abs=0.2)
+
+
+def test_who_does_not_answer_is_named_while_others_go_on_reporting(
+    monkeypatch: pytest.MonkeyPatch, wake: int
+) -> None:
+    host = Host(monkeypatch)
+    world = lockstep(Sender())
+    world.update(Stepped({}, plan_due_us=3_000))
+    host.after = lambda: world.update(Stepped({}, plan_due_us=3_000))
+    with pytest.raises(NoAnswerError, match="the planner"):
+        world.wait(8_000, [wake], lambda: True)
 
 
 def test_an_application_that_is_stopped_ends_the_flight_although_messages_may_be_lost(
