@@ -499,7 +499,7 @@ class VerdictBuilder:
         return nearest_m is not None and nearest_m <= self._mission.goal.capture_radius_m
 
     def _find_uncontrolled(self) -> list[str]:
-        """Why the simulated flight is uncontrolled; empty on the drone, where no truth is known."""
+        """Return why the simulated flight is uncontrolled; nothing on the drone, where no truth is known."""
         if self._extremes.last is None:
             return []
         completed = self._end is not None and self._end.outcome is Outcome.COMPLETED

@@ -119,7 +119,7 @@ def compare(colliding: FlownMission, free: FlownMission) -> FlownRecord:
 
 
 class OfferedPlan(NamedTuple):
-    """What `plan` offers after the flights.
+    """The plan that is offered after the flights.
 
     Attributes:
         plan: to be written; None: no plan flies.
