@@ -78,7 +78,7 @@ class FlightConditions:
         self.land_asked = False
         self.was_offboard = False
         self.was_armed = False
-        self.was_inside = False  # above the floor of the flight space, since the motors run
+        self.was_inside = False  # above the floor of the flight space, once
         self.impact: ImpactOnset | None = None  # the newest
         self.rates_hz: dict[str, float] = {}
         self.stale: dict[str, int] = {}  # samples in a row whose stamp lies far in the past, where there are

@@ -243,7 +243,8 @@ class Guard:
         if isinstance(item, OdometrySample) and state.frame is not None:
             impact = self._watch.impact
             again = impact is not self._held_impact  # hit again, it goes away from that
-            jumped = bool(self._watch.jump)  # the place to hold is another one by the new estimate
+            # By an estimate that has jumped the place to hold is another one.
+            jumped = bool(self._watch.jump) and "estimator_jump" in self._rules
             if self._hold is None or again or jumped or self._has_stopped_elsewhere(state, self._hold):
                 self._hold, self._held_impact = self._clear_of_walls(state), impact
             out.append(

@@ -210,10 +210,8 @@ def _estimator_reset(v: FlightConditions) -> str | None:
 
 
 def _heading_reset(v: FlightConditions) -> str | None:
-    step_deg = math.degrees(v.heading_step_rad)
-    return (
-        f"by {step_deg:.1f} deg, allowed {HEADING_STEP_DEG:.0f}" if abs(step_deg) > HEADING_STEP_DEG else None
-    )
+    step_deg, limit = math.degrees(v.heading_step_rad), HEADING_STEP_DEG
+    return f"by {step_deg:.1f} deg, allowed {limit:.0f}" if abs(step_deg) > limit else None
 
 
 def _position_uncertain(v: FlightConditions) -> str | None:
