@@ -29,9 +29,11 @@ _MEMORY_S: Final = 4.0  # of the sums: one manoeuvre
 _JUMP_M_S: Final = 0.15  # in one step: a reset of the estimate, which other rules judge
 # The pose pulls the output through two filters: the regression finds this share of the delay.
 _SHARE: Final = 0.75
-# With this much acceleration in memory, (m/s2)^2 s, the correlation has to be at least this; with less than
-# the first nothing is concluded. The accelerometer's noise alone reaches 0.5 (docs/results/fault_matrix.md).
-_SURE: Final = ((0.1, 0.75), (0.2, 0.6))
+# With more acceleration in memory, (m/s2)^2 s, than the first the correlation has to be over the second; else
+# nothing is concluded. Noise of the accelerometer moves the estimate, and the poses pull it back later: that
+# looks like an estimate that is behind, with correlations of up to 0.7 (docs/results/px4_versions.md).
+_SURE_AHEAD: Final = ((0.1, 0.75), (0.2, 0.6))
+_SURE_BEHIND: Final = ((0.2, 0.8),)
 
 
 class PositionDelay:
@@ -140,7 +142,8 @@ class PositionDelay:
             zz += sums.zz - sums.z * sums.z / weight
             ee += sums.ee - sums.e * sums.e / weight
         self.figures = (ez, zz, ee)
-        sure = any(zz > motion and ez * ez > correlation**2 * zz * ee for motion, correlation in _SURE)
+        needed = _SURE_AHEAD if ez > 0.0 else _SURE_BEHIND
+        sure = any(zz > motion and ez * ez > correlation**2 * zz * ee for motion, correlation in needed)
         self.ahead_s = ez / (_SHARE * zz) if sure else None
 
 
