@@ -10,7 +10,7 @@ from dart_flight.base.records import World
 from dart_flight.config.mission import Mission
 from dart_flight.config.parameter_file import PositionSource
 from dart_flight.config.vehicle import Motor
-from dart_flight.recording.verdict import Verdict
+from dart_flight.recording.verdict import TimeKind, Verdict
 from dart_flight.run.app import FlightApp
 from dart_flight.run.computer import ComputerWatch
 from dart_flight.run.embedded import DEADMAN_NOTE
@@ -62,6 +62,7 @@ def fly_hitl(
     drawn = draw_world(mission, seed, spreads or {})
     with LinkLease(url, "dry-run --hitl") as lease, LinkLease(hitl_url, "dry-run --hitl"):
         record = FlightRecord(mission, World.HITL, seed, log_dir, drawn.drawn, viewer=viewer)
+        record.time = TimeKind.REALTIME
         lease.note_log(record.path)
         hitl = HitlSpec(hitl_url, motors, position_from)
         spec = SimulatorSpec(mission, seed, [], hitl=hitl, spreads=dict(spreads or {}))

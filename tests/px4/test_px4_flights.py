@@ -36,6 +36,7 @@ from dart_flight.recording.reader import read_log
 from dart_flight.recording.verdict import Verdict
 from dart_flight.run.prepare import load_flyable
 from dart_flight.run.px4_flight import fly_px4
+from dart_flight.sim.pipe import FULL_SPEED
 from tests.doubles.ground_station import switch_to_position
 
 pytestmark = pytest.mark.px4
@@ -43,7 +44,6 @@ pytestmark = pytest.mark.px4
 MISSIONS = Path(__file__).parents[2] / "missions"
 SWEEP = Path(__file__).with_name("sweep_mission.yaml")
 # Times real time: what lockstep sustains on two idle cores with room to spare; a busy machine wants 1.
-FAST = float(os.environ.get("DART_PX4_SPEED", "3"))
 
 
 def accept(verdict: Verdict) -> None:
@@ -88,7 +88,9 @@ def test_a_flight_planned_again_after_every_hit(px4_dir: Path, tmp_path: Path) -
 
 
 def test_the_paper_s_second_impact_with_stiffer_gains(px4_dir: Path, tmp_path: Path) -> None:
-    verdict = fly_px4(load_flyable(MISSIONS / "dual_collision_stiff.yaml"), px4_dir, 1, tmp_path, speed=FAST)
+    verdict = fly_px4(
+        load_flyable(MISSIONS / "dual_collision_stiff.yaml"), px4_dir, 1, tmp_path, speed=FULL_SPEED
+    )
     accept(verdict)
     assert verdict.collisions[1].measured.normal_m_s is not None
     assert verdict.collisions[1].measured.normal_m_s < -1.3
@@ -96,12 +98,12 @@ def test_the_paper_s_second_impact_with_stiffer_gains(px4_dir: Path, tmp_path: P
 
 def test_single_wall_outdoors_with_rtk(px4_dir: Path, tmp_path: Path) -> None:
     mission = load_flyable(MISSIONS / "paper_single_wall.yaml")
-    accept(fly_px4(mission, px4_dir, 1, tmp_path, position_from=PositionSource.RTK, speed=FAST))
+    accept(fly_px4(mission, px4_dir, 1, tmp_path, position_from=PositionSource.RTK, speed=FULL_SPEED))
 
 
 def test_plain_gps_does_not_fly_at_a_wall(px4_dir: Path, tmp_path: Path) -> None:
     mission = load_flyable(MISSIONS / "paper_single_wall.yaml")
-    verdict = fly_px4(mission, px4_dir, 1, tmp_path, position_from=PositionSource.PLAIN, speed=FAST)
+    verdict = fly_px4(mission, px4_dir, 1, tmp_path, position_from=PositionSource.PLAIN, speed=FULL_SPEED)
     assert verdict.reason is not None
     assert verdict.reason.startswith("not_ready: no position to 0.10 m")
     assert verdict.flight_time_s is None
@@ -112,7 +114,7 @@ def test_lock_servo_on_px4s_own_output(px4_dir: Path, tmp_path: Path) -> None:
     from dart_flight.run.prepare import with_driver
 
     mission = with_driver(load_flyable(MISSIONS / "paper_dual_collision.yaml"), LockDriver.PX4)
-    accept(fly_px4(mission, px4_dir, 1, tmp_path, speed=min(2.0, FAST)))
+    accept(fly_px4(mission, px4_dir, 1, tmp_path, speed=FULL_SPEED))
 
 
 def test_a_hexarotor_with_the_lock_s_servo_after_its_motors(px4_dir: Path, tmp_path: Path) -> None:
@@ -120,7 +122,7 @@ def test_a_hexarotor_with_the_lock_s_servo_after_its_motors(px4_dir: Path, tmp_p
     from dart_flight.run.prepare import with_driver
 
     mission = load_flyable(MISSIONS / "paper_single_wall.yaml", packaged("configs", "hexarotor.yaml"))
-    verdict = fly_px4(with_driver(mission, LockDriver.PX4), px4_dir, 1, tmp_path, speed=min(2.0, FAST))
+    verdict = fly_px4(with_driver(mission, LockDriver.PX4), px4_dir, 1, tmp_path, speed=FULL_SPEED)
     accept(verdict)
     (hit,) = verdict.collisions
     assert hit.truth is not None
@@ -137,7 +139,7 @@ def test_a_hit_beyond_full_scale_is_marked_as_clipped(px4_dir: Path, tmp_path: P
     mission.write_text(text)
     # Met by one guard first it would turn over 60 degrees: here the sensor is the matter, not the body.
     loaded = load_flyable(mission, settings=["simulation.contact.body=point"])
-    verdict = fly_px4(loaded, px4_dir, 1, tmp_path, speed=FAST)
+    verdict = fly_px4(loaded, px4_dir, 1, tmp_path, speed=FULL_SPEED)
     assert verdict.outcome == "completed", verdict.reason
     (hit,) = verdict.collisions
     assert hit.clipped
