@@ -29,11 +29,11 @@ _MEMORY_S: Final = 4.0  # of the sums: one manoeuvre
 _JUMP_M_S: Final = 0.15  # in one step: a reset of the estimate, which other rules judge
 # The pose pulls the output through two filters: the regression finds this share of the delay.
 _SHARE: Final = 0.75
-# With more acceleration in memory, (m/s2)^2 s, than the first the correlation has to be over the second; else
-# nothing is concluded. Noise of the accelerometer moves the estimate, and the poses pull it back later: that
+# Acceleration in memory, (m/s2)^2 s, and the correlation that has to be exceeded with it; else nothing is
+# concluded. Noise of the accelerometer moves the estimate, and the poses pull it back later: that
 # looks like an estimate that is behind, with correlations of up to 0.7 (docs/results/px4_versions.md).
-_SURE_AHEAD: Final = ((0.1, 0.75), (0.2, 0.6))
-_SURE_BEHIND: Final = ((0.2, 0.8),)
+_LITTLE_MOTION, _LITTLE_AHEAD = 0.1, 0.75
+_MOTION, _AHEAD, _BEHIND = 0.2, 0.6, 0.8
 
 
 class PositionDelay:
@@ -142,8 +142,9 @@ class PositionDelay:
             zz += sums.zz - sums.z * sums.z / weight
             ee += sums.ee - sums.e * sums.e / weight
         self.figures = (ez, zz, ee)
-        needed = _SURE_AHEAD if ez > 0.0 else _SURE_BEHIND
-        sure = any(zz > motion and ez * ez > correlation**2 * zz * ee for motion, correlation in needed)
+        needed = _BEHIND if ez < 0.0 else _AHEAD if zz > _MOTION else _LITTLE_AHEAD
+        moved = zz > (_MOTION if ez < 0.0 else _LITTLE_MOTION)
+        sure = moved and ez * ez > needed * needed * zz * ee
         self.ahead_s = ez / (_SHARE * zz) if sure else None
 
 
