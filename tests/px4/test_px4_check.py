@@ -78,7 +78,8 @@ def test_a_receiver_is_known_by_its_fix(
     position = found["position_source"]
     assert position.go is go
     assert ("rtk fixed" if go else "needs RTK, motion capture or") in position.says
-    assert {item for item, f in found.items() if f.remark} <= {"px4_checks", "round_trip"}
+    # Plain GPS may place the vehicle some decimetres beside its start.
+    assert {item for item, f in found.items() if f.remark} <= {"px4_checks", "round_trip", "place"}
 
 
 @pytest.mark.parametrize("vehicle", ["rigid_cage", "ring_guard_250g"])
