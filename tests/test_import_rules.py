@@ -27,6 +27,7 @@ FLOORS = {
 }
 # Inside the lab likewise.
 LAB = (
+    "holes",
     "ulog",
     "figure_style",
     "statistics",

@@ -39,7 +39,7 @@ class OutputError(FlightError):
         self.closed = error.errno == errno.EPIPE
 
 
-class _Stream:
+class _OutputStream:
     """Standard output or standard error as it is at the moment of writing.
 
     A message that standard error does not take (a full disk, a terminal that is gone) is dropped: no flight
@@ -102,7 +102,7 @@ def _discard(stream: IO[str]) -> None:
         os.close(null)
 
 
-_OUTPUT, _MESSAGES = cast("IO[str]", _Stream("stdout")), cast("IO[str]", _Stream("stderr"))
+_OUTPUT, _MESSAGES = cast("IO[str]", _OutputStream("stdout")), cast("IO[str]", _OutputStream("stderr"))
 
 
 def open_closed_streams() -> None:

@@ -480,6 +480,7 @@ class VerdictBuilder:
             drawn=dict(drawn or {}),
             walls=self._measured_walls.build(end.t_us if end else self._landed_us or 0, drawn or {}),
             arms_moved=self._arms_moved(),
+            time=TimeKind.SIMULATED if world is World.FAST else None,
             estimator_resets=[
                 ResetFigures(r.t_us, r.position_m, r.velocity_m_s, math.degrees(r.heading_rad))
                 for r in self._resets

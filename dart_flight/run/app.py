@@ -56,9 +56,9 @@ from dart_flight.lock.lock_session import LockSession
 from dart_flight.lock.state_machine import status_text
 from dart_flight.run.core_thread import CoreThread
 from dart_flight.run.deadman import CORE, FEED_PERIOD_S, LOOP, Deadman, SystemdNotice
-from dart_flight.run.lockstep import StepReporter
 from dart_flight.run.replanner_process import ReplannerProcess
 from dart_flight.run.runner import CoreRunner, Observe
+from dart_flight.run.step_reporter import StepReporter
 from dart_flight.vehicle.clock import Clock, host_us
 from dart_flight.vehicle.vehicle_session import NoAnswerError, VehicleSession, connect
 

@@ -17,8 +17,8 @@ from typing import Final
 
 from dart_flight.base.records import ActuatorSample, AttitudeSample, Input, OdometrySample, Tick
 from dart_flight.core.pace import BATCH_S, Pace
-from dart_flight.run.lockstep import StepReporter
 from dart_flight.run.runner import CoreRunner
+from dart_flight.run.step_reporter import StepReporter
 from dart_flight.vehicle.clock import host_us
 
 _TICK_S: Final = 0.02

@@ -154,7 +154,9 @@ class FlightRecord:
         log = display_path(self.path) if isinstance(self._log, FlightLog) else None
         kept = display_path(px4_log) if px4_log is not None and px4_log.exists() else None
         built = self.verdict.build(self._world, self._seed, log, kept, self._drawn)
-        built.time, built.speed = self.time, self._speed
+        built.time = self.time or built.time
+        if self._world is not World.FAST:  # the same fast flight has the same verdict
+            built.speed = self._speed
         built.log_failure = self._log.shortfall if self._log is not None else None
         return built
 

@@ -10,7 +10,7 @@ Gains, gates and time constants are PX4's defaults and those of `configs/px4/ind
 from __future__ import annotations
 
 from collections import deque
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -32,7 +32,9 @@ from dart_flight.base.geometry import (
     wrap_angle,
     yaw_ned_of,
 )
-from dart_flight.sim.estimator import Estimator
+
+if TYPE_CHECKING:
+    from dart_flight.sim.estimator import Estimator
 
 _Matrix = npt.NDArray[np.float64]
 
@@ -52,23 +54,23 @@ _START_SD: Final = np.repeat((0.01, 0.05, 0.02, 0.05), 3)  # position, velocity,
 _P, _V, _R, _B = (slice(3 * i, 3 * i + 3) for i in range(4))
 
 
-class DelayedEstimator(Estimator):
-    """An estimator that takes every pose for `delay_s` old when it arrives.
+class DelayedFilter:
+    """A filter that takes every pose for `delay_s` old when it arrives, and writes an estimator's state.
 
     Args:
-        before: the estimator that it replaces, at the present.
+        estimator: whose position, velocity and attitude it writes from now on.
+        started: whether the estimator has had a pose.
         now_s: the present.
         delay_s: the configured age, EKF2_EV_DELAY.
     """
 
-    def __init__(self, before: Estimator, now_s: float, delay_s: float) -> None:
-        super().__init__()
-        self.position, self.velocity, self.q = before.position, before.velocity, before.q
-        self.ok, self.resets, self._updates = before.ok, before.resets, before._updates
+    def __init__(self, estimator: Estimator, started: bool, now_s: float, delay_s: float) -> None:
+        self._of = estimator
+        self._updates = int(started)
         self._now_s, self._delay_s = now_s, delay_s
         # What the filter knows lies this many steps in the past.
         self._behind = int(np.ceil(max(_DELAY_MAX_S, delay_s) / _PREDICT_S))
-        self._at_p, self._at_v, self._at_q = before.position, before.velocity, before.q
+        self._at_p, self._at_v, self._at_q = estimator.position, estimator.velocity, estimator.q
         self._accelerometer_bias: Vec3 = (0.0, 0.0, 0.0)  # FRD
         self._covariance: _Matrix = np.diag(_START_SD**2)
         self._steps: deque[tuple[float, Vec3, Vec3]] = deque()  # end, mean specific force, mean rate
@@ -86,10 +88,10 @@ class DelayedEstimator(Estimator):
         self._now_s = t_s
         if not self._updates:
             return
-        self.rate = rate_frd
+        self._of.rate = rate_frd
         f = subtract(specific_force_frd, self._accelerometer_bias)
-        self.position, self.velocity, self.q = _moved(
-            self.position, self.velocity, self.q, f, add(rate_frd, self._turn), dt_s
+        self._of.position, self._of.velocity, self._of.q = _moved(
+            self._of.position, self._of.velocity, self._of.q, f, add(rate_frd, self._turn), dt_s
         )
         self._ticks.append((specific_force_frd, rate_frd))
         if len(self._ticks) < _TICKS:
@@ -97,7 +99,7 @@ class DelayedEstimator(Estimator):
         forces, rates = zip(*self._ticks, strict=True)
         self._ticks.clear()
         self._steps.append((t_s, _mean(forces), _mean(rates)))
-        self._outputs.append((self.position, self.velocity, self.q))
+        self._outputs.append((self._of.position, self._of.velocity, self._of.q))
         if len(self._steps) > self._behind:
             self._step(*self._steps.popleft())
             self._follow(self._outputs.popleft())
@@ -106,15 +108,15 @@ class DelayedEstimator(Estimator):
         """A pose that arrives now; when it was measured is not asked."""
         self._updates += 1
         if self._updates == 1:
-            self.position, self.q = position_ned, q
+            self._of.position, self._of.q = position_ned, q
             self._at_p, self._at_q = position_ned, q
         self._poses.append((self._now_s - self._delay_s - 0.5 * _STEP_S, position_ned, q))
-        self.ok = self._updates > 50
+        self._of.ok = self._of.ok or self._updates > 50
 
     def shift(self, by_ned: Vec3) -> None:
         """Jump, as EKF2 does at a reset."""
-        self.resets += 1
-        self.position, self._at_p = add(self.position, by_ned), add(self._at_p, by_ned)
+        self._of.resets += 1
+        self._of.position, self._at_p = add(self._of.position, by_ned), add(self._at_p, by_ned)
         self._outputs = deque((add(p, by_ned), v, q) for p, v, q in self._outputs)
         self._poses = deque((t, add(p, by_ned), q) for t, p, q in self._poses)
 
@@ -203,7 +205,7 @@ class DelayedEstimator(Estimator):
         by_v = add(scale(off_v, gain), scale(self._off_v, 0.1 * gain * gain))
         by_p = add(scale(off_p, gain), scale(self._off_p, 0.1 * gain * gain))
         self._outputs = deque((add(p, by_p), add(v, by_v), q) for p, v, q in self._outputs)
-        self.position, self.velocity = add(self.position, by_p), add(self.velocity, by_v)
+        self._of.position, self._of.velocity = add(self._of.position, by_p), add(self._of.velocity, by_v)
 
 
 def _moved(

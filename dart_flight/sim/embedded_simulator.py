@@ -26,7 +26,7 @@ from dart_flight.sim.embedded_autopilot import TICK_S, TICK_US
 from dart_flight.sim.faults.fault_table import Fault, FaultSite, VehicleFault, impairment_of
 from dart_flight.sim.faults.impairment import Impairment
 from dart_flight.sim.faults.twin import make_second_vehicle
-from dart_flight.sim.lockstep import Lockstep, NoAnswerError
+from dart_flight.sim.lockstep import Lockstep, SilentParticipantError
 from dart_flight.sim.mavlink_endpoint import MavlinkEndpoint
 from dart_flight.sim.pipe import (
     FULL_SPEED,
@@ -117,7 +117,7 @@ def serve(
         How many ticks that took.
 
     Raises:
-        NoAnswerError: the app does not answer.
+        SilentParticipantError: the app does not answer.
     """
     reader, gone_s = LineReader(commands), math.inf
 
@@ -204,7 +204,7 @@ class EmbeddedSimulator:
             lockstep = Lockstep(self._endpoint, answers_at_rest=True, waits_at_first=True)
         try:
             serve(self, writer, commands, self._spec.speed, lockstep, self._endpoint.sockets)
-        except NoAnswerError as error:
+        except SilentParticipantError as error:
             self._say("critical", str(error))
             writer.put(SimulatorDied(str(error)))
             writer.finish()

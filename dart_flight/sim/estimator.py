@@ -26,6 +26,7 @@ from dart_flight.base.geometry import (
     scale,
     subtract,
 )
+from dart_flight.sim.delayed_filter import DelayedFilter
 from dart_flight.sim.gps_filter import GpsFilter, GpsWeights
 
 # Per pose update at 100 Hz: about 0.1 s to follow a position error, 0.2 s for a velocity error.
@@ -48,6 +49,7 @@ class Estimator:
         self._history: deque[tuple[float, Vec3, Vec3, Quaternion]] = deque()
         self._updates = 0
         self._gps: GpsFilter | None = None
+        self._delayed: DelayedFilter | None = None
         self._bias: Vec3 = (0.0, 0.0, 0.0)  # of the accelerometer, NED
 
     @property
@@ -57,6 +59,9 @@ class Estimator:
 
     def predict(self, t_s: float, specific_force_frd: Vec3, rate_frd: Vec3, dt_s: float) -> None:
         """One IMU tick ending at `t_s`."""
+        if self._delayed is not None:
+            self._delayed.predict(t_s, specific_force_frd, rate_frd, dt_s)
+            return
         if not self._updates:
             return
         self.rate = rate_frd
@@ -77,6 +82,9 @@ class Estimator:
 
     def shift(self, by_ned: Vec3) -> None:
         """Jump, as an EKF does at a reset."""
+        if self._delayed is not None:
+            self._delayed.shift(by_ned)
+            return
         self.resets += 1
         self.position = add(self.position, by_ned)
         self._history = deque((t, add(p, by_ned), v, q) for t, p, v, q in self._history)
@@ -88,8 +96,15 @@ class Estimator:
         self.q = quaternion_multiply(turn, self.q)
         self._history = deque((t, p, v, quaternion_multiply(turn, q)) for t, p, v, q in self._history)
 
+    def mistake_delay(self, now_s: float, delay_s: float) -> None:
+        """From now on take every pose for `delay_s` old when it arrives, as a wrong EKF2_EV_DELAY does."""
+        self._delayed = DelayedFilter(self, self._updates > 0, now_s, delay_s)
+
     def correct(self, t_s: float, position_ned: Vec3, q: Quaternion) -> None:
         """A pose measured at `t_s`, which may lie in the past."""
+        if self._delayed is not None:
+            self._delayed.correct(t_s, position_ned, q)
+            return
         self._updates += 1
         if self._updates == 1 or not self._history:
             self.position, self.q = position_ned, q

@@ -31,11 +31,11 @@ _TELEMETRY: Final = "the application to step its telemetry"
 _SETPOINT_TOLERANCE: Final = 1e-5  # relative; MAVLink carries single precision
 
 
-class NoAnswerError(FlightError):
+class SilentParticipantError(FlightError):
     """A participant of the lockstep did not answer."""
 
 
-class Autopilot(Protocol):
+class LinkEnd(Protocol):
     """The autopilot's side of the link, as far as lockstep looks at it."""
 
     @property
@@ -63,7 +63,7 @@ class Lockstep:
     """
 
     def __init__(
-        self, autopilot: Autopilot, *, answers_at_rest: bool, waits_at_first: bool, sender_lag_us: int = 0
+        self, autopilot: LinkEnd, *, answers_at_rest: bool, waits_at_first: bool, sender_lag_us: int = 0
     ) -> None:
         self._autopilot, self._answers_at_rest = autopilot, answers_at_rest
         self._waits_at_first, self._sender_lag_us = waits_at_first, sender_lag_us
@@ -125,7 +125,7 @@ class Lockstep:
             look: take what has arrived of the application; False: it is gone.
 
         Raises:
-            NoAnswerError: nothing came from the application for 10 s of host time.
+            SilentParticipantError: nothing came from the application for 10 s of host time.
         """
         looked_s, waited_s = time.monotonic(), 0.0
         while look():
@@ -139,7 +139,7 @@ class Lockstep:
             if self._report is not None:
                 self._unanswered_s += step_s
                 if max(self._unanswered_s, waited_s) > _SILENT_S:
-                    raise NoAnswerError(f"the simulation waited {_SILENT_S:g} s for {missing}")
+                    raise SilentParticipantError(f"the simulation waited {_SILENT_S:g} s for {missing}")
                 if missing is _TELEMETRY and waited_s > _LOST_S:
                     return
                 if missing is _SENDER and waited_s > _SENDER_S:

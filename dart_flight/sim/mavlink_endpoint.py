@@ -116,7 +116,7 @@ class MavlinkEndpoint:
         self._tick = 0
         self._texts: list[tuple[str, str]] = []
         self._heartbeat_s = -math.inf  # host time of the last one
-        # What lockstep looks at (`sim.lockstep.Autopilot`), of the first link.
+        # What lockstep looks at (`sim.lockstep.LinkEnd`), of the first link.
         self.sent_us: dict[str, int] = {}
         self.setpoint: tuple[float, ...] = (math.nan,) * 9
         self._type = MAV_TYPES.get(len(autopilot.motors), MAV_TYPES[4])

@@ -49,7 +49,8 @@ def test_of_a_base_and_what_extends_it_the_latter_is_taken(
     found = find_vehicle()
     assert (found.source.source, found.config.airframe.mass_kg) == ("configs/mine.yaml", 1.05)
     (tmp_path / "configs" / "other.yaml").write_text("extends: base.yaml\n", encoding="utf-8")
-    assert find_vehicle().source.packaged, "which of two is meant is not to be guessed"
+    with pytest.raises(dart_flight.InputError, match="several vehicles"):  # not to be guessed
+        find_vehicle()
 
 
 def test_a_packaged_file_that_does_not_exist_is_named() -> None:

@@ -391,7 +391,7 @@ def test_two_worlds_at_once_have_instances_of_their_own(tmp_path: Path, launched
     [
         (["--px4", "/nowhere"], "no PX4 SITL there"),
         (["--outdoor"], "--outdoor needs --px4"),
-        (["--fast", "--speed", "2"], "--speed applies to real-time flights"),
+        (["--fast", "--speed", "2"], "--fast always runs at full speed"),
         (["--px4", "/nowhere", "--gps", "rtk"], "--gps needs --outdoor"),
         (["--px4", "/nowhere", "--fast"], "exclude each other"),
     ],

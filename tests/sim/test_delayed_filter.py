@@ -16,7 +16,6 @@ from dart_flight.config.document import InputError
 from dart_flight.config.vehicle import packaged
 from dart_flight.run.fast import FastFlight
 from dart_flight.run.prepare import load_flyable
-from dart_flight.sim.delayed_filter import DelayedEstimator
 from dart_flight.sim.estimator import Estimator
 from dart_flight.sim.faults.fault_table import parse_fault
 
@@ -28,7 +27,8 @@ class Level:
     """A vehicle that stays level and goes north as it is told, and its filter."""
 
     def __init__(self, delay_s: float) -> None:
-        self.filter = DelayedEstimator(Estimator(), 0.0, delay_s)
+        self.filter = Estimator()
+        self.filter.mistake_delay(0.0, delay_s)
         self.north = self.speed = self.time_s = 0.0
         self._rng = random.Random(1)
         self._poses: deque[tuple[float, Vec3]] = deque()

@@ -309,6 +309,7 @@ def receiving(kind: type[Any], motors: int, deliver: Callable[[Input], None]) ->
     session._raw = SimpleNamespace(get_system_id=lambda: _SYSTEM)
     session.motor_outputs, session._reset_counter, session._has_position = MotorOutputDecoder(motors), 0, True
     session._status, session.clock = StatusSample(0, 0), ClockEstimate()
+    session._host_us = session.clock.host_us
     takers: dict[type[Any], tuple[MessageEntry, Callable[[Any, int], Any]]] = {
         ImuSample: (messages.HIGHRES_IMU, session._on_imu),
         AttitudeSample: (messages.ATTITUDE_QUATERNION, session._on_attitude),

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import msgspec
-from rich.markup import escape
 from rich.table import Table
 
 from dart_flight.config.packages import install_command
@@ -82,7 +81,7 @@ def plan_table(result: SearchResult) -> Table:
         f"{result.feasible} of {result.candidates} candidates feasible, {result.trajectories} trajectories "
         f"in {result.elapsed_s:.3f} s"
     )
-    table.caption += "\n" + escape(describe_free(result.free, result.plans[0]))
+    table.caption += "\n" + describe_free(result.free, result.plans[0])
     table.caption_justify = "left"
     return table
 

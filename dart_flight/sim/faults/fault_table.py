@@ -22,7 +22,6 @@ from dart_flight.lock.drivers.mock import MockFaults
 from dart_flight.lock.servo import ServoFaults
 from dart_flight.planning.positioning import simulated_source
 from dart_flight.sim.cascade import TrajectorySetpoint
-from dart_flight.sim.delayed_filter import DelayedEstimator
 from dart_flight.sim.faults.impairment import Impairment
 from dart_flight.sim.simulated_vehicle import SimulatedVehicle
 
@@ -296,7 +295,7 @@ class VehicleFault:
 
     def _begin_ev_delay(self) -> None:
         a = self._autopilot
-        a.estimator = DelayedEstimator(a.estimator, a.now_s, self._fault.value * 1e-3)
+        a.estimator.mistake_delay(a.now_s, self._fault.value * 1e-3)
 
     def _begin_clock_back(self) -> None:
         self._autopilot.plant.time_offset_us -= round(self._fault.value * 1e6)

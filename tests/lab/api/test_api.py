@@ -202,6 +202,28 @@ def every_key() -> dict[str, Any]:
         "tolerance": {"impact_m_s": 0.2, "peak_force_share": 0.3, "place_m": 0.3},
         "mode_mismatch": "land",
         "standoff_m": 0.4,
+        "flown": {
+            "software": "0.1.0",
+            "digest": "0123abcd",
+            "nominal": {
+                "outcome": "aborted",
+                "uncontrolled": True,
+                "time_s": 14.2,
+                "max_tilt_deg": 88.0,
+                "reason": "tilt: 88 degrees",
+            },
+            "drawn": {
+                "flights": 20,
+                "first_seed": 700001,
+                "completed": 17,
+                "uncontrolled": 1,
+                "ended_by": {"tilt": 3},
+                "median_time_s": 14.1,
+                "max_tilt_deg": 91.0,
+            },
+            "free_time_s": 15.5,
+            "saving_s": 1.4,
+        },
     }
 
 

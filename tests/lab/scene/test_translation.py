@@ -262,5 +262,5 @@ def test_the_command_writes_beside_the_log_or_where_told(
 
 def test_without_the_library_one_line_says_what_to_install(log: Log, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "foxglove", None)
-    with pytest.raises(InputError, match=r"dart-flight\[live\]"):
+    with pytest.raises(InputError, match=r"make install"):
         export_foxglove(log, Path("never.mcap"))

@@ -16,7 +16,7 @@ from dart_flight.base.records import (
     Setpoint,
 )
 from dart_flight.core.pace import BATCH_S
-from dart_flight.run.lockstep import StepReporter
+from dart_flight.run.step_reporter import StepReporter
 from dart_flight.sim.pipe import Stepped
 
 ORIGIN = (0.0, 0.0, 0.0)
