@@ -31,7 +31,7 @@ from tests.doubles.viewer import Viewer
 from tests.shared_flights import SharedFlights
 
 # Over a socket, to a process of the idle class: it is not served where both processors are busy.
-pytestmark = pytest.mark.mavlink
+pytestmark = [pytest.mark.mavlink, pytest.mark.realtime]  # the view runs in the idle class
 
 PATIENCE_S = 60.0
 _AHEAD_US = 2_000_000
