@@ -4,6 +4,7 @@ import gc
 import threading
 import time
 from collections.abc import Generator
+from pathlib import Path
 
 import pytest
 from hypothesis import settings
@@ -19,10 +20,11 @@ settings.load_profile("ci")
 
 _NAP_S = 0.005
 _LATE_S = 0.03  # a program that runs this much later than it asked for cannot fly in real time
+_IDLE_SHARE = 0.1  # of the processors; tests in real time mostly wait
 
 
-class LatenessWatch:
-    """Measures how late this process runs, by short sleeps on a thread of its own.
+class LoadWatch:
+    """Measures how late this process runs, by short sleeps of a thread, and how idle the computer is.
 
     Attributes:
         worst_s: largest delay so far, seconds.
@@ -30,6 +32,7 @@ class LatenessWatch:
 
     def __init__(self) -> None:
         self.worst_s = 0.0
+        self._began = _processor_ticks()
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
@@ -39,11 +42,49 @@ class LatenessWatch:
         self._stop.set()
         self._thread.join()
 
+    def problem(self) -> str:
+        """Return why nothing in real time can be judged, in words; empty if it can."""
+        if self.worst_s > _LATE_S:
+            return f"this computer ran {self.worst_s * 1e3:.0f} ms late, allowed {_LATE_S * 1e3:.0f}"
+        (idle, total), (idle_then, total_then) = _processor_ticks(), self._began
+        share = (idle - idle_then) / max(1, total - total_then)
+        if share < _IDLE_SHARE:
+            return (
+                f"this computer was idle for {100 * share:.0f} % of the test, needs {100 * _IDLE_SHARE:.0f}"
+            )
+        return ""
+
     def _run(self) -> None:
         due_s = time.monotonic() + _NAP_S
         while not self._stop.wait(max(0.0, due_s - time.monotonic())):
             self.worst_s = max(self.worst_s, time.monotonic() - due_s)
             due_s = time.monotonic() + _NAP_S
+
+
+def _processor_ticks() -> tuple[int, int]:
+    """Return the idle ticks of all processors since the start of the computer, and all ticks."""
+    fields = [int(field) for field in Path("/proc/stat").read_text().split("\n", 1)[0].split()[1:]]
+    return fields[3] + fields[4], sum(fields[:8])
+
+
+def _skipped_if_busy(item: pytest.Item) -> Generator[None, None, None]:
+    if item.get_closest_marker("realtime") is None:
+        return (yield)
+    watch = LoadWatch()
+    try:
+        return (yield)
+    except (Exception, pytest.fail.Exception):
+        if problem := watch.problem():
+            pytest.skip(f"real time: {problem}")
+        raise
+    finally:
+        watch.stop()
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_setup(item: pytest.Item) -> Generator[None, None, None]:
+    """Skip a test in real time whose fixtures fail while the computer is busy."""
+    return (yield from _skipped_if_busy(item))
 
 
 @pytest.hookimpl(wrapper=True)
@@ -52,19 +93,7 @@ def pytest_runtest_call(item: pytest.Item) -> Generator[None, None, None]:
 
     The failure then measures the computer. A test that fails on an idle computer fails.
     """
-    if item.get_closest_marker("realtime") is None:
-        return (yield)
-    watch = LatenessWatch()
-    try:
-        return (yield)
-    except Exception:
-        if watch.worst_s > _LATE_S:
-            pytest.skip(
-                f"real time: this computer ran {watch.worst_s * 1e3:.0f} ms late, allowed {_LATE_S * 1e3:.0f}"
-            )
-        raise
-    finally:
-        watch.stop()
+    return (yield from _skipped_if_busy(item))
 
 
 def pytest_collection_finish(session: pytest.Session) -> None:

@@ -502,6 +502,8 @@ def test_check_and_fly_with_a_vehicle(tmp_path: Path) -> None:
             "COM_OBL_RC_ACT",
             "COM_FAIL_ACT_T",
             "COM_RCL_EXCEPT",
+            "EKF2_EV_DELAY",  # no delay of the motion capture is configured
+            "flown",
         }
         assert items["version"] == "PX4 1.16.0"
         assert float(items["rate_imu"].split()[0]) > 150.0

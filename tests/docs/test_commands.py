@@ -291,7 +291,7 @@ def _flights() -> list[object]:
     """Dry-runs in lockstep, at full speed; in real time flights with a vehicle beside them."""
     return [
         pytest.param(
-            command if simulate or "--speed" in command else f"{command} --speed max",
+            command if simulate or re.search("--(speed|realtime)", command) else f"{command} --speed max",
             simulate,
             id=command,
             marks=[

@@ -1,0 +1,65 @@
+"""Tests in real time: a failure on a busy computer is a skip with its reason, on an idle one a failure."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from tests import conftest
+
+
+@pytest.fixture
+def ticks(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[tuple[int, int]]]:
+    """Idle ticks and all ticks, in the order in which they are asked for; the thread does not measure."""
+    given: list[tuple[int, int]] = []
+    monkeypatch.setattr(conftest, "_processor_ticks", lambda: given.pop(0))
+    monkeypatch.setattr(conftest.LoadWatch, "_run", lambda self: None)
+    yield given
+
+
+def run(error: BaseException | None, realtime: bool = True) -> None:
+    """A test that ends with `error`, under the hook."""
+    item: Any = SimpleNamespace(get_closest_marker=lambda name: realtime or None)
+    hook = conftest._skipped_if_busy(item)
+    next(hook)
+    try:
+        if error is None:
+            hook.send(None)
+        else:
+            hook.throw(error)
+    except StopIteration:
+        pass
+
+
+@pytest.mark.parametrize("error", [AssertionError("late"), pytest.fail.Exception("ended before")])
+def test_a_failure_on_a_busy_computer_is_a_skip(ticks: list[tuple[int, int]], error: BaseException) -> None:
+    ticks += [(1000, 5000), (1005, 5200)]
+    with pytest.raises(pytest.skip.Exception, match="idle for 2 % of the test, needs 10"):
+        run(error)
+
+
+def test_a_failure_on_an_idle_computer_stays_one(ticks: list[tuple[int, int]]) -> None:
+    ticks += [(1000, 5000), (1100, 5200)]
+    with pytest.raises(AssertionError, match="wrong"):
+        run(AssertionError("wrong"))
+
+
+def test_a_program_that_ran_late_cannot_be_judged(
+    ticks: list[tuple[int, int]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ticks += [(1000, 5000), (1100, 5200)]
+    monkeypatch.setattr(conftest.LoadWatch, "_run", lambda self: setattr(self, "worst_s", 0.05))
+    with pytest.raises(pytest.skip.Exception, match="50 ms late, allowed 30"):
+        run(AssertionError("wrong"))
+
+
+def test_a_good_test_is_good_on_a_busy_computer_and_one_in_simulated_time_is_never_skipped(
+    ticks: list[tuple[int, int]],
+) -> None:
+    ticks += [(1000, 5000)]
+    run(None)
+    with pytest.raises(AssertionError, match="wrong"):
+        run(AssertionError("wrong"), realtime=False)
