@@ -74,6 +74,7 @@ class Observation(msgspec.Struct):
     blocking: tuple[str, ...] = ()  # what keeps PX4 from arming in its present mode, in its words
     other_vehicle: str | None = None  # another vehicle on the same link, in words
     texts: list[str] = []  # its texts and events, warnings and worse
+    found_here: list[str] = []  # what this program finds on the link
     sources: tuple[Source, ...] = ()
     battery_id: int | None = None
     batteries: tuple[BatteryReading, ...] = ()  # those that count
@@ -138,8 +139,9 @@ class _Listener:
         elif isinstance(record, HealthReport):
             seen.blocking = record.blocking
         elif isinstance(record, StatusText):
-            if record.severity in reasons.SEVERE and record.text not in seen.texts:
-                seen.texts.append(record.text)
+            texts = seen.found_here if record.found_here else seen.texts
+            if record.severity in reasons.SEVERE and record.text not in texts:
+                texts.append(record.text)
         elif isinstance(record, RoundTrip) and record.autopilot_us is not None:
             self.round_trips_us.append(record.received_us - record.sent_us)
 

@@ -265,7 +265,8 @@ class VehicleSession:
         if self._reports_unusable and received - self._reported_us.get(name, -_REPORTED_US) >= _REPORTED_US:
             self._reported_us[name] = received
             text = f"{name} arrives, none {reason}"
-            self._deliver(StatusText(self.clock.to_autopilot(received), received, "error", text))
+            t_us = self.clock.to_autopilot(received)
+            self._deliver(StatusText(t_us, received, "error", text, found_here=True))
 
     async def set_rates(self, names: Collection[str] | None = None, watching: bool = False) -> list[str]:
         """Ask for the rates of the table; returns the names of the streams that were refused.
