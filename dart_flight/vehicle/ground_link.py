@@ -12,6 +12,7 @@ from typing import Any
 
 import msgspec
 from mavsdk.component_type import ComponentType
+from mavsdk.exceptions import MavsdkError
 from mavsdk.mavsdk import Configuration, Mavsdk
 from mavsdk.plugins.action import Action
 from mavsdk.plugins.info import Info
@@ -272,7 +273,7 @@ class GroundLink:
                     values[name] = float(self._ask(f"parameter {name}", partial(read, name)))
                 except NoAnswerError:
                     raise
-                except Exception as error:
+                except MavsdkError as error:
                     if getattr(error, "result", None) in (ParamResult.WRONG_TYPE, ParamResult.TYPE_MISMATCH):
                         continue
                     break  # not there: MAVSDK has asked for it for seconds
@@ -314,7 +315,7 @@ class GroundLink:
         amiss = not seen.local_position_ok or seen.blocking
         while amiss and not self._session.checked and time.monotonic() - began < seconds + _REPORT_S:
             time.sleep(0.1)
-        with contextlib.suppress(Exception):
+        with contextlib.suppress(MavsdkError):  # a vehicle that does not tell its version
             v = self._info.get_version()
             seen.version = f"{v.flight_sw_major}.{v.flight_sw_minor}.{v.flight_sw_patch}"
         return seen
