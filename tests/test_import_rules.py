@@ -30,6 +30,7 @@ LAB = (
     "ulog",
     "figure_style",
     "statistics",
+    "holes",
     "flight_arrays",
     "track",
     "predict",
