@@ -31,6 +31,7 @@ LAB = (
     "ulog",
     "figure_style",
     "statistics",
+    "holes",
     "flight_arrays",
     "track",
     "predict",

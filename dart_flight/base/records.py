@@ -247,7 +247,7 @@ class EstimatorSample(Record, frozen=True, gc=False):
 
 
 class StatusText(Record, frozen=True, gc=False):
-    """STATUSTEXT of the autopilot, or an event of PX4 in words."""
+    """STATUSTEXT of the autopilot, an event of PX4 in words, or what this program finds on the link."""
 
     topic: ClassVar[str] = "/in/statustext"
     t_us: int
@@ -255,6 +255,7 @@ class StatusText(Record, frozen=True, gc=False):
     severity: str  # emergency, alert, critical, error, warning, notice, info or debug
     text: str
     event: str = ""  # PX4's name of the event; empty for a STATUSTEXT
+    found_here: bool = False  # by this program, not said by PX4
 
 
 class HealthReport(Record, frozen=True, gc=False):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 
 from dart_flight.base.geometry import GRAVITY_M_S2
 from dart_flight.base.processes import LATE_S, measure_lateness_s
@@ -30,9 +31,14 @@ _FLIGHT_FACTOR = 2.5  # a sample of recorded flights (0.07 to 0.08 ms) over one 
 _LEAST_MARGIN = 4.0  # below, the core with log and link has no processor of its own any more
 
 
-def check_this_computer(mission: Mission) -> list[CheckFinding]:
-    """Whether the computer that this runs on has time for a flight, and is well."""
-    return [check_lateness(mission), check_core_speed(mission), *check_computer()]
+def check_this_computer(mission: Mission, found: Sequence[CheckFinding] = ()) -> list[CheckFinding]:
+    """Check whether the computer that this runs on has time for a flight, and is well.
+
+    Args:
+        mission: to be flown.
+        found: findings on the mission itself, whose words are not repeated.
+    """
+    return [check_lateness(mission), check_core_speed(mission, found), *check_computer()]
 
 
 def check_lateness(mission: Mission) -> CheckFinding:
@@ -46,16 +52,19 @@ def check_lateness(mission: Mission) -> CheckFinding:
     return CheckFinding("lateness", go, says, remark=go)
 
 
-def check_core_speed(mission: Mission) -> CheckFinding:
+def check_core_speed(mission: Mission, found: Sequence[CheckFinding] = ()) -> CheckFinding:
     """Measure what the core needs for the inputs of one IMU sample, against the time until the next.
 
-    A mission that the core refuses to fly is a no-go with the core's reason.
+    A mission that the core refuses to fly is a no-go. It has the core's reason, or names the item of `found`
+    that has it.
     """
     interval_s = 1.0 / mission.vehicle.imu.rate_hz
     try:
         step_s = measure_step_s(mission)
     except InputError as error:
-        return CheckFinding("core_speed", False, f"not measured: {error.message}")
+        item = next((f.item for f in found if not f.go and error.message in f.says), None)
+        why = f": {error.message}" if item is None else f" because of {item}"
+        return CheckFinding("core_speed", False, f"not measured{why}")
     return judge_core_speed(step_s, interval_s)
 
 

@@ -123,7 +123,8 @@ def judge_observation(mission: Mission, observed: Observation) -> list[CheckFind
     said = ", ".join(dict.fromkeys([*observed.blocking, *observed.texts]))
     says = "local position valid"
     if not observed.local_position_ok:
-        says = "no valid local position" + (f"; PX4 says: {said}" if said else "")
+        says = "; ".join(["no valid local position", *observed.found_here])
+        says += f"; PX4 says: {said}" if said else ""
     findings.append(CheckFinding("estimator", observed.local_position_ok, says))
     if observed.blocking or observed.texts:
         # No no-go: PX4 judges its present mode, and `fly` arms in offboard.

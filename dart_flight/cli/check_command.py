@@ -48,7 +48,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.plot is not None:
         write_picture(mission, arguments.plot)
     findings = [*check_mission(mission), check_log_space(mission, arguments.log_dir)]
-    findings += check_this_computer(mission)
+    findings += check_this_computer(mission, findings)
     findings += check_inherited(mission)
     if arguments.connection is not None:
         url = link_of(arguments, mission.vehicle.connection)

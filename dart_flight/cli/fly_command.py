@@ -60,7 +60,7 @@ def _fly(arguments: argparse.Namespace, mission: Mission, url: str, lease: LinkL
     say_vehicle(mission.flown_vehicle(), arguments)
     console.print(_flight_summary(mission, url), soft_wrap=True)
     findings = [*check_mission(mission), check_log_space(mission, arguments.log_dir)]
-    findings += check_this_computer(mission)
+    findings += check_this_computer(mission, findings)
     findings += check_vehicle(mission, url, arguments.position_from)
     verdict = fly_if_go(arguments, mission, url, lease, findings)
     if verdict is None:

@@ -15,11 +15,17 @@ IN_FULL: Final = ("sim", "identify", "report", "live", "plan")  # what `make ins
 def missing_package(what: str, extra: str, *, source: str = "", key: Key = ()) -> InputError:
     """Return the error that names a missing package and the command that installs it.
 
+    Call it where the import's error is handled: a package that is there and does not load is named with that
+    error.
+
     Args:
         what: what needs which package, such as "a picture needs matplotlib".
         extra: that pyproject.toml lists the package under.
         source, key: of the input that asked for it.
     """
+    error = sys.exception()
+    if isinstance(error, ImportError) and not isinstance(error, ModuleNotFoundError):
+        return InputError(f"{what}, which does not load: {error}", source=source, key=key)
     return InputError(f"{what}: {install_command(extra)}", source=source, key=key)
 
 

@@ -18,7 +18,7 @@ from dart_flight.config.document import InputError
 
 _ATTEMPTS, _PAUSE_S = 3, 0.02
 _LONGEST = 65536
-_REMEDY = "set DART_FLIGHT_STATE_DIR to a local disk"
+REMEDY = "set DART_FLIGHT_STATE_DIR to a local disk"
 
 
 def state_dir() -> Path:
@@ -109,7 +109,7 @@ class HeldFile:
                 time.sleep(_PAUSE_S)
             descriptor = self._open()
             try:
-                if not lock_file(descriptor, self._path, _REMEDY):
+                if not lock_file(descriptor, self._path, REMEDY):
                     other = os.pread(descriptor, _LONGEST, 0)
                 elif _is_at(descriptor, self._path):  # else released, and so removed, before it was locked
                     self._descriptor = descriptor
@@ -137,7 +137,7 @@ class HeldFile:
             os.pwrite(self._descriptor, content, 0)
             os.ftruncate(self._descriptor, len(content))
         except OSError as error:
-            raise InputError(f"cannot write: {error.strerror}; {_REMEDY}", source=str(self._path)) from None
+            raise InputError(f"cannot write: {error.strerror}; {REMEDY}", source=str(self._path)) from None
 
     def release(self) -> None:
         """Release it; harmless when it is not held. A file that cannot be removed stays, unlocked."""
@@ -158,7 +158,7 @@ class HeldFile:
         try:
             return os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
         except OSError as error:
-            raise InputError(f"cannot write: {error.strerror}; {_REMEDY}", source=str(self._path)) from None
+            raise InputError(f"cannot write: {error.strerror}; {REMEDY}", source=str(self._path)) from None
 
 
 class Lease(ABC):
@@ -193,19 +193,26 @@ def content_of_held(path: Path) -> bytes | None:
     except FileNotFoundError:
         return None
     except OSError as error:
-        raise InputError(f"cannot read: {error.strerror}; {_REMEDY}", source=str(path)) from None
+        raise InputError(f"cannot read: {error.strerror}; {REMEDY}", source=str(path)) from None
     try:
-        free = lock_file(descriptor, path, _REMEDY, shared=True)
+        free = lock_file(descriptor, path, REMEDY, shared=True)
         return None if free else os.pread(descriptor, _LONGEST, 0)
     finally:
         os.close(descriptor)
 
 
 def _is_at(descriptor: int, path: Path) -> bool:
-    """Whether a path still leads to an open file."""
-    with contextlib.suppress(OSError):
+    """Whether a path still leads to an open file.
+
+    Raises:
+        InputError: the path cannot be looked at.
+    """
+    try:
         return os.path.samestat(os.fstat(descriptor), os.stat(path))
-    return False
+    except FileNotFoundError:
+        return False
+    except OSError as error:
+        raise InputError(f"cannot read: {error.strerror}; {REMEDY}", source=str(path)) from None
 
 
 _held: set[HeldFile] = set()

@@ -1,9 +1,15 @@
-"""Holes in the stamps of a recording: where samples are missing, and for how long."""
+"""What is missing of a recording: holes in its stamps, and its end where the log was cut.
+
+`inspect`, `identify` and `report` use the same words.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+
+from dart_flight.base.records import ImuSample
+from dart_flight.recording.reader import Log
 
 _INTERVALS, _LEAST_S = 10.0, 0.1  # shorter ones are jitter, or a sample or two that were lost
 _SHOWN = 3
@@ -31,3 +37,19 @@ def describe_holes(time_s: NDArray[np.float64], what: str, begin_s: float | None
         rest_s = float(intervals[holes[_SHOWN:]].sum())
         lines.append(f"{len(holes) - _SHOWN} more holes in {what}, {rest_s:.2f} s in all")
     return lines
+
+
+def describe_cut_end(at_s: float, where: str = "") -> str:
+    """Return the line on a log that was cut at a time; `where` the vehicle was then, such as "in the air"."""
+    return f"cut: the log ends{f' {where},' if where else ''} at {at_s:.2f} s"
+
+
+def describe_missing_parts(log: Log) -> list[str]:
+    """Return a line if a flight log was cut, and one for each hole; times count from its first IMU sample."""
+    time_s = log[ImuSample.topic].t_s
+    lines = describe_holes(time_s, "the IMU samples", begin_s=0.0)
+    if log.complete:
+        return lines
+    if not len(time_s):
+        return ["cut: the log ends before its first IMU sample"]
+    return [describe_cut_end(float(time_s[-1])), *lines]

@@ -14,7 +14,8 @@ from pathlib import Path
 import msgspec
 
 from dart_flight.base.records import LockPhase, LockState, Mode
-from dart_flight.config.state_folder import HeldError, HeldFile, Lease, state_dir, usable
+from dart_flight.config.document import InputError
+from dart_flight.config.state_folder import REMEDY, HeldError, HeldFile, Lease, state_dir, usable
 from dart_flight.config.vehicle import LockDriver
 
 # --- the last command --------------------------------------------------------------------------------
@@ -98,13 +99,18 @@ class CommandStore:
 
 
 def load_last(folder: Path | None = None) -> LastCommand | None:
-    """The last command that was written down; None where there is none or it cannot be understood."""
+    """Return the last command that was written down; None if there is none or it is damaged.
+
+    Raises:
+        InputError: the file cannot be read.
+    """
+    path = (folder or state_dir()) / "last_command.json"
     try:
-        return msgspec.json.decode(
-            ((folder or state_dir()) / "last_command.json").read_bytes(), type=LastCommand
-        )
-    except (OSError, msgspec.DecodeError):
+        return msgspec.json.decode(path.read_bytes(), type=LastCommand)
+    except (FileNotFoundError, msgspec.DecodeError):
         return None
+    except OSError as error:
+        raise InputError(f"cannot read: {error.strerror}; {REMEDY}", source=str(path)) from None
 
 
 def forget_last(folder: Path | None = None) -> None:

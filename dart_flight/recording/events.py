@@ -39,7 +39,7 @@ class Event(NamedTuple):
 
     Attributes:
         level: how much it matters.
-        source: which part says it: mission, contact, guard, lock, px4 or log.
+        source: which part says it: mission, contact, guard, lock, px4, link or log.
         head: what happened.
         detail: why, or how much; may be empty.
     """
@@ -108,6 +108,8 @@ class EventFormatter:
             return _lock(record)
         if isinstance(record, StatusText):
             level = _SEVERITIES.get(record.severity, Level.DEBUG)
+            if record.found_here:
+                return Event(level, "link", record.text)
             return Event(level, "px4", f"PX4 {record.severity}: {record.text}")
         if isinstance(record, HealthReport):
             return self._health(record)

@@ -189,10 +189,15 @@ class FlightLog:
                 if now - self._synced_s >= _SYNC_S:
                     self._synced_s = now
                     self._part.sync()
+        except OSError as error:
+            self._fail(error.strerror or str(error))
         except Exception as error:
-            # A full disk, or a record that cannot be written, stops the log, not the flight.
-            self.failure = getattr(error, "strerror", None) or str(error)
-            self.lost += 1
+            # A record that cannot be written stops the log, not the flight.
+            self._fail(f"a record cannot be written: {type(error).__name__}: {error}")
+
+    def _fail(self, why: str) -> None:
+        self.failure = why
+        self.lost += 1
 
     def _write(self, record: Record, number: int) -> None:
         if self._parts > self._most_parts and record.frequent:

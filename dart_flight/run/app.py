@@ -42,6 +42,7 @@ from dart_flight.base.records import (
     Request,
     Setpoint,
     Silence,
+    StatusText,
     VehicleAction,
     VehicleCommand,
     WallEstimate,
@@ -222,6 +223,7 @@ class FlightApp:
         self._deadman: Deadman | None = None
         self.mock: MockDriver | None = None
         self._session: VehicleSession | None = None
+        self._unsent: set[str] = set()  # causes of setpoints not sent that were reported
         self._done = asyncio.Event()
         self._ended = threading.Event()
         self.loop: asyncio.AbstractEventLoop | None = None
@@ -445,13 +447,24 @@ class FlightApp:
     # -- what the core wants, on the core thread (`runner.CommandSink`) --
 
     def send(self, setpoint: Setpoint) -> None:
-        """A setpoint, at once."""
+        """Send a setpoint at once; one that does not leave is reported, once for each cause."""
         assert self._session is not None
-        # A refused setpoint is not a fault of the core: PX4 keeps the last one, then its failsafe.
-        with contextlib.suppress(Exception):
+        try:
             self._session.send(setpoint)
-            if self._lockstep is not None:
-                self._lockstep.sent(setpoint)
+        except Exception as error:
+            # It is not a fault of the core: PX4 keeps the last setpoint, then its failsafe.
+            self._report_unsent(f"setpoint not sent: {type(error).__name__}: {error}")
+            return
+        if self._lockstep is not None:
+            self._lockstep.sent(setpoint)
+
+    def _report_unsent(self, text: str) -> None:
+        assert self._session is not None
+        if text not in self._unsent:
+            self._unsent.add(text)
+            now_us = self._host_us()
+            t_us = self._session.clock.to_autopilot(now_us)
+            self._core.put(StatusText(t_us, now_us, "critical", text, found_here=True))
 
     def execute(self, output: Output) -> None:
         """Every other command, without waiting for it."""

@@ -13,6 +13,7 @@ from collections.abc import Callable
 from pymavlink.dialects.v20 import common as mavlink
 
 from dart_flight.base.records import Record
+from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import LockDriver
 from dart_flight.sim.embedded_simulator import ticks_in_real_time
@@ -53,7 +54,7 @@ class VehiclePortLease:
             heard = _listen(port)
             if heard is not None:
                 raise self._taken(f", {heard}; choose another --port")
-        except LinkTakenError:
+        except InputError:
             self._lease.release()
             raise
 

@@ -12,6 +12,7 @@ from typing import Any
 
 import msgspec
 from mavsdk.component_type import ComponentType
+from mavsdk.exceptions import MavsdkError
 from mavsdk.mavsdk import Configuration, Mavsdk
 from mavsdk.plugins.action import Action
 from mavsdk.plugins.info import Info
@@ -74,6 +75,7 @@ class Observation(msgspec.Struct):
     blocking: tuple[str, ...] = ()  # what keeps PX4 from arming in its present mode, in its words
     other_vehicle: str | None = None  # another vehicle on the same link, in words
     texts: list[str] = []  # its texts and events, warnings and worse
+    found_here: list[str] = []  # what this program finds on the link
     sources: tuple[Source, ...] = ()
     battery_id: int | None = None
     batteries: tuple[BatteryReading, ...] = ()  # those that count
@@ -138,8 +140,9 @@ class _Listener:
         elif isinstance(record, HealthReport):
             seen.blocking = record.blocking
         elif isinstance(record, StatusText):
-            if record.severity in reasons.SEVERE and record.text not in seen.texts:
-                seen.texts.append(record.text)
+            texts = seen.found_here if record.found_here else seen.texts
+            if record.severity in reasons.SEVERE and record.text not in texts:
+                texts.append(record.text)
         elif isinstance(record, RoundTrip) and record.autopilot_us is not None:
             self.round_trips_us.append(record.received_us - record.sent_us)
 
@@ -270,7 +273,7 @@ class GroundLink:
                     values[name] = float(self._ask(f"parameter {name}", partial(read, name)))
                 except NoAnswerError:
                     raise
-                except Exception as error:
+                except MavsdkError as error:
                     if getattr(error, "result", None) in (ParamResult.WRONG_TYPE, ParamResult.TYPE_MISMATCH):
                         continue
                     break  # not there: MAVSDK has asked for it for seconds
@@ -312,7 +315,7 @@ class GroundLink:
         amiss = not seen.local_position_ok or seen.blocking
         while amiss and not self._session.checked and time.monotonic() - began < seconds + _REPORT_S:
             time.sleep(0.1)
-        with contextlib.suppress(Exception):
+        with contextlib.suppress(MavsdkError):  # a vehicle that does not tell its version
             v = self._info.get_version()
             seen.version = f"{v.flight_sw_major}.{v.flight_sw_minor}.{v.flight_sw_patch}"
         return seen

@@ -256,12 +256,20 @@ _SOMEBODY = "another program"
 
 
 def udp_port_is_free(port: int, host: str = "") -> bool:
-    """Whether nothing is bound to a UDP port; a bind that shares it, as MAVSDK's, counts as bound."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        try:
-            probe.bind((host if host and host != "localhost" else "0.0.0.0", port))
-        except OSError as error:
-            return error.errno != errno.EADDRINUSE
+    """Return whether nothing is bound to a UDP port; a bind that shares it, as MAVSDK's, counts as bound.
+
+    Raises:
+        InputError: the port cannot be bound for another reason, such as an address of another computer.
+    """
+    family = socket.AF_INET6 if host.startswith("[") else socket.AF_INET
+    try:
+        with socket.socket(family, socket.SOCK_DGRAM) as probe:
+            probe.bind((host.strip("[]") if host and host != "localhost" else "0.0.0.0", port))
+    except OSError as error:
+        if error.errno == errno.EADDRINUSE:
+            return False
+        place = f"{host}:{port}" if host else str(port)
+        raise InputError(f"UDP port {place} cannot be opened: {error.strerror}") from None
     return True
 
 

@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 
 import msgspec
 from mavsdk.asyncio import ComponentType, Configuration, Mavsdk
+from mavsdk.exceptions import MavsdkError
 from mavsdk.plugins.action import Action
 from mavsdk.plugins.events import Events
 from mavsdk.plugins.mavlink_direct import MavlinkDirect, MavlinkMessage
@@ -265,7 +266,8 @@ class VehicleSession:
         if self._reports_unusable and received - self._reported_us.get(name, -_REPORTED_US) >= _REPORTED_US:
             self._reported_us[name] = received
             text = f"{name} arrives, none {reason}"
-            self._deliver(StatusText(self.clock.to_autopilot(received), received, "error", text))
+            t_us = self.clock.to_autopilot(received)
+            self._deliver(StatusText(t_us, received, "error", text, found_here=True))
 
     async def set_rates(self, names: Collection[str] | None = None, watching: bool = False) -> list[str]:
         """Ask for the rates of the table; returns the names of the streams that were refused.
@@ -289,7 +291,7 @@ class VehicleSession:
             try:
                 rate_hz = stream.watched_hz if watching else stream.rate_hz
                 await asyncio.to_thread(calls[stream.name], rate_hz)
-            except Exception:
+            except MavsdkError:
                 refused.append(stream.name)
         for stream in self._extra:
             interval_us = round(1e6 / stream.rate_hz)
@@ -327,7 +329,7 @@ class VehicleSession:
         sent, stream = host_us(), STREAMS[0]
         try:
             await asyncio.to_thread(self._telemetry.set_rate_imu, stream.rate_hz)
-        except Exception as error:
+        except MavsdkError as error:
             if getattr(getattr(error, "result", None), "name", "") == "TIMEOUT":
                 return ["TIMESYNC", f"rate of {stream.message}"]
         self._deliver(self.clock.round_trip(sent, host_us(), None))
@@ -362,7 +364,7 @@ class VehicleSession:
         command = MavlinkMessage("COMMAND_LONG", 0, 0, 0, 0, msgspec.json.encode(fields).decode())
         try:
             answer = self._direct.send_command(command)
-        except Exception:
+        except MavsdkError:
             return False
         found = _RESULT.search(answer.fields_json)
         return found is not None and int(found[1]) == 0
@@ -570,8 +572,15 @@ class VehicleSession:
         self._silent = True
 
     def set_actuator(self, index: int, value: float) -> None:
-        """Command a peripheral output of PX4, blocking; an acknowledgement says nothing about movement."""
-        self._action.set_actuator(index, value)
+        """Command a peripheral output of PX4, blocking; an acknowledgement says nothing about movement.
+
+        Raises:
+            VehicleError: PX4 refuses it or does not answer.
+        """
+        try:
+            self._action.set_actuator(index, value)
+        except MavsdkError as error:
+            raise VehicleError(str(error)) from error
 
     def tell_ground(self, text: str) -> None:
         """A STATUSTEXT for the ground station, where the link allows."""

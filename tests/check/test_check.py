@@ -371,6 +371,15 @@ def judged(observed: Observation, **values: float) -> dict[str, CheckFinding]:
     return {finding.item: finding for finding in findings}
 
 
+def test_what_this_program_finds_is_not_put_into_px4s_mouth() -> None:
+    here = "ODOMETRY arrives, none with a velocity"
+    observed = msgspec.structs.replace(OBSERVED, local_position_ok=False, found_here=[here])
+    assert judged(observed)["estimator"].says == f"no valid local position; {here}"
+    assert "px4_checks" not in judged(observed)
+    both = msgspec.structs.replace(observed, texts=["no heading"])
+    assert judged(both)["estimator"].says == f"no valid local position; {here}; PX4 says: no heading"
+
+
 def test_what_is_observed_is_judged() -> None:
     assert not no_goes(judged(OBSERVED).values())
     for changes, item in (

@@ -7,7 +7,9 @@ from pathlib import Path
 import msgspec
 import pytest
 
+from dart_flight.check.computer_load import check_core_speed
 from dart_flight.cli import main
+from dart_flight.config.mission import load_mission
 from dart_flight.config.vehicle import packaged
 
 # What is changed in the single-wall mission, and what is wrong then.
@@ -62,7 +64,15 @@ def test_check_is_a_no_go(unflyable: tuple[str, str], capsys: pytest.CaptureFixt
     assert not report["go"]
     no_go = [finding["says"] for finding in report["findings"] if not finding["go"]]
     assert any(problem in says for says in no_go), no_go
-    assert "core_speed" in {finding["item"] for finding in report["findings"]}
+    assert len(no_go) == len(set(no_go))
+    (speed,) = [finding["says"] for finding in report["findings"] if finding["item"] == "core_speed"]
+    assert speed.startswith("not measured because of ")
+    assert speed.rpartition(" ")[2] in {finding["item"] for finding in report["findings"]}
+
+
+def test_the_cores_reason_is_given_where_no_finding_has_it(unflyable: tuple[str, str]) -> None:
+    path, problem = unflyable
+    assert problem in check_core_speed(load_mission(path)).says
 
 
 @pytest.mark.parametrize("command", ["dry-run", "survey"])

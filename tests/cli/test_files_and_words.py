@@ -18,7 +18,7 @@ from dart_flight.base.records import ImpactPeak, ImuSample, Phase, PhaseChange
 from dart_flight.cli import main
 from dart_flight.cli.flight_output import FlightLines, next_steps
 from dart_flight.config.mission import load_mission
-from dart_flight.config.packages import IN_FULL, install_command
+from dart_flight.config.packages import IN_FULL, install_command, missing_package
 from dart_flight.config.provenance import find_vehicle
 from dart_flight.lab.report.player import player_data
 from dart_flight.lab.report.recorded_flight import RecordedFlight
@@ -218,3 +218,14 @@ def test_the_animation_of_a_vehicle_without_a_lock_shows_none(
     player = (ROOT / "dart_flight" / "lab" / "report" / "player.js").read_text(encoding="utf-8")
     shows = [line for line in player.splitlines() if '"lock' in line and "setAttribute" not in line]
     assert all("D.hasLock" in line for line in shows)
+
+
+def test_a_package_that_is_there_and_does_not_load_is_not_called_missing() -> None:
+    for error, says in (
+        (ImportError("libopenblas.so.0: cannot open"), "needs SciPy, which does not load: libopenblas.so.0"),
+        (ModuleNotFoundError("No module named 'scipy'"), "needs SciPy: "),
+    ):
+        try:
+            raise error
+        except ImportError:
+            assert missing_package("needs SciPy", "identify").message.startswith(says)

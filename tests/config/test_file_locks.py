@@ -148,3 +148,16 @@ def test_a_lock_file_that_cannot_be_removed_does_not_end_a_flight(
     monkeypatch.setattr(Path, "unlink", read_only)
     file.release()
     assert content_of_held(tmp_path / "lock.pid") is None
+
+
+def test_a_held_file_that_cannot_be_looked_at_is_not_in_use(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object) -> None:
+        raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    with monkeypatch.context() as broken:
+        broken.setattr(os.path, "samestat", refuse)
+        with pytest.raises(InputError, match="held: cannot read: Input/output error"):
+            HeldFile(tmp_path / "held").acquire(b"mine")
+    HeldFile(tmp_path / "held").acquire(b"mine")

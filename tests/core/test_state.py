@@ -199,6 +199,20 @@ def test_words_of_its_checks_come_first_and_none_twice() -> None:
     assert state.reasons() == "; PX4 says: low battery, no heading; also no sticks"
 
 
+def test_what_this_program_finds_is_not_put_into_px4s_mouth() -> None:
+    state, here = FlightState(), "ODOMETRY arrives, none with a velocity"
+    state.take_text(StatusText(0, 0, "error", here, found_here=True))
+    assert state.reasons() == f"; {here}"
+    assert state.text_about("ODOMETRY") == f"; {here}"
+    state.take_text(StatusText(0, 0, "error", "no heading"))
+    assert state.reasons() == f"; {here}; PX4 says: no heading"
+    state.now_us = 15_000_000
+    assert state.reasons() == ""
+    state.take_text(StatusText(0, 0, "error", here, found_here=True))
+    state.take_result(CommandResult(0, "arm", False, "DENIED"))
+    assert state.reasons("arm") == f"; {here}; PX4 answers: DENIED"
+
+
 def test_an_answer_is_told_of_the_command_that_was_refused_until_it_is_not() -> None:
     state = FlightState()
     state.take_result(CommandResult(0, "arm", False, "DENIED"))

@@ -10,9 +10,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from dart_flight.base.records import ImuSample
 from dart_flight.cli import main
-from dart_flight.lab.holes import describe_holes
+from dart_flight.config.vehicle import load_vehicle
+from dart_flight.lab.holes import describe_holes, describe_missing_parts
 from dart_flight.lab.identify.trials import TrialReading, read_trials
+from dart_flight.lab.inspect.inspection import inspect_file
+from dart_flight.lab.report.inspection_page import inspection_page
+from dart_flight.lab.report.page import comparison_page, flight_page
+from dart_flight.lab.report.recorded_flight import RecordedFlight
+from dart_flight.recording.reader import Log, read_log
 from tests.doubles.ulog_file import write_ulog
 from tests.lab.inspect.test_inspect import felt, topics
 from tests.shared_flights import SharedFlights
@@ -77,6 +84,8 @@ def test_a_log_without_a_flight_has_no_impact_to_find(
     said = capsys.readouterr().out
     assert "0 s in the air: no impact can be found" in said
     assert "\nno impact" not in said
+    flight = inspect_file(tmp_path / "ground.ulg", load_vehicle())
+    assert "<p>0 s in the air: no impact can be found.</p>" in inspection_page([flight])
 
 
 def test_a_trial_says_where_it_has_a_hole(tmp_path: Path) -> None:
@@ -97,5 +106,62 @@ def test_identify_says_that_a_flight_log_is_cut(
     cut.write_bytes(data[: round(0.8 * len(data))])
     assert main(["identify", str(cut), "--mode", "flexible"]) == 0
     said = capsys.readouterr().err
-    assert f"{cut}: the log is cut: it ends " in said
-    assert " s after its beginning" in said
+    assert f"{cut}: cut: the log ends at " in said
+
+
+def _edited(log: Log, *, cut_s: float | None = None, hole_s: tuple[float, float] | None = None) -> Log:
+    """A log without what comes after a time, or without the IMU samples between two."""
+    begin_us = next(e.record.t_us for e in log.entries if isinstance(e.record, ImuSample))
+    kept, now_s = [], 0.0
+    for entry in log.entries:
+        if isinstance(entry.record, ImuSample):
+            now_s = (entry.record.t_us - begin_us) * 1e-6
+            if hole_s is not None and hole_s[0] < now_s < hole_s[1]:
+                continue
+        if cut_s is not None and now_s > cut_s:
+            break
+        kept.append(entry)
+    return Log(log.source, log.about, {} if cut_s is not None else log.end, kept, complete=cut_s is None)
+
+
+def test_report_says_at_its_top_where_a_log_is_cut_or_has_a_hole(flown: SharedFlights) -> None:
+    whole = flown("single_wall", 1).log
+    log = read_log(whole)
+    assert describe_missing_parts(log) == []
+    assert "does not hold the whole flight" not in flight_page(RecordedFlight(log))
+    cut = _edited(log, cut_s=8.0)
+    (line,) = describe_missing_parts(cut)
+    assert line == "cut: the log ends at 8.00 s"
+    page = flight_page(RecordedFlight(cut))
+    assert f"The log does not hold the whole flight: {line}." in page
+    assert page.index(line) < page.index("class=sentence")
+    holed = _edited(log, hole_s=(2.0, 3.5))
+    (line,) = describe_missing_parts(holed)
+    assert line == "hole of 1.50 s in the IMU samples, from 2.00 s on"
+    both = comparison_page([RecordedFlight(holed), RecordedFlight(log)])
+    assert both.count(f"does not hold the whole flight: {line}.") == 1
+
+
+def test_a_log_cut_before_its_first_imu_sample_is_reported(flown: SharedFlights) -> None:
+    log = _edited(read_log(flown("single_wall", 1).log), cut_s=-1.0)
+    log.entries = [e for e in log.entries if not isinstance(e.record, ImuSample)]
+    assert describe_missing_parts(log) == ["cut: the log ends before its first IMU sample"]
+    assert "cut: the log ends before its first IMU sample" in flight_page(RecordedFlight(log))
+    log.entries.clear()
+    assert "cut: the log ends before its first IMU sample" in flight_page(RecordedFlight(log))
+
+
+@pytest.mark.parametrize("samples", [0, 1, 2, 3])
+def test_a_px4_log_with_hardly_an_imu_sample_has_no_impact(
+    samples: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    short = dict(topics())
+    for key in (("sensor_combined", 0), ("vehicle_attitude", 0)):
+        fields, rows = short[key]
+        short[key] = (fields, rows[:samples])
+    assert main(["inspect", str(write_ulog(tmp_path / "short.ulg", short))]) == (2 if samples < 2 else 0)
+    said = capsys.readouterr()
+    if samples < 2:  # no rate
+        assert len(said.err.strip().splitlines()) == 1
+    else:
+        assert "0 s in the air: no impact can be found" in said.out

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import sys
 from collections.abc import Callable
 from enum import Enum
@@ -141,4 +142,13 @@ def test_without_the_package_it_says_so(monkeypatch: pytest.MonkeyPatch) -> None
 def test_version_1_of_the_package_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "gpiod", ModuleType("gpiod"))
     with pytest.raises(DriverError, match="version 2 of the gpiod package"):
+        GpioLimitSwitch(LimitSwitch("/dev/gpiochip0", rigid_line=23))
+
+
+def test_a_package_that_does_not_load_is_not_called_missing(monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(name: str) -> None:
+        raise ImportError("libgpiod.so.3: cannot open shared object file")
+
+    monkeypatch.setattr(importlib, "import_module", broken)
+    with pytest.raises(DriverError, match=r"the gpiod package does not load: libgpiod\.so\.3"):
         GpioLimitSwitch(LimitSwitch("/dev/gpiochip0", rigid_line=23))

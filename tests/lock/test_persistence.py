@@ -106,6 +106,12 @@ def test_a_damaged_record_is_no_record(folder: Path, content: bytes) -> None:
     assert load_last() is None
 
 
+def test_a_record_that_cannot_be_read_is_not_taken_for_none(folder: Path) -> None:
+    (folder / "last_command.json").mkdir(parents=True)
+    with pytest.raises(InputError, match="cannot read: Is a directory"):
+        load_last()
+
+
 def test_a_disk_that_is_full_is_said_and_stops_nothing(monkeypatch: pytest.MonkeyPatch, folder: Path) -> None:
     def full(source: str, target: Path) -> None:
         raise OSError(28, "No space left on device")

@@ -28,6 +28,12 @@ def test_pulse_becomes_an_actuator_value(vary: Vary) -> None:
     assert isinstance(driver, Driver)
     driver.open()
     assert driver.read().pulse_us is None
+
+    def faulty(index: int, value: float) -> None:
+        raise TypeError("no session")
+
+    with pytest.raises(DriverError, match="PX4 actuator 1: not commanded: TypeError: no session"):
+        Px4Driver(vary(), faulty).set_pulse(1500.0)
     driver.set_pulse(1980.0)
     driver.set_pulse(1020.0)
     assert [index for index, _ in sent] == [3, 3]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import json
 import os
 import socket
@@ -84,6 +85,27 @@ def test_command_line_and_environment(tmp_path: Path, monkeypatch: pytest.Monkey
     # Parameters go through PX4's client, which every version has; the caller's environment steers nothing.
     assert not [name for name in env if name.startswith("PX4_PARAM_")]
     assert "PX4_SIM_SPEED_FACTOR" not in env
+
+
+def test_a_refused_port_or_lock_is_not_called_a_running_px4(monkeypatch: pytest.MonkeyPatch) -> None:
+    def no_locks(*_: object) -> None:
+        raise OSError(errno.ENOLCK, "No locks available")
+
+    lock = Path(f"{launch._LOCK_FILES}-77")
+    lock.touch()
+    try:
+        monkeypatch.setattr(launch.fcntl, "lockf", no_locks)
+        with pytest.raises(Px4Error, match="77 cannot be locked: No locks available"):
+            launch._instance_is_locked(77)
+    finally:
+        lock.unlink()
+
+    def refuse(*_: object, **__: object) -> None:
+        raise PermissionError(errno.EACCES, "Permission denied")
+
+    monkeypatch.setattr(launch.socket, "create_server", refuse)
+    with pytest.raises(Px4Error, match="TCP port 4560 cannot be opened: Permission denied"):
+        launch._free_simulator_port(0)
 
 
 def test_an_instance_belongs_to_whoever_claims_it() -> None:

@@ -78,3 +78,16 @@ def test_check_compares_the_room_with_the_longest_flight(
     assert "1.0 MB left for the log" in found.says
     assert main(["check", str(SINGLE), "--log-dir", str(tmp_path)]) == 1
     assert "NO-GO     log_space: 1.0 MB left" in capsys.readouterr().err
+
+
+def test_a_record_that_cannot_be_written_is_named_with_its_kind_of_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object) -> None:
+        raise KeyError("t_us")
+
+    record = FlightRecord(MISSION, World.EMBEDDED, 1, tmp_path)
+    monkeypatch.setattr(LogPart, "write", refuse)
+    record(Tick(1), 0)
+    record.close()
+    assert (record.build().log_failure or "").startswith("a record cannot be written: KeyError: 't_us', ")

@@ -39,6 +39,7 @@ from dart_flight.base.records import (
     Request,
     Setpoint,
     Silence,
+    StatusText,
     VehicleAction,
     VehicleCommand,
     WallEstimate,
@@ -497,7 +498,7 @@ def test_the_simulated_arms_are_moved_by_what_stands_for_the_servo(
 def test_a_setpoint_leaves_at_once_and_one_that_is_refused_is_no_fault(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """PX4 keeps the last one, and then its failsafe acts."""
+    """PX4 keeps the last one, and then its failsafe acts; the cause is reported once."""
     session = Session()
     app, _ = app_with(monkeypatch, session)
     setpoint = Setpoint(1, 1, (0.0, 0.0, -1.0), 0.0)
@@ -507,8 +508,15 @@ def test_a_setpoint_leaves_at_once_and_one_that_is_refused_is_no_fault(
     def refuse(_: Setpoint) -> None:
         raise RuntimeError("no system")
 
+    reported: list[Input] = []
+    monkeypatch.setattr(app._core, "put", reported.append)
+    session.clock.update(5_000_000, host_us())
     monkeypatch.setattr(session, "send", refuse)
     app.send(setpoint)
+    app.send(setpoint)
+    (text,) = reported
+    assert isinstance(text, StatusText)
+    assert (text.found_here, text.text) == (True, "setpoint not sent: RuntimeError: no system")
 
 
 def test_the_ground_hears_of_every_phase(monkeypatch: pytest.MonkeyPatch) -> None:

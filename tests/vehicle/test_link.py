@@ -125,6 +125,12 @@ def test_every_command_on_a_link_in_use_is_refused_in_one_line(
     assert f"in use by fly, process {flying.pid}" in line
 
 
+@pytest.mark.parametrize("host", ["192.0.2.1", "no-such-host.invalid"])
+def test_a_port_that_cannot_be_bound_is_not_called_free(host: str, port: int) -> None:
+    with pytest.raises(InputError, match=rf"UDP port {host}:{port} cannot be opened: "):
+        udp_port_is_free(port, host)
+
+
 def test_a_foreign_program_on_the_port_is_named(port: int, url: str) -> None:
     listen = "import socket,sys,time; s=socket.socket(type=socket.SOCK_DGRAM);"
     # As MAVSDK and ground stations open it: others may share.

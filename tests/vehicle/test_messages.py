@@ -22,6 +22,7 @@ from dart_flight.base.records import (
     StatusText,
 )
 from dart_flight.base.streams import STREAMS
+from dart_flight.recording.events import EventFormatter, Level
 from dart_flight.vehicle import messages
 from dart_flight.vehicle.messages import ENTRIES, MessageEntry, Unusable
 from tests.vehicle.test_session import Rig
@@ -218,7 +219,10 @@ def test_a_stream_without_a_usable_message_is_reported_with_its_reason(
     rig = heard(monkeypatch)
     for _ in range(100):
         rig.hear("ODOMETRY", **{**_ODOMETRY, "vx": None})
-    assert [text.text for text in rig.of(StatusText)] == ["ODOMETRY arrives, none with a velocity"]
+    (text,) = rig.of(StatusText)
+    assert text.text == "ODOMETRY arrives, none with a velocity"
+    assert text.found_here
+    assert EventFormatter().event_of(text) == (Level.ERROR, "link", text.text, "")
 
 
 def test_a_foreign_imu_and_a_second_one_are_none(monkeypatch: pytest.MonkeyPatch) -> None:

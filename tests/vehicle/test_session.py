@@ -10,6 +10,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from mavsdk.exceptions import MavsdkError
 
 from dart_flight.base.records import (
     ActuatorSample,
@@ -109,7 +110,7 @@ def test_a_new_session_sends(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def refuse(*_: Any) -> None:
-    raise RuntimeError("refused")
+    raise MavsdkError("refused")
 
 
 def test_every_stream_is_asked_for_and_a_refusal_is_named(
@@ -355,6 +356,18 @@ def test_the_ground_and_the_servo_are_told(monkeypatch: pytest.MonkeyPatch) -> N
     deaf.session.tell_ground("where the link allows")
 
 
+def test_only_mavsdks_errors_are_refusals(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: Any) -> None:
+        raise TypeError("no rate")
+
+    with pytest.raises(TypeError, match="no rate"):
+        asyncio.run(Rig(monkeypatch, {"set_rate_odometry": fail}).session.set_rates())
+    with pytest.raises(TypeError, match="no rate"):
+        asyncio.run(Rig(monkeypatch, {"send_command": fail}).session.stop_messages((30,)))
+    with pytest.raises(VehicleError, match="refused"):
+        Rig(monkeypatch, {"set_actuator": refuse}).session.set_actuator(1, 0.5)
+
+
 def test_messages_are_stopped_one_by_one_whatever_is_answered(monkeypatch: pytest.MonkeyPatch) -> None:
     rig = Rig(monkeypatch, {"send_command": refuse})
     asyncio.run(rig.session.stop_messages((30, 33)))
@@ -404,7 +417,7 @@ def test_what_another_asks_or_answers_is_no_round_trip(monkeypatch: pytest.Monke
 
 
 def test_a_link_that_only_sends_is_named_by_what_it_does_not_answer(monkeypatch: pytest.MonkeyPatch) -> None:
-    class TimedOutError(Exception):
+    class TimedOutError(MavsdkError):
         result = SimpleNamespace(name="TIMEOUT")
 
     def time_out(_: float) -> None:

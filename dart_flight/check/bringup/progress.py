@@ -54,7 +54,9 @@ def load(folder: Path, vehicle: VehicleSource, connection: str) -> BringupRecord
         found = msgspec.json.decode(path.read_bytes(), type=BringupRecord)
     except FileNotFoundError:
         return fresh(vehicle, connection)
-    except (OSError, msgspec.DecodeError) as error:
+    except OSError as error:
+        raise InputError(f"cannot read: {error.strerror}", source=str(path)) from None
+    except msgspec.DecodeError as error:
         raise InputError(f"is no bring-up of ours ({error}): move it away", source=str(path)) from None
     known = {step.name: step for step in found.steps} if found.vehicle.source == vehicle.source else {}
     begun = fresh(vehicle, connection)

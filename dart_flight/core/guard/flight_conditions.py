@@ -160,7 +160,7 @@ class FlightConditions:
             self.lateness.take_round_trip(item)
         elif isinstance(item, OtherVehicle):
             self._other_system = item.system
-        elif isinstance(item, StatusText):
+        elif isinstance(item, StatusText) and not item.found_here:
             self._failsafe.take_text(item, state.now_us)
         self._see_flags()
 

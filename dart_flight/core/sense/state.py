@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Mapping
 from typing import Final
 
 from dart_flight.base.geometry import MissionFrame, Vec3, add, scale, tilt_of, yaw_ned_of
@@ -72,6 +73,7 @@ class FlightState:
         self._leapt: dict[str, int] = {}  # samples in a row that are too far ahead
         self.health: HealthReport | None = None
         self._said: dict[str, int] = {}  # PX4's last warnings and worse, oldest first; when
+        self._found_on_link: dict[str, int] = {}  # likewise, what this program finds on the link
         self._refused: dict[str, str] = {}  # command -> PX4's answer, while it is a refusal
 
     def take_odometry(self, sample: OdometrySample) -> bool:
@@ -183,16 +185,18 @@ class FlightState:
         self.clock_offset_us = sample.offset_us
 
     def take_text(self, sample: StatusText) -> None:
-        """What PX4 says; warnings and worse are remembered."""
+        """Remember warnings and worse, of PX4 or of this program."""
         if sample.severity in _SEVERE:
-            self._said.pop(sample.text, None)  # the newest last
-            self._said[sample.text] = self.now_us
-            if len(self._said) > _MAX_REASONS:
-                del self._said[next(iter(self._said))]
+            texts = self._found_on_link if sample.found_here else self._said
+            texts.pop(sample.text, None)  # the newest last
+            texts[sample.text] = self.now_us
+            if len(texts) > _MAX_REASONS:
+                del texts[next(iter(texts))]
 
     def text_about(self, beginning: str) -> str:
         """Return the newest warning that begins so, to be appended after "; "; empty if there is none."""
-        found = [text for text in self._said if text.startswith(beginning)]
+        texts = {**self._said, **self._found_on_link}
+        found = [text for text in sorted(texts, key=lambda text: texts[text]) if text.startswith(beginning)]
         return f"; {found[-1]}" if found else ""
 
     def take_health(self, sample: HealthReport) -> None:
@@ -283,7 +287,7 @@ class FlightState:
         return scale(total, 1.0 / n)
 
     def reasons(self, command: str | None = None) -> str:
-        """Why PX4 does not do something, in its own words.
+        """Return why PX4 does not do something: what this program finds on the link, and PX4's own words.
 
         Args:
             command: that it refuses; its answer is told where it gives no other reason.
@@ -291,21 +295,24 @@ class FlightState:
         Returns:
             Words such as "; PX4 says: No offboard signal", to be appended; empty where there are none.
         """
-        found: list[str] = []
-        if self.health is not None:
-            found += self.health.blocking
-        found += [text for text, t_us in self._said.items() if self.now_us - t_us < _SAID_US]
+        seen = self._recent(self._found_on_link)
+        here = "; " + ", ".join(seen) if seen else ""
+        found = [] if self.health is None else list(self.health.blocking)
+        found += self._recent(self._said)
         others = () if self.health is None else self.health.others
         found = list(dict.fromkeys(found))[:_MAX_REASONS]
         # What PX4 holds against other modes may be behind it: without a position there is no offboard signal.
         also = [word for word in others if word not in found][:_MAX_REASONS]
         if found:
-            return "; PX4 says: " + ", ".join(found) + ("; also " + ", ".join(also) if also else "")
+            return f"{here}; PX4 says: " + ", ".join(found) + ("; also " + ", ".join(also) if also else "")
         answer = self._refused.get(command or "")
-        answered = f"; PX4 answers: {answer}" if answer else ""
+        answered = f"{here}; PX4 answers: {answer}" if answer else here
         if also:  # all that a PX4 without reports tells; it need not be the reason
             return f"{answered}; PX4 gives no reason, but finds: " + ", ".join(also)
         return answered
+
+    def _recent(self, texts: Mapping[str, int]) -> list[str]:
+        return [text for text, t_us in texts.items() if self.now_us - t_us < _SAID_US]
 
     def lock_is_in(self, mode: Mode) -> bool:
         """Whether the lock is settled in a mode, as far as it can know."""

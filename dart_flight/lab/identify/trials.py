@@ -17,12 +17,11 @@ from typing import NamedTuple
 import numpy as np
 
 from dart_flight.base.geometry import GRAVITY_M_S2
-from dart_flight.base.records import ImuSample
 from dart_flight.config.document import InputError, read_text
 from dart_flight.config.file_kinds import FileKind, refuse_other_kind
 from dart_flight.config.provenance import FoundVehicle
 from dart_flight.contact.coefficients import Array
-from dart_flight.lab.holes import describe_holes
+from dart_flight.lab.holes import describe_holes, describe_missing_parts
 from dart_flight.lab.track import calibration_series_of
 from dart_flight.lab.ulog import open_ulog
 from dart_flight.recording.reader import read_log
@@ -343,13 +342,8 @@ def read_flight(path: Path, how: TrialReading) -> list[Trial]:
         )
     log = read_log(path)
     trials = trials_at_one(log, how.surface, how.mode)
-    if log.complete:
-        return trials
-    stamps_us = [e.record.t_us for e in log.entries if isinstance(e.record, ImuSample)]
-    note = (
-        f"{path}: the log is cut: it ends {(stamps_us[-1] - stamps_us[0]) * 1e-6:.2f} s after its beginning"
-    )
-    return [replace(trials[0], notes=(*trials[0].notes, note)), *trials[1:]]
+    notes = (f"{path}: {line}" for line in describe_missing_parts(log))
+    return [replace(trials[0], notes=(*trials[0].notes, *notes)), *trials[1:]]
 
 
 # Suffix -> reader. A further kind of recording is one function more.

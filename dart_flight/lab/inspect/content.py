@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dart_flight.config.document import InputError
-from dart_flight.lab.holes import describe_holes
+from dart_flight.lab.holes import describe_cut_end, describe_holes
 from dart_flight.lab.track import Track
 from dart_flight.lab.ulog import ARMED, ULogFile, seconds
 
@@ -133,7 +133,7 @@ def describe_cut(log: ULogFile, track: Track, flying: list[tuple[float, float]])
     if flying[0][0] <= begin:
         lines.append("cut: the log begins in the air")
     if flying[-1][1] >= end:
-        lines.append(f"cut: the log ends in the air, at {end - begin:.2f} s")
+        lines.append(describe_cut_end(end - begin, "in the air"))
     return lines
 
 

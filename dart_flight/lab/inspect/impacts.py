@@ -194,6 +194,11 @@ class InspectedFlight(msgspec.Struct):
     unknown: list[str]
     series: InspectedSeries | None = None  # not in JSON
 
+    @property
+    def nothing_found(self) -> str:
+        """What to say instead of impacts; without a flight there cannot be one."""
+        return "no impact" if self.flight_s > 0.0 else "0 s in the air: no impact can be found"
+
 
 class InspectedSeries(msgspec.Struct):
     """Force over mass in flight, north, east and down, and the threshold; for the report and for trials."""

@@ -39,7 +39,7 @@ def _flight(flight: InspectedFlight) -> str:
         for i in flight.impacts
     ]
     heads = ("at s", "peak m/s²", "± m/s²", "peak N", "direction °", "speed before m/s", "")
-    body += table(heads, rows) if rows else "<p>No impact.</p>"
+    body += table(heads, rows) if rows else f"<p>{flight.nothing_found}.</p>"
     thrust = flight.thrust
     facts: list[tuple[str, str]] = [
         ("PX4", flight.px4_version or "unknown"),

@@ -24,6 +24,7 @@ from dart_flight.base.records import (
     World,
 )
 from dart_flight.config.document import InputError
+from dart_flight.lab.holes import describe_missing_parts
 from dart_flight.lab.report.figures import forces, motion
 from dart_flight.lab.report.figures import lock_timeline as lock
 from dart_flight.lab.report.figures.flight_map import flight_map
@@ -141,7 +142,7 @@ def comparison_page(flights: Sequence[RecordedFlight]) -> str:
         for index in indices
     ]
     parts = [
-        section("Flights", _flights_table(flights)),
+        section("Flights", "".join(_missing_parts(f, f.name) for f in flights) + _flights_table(flights)),
         section(
             "Paths and forces",
             figure_block(
@@ -244,13 +245,19 @@ def _verdict(flight: RecordedFlight) -> str:
     )
     listed = "".join(f"<dt>{k}</dt><dd>{html.escape(t)}</dd>" for k, t in facts)
     reason = f"<p class=reason>{html.escape(v.reason)}</p>" if v.reason else ""
-    truncated = "<p class=note>The log is truncated: part of the flight is missing.</p>"
-    cut = "" if flight.log.complete else truncated
     return (
-        f"<section><p class=sentence>{html.escape(outcome_sentence(flight))}</p>"
-        f"{reason}{cut}{_hits_table(flight)}"
+        f"<section>{_missing_parts(flight)}<p class=sentence>{html.escape(outcome_sentence(flight))}</p>"
+        f"{reason}{_hits_table(flight)}"
         f"<div class=tiles>{tiles}</div>{details('Source', f'<dl>{listed}</dl>')}</section>"
     )
+
+
+def _missing_parts(flight: RecordedFlight, name: str = "The log") -> str:
+    """Return the line at the top of the page on a log that was cut or has holes."""
+    lines = "; ".join(describe_missing_parts(flight.log))
+    if not lines:
+        return ""
+    return f"<p class=note>{html.escape(name)} does not hold the whole flight: {html.escape(lines)}.</p>"
 
 
 def outcome_sentence(flight: RecordedFlight) -> str:

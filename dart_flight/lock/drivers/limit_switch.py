@@ -38,10 +38,12 @@ class GpioLimitSwitch:
         self._request: Any = None
         try:
             self._gpiod: Any = importlib.import_module("gpiod")
-        except ImportError:
+        except ModuleNotFoundError:
             raise DriverError(
                 "a limit switch needs libgpiod's Python package: pip install gpiod", ("limit_switch",)
             ) from None
+        except ImportError as error:
+            raise DriverError(f"the gpiod package does not load: {error}", ("limit_switch",)) from None
         if not hasattr(self._gpiod, "request_lines"):
             raise DriverError(
                 "a limit switch needs version 2 of the gpiod package: pip install 'gpiod>=2'",

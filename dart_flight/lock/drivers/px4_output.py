@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping
 
 import msgspec
 
+from dart_flight.base.errors import FlightError
 from dart_flight.config.vehicle import LockConfig
 from dart_flight.lock.drivers import DriverError
 from dart_flight.lock.state_machine import DriverReading
@@ -115,7 +116,9 @@ class Px4Driver:
             self._set_actuator(self._config.px4.actuator_index, value)
         except Exception as error:
             # The callable is the shell's: whatever it raises, the lock has not moved.
-            raise DriverError(f"PX4 actuator {self._config.px4.actuator_index}: {error}") from error
+            expected = isinstance(error, FlightError | OSError | ValueError)
+            what = str(error) if expected else f"not commanded: {type(error).__name__}: {error}"
+            raise DriverError(f"PX4 actuator {self._config.px4.actuator_index}: {what}") from error
         self._sent_us = pulse_us
 
     def release(self) -> None:

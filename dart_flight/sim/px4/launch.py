@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import errno
 import fcntl
 import math
 import os
@@ -280,9 +281,11 @@ def _free_simulator_port(number: int) -> socket.socket | None:
             pass  # nobody listens there; two that only bind would not see each other
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         listener.bind(("127.0.0.1", SIMULATOR_PORT + number))
-    except OSError:
+    except OSError as error:
         listener.close()
-        return None
+        if error.errno == errno.EADDRINUSE:
+            return None
+        raise Px4Error(f"TCP port {SIMULATOR_PORT + number} cannot be opened: {error.strerror}") from None
     ports = [ONBOARD_PORT + number, *(port + number for port in _LOCAL_PORTS)]
     if all(map(udp_port_is_free, ports)) and not _instance_is_locked(number):
         return listener
@@ -297,8 +300,10 @@ def _instance_is_locked(instance: int) -> bool:
             fcntl.lockf(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except FileNotFoundError:
         return False
-    except OSError:
+    except (BlockingIOError, PermissionError):  # locked, or another user's
         return True
+    except OSError as error:
+        raise Px4Error(f"{_LOCK_FILES}-{instance} cannot be locked: {error.strerror}") from None
     return False
 
 

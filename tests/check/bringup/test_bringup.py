@@ -175,6 +175,14 @@ def test_a_file_that_is_none_of_ours_is_refused(tmp_path: Path, capsys: pytest.C
     assert "is no bring-up of ours" in capsys.readouterr().err
 
 
+def test_a_file_that_cannot_be_read_is_not_called_foreign(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "bringup.json").mkdir()
+    assert main(["bringup", "--connection", "udpin://127.0.0.1:1", "--state", str(tmp_path), "--yes"]) == 2
+    assert capsys.readouterr().err.strip().endswith("bringup.json: cannot read: Is a directory")
+
+
 def test_a_vehicle_that_answers_nothing_is_a_failed_step(monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(_: Bringup) -> None:
         raise NoAnswerError("sends, but answers no request: TIMESYNC")
