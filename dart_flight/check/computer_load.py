@@ -47,9 +47,9 @@ def check_lateness(mission: Mission) -> CheckFinding:
 
 
 def check_core_speed(mission: Mission) -> CheckFinding:
-    """Measure what the core needs for the inputs of one IMU sample, against the time until the next.
+    """Compare the core's processor time for one IMU sample with the sample period.
 
-    A mission that the core refuses to fly is a no-go with the core's reason.
+    If the core refuses to fly the mission, the finding is a no-go with the core's reason.
     """
     interval_s = 1.0 / mission.vehicle.imu.rate_hz
     try:
@@ -80,9 +80,9 @@ def judge_core_speed(step_s: float, interval_s: float) -> CheckFinding:
 
 
 def measure_step_s(mission: Mission) -> float:
-    """Processor time of an IMU sample with what comes beside it, as in flight, seconds.
+    """Return the processor time per IMU sample with the other inputs of its period, in flight, seconds.
 
-    Measured is the mean over two seconds on the ground.
+    The measurement is the mean over two seconds on the ground, scaled to flight.
 
     Raises:
         InputError: the mission cannot be flown.
