@@ -111,7 +111,7 @@ def _print(flight: InspectedFlight) -> None:
             )
         out.print(table)
     else:
-        out.print("no impact" if flight.flight_s > 0.0 else "0 s in the air: no impact can be found")
+        out.print("no impact" if flight.flight_s > 0.0 else "no impact: 0 s in the air")
     if flight.weak:
         out.print(
             f"{flight.weak} short threshold crossings with a fitted peak below the threshold (not impacts)",

@@ -78,7 +78,7 @@ class Trial:
             the intervals are widened by it.
         flown: the vehicle, where the recording itself says it, as a flight log does.
         turn_rad_s: largest rate about the vertical while it touched; None where that was not recorded.
-        notes: what is missing of the recording, a line each.
+        notes: one line for each missing part of the recording.
     """
 
     name: str
@@ -346,9 +346,7 @@ def read_flight(path: Path, how: TrialReading) -> list[Trial]:
     if log.complete:
         return trials
     stamps_us = [e.record.t_us for e in log.entries if isinstance(e.record, ImuSample)]
-    note = (
-        f"{path}: the log is cut: it ends {(stamps_us[-1] - stamps_us[0]) * 1e-6:.2f} s after its beginning"
-    )
+    note = f"{path}: the log is truncated after {(stamps_us[-1] - stamps_us[0]) * 1e-6:.2f} s"
     return [replace(trials[0], notes=(*trials[0].notes, note)), *trials[1:]]
 
 
