@@ -403,5 +403,5 @@ def fly_fast(
     if take_record is not None:
         take_record(record)
     built = record.build()
-    built.time = TimeKind.SIMULATED  # no speed: the same flight has the same verdict
+    built.time = TimeKind.SIMULATED  # without speed, so that equal flights have equal verdicts
     return built
