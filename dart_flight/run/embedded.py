@@ -39,8 +39,8 @@ def fly_embedded(
 
     `deadman` starts the process that kills this one when it hangs; `fault` is what goes wrong; `spreads`
     are the standard deviations of quantities drawn by the seed (`sim.draws`). `speed` is the highest number
-    of simulated seconds per second. With `realtime` the world does not wait for this program, and timeouts use
-    the host's time. `viewer` receives every record, on the thread that produced it.
+    of simulated seconds per second. With `realtime` the world does not wait for this program, and timeouts
+    use the host's time. `viewer` receives every record, on the thread that produced it.
 
     Raises:
         InputError: the log cannot be written.

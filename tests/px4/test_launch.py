@@ -303,7 +303,7 @@ def test_the_command_says_which_parameter_did_not_take_in_one_line(
 @pytest.mark.parametrize(
     ("count", "problem"),
     [
-        (6, "CA_ROTOR_COUNT is 6, the configuration has 4 motors"),
+        (6, "CA_ROTOR_COUNT is 6, but the configuration has 4 motors"),
         (3, "is 3, the configuration"),
         (0, "is 0, the configuration"),
     ],
