@@ -49,9 +49,7 @@ class LoadWatch:
         (idle, total), (idle_then, total_then) = _processor_ticks(), self._began
         share = (idle - idle_then) / max(1, total - total_then)
         if share < _IDLE_SHARE:
-            return (
-                f"this computer was idle for {100 * share:.0f} % of the test, needs {100 * _IDLE_SHARE:.0f}"
-            )
+            return f"this computer was idle {100 * share:.0f} % of the time, needed {100 * _IDLE_SHARE:.0f}"
         return ""
 
     def _run(self) -> None:

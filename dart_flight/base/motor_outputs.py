@@ -1,7 +1,7 @@
 """Motor outputs as PX4 reports them: the output type, its scale, and throttle 0 to 1.
 
 ACTUATOR_OUTPUT_STATUS and the topic `actuator_outputs` of PX4's logs carry the raw values of the output
-driver, and nothing that names the driver. The live link and the reader of logs determine the scale here.
+driver, but do not name the driver. The live link and the log reader determine the scale here.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import msgspec
 
 from dart_flight.base.records import MOTOR_FULL_US, MOTOR_STOP_US
 
-SHORTEST_PULSE_US, LONGEST_PULSE_US = 800.0, 2200.0  # no armed PWM output is outside
+SHORTEST_PULSE_US, LONGEST_PULSE_US = 800.0, 2200.0  # limits of an armed PWM output
 _STOPPED = 1.0  # UAVCAN_EC_MIN: an armed motor that does not turn
 
 
@@ -20,10 +20,10 @@ class OutputScale(msgspec.Struct, frozen=True):
     """Scale of an output type.
 
     Attributes:
-        name: of the type, such as DShot.
+        name: output type, such as DShot.
         stop: raw value at throttle 0.
         full: raw value at throttle 1.
-        unit: of the raw values, with a leading space; empty for counts.
+        unit: unit of the raw values, with a leading space; empty for counts.
     """
 
     name: str
@@ -49,14 +49,14 @@ SHARE = OutputScale("", 0.0, 1.0)  # logs of a simulation
 
 
 def scale_of(lowest: float, highest: float) -> OutputScale | None:
-    """Return the scale that raw values are of.
+    """Return the output scale that a range of raw values implies.
 
     Args:
         lowest: smallest value above 0 of any motor.
         highest: largest value of any motor.
 
     Returns:
-        None if no value is above 0, or one is above every scale.
+        The scale, or None if no value is above 0 or a value exceeds every scale.
     """
     if highest <= 0.0 or highest > UAVCAN.full:
         return None
@@ -68,14 +68,14 @@ def scale_of(lowest: float, highest: float) -> OutputScale | None:
 
 
 class MotorOutputDecoder:
-    """Throttle of the motors from a stream of raw outputs, as they arrive.
+    """Converter of a stream of raw outputs into motor throttles.
 
     The scale follows from the smallest and the largest value since the start. The motors of an armed vehicle
-    pass through small values before it leaves the ground, which tells DShot from PWM. UAVCAN is known once a
-    motor passes a quarter of full throttle; below that it is read as DShot.
+    pass through small values before take-off, which distinguishes DShot from PWM. UAVCAN is recognised once
+    a motor passes a quarter of full throttle; below that it is read as DShot.
 
     Args:
-        motors: number of motors, which are the first outputs.
+        motors: number of motors; they are the first outputs.
 
     Attributes:
         scale: the scale in use; None before any output was above 0.
@@ -88,10 +88,10 @@ class MotorOutputDecoder:
         self.scale: OutputScale | None = None
 
     def decode(self, outputs: Sequence[float | None], airborne: bool) -> tuple[float, ...] | str:
-        """Return the throttle of each motor, or why the outputs are not those of the motors.
+        """Return the throttle of each motor, or the reason why the outputs do not drive the motors.
 
         Args:
-            outputs: raw values; None where one is not a number.
+            outputs: raw values; None for a value that is not a number.
             airborne: whether the land detector reports flight.
         """
         raw = [value for value in outputs[: self._motors] if value is not None]

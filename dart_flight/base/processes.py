@@ -89,7 +89,7 @@ class ChildProcess(subprocess.Popen[bytes]):
         except subprocess.TimeoutExpired:
             self.kill()
             self.wait()
-        self.listener.join(patience_s)  # what it has written counts
+        self.listener.join(patience_s)  # output written before the end still counts
 
     def _listen(self) -> None:
         assert self.stdout is not None

@@ -55,7 +55,7 @@ class LandedState(StrEnum):
 
 
 class SystemStatus(StrEnum):
-    """MAV_STATE of the autopilot's heartbeat: PX4 says critical in a failsafe."""
+    """MAV_STATE of the autopilot's heartbeat; PX4 reports critical during a failsafe."""
 
     UNKNOWN = "unknown"
     UNINIT = "uninit"
@@ -230,8 +230,8 @@ class StatusSample(Record, frozen=True, gc=False):
     local_position_ok: bool = False  # a position has come, and ESTIMATOR_STATUS, where sent, has one
     battery_v: float | None = None
     battery_remaining: float | None = None  # 0 to 1
-    system_status: SystemStatus = SystemStatus.UNKNOWN  # of the heartbeat
-    battery_id: int | None = None  # of the battery that is judged, as BATTERY_STATUS has it
+    system_status: SystemStatus = SystemStatus.UNKNOWN  # MAV_STATE in the heartbeat
+    battery_id: int | None = None  # id in BATTERY_STATUS of the judged battery
 
 
 class EstimatorSample(Record, frozen=True, gc=False):

@@ -38,9 +38,9 @@ STREAMS: tuple[Stream, ...] = (
     Stream("landed", "EXTENDED_SYS_STATE", 5.0, 1.0),
 )
 
-# Beside the table: motor speeds where the configuration uses them, and the estimator's own judgement for the
-# guard. By PX4's default that comes once a second, in which a position adrift grows wrong by a metre. The
-# telemetry plugin has no rates for these: the number of the MAVLink message, for SET_MESSAGE_INTERVAL.
+# Optional streams: motor speeds if the configuration uses them, and the estimator's status for the guard.
+# PX4's default of 1 Hz for the status is too slow: a drifting position is wrong by a metre after a second.
+# MAVSDK cannot set their rates; SET_MESSAGE_INTERVAL does, by MAVLink message number.
 ESC = Stream("esc", "ESC_STATUS", 125.0, 45.0)
 ESTIMATOR = Stream("estimator", "ESTIMATOR_STATUS", 10.0, 0.0)
 MESSAGE_ID = {ESC.message: 291, ESTIMATOR.message: 230}

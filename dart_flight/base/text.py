@@ -1,7 +1,7 @@
-"""Text from outside (paths, names, messages) made fit for terminals, JSON and files.
+"""Escapes for external text (paths, names, messages) that goes to terminals, JSON and files.
 
-Python reads the bytes of a file name that are not UTF-8 as surrogates, which no encoder accepts. They are
-shown as `\\xff`. A character that an output's encoding lacks is shown by an ASCII spelling or an escape.
+Python decodes bytes of a file name that are not UTF-8 to surrogates, which no encoder accepts. They are
+printed as `\\xff`. A character that the output's encoding lacks is printed as ASCII or as an escape.
 """
 
 from __future__ import annotations
@@ -10,11 +10,11 @@ import codecs
 
 ESCAPED = "dart_flight.escaped"  # error handler for `str.encode` and `open`
 _ASCII = {"\N{NO-BREAK SPACE}": " ", "±": "+/-", "→": "->", "°": " deg", "…": "...", "–": "-", "−": "-"}
-_FIRST_BYTE, _LAST_BYTE = 0xDC80, 0xDCFF  # surrogates that stand for single bytes
+_FIRST_BYTE, _LAST_BYTE = 0xDC80, 0xDCFF  # surrogates that represent single bytes
 
 
 def printable(text: str) -> str:
-    """Return the text with everything escaped that UTF-8 cannot encode."""
+    """Return the text with every character escaped that UTF-8 cannot encode."""
     return text if text.isascii() else text.encode("utf-8", ESCAPED).decode()
 
 

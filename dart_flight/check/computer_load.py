@@ -89,9 +89,9 @@ def judge_core_speed(step_s: float, interval_s: float) -> CheckFinding:
 
 
 def measure_step_s(mission: Mission) -> float:
-    """Processor time of an IMU sample with what comes beside it, as in flight, seconds.
+    """Return the processor time per IMU sample with the other inputs of its period, in flight, seconds.
 
-    Measured is the mean over two seconds on the ground.
+    The measurement is the mean over two seconds on the ground, scaled to flight.
 
     Raises:
         InputError: the mission cannot be flown.

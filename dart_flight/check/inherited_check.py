@@ -1,4 +1,4 @@
-"""What a vehicle that is not DART takes from another vehicle's file."""
+"""Check of the values that a vehicle other than DART inherits from another vehicle's file."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dart_flight.config.mission import Mission
 
 
 def check_inherited(mission: Mission) -> list[CheckFinding]:
-    """Return one remark that lists the inherited values, contradictions first; nothing without any."""
+    """Return a remark that lists the inherited values, contradictions first, if there are any."""
     source = mission.vehicle_source
     if source is None:
         return []
@@ -18,9 +18,11 @@ def check_inherited(mission: Mission) -> list[CheckFinding]:
     parts = []
     if found.contradictions:
         groups = [f"{', '.join(keys)} (has {why})" for why, keys in found.contradictions.items()]
-        parts.append(f"{found.file} contradicts what it keeps of {found.base}: {'; '.join(groups)}")
+        parts.append(
+            f"{found.file} contradicts values that it inherits from {found.base}: {'; '.join(groups)}"
+        )
     if found.keys:
-        parts.append(f"kept of {found.base}, measure them: {', '.join(found.keys)}")
+        parts.append(f"inherited from {found.base}, measure them: {', '.join(found.keys)}")
     wrong = sum(len(keys) for keys in found.contradictions.values())
     figures = {"inherited": float(len(found.keys)), "contradictions": float(wrong)}
     return [CheckFinding("inherited", True, ". ".join(parts), remark=True, figures=figures)]

@@ -148,10 +148,10 @@ def _check_waypoints(mission: Mission, planned: PredictedFlight | None) -> list[
     held_s = sum(w.hold_s for w in mission.waypoints if w.position is not None) + mission.goal.hold_s
     flown_s = sum(t.duration_s for _, t in known) + held_s
     pauses = sum(w.position is None for w in mission.waypoints)
-    says = f"{way_m:.1f} m from rest to rest in {flown_s:.0f} s with what is held"
+    says = f"{way_m:.1f} m from rest to rest in {flown_s:.0f} s, holds included"
     if len(known) < len(legs):
-        says += f", and {len(legs) - len(known)} from where a contact leads, which is not known yet"
-    says += f", {pauses} pause{'s' if pauses > 1 else ''} beside that" if pauses else ""
+        says += f", plus {len(legs) - len(known)} legs that begin after a contact, length not predicted"
+    says += f", plus {pauses} pause{'s' if pauses > 1 else ''}" if pauses else ""
     findings = [CheckFinding("waypoints", True, says)]
     asked = {leg.name for leg in transit_segments(mission) if leg.begin is not None}
     for leg, transit in known:
@@ -404,7 +404,7 @@ def _check_servo(mission: Mission, collision: Collision) -> list[CheckFinding]:
 
 
 def _check_flown(mission: Mission) -> CheckFinding:
-    """Whether the mission has flown in simulation as it is now, and how."""
+    """Return how the mission flew in simulation, and whether it has changed since."""
     flown = mission.flown
     again = f"dart-flight dry-run {shlex.quote(mission.source)} --fast --runs 20 --vary all"
     if flown is None:
@@ -415,7 +415,7 @@ def _check_flown(mission: Mission) -> CheckFinding:
         return CheckFinding("flown", True, says, remark=True)
     if flown.danger is not None:
         return CheckFinding(
-            "flown", False, f"in simulation {flown.danger}: plan it with less speed, or touches"
+            "flown", False, f"in simulation {flown.danger}: plan it with lower speed or with touches"
         )
     says = f"flown in simulation by {flown.software}: nominal flight completed"
     figures: dict[str, float] = {}

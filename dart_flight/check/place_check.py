@@ -1,4 +1,4 @@
-"""Where a connected vehicle stands in the mission's frame, for the operator to compare with the room."""
+"""Check of a connected vehicle's place in the mission's frame, for the operator to compare with the room."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from dart_flight.config.mission import Mission
 from dart_flight.core.mission.anchors import START_SD_M
 from dart_flight.core.mission.approach import is_blocked, is_post_in_the_way
 
-START_TOLERANCE_M: Final = 1.0  # a vehicle that is put down by hand stands nearer to the mission's start
-_FITS_DEG, _MISFITS_DEG = 15.0, 30.0  # of a heading that the vehicle has, and that it does not have
-_NEAR_RAD: Final = 0.01  # of 1.57 and 3.14, as people round them
+START_TOLERANCE_M: Final = 1.0  # a vehicle placed by hand is nearer to the mission's start than this
+_FITS_DEG, _MISFITS_DEG = 15.0, 30.0  # largest error of a matching heading, smallest of another one
+_NEAR_RAD: Final = 0.01  # tolerance for rounded values such as 1.57 and 3.14
 _SIDES: Final = ("ahead", "right", "behind", "left")
 
 
 def check_heading(mission: Mission) -> list[CheckFinding]:
-    """Return a remark where `frame.heading_deg` looks like an angle in radians, without a vehicle."""
+    """Return a remark if `frame.heading_deg` looks like an angle in radians; needs no vehicle."""
     given = mission.frame.heading_deg
     eighths = round(given / (0.25 * math.pi))
     if eighths == 0 or abs(eighths) > 8 or abs(given - eighths * 0.25 * math.pi) > _NEAR_RAD:
@@ -31,11 +31,11 @@ def check_heading(mission: Mission) -> list[CheckFinding]:
 def judge_place(
     mission: Mission, position_ned: Vec3 | None, q_frd_to_ned: Quaternion | None
 ) -> list[CheckFinding]:
-    """Judge where the vehicle stands before it takes off: start, walls, heading.
+    """Judge the vehicle's place before take-off: start, walls, heading.
 
     Args:
-        mission: what it is to fly.
-        position_ned, q_frd_to_ned: of the vehicle as PX4 reports them; None: not reported.
+        mission: the mission to be flown.
+        position_ned, q_frd_to_ned: position and attitude reported by PX4, or None if not reported.
     """
     if position_ned is None or q_frd_to_ned is None:
         return []
@@ -45,17 +45,17 @@ def judge_place(
     off_m = math.dist(place, mission.start)
     heading_deg = math.degrees(yaw_ned) % 360.0
     figures = {"x_m": x, "y_m": y, "heading_deg": heading_deg, "start_offset_m": off_m}
-    says = f"vehicle at ({x:.2f}, {y:.2f}) of the mission's frame, {off_m:.2f} m from start, "
+    says = f"vehicle at ({x:.2f}, {y:.2f}) in the mission's frame, {off_m:.2f} m from start, "
     says += f"heading {heading_deg:.0f} deg"
     for name, distance_m, bearing_deg, side in _surroundings(mission, frame, place, yaw_ned):
         says += f"; {name} {distance_m:.2f} m at {bearing_deg:.0f} deg ({side})"
         figures |= {f"{name}_distance_m": distance_m, f"{name}_bearing_deg": bearing_deg}
     wrong = list(_wrong(mission, place, off_m))
     if wrong:
-        says = f"{'; '.join(wrong)}: check frame, normals and where the vehicle stands. {says}"
+        says = f"{'; '.join(wrong)}: check frame, normals and the vehicle's place. {says}"
     behind = list(_walls_seen_from_behind(mission, place))
     if behind:
-        says += f"; it is behind the face of wall {', '.join(behind)}: is that normal turned round?"
+        says += f"; the vehicle is behind the face of wall {', '.join(behind)}: check the sign of its normal"
     doubtful = not wrong and (off_m > START_SD_M or bool(behind))
     return [
         CheckFinding("place", not wrong, says, remark=doubtful, figures=figures),
@@ -66,10 +66,10 @@ def judge_place(
 def _surroundings(
     mission: Mission, frame: MissionFrame, place: Vec2, yaw_ned: float
 ) -> Iterator[tuple[str, float, float, str]]:
-    """Yield every wall's and post's surface: name, distance, bearing in degrees, side of the vehicle.
+    """Yield name, distance, bearing in degrees and side of the vehicle for every wall and post.
 
-    The surface and not the plane of the centre at first touch: a tape measure finds it, and shows a
-    forgotten `given_at: surface`.
+    Distances are to the surface, where a tape measure ends, so the operator notices a missing
+    `given_at: surface`.
     """
     to_surface_m = mission.vehicle.airframe.contact_distance_m
     points = [
@@ -86,12 +86,12 @@ def _surroundings(
 
 
 def _wrong(mission: Mission, place: Vec2, off_m: float) -> Iterator[str]:
-    """Yield the reasons not to take off from a place, in words."""
+    """Yield a phrase for each reason not to take off from a place."""
     excess_m = mission.bounds.excess2(place)
     if excess_m > 0.0:
         yield f"vehicle is {excess_m:.2f} m outside of bounds_m"
     if off_m > START_TOLERANCE_M:
-        yield f"vehicle is {off_m:.2f} m from start, allowed are {START_TOLERANCE_M:g} m"
+        yield f"vehicle is {off_m:.2f} m from start, {START_TOLERANCE_M:g} m allowed"
     for wall in mission.walls:
         if not wall.sought and is_blocked(wall, place, mission.start):
             behind = wall.signed_distance(place) < 0.0 < wall.signed_distance(mission.start)
@@ -99,11 +99,11 @@ def _wrong(mission: Mission, place: Vec2, off_m: float) -> Iterator[str]:
             yield f"vehicle is {side} wall {wall.name}"
     for post in mission.posts:
         if is_post_in_the_way(mission, post, place, mission.start):
-            yield f"post {post.name} stands between vehicle and start"
+            yield f"post {post.name} is between vehicle and start"
 
 
 def _walls_seen_from_behind(mission: Mission, place: Vec2) -> Iterator[str]:
-    """Yield the walls whose back the vehicle looks at, although no later hit explains that."""
+    """Yield the walls that have the vehicle at their back although no later hit explains it."""
     later = {collision.wall.name for collision in mission.collisions[1:]}
     for wall in mission.walls:
         if wall.name not in later and wall.spans(place) and wall.signed_distance(place) < 0.0:
@@ -116,8 +116,8 @@ def _judge_heading(mission: Mission, heading_deg: float) -> Iterator[CheckFindin
     if 0.0 < abs(given) <= 2.0 * math.pi and (
         _apart_deg(heading_deg, in_radians) < _FITS_DEG and _apart_deg(heading_deg, given) > _MISFITS_DEG
     ):
-        says = f"frame.heading_deg {given:g} looks like radians: the vehicle heads {heading_deg:.0f} deg, "
-        says += f"and {given:g} rad are {in_radians % 360.0:.0f} deg"
+        says = f"frame.heading_deg {given:g} looks like radians: the vehicle's heading is {heading_deg:.0f} "
+        says += f"deg, and {given:g} rad are {in_radians % 360.0:.0f} deg; give degrees"
         yield CheckFinding("heading", False, says)
 
 

@@ -256,18 +256,21 @@ def _judge_gains(mission: Mission, values: Mapping[str, float]) -> list[CheckFin
 def _judge_pose_delay(
     mission: Mission, delay_ms: float, difference: ParameterDifference | None
 ) -> CheckFinding:
-    """How old PX4 takes a pose to be, against what was measured; unknown, `difference` says what is usual."""
+    """Compare PX4's assumed pose delay with the measured one.
+
+    `difference` is to PX4's usual value, for the case that no measurement exists.
+    """
     measured_ms = mission.vehicle.mocap.delay_ms
     if measured_ms is None:
         says = f"{delay_ms:g} ms" if difference is None else difference.line()
-        says += "; mocap.delay_ms is not known: measure how old a pose is when it reaches PX4, and set both"
+        says += "; mocap.delay_ms is not set: measure the age of a pose on arrival at PX4 and set both"
         return CheckFinding(_POSE_DELAY, True, says, remark=True)
     apart_ms = abs(delay_ms - measured_ms)
     says = f"{delay_ms:g} ms on the vehicle, {measured_ms:g} ms in mocap.delay_ms"
     if apart_ms > _POSE_DELAY_TOLERANCE_MS:
         says += (
-            f": {apart_ms:g} ms apart, allowed {_POSE_DELAY_TOLERANCE_MS:g} ms, and the position estimate "
-            f"swings; set {_POSE_DELAY} to {measured_ms:g}"
+            f": {apart_ms:g} ms apart, {_POSE_DELAY_TOLERANCE_MS:g} ms allowed, the position estimate would "
+            f"oscillate; set {_POSE_DELAY} to {measured_ms:g}"
         )
     return CheckFinding(_POSE_DELAY, apart_ms <= _POSE_DELAY_TOLERANCE_MS, says)
 

@@ -1,4 +1,4 @@
-"""What the telemetry of a connected vehicle holds: rates, senders, batteries, motor outputs."""
+"""Checks of a connected vehicle's telemetry: rates, senders, batteries, motor outputs."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from dart_flight.vehicle.batteries import describe_reading
 from dart_flight.vehicle.ground_link import Observation, Source, unusable_streams
 
 LOOPBACK = "MAV_ODOM_LP"  # PX4 before 1.14
-_REST_TOLERANCE = 0.3  # share of g: an accelerometer in another unit is off by ten times or more
-_ARRIVES_HZ = 0.2  # a slower stream is only a message or two
+_REST_TOLERANCE = 0.3  # share of g; an accelerometer in another unit is off by a factor of ten or more
+_ARRIVES_HZ = 0.2  # slower: one or two messages, not a stream
 
 
 def judge_rates(observed: Observation, values: Mapping[str, float]) -> list[CheckFinding]:
-    """Return whether each stream brings enough usable samples, and why not.
+    """Return a finding for each stream: enough usable samples, or the reason why not.
 
     Args:
         observed: rates and senders.
-        values: parameters as read; `LOOPBACK` if the vehicle has it.
+        values: parameters read from the vehicle, with `LOOPBACK` if the vehicle has it.
     """
     findings, unusable = [], unusable_streams(observed.sources)
     for name, rate in observed.rates_hz.items():
@@ -39,7 +39,7 @@ def judge_rates(observed: Observation, values: Mapping[str, float]) -> list[Chec
 
 
 def judge_sources(observed: Observation) -> list[CheckFinding]:
-    """Return which component each stream comes from, and every other sender of the same message."""
+    """Return a finding that names each stream's component and every other sender of its message."""
     taken = [s for s in observed.sources if s.is_vehicle and s.usable_hz > 0.0]
     if not taken:
         return []
@@ -70,7 +70,7 @@ def _describe(source: Source) -> str:
 
 
 def judge_battery(mission: Mission, observed: Observation) -> CheckFinding:
-    """Return whether the worst of the batteries that the vehicle flies on is charged."""
+    """Return whether the worst flight battery is charged."""
     guard, left, volts = mission.vehicle.guard, observed.battery_remaining, observed.battery_v
     low = (left is not None and left < 2.0 * guard.battery_remaining) or (
         volts is not None and volts < guard.battery_v
@@ -95,7 +95,7 @@ def judge_resting_force(observed: Observation) -> list[CheckFinding]:
     force = observed.specific_force_m_s2
     if force is None or abs(force - GRAVITY_M_S2) <= _REST_TOLERANCE * GRAVITY_M_S2:
         return []
-    says = f"HIGHRES_IMU reads {force:.2f} m/s2 on the ground, not 9.81: another unit, or not calibrated"
+    says = f"HIGHRES_IMU reads {force:.2f} m/s2 on the ground, not 9.81: wrong unit or not calibrated"
     return [CheckFinding("imu_scale", False, says)]
 
 
@@ -103,13 +103,13 @@ def judge_resting_force(observed: Observation) -> list[CheckFinding]:
 
 _BANKS = ("PWM_MAIN", "PWM_AUX", "UAVCAN_EC")  # in the order in which PX4 starts them
 _MOTOR_1 = 101  # output function
-_SLOWEST_DSHOT = -2  # PWM_<bank>_TIM<n>: from here down DShot, -1 OneShot
+_SLOWEST_DSHOT = -2  # PWM_<bank>_TIM<n>: DShot from -2 down, -1 is OneShot
 
 
 def motor_output_names(values: Mapping[str, float], motors: int) -> list[str]:
-    """Return the parameters to read next to find the outputs of the motors; empty when nothing is left.
+    """Return the parameters to read next to find the motors' outputs, or an empty list when done.
 
-    An absent parameter costs seconds, so the first output of a bank tells whether the vehicle has the bank.
+    Reading an absent parameter takes seconds, so the first output of a bank decides whether the bank exists.
     """
     for bank in _BANKS:
         pins = [f"{bank}_FUNC{k}" for k in range(1, motors + 1)]
@@ -134,35 +134,37 @@ def _has_motors(bank: str, values: Mapping[str, float], motors: int) -> bool:
 def judge_motor_outputs(
     mission: Mission, observed: Observation, values: Mapping[str, float]
 ) -> list[CheckFinding]:
-    """Return the output type and scale of the motors, or why they cannot be decoded.
+    """Return the motors' output type and scale, or the reason why the outputs cannot be decoded.
 
     Args:
-        mission: for its vehicle.
-        observed: scale by the values that arrived.
-        values: parameters by `motor_output_names`.
+        mission: the mission, for its vehicle.
+        observed: telemetry, with the scale that its values imply.
+        values: parameters requested by `motor_output_names`.
     """
     item, motors = "motor_outputs", len(mission.vehicle.airframe.motors)
-    seen = observed.motor_scale
+    observed_scale = observed.motor_scale
     bank = next((bank for bank in _BANKS if _has_motors(bank, values, motors)), None)
     if bank is None:
         if f"{_BANKS[0]}_FUNC1" in values:
-            says = f"no output of {', '.join(_BANKS)} 1 to {motors} is a motor's: thrust is not known"
+            says = f"no output 1 to {motors} of {', '.join(_BANKS)} drives a motor: thrust is unknown"
             return [CheckFinding(item, False, says)]
         by_values = (
-            f"{seen.describe()}, by the values" if seen else "all 0 while disarmed: type not known yet"
+            f"{observed_scale.describe()}, by the values"
+            if observed_scale
+            else "all 0 while disarmed: type not known yet"
         )
         return [CheckFinding(item, True, by_values)]
     wrong = _problem_of(bank, values, motors)
     if wrong:
         return [CheckFinding(item, False, wrong)]
-    told = _scale_of(bank, values)
-    if seen is not None and seen != told:
-        says = f"{bank} is {told.describe()} by its parameters, but sends values of {seen.describe()}"
+    scale = _configured_scale(bank, values)
+    if observed_scale is not None and observed_scale != scale:
+        says = f"{bank} is {scale.describe()} by its parameters, but sends {observed_scale.describe()}"
         return [CheckFinding(item, False, says)]
-    return [CheckFinding(item, True, f"{told.describe()}, on {bank}")]
+    return [CheckFinding(item, True, f"{scale.describe()}, on {bank}")]
 
 
-def _scale_of(bank: str, values: Mapping[str, float]) -> OutputScale:
+def _configured_scale(bank: str, values: Mapping[str, float]) -> OutputScale:
     if bank == "UAVCAN_EC":
         return UAVCAN
     return DSHOT if values.get(f"{bank}_TIM0", 0.0) <= _SLOWEST_DSHOT else PWM
@@ -173,22 +175,23 @@ def _problem_of(bank: str, values: Mapping[str, float], motors: int) -> str:
         function = round(values.get(f"{bank}_FUNC{k}", 0))
         if function != _MOTOR_1 + k - 1:
             return (
-                f"output {k} of {bank} has function {function}, not motor {k}: outputs 1 to {motors} are read"
+                f"output {k} of {bank} has function {function}, not {_MOTOR_1 + k - 1} (motor {k}): assign "
+                f"the motors to outputs 1 to {motors}"
             )
     earlier = [
         b for b in _BANKS[: _BANKS.index(bank)] if any(values.get(f"{b}_FUNC{k}") for k in range(1, 17))
     ]
     if earlier:
         return (
-            f"the motors are on {bank}, and PX4 reports only the bank that it starts first ({earlier[0]}): "
-            f"thrust is not known. Free the outputs of {earlier[0]}, or move the motors there"
+            f"the motors are on {bank}, but PX4 reports only {earlier[0]}, which it starts first: thrust is "
+            f"unknown; free the outputs of {earlier[0]}, or move the motors there"
         )
-    if _scale_of(bank, values) is PWM:
+    if _configured_scale(bank, values) is PWM:
         for k in range(1, motors + 1):
             low, high = values.get(f"{bank}_MIN{k}", PWM.stop), values.get(f"{bank}_MAX{k}", PWM.full)
             if (low, high) != (PWM.stop, PWM.full):
                 return (
                     f"{bank}_MIN{k} and MAX{k} are {low:g} and {high:g}: set {PWM.stop:g} and {PWM.full:g}, "
-                    "which the thrust is computed from"
+                    "the thrust model's range"
                 )
     return ""

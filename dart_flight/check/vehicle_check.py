@@ -54,7 +54,7 @@ def check_vehicle(
         mode = link.heartbeat_mode()
         other = judge_autopilot(mode)
         if other:
-            return other  # it knows neither PX4's parameters nor its modes
+            return other  # another autopilot has neither PX4's parameters nor its modes
         late = judge_round_trip(mission, link.round_trip_s())
         if not late.go:
             return [late]  # over such a link the rest would take minutes, and tell nothing
@@ -88,7 +88,7 @@ def check_vehicle(
 
 
 def _read_outputs(link: GroundLink, motors: int) -> dict[str, float]:
-    """Read what the motors are connected to; an absent bank is noted as NaN."""
+    """Read the parameters of the motors' outputs, without those that the vehicle does not have."""
     values: dict[str, float] = {}
     while names := motor_output_names(values, motors):
         values |= dict.fromkeys(names, math.nan) | link.read_parameters(names)
@@ -112,7 +112,7 @@ def judge_round_trip(mission: Mission, seconds: float | None) -> CheckFinding:
 
 
 def judge_observation(mission: Mission, observed: Observation) -> list[CheckFinding]:
-    """Version, other vehicles and estimator as observed."""
+    """Return findings about version, other vehicles and estimator."""
     findings = [
         CheckFinding(
             "version", True, f"PX4 {observed.version}" if observed.version else "version not reported"
@@ -137,7 +137,7 @@ def judge_autopilot(mode: HeartbeatMode | None) -> list[CheckFinding]:
     """Return a no-go for an autopilot that is not PX4, with its name."""
     if mode is None or not mode.not_px4:
         return []
-    says = f"heartbeats arrive, none {mode.not_px4}: this program flies PX4 only"
+    says = f"heartbeats arrive, none {mode.not_px4}: this program supports PX4 only"
     return [CheckFinding("autopilot", False, says)]
 
 

@@ -66,7 +66,7 @@ class _Parser(argparse.ArgumentParser):
         self.exit(EXIT_INPUT, f"{self.prog}: {self._suggest_choice(message)} (see `{self.prog} --help`)\n")
 
     def _print_message(self, message: str, file: Any = None) -> None:
-        """As argparse has it, with the one way to print."""
+        """Print a message of argparse through `terminal`."""
         if message and file is sys.stdout:
             write_output(message)
         elif message:
@@ -180,7 +180,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print_status("interrupted")
         return EXIT_INTERRUPTED
-    except OSError as error:  # one that nobody has expected: in its own words, and where it came from
+    except OSError as error:  # unexpected: print the system's message and its origin
         if "-vv" in arguments:
             raise
         print_status(_system_error(error))
@@ -188,7 +188,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _need_working_folder() -> None:
-    """Raises InputError: the working folder was removed, and no relative path leads anywhere."""
+    """Raise InputError if the working folder was removed, because relative paths then fail."""
     try:
         os.getcwd()
     except OSError as error:
@@ -196,7 +196,7 @@ def _need_working_folder() -> None:
 
 
 def _system_error(error: OSError) -> str:
-    """An error of the operating system in a line, with the place in the program that it came from."""
+    """Return a system error in one line, with the file and line of the program that raised it."""
     place = traceback.extract_tb(error.__traceback__)[-1]
     names = [os.fsdecode(n) for n in (error.filename, error.filename2) if isinstance(n, str | bytes)]
     what = ": ".join([*names, error.strerror or str(error)])

@@ -50,13 +50,13 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--speed",
         type=simulation_speed,
         metavar="X",
-        help="simulated seconds per second at most, 0.1 to 10, or max: as fast as the machine goes "
+        help="highest simulated seconds per second, 0.1 to 10, or max: no limit "
         "(default 1, with --runs max); not with --fast",
     )
     parser.add_argument(
         "--realtime",
         action="store_true",
-        help="simulated time does not wait for this program: a busy computer fails the flight (docs/time.md)",
+        help="simulated time does not wait for this program; a busy computer may fail it (docs/time.md)",
     )
     parser.add_argument("--fast", action="store_true", help="in process, in simulated time, without MAVLink")
     parser.add_argument("--seed", type=whole_number(0, 2**31 - 1), default=1, help="random seed (default 1)")
@@ -78,7 +78,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def simulation_speed(text: str) -> float:
-    """Return the speed of `--speed`: a number, or `max`."""
+    """Parse `--speed`: a number, or `max`."""
     return FULL_SPEED if text == "max" else number(0.1, 10.0)(text)
 
 
@@ -90,9 +90,9 @@ def flight_function(arguments: argparse.Namespace, mission: Mission) -> Callable
     if fault is not None and (arguments.runs is not None or arguments.px4 is not None):
         raise InputError("--fault is for one flight in the fast or the embedded world")
     if arguments.fast and (arguments.speed is not None or arguments.realtime):
-        raise InputError("--fast always runs at full speed: leave out --speed and --realtime")
+        raise InputError("--fast always runs at full speed: omit --speed and --realtime")
     if arguments.realtime and arguments.speed == FULL_SPEED:
-        raise InputError("--speed max needs lockstep: leave out --realtime, or give --speed a number")
+        raise InputError("--speed max needs lockstep: omit --realtime, or give --speed a number")
     speed = arguments.speed or (1.0 if arguments.runs is None or arguments.realtime else FULL_SPEED)
     if arguments.live and (arguments.fast or arguments.runs is not None):
         raise InputError(
@@ -146,7 +146,7 @@ def run(arguments: argparse.Namespace) -> int:
     realtime = is_realtime(arguments, mission)
     if realtime and not arguments.realtime and arguments.hitl is None:
         warnings.append(
-            f"the fault {arguments.fault} is about time or link: flown in real time, not in lockstep"
+            f"the fault {arguments.fault} concerns time or link: flown in real time, not in lockstep"
         )
     late_s = measure_lateness_s() if realtime else 0.0
     if late_s > LATE_S:
@@ -164,7 +164,7 @@ def _fly_one(arguments: argparse.Namespace, mission: Mission, fly: Callable[...,
         seen = {} if live is None else {"viewer": live}
         began_s = time.monotonic()
         verdict = fly(mission, seed=arguments.seed, log_dir=arguments.log_dir, progress=lines, **seen)
-        if verdict.speed is None and verdict.flight_time_s is not None:  # in process: with its start
+        if verdict.speed is None and verdict.flight_time_s is not None:  # includes the start of the process
             verdict.speed = verdict.flight_time_s / (time.monotonic() - began_s)
     show_end(verdict, console, arguments.json)
     if arguments.hitl is not None:

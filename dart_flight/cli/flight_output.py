@@ -20,7 +20,7 @@ from dart_flight.recording.plan_versus_flight import format_departures
 from dart_flight.recording.verdict import CollisionVerdict, Velocities, Verdict
 from dart_flight.run.many_flights import RunsSummary
 
-TOO_BUSY = "the computer cannot keep up with real time; leave out --realtime, or use --fast"
+TOO_BUSY = "the computer cannot keep up with real time; omit --realtime, or use --fast"
 
 
 class FlightLines:
@@ -89,7 +89,7 @@ def show_end(verdict: Verdict, console: Console, as_json: bool) -> None:
 
 
 def _in_a_line(verdict: Verdict) -> str:
-    """Return how a flight ended, and where its log is."""
+    """Return a flight's outcome and the path of its log in one line."""
     reason = "" if verdict.reason is None else f": {verdict.reason}"
     log = "" if verdict.log is None else f", log: {verdict.log}"
     return f"{verdict.mission}, {verdict.world or 'unknown'}: {verdict.outcome}{reason}{log}"
@@ -179,13 +179,13 @@ def verdict_table(verdict: Verdict) -> RenderableType:
 
 
 def _resets_line(verdict: Verdict) -> Text:
-    """Return how often PX4's estimator was reset in the air, and by how much at most."""
+    """Return the number of PX4's estimator resets in the air and their largest steps."""
     resets = verdict.estimator_resets
     position_m, velocity_m_s = max(r.position_m for r in resets), max(r.velocity_m_s for r in resets)
     heading_deg = max((r.heading_deg for r in resets), key=abs)
     figures = f"{position_m:.2f} m, {velocity_m_s:.2f} m/s, heading {heading_deg:.1f} deg"
     times = "once" if len(resets) == 1 else f"{len(resets)} times"
-    return Text(f"PX4 reset its estimator {times}, at most by {figures}", style="yellow")
+    return Text(f"PX4 reset its estimator {times}, by at most {figures}", style="yellow")
 
 
 def _goal_line(verdict: Verdict) -> Text:

@@ -89,7 +89,7 @@ def run(arguments: argparse.Namespace) -> int:
     survey = plan_survey(mission, arguments.touch_speed)
     console = messages()
     for name, reason in survey.unreachable.items():
-        console.print(f"wall {name} is not touched: {reason}", style="yellow", soft_wrap=True)
+        console.print(f"wall {name} is skipped: {reason}", style="yellow", soft_wrap=True)
     say_vehicle(mission.flown_vehicle(), arguments)
     verdict = _fly(arguments, survey.mission)
     if verdict is None:
@@ -100,7 +100,7 @@ def run(arguments: argparse.Namespace) -> int:
         unfit = _write(arguments, document.tree, walls, mission)
     if not arguments.json:
         show_end(verdict, console, False)
-    with keep_status(f"{len(walls)} of {len(mission.flat_walls)} walls met"):
+    with keep_status(f"{len(walls)} of {len(mission.flat_walls)} walls touched"):
         if arguments.json:
             emit_json(
                 {
@@ -114,7 +114,7 @@ def run(arguments: argparse.Namespace) -> int:
             tables().print(_table(verdict.walls))
     missed = [wall.name for wall in mission.flat_walls if wall.name not in walls]
     if missed:
-        console.print(f"not met: {', '.join(missed)}", style="red", soft_wrap=True)
+        console.print(f"not touched: {', '.join(missed)}", style="red", soft_wrap=True)
     if unfit is not None:
         says = f"written, but it does not fit its walls as they were met; plan it anew: {unfit}"
         console.print(says, style="red", soft_wrap=True)

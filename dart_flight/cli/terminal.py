@@ -1,7 +1,7 @@
-"""What every command prints with: JSON alone on standard output, everything else on standard error.
+"""Output of every command: results on standard output, messages and progress on standard error.
 
-Text is printed as it is: square brackets and colons in a path or in a message of PX4 are no markup. Style is
-given as `style=` or as `rich.text.Text`. Characters that the output's encoding lacks are escaped.
+Text is printed literally: square brackets and colons in a path or a PX4 message are not markup. Style is
+passed as `style=` or as `rich.text.Text`. Characters that the output's encoding lacks are escaped.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ _STANDARD = (0, 1, 2)  # descriptors of the standard streams
 
 
 class OutputError(FlightError):
-    """Standard output does not take what is printed.
+    """Error of a failed write to standard output.
 
     Attributes:
-        closed: its reader has gone (`| head`): nobody is left to be told.
+        closed: whether the reader has closed the pipe (`| head`), so that no message is needed.
     """
 
     def __init__(self, error: OSError) -> None:
@@ -42,8 +42,8 @@ class OutputError(FlightError):
 class _OutputStream:
     """Standard output or standard error as it is at the moment of writing.
 
-    A message that standard error does not take (a full disk, a terminal that is gone) is dropped: no flight
-    ends because of it.
+    A message that cannot be written to standard error (full disk, closed terminal) is discarded, so that it
+    does not end a flight.
 
     Args:
         name: `stdout` or `stderr`.
@@ -53,10 +53,10 @@ class _OutputStream:
         self._name = name
 
     def write(self, text: str) -> int:
-        """Write text, escaped as far as the encoding asks for it.
+        """Write text, with characters escaped that the encoding lacks.
 
         Raises:
-            OutputError: standard output does not take it.
+            OutputError: writing to standard output failed.
         """
         with self._errors():
             stream = self._stream
@@ -68,10 +68,10 @@ class _OutputStream:
         return len(text)
 
     def flush(self) -> None:
-        """Hand on what was written.
+        """Flush the stream.
 
         Raises:
-            OutputError: as `write`.
+            OutputError: writing to standard output failed.
         """
         with self._errors():
             self._stream.flush()
@@ -95,8 +95,8 @@ class _OutputStream:
 
 
 def _discard(stream: IO[str]) -> None:
-    """Lead a stream that takes nothing to nowhere, so that closing it at the program's end succeeds."""
-    with contextlib.suppress(OSError):  # a stream without a descriptor has nothing to be led
+    """Redirect a broken stream to the null device, so that closing it at exit succeeds."""
+    with contextlib.suppress(OSError):  # a stream without a descriptor needs no redirection
         null = os.open(os.devnull, os.O_WRONLY)
         os.dup2(null, stream.fileno())
         os.close(null)
@@ -106,16 +106,16 @@ _OUTPUT, _MESSAGES = cast("IO[str]", _OutputStream("stdout")), cast("IO[str]", _
 
 
 def open_closed_streams() -> None:
-    """Give standard streams that were closed (`>&-`) a descriptor, before a file or a link gets its number.
+    """Open a descriptor for each closed standard stream (`>&-`), before a file or link gets its number.
 
-    Libraries print to these numbers: into the log or the serial link, where they are those. A closed output
-    stays one that refuses what is printed.
+    Libraries print to these numbers, so a log or serial link with such a number would receive their text.
+    Writing to a closed standard output still fails.
     """
     for number in _STANDARD:
         try:
             os.fstat(number)
         except OSError:
-            os.open(os.devnull, os.O_RDONLY)  # gets the lowest free number, which is this one
+            os.open(os.devnull, os.O_RDONLY)  # gets the lowest free number, which is `number`
     for name, number in (("stdout", 1), ("stderr", 2)):
         if getattr(sys, name) is None:
             setattr(sys, name, os.fdopen(number, "w", encoding="utf-8", errors=ESCAPED, closefd=False))
@@ -123,13 +123,13 @@ def open_closed_streams() -> None:
 
 def messages() -> Console:
     """Console for progress and messages: standard error."""
-    from rich.console import Console  # takes a while: `--help` does without
+    from rich.console import Console  # slow to import, and `--help` does not need it
 
     return Console(file=_MESSAGES, highlight=False, markup=False, emoji=False)
 
 
 def print_status(*lines: object) -> None:
-    """Lines on standard error, which the terminal may break."""
+    """Print lines on standard error; the terminal may wrap them."""
     for line in lines:
         _MESSAGES.write(f"{line}\n")
     _MESSAGES.flush()
@@ -147,9 +147,9 @@ def write_text(path: Path, text: str) -> None:
 
 
 def tables() -> Console:
-    """Console for what the command was asked for, when it is not `--json`: standard output.
+    """Return the console for a command's result without `--json`: standard output.
 
-    Printing raises `OutputError` where it does not take it.
+    Printing raises `OutputError` if the write fails.
     """
     from rich.console import Console
 
@@ -164,10 +164,10 @@ def styled(*parts: str | tuple[str, str]) -> Text:
 
 
 def write_output(text: str) -> None:
-    """Write text on standard output as it is.
+    """Write text to standard output literally.
 
     Raises:
-        OutputError: it does not take it.
+        OutputError: the write failed.
     """
     _OUTPUT.write(text)
     _OUTPUT.flush()
@@ -177,11 +177,11 @@ def emit_json(value: Any) -> None:
     """Print one object as JSON on standard output; a number that is not finite becomes null.
 
     Raises:
-        OutputError: standard output does not take it.
+        OutputError: the write failed.
     """
     try:
         data = msgspec.json.encode(value)
-    except UnicodeEncodeError:  # a file name in it is not UTF-8
+    except UnicodeEncodeError:  # a file name in `value` is not UTF-8
         data = msgspec.json.encode(_printable(msgspec.to_builtins(value)))
     write_output(msgspec.json.format(data, indent=2).decode() + "\n")
 
@@ -198,10 +198,10 @@ def _printable(value: Any) -> Any:
 
 @contextlib.contextmanager
 def keep_status(outcome: str) -> Iterator[None]:
-    """Print the result of something that has happened: an output that takes nothing does not undo it.
+    """Keep the exit status of completed work if printing its result fails.
 
     Args:
-        outcome: what has happened, in a line; goes to standard error where standard output fails.
+        outcome: the result in one line, printed on standard error if standard output fails.
     """
     try:
         yield

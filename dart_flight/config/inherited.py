@@ -1,4 +1,4 @@
-"""What an own vehicle file leaves as another vehicle has it: listed by `check`, contradictions marked."""
+"""Values that a vehicle file inherits from another vehicle; `check` lists them and marks contradictions."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from dart_flight.config.document import Document, InputError
 from dart_flight.config.file_kinds import EXTENDS
 from dart_flight.config.vehicle import VehicleConfig, load_vehicle, packaged
 
-_SAME: Final = 0.1  # relative: two values this near count as the same
+_SAME: Final = 0.1  # relative difference up to which two values count as equal
 _SIZE: Final = ("airframe.arm_x_m", "airframe.arm_y_m", "airframe.motors")
 _TURNING: Final = ("airframe.mass_kg", "airframe.inertia_kg_m2", "thrust.full_n", *_SIZE)
 LOCK: Final = "lock"
 
-# What each vehicle has of its own -> the keys that it follows from.
+# Keys that each vehicle must measure -> the keys on which they depend.
 FOLLOWS_FROM: Final[Mapping[str, tuple[str, ...]]] = {
     "airframe.mass_kg": (),
     "airframe.contact_distance_m": _SIZE,
@@ -49,13 +49,12 @@ _SAYS_WHICH_VEHICLE: Final = ("airframe.mass_kg", "airframe.contact_distance_m",
 
 
 class Inherited(NamedTuple):
-    """What an own vehicle file leaves as another has it.
+    """Values that a vehicle file inherits from another vehicle's file.
 
     Attributes:
-        file, base: the vehicle's own file, and the one whose values it keeps.
-        keys: with their values, in words.
-        contradictions: other kept keys, which follow from a value that this vehicle has otherwise; by that
-            value, in words.
+        file, base: the vehicle's own file, and the file that it inherits from.
+        keys: inherited keys with their values, as text.
+        contradictions: inherited keys with their values, by the changed value that contradicts them.
     """
 
     file: str
@@ -67,15 +66,15 @@ class Inherited(NamedTuple):
 def find_inherited(
     vehicle: VehicleConfig, file: str | None, settings: Sequence[str] = ()
 ) -> Inherited | None:
-    """Return what a vehicle takes from the packaged one, or from what its file extends.
+    """Return the values that a vehicle inherits from a packaged vehicle or from the file that it extends.
 
     Args:
         vehicle: the whole configuration.
-        file: where it came from; None: built in Python.
-        settings: `KEY=VALUE` that `--set` gave beside the file.
+        file: file of the configuration, or None if it was built in Python.
+        settings: `KEY=VALUE` pairs from `--set`.
 
     Returns:
-        None: it is a packaged vehicle, or the same one with other settings.
+        The values, or None for a packaged vehicle, with or without other settings.
     """
     found = None if file is None else _given_and_base(Path(file))
     if file is None or found is None:
@@ -103,7 +102,7 @@ def find_inherited(
 
 
 def _given_and_base(path: Path) -> tuple[set[str], Path] | None:
-    """The keys that a file gives itself, and the file that the rest comes from; None: a packaged one."""
+    """Return the keys that a file sets itself and the file it inherits from, or None for a packaged file."""
     document = Document.load(path)
     try:
         original = packaged("configs", path.name)
@@ -112,7 +111,7 @@ def _given_and_base(path: Path) -> tuple[set[str], Path] | None:
         if isinstance(base, str):
             return set(_leaves(document.tree)), path.parent / base
         original = packaged("configs", "dart.yaml")
-    # A copy that was edited: what is as in the packaged file was not given.
+    # In an edited copy, values equal to the packaged file's count as inherited.
     leaves, known = _leaves(document.tree), _leaves(Document.load(original).tree)
     given = {key for key, value in leaves.items() if value != known.get(key)}
     return (given, original) if given else None
@@ -131,7 +130,7 @@ def _walk(tree: Mapping[str, Any], above: str) -> Iterator[tuple[str, Any]]:
 
 
 def _values(vehicle: VehicleConfig) -> dict[str, Any]:
-    """By the keys of `FOLLOWS_FROM` and of materials."""
+    """Return the vehicle's values by the keys of `FOLLOWS_FROM` and of materials."""
     tree = vehicle.to_dict()
     values: dict[str, Any] = {LOCK: "servo" if vehicle.has_lock else "none"}
     for key in {key for row in FOLLOWS_FROM.items() for key in (row[0], *row[1])} - {LOCK}:
@@ -148,7 +147,7 @@ def _is_given(key: str, given: set[str]) -> bool:
 
 
 def _differ(a: Any, b: Any) -> bool:
-    """Whether two values differ by more than a measurement of the same thing would."""
+    """Return whether two values differ by more than two measurements of one quantity would."""
     if isinstance(a, int | float) and isinstance(b, int | float):
         return abs(a - b) > _SAME * max(abs(a), abs(b))
     if isinstance(a, Sequence) and isinstance(b, Sequence) and len(a) == len(b) and not isinstance(a, str):

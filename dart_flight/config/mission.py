@@ -227,7 +227,7 @@ class Mission(MissionKeys, frozen=True, kw_only=True, forbid_unknown_fields=Fals
 
     @property
     def digest(self) -> str:
-        """Fingerprint of what is flown: mission and vehicle, without their files, link and lock driver."""
+        """Return a fingerprint of mission and vehicle, without file names, link and lock driver."""
         bare = msgspec.structs.replace(self, source="", vehicle_source=None, flown=None, standoff_m=None)
         tree = msgspec.to_builtins(bare)
         tree["vehicle"].pop("connection")

@@ -27,7 +27,7 @@ Direction = Annotated[float, Meta(ge=-1e6, le=1e6)]
 Alpha = Annotated[float, Meta(ge=0.0, le=1.0)]
 Point2 = tuple[Coordinate, Coordinate]
 Range = tuple[Coordinate, Coordinate]
-_MOST_BROKEN_OFF = 0.1  # of the drawn flights of a plan that is offered
+_MOST_BROKEN_OFF = 0.1  # largest share of drawn flights that may fail for a plan to be offered
 Standoff = Annotated[float, Meta(ge=0.1, le=2.0)]
 Name = Annotated[str, Meta(pattern=r"^[A-Za-z0-9][A-Za-z0-9 _.-]{0,63}$")]
 
@@ -422,14 +422,14 @@ Count = Annotated[int, Meta(ge=0, le=1_000_000)]
 
 
 class NominalFlight(Section, frozen=True):
-    """The simulated flight in which nothing is drawn.
+    """The simulated flight without drawn quantities.
 
     Attributes:
         outcome: completed, aborted or released.
-        uncontrolled: whether it tumbled, crashed or left the bounds far behind (docs/interfaces.md).
-        time_s: from take-off to landing, touches included; null: it did not land.
+        uncontrolled: whether the vehicle tumbled, crashed or left the bounds (docs/interfaces.md).
+        time_s: duration from take-off to landing, touches included; null if the vehicle did not land.
         max_tilt_deg: largest tilt.
-        reason: of a flight that did not complete.
+        reason: why the flight did not complete.
     """
 
     outcome: Outcome
@@ -440,16 +440,16 @@ class NominalFlight(Section, frozen=True):
 
 
 class DrawnFlights(Section, frozen=True):
-    """Simulated flights in which everything is drawn (`--vary all`).
+    """Simulated flights in which every quantity is drawn (`--vary all`).
 
     Attributes:
-        flights: how many.
-        first_seed: of consecutive seeds.
-        completed: how many completed.
-        uncontrolled: how many were uncontrolled, completed or not.
-        ended_by: guard rule, or other cause, to how many of the others it ended.
-        median_time_s: of the completed ones, from take-off to landing, touches included.
-        max_tilt_deg: largest tilt of all.
+        flights: number of flights.
+        first_seed: first of the consecutive seeds.
+        completed: number of completed flights.
+        uncontrolled: number of uncontrolled flights, completed or not.
+        ended_by: number of flights that did not complete, by guard rule or other cause.
+        median_time_s: median duration of completed flights from take-off to landing, touches included.
+        max_tilt_deg: largest tilt in any flight.
     """
 
     flights: Count
@@ -462,14 +462,14 @@ class DrawnFlights(Section, frozen=True):
 
 
 class FlownRecord(Section, frozen=True):
-    """How the mission flew in simulation; written by `plan`, shown by `check`, ignored by the flight.
+    """Simulated flights of the mission; written by `plan`, shown by `check`, ignored in flight.
 
     Attributes:
-        software: version that flew it.
-        digest: of mission and vehicle as they were flown: `check` compares it.
-        nominal, drawn: the flights; drawn is null if the nominal flight failed already.
-        free_time_s: median of the flight without a collision in the same drawn worlds; null: not flown.
-        saving_s: median of what this mission is quicker by in the same worlds; negative: it is slower.
+        software: version of the software that flew the mission.
+        digest: fingerprint of mission and vehicle at that time; `check` compares it.
+        nominal, drawn: the flights; drawn is null if the nominal flight failed.
+        free_time_s: median duration without a collision in the same drawn worlds; null if not flown.
+        saving_s: median time that this mission saves in the same worlds; negative if it is slower.
     """
 
     software: str
@@ -481,7 +481,7 @@ class FlownRecord(Section, frozen=True):
 
     @property
     def danger(self) -> str | None:
-        """Why the mission must not be flown, in words; None: it was controlled, and completed nominally."""
+        """Reason not to fly the mission, or None if it was controlled and its nominal flight completed."""
         nominal = self.nominal
         if nominal.uncontrolled:
             return f"its nominal flight is uncontrolled ({nominal.reason or nominal.outcome.value})"
@@ -493,7 +493,7 @@ class FlownRecord(Section, frozen=True):
 
     @property
     def failure(self) -> str | None:
-        """Why it is no plan to offer: `danger`, or too few drawn flights complete; None: it is one."""
+        """Reason not to offer the plan (`danger`, or too few drawn flights complete), or None."""
         if self.danger is not None or self.drawn is None:
             return self.danger
         if self.drawn.flights - self.drawn.completed > _MOST_BROKEN_OFF * self.drawn.flights:

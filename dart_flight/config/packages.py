@@ -1,4 +1,4 @@
-"""The advice where an optional package is missing: one command, and it keeps to constraints.txt."""
+"""Error message for a missing optional package, with the one command that installs it."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ def missing_package(what: str, extra: str, *, source: str = "", key: Key = ()) -
     error.
 
     Args:
-        what: what needs which package, such as "a picture needs matplotlib".
-        extra: that pyproject.toml lists the package under.
-        source, key: of the input that asked for it.
+        what: the missing package and its use, such as "a picture needs matplotlib".
+        extra: name in pyproject.toml of the extra that has the package.
+        source, key: the input that requires the package.
     """
     error = sys.exception()
     if isinstance(error, ImportError) and not isinstance(error, ModuleNotFoundError):
@@ -30,11 +30,11 @@ def missing_package(what: str, extra: str, *, source: str = "", key: Key = ()) -
 
 
 def install_command(extra: str, checkout: Path = _CHECKOUT) -> str:
-    """Return the command that installs an extra with the versions of constraints.txt, in words.
+    """Return the command that installs an extra with the versions of constraints.txt.
 
     Args:
-        extra: of pyproject.toml.
-        checkout: where the package's source lies; an installed wheel has none.
+        extra: name of the extra in pyproject.toml.
+        checkout: folder of the source code; an installed wheel has none.
     """
     is_checkout = (checkout / "Makefile").is_file() and (checkout / "constraints.txt").is_file()
     if is_checkout and extra in IN_FULL and Path(sys.prefix).resolve() == (checkout / ".venv").resolve():

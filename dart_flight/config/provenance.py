@@ -71,7 +71,7 @@ def display_path(path: str | Path) -> str:
         whole = Path(path).resolve()
         if whole.is_relative_to(Path.cwd()):
             shown = whole.relative_to(Path.cwd())
-        elif ".." in Path(path).parts:  # as a mission names its configuration, and no person a file
+        elif ".." in Path(path).parts:  # written by a mission file, not by a person
             shown = whole
     return printable(str(shown))
 

@@ -49,13 +49,13 @@ def lock_file(descriptor: int, path: Path, remedy: str, *, shared: bool = False)
     """Lock an open file without waiting, and return whether it was free.
 
     Args:
-        descriptor: of the open file; the lock lasts until it is closed.
-        path: named in the error.
-        remedy: what the operator can do where the file system cannot lock.
-        shared: other shared locks are no obstacle.
+        descriptor: descriptor of the open file; closing it ends the lock.
+        path: path of the file, for the error.
+        remedy: advice to the operator if the file system cannot lock files.
+        shared: whether the lock tolerates other shared locks.
 
     Raises:
-        InputError: the file system cannot lock it, as NFS without a lock daemon.
+        InputError: the file system cannot lock files, such as NFS without a lock daemon.
     """
     kind = fcntl.LOCK_SH if shared else fcntl.LOCK_EX
     try:
@@ -105,13 +105,13 @@ class HeldFile:
         """
         other = b""
         for attempt in range(_ATTEMPTS):
-            if attempt:  # the holder may be a program that only looks whether the file is held
+            if attempt:  # the holder may be a program that only checks the lock
                 time.sleep(_PAUSE_S)
             descriptor = self._open()
             try:
                 if not lock_file(descriptor, self._path, REMEDY):
                     other = os.pread(descriptor, _LONGEST, 0)
-                elif _is_at(descriptor, self._path):  # else released, and so removed, before it was locked
+                elif _is_at(descriptor, self._path):  # otherwise the holder has removed it meanwhile
                     self._descriptor = descriptor
                     break
             finally:
@@ -127,10 +127,10 @@ class HeldFile:
             raise
 
     def write(self, content: bytes) -> None:
-        """Replace its content.
+        """Replace the file's content.
 
         Raises:
-            InputError: it cannot be written.
+            InputError: the file cannot be written.
         """
         assert self._descriptor is not None
         try:
@@ -140,7 +140,7 @@ class HeldFile:
             raise InputError(f"cannot write: {error.strerror}; {REMEDY}", source=str(self._path)) from None
 
     def release(self) -> None:
-        """Release it; harmless when it is not held. A file that cannot be removed stays, unlocked."""
+        """Unlock and remove the file, if it is held. A file that cannot be removed stays, unlocked."""
         if self._descriptor is not None:
             with contextlib.suppress(OSError):
                 self._path.unlink()

@@ -284,8 +284,8 @@ class PlanResult:
         Args:
             path: of the file.
             rank: of the plan.
-            verify: fly it in simulation first, 21 flights in this process that take half a minute, and
-                write into the file what came of them (`flown`).
+            verify: whether to fly the plan in simulation first (21 flights in this process, half a minute)
+                and write the results into the file (`flown`).
 
         Raises:
             InputError: it cannot be written, or there are not that many plans.

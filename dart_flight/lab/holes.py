@@ -16,12 +16,12 @@ _SHOWN = 3
 
 
 def describe_holes(time_s: NDArray[np.float64], what: str, begin_s: float | None = None) -> list[str]:
-    """Return a line for each hole in a recording, the longest first, and one for the rest of them.
+    """Return a line for each of the longest holes in a recording, and one line for the other holes.
 
     Args:
         time_s: stamps, increasing.
-        what: was recorded, in words.
-        begin_s: stamp from which the lines count; None: the first.
+        what: name of the recorded data.
+        begin_s: stamp that the lines count as 0, or None for the first stamp.
     """
     if len(time_s) < 3:
         return []
@@ -30,9 +30,7 @@ def describe_holes(time_s: NDArray[np.float64], what: str, begin_s: float | None
     holes = np.flatnonzero(intervals > max(_INTERVALS * usual_s, _LEAST_S))
     holes = holes[np.argsort(-intervals[holes], kind="stable")]
     zero_s = float(time_s[0]) if begin_s is None else begin_s
-    lines = [
-        f"hole of {intervals[i]:.2f} s in {what}, from {time_s[i] - zero_s:.2f} s on" for i in holes[:_SHOWN]
-    ]
+    lines = [f"hole of {intervals[i]:.2f} s in {what}, at {time_s[i] - zero_s:.2f} s" for i in holes[:_SHOWN]]
     if len(holes) > _SHOWN:
         rest_s = float(intervals[holes[_SHOWN:]].sum())
         lines.append(f"{len(holes) - _SHOWN} more holes in {what}, {rest_s:.2f} s in all")

@@ -97,11 +97,11 @@ def rank_correlation(pairs: Sequence[tuple[float, float]]) -> float:
 
 
 def rank_correlation_chance(correlation: float, pairs: int) -> float:
-    """Return the two-sided p value of a rank correlation: Fisher's z with Fieller's variance 1.06 / (n - 3).
+    """Return the two-sided p value of a rank correlation, by Fisher's z with variance 1.06 / (n - 3).
 
     Args:
-        correlation: Spearman's.
-        pairs: of values; with fewer than ten nothing is significant, and the result is 1.
+        correlation: Spearman's rank correlation.
+        pairs: number of pairs; with fewer than ten the result is 1.
     """
     if pairs < _FEWEST_PAIRS:
         return 1.0

@@ -88,7 +88,7 @@ def read_calibration_series(path: str | Path) -> Track:
     """One flight with its motor commands: our own log (`.mcap`) or a PX4 ULog (`.ulg`).
 
     Raises:
-        InputError: it cannot be read, has no IMU or no motor commands, or is of another kind of vehicle.
+        InputError: the log cannot be read, lacks IMU or motor commands, or is not from a multicopter.
     """
     if Path(path).suffix.lower() != ".ulg":
         return _of_own(read_log(path))

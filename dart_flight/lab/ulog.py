@@ -43,7 +43,7 @@ ARMED = 2  # vehicle_status.arming_state
 _OLDEST = (1, 9, 0)
 _ROTARY_WING = 1  # vehicle_status.vehicle_type
 _VEHICLE_TYPES = {2: "plane", 3: "rover", 4: "airship"}
-# MAV_TYPE: multirotors, and what else PX4 flies and drives.
+# MAV_TYPE of multirotors, and of the other vehicles that PX4 supports.
 _MULTIROTORS = (0, 2, 3, 13, 14, 15, 29, 35)
 _MAV_TYPES = {
     **{1: "plane", 4: "helicopter", 7: "airship", 8: "balloon", 10: "rover", 11: "boat", 12: "submarine"},
@@ -164,16 +164,17 @@ def _plausible(name: str, data: dict[str, Any]) -> NDArray[np.bool_]:
 
 
 def refuse_other_vehicles(log: ULogFile) -> None:
-    """Make sure that a log is of a multicopter that was armed, and of a version that is read.
+    """Refuse a log of an unsupported PX4 version, of no multicopter, or of a vehicle that was never armed.
 
-    What the log does not say is no reason.
+    Missing information is no reason for refusal.
 
     Raises:
-        InputError: it is not, by name.
+        InputError: the log is refused.
     """
     if log.version is not None and log.version < _OLDEST:
         raise InputError(
-            f"of PX4 {'.'.join(map(str, log.version))}, logs of {_OLDEST[0]}.{_OLDEST[1]} and later are read",
+            f"log of PX4 {'.'.join(map(str, log.version))}: only {_OLDEST[0]}.{_OLDEST[1]} and later are "
+            "supported",
             source=log.source,
         )
     other = _other_than_multicopter(log)
@@ -185,7 +186,7 @@ def refuse_other_vehicles(log: ULogFile) -> None:
 
 
 def _other_than_multicopter(log: ULogFile) -> str | None:
-    """What the vehicle is, if it is no multicopter."""
+    """Return the type of a vehicle that is no multicopter, or None."""
     status, kind = log.first("vehicle_status") or {}, log.parameters.get("MAV_TYPE", 0.0)
     if "system_type" in status:
         kind = float(status["system_type"][-1])

@@ -15,7 +15,7 @@ from dart_flight.base.records import Mode
 from dart_flight.config.document import Key
 from dart_flight.config.vehicle import LockConfig
 
-# A servo that turns a whole circle within its range needs 5.5 us a degree, a usual one 10.
+# A servo with a range of a full circle needs 5.5 us per degree, a common one 10.
 _LEAST_US_PER_DEG = 5.0
 STEP_US = 10.0  # about one degree: a rod that jams does so gently
 HELP = (
@@ -84,8 +84,8 @@ class Calibration:
         if new.us_per_deg < _LEAST_US_PER_DEG:
             turn_deg = abs(new.rigid_deg - new.flexible_deg)
             raise CalibrationError(
-                f"the ends are {abs(rigid - flexible):g} us apart; to turn the cam by {turn_deg:g} degrees a "
-                f"servo needs at least {_LEAST_US_PER_DEG * turn_deg:g} us: look for the other end further on"
+                f"the ends are {abs(rigid - flexible):g} us apart, needs {_LEAST_US_PER_DEG * turn_deg:g} us "
+                f"or more to turn the cam by {turn_deg:g} degrees: move the servo further to the other end"
             )
         return config
 

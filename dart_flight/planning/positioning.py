@@ -17,7 +17,7 @@ def source_for(mission: Mission, source: PositionSource) -> PositionSource:
 
 
 def simulated_source(mission: Mission) -> PositionSource:
-    """Where the embedded autopilot's position comes from, by the vehicle's configuration."""
+    """Return the source of the embedded autopilot's position, from the vehicle's configuration."""
     return source_for(mission, PositionSource(mission.vehicle.simulation.position_from))
 
 

@@ -85,11 +85,11 @@ def impact_place(collision: Collision, hits: Mapping[int, PredictedImpact]) -> V
 
 
 def predicted_segments(mission: Mission, hits: Mapping[int, PredictedImpact]) -> list[TransitSegment]:
-    """The segments from rest to rest; one behind a recovery begins at the setpoint that the model predicts.
+    """Return the rest-to-rest segments; a segment after a recovery begins at the predicted setpoint.
 
     Args:
-        mission: to be flown.
-        hits: by the model; the begin behind a hit that is not among them stays None.
+        mission: the mission to be flown.
+        hits: predicted impacts. The begin of a segment after any other hit stays None.
     """
     found = []
     ends = {w.name: w.after for w in mission.waypoints}

@@ -1,4 +1,4 @@
-"""The one definition of an uncontrolled flight, by the truth of a simulated vehicle.
+"""Definition of an uncontrolled flight, from the truth of a simulated vehicle.
 
 A flight is uncontrolled if it leaves the mission's bounds by more than half a metre, meets the ground at more
 than 1.5 m/s, tilts by more than 80 degrees, or does not complete and gives no reason.
@@ -13,20 +13,20 @@ from dart_flight.base.geometry import tilt_of
 from dart_flight.base.records import TruthSample
 from dart_flight.config.mission_file import BoundsSpec
 
-OUT_M = 0.5  # of the bounds: room to brake
+OUT_M = 0.5  # allowed out of the bounds, as room to brake
 _LANDING_M_S = 1.5
 _TILT_DEG = 80.0
-_HIGH_M, _GROUND_M = 0.2, 0.03  # the vehicle has flown, and is on the ground
+_HIGH_M, _GROUND_M = 0.2, 0.03  # altitudes: has flown, is on the ground
 
 
 class TruthExtremes:
     """The largest excursion, tilt and landing speed of a simulated flight so far.
 
     Attributes:
-        excursion_m: out of the bounds, sideways or above.
-        landing_m_s: downwards, at the ground.
-        tilt_rad: of the body.
-        last: sample.
+        excursion_m: largest distance out of the bounds, sideways or above.
+        landing_m_s: largest downward speed at the ground.
+        tilt_rad: largest tilt of the body.
+        last: the last sample.
     """
 
     def __init__(self, bounds: BoundsSpec) -> None:
@@ -49,20 +49,20 @@ class TruthExtremes:
 def find_uncontrolled(
     truth: TruthExtremes, completed: bool, explained: bool, allowed_m: float = OUT_M, falls: bool = False
 ) -> Iterator[str]:
-    """Yield each reason why a flight is uncontrolled, in words; none: it is controlled.
+    """Yield a phrase for each reason why a flight is uncontrolled; yield nothing for a controlled flight.
 
     Args:
-        truth: of the whole flight.
-        completed: its outcome.
+        truth: extremes of the whole flight.
+        completed: whether the flight completed.
         explained: whether a flight that did not complete gives a reason.
-        allowed_m: out of the bounds.
-        falls: whether the vehicle is meant to fall, as by a kill switch.
+        allowed_m: allowed distance out of the bounds.
+        falls: whether the vehicle is meant to fall, for example after a kill switch.
     """
     if not completed and not explained:
         yield "not completed, and no reason given"
     if truth.excursion_m > allowed_m:
         yield f"{truth.excursion_m:.2f} m out of bounds, {allowed_m:.2f} allowed"
     if truth.landing_m_s > _LANDING_M_S and not falls:
-        yield f"met the ground at {truth.landing_m_s:.2f} m/s"
+        yield f"hit the ground at {truth.landing_m_s:.2f} m/s"
     if math.degrees(truth.tilt_rad) > _TILT_DEG and not falls:
         yield f"tilted by {math.degrees(truth.tilt_rad):.0f} degrees"

@@ -70,7 +70,7 @@ class Velocities(msgspec.Struct):
         contact_side: which point of the side came first, seen when flying into the wall: left, right, both.
         incidence_deg: leading edge against the wall at the first touch, positive turned left.
         peak_torque_nm: largest external torque about the centre of mass.
-        normal_out_m_s, tangential_out_m_s: the first after the contact; measured, that of the odometry.
+        normal_out_m_s, tangential_out_m_s: the first after the contact; if measured, from odometry.
     """
 
     normal_m_s: float | None = None
@@ -113,11 +113,11 @@ class CollisionVerdict(msgspec.Struct):
 
 
 class ResetFigures(msgspec.Struct):
-    """One reset of PX4's estimator: the largest steps within 0.1 s of its counter's.
+    """One reset of PX4's estimator, with the largest steps within 0.1 s of the counter's step.
 
     Attributes:
-        position_m, velocity_m_s: steps beside the motion.
-        heading_deg: step against the gyro, positive clockwise from above.
+        position_m, velocity_m_s: steps that the motion does not explain.
+        heading_deg: step of the heading against the gyro, positive clockwise from above.
     """
 
     t_us: int
@@ -145,11 +145,11 @@ class Px4Figures(msgspec.Struct):
 
 
 class TimeKind(StrEnum):
-    """How time passes in a simulated world."""
+    """The clock of a simulated world."""
 
     LOCKSTEP = "lockstep"  # simulated time waits for the application
-    REALTIME = "realtime"  # it does not
-    SIMULATED = "simulated"  # core and vehicle are one process
+    REALTIME = "realtime"  # simulated time does not wait
+    SIMULATED = "simulated"  # core and vehicle run in one process
 
 
 class Verdict(msgspec.Struct):
@@ -183,9 +183,9 @@ class Verdict(msgspec.Struct):
     walls: list[MeasuredWall] = msgspec.field(default_factory=list)  # as the contacts have measured them
     estimator_resets: list[ResetFigures] = msgspec.field(default_factory=list)  # in the air
     arms_moved: bool | None = None  # whether simulated arms ever followed the lock; None: it never moved
-    time: TimeKind | None = None  # how simulated time passed; None: a real vehicle's
+    time: TimeKind | None = None  # None for a real vehicle
     speed: float | None = None  # simulated seconds per second of the computer, achieved
-    uncontrolled: list[str] = msgspec.field(default_factory=list)  # why, by the truth of a simulated vehicle
+    uncontrolled: list[str] = msgspec.field(default_factory=list)  # reasons, from a simulation's truth
 
 
 class PositionError:
@@ -500,7 +500,7 @@ class VerdictBuilder:
         return nearest_m is not None and nearest_m <= self._mission.goal.capture_radius_m
 
     def _find_uncontrolled(self) -> list[str]:
-        """Return why the simulated flight is uncontrolled; nothing on the drone, where no truth is known."""
+        """Return the reasons why a simulated flight is uncontrolled, or an empty list on the drone."""
         if self._extremes.last is None:
             return []
         completed = self._end is not None and self._end.outcome is Outcome.COMPLETED

@@ -88,7 +88,7 @@ class Simulator(Protocol):
         """Tell the plant where the mock servo's horn is."""
 
     def send_line(self, line: bytes) -> object:
-        """Send a report of the lockstep."""
+        """Send a lockstep report to the world."""
 
 
 class LockThread:
@@ -101,7 +101,7 @@ class LockThread:
         clock_known: whether the autopilot's time is known.
         deliver: takes every state of the lock.
         after_poll: called after every look at the driver.
-        lockstep: reports to a simulated world that waits; the driver is then looked at by simulated time.
+        lockstep: reporter to a simulated world that waits; the driver is then polled in simulated time.
     """
 
     def __init__(
@@ -126,10 +126,10 @@ class LockThread:
         self._orders.put(order)
 
     def look(self) -> None:
-        """Look at the driver if that is due; called after every step in lockstep."""
+        """Poll the driver if that is due; called after every step in lockstep."""
         assert self._lockstep is not None
         if self._lockstep.clock.host_us() >= self._due_us:
-            self._due_us = math.inf  # until the thread has looked
+            self._due_us = math.inf  # until the thread has polled
             self._open()
             self._orders.put(None)
 
@@ -190,7 +190,7 @@ class FlightApp:
         lock_faults: of the mock servo from the start on.
         opened: called once the link is open.
         unwanted: numbers of MAVLink messages that the vehicle is asked not to send on this link.
-        lockstep: the world waits for this program; its clock is then simulated time.
+        lockstep: whether the world waits for this program, whose clock is then simulated time.
 
     Attributes:
         loop: the event loop, while it flies.
@@ -422,7 +422,7 @@ class FlightApp:
         )
 
     def _after_step(self) -> None:
-        """In lockstep: what else is due at this simulated time."""
+        """Run other work that is due at this simulated time, in lockstep."""
         if self._lock is not None:
             self._lock.look()
         self._deliver_answers()

@@ -1,10 +1,10 @@
-"""What owns the core beside MAVSDK: one queue in, steps one after the other, setpoints out at once.
+"""Owner of the core in flights over MAVSDK: one input queue, one step at a time, setpoints sent at once.
 
-There is one queue, and at any time one thread steps the core: it holds `_owner`. In real time the core
-decides which one that is (`core.pace`): its own thread, or near a wall MAVSDK's, on which a sample arrives,
-so that no other has to wake first (docs/latency.md). In lockstep a simulated world waits until samples are
-stepped: they are stepped on the thread that brings them, near a wall one by one, elsewhere in batches whose
-length is counted in simulated time.
+Only the thread that holds `_owner` steps the core. In real time the core chooses this thread (`core.pace`).
+Near a wall it is MAVSDK's thread, on which samples arrive, so that no other thread has to wake first
+(docs/latency.md). Elsewhere it is the core's own thread. In lockstep a simulated world waits until samples
+are stepped. The thread that delivers them steps them: one by one near a wall, elsewhere in batches of
+simulated time.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ class CoreThread:
     Args:
         runner: steps the core and hands out what follows.
         alive: called at every turn, at least every 20 ms, as long as steps come to an end; feeds the deadman.
-        lockstep: reports to a simulated world that waits; None: real time.
-        after_step: called after every step in lockstep, before it is reported.
+        lockstep: reporter to a simulated world that waits, or None in real time.
+        after_step: callback after every step in lockstep, before the report.
     """
 
     def __init__(
@@ -62,7 +62,7 @@ class CoreThread:
         return (host_us() - self._turned_us) * 1e-6
 
     def put(self, item: Input) -> None:
-        """Queue an input; any thread, never waits for another."""
+        """Queue an input, from any thread, without blocking."""
         if self._lockstep is not None:
             self._lockstep.open()
         self._queue.put(item)
@@ -70,7 +70,7 @@ class CoreThread:
             self._step_now()
 
     def arrive(self, item: Input) -> None:
-        """Queue an input of the stream, and step it at once if the core is in haste; any thread."""
+        """Queue a stream's input from any thread, and step it at once if the core is in haste."""
         now = self._lockstep is None or self._lockstep.completes_batch(item)
         self._queue.put(item)
         if now:

@@ -38,9 +38,9 @@ def fly_embedded(
     """Fly through MAVSDK over UDP against the embedded autopilot.
 
     `deadman` starts the process that kills this one when it hangs; `fault` is what goes wrong; `spreads`
-    says what is drawn anew by the seed (`sim.draws`); `speed` is simulated seconds per second, at most;
-    `realtime` is without lockstep: the world does not wait for this program, and silence is judged by the
-    host's time; `viewer` sees every record, on the thread that took it.
+    are the standard deviations of quantities drawn by the seed (`sim.draws`). `speed` is the highest number
+    of simulated seconds per second. With `realtime` the world does not wait for this program, and timeouts
+    use the host's time. `viewer` receives every record, on the thread that produced it.
 
     Raises:
         InputError: the log cannot be written.
@@ -61,7 +61,7 @@ def fly_embedded(
     )
 
     def make_app(world: SimulatorProcess) -> FlightApp:
-        # In lockstep the world waits for a program that hangs, and ends the flight.
+        # In lockstep the world itself detects a program that hangs, and ends the flight.
         note = record.folder / DEADMAN_NOTE if deadman and realtime else None
         url = f"udpin://127.0.0.1:{port}"
         clock = LockstepClock(speed) if realtime and speed != 1.0 else None

@@ -46,7 +46,7 @@ def flight_core_of(mission: Mission) -> FlightCore:
     """Return the flight core of a mission.
 
     Raises:
-        InputError: an approach cannot be flown, or a wall is in the way of a transit.
+        InputError: an approach cannot be flown, or a wall blocks a transit.
     """
     try:
         return FlightCore(mission)

@@ -51,8 +51,8 @@ def fly_px4(
         log_dir: where the flight's folder goes; PX4's ULog is kept in it as `px4.ulg`.
         progress: sees every record.
         position_from: motion capture (indoors, no GPS) or a GPS receiver.
-        speed: simulated seconds per second, at most.
-        realtime: simulated time does not wait for this program.
+        speed: highest number of simulated seconds per second.
+        realtime: whether simulated time does not wait for this program.
         parameter_files: PX4 parameters on top of `configs/px4/`.
         spreads: what is drawn anew by the seed (`sim.draws`).
         viewer: sees every record, on the thread that took it.
@@ -88,7 +88,7 @@ def fly_px4(
 
         def make_app(world: SimulatorProcess) -> FlightApp:
             url = f"udpin://127.0.0.1:{world.port}"
-            if realtime:  # PX4 chose the port itself, by its instance
+            if realtime:  # PX4 derives the port from its instance
                 leases.enter_context(LinkLease(url, "dry-run --px4", record.path))
             return FlightApp(
                 mission,

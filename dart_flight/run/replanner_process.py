@@ -33,7 +33,7 @@ class ReplannerProcess:
     Args:
         mission: what is flown.
         deliver: takes every answer, on a thread of the planner's; must not block.
-        host_us: the host's clock, microseconds; simulated time in lockstep.
+        host_us: function that returns the host's time in microseconds, or simulated time in lockstep.
 
     Raises:
         OSError: the process cannot be started.
@@ -66,9 +66,9 @@ class ReplannerProcess:
         self.process.end(_END_S)
 
     def _answer_open(self) -> None:
-        """Answer the requests that the planner has died with."""
+        """Answer the requests that were open when the planner died."""
         while self._open:
-            with contextlib.suppress(KeyError):  # the other thread has answered it
+            with contextlib.suppress(KeyError):  # another thread has answered the request
                 _, request = self._open.popitem()
                 problem = "the planner has died"
                 self._deliver(PlanAnswer(self._host_us(), request.number, request.begin_us, problem=problem))

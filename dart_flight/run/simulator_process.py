@@ -94,7 +94,7 @@ class SimulatorProcess:
         self.process.send(msgspec.json.encode(Horn(pulse_us)))
 
     def send_line(self, line: bytes) -> bool:
-        """Send an encoded line; any thread, never blocks."""
+        """Send an encoded line, from any thread, without blocking."""
         return self.process.send(line)
 
     def send_fault(self, fault: Fault) -> None:
@@ -159,7 +159,7 @@ def fly_simulated(
         process: what the world runs in.
 
     Raises:
-        InputError: the folder's name is not UTF-8.
+        InputError: the name of the flight's folder is not UTF-8.
         SimulatorError, VehicleError: the simulated vehicle did not start or did not answer.
     """
     try:

@@ -1,8 +1,8 @@
 """The application's side of the lockstep with a simulated world (`sim.lockstep`).
 
-Whatever the application still has to do is open work: inputs that are queued, lock orders, requests to the
-autopilot, plans. Each time that no work is open, a report goes to the world, which may then advance: by one
-tick near a wall, elsewhere by a batch of 20 ms, whose samples are stepped together (`core.pace`).
+Open work is everything that the application still has to do: queued inputs, lock orders, requests to the
+autopilot, plans. Whenever no work is open, a report goes to the world, which may then advance. It advances by
+one tick near a wall, elsewhere by a batch of 20 ms, whose samples are stepped together (`core.pace`).
 """
 
 from __future__ import annotations
@@ -39,20 +39,18 @@ _STREAMS: Final[dict[type, str]] = {
 }
 _WORK: Final = (LockState, CommandResult, PlanAnswer, OperatorRequest)  # inputs that are not telemetry
 _BATCH_US: Final = round(1e6 * BATCH_S)
-_MARGIN_US: Final = (
-    40_000  # at least from the answer to the beginning of its trajectory: later ones do not count
-)
+_MARGIN_US: Final = 40_000  # least time from an answer to the begin of its trajectory; later ones are refused
 _UNUSED: Final = (None, None, None)
 
 
 class StepReporter:
-    """Reports to the simulated world what the application has done; every method from any thread.
+    """Reporter of the application's progress to the simulated world; all methods are thread-safe.
 
     Args:
-        send: writes one line to the world; must not block.
+        send: function that writes one line to the world; must not block.
 
     Attributes:
-        clock: simulated time.
+        clock: clock of simulated time.
     """
 
     def __init__(self, send: Callable[[bytes], object]) -> None:
@@ -61,8 +59,8 @@ class StepReporter:
         self._guard = threading.Lock()
         self._open = 0
         self._commands = 0
-        self._plans: dict[int, int] = {}  # number of a request -> when its answer is due
-        self._answers: list[PlanAnswer] = []  # that are not due yet
+        self._plans: dict[int, int] = {}  # due time of the answer, by number of the request
+        self._answers: list[PlanAnswer] = []  # answers that are not due yet
         self._batched = False
         self._hold_us = 0  # IMU samples stamped earlier wait for the rest of their batch
         self._streams: dict[str, int] = {}
@@ -70,36 +68,36 @@ class StepReporter:
         self._begun, self._flies = False, True
 
     def begin(self) -> None:
-        """The streams are requested: from now on the world waits."""
+        """Make the world wait, once the streams are requested."""
         with self._guard:
             self._begun = True
             self._report()
 
     def end(self) -> None:
-        """The application sends nothing more: the world goes on without it."""
+        """Let the world continue without the application, which sends nothing more."""
         with self._guard:
             self._flies = False
             self._report()
 
     def open(self) -> None:
-        """Something is to be done."""
+        """Add a piece of open work."""
         with self._guard:
             self._open += 1
 
     def completes_batch(self, item: Input) -> bool:
-        """Whether to step an input of the vehicle, and what waits before it, now.
+        """Return whether to step an input of the vehicle and all inputs queued before it now.
 
-        The world knows what it has sent: these inputs are no open work.
+        Such inputs are not counted as open work, because the world counts what it has sent.
         """
         with self._guard:
             return not self._hold_us or (isinstance(item, ImuSample) and item.t_us >= self._hold_us)
 
     def close(self, items: Sequence[Input] = (), batched: bool | None = None) -> None:
-        """Something has been done.
+        """Remove finished work, and report if none is left.
 
         Args:
-            items: inputs that are stepped; empty: a piece of other work.
-            batched: whether the core steps the next samples in batches; None: as before.
+            items: inputs that were stepped, or empty for one piece of other work.
+            batched: whether the core steps the next samples in batches, or None if unchanged.
         """
         with self._guard:
             if batched is not None:
@@ -117,14 +115,14 @@ class StepReporter:
                 self._report()
 
     def open_command(self) -> None:
-        """A request goes to the autopilot; its `CommandResult` closes it."""
+        """Add a request to the autopilot, which its `CommandResult` closes."""
         with self._guard:
             self._commands += 1
             self._report()
 
     @contextmanager
     def command(self) -> Iterator[None]:
-        """Send a request to the autopilot and wait for its result."""
+        """Count a request to the autopilot as open work within the context."""
         self.open_command()
         try:
             yield
@@ -134,18 +132,18 @@ class StepReporter:
                 self._report()
 
     def open_plan(self, request: PlanRequest, latency_us: int) -> None:
-        """The planner works; its answer counts so long after the request, and closes it."""
+        """Add a request to the planner; its answer is due `latency_us` after the request and closes it."""
         with self._guard:
             latest_us = max(request.begin_us - _MARGIN_US, request.t_us)
             self._plans[request.number] = min(latest_us, request.t_us + latency_us)
 
     def hold_answer(self, answer: PlanAnswer) -> None:
-        """Keep an answer of the planner until it is due."""
+        """Store an answer of the planner until it is due."""
         with self._guard:
             self._answers.append(answer)
 
     def due_answers(self) -> list[PlanAnswer]:
-        """Return the answers that are due, once."""
+        """Remove and return the answers that are due."""
         with self._guard:
             now_us = self.clock.host_us()
             due = [answer for answer in self._answers if self._plans.get(answer.number, 0) <= now_us]
@@ -153,7 +151,7 @@ class StepReporter:
             return due
 
     def sent(self, setpoint: Setpoint) -> None:
-        """A setpoint was handed to MAVSDK."""
+        """Note the setpoint that was passed to MAVSDK."""
         with self._guard:
             self._setpoint = (
                 *setpoint.position_ned,

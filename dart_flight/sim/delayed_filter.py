@@ -1,10 +1,10 @@
-"""A small copy of PX4's EKF2 that is told a wrong age of the motion capture's poses, as EKF2_EV_DELAY is.
+"""A small model of PX4's EKF2 with a wrong EKF2_EV_DELAY, the assumed age of motion-capture poses.
 
-`Estimator` knows the age of every pose, so it has no place for that error. This filter works as EKF2 does. A
-Kalman filter runs some 0.15 s behind the present and fuses the pose whose configured time has come there. An
-output predictor carries its state to the present by the IMU. The filter explains a pose of the wrong moment
-by a wrong velocity, tilt and accelerometer bias, and rejects poses beyond its gate, so the estimate swings.
-Gains, gates and time constants are PX4's defaults and those of `configs/px4/indoor.params`.
+`Estimator` uses the true age of every pose, so it cannot model this error. This filter works like EKF2. A
+Kalman filter runs about 0.15 s behind the present and fuses the pose with that configured time. An output
+predictor propagates its state to the present by the IMU. The filter attributes a pose of the wrong time to
+velocity, tilt and accelerometer bias, and rejects poses beyond its gate, so the estimate oscillates. Gains,
+gates and time constants are PX4's defaults and those of `configs/px4/indoor.params`.
 """
 
 from __future__ import annotations
@@ -38,15 +38,15 @@ if TYPE_CHECKING:
 
 _Matrix = npt.NDArray[np.float64]
 
-_TICKS: Final = 2  # of 4 ms in one step of the filter: EKF2_PREDICT_US 10000 at 250 Hz
+_TICKS: Final = 2  # ticks of 4 ms per filter step: EKF2_PREDICT_US 10000 at 250 Hz
 _STEP_S: Final = 0.004 * _TICKS
 _PREDICT_S: Final = 0.01
 _DELAY_MAX_S: Final = 0.2  # EKF2_DELAY_MAX; a longer EKF2_EV_DELAY raises it
-_REACH_S: Final = 0.1  # a pose further behind the filter's time is not fused
+_REACH_S: Final = 0.1  # an older pose, relative to the filter's time, is not fused
 _ACCELERATION_M_S2, _RATE_RAD_S, _BIAS_M_S3 = 0.35, 0.015, 0.003  # EKF2_ACC_NOISE, GYR_NOISE, ACC_B_NOISE
 _POSITION_M, _YAW_RAD = 0.01, 0.02  # EKF2_EVP_NOISE, EKF2_EVA_NOISE
 _POSITION_GATE, _YAW_GATE = 5.0, 2.6  # EKF2_EVP_GATE, EKF2_HDG_GATE, standard deviations
-_RESET_AFTER_S: Final = 1.0  # without a pose that passes the gate
+_RESET_AFTER_S: Final = 1.0  # without a pose within the gate
 _BIAS_MOST_M_S2: Final = 0.4  # EKF2_ABL_LIM
 _BIAS_LEARNT_BELOW_M_S2, _BIAS_MEMORY_S = 25.0, 0.5  # EKF2_ABL_ACCLIM, EKF2_ABL_TAU
 _OUTPUT_S: Final = 0.25  # EKF2_TAU_POS, EKF2_TAU_VEL
@@ -68,23 +68,23 @@ class DelayedFilter:
         self._of = estimator
         self._updates = int(started)
         self._now_s, self._delay_s = now_s, delay_s
-        # What the filter knows lies this many steps in the past.
+        # The filter runs this many steps behind the present.
         self._behind = int(np.ceil(max(_DELAY_MAX_S, delay_s) / _PREDICT_S))
         self._at_p, self._at_v, self._at_q = estimator.position, estimator.velocity, estimator.q
         self._accelerometer_bias: Vec3 = (0.0, 0.0, 0.0)  # FRD
         self._covariance: _Matrix = np.diag(_START_SD**2)
         self._steps: deque[tuple[float, Vec3, Vec3]] = deque()  # end, mean specific force, mean rate
-        self._outputs: deque[tuple[Vec3, Vec3, Quaternion]] = deque()  # at the ends of the same steps
-        self._poses: deque[tuple[float, Vec3, Quaternion]] = deque()  # by their configured times
+        self._outputs: deque[tuple[Vec3, Vec3, Quaternion]] = deque()  # at the ends of these steps
+        self._poses: deque[tuple[float, Vec3, Quaternion]] = deque()  # with their configured times
         self._ticks: list[tuple[Vec3, Vec3]] = []
-        self._turn: Vec3 = (0.0, 0.0, 0.0)  # rad/s that lead the output's attitude to the filter's
+        self._turn: Vec3 = (0.0, 0.0, 0.0)  # rad/s that correct the output's attitude
         self._off_v: Vec3 = (0.0, 0.0, 0.0)  # sums of the output's errors
         self._off_p: Vec3 = (0.0, 0.0, 0.0)
         self._fused_s = now_s
         self._strongest_m_s2 = 0.0
 
     def predict(self, t_s: float, specific_force_frd: Vec3, rate_frd: Vec3, dt_s: float) -> None:
-        """One IMU tick ending at `t_s`: the output predictor at each, the filter at every second one."""
+        """Run the output predictor for an IMU tick ending at `t_s`, and the filter at every second tick."""
         self._now_s = t_s
         if not self._updates:
             return
@@ -105,7 +105,7 @@ class DelayedFilter:
             self._follow(self._outputs.popleft())
 
     def correct(self, t_s: float, position_ned: Vec3, q: Quaternion) -> None:
-        """A pose that arrives now; when it was measured is not asked."""
+        """Queue a pose that arrives now; its true time `t_s` is ignored."""
         self._updates += 1
         if self._updates == 1:
             self._of.position, self._of.q = position_ned, q
@@ -134,12 +134,12 @@ class DelayedFilter:
             self._fuse(t_s, pose[1], yaw_ned_of(pose[2]))
 
     def _grow(self, f: Vec3) -> None:
-        """The covariance, one step later."""
+        """Propagate the covariance by one step."""
         body = np.array([rotate(self._at_q, axis) for axis in ((1.0, 0, 0), (0, 1.0, 0), (0, 0, 1.0))]).T
         x, y, z = rotate(self._at_q, f)
         step = np.eye(12)
         step[_P, _V] = _STEP_S * np.eye(3)
-        # A rotation of the estimate by r turns the specific force by r x f.
+        # Rotating the estimate by r changes the specific force by r x f.
         step[_V, _R] = -_STEP_S * np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
         step[_V, _B] = -_STEP_S * body
         grown = _STEP_S * np.repeat((0.0, _ACCELERATION_M_S2, _RATE_RAD_S, _BIAS_M_S3), 3)
@@ -181,7 +181,7 @@ class DelayedFilter:
         self._accelerometer_bias = (_bounded(x), _bounded(y), _bounded(z))
 
     def _jump_to(self, position_ned: Vec3) -> None:
-        """Reset the horizontal position to the pose; poses that are waiting stay as they are."""
+        """Reset the horizontal position to the pose, without a change of the queued poses."""
         by = (position_ned[0] - self._at_p[0], position_ned[1] - self._at_p[1], 0.0)
         waiting = self._poses
         self.shift(by)
@@ -194,7 +194,7 @@ class DelayedFilter:
     # -- the output predictor, at the present --
 
     def _follow(self, then: tuple[Vec3, Vec3, Quaternion]) -> None:
-        """Lead the outputs to the filter; `then` is the output of the filter's time."""
+        """Correct the outputs towards the filter; `then` is the output at the filter's time."""
         p, v, q = then
         error = quaternion_multiply(quaternion_conjugate(self._at_q), q)
         sign = -2.0 if error[0] >= 0.0 else 2.0
@@ -211,7 +211,7 @@ class DelayedFilter:
 def _moved(
     p: Vec3, v: Vec3, q: Quaternion, f: Vec3, rate: Vec3, dt_s: float
 ) -> tuple[Vec3, Vec3, Quaternion]:
-    """Position, velocity and attitude after a time, by specific force and rate, FRD."""
+    """Return position, velocity and attitude after `dt_s` of specific force and rate, FRD."""
     q = quaternion_normalise(advance_attitude(q, rate, dt_s))
     a = add(rotate(q, f), (0.0, 0.0, GRAVITY_M_S2))
     return add(p, add(scale(v, dt_s), scale(a, 0.5 * dt_s * dt_s))), add(v, scale(a, dt_s)), q

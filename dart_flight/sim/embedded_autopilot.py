@@ -111,7 +111,7 @@ class Autopilot:
 
     @property
     def system_status(self) -> SystemStatus:
-        """What the heartbeat reports, as PX4 puts it together."""
+        """State in the heartbeat, composed like PX4's."""
         if self._killed_at_s is not None:
             return SystemStatus.FLIGHT_TERMINATION
         if not self.armed:
@@ -357,7 +357,7 @@ def default_parameters(
     }
     # Where the IMU is, in [forward, right, down].
     parameters |= {f"EKF2_IMU_POS_{axis}": p for axis, p in zip("XYZ", vehicle.imu.position_m, strict=True)}
-    # The motors are the first outputs, on PWM as PX4 ships it.
+    # The motors are the first outputs, on PWM as in PX4's defaults.
     for k in range(1, len(vehicle.airframe.motors) + 1):
         parameters |= {f"PWM_MAIN_FUNC{k}": 100 + k, f"PWM_MAIN_MIN{k}": 1000, f"PWM_MAIN_MAX{k}": 2000}
     parameters["PWM_MAIN_TIM0"] = 400

@@ -1,5 +1,4 @@
-"""The simulated vehicle in a process of its own: plant, embedded autopilot, MAVLink, at a pace
-or in lockstep with the app.
+"""The simulated vehicle as a separate process: plant, embedded autopilot and MAVLink, in lockstep or not.
 
 Started by `dry-run` with its end of a pipe: commands come on standard input, truth goes to standard output,
 one JSON object a line. When the app dies (end of input) the vehicle flies on to its failsafe, which goes to
@@ -50,13 +49,13 @@ STALL_S = 0.25  # a stall longer than this is not caught up with: the world paus
 
 
 class Pacer:
-    """Holds a world back to a pace; after a long stall the world pauses rather than races."""
+    """Limiter of a world's pace; after a long stall the world pauses and does not catch up."""
 
     def __init__(self) -> None:
         self._due_s = time.monotonic()
 
     def wait(self, period_s: float) -> None:
-        """Wait until the next tick is due, a period after the one before; with 0 not at all."""
+        """Wait until the next tick is due, a period after the last tick; do not wait for a period of 0."""
         now_s = time.monotonic()
         if self._due_s > now_s:
             time.sleep(self._due_s - now_s)
@@ -103,18 +102,18 @@ def serve(
     lockstep: Lockstep | None = None,
     wake: Sequence[int] = (),
 ) -> int:
-    """Take the app's lines and send the truth, tick by tick, until the app is gone and the world over.
+    """Process the app's lines and send the truth, tick by tick, until app and world have ended.
 
     Args:
-        world: what flies.
-        writer: takes the truth.
-        commands: the app's lines.
-        speed: simulated seconds per second, at most.
-        lockstep: whether time may advance; None: it does not wait for the app.
-        wake: descriptors of the world that become readable when something has arrived for it.
+        world: the simulated world.
+        writer: writer of the truth.
+        commands: lines from the app.
+        speed: highest number of simulated seconds per second.
+        lockstep: decides whether time may advance; None: time does not wait for the app.
+        wake: the world's descriptors that become readable when data has arrived.
 
     Returns:
-        How many ticks that took.
+        The number of ticks.
 
     Raises:
         SilentParticipantError: the app does not answer.
@@ -122,7 +121,7 @@ def serve(
     reader, gone_s = LineReader(commands), math.inf
 
     def take_lines() -> bool:
-        """Take the app's lines; returns whether the app is there."""
+        """Process the app's lines; return whether the app is still connected."""
         reader.clear()
         while reader.items:
             item = reader.items.popleft()
@@ -134,14 +133,14 @@ def serve(
                 lockstep.update(item)
         return not reader.closed
 
-    # What has been loaded by now stays: the collector need not walk it in flight.
+    # Exempt the objects loaded so far from garbage collection in flight.
     gc.freeze()
     pace = Pacer()
     for tick in itertools.count():
         if lockstep is not None and not reader.closed:
             lockstep.wait(world.time_us + TICK_US, (reader.wake, *wake), take_lines)
         take_lines()
-        # As fast as the machine goes only while the app holds the world back.
+        # Run without a limit only while lockstep holds the world back.
         waits = lockstep is not None and lockstep.holds and not reader.closed
         pace.wait(TICK_S / (1.0 if speed == FULL_SPEED and not waits else speed))
         plant = world.advance()

@@ -90,7 +90,7 @@ class Estimator:
         self._history = deque((t, add(p, by_ned), v, q) for t, p, v, q in self._history)
 
     def turn(self, by_rad: float) -> None:
-        """Turn the heading at once, as an EKF does at a reset; positive clockwise from above."""
+        """Step the heading, like a reset of an EKF; positive clockwise from above."""
         self.resets += 1
         turn = quaternion_from_rotation_vector((0.0, 0.0, by_rad))
         self.q = quaternion_multiply(turn, self.q)

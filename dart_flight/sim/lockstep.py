@@ -1,12 +1,12 @@
 """Lockstep with the application: simulated time does not advance until the application has answered.
 
-The world counts what it has sent, the application reports what it has stepped and what came of it
-(`Stepped`). Time stands still while anything is outstanding: a telemetry message that the core has not
-stepped, a setpoint that has not reached the autopilot, a lock order that has not been carried out, a plan
-that is due. So a busy computer makes a simulated flight slower and never different.
+The world counts the messages that it has sent. The application reports which of them it has stepped, and the
+resulting setpoint (`Stepped`). Time does not advance while the core has telemetry to step, a setpoint is on
+its way to the autopilot, a lock order is not carried out, or a plan is due. A busy computer therefore makes a
+simulated flight slower and never different.
 
-A message counts as stepped when a newer one of its stream has been. A lost datagram therefore holds the world
-up for `_LOST_S` only: then time advances by one tick, and the next message overtakes it.
+A message also counts as stepped when a newer one of its stream has been stepped. A lost datagram therefore
+delays the world by `_LOST_S` only: then time advances by one tick, and the next message replaces it.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from dart_flight.sim.pipe import Stepped
 
 _SILENT_S: Final = 10.0  # host time without an answer, after which the flight ends
 _LOST_S: Final = 1.0  # host time after which an unanswered message may have been lost
-_LOOK_S: Final = 0.05  # host time between two looks where nothing wakes the world
-_STEP_MAX_S: Final = 0.2  # host time between two looks, beyond which this process did not run
+_LOOK_S: Final = 0.05  # host time between two polls if no descriptor wakes the world
+_STEP_MAX_S: Final = 0.2  # a longer host time between two polls means that this process did not run
 _SENDER_S: Final = 0.2  # host time that a sender gets to catch up
 _SENDER: Final = "the autopilot to send its telemetry"
 _TELEMETRY: Final = "the application to step its telemetry"
@@ -40,26 +40,26 @@ class LinkEnd(Protocol):
 
     @property
     def sent_us(self) -> Mapping[str, int]:
-        """Newest stamp sent of every telemetry stream, microseconds."""
+        """Newest stamp that was sent on each telemetry stream, microseconds."""
 
     @property
     def setpoint(self) -> Sequence[float]:
-        """The last setpoint that has arrived: position, velocity, acceleration; NaN where unused."""
+        """The last setpoint that has arrived: position, velocity, acceleration; NaN for unused numbers."""
 
     def rest(self) -> None:
-        """Answer what has arrived while time stands still."""
+        """Answer requests that have arrived while time stands still."""
 
 
 class Lockstep:
-    """Whether simulated time may advance.
+    """Rule that decides whether simulated time may advance.
 
     Args:
-        autopilot: what has been sent and received.
-        answers_at_rest: whether the autopilot answers requests while time stands still. A real PX4 does not:
-            with a request open, time goes on.
+        autopilot: the autopilot's side of the link.
+        answers_at_rest: whether the autopilot answers requests while time stands still. A real PX4 does not,
+            so time advances while a request is open.
         waits_at_first: whether time stands still until the first report.
-        sender_lag_us: how far the autopilot's sender may be behind its own time, simulated microseconds: one
-            that runs in a thread of its own gets that much time to send what is due.
+        sender_lag_us: simulated time by which a sender in its own thread may lag behind the autopilot,
+            microseconds.
     """
 
     def __init__(
@@ -73,24 +73,24 @@ class Lockstep:
 
     @property
     def engaged(self) -> bool:
-        """Whether the world waits for the application at present."""
+        """Whether the world currently waits for the application."""
         return self._waits_at_first if self._report is None else self._report.flies
 
     @property
     def holds(self) -> bool:
-        """Whether the world cannot get away from the application, and may go as fast as the machine does."""
+        """Whether lockstep limits the world's time, so that no other pace is needed."""
         report = self._report
         return self.engaged and not (report is not None and report.commands and not self._answers_at_rest)
 
     def update(self, report: Stepped) -> None:
-        """Take a report of the application."""
+        """Process a report of the application."""
         if self._report is None:
-            # What was sent before the application listened is not waited for.
+            # Do not wait for messages that were sent before the application listened.
             self._from_us = dict(self._autopilot.sent_us)
         self._report, self._unanswered_s = report, 0.0
 
     def outstanding(self, next_us: int) -> str | None:
-        """Return what has to happen before simulated time `next_us`, in words; None: time may advance."""
+        """Return what must happen before simulated time `next_us`, as text, or None if time may advance."""
         report = self._report
         if report is None:
             return "the application to connect" if self._waits_at_first else None
@@ -98,7 +98,7 @@ class Lockstep:
             return None
         if report.commands:
             return "the result of a command" if self._answers_at_rest else None
-        # The application's clock is the newest stamp: it has to get to the time itself.
+        # The application's clock is the newest stamp, so a message with the due time must be sent first.
         if report.plan_due_us is not None and next_us > report.plan_due_us + TICK_US + self._sender_lag_us:
             return "the planner"
         if report.setpoint is not None and not self._has_arrived(report.setpoint):
@@ -121,8 +121,8 @@ class Lockstep:
 
         Args:
             next_us: simulated time of the next tick, microseconds.
-            wake: descriptors that become readable when something has arrived.
-            look: take what has arrived of the application; False: it is gone.
+            wake: descriptors that become readable when data has arrived.
+            look: function that processes the application's lines and returns False once it has left.
 
         Raises:
             SilentParticipantError: nothing came from the application for 10 s of host time.
@@ -133,7 +133,7 @@ class Lockstep:
             if missing is None:
                 return
             now_s = time.monotonic()
-            # While this process itself did not run, nobody could answer it.
+            # Time in which this process itself did not run does not count.
             step_s, looked_s = min(now_s - looked_s, _STEP_MAX_S), now_s
             waited_s += step_s
             if self._report is not None:

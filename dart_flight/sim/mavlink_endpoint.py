@@ -156,13 +156,13 @@ class MavlinkEndpoint:
 
     @property
     def sockets(self) -> list[int]:
-        """Descriptors that become readable when something has arrived."""
+        """Return the descriptors that become readable when data has arrived."""
         return [link.socket.fileno() for link in self.links]
 
     def rest(self) -> None:
-        """Answer what has arrived while simulated time stands still.
+        """Answer requests that have arrived while simulated time stands still.
 
-        MAVSDK takes a vehicle without a heartbeat for lost after 3 s of the computer's time.
+        MAVSDK treats a vehicle without a heartbeat as lost after 3 s of the computer's time.
         """
         for link in self.links:
             self._receive(link)

@@ -22,7 +22,7 @@ from dart_flight.config.parameter_file import Parameter, PositionSource
 from dart_flight.config.vehicle import Motor
 from dart_flight.sim.faults.fault_table import Fault
 
-FULL_SPEED = 1e6  # simulated seconds per second: as fast as the machine goes
+FULL_SPEED = 1e6  # simulated seconds per second; in practice no limit
 
 
 class Px4SimulatorSpec(msgspec.Struct):
@@ -65,7 +65,7 @@ class SimulatorSpec(msgspec.Struct):
     px4: Px4SimulatorSpec | None = None
     hitl: HitlSpec | None = None
     spreads: dict[str, float] = msgspec.field(default_factory=dict)  # what differs from the mission (`draws`)
-    speed: float = 1.0  # simulated seconds per second, at most
+    speed: float = 1.0  # highest number of simulated seconds per second
     lockstep: bool = False  # whether simulated time waits for the application (`sim.lockstep`)
 
 
@@ -86,16 +86,16 @@ class FaultLine(msgspec.Struct, tag="fault"):
 
 
 class Stepped(msgspec.Struct, tag="stepped"):
-    """How far the application has come; sent each time that nothing is left for it to do (`sim.lockstep`).
+    """Progress of the application; sent whenever it has no work left (`sim.lockstep`).
 
     Attributes:
-        streams: newest stamp that the core has stepped of every telemetry stream, microseconds.
-        setpoint: the last one handed to MAVSDK: position, velocity and acceleration, local NED; None for
+        streams: newest stamp that the core has stepped on each telemetry stream, microseconds.
+        setpoint: last setpoint passed to MAVSDK: position, velocity and acceleration, local NED; None for
             unused numbers.
-        commands: requests to the autopilot whose result is still to come.
-        plan_due_us: when the planner's answer is due; None: no open request.
-        batch_us: the core steps the samples of this time together; until then nothing is waited for.
-        flies: False once the application sends nothing more, and the world goes on without it.
+        commands: number of requests to the autopilot without a result.
+        plan_due_us: due time of the planner's answer, or None without an open request.
+        batch_us: span of samples that the core steps together; the world does not wait within it.
+        flies: False once the application sends nothing more and the world continues without it.
     """
 
     streams: dict[str, int]
@@ -168,11 +168,11 @@ class LineWriter:
 
 
 class LineReader:
-    """Lines from the app; `closed` once the app is gone.
+    """Reader of lines from the app; `closed` once the app has left.
 
     Attributes:
-        items: what has come and has not been taken.
-        wake: descriptor that is readable while there is news; `clear` makes it wait for the next.
+        items: received items that have not been processed.
+        wake: descriptor that is readable after new items, until `clear`.
     """
 
     def __init__(self, stream: IO[bytes]) -> None:
@@ -183,7 +183,7 @@ class LineReader:
         threading.Thread(target=self._run, daemon=True, name="commands").start()
 
     def clear(self) -> None:
-        """Forget the news so far; call it before looking at `items`."""
+        """Reset `wake`; call before reading `items`."""
         with contextlib.suppress(BlockingIOError):
             os.eventfd_read(self.wake)
 

@@ -46,10 +46,10 @@ def of_checks(report: Any) -> Report:
 
 
 def of_sys_status(sensors: Sensors) -> Report:
-    """What SYS_STATUS says, for a PX4 without reports: sensors in use that are not well."""
+    """Return a report from SYS_STATUS, for a PX4 without health reports: unhealthy sensors in use."""
     bad = sensors.enabled & ~sensors.healthy
     words = tuple(f"{name} not healthy" for bit, name in _SENSORS.items() if bad & 1 << bit)
-    refused = not sensors.healthy & _PREARM  # PX4 v1.14 reports it among what is well, and never as in use
+    refused = not sensors.healthy & _PREARM  # PX4 v1.14 sets this bit only in `healthy`
     # The sensors need not be what the checks fail on.
     return not refused, ("preflight checks failed",) if refused else (), words
 

@@ -1,4 +1,4 @@
-"""Batteries of one vehicle: the newest reading of each, and the one that is judged."""
+"""Batteries of one vehicle: the newest reading of each, and the choice of the one to judge."""
 
 from __future__ import annotations
 
@@ -6,18 +6,18 @@ from collections.abc import Iterable
 
 from dart_flight.vehicle.messages import BatteryReading
 
-# A pack at half of the voltage at which the vehicle must land carries nothing: that is another supply.
+# A supply that never exceeds this share of the landing voltage is no flight battery.
 _LEAST_SHARE = 0.5
 
 
 class Batteries:
     """The batteries that BATTERY_STATUS reports, by id.
 
-    PX4 acts on the worst connected battery, so the worst one is judged here as well. A battery does not count
-    if it belongs to the avionics or a payload, or if its voltage has never been one to fly on.
+    PX4 acts on the worst connected battery, so this class selects the worst one as well. A battery does not
+    count if it supplies avionics or a payload, or if its voltage has never been enough to fly.
 
     Args:
-        lowest_v: voltage at which the vehicle must land.
+        lowest_v: voltage below which the vehicle must land.
     """
 
     def __init__(self, lowest_v: float = 0.0) -> None:
@@ -26,17 +26,17 @@ class Batteries:
         self._highest_v: dict[int, float] = {}
 
     def update(self, reading: BatteryReading) -> None:
-        """Take a reading."""
+        """Store a battery's newest reading."""
         self._readings[reading.id] = reading
         if reading.voltage_v is not None:
             self._highest_v[reading.id] = max(self._highest_v.get(reading.id, 0.0), reading.voltage_v)
 
     def remove(self, number: int) -> bool:
-        """Forget a battery that is no longer connected; returns whether it was known."""
+        """Remove a battery that is no longer connected; return whether it was stored."""
         return self._readings.pop(number, None) is not None
 
     def counted(self) -> list[BatteryReading]:
-        """Return the batteries that the vehicle may fly on, or all if there is none."""
+        """Return the flight batteries, or all batteries if there is no flight battery."""
         able = [reading for reading in self._readings.values() if self._carries(reading)]
         return able or list(self._readings.values())
 
@@ -64,7 +64,7 @@ class Batteries:
 
 
 def describe_reading(reading: BatteryReading) -> str:
-    """Return words such as "id 0: 16.2 V, 95 %"."""
+    """Return text such as "id 0: 16.2 V, 95 %"."""
     parts: Iterable[str] = (
         "" if reading.voltage_v is None else f"{reading.voltage_v:.1f} V",
         "" if reading.remaining is None else f"{100.0 * reading.remaining:.0f} %",

@@ -28,7 +28,7 @@ class PortFinding(msgspec.Struct, frozen=True):
     Attributes:
         received: bytes at the rate that was asked for.
         baud: the rate at which there is MAVLink; None: at none of the usual ones.
-        console: the line that answers an empty one, such as `login:`; empty: none.
+        console: a console's answer to an empty line, such as `login:`; empty if there is none.
     """
 
     received: int
@@ -61,7 +61,7 @@ def listen_for_mavlink(device: str, baud: int) -> PortFinding:
 
 
 def console_line(data: bytes) -> str:
-    """The last line of text that a console has answered; empty where it is noise or nothing."""
+    """Return the last line of a console's answer, or an empty string for noise or no answer."""
     text = data.decode("ascii", "replace").replace("\x1b[K", "")
     lines = [line.strip() for line in text.splitlines() if line.strip()]
     if not lines or sum(c.isprintable() and c.isascii() for c in lines[-1]) < len(lines[-1]):

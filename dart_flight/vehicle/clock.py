@@ -1,4 +1,4 @@
-"""The autopilot's clock and the host's: in real flight two clocks, in lockstep one."""
+"""The autopilot's clock and the host's: two clocks in real flight, one clock in lockstep."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ def host_us() -> int:
 
 
 class Clock(Protocol):
-    """Relates autopilot time and host time."""
+    """Relation of autopilot time to host time."""
 
     def host_us(self) -> int:
         """Return the host's time in microseconds, monotonic; simulated time in lockstep."""
 
     def round_trip(self, sent_us: int, received_us: int, autopilot_us: int | None) -> RoundTrip:
-        """Return the record of a request, sent and answered at these times of the computer, microseconds."""
+        """Return the record of a request from its computer times of sending and answer, microseconds."""
 
     def receive(self, t_us: int, received_us: int) -> int:
         """Return the time of receipt of a message with this stamp, host time in microseconds."""
@@ -50,12 +50,12 @@ class _RealHost:
     _PACE_KNOWN = True  # the autopilot's time advances as the host's does
 
     def round_trip(self, sent_us: int, received_us: int, autopilot_us: int | None) -> RoundTrip:
-        """Return the record; without the autopilot's time where that has a pace of its own."""
+        """Return the record, without the autopilot's time if that may advance at another pace."""
         return RoundTrip(received_us, sent_us, autopilot_us if self._PACE_KNOWN else None)
 
     @staticmethod
     def receive(t_us: int, received_us: int) -> int:
-        """Return the time of receipt as the caller has read it."""
+        """Return `received_us` unchanged."""
         return received_us
 
 
@@ -107,9 +107,9 @@ class ClockEstimate(_RealHost):
 
 
 class SimulatedTime:
-    """The one clock of a world that waits for the application: the newest stamp of the vehicle.
+    """The single clock of a world that waits for the application, set by the vehicle's newest stamp.
 
-    Host time and autopilot time are the same, so a busy computer shows in no age and in no time-out.
+    Host time and autopilot time are equal, so a busy computer affects no age and no timeout.
     """
 
     def __init__(self) -> None:
@@ -121,13 +121,13 @@ class SimulatedTime:
         return self._now_us or 0
 
     def receive(self, t_us: int, received_us: int) -> int:
-        """Advance to the stamp of a message; returns the time of its receipt, microseconds."""
+        """Advance to the stamp of a message; return its time of receipt, microseconds."""
         if self._now_us is None or t_us > self._now_us:
             self._now_us = t_us
         return self._now_us
 
     def round_trip(self, sent_us: int, received_us: int, autopilot_us: int | None) -> RoundTrip:
-        """Return the record of a trip that takes no simulated time."""
+        """Return the record of a round trip that takes no simulated time."""
         return RoundTrip(self.host_us(), self.host_us(), None)
 
     @property
@@ -136,7 +136,7 @@ class SimulatedTime:
         return None if self._now_us is None else 0
 
     def update(self, t_us: int, received_us: int) -> int | None:
-        """Advance to a stamp; returns the offset, 0, the first time."""
+        """Advance to a stamp; return the offset 0 on the first call, then None."""
         self.receive(t_us, received_us)
         if self._reported:
             return None

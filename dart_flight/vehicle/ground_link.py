@@ -45,11 +45,11 @@ class Source(msgspec.Struct, frozen=True):
     arriving_hz: float
     usable_hz: float
     is_vehicle: bool  # the autopilot's component of the connected vehicle
-    reason: str  # why its messages are unusable; empty if they are not
+    reason: str  # why its messages are unusable; empty if they are usable
 
 
 def unusable_streams(sources: Iterable[Source]) -> dict[str, str]:
-    """Return the streams that arrive from the vehicle without a usable message, and why, in words."""
+    """Return the reason by stream, for the vehicle's streams without a usable message."""
     found: dict[str, Source] = {}
     for source in sources:
         stream = messages.STREAM_OF[source.sender.message]
@@ -61,7 +61,7 @@ def unusable_streams(sources: Iterable[Source]) -> dict[str, str]:
 
 
 class Observation(msgspec.Struct):
-    """What a vehicle on the ground says in a few seconds.
+    """Telemetry of a vehicle on the ground over a few seconds.
 
     `rates_hz` counts usable samples only.
     """
@@ -78,21 +78,21 @@ class Observation(msgspec.Struct):
     found_here: list[str] = []  # what this program finds on the link
     sources: tuple[Source, ...] = ()
     battery_id: int | None = None
-    batteries: tuple[BatteryReading, ...] = ()  # those that count
+    batteries: tuple[BatteryReading, ...] = ()  # flight batteries
     other_batteries: tuple[BatteryReading, ...] = ()
-    motor_scale: OutputScale | None = None  # by the values; None: all outputs were 0
+    motor_scale: OutputScale | None = None  # from the values; None if all outputs were 0
     specific_force_m_s2: float | None = None  # mean magnitude
     position_ned: Vec3 | None = None  # local, metres, the newest
     q_frd_to_ned: Quaternion | None = None  # attitude, the newest
 
 
 class HeartbeatMode(msgspec.Struct, frozen=True):
-    """What a HEARTBEAT says.
+    """Mode of the autopilot in a HEARTBEAT.
 
     Attributes:
-        armed: the motors may turn.
-        hil: it flies from simulated sensors.
-        not_px4: why it is not PX4's, in words; empty where it is.
+        armed: whether the motors may turn.
+        hil: whether the autopilot uses simulated sensors.
+        not_px4: reason why the heartbeat is not PX4's, or an empty string.
     """
 
     armed: bool
@@ -197,7 +197,7 @@ class GroundLink:
         self._viewer(record)
 
     def newest(self, entry: MessageEntry, seconds: float) -> Any:
-        """Return the newest usable value of a message that comes within so many seconds, or None."""
+        """Return the newest usable value of a message within `seconds`, or None."""
         return self._session.newest(entry, seconds)
 
     def round_trip_s(self) -> float | None:
@@ -290,7 +290,7 @@ class GroundLink:
         def take_fix(fix: str, _: int) -> None:
             seen.gps_fix = fix
 
-        asyncio.run(session.set_rates(_RATED))  # refused: the count shows what comes anyway
+        asyncio.run(session.set_rates(_RATED))  # a refusal shows in the measured rates
         motors, lowest_v = len(vehicle.airframe.motors), vehicle.guard.battery_v
         session.subscribe(vehicle.estimation, motors, lowest_battery_v=lowest_v)
         session.listen(messages.GPS_RAW_INT, take_fix)
@@ -321,7 +321,7 @@ class GroundLink:
         return seen
 
     def _sources(self, before: dict[Any, tuple[int, int]], elapsed_s: float) -> tuple[Source, ...]:
-        """Return the senders of the observation, by message."""
+        """Return the senders observed, with their rates, by message."""
         found = []
         for key, count in sorted(self._session.senders.items()):
             sender, (messages_then, usable_then) = Sender(*key), before.get(key, (0, 0))

@@ -193,7 +193,7 @@ def free_link(command: str, log: Path | None = None) -> tuple[int, LinkLease]:
     """A UDP port of the loopback that nothing uses, and its lease, held.
 
     Raises:
-        LinkTakenError: another program has each of the ports that were tried.
+        LinkTakenError: all ports that were tried are in use by other programs.
         InputError: the state folder cannot be used.
     """
     attempts = _FREE_LINK_ATTEMPTS
@@ -205,7 +205,7 @@ def free_link(command: str, log: Path | None = None) -> tuple[int, LinkLease]:
         try:
             lease.acquire()
             return port, lease
-        except LinkTakenError:  # another program was quicker, or leases the port without having it open
+        except LinkTakenError:  # another program has opened or leased the port meanwhile
             attempts -= 1
             if not attempts:
                 raise

@@ -1,7 +1,7 @@
-"""The acceptance table: every MAVLink message that the program takes, and what makes one usable.
+"""The acceptance table: every MAVLink message that the program uses, and the conditions for its use.
 
-A message counts only if the autopilot's component sent it, if it is of the right instance, and if it holds
-usable values. `VehicleSession` subscribes by this table, and docs/link.md shows it.
+A message is used only if the autopilot's component sent it, its instance is accepted and its values are
+usable. `VehicleSession` subscribes to the messages in this table, and docs/link.md shows it.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _MAX_RATE_RAD_S: Final = 75.0  # 4000 deg/s give 70
 _UNIT_TOLERANCE: Final = 0.01
 _MAX_POSITION_M: Final = 10_000.0
 _MAX_SPEED_M_S: Final = 100.0
-_MIN_BATTERY_V, _MAX_BATTERY_V = 3.0, 150.0  # one cell; a reading below is a sensor without a battery
+_MIN_BATTERY_V, _MAX_BATTERY_V = 3.0, 150.0  # one cell; a lower reading is a sensor without a battery
 _MAX_RPM: Final = 200_000
 _MAX_SD_M: Final = 10_000.0
 _ESCS: Final = 4  # in one message
@@ -31,7 +31,7 @@ SEVERITIES: Final = ("emergency", "alert", "critical", "error", "warning", "noti
 
 
 class Unusable(NamedTuple):
-    """The reason why a message is no sample; it completes "none ...", such as "with a velocity"."""
+    """The reason why a message is no sample, as the end of "none ...", such as "with a velocity"."""
 
     reason: str
 
@@ -48,7 +48,7 @@ class InertialReading(NamedTuple):
 
 
 class Attitude(NamedTuple):
-    """Body FRD to world NED."""
+    """Attitude, body FRD to world NED."""
 
     t_us: int
     q_frd_to_ned: Quaternion
@@ -64,7 +64,7 @@ class Odometry(NamedTuple):
 
 
 class Heartbeat(NamedTuple):
-    """Mode and state; `hil`: the vehicle flies from simulated sensors."""
+    """Mode and state; `hil` is set if the vehicle uses simulated sensors."""
 
     armed: bool
     hil: bool
@@ -88,9 +88,9 @@ class EscGroup(NamedTuple):
 
 
 class BatteryReading(NamedTuple):
-    """One battery; a value that it does not report is None.
+    """Reading of one battery; a value that is not reported is None.
 
-    `flies` is False for a battery of the avionics or of a payload.
+    `flies` is False for a battery of avionics or payload.
     """
 
     id: int
@@ -100,7 +100,7 @@ class BatteryReading(NamedTuple):
 
 
 class EstimatorState(NamedTuple):
-    """Whether attitude, horizontal velocity and position are valid, and how certain the position is."""
+    """Validity of attitude, horizontal velocity and position, and the position's standard deviation."""
 
     healthy: bool
     position_sd_m: float | None
@@ -119,7 +119,7 @@ class Sensors(NamedTuple):
 
 
 class TextChunk(NamedTuple):
-    """Part of a text; `id` 0: the text is complete."""
+    """Part of a text; with `id` 0 the part is a complete text."""
 
     severity: str
     id: int
@@ -129,7 +129,7 @@ class TextChunk(NamedTuple):
 
 
 class Timesync(NamedTuple):
-    """Answer to a request: host's time of the request and the autopilot's time, microseconds."""
+    """Answer to a request: host time of the request and autopilot time, microseconds."""
 
     sent_us: int
     autopilot_us: int
@@ -358,7 +358,7 @@ def _landed(m: _ExtendedSysStateFields) -> LandedState | Unusable:
 
 
 def _outputs(m: _ActuatorOutputStatusFields) -> Outputs | Unusable:
-    # PX4 sends as many as the first bank has; `active` 0 is not set.
+    # PX4 sends the outputs of the first bank; `active` 0 means that it is not set.
     values = m.actuator[: m.active] if m.active else m.actuator
     return Outputs(m.time_usec, values)
 
@@ -417,7 +417,7 @@ def _status_text(m: _StatusTextFields) -> TextChunk | Unusable:
 
 def _timesync(m: _TimesyncFields) -> Timesync | Unusable:
     if m.tc1 <= 0:
-        return Unusable("with an answer")  # PX4 asks as well
+        return Unusable("with an answer")  # PX4 sends requests too
     return Timesync(m.ts1 // 1000, m.tc1 // 1000)
 
 
@@ -436,19 +436,19 @@ def _radio(m: _RcChannelsFields) -> bool | Unusable:
 
 
 class MessageEntry(msgspec.Struct, frozen=True):
-    """One message.
+    """One row of the table.
 
     Attributes:
-        message: MAVLink's name.
+        message: MAVLink's name of the message.
         stream: name in `base/streams.py`, or None.
         fields: type of the fields that are read.
-        convert: makes a value from the fields, or says why they are unusable.
+        convert: function that returns a value from the fields, or `Unusable`.
         frame: coordinate frame.
         units: units and scale.
-        invalid: what marks a message without usable values.
-        instance: field that tells several senders in one component apart, or None.
+        invalid: conditions under which a message has no usable values, as text.
+        instance: field that distinguishes several senders in one component, or None.
         instances: accepted values of `instance`, or None for all.
-        which: what is accepted of several instances, in words.
+        which: accepted instances, as text.
     """
 
     message: str
@@ -463,7 +463,7 @@ class MessageEntry(msgspec.Struct, frozen=True):
     which: str = "-"
 
     def reader(self) -> Callable[[str], tuple[int, Any]]:
-        """Return a function from a message's JSON to its instance and its value or `Unusable`."""
+        """Return a function that decodes a message's JSON to its instance and its value or `Unusable`."""
         read, convert = msgspec.json.Decoder(self.fields).decode, self.convert
         instance, instances = self.instance, self.instances
 
@@ -482,7 +482,7 @@ class MessageEntry(msgspec.Struct, frozen=True):
         return decode
 
     def decode(self, fields_json: str) -> Any:
-        """Return the value that a message holds, or None if it holds no usable one."""
+        """Return a message's value, or None if it has no usable value."""
         value = self.reader()(fields_json)[1]
         return None if isinstance(value, Unusable) else value
 
@@ -544,7 +544,7 @@ ACTUATOR_OUTPUT_STATUS = MessageEntry(
     _ActuatorOutputStatusFields,
     _outputs,
     "-",
-    "PWM 1000 to 2000 µs, DShot 0 to 1999, UAVCAN 0 to 8191, by the values",
+    "PWM 1000 to 2000 µs, DShot 0 to 1999 or UAVCAN 0 to 8191, decided by the values",
     "fewer outputs than motors, a value NaN or of no type, all idle in flight",
     None,
     None,
@@ -568,11 +568,11 @@ BATTERY_STATUS = MessageEntry(
     _BatteryStatusFields,
     _battery,
     "-",
-    "mV per cell or in all, %",
+    "mV per cell or total, %",
     "neither voltage nor charge, under 3 V or over 150 V",
     "id",
     None,
-    "one reading per id; the worst of those that carry the vehicle",
+    "one reading per id; the worst flight battery is judged",
 )
 ESTIMATOR_STATUS = MessageEntry(
     "ESTIMATOR_STATUS",
@@ -581,7 +581,7 @@ ESTIMATOR_STATUS = MessageEntry(
     _estimator,
     "-",
     "flags, m",
-    "standard deviation negative or over 10 km; NaN is not reported",
+    "standard deviation negative or over 10 km; NaN means not reported",
     None,
     None,
     "PX4 sends the selected one; the message has no id",
@@ -603,7 +603,7 @@ STATUSTEXT = MessageEntry(
     "-",
     "MAV_SEVERITY, UTF-8 in parts of 50 bytes",
     "severity over 7, empty",
-    which="parts of one id are joined",
+    which="parts with one id are joined",
 )
 TIMESYNC = MessageEntry(
     "TIMESYNC",
@@ -612,7 +612,7 @@ TIMESYNC = MessageEntry(
     _timesync,
     "-",
     "ns",
-    "a request (tc1 0), an answer to no request of ours",
+    "a request (tc1 0), an answer to another program's request",
 )
 GPS_RAW_INT = MessageEntry(
     "GPS_RAW_INT",
@@ -621,7 +621,7 @@ GPS_RAW_INT = MessageEntry(
     _gps,
     "-",
     "GPS_FIX_TYPE",
-    "a fix of no known type",
+    "an unknown type of fix",
 )
 RC_CHANNELS = MessageEntry(
     "RC_CHANNELS",

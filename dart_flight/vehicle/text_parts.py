@@ -1,22 +1,22 @@
-"""STATUSTEXT in parts: a text longer than 50 bytes comes in several messages of one id."""
+"""Assembly of STATUSTEXT parts: a text longer than 50 bytes arrives as several messages with one id."""
 
 from __future__ import annotations
 
 from dart_flight.vehicle.messages import TextChunk
 
-_CUT = "..."  # stands for a lost part
+_CUT = "..."  # replaces a lost part
 
 
 class TextAssembler:
-    """Joins the parts of texts, one text at a time as PX4 sends them."""
+    """Assembler of texts from their parts, one text at a time in PX4's order."""
 
     def __init__(self) -> None:
         self._severity, self._id, self._next = "", 0, 0
         self._text = ""
-        self._is_old = False  # a heartbeat has come since the last part
+        self._is_old = False  # whether a heartbeat has arrived since the last part
 
     def add(self, part: TextChunk) -> list[tuple[str, str]]:
-        """Add a part; returns (severity, text) of each text that it completes or cuts off."""
+        """Add a part; return (severity, text) of each text that it completes or interrupts."""
         found: list[tuple[str, str]] = []
         if part.id == 0 or part.id != self._id or part.chunk < self._next:
             found = self._cut_off()
@@ -28,7 +28,7 @@ class TextAssembler:
         return found
 
     def overdue(self) -> list[tuple[str, str]]:
-        """Return the text whose next part has not come for a second; called with every heartbeat."""
+        """Return the text without a new part for a second, if any; call at every heartbeat."""
         if self._is_old:
             return self._cut_off()
         self._is_old = bool(self._text)
@@ -41,7 +41,7 @@ class TextAssembler:
         return [self._end()]
 
     def _end(self) -> tuple[str, str]:
-        text = self._text.strip()  # PX4 ends a text with a tab if it sends it as an event as well
+        text = self._text.strip()  # PX4 appends a tab if it also sends the text as an event
         self._text, self._id, self._next = "", 0, 0
         self._is_old = False
         return self._severity, text

@@ -1,4 +1,4 @@
-"""TIMESYNC: a request with our time, which the autopilot answers with its own beside it."""
+"""TIMESYNC requests: the program sends its time, and the autopilot returns it with its own time."""
 
 from __future__ import annotations
 

@@ -69,7 +69,7 @@ _ASK_PERIOD_S = 0.1  # the round trip
 _MAX_ASKED = 256  # requests remembered; their answers may come seconds later
 _AIRBORNE = (LandedState.IN_AIR, LandedState.TAKING_OFF)
 _REPORTED_US = 3_000_000  # between reports that a stream is unusable
-_ENOUGH_MESSAGES = 10  # unusable in a row, until that is reported
+_ENOUGH_MESSAGES = 10  # consecutive unusable messages before a report
 
 
 class Sender(NamedTuple):
@@ -82,7 +82,7 @@ class Sender(NamedTuple):
 
 
 class SenderCount(msgspec.Struct):
-    """Messages of one sender, those that became a sample, and why the last other one did not."""
+    """Counts of one sender's messages and usable messages, and the reason of the last unusable one."""
 
     messages: int = 0
     usable: int = 0
@@ -113,9 +113,9 @@ class VehicleSession:
         clock: relates the autopilot's time and the host's.
 
     Attributes:
-        senders: every sender of a message that is subscribed to; only the autopilot's component is used.
+        senders: counts by sender of a subscribed message; only the autopilot's component is used.
         batteries: the newest reading of each battery.
-        motor_outputs: decoder of the motor outputs; None until `subscribe`.
+        motor_outputs: decoder of the motor outputs, or None before `subscribe`.
     """
 
     def __init__(
@@ -142,8 +142,8 @@ class VehicleSession:
         self.clock: Clock = clock if clock is not None else ClockEstimate()
         self._host_us = self.clock.host_us
         self._status = StatusSample(t_us=0, received_us=0)
-        self._has_position = False  # a usable ODOMETRY has come
-        self._estimator_ok = True  # by ESTIMATOR_STATUS; a vehicle may not send it
+        self._has_position = False  # whether a usable ODOMETRY has arrived
+        self._estimator_ok = True  # from ESTIMATOR_STATUS, which not every vehicle sends
         self._silent = False
         self._sent: tuple[object, ...] | None = None  # the last setpoint, and when it left
         self._sent_us = 0
@@ -164,7 +164,7 @@ class VehicleSession:
             estimation: which sources of thrust it uses.
             motors: how many the vehicle has.
             guarded: also to what only the guard asks for.
-            lowest_battery_v: voltage at which the vehicle still flies (`guard.battery_v`).
+            lowest_battery_v: lowest voltage at which the vehicle may fly (`guard.battery_v`).
         """
         self._motors, self.motor_outputs = motors, MotorOutputDecoder(motors)
         self.batteries = Batteries(lowest_battery_v)
@@ -191,18 +191,18 @@ class VehicleSession:
         on_value: Callable[[Any, int], Unusable | None],
         on_unusable: Callable[[int], None] | None = None,
     ) -> Any:
-        """Subscribe to a message of the table; returns the handle.
+        """Subscribe to a message of the table; return the handle.
 
         Args:
             entry: the message.
-            on_value: takes each usable value of the autopilot's component and its time of receipt; returns
-                None, or why it was no sample after all.
-            on_unusable: takes the instance of each unusable one of the autopilot's component.
+            on_value: callback for each usable value of the autopilot's component and its time of receipt;
+                returns None, or `Unusable` if the value is no sample after all.
+            on_unusable: callback for the instance of each unusable message of the autopilot's component.
         """
         decode, counts, name = entry.reader(), self.senders, entry.message
         own = self._raw.get_system_id()
 
-        def take(message: Any, _: Any) -> None:
+        def handle(message: Any, _: Any) -> None:
             received = self._host_us()
             instance, value = decode(message.fields_json)
             sender = (name, message.system_id, message.component_id, instance)
@@ -228,10 +228,10 @@ class VehicleSession:
             if entry.stream is not None and count.unusable_in_a_row >= _ENOUGH_MESSAGES:
                 self._report_unusable(name, value.reason, received)
 
-        return self._direct.subscribe_message(name, take)
+        return self._direct.subscribe_message(name, handle)
 
     def newest(self, entry: MessageEntry, seconds: float) -> Any:
-        """Return the newest usable value that comes within so many seconds, or None; blocks until then."""
+        """Block for `seconds` and return the newest usable value received, or None."""
         found: list[Any] = []
 
         def keep(value: Any, _: int) -> None:
@@ -243,7 +243,7 @@ class VehicleSession:
         return found[0] if found else None
 
     def next(self, entry: MessageEntry, timeout_s: float) -> Any:
-        """Return the next usable value, or None if none comes in time; blocks."""
+        """Block until the next usable value arrives and return it, or None after the timeout."""
         came: queue.SimpleQueue[Any] = queue.SimpleQueue()
         handle = self.listen(entry, lambda value, _: came.put(value))
         try:
@@ -254,7 +254,7 @@ class VehicleSession:
             self._direct.unsubscribe_message(handle)
 
     def refused_because(self, entry: MessageEntry) -> str:
-        """Return why the last message of the autopilot's component was refused; empty if none was."""
+        """Return why the autopilot's last message was refused, or an empty string if it was not."""
         own = self._raw.get_system_id()
         for (name, system, component, _), count in self.senders.items():
             if (name, system, component) == (entry.message, own, AUTOPILOT) and count.unusable_in_a_row:
@@ -262,7 +262,7 @@ class VehicleSession:
         return ""
 
     def _report_unusable(self, name: str, reason: str, received: int) -> None:
-        """Deliver, every few seconds, why a stream that arrives gives no sample."""
+        """Deliver a text with the reason why a stream has no usable message, at most every 3 s."""
         if self._reports_unusable and received - self._reported_us.get(name, -_REPORTED_US) >= _REPORTED_US:
             self._reported_us[name] = received
             text = f"{name} arrives, none {reason}"
@@ -311,13 +311,13 @@ class VehicleSession:
         """
         loop, heard = asyncio.get_running_loop(), asyncio.Event()
 
-        def take(answer: messages.Timesync, received: int) -> Unusable | None:
+        def handle(answer: messages.Timesync, received: int) -> Unusable | None:
             refused = self._take_answer(answer, received)
             if refused is None:
                 loop.call_soon_threadsafe(heard.set)
             return refused
 
-        self.listen(messages.TIMESYNC, take)
+        self.listen(messages.TIMESYNC, handle)
         asking = asyncio.create_task(self.keep_measuring())
         try:
             await asyncio.wait_for(heard.wait(), timeout_s)
@@ -338,7 +338,7 @@ class VehicleSession:
     async def keep_measuring(self) -> None:
         """Ask for the round trip again and again; what `measure_link` has subscribed to takes the answers."""
         while True:
-            now = host_us()  # names the request, also in lockstep, where time stands still
+            now = host_us()  # identifies the request even in lockstep, where time may not advance
             self._asked.append(now)
             with contextlib.suppress(Exception):  # a link that takes nothing shows by its silence
                 self._direct.send_message(request(now))

@@ -257,7 +257,7 @@ def test_a_pose_delay_far_from_the_measured_one_is_a_no_go(actual_ms: float, mea
     assert found.go is (abs(actual_ms - measured_ms) <= 30.0)
     assert not found.remark
     if not found.go:
-        assert "allowed 30 ms" in found.says
+        assert "30 ms allowed" in found.says
         assert f"set EKF2_EV_DELAY to {measured_ms:g}" in found.says
 
 
@@ -267,7 +267,7 @@ def test_a_pose_delay_that_nobody_has_measured_is_a_remark(actual_ms: float, wor
     assert found.go
     assert found.remark
     assert words in found.says
-    assert "mocap.delay_ms is not known" in found.says
+    assert "mocap.delay_ms is not set" in found.says
 
 
 @pytest.mark.parametrize("source", [PositionSource.RTK, PositionSource.PLAIN, None])
@@ -445,11 +445,16 @@ NO_MAIN = dict.fromkeys((f"PWM_MAIN_FUNC{k}" for k in range(1, 5)), 0.0)
         ({**MAIN, "PWM_MAIN_TIM0": -4.0}, None, True, "DShot 0 to 1999, on PWM_MAIN"),
         ({**NO_MAIN, **CAN}, None, True, "UAVCAN 0 to 8191, on UAVCAN_EC"),
         ({}, DSHOT, True, "DShot 0 to 1999, by the values"),
-        (MAIN, DSHOT, False, "sends values of DShot"),
-        ({**MAIN, "PWM_MAIN_FUNC2": 103.0}, PWM, False, "output 2 of PWM_MAIN has function 103, not motor 2"),
+        (MAIN, DSHOT, False, "sends DShot"),
+        (
+            {**MAIN, "PWM_MAIN_FUNC2": 103.0},
+            PWM,
+            False,
+            "output 2 of PWM_MAIN has function 103, not 102 (motor 2)",
+        ),
         ({**MAIN, "PWM_MAIN_MIN3": 1075.0}, PWM, False, "set 1000 and 2000"),
         ({**NO_MAIN, "PWM_MAIN_FUNC1": 201.0, **AUX}, PWM, False, "the motors are on PWM_AUX"),
-        (NO_MAIN, PWM, False, "thrust is not known"),
+        (NO_MAIN, PWM, False, "thrust is unknown"),
     ],
 )
 def test_the_motor_outputs_have_a_type_or_are_a_no_go(

@@ -63,7 +63,7 @@ def test_distances_do_not_depend_on_the_frame(
     ("x", "y", "says"),
     [
         (20.0, 0.0, "17.80 m outside of bounds_m"),
-        (0.0, 1.4, "1.40 m from start, allowed are 1 m"),
+        (0.0, 1.4, "1.40 m from start, 1 m allowed"),
         (1.9, 0.0, "behind wall acrylic"),
         (0.3, -1.05, "too near to or cut off by wall wood"),
     ],
@@ -122,7 +122,7 @@ def test_a_normal_turned_round_shows_as_a_wall_that_the_vehicle_is_behind() -> N
     assert not place(own())["place"].remark
     found = place(own(normal=[-1.0, 0.0]))["place"]
     assert found.remark
-    assert "behind the face of wall door: is that normal turned round?" in found.says
+    assert "behind the face of wall door: check the sign of its normal" in found.says
 
 
 def test_a_forgotten_given_at_shows_in_the_distance_to_the_surface() -> None:

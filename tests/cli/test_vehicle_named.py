@@ -94,7 +94,7 @@ def test_which_of_two_configurations_is_meant_is_not_guessed(
     own(folder, "configs/lab.yaml")
     own(folder, "configs/outdoors.yaml")
     assert main(PREDICT) == 2
-    assert "configs: holds several vehicles (lab.yaml, outdoors.yaml)" in capsys.readouterr().err
+    assert "configs: contains several vehicles (lab.yaml, outdoors.yaml)" in capsys.readouterr().err
     assert main([*PREDICT, "--config", "configs/outdoors.yaml"]) == 0
 
 

@@ -570,7 +570,7 @@ def test_a_delayed_position_is_said_with_its_number_and_what_to_do() -> None:
     CAUSES["position_delayed"](c)
     (event,) = fired(c)
     found = re.fullmatch(
-        r"the position estimate runs about (\d+) ms ahead of the IMU, allowed 50 ms: check EKF2_EV_DELAY",
+        r"the position estimate is about (\d+) ms ahead of the IMU, 50 ms allowed: check EKF2_EV_DELAY",
         event.detail,
     )
     assert found is not None

@@ -158,7 +158,7 @@ def test_a_step_of_the_heading_breaks_off_before_the_wall(step_deg: float) -> No
     c.to_flight()
     assert c.core.phase is Phase.APPROACH
     turn(c, step_deg)
-    assert fired(c) == [("heading_reset", f"by {step_deg:.1f} deg, allowed 5")]
+    assert fired(c) == [("heading_reset", f"by {step_deg:.1f} deg, 5 deg allowed")]
     assert c.core.override is Override.BREAK_OFF
 
 

@@ -94,7 +94,7 @@ def test_a_refused_port_or_lock_is_not_called_a_running_px4(monkeypatch: pytest.
     lock = Path(f"{launch._LOCK_FILES}-77")
     lock.touch()
     try:
-        monkeypatch.setattr(launch.fcntl, "lockf", no_locks)
+        monkeypatch.setattr(f"{launch.__name__}.fcntl.lockf", no_locks)
         with pytest.raises(Px4Error, match="77 cannot be locked: No locks available"):
             launch._instance_is_locked(77)
     finally:
@@ -103,7 +103,7 @@ def test_a_refused_port_or_lock_is_not_called_a_running_px4(monkeypatch: pytest.
     def refuse(*_: object, **__: object) -> None:
         raise PermissionError(errno.EACCES, "Permission denied")
 
-    monkeypatch.setattr(launch.socket, "create_server", refuse)
+    monkeypatch.setattr(f"{launch.__name__}.socket.create_server", refuse)
     with pytest.raises(Px4Error, match="TCP port 4560 cannot be opened: Permission denied"):
         launch._free_simulator_port(0)
 
@@ -325,7 +325,7 @@ def test_the_command_says_which_parameter_did_not_take_in_one_line(
 @pytest.mark.parametrize(
     ("count", "problem"),
     [
-        (6, "CA_ROTOR_COUNT is 6, the configuration has 4 motors"),
+        (6, "CA_ROTOR_COUNT is 6, but the configuration has 4 motors"),
         (3, "is 3, the configuration"),
         (0, "is 0, the configuration"),
     ],

@@ -48,7 +48,7 @@ HIGH = truth((0.0, 0.0, 1.0))
         (truth((0.0, 0.0, 1.0), tilt_deg=79.0), None),
         (truth((0.0, 0.0, 1.0), tilt_deg=90.0), "tilted by 90 degrees"),
         (truth((0.0, 0.0, 0.01), down_m_s=1.4), None),
-        (truth((0.0, 0.0, 0.01), down_m_s=1.6), "met the ground at 1.60 m/s"),
+        (truth((0.0, 0.0, 0.01), down_m_s=1.6), "hit the ground at 1.60 m/s"),
     ],
 )
 def test_each_limit_is_a_cause_of_its_own(sample: TruthSample, word: str | None) -> None:

@@ -417,7 +417,7 @@ def test_what_another_asks_or_answers_is_no_round_trip(monkeypatch: pytest.Monke
 
 
 def test_a_link_that_only_sends_is_named_by_what_it_does_not_answer(monkeypatch: pytest.MonkeyPatch) -> None:
-    class TimedOutError(MavsdkError):
+    class TimedOutError(MavsdkError):  # type: ignore[misc]  # mavsdk has no types
         result = SimpleNamespace(name="TIMEOUT")
 
     def time_out(_: float) -> None:

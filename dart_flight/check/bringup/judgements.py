@@ -84,7 +84,7 @@ def judge_link(
         round_trip_s: the shortest; None: TIMESYNC was not answered.
         limit_s: of the round trip.
         errors: `drop_rate_comm` (0.01 %) and `errors_comm` of SYS_STATUS.
-        unusable: streams that arrive without a usable message, and why.
+        unusable: reason by stream, for streams that bring no usable message.
     """
     measured: Measured = {f"{name}_hz": round(rate, 1) for name, rate in rates_hz.items()}
     measured["round_trip_ms"] = None if round_trip_s is None else round(1e3 * round_trip_s, 2)

@@ -198,7 +198,7 @@ class Bringup:
         if found.console:
             return (
                 f"a console answers on {link.place} ({found.console!r}) and no MAVLink: set MAV_1_CONFIG to "
-                "that port of the autopilot, or take the login console off it"
+                "that port of the autopilot, or disable the login console on it"
             )
         if not found.received:
             return f"nothing arrives on {link.place}: TX and RX exchanged, MAV_1_CONFIG, or no power"

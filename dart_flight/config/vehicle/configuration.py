@@ -122,10 +122,11 @@ def packaged(*parts: str) -> Path:
 
 
 def default_config_path() -> Path:
-    """$DART_FLIGHT_CONFIG, else the one of ./configs that is meant, else the packaged default.
+    """Return $DART_FLIGHT_CONFIG, the file chosen from ./configs, or the packaged default, in this order.
 
-    That is the only one there that no other extends, as `init --vehicle` leaves a vehicle beside dart.yaml.
-    Where all of several are as packaged, it is dart.yaml.
+    ./configs offers the files that no other file there extends, because `init --vehicle` writes a vehicle
+    beside dart.yaml. A single such file is chosen. If there are several and all are unchanged packaged
+    files, dart.yaml is chosen.
 
     Raises:
         InputError: there are several, and one of them is the user's own.
@@ -141,13 +142,13 @@ def default_config_path() -> Path:
         return last[0]
     if any(not _is_as_packaged(path) for path in last):
         names = ", ".join(path.name for path in last)
-        says = f"holds several vehicles ({names}): choose one by --config or $DART_FLIGHT_CONFIG"
+        says = f"contains several vehicles ({names}): choose one by --config or $DART_FLIGHT_CONFIG"
         raise InputError(says, source=str(local.parent))
     return local if local.exists() else packaged("configs", "dart.yaml")
 
 
 def _is_as_packaged(path: Path) -> bool:
-    """Whether a file is a packaged one, unchanged; what is no vehicle configuration counts as one."""
+    """Return whether a file is an unchanged packaged file or no vehicle configuration at all."""
     try:
         text = read_text(path)
         if re.search(rf"^({EXTENDS}|airframe):", text, re.MULTILINE) is None:

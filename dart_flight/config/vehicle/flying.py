@@ -42,8 +42,8 @@ class GuardThresholds(Section, frozen=True):
         telemetry_late_s: samples older than this when they come: do not take off, or land.
         position_sd_m: standard deviation of the horizontal position by PX4's own estimator: with more a
             mission with walls does not take off, or lands.
-        position_delay_s: the position estimate runs further ahead of the IMU, or behind it: break off; null:
-            not judged.
+        position_delay_s: position estimate ahead of the IMU, or behind it, by more: break off; null: not
+            judged.
     """
 
     stream_timeout_s: Seconds

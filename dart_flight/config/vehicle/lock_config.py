@@ -154,8 +154,8 @@ class Pwm(DriverSection, frozen=True):
 
     Attributes:
         sysfs_dir: where the kernel shows its PWM chips.
-        chip: number N of pwmchipN; null: the Raspberry Pi's own, whose number depends on the kernel.
-        channel: of the chip, to which the servo is connected; null: that of GPIO 18.
+        chip: number N of pwmchipN; null: the Raspberry Pi's own chip, whose number depends on the kernel.
+        channel: channel of the servo on the chip; null: the channel of GPIO 18.
         period_us: of the pulses.
     """
 

@@ -1,4 +1,4 @@
-"""What is known of the motion capture that the vehicle flies by."""
+"""Configuration of the motion capture that provides the vehicle's position."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from dart_flight.config.section import Section
 
 
 class MotionCapture(Section, frozen=True):
-    """The motion capture that PX4's position comes from.
+    """The motion capture that provides PX4's position.
 
     Attributes:
-        delay_ms: age of a pose when it reaches PX4, which EKF2_EV_DELAY has to match; null: not measured.
+        delay_ms: age of a pose when it reaches PX4; EKF2_EV_DELAY must match it; null: not measured.
     """
 
     delay_ms: Annotated[float, Meta(ge=0.0, le=300.0)] | None = None

@@ -1,6 +1,6 @@
-"""Resets of PX4's estimator: ODOMETRY's counter, and the steps of position, velocity and heading with it.
+"""Resets of PX4's estimator, from ODOMETRY's counter and the steps of position, velocity and heading.
 
-The guard judges the newest; the verdict lists them all.
+The guard judges the newest reset; the verdict lists all resets.
 """
 
 from __future__ import annotations
@@ -13,18 +13,18 @@ from dart_flight.base.geometry import Quaternion, Vec3
 from dart_flight.base.records import AttitudeSample, ImuSample, OdometrySample
 from dart_flight.core.guard.heading_step import HeadingStep
 
-REACH_US: Final = 100_000  # a step this near to the counter's belongs to the reset
-_JUMP_REACH_US: Final = 100_000  # odometry further apart says nothing about a jump
-_STEPS: Final = 16  # odometry of more than that reach
+REACH_US: Final = 100_000  # a step this close to the counter's step belongs to the reset
+_JUMP_REACH_US: Final = 100_000  # a longer gap between odometry samples shows no jump
+_STEPS: Final = 16  # odometry samples, covering more than `REACH_US`
 
 
 class EstimatorReset:
-    """One reset: the largest steps within 0.1 s of the counter's.
+    """One reset, with the largest steps within 0.1 s of the counter's step.
 
     Attributes:
-        t_us: when the counter rose, autopilot time.
-        position_m, velocity_m_s: steps beside the motion.
-        heading_rad: signed, positive clockwise from above.
+        t_us: autopilot time at which the counter rose.
+        position_m, velocity_m_s: largest steps that the motion does not explain.
+        heading_rad: largest step of the heading, positive clockwise from above.
     """
 
     def __init__(self, t_us: int) -> None:
@@ -33,10 +33,10 @@ class EstimatorReset:
 
 
 class EstimatorResets:
-    """Takes the samples of one flight.
+    """Detector of the estimator resets in one flight.
 
     Attributes:
-        newest: the last reset; None: none since the counter's first value.
+        newest: the last reset, or None if the counter has not changed.
     """
 
     def __init__(self) -> None:
@@ -45,19 +45,19 @@ class EstimatorResets:
         self._odometry: OdometrySample | None = None
         self._steps: deque[tuple[int, float, float]] = deque(maxlen=_STEPS)  # stamp, position m, velocity m/s
         self._heading = HeadingStep()
-        self._before: Quaternion | None = None  # heading against the gyro, shortly before the newest reset
+        self._before: Quaternion | None = None  # `HeadingStep.before` at the newest reset
 
     def take_imu(self, item: ImuSample) -> None:
-        """Take a sample of the IMU."""
+        """Update the heading comparison with an IMU sample."""
         self._heading.take_imu(item)
         self._measure_heading(item.t_us)
 
     def take_attitude(self, item: AttitudeSample) -> None:
-        """Take an attitude."""
+        """Update the heading comparison with an attitude."""
         self._heading.take_attitude(item)
 
     def take_odometry(self, item: OdometrySample) -> tuple[float, float]:
-        """Return the steps of position (m) and velocity (m/s) since the sample before, beside the motion."""
+        """Return the steps of position (m) and velocity (m/s) since the last sample, without the motion."""
         before, self._odometry = self._odometry, item
         if before is None or not 0 < item.t_us - before.t_us <= _JUMP_REACH_US:
             return 0.0, 0.0
@@ -69,7 +69,7 @@ class EstimatorResets:
         return away_m, faster_m_s
 
     def take_counter(self, counter: int, now_us: int) -> bool:
-        """Return whether the estimator has been reset since the counter before."""
+        """Return whether the reset counter has changed since the last call."""
         before, self._counter = self._counter, counter
         if before is None or counter == before:
             return False
@@ -90,7 +90,7 @@ class EstimatorResets:
         if reset is None or before is None:
             return
         if now_us - reset.t_us > REACH_US:
-            self._before = None  # what turns the heading from now on is another matter
+            self._before = None  # later steps of the heading do not belong to this reset
             return
         step = self._heading.step_since(before)
         if abs(step) > abs(reset.heading_rad):
@@ -98,7 +98,7 @@ class EstimatorResets:
 
 
 def _carried(before: OdometrySample, after: OdometrySample) -> Vec3:
-    """Return where the position should be by the mean of the two velocities."""
+    """Return the position predicted from the mean of the two velocities."""
     dt = (after.t_us - before.t_us) * 1e-6
     p, v, w = before.position_ned, before.velocity_ned, after.velocity_ned
     return (

@@ -1,6 +1,6 @@
-"""PX4's announcements of its own failsafes and of a termination, remembered for a few seconds.
+"""PX4's announcements of a failsafe or a termination, remembered for 3 s.
 
-Texts and events arrive at once; the heartbeat that shows the new mode and status follows up to 1 s later.
+Texts and events arrive at once; the heartbeat with the new mode and status follows up to 1 s later.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from typing import Final
 from dart_flight.base.records import StatusText, SystemStatus
 
 _MEMORY_US: Final = 3_000_000
-# Warnings that leave the mode alone: "Failsafe warning: ...", events ending in _warn, and the low battery's.
+# Warnings without a mode change: "Failsafe warning: ...", events ending in _warn, and low battery.
 _WARNING = re.compile(r"failsafe warning|_warn$|_low_bat$")
 _EVENT: Final = "commander_failsafe_enter"
 _SWITCHING = re.compile(r"^(.+): switching to (?!offboard)")  # PX4 main, as text or event
@@ -24,7 +24,7 @@ _MENTIONED, _ANNOUNCED, _CAUSE_NAMED = 1, 2, 3
 
 
 class FailsafeEvidence:
-    """What PX4 has announced within the last seconds; times are the autopilot's, microseconds."""
+    """PX4's announcements of the last 3 s; all times are autopilot time in microseconds."""
 
     def __init__(self) -> None:
         self._rank, self._words, self._said_us = 0, "", 0
@@ -33,7 +33,7 @@ class FailsafeEvidence:
     def take_text(self, item: StatusText, now_us: int) -> None:
         """Remember a text or event of PX4 if it announces a failsafe or a termination.
 
-        A cause outlives the generic words that come with it.
+        A text that names the cause is kept when a generic one follows.
         """
         words = "; ".join(line.strip() for line in item.text.splitlines() if line.strip())
         text = item.text.strip().lower()
@@ -44,24 +44,24 @@ class FailsafeEvidence:
             self._rank, self._words, self._said_us = rank, words, now_us
 
     def is_mentioned(self, now_us: int) -> bool:
-        """Whether PX4 has spoken of a failsafe, so that a change of mode is its own."""
+        """Return whether PX4 has mentioned a failsafe, so that PX4 itself has changed the mode."""
         return self._rank_at(now_us) >= _MENTIONED
 
     def announcement(self, now_us: int) -> str | None:
-        """Return PX4's words where it said that it leaves the mode; None if it has not."""
+        """Return PX4's text if it announced a change of mode, or None."""
         return self._words if self._rank_at(now_us) >= _ANNOUNCED else None
 
     def hands_to_sticks(self, now_us: int) -> bool:
-        """Whether the announced failsafe ends in a mode that sticks fly."""
+        """Return whether the announced failsafe ends in a mode flown by stick."""
         words = self.announcement(now_us)
         return words is not None and _TO_STICKS.search(words.lower()) is not None
 
     def termination(self, now_us: int) -> str | None:
-        """Return PX4's words about a termination or kill; None if it said nothing of it."""
+        """Return PX4's text about a termination or kill, or None if there was none."""
         return self._termination if self._termination and now_us - self._terminated_us < _MEMORY_US else None
 
     def words(self, now_us: int) -> str:
-        """Return the best of PX4's words about its failsafe; empty if there are none."""
+        """Return PX4's most specific text about its failsafe, or an empty string."""
         return self._words if self._rank_at(now_us) else ""
 
     def _rank_at(self, now_us: int) -> int:
@@ -69,7 +69,7 @@ class FailsafeEvidence:
 
 
 def in_failsafe(status: SystemStatus) -> bool:
-    """Whether the heartbeat reports a failsafe."""
+    """Return whether the heartbeat reports a failsafe."""
     return status in _FAILSAFES
 
 
@@ -78,7 +78,7 @@ def _rank_of(text: str, event: str) -> int:
         return _MENTIONED if "failsafe" in text else 0
     found = _SWITCHING.search(text)
     if found is not None and ("\n" in text or not _ACTIVATED.search(found[1])):
-        return _CAUSE_NAMED  # PX4 appends the checks that failed, each on a line of its own
+        return _CAUSE_NAMED  # PX4 appends each failed check as a separate line
     if found is not None or _ACTIVATED.search(text) or event.startswith(_EVENT):
         return _ANNOUNCED
     return _MENTIONED if "failsafe" in text else 0

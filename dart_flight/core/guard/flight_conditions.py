@@ -50,7 +50,7 @@ _FALLING_M_S2: Final = 4.9  # half of what carries the vehicle
 _SURELY_DOWN: Final = 3.0  # times the way down from the top of the flight space
 _PAUSE_US: Final = 40_000  # host time goes on by 20 ms at most, by ticks: after more this program did not run
 _PAUSE_MEMORY_US: Final = 3_000_000
-# The heading aligns in the climb, where PX4 had none on the ground.
+# PX4 may align its heading in the climb if it had none on the ground.
 _ALIGNING: Final = frozenset((*ON_GROUND, Phase.CLIMB))
 Stamped = ImuSample | AttitudeSample | OdometrySample | ActuatorSample
 
@@ -74,11 +74,11 @@ class FlightConditions:
         self.state = FlightState()  # replaced by the core's at the first step
         self.force: ForceEstimate | None = None  # of this step
         self.request: OperatorRequest | None = None  # of this step
-        self.thrust_ratio: float | None = None  # in the last seconds of free flight
+        self.thrust_ratio: float | None = None  # over the last seconds of free flight
         self.land_asked = False
         self.was_offboard = False
         self.was_armed = False
-        self.was_inside = False  # above the floor of the flight space, once
+        self.was_inside = False  # has been above the floor of the flight space
         self.impact: ImpactOnset | None = None  # the newest
         self.rates_hz: dict[str, float] = {}
         self.stale: dict[str, int] = {}  # samples in a row whose stamp lies far in the past, where there are
@@ -192,31 +192,31 @@ class FlightConditions:
 
     @property
     def failsafe_said(self) -> bool:
-        """Whether PX4 reports a failsafe, or has spoken of one within the last seconds."""
+        """Whether PX4 reports a failsafe, or has mentioned one within the last seconds."""
         return in_failsafe(self.state.status.system_status) or self._failsafe.is_mentioned(self.state.now_us)
 
     @property
     def failsafe_announced(self) -> str | None:
-        """PX4's announcement that its failsafe takes over, in words; None if there is none."""
+        """PX4's announcement that its failsafe takes over, or None if there is none."""
         if in_failsafe(self.state.status.system_status) and not self.status_unreliable:
             return self.failsafe_words
         return self._failsafe.announcement(self.state.now_us)
 
     @property
     def failsafe_hands_to_sticks(self) -> bool:
-        """Whether the announced failsafe ends in a mode that sticks fly."""
+        """Whether the announced failsafe ends in a mode flown by stick."""
         return self._failsafe.hands_to_sticks(self.state.now_us)
 
     @property
     def failsafe_words(self) -> str:
-        """The cause of a failsafe in PX4's words, as far as it gave them."""
+        """PX4's text about the cause of a failsafe, or a sentence that it gave none."""
         return self._failsafe.words(self.state.now_us) or "PX4 reports a failsafe and gives no cause"
 
     @property
     def termination(self) -> str | None:
-        """The termination of the flight by PX4, in words; None if there is none.
+        """PX4's termination of the flight, as text, or None if there is none.
 
-        Status and words count in the air alone: a kill after touchdown is the end of a landing.
+        Status and texts count only in the air: a kill after touchdown ends a landing.
         """
         if not self.was_armed or self.state.on_ground:
             return None
@@ -317,7 +317,7 @@ class FlightConditions:
         return max(self.config.kill_after_s, _SURELY_DOWN * way_down_s)
 
     def reset_step(self) -> str | None:
-        """The step of position or velocity that came with a reset of the estimator, in words."""
+        """Return the step of position or velocity during an estimator reset, as text, or None."""
         reset, c = self._resets.newest, self.config
         if reset is None or self.state.now_us - reset.t_us > REACH_US or self.just_after_impact:
             return None
@@ -327,7 +327,7 @@ class FlightConditions:
 
     @property
     def heading_step_rad(self) -> float:
-        """How far a reset of the estimator has just turned the heading, radians; 0 where it aligns."""
+        """Step of the heading during an estimator reset, radians; 0 while PX4 may align its heading."""
         reset = self._resets.newest
         if reset is None or self.state.now_us - reset.t_us > 2 * REACH_US or self._reset_phase in _ALIGNING:
             return 0.0

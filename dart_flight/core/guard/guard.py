@@ -85,7 +85,7 @@ class Guard:
         self._rank = self.action.rank
         self.reason: str | None = None
         self._rule: Rule | None = None
-        self._noted: set[str] = set()  # rules that would have overruled, had something as strong not done so
+        self._noted: set[str] = set()  # rules noted while an action as strong was in force
         self.end: MissionEnd | None = None
         self._since_us = 0
         self._asked_us: int | None = None
@@ -151,7 +151,7 @@ class Guard:
             due = judged.at_once.get(type(item), [])
         for rule, rank, cause in due:
             if rule.scope is Scope.GUIDED and self._watch.land_asked:
-                continue  # a landing leaves the flight space through its floor
+                continue  # a landing leaves the flight space downwards
             # A rule whose action is in force already has nothing to add but, some of them, what explains it.
             if rank > self._rank:
                 detail = cause(self._watch)
@@ -166,7 +166,7 @@ class Guard:
                     self._fire(rule.name, detail, state, events, noted=True)
 
     def _may_note(self, rule: Rule) -> bool:
-        """Whether a rule that changes nothing any more is still to be named."""
+        """Return whether a rule that changes no action should still be noted."""
         again = rule is self._rule or rule.name in self._noted
         return not again and not self._watch.status_unreliable
 
@@ -210,7 +210,7 @@ class Guard:
             self.reason = f"{rule.name}: {detail}" if detail else rule.name
         self.action, self._rule, self._rank = rule.action, rule, rule.action.rank
         self.overrules = True
-        self._hold = None  # for the new action to choose
+        self._hold = None  # the new action chooses another place
         self._since_us = state.now_us
         self._asked_us = None
 
@@ -243,7 +243,7 @@ class Guard:
         if isinstance(item, OdometrySample) and state.frame is not None:
             impact = self._watch.impact
             again = impact is not self._held_impact  # hit again, it goes away from that
-            # By an estimate that has jumped the place to hold is another one.
+            # After a jump of the estimate, hold the place of the new estimate.
             jumped = bool(self._watch.jump) and "estimator_jump" in self._rules
             if self._hold is None or again or jumped or self._has_stopped_elsewhere(state, self._hold):
                 self._hold, self._held_impact = self._clear_of_walls(state), impact

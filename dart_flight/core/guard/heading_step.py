@@ -1,9 +1,9 @@
-"""Steps of the estimated heading: the attitude against the integrated gyro.
+"""Steps of the estimated heading, found by comparing the attitude with the integrated gyro.
 
     step = vertical part of  D(t) conj(D(t - 0.1 s)),  D(t) = attitude(t) conj(gyro(t))
 
-with gyro(t) the rates integrated from an arbitrary start. D is the rotation from the frame of that integral
-to NED. A vehicle that turns, however fast, leaves it alone; a reset of the heading turns it.
+Here gyro(t) is the rate integrated from an arbitrary start. D is the rotation from the frame of that integral
+to NED. A rotation of the vehicle, however fast, does not change D; a reset of the heading does.
 """
 
 from __future__ import annotations
@@ -24,24 +24,24 @@ from dart_flight.base.geometry import (
 )
 from dart_flight.base.records import AttitudeSample, ImuSample
 
-# Smaller steps end nothing. [ours] PX4's heading from motion capture is good to 2 degrees in and after hits.
+# [ours] PX4's heading from motion capture is within 2 degrees during and after hits.
 HEADING_STEP_DEG: Final = 5.0
 _BEFORE_US: Final = 100_000
-_GAP_US: Final = 20_000  # without a rate the integral says nothing
+_GAP_US: Final = 20_000  # a longer gap between rates invalidates the integral
 
 
 class HeadingStep:
-    """Rotation of the heading estimate that the gyro did not see, by time; autopilot's stamps."""
+    """Recent rotations of the heading estimate that the gyro did not measure, by autopilot stamp."""
 
     def __init__(self) -> None:
         self._gyro: Quaternion = IDENTITY
         self._imu_us: int | None = None
         self._rate: Vec3 = (0.0, 0.0, 0.0)
-        self._waiting: AttitudeSample | None = None  # for the rate of its own time
+        self._waiting: AttitudeSample | None = None  # until a rate with its stamp or a later one arrives
         self._turns: deque[tuple[int, Quaternion]] = deque()  # stamp, D; the last 0.1 s
 
     def take_imu(self, item: ImuSample) -> None:
-        """Integrate a rate, which is the mean over the tick that ends at its stamp."""
+        """Integrate a rate; it is the mean over the tick that ends at its stamp."""
         before_us, self._imu_us, self._rate = self._imu_us, item.t_us, item.rate_frd
         if before_us is None or not 0 < item.t_us - before_us <= _GAP_US:
             self._turns.clear()
@@ -54,7 +54,7 @@ class HeadingStep:
             self._waiting = None
 
     def take_attitude(self, item: AttitudeSample) -> None:
-        """Compare an attitude with the integral, at once or when the rate of its time has arrived."""
+        """Compare an attitude with the integral, once the rate of the same time has arrived."""
         if self._imu_us is None:
             return
         if item.t_us > self._imu_us:
@@ -64,11 +64,11 @@ class HeadingStep:
 
     @property
     def before(self) -> Quaternion | None:
-        """D of up to 0.1 s ago; None if nothing could be compared."""
+        """D of at most 0.1 s ago, or None if nothing could be compared."""
         return self._turns[0][1] if self._turns else None
 
     def step_since(self, before: Quaternion) -> float:
-        """Return how far the heading has stepped since `before`, radians, positive clockwise from above."""
+        """Return the step of the heading since `before`, radians, positive clockwise from above."""
         if not self._turns:
             return 0.0
         w, _, _, z = quaternion_multiply(self._turns[-1][1], quaternion_conjugate(before))

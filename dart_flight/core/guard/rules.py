@@ -37,8 +37,8 @@ _STALE_SAMPLES: Final = 5  # in a row; one late datagram is no clock that runs b
 _FALL_S: Final = 0.1
 _OTHERS_SINCE: Final = 12  # a tenth of a second of one other stream
 _ALTITUDE_SLACK_M: Final = 0.05
-_GUARD_STRAYS_M: Final = 0.2  # outside of the bounds, as when it breaks off from a wall that is their edge
-_THRUST_MISFIT: Final = 0.25  # mass drawn by 3 and battery by 5 per cent: 4.3 standard deviations
+_GUARD_STRAYS_M: Final = 0.2  # allowed out of bounds, for a break-off from a wall at their edge
+_THRUST_MISFIT: Final = 0.25  # 4.3 standard deviations for 3 % spread of mass and 5 % of battery
 _AFTER_CLIMB: Final = frozenset({Phase.WAYPOINT, Phase.PAUSE, Phase.TRANSIT, Phase.PREPARE})
 
 
@@ -57,7 +57,7 @@ class Rule(NamedTuple):
 
     Attributes:
         name: as in the log and in the verdict.
-        says: what is wrong, in words.
+        description: what is wrong, as shown to the operator.
         threshold: keys of the vehicle's configuration or of the mission that it compares with.
         action: what the guard does.
         scope: when it is judged.
@@ -68,7 +68,7 @@ class Rule(NamedTuple):
         explains: rules that may have fired for the same cause before it could be told: where their action is
             in force and no weaker, the reason becomes this rule's.
         of_streams: telemetry fails; what else is known of link and computer is said with it.
-        noted: once an action as strong is in force, it is noted in log and verdict, once a flight.
+        noted: whether log and verdict note the rule, once a flight, while an action as strong is in force.
     """
 
     name: str
@@ -100,7 +100,7 @@ def _px4_failsafe(v: FlightConditions) -> str | None:
 
 
 def _by_px4(v: FlightConditions) -> bool:
-    # Sticks are a pilot's unless PX4 named them; a gap in the telemetry hides what PX4 says.
+    # A mode flown by stick is the pilot's choice unless PX4 announced it. A gap may hide the announcement.
     if v.unrequested_mode is FlightMode.MANUAL:
         return v.failsafe_hands_to_sticks
     return v.failsafe_said or v.was_cut_off
@@ -211,7 +211,7 @@ def _estimator_reset(v: FlightConditions) -> str | None:
 
 def _heading_reset(v: FlightConditions) -> str | None:
     step_deg, limit = math.degrees(v.heading_step_rad), HEADING_STEP_DEG
-    return f"by {step_deg:.1f} deg, allowed {limit:.0f}" if abs(step_deg) > limit else None
+    return f"by {step_deg:.1f} deg, {limit:.0f} deg allowed" if abs(step_deg) > limit else None
 
 
 def _position_uncertain(v: FlightConditions) -> str | None:
@@ -225,10 +225,10 @@ def _position_delayed(v: FlightConditions) -> str | None:
     ahead_s, limit_s = v.state.position_ahead_s, v.config.position_delay_s
     if ahead_s is None or limit_s is None or abs(ahead_s) <= limit_s:
         return None
-    way = "ahead of" if ahead_s > 0.0 else "behind"
+    side = "ahead of" if ahead_s > 0.0 else "behind"
     return (
-        f"the position estimate runs about {abs(ahead_s) * 1e3:.0f} ms {way} the IMU, allowed "
-        f"{limit_s * 1e3:.0f} ms: check EKF2_EV_DELAY"
+        f"the position estimate is about {abs(ahead_s) * 1e3:.0f} ms {side} the IMU, "
+        f"{limit_s * 1e3:.0f} ms allowed: check EKF2_EV_DELAY"
     )
 
 
@@ -260,7 +260,7 @@ def _hover_thrust(v: FlightConditions) -> str | None:
         return None
     mass_kg = vehicle.airframe.mass_kg
     says = f"by the thrust curve the motors carry {mass_kg / max(ratio, 0.01):.2f} kg, airframe.mass_kg is "
-    return f"{says}{mass_kg:g}: {ratio:.2f} of the curve, allowed {1.0 - allowed:.2f} to {1.0 + allowed:.2f}"
+    return f"{says}{mass_kg:g}: ratio {ratio:.2f}, {1.0 - allowed:.2f} to {1.0 + allowed:.2f} allowed"
 
 
 def _tilt(v: FlightConditions) -> str | None:
@@ -271,7 +271,7 @@ def _tilt(v: FlightConditions) -> str | None:
 def _bounds(v: FlightConditions) -> str | None:
     bounds = v.mission.bounds
     excess = bounds.excess2(v.state.position)
-    if v.phase is Phase.OVERRULED:  # the guard brakes already, and leaves what it was told to leave
+    if v.phase is Phase.OVERRULED:  # the guard is braking already, and may break off outwards
         return f"{excess:.2f} m outside" if excess > _GUARD_STRAYS_M else None
     if excess > 0.0:
         return f"{excess:.2f} m outside"
@@ -334,9 +334,9 @@ RULES: tuple[Rule, ...] = (
     # judged here
     Rule("px4_failsafe", "PX4 has left offboard by itself: its failsafe flies", "",
          _RELEASE, _ALWAYS, _px4_failsafe, at_once=_MODE),
-    Rule("terminated", "PX4 terminated the flight or a kill switch was thrown: motors off", "",
+    Rule("terminated", "PX4 terminated the flight, or a kill switch was used: motors off", "",
          _RELEASE, _AIR, _terminated, at_once=_MODE),
-    Rule("failsafe_announced", "PX4 announces a failsafe, and telemetry does not show its mode yet",
+    Rule("failsafe_announced", "PX4 announced a failsafe, and telemetry does not show its mode yet",
          "", _BREAK_OFF, _FLYING, _failsafe_announced, at_once=_MODE),
     Rule("pilot", "PX4 was taken out of offboard: the pilot flies", "",
          _RELEASE, _ALWAYS, _pilot, by_person=True, at_once=_MODE),
@@ -379,23 +379,23 @@ RULES: tuple[Rule, ...] = (
          "guard.position_jump_m, guard.velocity_jump_m_s, guard.impact_window_s",
          _HOLD, _GUIDED, _estimator_jump, at_once=(OdometrySample,), noted=True),
     Rule("estimator_reset",
-         "PX4's estimator counts a reset and position or velocity step, other than shortly after an impact",
+         "PX4's estimator was reset, and position or velocity stepped, other than shortly after an impact",
          "guard.reset_position_m, guard.reset_velocity_m_s, guard.impact_window_s",
          _HOLD, _GUIDED, _estimator_reset, noted=True),
     Rule("heading_reset",
-         "PX4's estimator counts a reset and the heading steps by more than 5 degrees against the gyro", "",
+         "PX4's estimator was reset, and the heading stepped by more than 5 degrees against the gyro", "",
          _BREAK_OFF, _FLYING, _heading_reset),
     Rule("estimator_flags", "PX4's estimator says that its position is not valid, and the impact is over",
          "guard.estimator_bad_s, guard.impact_window_s", _LAND, _AIR, _estimator_flags),
     Rule("position_uncertain", "PX4 itself is not sure enough of its position to fly at walls",
          "guard.position_sd_m", _LAND, _GUIDED, _position_uncertain, noted=True),
-    Rule("position_delayed", "the position estimate runs ahead of the IMU's motion, or behind it",
+    Rule("position_delayed", "the position estimate is ahead of the IMU's motion, or behind it",
          "guard.position_delay_s", _BREAK_OFF, _FLYING, _position_delayed),
     Rule("battery", "the battery is low", "guard.battery_remaining, guard.battery_v, guard.battery_low_s",
          _LAND, _AIR, _battery),
     Rule("still_armed", "in PX4's land mode and still armed long after touchdown was due",
          "guard.kill_after_s, bounds_m.z", _KILL, _AIR, _still_armed),
-    Rule("hover_thrust", "before the first impact the thrust is over 25 % beside mass and thrust curve",
+    Rule("hover_thrust", "before the first impact, thrust differs by over 25 % from mass and thrust curve",
          "estimation.hover.thrust_scale_limit", _BREAK_OFF, _FLYING, _hover_thrust),
     # No landing yet, as after `mode_felt`: PX4's land mode unwinds a tilt at MPC_JERK_AUTO and flies away.
     Rule("tilt", "tilt beyond what PX4 can be trusted to recover from", "guard.tilt_deg", _BREAK_OFF, _AIR,

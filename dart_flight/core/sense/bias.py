@@ -19,7 +19,7 @@ from dart_flight.config.vehicle import Estimation
 _NOISE_TIME_S: Final = 0.5
 _MIN_NOISE2: Final = 1e-4  # m2/s4
 _SCALE_STEP: Final = 0.25
-_LEARNT: Final = 0.4  # share of its final value that a low-pass has after half a time constant
+_LEARNT: Final = 0.4  # output of a low-pass, as a share of its final value, after half a time constant
 _BASELINE_DELAY: Final = 10  # samples: 40 ms, in which even a slow contact reaches the threshold
 _BASELINE_STEP_N: Final = 2.0  # further than this from the baseline it is not followed any faster
 
@@ -30,7 +30,7 @@ class HoverBias:
     Attributes:
         bias_x, bias_y: body FRD, m/s2; part of the reading.
         scale: true thrust over the curve's, limited.
-        thrust_ratio: likewise, without a limit; None: not learnt for long enough.
+        thrust_ratio: the same ratio without a limit, or None before it has settled.
         noise_m_s2: standard deviation of the white part of one sample and axis.
     """
 
@@ -42,7 +42,9 @@ class HoverBias:
         self.noise_m_s2 = config.imu_noise_m_s2
         self._variance = LearntVariance(config.imu_noise_m_s2**2, _NOISE_TIME_S, _MIN_NOISE2)
         self._last: Vec3 | None = None
-        self._weight = self._felt_n = self._curve_n = 0.0  # low-passes from zero: their quotient has no bias
+        self._weight = self._felt_n = self._curve_n = (
+            0.0  # low-passes that start at zero, so their quotient has no bias
+        )
         self.thrust_ratio: float | None = None
 
     def learn(self, f: Vec3, rate: Vec3, speed_m_s: float, curve_thrust_n: float, dt_s: float) -> None:

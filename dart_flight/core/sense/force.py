@@ -41,8 +41,8 @@ class ForceEstimator:
         turning: rate and angular acceleration of the newest sample.
         attitude: that the newest estimate was made with, body FRD to NED; None where there was none.
         thrust_n: that the newest estimate took off.
-        momenta: stamp, and specific force times mass integrated since the start, mission frame, N s, of the
-            last estimates without a gap between them; hover bias is taken off, gravity is in it.
+        momenta: stamp and integral of mass times specific force since the start, mission frame, N s, at the
+            last estimates without a gap. Hover bias is removed; gravity is not.
     """
 
     def __init__(self, vehicle: VehicleConfig) -> None:

@@ -1,16 +1,15 @@
-"""How far PX4's position estimate runs ahead of the IMU, or behind it.
+"""Estimate of the time by which PX4's position estimate is ahead of the IMU, or behind it.
 
-PX4 assumes that a pose of the motion capture is as old as EKF2_EV_DELAY. If that is wrong by d, the estimate
-follows where the vehicle will be d later, or was d earlier. Each acceleration then pulls the estimated
-velocity away from what the IMU measures, by about d times the acceleration. The pull comes some 0.45 s later,
-because the filter runs behind the present and its output follows slowly. A regression of the pull on that
-acceleration finds d.
+PX4 assumes that a motion-capture pose is EKF2_EV_DELAY old. If this assumption is wrong by d, PX4 estimates
+the position d too early or too late. Each acceleration then changes the estimated velocity by about d times
+the acceleration more than the IMU measures. This error appears about 0.45 s later, because the filter runs
+behind the present and its output follows slowly. A regression of the error on that acceleration yields d.
 
     e = v_odometry - integral of the specific force and gravity,   z = acceleration from 0.6 s to 0.3 s ago
     d = covariance of e and z / variance of z
 
-Accelerometer bias and attitude errors make e drift. e and z pass the same high-pass filter, which makes a
-steady drift a constant, and a covariance is blind to that.
+Accelerometer bias and attitude errors make e drift. The same high-pass filter is applied to e and z. It turns
+a steady drift into a constant, which does not affect a covariance.
 """
 
 from __future__ import annotations
@@ -22,12 +21,12 @@ from dart_flight.base.geometry import GRAVITY_M_S2, Vec3
 
 Momenta = deque[tuple[int, float, float, float]]
 
-_STEP_US: Final = 50_000  # slow against the IMU, quick against the estimate's swing
+_STEP_US: Final = 50_000  # slower than the IMU, faster than the estimate oscillates
 _NEAR, _FAR = 6, 12  # steps: the acceleration is the mean from 0.6 s to 0.3 s ago
 _HIGH_PASS_S: Final = 0.5
-_MEMORY_S: Final = 4.0  # of the sums: one manoeuvre
-_JUMP_M_S: Final = 0.15  # in one step: a reset of the estimate, which other rules judge
-# The pose pulls the output through two filters: the regression finds this share of the delay.
+_MEMORY_S: Final = 4.0  # time constant of the sums: one manoeuvre
+_JUMP_M_S: Final = 0.15  # a larger change in one step is an estimator reset, which other rules judge
+# A pose acts on the output through two filters, so the regression yields this share of the delay.
 _SHARE: Final = 0.75
 # Acceleration in memory, (m/s2)^2 s, and the correlation that has to be exceeded with it; else nothing is
 # concluded. Noise of the accelerometer moves the estimate, and the poses pull it back later: that
@@ -40,23 +39,23 @@ class PositionDelay:
     """Regression of the estimate's velocity error on past acceleration.
 
     Args:
-        mass_kg: of the vehicle.
-        window_s: nothing is compared for this long after a disturbance.
+        mass_kg: mass of the vehicle.
+        window_s: duration after a disturbance in which nothing is compared.
 
     Attributes:
-        due_us: odometry is compared from this stamp on.
+        due_us: stamp from which the next odometry sample is compared.
         figures: covariance of e and z, variance of z and of e, times the seconds in memory.
-        ahead_s: by which the position estimate runs ahead of the IMU, seconds; negative: behind; None: not
-            known, for lack of acceleration or of correlation.
+        ahead_s: lead of the position estimate over the IMU, seconds, negative if it is behind, or None if
+            acceleration or correlation is too small.
     """
 
     def __init__(self, mass_kg: float, window_s: float) -> None:
         self._per_mass, self._window_us = 1.0 / mass_kg, round(window_s * 1e6)
         self.ahead_s: float | None = None
         self.due_us = self._quiet_us = 0
-        self._waiting: tuple[int, Vec3] | None = None  # an odometry sample that the IMU has not reached
-        self._past: deque[tuple[int, float, float, float]] = deque(maxlen=_FAR + 1)  # momenta, of every step
-        self._velocity: Vec3 = (0.0, 0.0, 0.0)  # by odometry, at the step before
+        self._waiting: tuple[int, Vec3] | None = None  # an odometry sample newer than the IMU's samples
+        self._past: deque[tuple[int, float, float, float]] = deque(maxlen=_FAR + 1)  # momentum at every step
+        self._velocity: Vec3 = (0.0, 0.0, 0.0)  # velocity from odometry at the last step
         self._high_e: Vec3 = (0.0, 0.0, 0.0)
         self._high_z: Vec3 = (0.0, 0.0, 0.0)
         self._z: Vec3 | None = None
@@ -64,16 +63,16 @@ class PositionDelay:
         self.figures = (0.0, 0.0, 0.0)
 
     def disturb(self, t_us: int) -> None:
-        """Compare nothing for a while: a contact moves the estimate in its own way."""
+        """Suspend the comparison for `window_s`, because a contact also moves the estimate."""
         self._quiet_us = t_us + self._window_us
 
     def take_odometry(self, t_us: int, velocity_mission: Vec3, momenta: Momenta) -> None:
-        """Compare an odometry sample with the IMU, or keep it until the IMU has come as far.
+        """Compare an odometry sample with the IMU, once IMU samples reach its stamp.
 
         Args:
-            t_us: its stamp, `due_us` or later; stamps advance.
-            velocity_mission: its velocity.
-            momenta: by the IMU, as `ForceEstimator.momenta`.
+            t_us: stamp of the sample, increasing, at least `due_us`.
+            velocity_mission: velocity of the sample.
+            momenta: momenta from the IMU (`ForceEstimator.momenta`).
         """
         waiting = self._waiting or (t_us, velocity_mission)
         if waiting[0] > momenta[-1][0]:
@@ -89,7 +88,7 @@ class PositionDelay:
             self._restart()
             return
         (x, y, z), self._velocity = self._velocity, velocity
-        if past and momenta[0][0] <= past[-1][0]:  # else the IMU has had a gap since then
+        if past and momenta[0][0] <= past[-1][0]:  # otherwise the IMU had a gap since then
             last, per = past[-1], self._per_mass
             dt_s = (t_us - last[0]) * 1e-6
             change = (
@@ -105,13 +104,13 @@ class PositionDelay:
         past.append(now)
 
     def _restart(self) -> None:
-        """Begin again, with the sums of before."""
+        """Restart the filters and keep the sums."""
         self._past.clear()
         self._high_e = self._high_z = (0.0, 0.0, 0.0)
         self._z = None
 
     def _follow(self, change: Vec3, dt_s: float) -> None:
-        """Take a step's change of the velocity error."""
+        """Add a step's change of the velocity error to filters and sums."""
         keep, high = 1.0 - dt_s / _HIGH_PASS_S, self._high_e
         e = self._high_e = (
             keep * (high[0] + change[0]),
@@ -149,7 +148,7 @@ class PositionDelay:
 
 
 class _Sums:
-    """Sums of one axis over the memory."""
+    """Exponentially weighted sums of one axis."""
 
     __slots__ = ("e", "ee", "ez", "z", "zz")
 
@@ -157,7 +156,7 @@ class _Sums:
         self.e = self.z = self.ee = self.ez = self.zz = 0.0
 
     def add(self, kept: float, dt_s: float, e: float, z: float) -> None:
-        """Forget a little, and add a step."""
+        """Scale the sums by `kept` and add a step."""
         self.e = kept * self.e + dt_s * e
         self.z = kept * self.z + dt_s * z
         self.ee = kept * self.ee + dt_s * e * e
@@ -166,7 +165,7 @@ class _Sums:
 
 
 def _momentum_at(t_us: int, momenta: Momenta) -> tuple[int, float, float, float] | None:
-    """The momentum at a stamp, between two samples; None: they do not reach so far back."""
+    """Return the momentum interpolated at a stamp, or None if the samples begin later."""
     later = momenta[-1]
     for one in reversed(momenta):
         if one[0] <= t_us:

@@ -46,8 +46,8 @@ class Sensed:
         body: how an impact met the body, after its peak and at its end.
         wall: what a planned contact says of its wall and of the arms, at its end.
         height_m: of the walls' force above the centre of mass, by the contacts so far; None: not known.
-        thrust_ratio: thrust by mass and accelerometer over that by the curve, in the last seconds of free
-            flight; None: not known.
+        thrust_ratio: thrust from mass and accelerometer, over thrust from the curve, in the last seconds of
+            free flight, or None if not known.
     """
 
     __slots__ = ("body", "estimate", "height_m", "impacts", "in_contact", "thrust_ratio", "torque", "wall")
@@ -83,7 +83,7 @@ class Senses:
         body: how they meet the body.
         walls: what they say of the walls and of the arms.
         height: of their force above the centre of mass.
-        delay: how far the position estimate runs ahead of the IMU.
+        delay: estimator of the position estimate's lead over the IMU.
     """
 
     def __init__(self, mission: Mission) -> None:

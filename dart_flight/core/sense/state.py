@@ -59,7 +59,7 @@ class FlightState:
         self.status = StatusSample(t_us=0, received_us=0)
         self.in_offboard = self.on_ground = False  # as PX4 says
         self.position_sd_m: float | None = None  # of the horizontal position, by PX4 itself
-        self.position_ahead_s: float | None = None  # of the IMU; negative: behind; None: not known
+        self.position_ahead_s: float | None = None  # lead over the IMU; negative if behind, None if not known
         self.lock = LockState(t_us=0, phase=LockPhase.UNKNOWN, mode=None)
         if not has_lock:  # what cannot move is where it is, from the start and for ever
             self.lock = LockState(t_us=0, phase=LockPhase.SETTLED, mode=Mode.RIGID)

@@ -42,9 +42,9 @@ _FACTOR_ERROR = 0.1  # a factor less certain than this is not taken from the fli
 _MIN_VOLTAGE_SPREAD = 0.02  # relative standard deviation
 _MIN_SPREAD_V = 1e-6  # below it all voltages are one
 _MAX_EXPONENT = 3.0  # of the voltage
-_FOLDS = 4  # held-out parts
-_BLOCK = 5  # windows that are held out together, 2.5 s
-_MAX_ERROR = 0.1  # of the thrust on held-out stretches
+_FOLDS = 4  # parts for cross-validation
+_BLOCK = 5  # consecutive windows that are held out together, 2.5 s
+_MAX_ERROR = 0.1  # largest error on held-out stretches, as a share of the thrust
 
 # Tests of a window, in the order in which they are made, with what they mean.
 TESTS = {
@@ -255,17 +255,17 @@ def fit_curve(p: Points, factor: float, exponent: float | None, *, fit_factor: b
 
 
 def best_fit(points: Points, square_share: float) -> tuple[float, Callable[[Points], Curve]]:
-    """Return how well the best kind of curve predicts the thrust, and the function that fits it.
+    """Return the cross-validation error of the best kind of curve, and the function that fits it.
 
-    Each kind, without or with the voltage and with the configured factor or a fitted one, is fitted to a part
-    of the stretches and compared with the others.
+    The kinds differ in whether they use the voltage and whether the factor is configured or fitted. Each is
+    fitted to a part of the stretches and compared with the rest.
 
     Args:
         points: quiet stretches.
         square_share: configured factor.
 
     Returns:
-        Error on held-out stretches, root mean square, over the mean thrust; and the fit.
+        The root mean square error on held-out stretches over the mean thrust, and the function.
     """
     known = bool(np.isfinite(points.volts).all())
     choices = [
@@ -277,16 +277,16 @@ def best_fit(points: Points, square_share: float) -> tuple[float, Callable[[Poin
 
 
 def fit_problem(error: float) -> str:
-    """Return why a curve with such an error on held-out stretches is not used; empty if it is."""
+    """Return the reason to reject a curve with this error on held-out stretches, or an empty string."""
     if error <= _MAX_ERROR:
         return ""
-    return f"on those left out it is off by {100.0 * error:.0f} %, over {100.0 * _MAX_ERROR:.0f} %: no fit"
+    return f"its error on held-out ones is {100.0 * error:.0f} %, {100.0 * _MAX_ERROR:.0f} % allowed: no fit"
 
 
 def _fitter(factor: float, fitted: bool, by_volts: bool) -> Callable[[Points], Curve]:
     def fit(p: Points) -> Curve:
         curve = fit_curve(p, factor, None if by_volts else 0.0, fit_factor=fitted)
-        # The median: a bump that no test has seen is one window.
+        # The median ignores a single window with an undetected bump.
         curve.full *= float(np.median(p.force / np.maximum(curve.of(p), 1e-6)))
         return curve
 
@@ -318,14 +318,14 @@ def calibrate_thrust(tracks: Iterable[Track], vehicle: VehicleConfig) -> ThrustC
     p = _joined(parts)
     if len(p.force) < MIN_POINTS:
         raise InputError(
-            f"{len(p.force)} quiet half seconds of hover, at least {MIN_POINTS} are needed; rejected: "
+            f"{len(p.force)} quiet half seconds of hover, needs at least {MIN_POINTS}; rejected: "
             f"{format_rejected(p.rejected) or 'none'}",
             source=_sources(tracks),
         )
     problem = fit_problem(best_fit(p, vehicle.thrust.square_share)[0])
     if problem:
         raise InputError(
-            f"thrust fitted to {len(p.force)} half seconds, but {problem}; compare the type of the motor "
+            f"thrust fitted to {len(p.force)} half seconds, but {problem}; verify the type of the motor "
             "outputs (check: motor_outputs) and the mass",
             source=_sources(tracks),
         )

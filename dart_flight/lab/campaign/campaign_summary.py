@@ -89,7 +89,7 @@ class FigureTrend(msgspec.Struct, frozen=True):
     Attributes:
         figure, name: of the figure and of the drawn quantity.
         correlation: of their ranks (Spearman), -1 to 1; 0: the figure does not follow it.
-        p_value: that chance alone correlates any of the quantities tried as much (Bonferroni).
+        p_value: probability that chance alone correlates any tried quantity as much (Bonferroni).
         points: drawn and figure of each flight, of the first 400.
     """
 
@@ -101,15 +101,15 @@ class FigureTrend(msgspec.Struct, frozen=True):
 
 
 class Departure(msgspec.Struct, frozen=True):
-    """A planned figure that flights did not keep to within its tolerance.
+    """A planned figure that some flights missed by more than its tolerance.
 
     Attributes:
-        mission: file.
-        what: in words, with its unit.
-        flights: that did not keep to it, of so many that had a plan.
-        not_flown: those of them in which it was not flown at all.
-        planned, flown: medians over those flights, or words; flown is None where it was never flown.
-        tolerance: as the mission says; None: it must be the same.
+        mission: file of the mission.
+        what: name of the figure with its unit.
+        flights, of: number of flights out of tolerance, and number of flights with a plan.
+        not_flown: number of flights out of tolerance in which the planned part was not flown.
+        planned, flown: medians over the flights out of tolerance, or words; flown is None if never flown.
+        tolerance: tolerance from the mission, or None if the values must be equal.
     """
 
     mission: str
@@ -177,8 +177,8 @@ class CampaignSummary(msgspec.Struct, frozen=True):
         points: by mission and settings; rules: why flights did not complete.
         drawn: success over what was drawn; empty where all flights completed, or none.
         varied: miss and peak forces over what was drawn, of the flights that completed.
-        tried: figure to the number of drawn quantities that can matter to it, significant or not.
-        not_followed: what flights did not keep to of their plan, the most frequent first.
+        tried: number of drawn quantities that can affect a figure, significant or not, by figure.
+        not_followed: planned figures out of tolerance, the most frequent first.
         failed: flights that did not complete, at most 1000.
         unexplained_modes: those whose arms were in another mode than the lock although no fault of it was
             drawn; the campaign proves nothing while there are any.
@@ -342,7 +342,7 @@ def _drawn(rows: Sequence[_SummaryRow], names: Sequence[str]) -> list[Drawn]:
 def _varied(
     rows: Sequence[_SummaryRow], names: Sequence[str], figures: Sequence[str]
 ) -> tuple[list[FigureTrend], dict[str, int]]:
-    """Miss and peak forces over the quantities that they follow most, and how many were tried."""
+    """Return trends of miss and peak forces over their best correlated quantities, and the number tried."""
     found: list[FigureTrend] = []
     tried: dict[str, int] = {}
     for j, figure in enumerate(figures):
@@ -371,7 +371,10 @@ def _varied(
 
 
 def _can_matter(name: str, figure: str, mission: Mission) -> bool:
-    """Whether a drawn quantity of a wall can matter to a figure: the wall is hit, in that mode, by then."""
+    """Return whether a drawn quantity can affect a figure.
+
+    A wall's quantity can if the wall is hit in that mode, at the figure's collision or before.
+    """
     kind, _, rest = name.partition(".")
     if kind not in _OF_WALLS:
         return True
@@ -379,7 +382,7 @@ def _can_matter(name: str, figure: str, mission: Mission) -> bool:
     if figure.startswith("c"):
         collisions = collisions[: int(figure[1 : figure.index("_")])]
     if any(c.wall.sought for c in collisions):
-        return True  # which of the walls in the simulated room it is only the flight tells
+        return True  # only the flight determines which simulated wall is hit
     wall, mode = rest, None
     if kind == "contact":
         wall, mode, _ = rest.rsplit(".", 2)
@@ -405,7 +408,7 @@ def _departures(rows: Sequence[_SummaryRow]) -> list[Departure]:
 
 
 def _middle(values: Sequence[float | str | None]) -> float | str | None:
-    """The median of numbers, the most frequent of words; None where nothing is known."""
+    """Return the median of numbers, or else the most frequent word, or None without either."""
     numbers = [value for value in values if isinstance(value, float)]
     words = Counter(value for value in values if isinstance(value, str))
     return median(numbers) if numbers else words.most_common(1)[0][0] if words else None

@@ -46,11 +46,11 @@ def on_cluster(url: str) -> Engine:
 
 
 def _work(url: str, flyer: ItemFlyer, items: Iterable[Item], interrupt: Interrupt) -> Landings:
-    """As `worlds.workers.work`.
+    """Fly the items on the scheduler's workers, like `worlds.workers.work`.
 
     Raises:
         FlightError: the scheduler does not answer or has no worker.
-        InputError: a worker cannot fly; no flight was begun then.
+        InputError: a worker cannot fly; no flight has begun.
     """
     client = _connect(url)
     try:
@@ -68,33 +68,33 @@ def _connect(url: str) -> Any:
     """Return a client of the scheduler at a URL.
 
     Raises:
-        FlightError: it does not answer.
-        InputError: it has another version of Dask, with which this one cannot talk.
+        FlightError: the scheduler does not answer.
+        InputError: the scheduler has an incompatible version of Dask.
     """
     import distributed  # noqa: PLC0415
 
     class Client(distributed.Client):  # type: ignore[misc]
         def __del__(self) -> None:
-            """Close nothing: `_work` does, and closing what never connected takes a minute."""
+            """Close nothing: `_work` closes, and closing an unconnected client takes a minute."""
 
-    for name in ("distributed", "distributed.client"):  # what it would say at length is said here in a line
+    for name in ("distributed", "distributed.client"):  # the errors below replace their log messages
         logging.getLogger(name).setLevel(logging.CRITICAL)
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of packages that no flight needs
+            warnings.simplefilter("ignore")  # version warnings about packages that no flight needs
             return Client(url, timeout=_PATIENCE_S, set_as_default=False)
     except (OSError, ValueError) as error:
         raise FlightError(f"--scheduler {url}: {_in_a_line(error)}") from None
-    except Exception as error:  # another version raises whatever its protocol stumbles over
+    except Exception as error:  # another version can cause any exception
         raise InputError(f"--scheduler {url}: {_in_a_line(error)}; {_own_version()}") from None
 
 
 def _refuse_unfit(client: Any, url: str) -> None:
-    """Make sure that there is a worker, and that every worker has this program in this version.
+    """Refuse a scheduler without workers, or with a worker that lacks this version of this program.
 
     Raises:
         FlightError: no worker connects, or the scheduler does not answer.
-        InputError: a worker lacks the program or has another version; names the worker.
+        InputError: a worker lacks the program or has another version; the error names the worker.
     """
     try:
         client.wait_for_workers(1, timeout=_PATIENCE_S)
@@ -102,7 +102,7 @@ def _refuse_unfit(client: Any, url: str) -> None:
         raise FlightError(f"--scheduler {url}: no worker connected within {_PATIENCE_S:g} s") from None
     own = software_version()
     try:
-        # The first call needs nothing but Python on the worker: what is missing there is an answer.
+        # This call needs only Python on the worker, so a missing module is reported and not raised.
         client.run_on_scheduler(importlib.import_module, _ABOUT)
         imported = client.run(importlib.import_module, _ABOUT, on_error="return")
         lacking = [worker for worker, answer in imported.items() if isinstance(answer, Exception)]
@@ -110,11 +110,11 @@ def _refuse_unfit(client: Any, url: str) -> None:
         versions = client.run(software_version, workers=fit) if fit else {}
     except ModuleNotFoundError as error:
         raise InputError(
-            f"--scheduler {url}: the scheduler: {error}; install dart-flight {own} there, too"
+            f"--scheduler {url}: the scheduler: {error}; install dart-flight {own} there too"
         ) from None
     except OSError:
-        raise  # the scheduler is gone
-    except Exception as error:  # another version raises whatever its protocol stumbles over
+        raise  # connection lost
+    except Exception as error:  # another version can cause any exception
         raise InputError(f"--scheduler {url}: {_in_a_line(error)}; {_own_version()}") from None
     for worker in lacking:
         raise InputError(
@@ -124,7 +124,7 @@ def _refuse_unfit(client: Any, url: str) -> None:
     for worker, version in versions.items():
         if version != own:
             raise InputError(
-                f"--scheduler {url}: worker {worker} has dart-flight {version}, this is {own}; install that"
+                f"--scheduler {url}: worker {worker} has dart-flight {version}: install {own} there"
             )
 
 
@@ -161,7 +161,7 @@ def _hand_out(
         for future in landed:
             try:
                 result = _result(future)
-            except _UnfitWorkerError as error:  # it has joined since the workers were looked at
+            except _UnfitWorkerError as error:  # a worker that has joined since the check
                 _refuse_unfit(client, url)
                 raise FlightError(
                     f"--scheduler {url}: {error}; completed rows are kept; continue with --resume"
@@ -170,20 +170,20 @@ def _hand_out(
 
 
 class _UnfitWorkerError(Exception):
-    """A worker could not begin a flight."""
+    """Error of a worker that could not begin a flight."""
 
 
 def _result(future: Any) -> Flown | Failure:
-    """Return what came of a flight.
+    """Return the result of a flight.
 
     Raises:
         OSError: lost connection to the scheduler.
-        _UnfitWorkerError: the worker could not begin it.
+        _UnfitWorkerError: the worker could not begin the flight.
     """
     if future.status in ("cancelled", "lost"):
         raise OSError("lost connection to the scheduler")
     error = future.exception()
-    if error is not None:  # a flight's own error is a result: this one is the scheduler's or the worker's
+    if error is not None:  # of scheduler or worker; a flight returns its own errors as a result
         if type(error).__name__ != "KilledWorker":
             raise _UnfitWorkerError(_in_a_line(error))
         return Failure(_in_a_line(error))

@@ -92,7 +92,7 @@ def cells_of(verdict: Verdict) -> dict[str, Cell]:
 
 
 def _not_followed(verdict: Verdict) -> str | None:
-    """The deviations out of tolerance, as JSON; None where there is none."""
+    """Return the deviations out of tolerance as JSON, or None if there are none."""
     outside = out_of_tolerance(verdict.deviations)
     return msgspec.json.encode(outside).decode() if outside else None
 

@@ -32,7 +32,7 @@ class Table:
 
     Raises:
         FlightError: it cannot be written, or another process writes it.
-        InputError: what is there is no table of this campaign, or the file system cannot lock it.
+        InputError: the existing file is no table of this campaign, or the file system cannot lock it.
     """
 
     def __init__(self, path: Path, columns: Sequence[str]) -> None:

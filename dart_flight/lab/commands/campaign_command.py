@@ -89,7 +89,7 @@ def run(arguments: argparse.Namespace) -> int:
         console.print(
             styled(
                 ("interrupted", "red"),
-                f": {flown} of {opened.flights} flights are in the table; {again} goes on",
+                f": {flown} of {opened.flights} flights are in the table; continue with {again}",
             ),
             soft_wrap=True,
         )

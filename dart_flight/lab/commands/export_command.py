@@ -83,7 +83,7 @@ def _files(logs: list[Path], output: Path | None) -> list[Path]:
         names = [FOXGLOVE_NAME if log.stem == "flight" else f"{log.stem}_{FOXGLOVE_NAME}" for log in logs]
         return [log.with_name(name) for log, name in zip(logs, names, strict=True)]
     if len(logs) == 1 and not output.is_dir():
-        # Viewers go by the ending.
+        # Viewers recognise the format by the file name's ending.
         return [output if output.suffix else output.with_name(f"{output.name}.mcap")]
     return [output / f"{name}.mcap" for name in _names(logs)]
 

@@ -135,14 +135,13 @@ def _write(arguments: argparse.Namespace, found: Any, vehicle: Any, *, poor: boo
     console = messages()
     if entry.assumed:
         console.print(
-            f"not seen in these trials, written as 0 and marked: {', '.join(entry.assumed)}",
+            f"not identifiable from these trials, written as 0 and marked: {', '.join(entry.assumed)}",
             style="yellow",
             soft_wrap=True,
         )
     for mode in entry.missing:
         console.print(
-            f"not complete: {mode} is not known; a configuration needs it: "
-            f"identify trials with --mode {mode}",
+            f"not complete: a configuration needs mode {mode} as well: identify trials with --mode {mode}",
             style="yellow",
             soft_wrap=True,
         )

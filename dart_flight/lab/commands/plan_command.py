@@ -39,7 +39,7 @@ from dart_flight.planning.predicted_flight import describe_goal_miss
 from dart_flight.recording.verdict import Verdict
 from dart_flight.run.many_flights import RunsInterruptedError
 
-NOT_VERIFIED = "not flown in simulation (--no-verify): whether the plan flies is not known"
+NOT_VERIFIED = "not flown in simulation (--no-verify): the plan may not be flyable"
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -94,7 +94,7 @@ def run(arguments: argparse.Namespace) -> int:
     try:
         return _plan(arguments)
     except RunsInterruptedError:
-        print_status("interrupted while the plan was flown in simulation; nothing is written")
+        print_status("interrupted during the simulated flights; nothing was written")
         return EXIT_INTERRUPTED
 
 
@@ -139,9 +139,9 @@ def _plan(arguments: argparse.Namespace) -> int:
             tables().print(table)
         tables().print(f"plan {plan.rank} {describe_goal_miss(plan.goal_miss_m, scenario.spec.goal)}")
         if record is not None and record.failure is not None:
-            print_status(f"plan {plan.rank} does not fly well in simulation: {record.failure}")
+            print_status(f"plan {plan.rank} fails in simulation: {record.failure}")
         elif record is not None:
-            tables().print(f"plan {plan.rank} flies in simulation: {describe_record(record)}", soft_wrap=True)
+            tables().print(f"plan {plan.rank} in simulation: {describe_record(record)}", soft_wrap=True)
         elif arguments.output is not None:
             print_status(NOT_VERIFIED)
     return 0
@@ -150,16 +150,14 @@ def _plan(arguments: argparse.Namespace) -> int:
 def _say_settings(arguments: argparse.Namespace) -> None:
     if arguments.set:
         messages().print(
-            "[yellow]the mission names the configuration without what was set: fly it with the same --set[/]",
+            "[yellow]the mission file does not contain the --set values: fly it with the same --set[/]",
             soft_wrap=True,
         )
 
 
 def _show_flights(bar: Progress) -> Done:
-    """Announce simulated flights, with a line that counts them; returns what to call after each."""
-    print_status(
-        "flying the plan in simulation, with nothing drawn and in 20 drawn worlds (--no-verify skips it)"
-    )
+    """Announce the simulated flights and return a callback that counts each one."""
+    print_status("flying the plan in simulation, nominally and in 20 drawn worlds (--no-verify skips this)")
     task, flown = bar.add_task("simulated flights", total=None), itertools.count(1)
 
     def done(_: Verdict) -> None:
@@ -169,7 +167,7 @@ def _show_flights(bar: Progress) -> Done:
 
 
 def _plan_quickest(scenario: Scenario, arguments: argparse.Namespace) -> int:
-    """Search for the quickest flight, fly it in simulation, write it and compare; returns the exit status."""
+    """Search for the quickest flight, fly it in simulation and write it; return the exit status."""
     console = messages()
     with Progress(console=console, transient=True) as bar:
         task = bar.add_task("sequences", total=None)

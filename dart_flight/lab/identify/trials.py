@@ -77,7 +77,7 @@ class Trial:
             the intervals are widened by it.
         flown: the vehicle, where the recording itself says it, as a flight log does.
         turn_rad_s: largest rate about the vertical while it touched; None where that was not recorded.
-        notes: what is missing of the recording, a line each.
+        notes: one line for each missing part of the recording.
     """
 
     name: str

@@ -125,7 +125,7 @@ def flights_of(log: ULogFile, track: Track) -> list[tuple[float, float]]:
 
 
 def describe_cut(log: ULogFile, track: Track, flying: list[tuple[float, float]]) -> list[str]:
-    """Return a line if a log begins or ends in the air, where PX4 says whether it has landed."""
+    """Return lines if a log with PX4's land detector begins or ends in the air."""
     if not flying or log.first("vehicle_land_detected") is None:
         return []
     begin, end = float(track.imu_s[0]), float(track.imu_s[-1])

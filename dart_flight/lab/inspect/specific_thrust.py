@@ -54,7 +54,7 @@ def fit_specific_thrust(track: Track, vehicle: VehicleConfig) -> SpecificThrust 
         said = "flight at any speed: what speed does to the propellers is in the residual"
         if len(points.force) < MIN_POINTS:
             return (
-                f"{len(points.force)} quiet half seconds, at least {MIN_POINTS} are needed; rejected: "
+                f"{len(points.force)} quiet half seconds, needs at least {MIN_POINTS}; rejected: "
                 f"{format_rejected(slow.rejected) or 'none'}"
             )
     error, best = best_fit(points, vehicle.thrust.square_share)

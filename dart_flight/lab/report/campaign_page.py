@@ -44,9 +44,9 @@ def _over_draws(summary: CampaignSummary) -> str:
 
 def _varied(summary: CampaignSummary) -> str:
     note = (
-        "<p class=note>Flights that completed, a point each; for every figure at most two drawn quantities "
-        "that it follows significantly (rank correlation, p below 0.05 corrected for the number tried). "
-        "Walls that are not hit, or in the other mode, or later, are not tried.</p>"
+        "<p class=note>One point for each completed flight; for every figure at most two drawn quantities "
+        "that correlate significantly (rank correlation, p below 0.05 corrected for the number tried). "
+        "Quantities of walls that are hit later, in another mode or not at all are not tried.</p>"
     )
     followed = {one.figure for one in summary.varied}
     for figure, count in summary.tried.items():

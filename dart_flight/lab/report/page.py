@@ -174,14 +174,14 @@ def _check_same_mission(flights: Sequence[RecordedFlight]) -> None:
         if alike != first.mission:
             raise InputError(
                 f"another mission ({other.verdict.mission}) than {first.log.source} "
-                f"({first.verdict.mission}){_first_difference(first, other)}: a comparison takes flights of "
-                "one",
+                f"({first.verdict.mission}){_first_difference(first, other)}: a comparison needs flights of "
+                "one mission",
                 source=other.log.source,
             )
 
 
 def _first_difference(first: RecordedFlight, other: RecordedFlight) -> str:
-    """The first key in which two missions of one name differ, in words; empty where the names differ."""
+    """Return the first key that differs between two missions of one name, as text, or an empty string."""
     if first.verdict.mission != other.verdict.mission:
         return ""
     there, here = (dict(_leaves(flight.mission.to_dict())) for flight in (first, other))

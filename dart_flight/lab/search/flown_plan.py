@@ -1,7 +1,7 @@
-"""Flies plans in the fast world before they are called a saving, and chooses the one to offer.
+"""Simulated flights of plans in the fast world, and the choice of the plan to offer; used by `plan`.
 
-`fly_mission` flies a mission once as planned and twenty times in drawn worlds; `choose_flown` compares the
-flights with hits and without, from take-off to landing, so that the touches a mission needs count as well.
+`fly_mission` flies a mission once nominally and twenty times in drawn worlds. `choose_flown` compares flights
+with and without hits from take-off to landing, so the touches that a mission needs count too.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from dart_flight.run.fast import fly_fast
 from dart_flight.run.many_flights import fly_fast_many, summarise
 from dart_flight.sim.draws import parse_vary
 
-DRAWN, FIRST_SEED = 20, 700_001  # a base of its own: campaigns and tests begin at 1
-TOUCH_M_S = 0.6  # as the shipped missions touch
+DRAWN, FIRST_SEED = 20, 700_001  # campaigns and tests begin at seed 1
+TOUCH_M_S = 0.6  # touch speed of the shipped missions
 _DIGITS = 3
 
-# Flies a mission with some seeds and spreads; calls back after each flight.
+# Fly a mission with these seeds and spreads, and call back after each flight.
 FlyMany = Callable[[Mission, list[int], dict[str, float], Callable[[Verdict], None]], list[Verdict]]
 Done = Callable[[Verdict], None]
 
@@ -37,8 +37,8 @@ class FlownMission(NamedTuple):
     """A mission after its simulated flights.
 
     Attributes:
-        record: for the mission file.
-        times_s: from take-off to landing, by seed, of the drawn flights that completed.
+        record: record for the mission file.
+        times_s: durations of completed drawn flights from take-off to landing, by seed.
     """
 
     record: FlownRecord
@@ -48,14 +48,14 @@ class FlownMission(NamedTuple):
 def fly_on_all_cores(
     mission: Mission, seeds: list[int], spreads: dict[str, float], done: Done
 ) -> list[Verdict]:
-    """Fly in processes side by side, as `dry-run --fast --runs` does."""
+    """Fly in parallel processes, like `dry-run --fast --runs`."""
     return fly_fast_many(mission, seeds, None, done, spreads)
 
 
 def fly_in_process(
     mission: Mission, seeds: list[int], spreads: dict[str, float], done: Done
 ) -> list[Verdict]:
-    """Fly one after the other: a script that is no command may not start processes."""
+    """Fly one seed after the other in this process, for scripts that cannot start processes."""
     verdicts = []
     for seed in seeds:
         verdicts.append(fly_fast(mission, seed, None, spreads=spreads))
@@ -66,15 +66,15 @@ def fly_in_process(
 def fly_mission(
     mission: Mission, done: Done = lambda verdict: None, fly: FlyMany = fly_on_all_cores
 ) -> FlownMission:
-    """Fly a mission once as planned, and unless that fails in twenty drawn worlds.
+    """Fly a mission once nominally and, if that succeeds, in twenty drawn worlds.
 
     Args:
-        mission: as its file will be read.
-        done: called after each flight.
-        fly: flies the seeds.
+        mission: the mission as loaded from its file.
+        done: callback after each flight.
+        fly: function that flies the seeds.
 
     Raises:
-        RunsInterruptedError: by Ctrl-C.
+        RunsInterruptedError: the operator pressed Ctrl-C.
     """
     (first,) = fly(mission, [FIRST_SEED], {}, done)
     nominal = NominalFlight(
@@ -107,7 +107,7 @@ def fly_mission(
 
 
 def compare(colliding: FlownMission, free: FlownMission) -> FlownRecord:
-    """The record of the colliding mission with what it saves in the worlds that both completed."""
+    """Return the colliding mission's record with its median saving in the worlds that both completed."""
     both = colliding.times_s.keys() & free.times_s.keys()
     saving_s = statistics.median(free.times_s[k] - colliding.times_s[k] for k in both) if both else None
     drawn = free.record.drawn
@@ -119,14 +119,14 @@ def compare(colliding: FlownMission, free: FlownMission) -> FlownRecord:
 
 
 class OfferedPlan(NamedTuple):
-    """The plan that is offered after the flights.
+    """The plan chosen after the flights.
 
     Attributes:
-        plan: to be written; None: no plan flies.
-        scenario: that it is written from, with the touches that it needs.
-        record: of its flights.
-        says: what was flown and why this plan, a line each.
-        flown: every record, by `free`, `colliding` and `touched`.
+        plan: the plan to write, or None if no plan flies.
+        scenario: scenario of the plan, with the touches that the plan needs.
+        record: record of the plan's flights.
+        says: lines that report the flights and the reason for the choice.
+        flown: all records, by `free`, `colliding` and `touched`.
     """
 
     plan: QuickestPlan | None
@@ -142,20 +142,19 @@ def choose_flown(
     done: Done = lambda verdict: None,
     fly: FlyMany = fly_on_all_cores,
 ) -> OfferedPlan:
-    """Fly what was planned and choose what to offer.
+    """Fly the plans of a search in simulation and choose the one to offer.
 
-    The colliding plan is offered if it flies and is quicker from take-off to landing than the free one, or
-    if the scenario demands its hits or touches. A plan that flies only after touching its walls is offered
-    with touches.
+    A colliding plan that flies is offered if it saves time from take-off to landing, or if the scenario
+    demands its hits or touches. A plan that flies only after touching its walls is offered with touches.
 
     Args:
-        result: of the search.
-        free_only: offer the plan without a collision.
-        done: called after each flight.
-        fly: flies the seeds of a mission.
+        result: result of the search.
+        free_only: whether to offer the plan without a collision.
+        done: callback after each flight.
+        fly: function that flies the seeds of a mission.
 
     Raises:
-        RunsInterruptedError: by Ctrl-C.
+        RunsInterruptedError: the operator pressed Ctrl-C.
     """
     scenario, flown, says = result.scenario, dict[str, FlownRecord](), list[str]()
     free: FlownMission | None = None
@@ -187,12 +186,12 @@ def choose_flown(
     ):
         says.append("no plan is offered")
         return OfferedPlan(None, scenario, None, says, flown)
-    says.append(f"offered is the flight without a collision: {describe_record(free.record)}")
+    says.append(f"the flight without a collision is offered: {describe_record(free.record)}")
     return OfferedPlan(result.free, scenario, free.record, says, flown)
 
 
 def _ways_to_collide(scenario: Scenario) -> dict[str, Scenario]:
-    """The scenario as it is, then with the touches that it does not ask for."""
+    """Return the scenario and, if it asks for no touches, a copy with touches, by name."""
     ways = {"colliding": scenario}
     if scenario.spec.touch_m_s is None:
         spec = msgspec.structs.replace(scenario.spec, touch_m_s=TOUCH_M_S)
@@ -201,14 +200,14 @@ def _ways_to_collide(scenario: Scenario) -> dict[str, Scenario]:
 
 
 def _is_offered(record: FlownRecord, free: FlownMission | None, scenario: Scenario) -> bool:
-    """Whether a colliding plan that flies is what the scenario asks for, or pays."""
+    """Return whether to offer a colliding plan that flies: the scenario demands it, or it saves time."""
     asked = not scenario.chosen_by_planner or scenario.spec.touch_m_s is not None
     pays = record.saving_s is not None and record.saving_s > 0.0
     return asked or pays or free is None or free.record.failure is not None
 
 
 def describe_record(record: FlownRecord) -> str:
-    """Flights, times and saving in one line."""
+    """Return flights, times and saving in one line."""
     drawn = record.drawn
     if drawn is None:
         return record.failure or "not flown in drawn worlds"

@@ -39,7 +39,7 @@ def mission_text(
         scenario: what was planned.
         plan: the chosen candidate.
         target: where the file will be; paths in it are relative to that.
-        flown: how the mission flew in simulation.
+        flown: record of the mission's simulated flights.
     """
     spec = scenario.spec
     tree: dict[str, Any] = {"version": 1, "name": scenario.name}
@@ -207,7 +207,7 @@ def _given(section: WallSpec | Limits) -> dict[str, Any]:
 
 
 def _without_none(tree: dict[str, Any]) -> dict[str, Any]:
-    """A tree without the keys that are None, at every level."""
+    """Return a tree without keys that are None, at every level."""
     return {
         key: _without_none(value) if isinstance(value, dict) else value
         for key, value in tree.items()

@@ -182,7 +182,7 @@ def describe_quickest(result: QuickestResult) -> str:
     if result.gap_s > _SHOWN_S:
         gap = f"; what was not computed could be quicker by {result.gap_s:.2f} s at most"
     if result.most_hits is not None:
-        gap += f"; sequences of more than {result.most_hits} hits were left out"
+        gap += f"; sequences of more than {result.most_hits} hits were not computed"
     return f"{says}; {result.computed} sequences computed, {result.pruned} ruled out{gap}"
 
 

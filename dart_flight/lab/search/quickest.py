@@ -48,7 +48,7 @@ from dart_flight.lab.search.scenario import Scenario
 Progress = Callable[[int, int], None]
 Array = NDArray[np.float64]
 
-# A guard against sequences that grow for ever; what it leaves out counts as not computed (`gap_s`).
+# Limits the search; longer sequences count as not computed (`gap_s`).
 MOST_HITS = 16
 # Of a visit's tolerance: what the flight that follows the plan may be off by is left to it.
 _TOLERANCE_USED = 0.8
@@ -94,7 +94,7 @@ class QuickestResult(msgspec.Struct, frozen=True):
         colliding: the quickest with hits; None: none was found that might be quicker than the free one.
         computed, pruned: sequences.
         gap_s: by how much a sequence that was not computed could be quicker at most; 0: none can.
-        most_hits: sequences with more hits were left out, and count as not computed; None: none was.
+        most_hits: sequences with more hits were not computed; None: none was omitted.
         elapsed_s: of the search.
     """
 
@@ -270,7 +270,7 @@ class _Search:
         self.colliding: QuickestPlan | None = None
         self.computed = self.pruned = 0
         self._compared: dict[tuple[Event, ...], QuickestPlan | None] = {}
-        self.least_open_s = self.left_out_s = math.inf  # bounds of sequences not computed, too long
+        self.least_open_s = self.left_out_s = math.inf  # lower bounds: not computed, omitted
         # Asked for with every bound: computed once.
         self._responses = {
             (wall.name, mode): ContactResponse.of(self.vehicle, wall, mode)
@@ -299,7 +299,7 @@ class _Search:
         for events in self._serving_sequences():
             put(events)
             if enough():
-                self.least_open_s = 0.0  # nothing is known of the others
+                self.least_open_s = 0.0  # the other sequences have no bound
                 break
         while open_:
             bound_s, _, events = heapq.heappop(open_)

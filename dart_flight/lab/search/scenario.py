@@ -46,7 +46,7 @@ from dart_flight.config.vehicle import Px4Parameters, VehicleConfig
 
 _MAX_STEPS = 2001
 _MAX_CANDIDATES = 20_000_000
-_MAX_COLLISIONS = 4  # of a grid's sequence; along trajectories, of the objective quickest:
+_MAX_COLLISIONS = 4  # in a grid's sequence; the next limit is for the objective quickest
 _MAX_QUICKEST = 16
 
 
@@ -138,8 +138,8 @@ class ScenarioFile(SpaceKeys, frozen=True, kw_only=True):
         posts: by name; obstacles, with the objective quickest only.
         touch_m_s: at this speed each wall that is to be hit is touched before, from the start and back, so
             that it is known how it stands and how high it pushes; with the objective quickest only.
-        sequence: walls in the order of the hits, one to four, with the objective quickest up to 16; any: the
-            planner chooses walls and order, with the objective quickest also whether any is hit at all.
+        sequence: walls in the order of the hits, up to four, or up to 16 with the objective quickest; any:
+            the planner chooses walls and order. With the objective quickest it may also hit none.
         search: the approaches to try; with the objective quickest there is nothing to say.
         name: of the mission that is written; without it, the file's name.
         vehicle: vehicle configuration, relative to this file; without it, the default one.

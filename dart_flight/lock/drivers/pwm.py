@@ -6,8 +6,8 @@
     pwmchipN/pwmM/polarity       normal or inversed; can be written only while disabled
     pwmchipN/pwmM/enable         1 or 0
 
-A Raspberry Pi's own chip is known by its device: its number depends on the kernel, and GPIO 18 is another
-channel on a Raspberry Pi 5 (Pioreactor/rpi_hardware_pwm#10, raspberrypi/linux#6818).
+A Raspberry Pi's own chip is identified by its device, because its number depends on the kernel. GPIO 18 has a
+different channel on a Raspberry Pi 5 (Pioreactor/rpi_hardware_pwm#10, raspberrypi/linux#6818).
 
 The channel stays exported when the program ends: taking it back would stop the pulses.
 """
@@ -26,7 +26,7 @@ from dart_flight.lock.state_machine import DriverReading
 
 
 class _BoardPwm(NamedTuple):
-    """The PWM that reaches GPIO 18 on a board, and the channel that does."""
+    """A board, and the channel of its PWM chip that is connected to GPIO 18."""
 
     board: str
     gpio18: int
@@ -59,7 +59,7 @@ class PwmDriver:
     def __init__(self, config: LockConfig) -> None:
         self._config = config.pwm
         self._sysfs = Path(config.pwm.sysfs_dir)
-        self._chip = self._channel = self._sysfs  # until they are found
+        self._chip = self._channel = self._sysfs  # replaced by `_find`
         self._period_ns = round(config.pwm.period_us * 1000.0)
 
     def open(self) -> None:
@@ -110,11 +110,11 @@ class PwmDriver:
         channel = self._config.channel
         if channel is None:
             if board is None:
-                says = f"{self._chip.name} is none of a Raspberry Pi: which channel has the servo?"
+                says = f"{self._chip.name} is not a Raspberry Pi's own chip: set the servo's channel"
                 raise DriverError(says, ("pwm", "channel"))
             channel = board.gpio18
         if board is not None and channel < board.gpio18:
-            says = f"GPIO 18 is channel {board.gpio18} on a {board.board}, not {channel}: set it, or null"
+            says = f"GPIO 18 is channel {board.gpio18} on a {board.board}, not {channel}: set that or null"
             raise DriverError(says, ("pwm", "channel"))
         has = self._number(self._chip / "npwm")
         if channel >= has:
@@ -131,8 +131,8 @@ class PwmDriver:
                 if _device(chip) in _BOARDS:
                     return chip
             seen = ", ".join(chip.name for chip in chips) or "no chip"
-            says = f"no PWM of a Raspberry Pi in {self._sysfs}, there is {seen}; {hint}"
-            raise DriverError(f"{says} Elsewhere set chip and channel", ("pwm", "chip"))
+            says = f"no PWM chip of a Raspberry Pi in {self._sysfs}, found {seen}; {hint}"
+            raise DriverError(f"{says} On other computers set chip and channel", ("pwm", "chip"))
         chip = self._sysfs / f"pwmchip{self._config.chip}"
         if not chip.is_dir():
             raise DriverError(f"{chip} does not exist; {hint}", ("pwm", "chip"))
@@ -180,7 +180,7 @@ class PwmDriver:
 
 
 def _device(chip: Path) -> str:
-    """Name of the device that a chip belongs to, such as `1f00098000.pwm`; empty where it cannot be read."""
+    """Return the name of a chip's device, such as `1f00098000.pwm`, or an empty string if unreadable."""
     link = chip / "device"
     try:
         return os.path.basename(os.readlink(link) if link.is_symlink() else link.read_text().strip())

@@ -53,7 +53,7 @@ class FaultKind(msgspec.Struct, frozen=True):
 
     @property
     def of_real_time(self) -> bool:
-        """Whether it is about the host's time or the link, so that it needs a world that does not wait."""
+        """Whether the fault concerns the host's time or the link, and so needs a world that does not wait."""
         about_link = self.place is FaultSite.LINK or self.name == "clock-back"
         return about_link or (self.place is FaultSite.APP and self.name != "disk-full")
 
@@ -92,7 +92,7 @@ KINDS: tuple[FaultKind, ...] = (
     FaultKind(
         "heading-reset",
         _P.SENSOR,
-        "the estimated heading is reset by this much, clockwise; motion capture leads it back",
+        "the estimated heading is reset by this much, clockwise; motion capture corrects it",
         "deg",
         30.0,
         -180.0,
@@ -101,7 +101,7 @@ KINDS: tuple[FaultKind, ...] = (
     FaultKind(
         "ev-delay",
         _P.AUTOPILOT,
-        "PX4 believes a pose of the motion capture to be this old when it arrives (EKF2_EV_DELAY)",
+        "PX4 assumes a motion-capture pose to be this old on arrival (EKF2_EV_DELAY)",
         "ms",
         150.0,
         0.0,
@@ -166,10 +166,10 @@ class Fault(msgspec.Struct, frozen=True):
 
 
 def parse_fault_of(mission: Mission, text: str) -> Fault:
-    """`NAME[=VALUE][@PHASE]` as a fault of the vehicle that flies a mission in simulation.
+    """Parse `NAME[=VALUE][@PHASE]` as a fault for the vehicle of a mission.
 
     Raises:
-        InputError: as `parse_fault`.
+        InputError: see `parse_fault`.
     """
     has_mocap = simulated_source(mission) is PositionSource.MOCAP
     return parse_fault(text, mission.vehicle.has_lock, has_mocap)
@@ -179,8 +179,8 @@ def parse_fault(text: str, has_lock: bool = True, has_mocap: bool = True) -> Fau
     """`NAME[=VALUE][@PHASE]` as a fault.
 
     Raises:
-        InputError: no such fault or phase, the value is out of range, or it is of a lock or a motion capture
-            that is not there.
+        InputError: the fault or phase does not exist, the value is out of range, or the vehicle lacks the
+            lock or motion capture that the fault needs.
     """
     body, at, phase = text.partition("@")
     name, equals, number = body.partition("=")
@@ -190,7 +190,9 @@ def parse_fault(text: str, has_lock: bool = True, has_mocap: bool = True) -> Fau
     if kind.place is FaultSite.LOCK and not has_lock:
         raise InputError(f"{name}: this vehicle has no lock", key=("--fault",))
     if name == "ev-delay" and not has_mocap:
-        raise InputError(f"{name}: this vehicle's position comes from GPS", key=("--fault",))
+        raise InputError(
+            f"{name}: needs motion capture, this vehicle's position comes from GPS", key=("--fault",)
+        )
     if at and phase not in PHASES:
         raise InputError(unknown_name(phase, list(PHASES), "phase"), key=("--fault",))
     value = kind.value

@@ -244,10 +244,10 @@ class Px4Vehicle:
             self._link.exchange(self._last_sensor, *others)
 
     def stand_still(self) -> None:
-        """Stop the plant for one tick: its last IMU sample is sent again, so that PX4 is not without any.
+        """Stop the plant for one tick and repeat its last IMU sample, because PX4 needs a steady stream.
 
         Raises:
-            Px4LostError: as the link's `exchange`.
+            Px4LostError: see the link's `exchange`.
         """
         self._link.exchange(self._last_sensor)
 

@@ -2,8 +2,8 @@
 
 The flight controller flies in its own time and nobody waits for anybody. Ticks go by the host's clock; those
 that a busy machine has missed are computed at once and reported as one (`hitl_link`). After a stall of more
-than a quarter of a second the plant pauses instead, as it does beside the embedded autopilot. It also stands
-still while an armed flight controller is silent: on its last outputs alone no vehicle stays upright for long.
+than a quarter of a second the plant pauses instead, as it does with the embedded autopilot. The plant also
+pauses while an armed flight controller is silent, because constant outputs soon tip a vehicle over.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _FIRST_S = 10.0  # for the first actuator outputs
 # In which PX4's estimator aligns and its bias settles, as far as arming asks for it.
 _ALIGN_S = {source: 10.0 if source is PositionSource.MOCAP else 20.0 for source in PositionSource}
 _ORPHAN_S = 25.0  # after the app's death: until PX4 has flown its failsafe
-_SILENT_S = 0.1  # without outputs, which come at 200 Hz: the plant stands still
+_SILENT_S = 0.1  # the plant pauses after this time without outputs, which come at 200 Hz
 _STALL_TICKS = round(STALL_S / TICK_S)
 
 
@@ -107,7 +107,7 @@ class HitlSimulator:
             ahead_us = max(ahead_us, link.controls.time_us - self._vehicle.time_us)
         plant.time_offset_us = ahead_us
         writer.put(Ready(self._vehicle.time_us))
-        serve(self, writer, commands, math.inf)  # a tick waits until it is due: two paces would drift apart
+        serve(self, writer, commands, math.inf)  # ticks wait by themselves; a second pace would drift
 
     # -- as `ServedWorld` --
 

@@ -85,7 +85,7 @@ def find_install(directory: str | Path | None) -> Install:
     named = directory or os.environ.get(ENVIRONMENT)
     if not named:
         raise InputError(f"no PX4: give --px4 DIR or set {ENVIRONMENT} (see docs/px4.md)")
-    root = Path(os.path.realpath(os.path.expanduser(named)))  # neither raises, as the methods of Path do
+    root = Path(os.path.realpath(os.path.expanduser(named)))  # the methods of Path can raise
     for base in (root, root / "build" / "px4_sitl_default"):
         program, etc = base / "bin" / "px4", base / "etc"
         if not program.is_file():
@@ -209,7 +209,7 @@ def motors_from(parameters: Mapping[str, Value], vehicle: VehicleConfig) -> tupl
     count = parameters.get(COUNT, own[COUNT])
     if count != own[COUNT]:
         raise InputError(
-            f"{COUNT} is {count:g}, the configuration has {own[COUNT]:g} motors", source="--params"
+            f"{COUNT} is {count:g}, but the configuration has {own[COUNT]:g} motors", source="--params"
         )
     return motors_of({**own, **parameters}, "--params")
 

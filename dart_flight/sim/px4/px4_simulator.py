@@ -39,7 +39,7 @@ from dart_flight.sim.px4.launch import (
 )
 from dart_flight.sim.px4.relay import Relay
 
-SENDER_LAG_US = 16_000  # PX4's MAVLink sender sleeps in simulated time, in a thread of its own
+SENDER_LAG_US = 16_000  # PX4's MAVLink sender sleeps in simulated time, in its own thread
 _BOOT_TIMEOUT_S = 15.0
 # Simulated time after booting in which the EKF aligns: it runs as fast as the machine goes.
 _WARM_UP_S = {source: 6.0 if source is PositionSource.MOCAP else 15.0 for source in PositionSource}

@@ -1,6 +1,6 @@
-"""Relay between PX4 and the application: forwards every datagram and counts for `sim.lockstep`.
+"""Relay between PX4 and the application, which forwards every datagram and counts for `sim.lockstep`.
 
-PX4 sends to its onboard port, where the relay listens; the application listens on a port of its own.
+The relay listens on PX4's onboard port; the application listens on another port.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from collections.abc import Iterator
 from typing import Final
 
 _HEARTBEAT, _SETPOINT = 0, 84
-# message id -> stream, and how its stamp begins the payload, with microseconds a unit
+# message id -> stream, format of the stamp at the payload's start, and its unit in microseconds
 _STREAMS: Final = {
     105: ("imu", struct.Struct("<Q"), 1),
     31: ("attitude", struct.Struct("<I"), 1000),
@@ -26,21 +26,21 @@ _STREAMS: Final = {
 }
 _SETPOINT_FIELDS: Final = struct.Struct("<I9f")
 _HEARTBEAT_S: Final = 1.0
-_HEADER: Final = 10  # bytes of a MAVLink 2 frame before its payload; the checksum has two more
+_HEADER: Final = 10  # bytes before the payload in a MAVLink 2 frame; two bytes of checksum follow it
 _FROM_AUTOPILOT: Final = 1  # component id
 
 
 class Relay:
-    """Forwards between PX4 and the application, on a thread of its own.
+    """Relay between PX4 and the application, with its own thread.
 
     Args:
-        px4_port: where PX4 sends to.
-        app_port: where the application listens.
+        px4_port: port that PX4 sends to.
+        app_port: port on which the application listens.
 
     Attributes:
-        sent_us: newest stamp forwarded of every telemetry stream, microseconds.
-        setpoint: last setpoint forwarded: position, velocity, acceleration.
-        wake: descriptor that is readable once something was forwarded.
+        sent_us: newest forwarded stamp of each telemetry stream, microseconds.
+        setpoint: last forwarded setpoint: position, velocity, acceleration.
+        wake: descriptor that is readable once a datagram was forwarded.
     """
 
     def __init__(self, px4_port: int, app_port: int) -> None:
@@ -61,7 +61,7 @@ class Relay:
     def rest(self) -> None:
         """Repeat PX4's last heartbeat after a second of the computer's time.
 
-        PX4 sends one every simulated second, and MAVSDK takes a vehicle without one for lost after 3 s.
+        PX4 sends a heartbeat every simulated second. Without it MAVSDK reports a lost vehicle after 3 s.
         """
         with contextlib.suppress(BlockingIOError):
             os.eventfd_read(self.wake)
@@ -82,7 +82,7 @@ class Relay:
             for source in ready:
                 try:
                     data, sender = source.recvfrom(4096)
-                except OSError:  # refused by a peer that is not there: reported of an earlier datagram
+                except OSError:  # an earlier datagram was refused, because no peer listens
                     continue
                 if source is self._px4:
                     self._px4_address = sender
@@ -96,7 +96,7 @@ class Relay:
                 os.eventfd_write(self.wake, 1)
 
     def _forward_to_app(self, data: bytes) -> None:
-        with contextlib.suppress(OSError):  # no listener yet, or no more
+        with contextlib.suppress(OSError):  # the application does not listen
             self._app.sendto(data, self._app_address)
 
     def _count(self, data: bytes) -> None:
@@ -108,7 +108,7 @@ class Relay:
             stream = _STREAMS.get(number)
             if stream is not None:
                 name, stamp, unit_us = stream
-                # MAVLink 2 cuts zeros off the end of a payload.
+                # MAVLink 2 removes trailing zeros from a payload.
                 (value,) = stamp.unpack(payload[: stamp.size].ljust(stamp.size, b"\0"))
                 self.sent_us[name] = max(value * unit_us, self.sent_us.get(name, 0))
 
@@ -124,7 +124,7 @@ def frames(data: bytes) -> Iterator[tuple[int, int, bytes, bytes]]:
     at = 0
     while at + _HEADER <= len(data):
         if data[at] != 0xFD:
-            return  # MAVLink 1, or noise: nothing that is counted
+            return  # MAVLink 1 or noise
         length, signed = data[at + 1], data[at + 2] & 1
         end = at + _HEADER + length + 2 + (13 if signed else 0)
         number = int.from_bytes(data[at + 7 : at + 10], "little")

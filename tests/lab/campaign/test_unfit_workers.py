@@ -107,7 +107,7 @@ def campaign(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Callable[[],
     [
         (MISSING, None, f"worker {OTHER}: ModuleNotFoundError: No module named 'dart_flight'; install"),
         (ImportError("needs\nmsgspec"), None, f"worker {OTHER}: ImportError: needs msgspec; install"),
-        (object(), "0.0.9", f"worker {OTHER} has dart-flight 0.0.9, this is {software_version()}"),
+        (object(), "0.0.9", f"worker {OTHER} has dart-flight 0.0.9: install {software_version()} there"),
     ],
 )
 def test_a_worker_that_cannot_fly_is_named(

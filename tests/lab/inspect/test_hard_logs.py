@@ -140,7 +140,7 @@ def test_every_impact_has_its_standard_deviation(tmp_path: Path, capsys: pytest.
         ("of a plane: only multicopters", RELEASE, {"vehicle": 2}),
         ("of a rover: only multicopters", RELEASE, {"kind": 10}),
         ("never armed", RELEASE, {"armed": False}),
-        ("of PX4 1.6.5, logs of 1.9 and later are read", 0x010605FF, {}),
+        ("log of PX4 1.6.5: only 1.9 and later are supported", 0x010605FF, {}),
     ],
 )
 def test_what_is_not_for_us_is_refused_by_name(

@@ -58,7 +58,7 @@ def test_the_way_back_from_a_touch_is_counted_and_drawn() -> None:
 def test_a_way_from_where_nothing_is_predicted_is_not_called_none() -> None:
     rehearsal = room(standoff_m=0.5)
     says = next(f for f in check_mission(rehearsal) if f.item == "waypoints").says
-    assert "1 from where a contact leads, which is not known yet" in says
+    assert "1 legs that begin after a contact, length not predicted" in says
 
 
 @pytest.mark.parametrize("place", [(0.0, 2.4, [0.0, -1.0]), (0.0, -2.4, [0.0, 1.0]), (-2.4, 0.5, [1.0, 0.0])])
@@ -118,4 +118,4 @@ def test_trajectories_are_not_said_to_end_at_their_goal_whatever_is_drawn() -> N
     shuttle = dart_flight.load_mission(dart_flight.packaged("missions", "shuttle.yaml"))
     words = " ".join(prediction_lines(shuttle, predict_mission(shuttle), []))
     assert "in nine of ten draws" not in words
-    assert "Not flown in simulation as it is now" in words
+    assert "Not flown in simulation in its present form" in words

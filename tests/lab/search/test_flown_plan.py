@@ -161,7 +161,7 @@ def test_touches_that_cost_more_than_the_hits_save_leave_the_free_flight(planned
     offered, _ = chosen(planned, ends)
     assert offered.plan is planned.free
     assert "loses 13.00 s in a flight" in offered.says[1]
-    assert "offered is the flight without a collision" in offered.says[2]
+    assert "the flight without a collision is offered" in offered.says[2]
 
 
 def test_hits_that_the_scenario_demands_are_offered_if_they_fly_and_else_nothing() -> None:

@@ -18,10 +18,10 @@ from dart_flight.lab.flight_arrays import Array
 _WIDE_IN = 6.0  # from this width on a legend has three columns
 LONGEST_ARROW_M = 0.45  # of the largest force
 _HUB_SHARE = 0.45  # of the way to the motors: where the drawn arms end at the frame
-_NORTH_PT = 16.0  # length of the arrow to the north
-_OPPOSED, _SAME_PLANE_M = -0.9, 0.01  # cosine between two normals; faces that a file puts into one plane
-_OUTSIDE_M = 0.6  # of the bounds: a wall there may still be met
-_BACK_TO_BACK_M = 0.4  # between two faces: a name behind one would stand before the other
+_NORTH_PT = 16.0  # length of the north arrow
+_OPPOSED, _SAME_PLANE_M = -0.9, 0.01  # cosine between opposite normals; distance of faces in one plane
+_OUTSIDE_M = 0.6  # out of the bounds; a wall this near may still be hit
+_BACK_TO_BACK_M = 0.4  # between two faces; a name behind one would cover the space before the other
 THICKNESS_M = 0.12  # of a drawn wall; what is behind the surface is not known
 
 
@@ -44,7 +44,7 @@ def draw_room(axis: Any, mission: Mission) -> None:
         if waypoint.position is not None:
             x, y, _ = waypoint.position
             axis.plot(x, y, "s", color="black", markersize=5, label="waypoint", linestyle="none")
-    # A ring about whatever else is there: waypoints, goal, the begin of a run-up.
+    # A ring, because a waypoint, the goal or a run-up may be at the same place.
     axis.plot(
         *mission.start, "o", color="black", markersize=11, markerfacecolor="none", label="start",
         linestyle="none", zorder=4.5,
@@ -59,7 +59,7 @@ def draw_room(axis: Any, mission: Mission) -> None:
 
 
 def draw_north(axis: Any, mission: Mission) -> None:
-    """An arrow to the north, above the right end of the map."""
+    """Draw a north arrow above the right end of the map."""
     from matplotlib.offsetbox import AnchoredOffsetbox, DrawingArea, TextArea, VPacker  # noqa: PLC0415  (slow)
     from matplotlib.patches import FancyArrow  # noqa: PLC0415
 
@@ -94,13 +94,13 @@ def draw_wall(axis: Any, wall: Wall, airframe: Airframe, thickness_m: float = TH
 
 
 def _gap_behind_m(mission: Mission, wall: Wall) -> float:
-    """Distance from a wall's surface back to a surface that faces the other way; infinite without one."""
+    """Return the distance from a wall's surface back to one that faces the other way, or infinity."""
     surface_of = mission.vehicle.airframe.surface_of
     own, gaps = surface_of(wall), [math.inf]
     for other in mission.flat_walls:
         face = surface_of(other)
         opposed = own.normal[0] * face.normal[0] + own.normal[1] * face.normal[1] < _OPPOSED
-        # The nearer ends decide whether they stand behind each other at all.
+        # Surfaces that do not overlap along the wall are not back to back.
         beside_m = abs(own.along(face.point)) - 0.5 * (own.length_m + face.length_m)
         if opposed and beside_m < 0.0:
             gap_m = -own.signed_distance(face.point)
@@ -109,12 +109,12 @@ def _gap_behind_m(mission: Mission, wall: Wall) -> float:
 
 
 def _thickness_m(mission: Mission, wall: Wall) -> float:
-    """How thick a wall is drawn: no further than to the middle of the partition of which it is one face."""
+    """Return a wall's drawn thickness, at most half of the partition that it is a face of."""
     return min(THICKNESS_M, 0.5 * _gap_behind_m(mission, wall))
 
 
 def name_walls(axis: Any, mission: Mission, font_pt: float) -> list[Array]:
-    """Write the walls' names and materials behind their parts that the axis shows, of thin partitions before.
+    """Write names and materials behind the visible parts of walls, or before the faces of thin partitions.
 
     Returns:
         What the names cover: [[low x, low y], [high x, high y]] each, metres.
@@ -153,8 +153,8 @@ def set_view(axis: Any, view: Array) -> None:
 def view_of(mission: Mission, points: Array, margin_m: float = 0.45) -> Array:
     """[[low x, low y], [high x, high y]]: the part of the room in which the points (n, 2) are, with a margin.
 
-    Of every wall within the bounds the part nearest to the points is shown as well. No more than the room:
-    its bounds and its walls with their names.
+    The view also includes the nearest part of every wall within the bounds. It is limited to the room: the
+    bounds, and the walls with their names.
     """
     (x0, x1), (y0, y1) = mission.bounds.x, mission.bounds.y
     room = [np.array([[x0, y0], [x1, y1]])]
@@ -173,7 +173,7 @@ def view_of(mission: Mission, points: Array, margin_m: float = 0.45) -> Array:
 
 
 def _nearest_part(mission: Mission, wall: Wall, points: Array) -> Array:
-    """The part of a wall's surface nearest to the box about points (n, 2); empty if out of the bounds."""
+    """Return the part of a wall's surface nearest to the box around points (n, 2); empty out of bounds."""
     ends = np.array(mission.vehicle.airframe.surface_of(wall).ends)
     line = ends[0] + np.linspace(0.0, 1.0, 101)[:, None] * (ends[1] - ends[0])
     low, high = points.min(axis=0), points.max(axis=0)

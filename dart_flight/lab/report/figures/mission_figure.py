@@ -58,7 +58,7 @@ def mission_figure(mission: Mission, planned: PredictedFlight | None, *, look: L
         planned: by the flight model; None where an approach cannot be flown, so that only the room is drawn.
         look: size of the figure.
     """
-    # Trajectories end at their goal whatever is drawn; uncertain walls move all the same.
+    # Trajectories end at their goal in every draw, but uncertain walls still move.
     follows = mission.goal_trajectory is None or any(wall.is_uncertain for wall in mission.walls)
     drawn = predict_with_draws(mission) if planned is not None and planned.hits and follows else []
     view = view_of(mission, _extent(mission, planned))
@@ -118,7 +118,7 @@ def prediction_lines(
         lines.append(f"{words[0].upper()}{words[1:]}.")
     misses = [flight.goal_miss_m for flight in drawn if flight.goal_miss_m is not None]
     if mission.goal_trajectory is not None:
-        # It ends at the goal whatever is drawn: only flights tell.
+        # A trajectory ends at the goal in every draw; only flights show a deviation.
         lines.append(_flown_line(mission))
     elif misses:
         low, high = np.quantile(misses, (0.05, 0.95))
@@ -142,10 +142,10 @@ def prediction_lines(
 
 
 def _flown_line(mission: Mission) -> str:
-    """What the mission file says of simulated flights in drawn worlds."""
+    """Return a sentence on the simulated flights recorded in the mission file."""
     record = mission.flown
     if record is None or record.digest != mission.digest:
-        return "Not flown in simulation as it is now: whether the trajectories can be flown is not known."
+        return "Not flown in simulation in its present form: the trajectories may not be flyable."
     if record.drawn is None or record.danger is not None:
         return f"Flown in simulation: {record.danger}."
     drawn = record.drawn
@@ -189,7 +189,7 @@ def _draw_probes(axis: Any, mission: Mission) -> list[tuple[Label, Array]]:
 
 
 def _from_rest(mission: Mission, planned: PredictedFlight) -> list[Array]:
-    """The segments from rest to rest, also from where a recovery is predicted to lead: (2, 3), metres."""
+    """Return the rest-to-rest segments, those after a predicted recovery included: (2, 3), metres."""
     segments = predicted_segments(mission, planned.hits)
     return [np.array([one.begin or one.end, one.end]) for one in segments]
 
@@ -286,7 +286,7 @@ def _draw_side(axis: Any, mission: Mission, planned: PredictedFlight | None, top
 
 
 def _stops(mission: Mission) -> list[tuple[str, Vec2]]:
-    """Return names of start and goal, numbers of waypoints and each change of the altitude, with places."""
+    """Return labels with places: start, goal, numbered waypoints and changes of altitude."""
     found: dict[Vec2, str] = {mission.start: "start"}
     goal = mission.goal.position_m
     found[goal] = f"{found[goal]}, goal" if goal in found else "goal"
