@@ -144,7 +144,7 @@ ITS_FLIGHT = re.compile(
 
 
 def as_run(command: Command) -> str:
-    """With one seed, and a plan without its twenty flights but on the quickstart: what is tested is the command."""
+    """Return the command with one seed, and a plan without its twenty flights except on the quickstart."""
     text = re.sub(r"--runs \d+", "--runs 1", command.text)
     flies = not text.startswith("dart-flight plan") or command.page.name == "quickstart.md"
     return text if flies or "--no-verify" in text else f"{text} --no-verify"
