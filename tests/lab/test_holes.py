@@ -82,7 +82,7 @@ def test_a_log_without_a_flight_has_no_impact_to_find(
     grounded["vehicle_land_detected", 0] = (fields, [(stamp, [True]) for stamp, _ in rows])
     assert main(["inspect", str(write_ulog(tmp_path / "ground.ulg", grounded))]) == 0
     said = capsys.readouterr().out
-    assert "no impact: 0 s in the air" in said
+    assert "0 s in the air: no impact can be found" in said
     assert "\nno impact" not in said
     flight = inspect_file(tmp_path / "ground.ulg", load_vehicle())
     assert "<p>0 s in the air: no impact can be found.</p>" in inspection_page([flight])
@@ -137,7 +137,7 @@ def test_report_says_at_its_top_where_a_log_is_cut_or_has_a_hole(flown: SharedFl
     assert page.index(line) < page.index("class=sentence")
     holed = _edited(log, hole_s=(2.0, 3.5))
     (line,) = describe_missing_parts(holed)
-    assert line == "hole of 1.50 s in the IMU samples, from 2.00 s on"
+    assert line == "hole of 1.50 s in the IMU samples, at 2.00 s"
     both = comparison_page([RecordedFlight(holed), RecordedFlight(log)])
     assert both.count(f"does not hold the whole flight: {line}.") == 1
 

@@ -280,7 +280,7 @@ def test_gpio_18_of_an_older_pi_is_its_first_channel(pi5: Path, vary: Vary, devi
 
 def test_another_boards_chip_has_to_be_named(pi5: Path, vary: Vary) -> None:
     board(pi5, "2000000.pwm", 0, 2)
-    with pytest.raises(DriverError, match=r"no PWM of a Raspberry Pi in .*, found pwmchip0"):
+    with pytest.raises(DriverError, match=r"no PWM chip of a Raspberry Pi in .*, found pwmchip0"):
         opened(pi5, vary)
     with pytest.raises(DriverError, match="set the servo's channel"):
         opened(pi5, vary, chip=0)

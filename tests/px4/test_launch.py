@@ -326,8 +326,8 @@ def test_the_command_says_which_parameter_did_not_take_in_one_line(
     ("count", "problem"),
     [
         (6, "CA_ROTOR_COUNT is 6, but the configuration has 4 motors"),
-        (3, "is 3, the configuration"),
-        (0, "is 0, the configuration"),
+        (3, "is 3, but the configuration"),
+        (0, "is 0, but the configuration"),
     ],
 )
 def test_a_wrong_number_of_rotors_is_one_line_before_px4_starts(

@@ -66,7 +66,7 @@ def test_a_new_material_keeps_what_is_known(
     assert "nu not seen in the trials, assumed" in text
     assert "assumed: mu of rigid, nu of rigid" in text, "in the source, which `check` shows"
     assert "# flexible: not known" in text
-    assert "flexible is not known" in streams.err
+    assert "a configuration needs mode flexible as well" in streams.err
     assert "mu of rigid, nu of rigid" in streams.err
 
 

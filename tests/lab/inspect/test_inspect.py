@@ -153,7 +153,7 @@ def test_a_thrust_fit_that_fails_on_what_it_has_not_seen_is_refused_by_name(
     assert flight["thrust"] is None
     (says,) = (what for what in flight["unknown"] if what.startswith("thrust:"))
     assert "half seconds" in says
-    assert "over 10 %: no fit" in says
+    assert "10 % allowed: no fit" in says
 
 
 @pytest.mark.parametrize(
