@@ -28,6 +28,8 @@ Alpha = Annotated[float, Meta(ge=0.0, le=1.0)]
 Point2 = tuple[Coordinate, Coordinate]
 Range = tuple[Coordinate, Coordinate]
 _MOST_BROKEN_OFF = 0.1  # largest share of drawn flights that may fail for a plan to be offered
+# With 74 degrees in one set of twenty drawn flights, a flight of the next set tumbled.
+_MOST_TILT_DEG = 60.0
 Standoff = Annotated[float, Meta(ge=0.1, le=2.0)]
 Name = Annotated[str, Meta(pattern=r"^[A-Za-z0-9][A-Za-z0-9 _.-]{0,63}$")]
 
@@ -496,6 +498,10 @@ class FlownRecord(Section, frozen=True):
         """Reason not to offer the plan (`danger`, or too few drawn flights complete), or None."""
         if self.danger is not None or self.drawn is None:
             return self.danger
+        if (self.drawn.max_tilt_deg or 0.0) > _MOST_TILT_DEG:
+            return (
+                f"a drawn flight tilts by {self.drawn.max_tilt_deg:.0f} degrees, more than {_MOST_TILT_DEG:g}"
+            )
         if self.drawn.flights - self.drawn.completed > _MOST_BROKEN_OFF * self.drawn.flights:
             causes = ", ".join(f"{rule} {count}" for rule, count in self.drawn.ended_by.items())
             says = f"only {self.drawn.completed} of {self.drawn.flights} drawn flights complete"
