@@ -49,6 +49,7 @@ class CoreThread:
         self._host_us = host_us if lockstep is None else lockstep.clock.host_us
         self._queue: queue.SimpleQueue[Input] = queue.SimpleQueue()
         self._owner = threading.Lock()  # whoever holds it steps
+        self._work: set[int] = set()  # identities of queued inputs that a world in lockstep waits for
         self._pace = Pace.BATCHED  # changed by the owner
         self._called = threading.Event()  # the core's own thread is to come round now
         self._fault: BaseException | None = None
@@ -63,10 +64,12 @@ class CoreThread:
 
     def put(self, item: Input) -> None:
         """Queue an input, from any thread, without blocking."""
-        if self._lockstep is not None:
+        if self._lockstep is None:
+            self._queue.put(item)
+        else:
             self._lockstep.open()
-        self._queue.put(item)
-        if self._lockstep is not None:
+            self._work.add(id(item))
+            self._queue.put(item)
             self._step_now()
 
     def arrive(self, item: Input) -> None:
@@ -147,4 +150,6 @@ class CoreThread:
         if self._lockstep is not None and items:
             self._tick()
             self._after_step()
-            self._lockstep.close(items, self._pace is Pace.BATCHED)
+            work = self._work.intersection(map(id, items))
+            self._work -= work
+            self._lockstep.close(items, len(work), self._pace is Pace.BATCHED)

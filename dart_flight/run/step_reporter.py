@@ -20,9 +20,7 @@ from dart_flight.base.records import (
     CommandResult,
     ImuSample,
     Input,
-    LockState,
     OdometrySample,
-    OperatorRequest,
     PlanAnswer,
     PlanRequest,
     Setpoint,
@@ -37,7 +35,6 @@ _STREAMS: Final[dict[type, str]] = {
     OdometrySample: "odometry",
     ActuatorSample: "actuator",
 }
-_WORK: Final = (LockState, CommandResult, PlanAnswer, OperatorRequest)  # inputs that are not telemetry
 _BATCH_US: Final = round(1e6 * BATCH_S)
 _MARGIN_US: Final = 40_000  # least time from an answer to the begin of its trajectory; later ones are refused
 _UNUSED: Final = (None, None, None)
@@ -92,11 +89,12 @@ class StepReporter:
         with self._guard:
             return not self._hold_us or (isinstance(item, ImuSample) and item.t_us >= self._hold_us)
 
-    def close(self, items: Sequence[Input] = (), batched: bool | None = None) -> None:
+    def close(self, items: Sequence[Input] = (), work: int = 1, batched: bool | None = None) -> None:
         """Remove finished work, and report if none is left.
 
         Args:
-            items: inputs that were stepped, or empty for one piece of other work.
+            items: inputs that were stepped.
+            work: pieces of open work that are finished; telemetry is none.
             batched: whether the core steps the next samples in batches, or None if unchanged.
         """
         with self._guard:
@@ -110,7 +108,7 @@ class StepReporter:
                     self._commands -= 1
                 elif isinstance(item, PlanAnswer):
                     self._plans.pop(item.number, None)
-            self._open -= sum(isinstance(item, _WORK) for item in items) if items else 1
+            self._open -= work
             if not self._open:
                 self._report()
 

@@ -8,14 +8,23 @@ import pytest
 from dart_flight.base.records import (
     CommandResult,
     ImuSample,
+    Input,
     LockPhase,
     LockState,
     OdometrySample,
+    OperatorRequest,
+    Output,
     PlanAnswer,
     PlanRequest,
+    Request,
     Setpoint,
+    StatusSample,
+    StatusText,
+    Tick,
 )
-from dart_flight.core.pace import BATCH_S
+from dart_flight.core.pace import BATCH_S, Pace
+from dart_flight.run.core_thread import CoreThread
+from dart_flight.run.runner import CoreRunner
 from dart_flight.run.step_reporter import StepReporter
 from dart_flight.sim.pipe import Stepped
 
@@ -47,14 +56,16 @@ def request(number: int, t_us: int, begin_us: int) -> PlanRequest:
 
 def test_stepped_samples_are_reported_by_the_newest_stamp_of_their_stream() -> None:
     told = Reports()
-    told.reporter.close([imu(4_000), OdometrySample(4_000, 1, ORIGIN, ORIGIN), imu(8_000), imu(6_000)], False)
+    told.reporter.close(
+        [imu(4_000), OdometrySample(4_000, 1, ORIGIN, ORIGIN), imu(8_000), imu(6_000)], 0, False
+    )
     assert told.last.streams == {"imu": 8_000, "odometry": 4_000}
 
 
 def test_nothing_is_reported_while_work_is_open() -> None:
     told = Reports()
     told.reporter.open()  # the lock's state is queued
-    told.reporter.close([imu(4_000)], False)
+    told.reporter.close([imu(4_000)], 0, False)
     assert told.last.streams == {}
     told.reporter.close([LockState(4_000, LockPhase.SETTLED, None)])
     assert told.last.streams == {"imu": 4_000}
@@ -87,7 +98,7 @@ def test_an_answer_of_the_planner_counts_from_its_latency_on_and_before_its_traj
     clock = told.reporter.clock
     told.reporter.open_plan(request(1, 100_000, 300_000), 60_000)
     told.reporter.open_plan(request(2, 100_000, 160_000), 60_000)
-    told.reporter.close([imu(100_000)], False)
+    told.reporter.close([imu(100_000)], 0, False)
     assert told.last.plan_due_us == 120_000
     for number in (1, 2):
         told.reporter.hold_answer(PlanAnswer(0, number, 0))
@@ -103,7 +114,7 @@ def test_an_answer_of_the_planner_counts_from_its_latency_on_and_before_its_traj
 def test_a_batch_is_complete_with_its_last_imu_sample() -> None:
     told = Reports()
     assert told.reporter.completes_batch(imu(4_000))
-    told.reporter.close([imu(4_000)], True)
+    told.reporter.close([imu(4_000)], 0, True)
     assert told.last.batch_us == BATCH_US
     assert not told.reporter.completes_batch(imu(BATCH_US))
     assert not told.reporter.completes_batch(OdometrySample(4_000 + BATCH_US, 1, ORIGIN, ORIGIN))
@@ -112,10 +123,10 @@ def test_a_batch_is_complete_with_its_last_imu_sample() -> None:
 
 def test_near_a_wall_and_while_the_planner_works_every_sample_counts() -> None:
     told = Reports()
-    told.reporter.close([imu(4_000)], False)
+    told.reporter.close([imu(4_000)], 0, False)
     assert told.last.batch_us == 0
     told.reporter.open_plan(request(1, 4_000, 100_000), 60_000)
-    told.reporter.close([imu(8_000)], True)
+    told.reporter.close([imu(8_000)], 0, True)
     assert told.last.batch_us == 0
     assert told.reporter.completes_batch(OdometrySample(9_000, 1, ORIGIN, ORIGIN))
 
@@ -123,7 +134,7 @@ def test_near_a_wall_and_while_the_planner_works_every_sample_counts() -> None:
 def test_a_setpoint_is_reported_with_what_it_leaves_out() -> None:
     told = Reports()
     told.reporter.sent(Setpoint(1, 1, (1.0, 2.0, -1.0), 0.0, (0.1, 0.0, 0.0)))
-    told.reporter.close([imu(4_000)], False)
+    told.reporter.close([imu(4_000)], 0, False)
     assert told.last.setpoint == (1.0, 2.0, -1.0, 0.1, 0.0, 0.0, None, None, None)
 
 
@@ -132,3 +143,85 @@ def test_the_end_is_reported_at_once() -> None:
     told.reporter.open()
     told.reporter.end()
     assert not told.last.flies
+
+
+class CountingCore:
+    """A core that keeps what it is given, and wants batches or not."""
+
+    def __init__(self, pace: Pace) -> None:
+        self.pace = pace
+        self.taken: list[Input] = []
+
+    def step(self, item: Input) -> list[Output]:
+        if not isinstance(item, Tick):
+            self.taken.append(item)
+        return []
+
+
+class Thread(Reports):
+    """A core thread in lockstep, whose core does nothing."""
+
+    def __init__(self, pace: Pace) -> None:
+        super().__init__()
+        self.core = CountingCore(pace)
+        runner = CoreRunner(self.core, self, lambda record, number: None, self.reporter.clock.host_us)
+        self.thread = CoreThread(runner, lockstep=self.reporter)
+
+    def send(self, setpoint: Setpoint) -> None:
+        """As `CommandSink`."""
+
+    def execute(self, output: Output) -> None:
+        """As `CommandSink`."""
+
+    def arrive(self, item: ImuSample | OdometrySample) -> None:
+        """As the session: the clock first."""
+        self.reporter.clock.receive(item.t_us, item.received_us)
+        self.thread.arrive(item)
+
+
+@pytest.mark.parametrize(
+    "item",
+    [
+        StatusText(0, 0, "critical", "setpoint not sent", found_here=True),
+        OperatorRequest(0, Request.LAND),
+        LockState(0, LockPhase.SETTLED, None),
+        StatusSample(0, 0),
+    ],
+    ids=lambda item: type(item).__name__,
+)
+def test_whatever_is_put_is_stepped_at_once_and_no_open_work_stays(item: Input) -> None:
+    told = Thread(Pace.BATCHED)
+    told.arrive(imu(4_000))
+    told.arrive(imu(8_000))
+    assert told.core.taken == [imu(4_000)], "the rest of the batch is to come"
+    told.thread.put(item)
+    assert told.core.taken == [imu(4_000), imu(8_000), item]
+    assert told.last.streams == {"imu": 8_000}
+
+
+def test_a_batch_is_stepped_whole_when_its_last_imu_sample_comes() -> None:
+    told = Thread(Pace.BATCHED)
+    for t_us in range(4_000, 4_000 + BATCH_US, 4_000):
+        told.arrive(imu(t_us))
+    assert len(told.core.taken) == 1
+    told.arrive(imu(4_000 + BATCH_US))
+    assert len(told.core.taken) == 1 + BATCH_US // 4_000
+    assert told.last.streams == {"imu": 4_000 + BATCH_US}
+
+
+def test_near_a_wall_each_sample_is_stepped_as_it_comes() -> None:
+    told = Thread(Pace.IMMEDIATE)
+    for t_us in (4_000, 8_000, 12_000):
+        told.arrive(imu(t_us))
+        assert told.last.streams == {"imu": t_us}
+
+
+def test_a_fault_of_the_core_is_never_reported_as_stepped() -> None:
+    told = Thread(Pace.IMMEDIATE)
+
+    def fail(item: Input) -> list[Output]:
+        raise ZeroDivisionError
+
+    told.core.step = fail  # type: ignore[method-assign]
+    told.arrive(imu(4_000))
+    assert told.last.streams == {}, "the world ends the flight after 10 s"
