@@ -1,0 +1,40 @@
+"""A second vehicle under the same system id, as `check` finds it: by its clock or by its place."""
+
+from __future__ import annotations
+
+import pytest
+
+from dart_flight.base.records import ImuSample, OdometrySample
+from dart_flight.vehicle.ground_link import _Listener
+
+ORIGIN = (0.0, 0.0, 0.0)
+_TICK_US = 8_000
+
+
+def listened(ahead_us: int, north_m: float, both: bool = True) -> _Listener:
+    """Two vehicles that send in turn, or one after the other."""
+    listener = _Listener()
+    for tick in range(400):
+        second = tick % 2 == 1 if both else tick > 200
+        t_us = tick * _TICK_US
+        stamp_us = t_us + (ahead_us if second else 0)
+        place = (north_m if second else 0.0, 0.0, 0.0)
+        listener.take(ImuSample(stamp_us, t_us, (0.0, 0.0, -9.8), ORIGIN))
+        listener.take(OdometrySample(stamp_us, t_us, place, ORIGIN))
+    return listener
+
+
+@pytest.mark.parametrize(
+    ("ahead_us", "north_m", "words"),
+    [
+        (238_000_000, 0.0, "two clocks alternate"),
+        (0, 2.0, "two positions alternate under one system id, 2.0 m"),
+    ],
+)
+def test_two_vehicles_in_turn_are_named(ahead_us: int, north_m: float, words: str) -> None:
+    assert words in str(listened(ahead_us, north_m).seen.other_vehicle)
+
+
+@pytest.mark.parametrize("north_m", [0.0, 0.1, 5.0])
+def test_one_that_is_moved_once_is_one_vehicle(north_m: float) -> None:
+    assert listened(0, north_m, both=False).seen.other_vehicle is None
