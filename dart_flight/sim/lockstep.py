@@ -111,7 +111,7 @@ class Lockstep:
         batch_end_us = report.streams.get("imu", 0) + report.batch_us + self._sender_lag_us
         if report.batch_us and next_us <= batch_end_us:
             return None
-        for stream, sent_us in self._autopilot.sent_us.items():
+        for stream, sent_us in dict(self._autopilot.sent_us).items():  # a relay adds streams meanwhile
             if sent_us > max(report.streams.get(stream, 0), self._from_us.get(stream, 0)):
                 return _TELEMETRY
         return None
