@@ -15,7 +15,6 @@ from dart_flight.check.wall_check import check_walls
 from dart_flight.config.mission import Collision, Mission
 from dart_flight.core.mission.approach import (
     NoApproachError,
-    PlannedApproach,
     TransitSegment,
     check_segments_clear,
     is_blocked,
@@ -144,7 +143,7 @@ def _check_waypoints(mission: Mission, planned: PredictedFlight | None) -> list[
         says = f"flying.transit_speed_m_s is over limits.speed_m_s {mission.limits.speed_m_s:g}"
         return [CheckFinding("waypoints", False, says)]
     known = [(leg, transit_of(mission, leg, leg.begin)) for leg in legs if leg.begin is not None]
-    way_m = sum(math.dist(t.begin, t.end) for _, t in known)
+    way_m = sum(math.dist(t.begin, leg.end) for leg, t in known)
     held_s = sum(w.hold_s for w in mission.waypoints if w.position is not None) + mission.goal.hold_s
     flown_s = sum(t.duration_s for _, t in known) + held_s
     pauses = sum(w.position is None for w in mission.waypoints)
@@ -157,7 +156,7 @@ def _check_waypoints(mission: Mission, planned: PredictedFlight | None) -> list[
     for leg, transit in known:
         if leg.name not in asked:
             continue
-        peak = _PEAK_SPEED * math.dist(transit.begin, transit.end) / transit.duration_s
+        peak = _PEAK_SPEED * math.dist(transit.begin, leg.end) / transit.duration_s
         if leg.speed_m_s > peak + 0.01 > 0.02:
             slower = f"{leg.name}: the way is too short for {leg.speed_m_s:g} m/s, {peak:.2f} are reached"
             findings.append(CheckFinding("waypoint_speed", True, slower, remark=True))
@@ -174,17 +173,16 @@ def _check_approach(mission: Mission, collision: Collision) -> list[CheckFinding
         approach = plan_approach(mission, collision)
     except NoApproachError as error:
         return [CheckFinding(item, False, str(error))]
-    limit = mission.limits.speed_m_s
-    if approach.speed_m_s > limit or mission.vehicle.flying.transit_speed_m_s > limit:
-        return [CheckFinding(item, False, f"{approach.speed_m_s:.2f} m/s is over limits.speed_m_s {limit:g}")]
+    limit, speed_m_s = mission.limits.speed_m_s, math.hypot(*collision.approach_velocity())
+    if speed_m_s > limit or mission.vehicle.flying.transit_speed_m_s > limit:
+        return [CheckFinding(item, False, f"{speed_m_s:.2f} m/s is over limits.speed_m_s {limit:g}")]
     if collision.probe is not None:
-        says = f"a probe for wall {collision.wall.name}, at its end after {approach.impact_s:.1f} s"
+        says = f"a probe for wall {collision.wall.name}, at its end after {approach.duration_s:.1f} s"
         return [CheckFinding(item, True, f"{says} where it meets nothing")]
-    way = "a trajectory" if isinstance(approach, PlannedApproach) else f"run-up of {approach.length_m:.2f} m"
-    says = (
-        f"{way}, wall {collision.wall.name} met at "
-        f"{approach.speed_m_s:.2f} m/s after {approach.impact_s:.1f} s"
-    )
+    assert collision.impact_point is not None
+    length_m = math.dist(approach.begin[:2], collision.impact_point)
+    way = f"run-up of {length_m:.2f} m" if collision.trajectory is None else "a trajectory"
+    says = f"{way}, wall {collision.wall.name} met at {speed_m_s:.2f} m/s after {approach.duration_s:.1f} s"
     return [CheckFinding(item, True, says)]
 
 

@@ -106,13 +106,14 @@ def _hit_times_s(mission: Mission) -> dict[int, float]:
                 approach = plan_approach(mission, collision)
             except NoApproachError:  # a finding of its own
                 return dict.fromkeys((c.index for c in mission.collisions), math.nan)
-            way_m = 0.0 if here is None else math.dist(here, approach.begin)
+            way_m = 0.0 if here is None else math.dist(here, approach.begin[:2])
             transit_s = transit_time_s(
                 way_m, flying.transit_speed_m_s, flying.acceleration_m_s2, flying.jerk_m_s3
             )
-            way_to_m = math.dist(approach.begin, approach.impact)
-            met_s = approach.impact_s
+            met_s = approach.duration_s
             if collision.probe is not None:
+                assert collision.impact_point is not None
+                way_to_m = math.dist(approach.begin[:2], collision.impact_point)
                 met_s = way_to_m / collision.probe.speed_m_s + 0.5
             now_s += (_REST_S if here is not None else 0.0) + transit_s + flying.arrive_s + switch_s + met_s
         times[collision.index] = now_s

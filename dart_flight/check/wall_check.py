@@ -117,11 +117,12 @@ def _in_the_way(mission: Mission, collision: Collision) -> Iterator[str]:
         approach = plan_approach(mission, collision)
     except NoApproachError:
         return  # a finding of its own
-    first = collision.index == 1
-    legs = segments_to_impact(mission.start, approach.begin, approach.impact, collision.wall, first)
+    impact, first = collision.impact_point, collision.index == 1
+    assert impact is not None
+    legs = segments_to_impact(mission.start, approach.begin[:2], impact, collision.wall, first)
     for wall in mission.walls:
         if wall.is_uncertain and wall.name != collision.wall.name:
-            nearest = wall.moved(float(position_margin_m(wall, approach.impact)))
+            nearest = wall.moved(float(position_margin_m(wall, impact)))
             if any(is_blocked(nearest, *leg) for leg in legs(nearest)):
                 yield f"wall {wall.name} may stand in the way of the run-up to wall {collision.wall.name}"
 

@@ -20,7 +20,7 @@ from dart_flight.base.walls import Wall
 from dart_flight.config.mission import Collision, Mission
 from dart_flight.config.mission_file import GoalSpec, MotionState, TrajectoryPieces
 from dart_flight.core.mission.approach import TransitSegment, transit_segments
-from dart_flight.core.mission.trajectories import PlannedTrajectory
+from dart_flight.core.mission.trajectories import Trajectory
 from dart_flight.planning.flight_model import FreeFlight
 from dart_flight.planning.rollout import (
     Arrivals,
@@ -209,7 +209,7 @@ def _follow_written(planned: PredictedFlight, mission: Mission, group: Sequence[
 
 def _sampled(written: TrajectoryPieces) -> list[MotionState]:
     """The motion at many times, the ends among them."""
-    planned = PlannedTrajectory.from_pieces(written, 0.0)
+    planned = Trajectory.from_mission(written, 0.0)
     found = []
     for t in np.linspace(0.0, planned.duration_s, _POINTS):
         at = planned.at(float(t))

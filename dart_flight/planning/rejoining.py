@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dart_flight.base.geometry import Vec2
-from dart_flight.core.mission.trajectories import PlannedTrajectory
+from dart_flight.core.mission.trajectories import Trajectory
 from dart_flight.planning.polynomials import quintic
 
 Array = NDArray[np.float64]
@@ -47,7 +47,7 @@ class RejoiningTrajectories(NamedTuple):
         position, velocity, acceleration, jerk: (2, n, k), mission frame.
     """
 
-    planned: PlannedTrajectory
+    planned: Trajectory
     shares: Array
     from_s: Array
     slower: Array
@@ -65,7 +65,7 @@ class RejoiningTrajectories(NamedTuple):
         by_row = (v[rows] for v in self[2:6])
         return RejoiningTrajectories(self.planned, self.shares, *by_row, *(v[:, rows] for v in self[6:]))
 
-    def trajectory(self, row: int) -> PlannedTrajectory:
+    def trajectory(self, row: int) -> Trajectory:
         """One trajectory as polynomials, one after the other."""
         planned, slower, begin = self.planned, float(self.slower[row]), float(self.from_s[row])
         pieces: list[float] = []
@@ -86,13 +86,11 @@ class RejoiningTrajectories(NamedTuple):
                 slowed = [c / slower**k for k, c in enumerate(shape)]
                 axes[axis].extend(float(c + d) for c, d in zip(slowed, added, strict=True))
             pieces.append(slower * (last - first))
-        return PlannedTrajectory(
-            tuple(axes[0]), tuple(axes[1]), sum(pieces), planned.altitude_m, tuple(pieces)
-        )
+        return Trajectory.level(*axes, planned.z[0], pieces)
 
 
 def rejoin(
-    planned: PlannedTrajectory,
+    planned: Trajectory,
     start: tuple[Array, Array],
     moved: Vec2,
     pushed: Vec2 = (0.0, 0.0),
@@ -136,7 +134,7 @@ def rejoin(
     return RejoiningTrajectories(planned, shares, from_s, slower, duration, until, added, kept, *states)
 
 
-def _sampled(planned: PlannedTrajectory, times: Array) -> Array:
+def _sampled(planned: Trajectory, times: Array) -> Array:
     """(4, 2, n, k): position, velocity, acceleration and jerk at times (n, k) of a trajectory."""
     begins = np.cumsum([0.0, *planned.pieces_s[:-1]])
     piece = np.clip(np.searchsorted(begins, times, side="right") - 1, 0, begins.size - 1)

@@ -35,7 +35,7 @@ from dart_flight.core.mission.commitment import SETTLED_BEFORE_S
 from dart_flight.core.mission.contact_feedforward import balancing_m_s2
 from dart_flight.core.mission.planned_impact import impact_velocity
 from dart_flight.core.mission.position_loop import ATTITUDE_LAG_S, PositionLoop
-from dart_flight.core.mission.trajectories import PlannedTrajectory
+from dart_flight.core.mission.trajectories import Trajectory
 from dart_flight.core.mission.wall_uncertainty import EstimatedWalls, end_margin_m, position_margin_m
 from dart_flight.planning.constraints import REFUSALS, Constraints
 from dart_flight.planning.contact_stage import build_stages, expm
@@ -109,8 +109,8 @@ class Replanner:
         self._anchors = FrameAnchors(drift_m_s) if mission.is_anchored else None
         self._survey = EstimatedWalls(self._anchors)
         # By collision that it leads to; None: to the goal.
-        self._written: dict[int | None, PlannedTrajectory] = {
-            led_to: PlannedTrajectory.from_pieces(pieces, mission.altitude_at(len(mission.collisions)))
+        self._written: dict[int | None, Trajectory] = {
+            led_to: Trajectory.from_mission(pieces, mission.altitude_at(len(mission.collisions)))
             for led_to, pieces in (
                 *((c.index, c.trajectory) for c in mission.collisions),
                 (None, mission.goal_trajectory),
@@ -249,7 +249,7 @@ class Replanner:
                 return found
         return None
 
-    def _thrust_off(self, wall: Wall, written: PlannedTrajectory) -> float:
+    def _thrust_off(self, wall: Wall, written: Trajectory) -> float:
         """The thrust off a wall that the mission's trajectory to it ends with, m/s2."""
         end = written.at(written.duration_s)
         drag_n, _ = drag_along(wall, self._mission.vehicle.airframe.drag_per_s)

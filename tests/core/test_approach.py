@@ -9,20 +9,21 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from dart_flight.base.geometry import distance2
 from dart_flight.base.walls import Post, Wall
 from dart_flight.config.mission import Mission, load_mission
 from dart_flight.config.vehicle import Flying, packaged
 from dart_flight.core.mission.approach import (
     CLEARANCE_M,
-    Approach,
     NoApproachError,
     check_segments_clear,
+    impact_time_s,
     is_blocked,
     plan_approach,
     run_up,
     standoff_point,
 )
-from dart_flight.core.mission.trajectories import TransitTrajectory
+from dart_flight.core.mission.trajectories import AfterEnd, Trajectory
 
 beside = st.floats(-2.0, 2.0)
 away = st.floats(CLEARANCE_M + 0.01, 2.0)
@@ -77,27 +78,32 @@ def test_an_approach_is_what_its_derivatives_say(
     """On the ramp; then at constant speed through the wall, which it meets at the time that it says."""
     direction = (math.cos(angle), math.sin(angle))
     impact = (begin[0] + 4.0 * direction[0], begin[1] + 4.0 * direction[1])
-    approach = Approach(begin, impact, direction, speed_m_s, ramp_s, 1.5)
+    velocity = (speed_m_s * direction[0], speed_m_s * direction[1])
+    steady_s = max(0.0, 4.0 / speed_m_s - 0.5 * ramp_s)
+    approach = Trajectory.run_up(begin, velocity, ramp_s, steady_s, 1.5)
     t, h = share * ramp_s, 1e-5 * ramp_s
     at, before, after = approach.at(t), approach.at(t - h), approach.at(t + h)
     for part, slope in (("position", at.velocity), ("velocity", at.acceleration), ("acceleration", at.jerk)):
         ends = zip(getattr(before, part), getattr(after, part), strict=True)
         assert [(b - a) / (2.0 * h) for a, b in ends] == pytest.approx(slope, rel=1e-3, abs=1e-3)
     assert approach.at(0.0).position == pytest.approx((*begin, 1.5))
-    met = approach.at(approach.impact_s)
-    if approach.impact_s > ramp_s:
+    met = approach.at(approach.duration_s)
+    if steady_s > 0.0:
         assert met.position == pytest.approx((*impact, 1.5))
         assert met.velocity == pytest.approx((speed_m_s * direction[0], speed_m_s * direction[1], 0.0))
         assert met.acceleration == met.jerk == (0.0, 0.0, 0.0)
     assert approach.at(-1.0).position == approach.at(0.0).position
-    assert approach.at(-1.0).jerk == (0.0, 0.0, 0.0)
+    beyond = approach.at(approach.duration_s + 0.1)
+    assert beyond.velocity == pytest.approx(met.velocity)
+    moved = [b - a for a, b in zip(met.position, beyond.position, strict=True)]
+    assert moved == pytest.approx([0.1 * v for v in met.velocity])
 
 
 @given(st.tuples(beside, beside, away), st.tuples(beside, beside, away), st.floats(0.0, 1.0))
 def test_a_transit_goes_from_rest_to_rest_within_its_limits(
     begin: tuple[float, float, float], end: tuple[float, float, float], share: float
 ) -> None:
-    transit = TransitTrajectory.between(begin, end, 0.8, flying_at(0.6), 0.4)
+    transit = Trajectory.rest_to_rest(begin, end, 0.8, flying_at(0.6), 0.4)
     t, h = share * transit.duration_s, 1e-5
     at, before, after = transit.at(t), transit.at(t - h), transit.at(t + h)
     if h < t < transit.duration_s - h:
@@ -107,7 +113,7 @@ def test_a_transit_goes_from_rest_to_rest_within_its_limits(
     assert math.hypot(*at.velocity) <= 0.8 * 1.001
     assert math.hypot(*at.acceleration) <= 0.6 * 1.001
     assert abs(at.velocity[2]) <= 0.4 * 1.001
-    assert at.jerk == (0.0, 0.0, 0.0)
+    assert transit.after is AfterEnd.HOLD
     for moment, where in ((-1.0, begin), (0.0, begin), (transit.duration_s, end), (99.0, end)):
         there = transit.at(moment)
         assert there.position == pytest.approx(where)
@@ -121,7 +127,7 @@ def test_a_transit_takes_no_longer_than_its_limits_ask() -> None:
         ((0.3, 0.0, 0.0), 80.0, 0.6, 9.0),
         ((0.1, 0.0, 5.0), 0.8, 100.0, 0.4),
     ):
-        transit = TransitTrajectory.between(
+        transit = Trajectory.rest_to_rest(
             (0.0, 0.0, 0.0), end, speed_m_s, flying_at(acceleration_m_s2), climb_m_s
         )
         points = [transit.at(transit.duration_s * i / 1000) for i in range(1001)]
@@ -140,11 +146,13 @@ def test_a_run_up_is_as_long_as_it_needs_and_no_longer(slant: float, speed_m_s: 
     velocity = (speed_m_s * math.cos(slant), speed_m_s * math.sin(slant))
     far = (-90.0, 40.0)  # not on the ray
     begin, direction, speed, ramp_s = run_up(far, impact, velocity, FLYING, wall)
-    approach = Approach((float(begin[0]), float(begin[1])), impact, direction, speed, ramp_s, 1.0)
+    steady_s = impact_time_s(distance2(begin, impact), speed, ramp_s) - ramp_s
+    along = (speed * direction[0], speed * direction[1])
+    approach = Trajectory.run_up((float(begin[0]), float(begin[1])), along, ramp_s, steady_s, 1.0)
     top = max(math.hypot(*approach.at(ramp_s * i / 200).acceleration) for i in range(201))
     assert top == pytest.approx(FLYING.acceleration_m_s2, rel=1e-3)
-    steady_s = approach.impact_s - ramp_s - 3.0 * sd / velocity[0]
-    assert steady_s == pytest.approx(FLYING.steady_run_s, abs=1e-9)
+    assert approach.at(approach.duration_s).position == pytest.approx((*impact, 1.0))
+    assert steady_s - 3.0 * sd / velocity[0] == pytest.approx(FLYING.steady_run_s, abs=1e-9)
     on_ray = (impact[0] - 9.0 * math.cos(slant), impact[1] - 9.0 * math.sin(slant))
     from_there, *_ = run_up(on_ray, impact, velocity, FLYING, wall)
     assert from_there == pytest.approx(on_ray)  # far enough back: it begins where the vehicle is
@@ -199,7 +207,7 @@ def test_a_post_is_in_the_way_of_an_approach_where_it_stands_in_its_run_up_or_be
 ) -> None:
     mission = msgspec.structs.replace(through([], post), start=(0.0, -1.4))
     if says is None:
-        assert isinstance(plan_approach(mission, mission.collisions[0]), Approach)
+        assert plan_approach(mission, mission.collisions[0]).after is AfterEnd.CONTINUE
     else:
         with pytest.raises(NoApproachError, match=f"post pole is in the way {says}"):
             plan_approach(mission, mission.collisions[0])

@@ -54,7 +54,7 @@ from dart_flight.core.guard.rules import RULES, Rule
 from dart_flight.core.guard.second_vehicle import SecondClockDetector, SecondPositionDetector
 from dart_flight.core.mission import executive
 from dart_flight.core.mission.proposal import Proposal
-from dart_flight.core.mission.trajectories import PlannedTrajectory
+from dart_flight.core.mission.trajectories import Trajectory
 from dart_flight.core.sense.senses import Sensed
 from dart_flight.core.sense.state import FlightState
 from tests.core.conftest import TELEPORTING, HandFedCore
@@ -739,7 +739,7 @@ def test_after_a_bounce_the_vehicle_goes_clear_of_the_wall_and_asks_for_a_trajec
         300_000,
     )
     state.position = place = (1.6, -0.5, 1.0)
-    flown._replanning._trajectory = PlannedTrajectory((0.0,) * 6, (0.0,) * 6, 1.0, 1.0)
+    flown._replanning._trajectory = Trajectory.level((0.0,) * 6, (0.0,) * 6, 1.0, (1.0,))
     flown._impacts.on_onset(ImpactOnset(5, 1, 5, (-9.0, 0.0, 0.0), (0.0, 0.0, 0.0), place, False), state, p)
     assert flown._references.target[:2] == pytest.approx((1.6 - mission.vehicle.guard.retreat_m, -0.5))
     assert flown._replanning.trajectory_since_us is None

@@ -17,7 +17,7 @@ from dart_flight.base.records import LockPhase, LockState, Phase, ProbeEnd
 from dart_flight.config.mission import Mission, load_mission
 from dart_flight.config.probes import place_at
 from dart_flight.config.vehicle import packaged
-from dart_flight.core.mission.approach import PlannedApproach, plan_approach
+from dart_flight.core.mission.approach import plan_approach
 from dart_flight.core.mission.executive import Executive
 from dart_flight.core.mission.legs import collision_now, mission_now, waypoint_now, why_left_out
 from dart_flight.core.mission.proposal import Proposal
@@ -131,8 +131,7 @@ def test_a_probe_goes_straight_from_rest_to_rest_and_never_faster_than_asked(
     (collision,) = mission.collisions
     assert collision.probe is not None
     way = plan_approach(mission, collision)
-    assert isinstance(way, PlannedApproach)
-    path = [way.at(way.impact_s * k / 200) for k in range(201)]
+    path = [way.at(way.duration_s * k / 200) for k in range(201)]
     assert path[0].position == pytest.approx((0.1, -0.2, 1.0), abs=1e-9)
     assert path[-1].position[:2] == pytest.approx(collision.probe.end, abs=2e-3)
     for end in (path[0], path[-1]):
@@ -150,7 +149,7 @@ def test_a_probe_goes_straight_from_rest_to_rest_and_never_faster_than_asked(
 def test_a_probe_that_is_long_enough_comes_to_its_speed() -> None:
     mission = probing(0.0, 2.0, 0.5)
     way = plan_approach(mission, mission.collisions[0])
-    assert way.at(0.5 * way.impact_s).velocity == pytest.approx((0.5, 0.0, 0.0))
+    assert way.at(0.5 * way.duration_s).velocity == pytest.approx((0.5, 0.0, 0.0))
 
 
 def test_a_probe_that_meets_nothing_ends_where_the_vehicle_is() -> None:

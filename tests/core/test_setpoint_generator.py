@@ -13,18 +13,19 @@ from dart_flight.base.geometry import MissionFrame, Vec3
 from dart_flight.base.records import AttitudeSample, OdometrySample, Setpoint
 from dart_flight.config.mission import load_mission
 from dart_flight.config.vehicle import packaged
-from dart_flight.core.mission.approach import Approach
 from dart_flight.core.mission.position_loop import ATTITUDE_LAG_S
 from dart_flight.core.mission.setpoint_generator import SetpointGenerator
-from dart_flight.core.mission.trajectories import PlannedTrajectory, TransitTrajectory
+from dart_flight.core.mission.setpoints import BOTH, FreeAxes, Reference, Trigger, make_setpoint
+from dart_flight.core.mission.trajectories import Trajectory
 from dart_flight.core.sense.state import FlightState
 
 MISSION = load_mission(packaged("missions", "paper_single_wall.yaml"))
 FLYING, ALTITUDE_M = MISSION.vehicle.flying, MISSION.altitude_m
 FRAME = MissionFrame(2.0, -1.0, 0.3, 0.6)
 NO_PUSH: Vec3 = (0.0, 0.0, 0.0)
-INTO_A_WALL = PlannedTrajectory(
-    (0.0, 1.0, 0.5, 0.1, 0.0, 0.0), (0.0, -0.4, 0.25, -0.2, 0.0, 0.0), 2.0, ALTITUDE_M
+TRIGGER = Trigger(0, 0)
+INTO_A_WALL = Trajectory.level(
+    (0.0, 1.0, 0.5, 0.1, 0.0, 0.0), (0.0, -0.4, 0.25, -0.2, 0.0, 0.0), ALTITUDE_M, (2.0,)
 )
 
 
@@ -36,6 +37,13 @@ def parts(setpoint: Setpoint) -> tuple[Vec3, Vec3 | None, Vec3 | None]:
         None if v is None else FRAME.vector_from_ned(v),
         None if a is None else FRAME.vector_from_ned(a),
     )
+
+
+def asked(
+    references: SetpointGenerator, t_us: int, since_us: int | None = 0
+) -> tuple[Vec3, Vec3 | None, Vec3 | None]:
+    """Parts of the setpoint for a sample, without anything added."""
+    return parts(make_setpoint(FRAME, TRIGGER, references.reference(t_us, since_us), references.heading))
 
 
 def says(setpoint: Setpoint, *wanted: Vec3 | None) -> bool:
@@ -50,7 +58,7 @@ def standing() -> SetpointGenerator:
     return references
 
 
-def standing_on(trajectory: PlannedTrajectory) -> SetpointGenerator:
+def standing_on(trajectory: Trajectory) -> SetpointGenerator:
     references = standing()
     references.follow_trajectory(trajectory)
     return references
@@ -80,18 +88,14 @@ def test_it_stands_on_the_ground_climbs_and_flies_at_its_altitude() -> None:
 def test_a_step_says_only_where_and_a_way_also_how_fast() -> None:
     references = standing()
     references.hold((1.0, 2.0))
-    step = references.setpoint(FRAME, 500, 600, None)
+    step = make_setpoint(FRAME, Trigger(500, 600), references.reference(500, None), references.heading)
     assert (step.t_us, step.trigger_received_us, step.recovery) == (500, 600, False)
     assert says(step, (1.0, 2.0, ALTITUDE_M), None, None)
     assert step.yaw_ned_rad == pytest.approx(FRAME.yaw_to_ned(0.2))
-    pushed = references.setpoint(FRAME, 500, 600, None, (0.5, -0.2, 0.0))
-    assert says(pushed, (1.0, 2.0, ALTITUDE_M), NO_PUSH, (0.5, -0.2, 0.0))
-    recovery = references.recovery_setpoint(FRAME, 500, 600)
-    assert (recovery.recovery, parts(recovery)) == (True, parts(step))
     references.fly_to((4.0, 2.0))
-    assert parts(references.setpoint(FRAME, 500, 600, None))[1] is None  # not begun
+    assert asked(references, 500, None)[1] is None  # not begun
     half_us = round(0.5e6 * references.duration_s)
-    position, velocity, _ = parts(references.setpoint(FRAME, 500 + half_us, 0, 500))
+    position, velocity, _ = asked(references, 500 + half_us, 500)
     assert position == pytest.approx((2.5, 2.0, ALTITUDE_M), abs=1e-5)
     assert velocity == pytest.approx((1.875 * 3.0 / references.duration_s, 0.0, 0.0), abs=1e-5)
 
@@ -100,10 +104,10 @@ def test_drag_and_what_the_d_term_takes_are_fed_forward_ahead_of_the_attitudes_l
     """Drag b v, in a lag's time b (v + lag a); the reference's own a (1 + kd), and its change."""
     references = standing()
     x, y = (0.0, 1.0, 0.5, 0.1, 0.0, 0.0), (0.0, -0.4, 0.25, -0.2, 0.0, 0.0)
-    way = PlannedTrajectory(x, y, 5.0, ALTITUDE_M)
+    way = Trajectory.level(x, y, ALTITUDE_M, (5.0,))
     references.follow_trajectory(way)
     assert references.target == way.at(5.0).position
-    at, (_, velocity, fed) = way.at(1.0), parts(references.setpoint(FRAME, 1_000_000, 0, 0))
+    at, (_, velocity, fed) = way.at(1.0), asked(references, 1_000_000)
     assert velocity == pytest.approx(at.velocity)
     assert fed is not None
     kd = MISSION.vehicle.px4.mpc_xy_vel_d_acc
@@ -127,8 +131,8 @@ def late(delay_s: float, dead_s: float = 0.0) -> SetpointGenerator:
 def test_a_setpoint_is_of_the_moment_at_which_it_is_flown(delay_s: float, since_s: float) -> None:
     """Along a trajectory: that of one without a delay, so much later."""
     at_us, later_us = round(since_s * 1e6), round((since_s + delay_s) * 1e6)
-    found = parts(late(delay_s).setpoint(FRAME, at_us, 0, 0))
-    wanted = parts(standing_on(INTO_A_WALL).setpoint(FRAME, later_us, 0, 0))
+    found = asked(late(delay_s), at_us)
+    wanted = asked(standing_on(INTO_A_WALL), later_us)
     for one, other in zip(found, wanted, strict=True):
         assert one == pytest.approx(other, abs=1e-4)
 
@@ -137,11 +141,12 @@ def test_a_setpoint_is_of_the_moment_at_which_it_is_flown(delay_s: float, since_
 def test_thrust_is_asked_for_ahead_of_the_attitudes_dead_time(
     delay_s: float, dead_s: float, since_s: float
 ) -> None:
-    """Position and velocity of one moment, acceleration and jerk of another, neither beyond the wall."""
+    """Position and velocity of one moment, acceleration and jerk of another, which is not beyond the wall."""
     at_us, end_s = round(since_s * 1e6), INTO_A_WALL.duration_s
-    place, velocity, fed = parts(late(delay_s, dead_s).setpoint(FRAME, at_us, 0, 0))
-    flown_s = max(at_us * 1e-6, min(at_us * 1e-6 + delay_s, end_s))
-    flown, tilted = INTO_A_WALL.at(flown_s), INTO_A_WALL.at(max(flown_s, min(flown_s + dead_s, end_s)))
+    place, velocity, fed = asked(late(delay_s, dead_s), at_us)
+    flown_s = at_us * 1e-6 + delay_s
+    flown = INTO_A_WALL.at(flown_s)
+    tilted = INTO_A_WALL.at(min(flown_s + dead_s, max(at_us * 1e-6, end_s)))
     assert place == pytest.approx(flown.position, abs=1e-9)
     assert velocity == pytest.approx(flown.velocity, abs=1e-9)
     assert fed is not None
@@ -158,7 +163,9 @@ def test_before_a_wall_the_delay_asks_for_nothing_beyond_it() -> None:
     sample = OdometrySample(
         end_us - 10_000, 0, FRAME.point_to_ned((2.0, 1.0, ALTITUDE_M)), FRAME.vector_to_ned(motion)
     )
-    place, velocity, fed = parts(references.coasting_setpoint(FRAME, sample, 0, wall))
+    free = references.free_axes(FRAME, sample, (wall.normal,))
+    reference = references.reference(sample.t_us, 0)
+    place, velocity, fed = parts(make_setpoint(FRAME, TRIGGER, reference, 0.0, free))
     at_wall = INTO_A_WALL.at(INTO_A_WALL.duration_s)
     assert fed is not None
     kd, lead_s = MISSION.vehicle.px4.mpc_xy_vel_d_acc, ATTITUDE_LAG_S - 0.05
@@ -181,9 +188,9 @@ def test_on_the_climb_only_drag_is_added() -> None:
     references = standing()
     references.climb()
     at_us = round(0.3e6 * references.duration_s)
-    _, velocity, fed = parts(references.setpoint(FRAME, at_us, 0, 0))
-    _, before, _ = parts(references.setpoint(FRAME, at_us - 100, 0, 0))
-    _, after, _ = parts(references.setpoint(FRAME, at_us + 100, 0, 0))
+    _, velocity, fed = asked(references, at_us)
+    _, before, _ = asked(references, at_us - 100)
+    _, after, _ = asked(references, at_us + 100)
     assert velocity is not None
     assert before is not None
     assert after is not None
@@ -195,22 +202,45 @@ def test_on_the_climb_only_drag_is_added() -> None:
 def test_an_approach_is_flown_without_a_new_target() -> None:
     references = standing()
     references.hold((1.0, 2.0))
-    references.approach(Approach((1.0, 2.0), (3.0, 2.0), (1.0, 0.0), 1.0, 0.5, ALTITUDE_M))
+    references.approach(Trajectory.run_up((1.0, 2.0), (1.0, 0.0), 0.5, 1.75, ALTITUDE_M))
     assert (references.target, references.on_transit) == ((1.0, 2.0, ALTITUDE_M), False)
-    position, velocity, _ = parts(references.setpoint(FRAME, 1_000_000, 0, 0))
+    position, velocity, _ = asked(references, 1_000_000)
     assert position == pytest.approx((1.75, 2.0, ALTITUDE_M))
     assert velocity == pytest.approx((1.0, 0.0, 0.0))
 
 
-def test_in_a_contact_it_asks_for_the_vehicles_own_motion_at_its_altitude() -> None:
-    references = standing()
-    place, motion = (1.5, 1.0, 1.3), (0.4, -0.3, 0.2)
-    sample = OdometrySample(700, 800, FRAME.point_to_ned(place), FRAME.vector_to_ned(motion))
-    asked = references.contact_setpoint(FRAME, sample, (1.0, 2.0, 0.0))
-    assert (asked.t_us, asked.trigger_received_us) == (700, 800)
-    assert says(asked, (1.5, 1.0, ALTITUDE_M), (0.4, -0.3, 0.0), (1.0, 2.0, 0.0))
-    unpushed = references.contact_setpoint(FRAME, sample, None)
-    assert says(unpushed, (1.5, 1.0, ALTITUDE_M), (0.4, -0.3, 0.0), NO_PUSH)
+coordinate = st.floats(-3.0, 3.0)
+vector = st.tuples(coordinate, coordinate, coordinate)
+
+
+@given(vector, vector, vector, vector, vector, vector, st.floats(-math.pi, math.pi))
+def test_a_setpoint_is_its_reference_and_on_free_axes_the_measured_motion(
+    position: Vec3, velocity: Vec3, push: Vec3, there: Vec3, motion: Vec3, added: Vec3, angle: float
+) -> None:
+    """Along each free axis nothing is left to correct; across it and in height the reference holds."""
+    reference, normal = Reference(position, velocity, push), (math.cos(angle), math.sin(angle))
+    total = tuple(a + b for a, b in zip(push, added, strict=True))
+    for along in ((), (normal,), BOTH):
+        free = FreeAxes(along, there, motion)
+        found = parts(make_setpoint(FRAME, TRIGGER, reference, 0.0, free if along else None, added))
+        for part, wanted, measured in ((found[0], position, there), (found[1], velocity, motion)):
+            assert part is not None
+            assert part[2] == pytest.approx(wanted[2], abs=1e-9)
+            for axis in ((1.0, 0.0), (0.0, 1.0)) if len(along) != 1 else (normal, (-normal[1], normal[0])):
+                source = measured if axis in along else wanted
+                value = part[0] * axis[0] + part[1] * axis[1]
+                assert value == pytest.approx(source[0] * axis[0] + source[1] * axis[1], abs=1e-9)
+        assert found[2] == pytest.approx(total, abs=1e-9)
+
+
+def test_a_step_carries_an_acceleration_only_if_one_is_added() -> None:
+    """PX4 accepts an acceleration only with a velocity; the peak of an impact is marked."""
+    place = (1.0, 2.0, 1.5)
+    recovery = make_setpoint(FRAME, Trigger(5, 6, recovery=True), Reference(place), 0.2)
+    assert (recovery.t_us, recovery.trigger_received_us, recovery.recovery) == (5, 6, True)
+    assert says(recovery, place, None, None)
+    pushed = make_setpoint(FRAME, TRIGGER, Reference(place), 0.2, added=(0.5, -0.2, 0.0))
+    assert says(pushed, place, NO_PUSH, (0.5, -0.2, 0.0))
 
 
 def test_it_has_arrived_once_it_was_there_slow_and_heading_right_for_a_while() -> None:
@@ -261,7 +291,7 @@ def test_the_heading_turns_the_short_way_at_its_rate() -> None:
 def test_a_transit_to_where_it_is_takes_a_tenth_of_a_second() -> None:
     """A time of nothing would be divided by."""
     here = (1.0, 2.0, ALTITUDE_M)
-    assert TransitTrajectory.between(here, here, 1.0, FLYING).duration_s == 0.1
+    assert Trajectory.rest_to_rest(here, here, 1.0, FLYING).duration_s == 0.1
 
 
 @pytest.mark.parametrize(

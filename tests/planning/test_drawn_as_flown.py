@@ -63,11 +63,10 @@ def drawn_and_flown(mission: Mission) -> tuple[list[tuple[float, float]], list[t
     """Corners of the way to the wall: of the picture, and of the references that the executive follows."""
     approach = plan_approach(mission, mission.collisions[0])
     before = mission.place_before(0)
-    flown = [approach.begin, approach.impact]
-    return predict_mission(mission).approaches[1], flown if before in (None, approach.begin) else [
-        before,
-        *flown,
-    ]
+    begin, impact = approach.begin[:2], mission.collisions[0].impact_point
+    assert impact is not None
+    flown = [begin, impact] if before in (None, begin) else [before, begin, impact]
+    return predict_mission(mission).approaches[1], flown
 
 
 @given(missions())

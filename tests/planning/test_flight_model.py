@@ -87,18 +87,20 @@ def test_approaches_are_refused_as_the_executive_refuses_them(dual: Scenario) ->
         assert old in text
         document = Document(text.replace(old, f"normal_m_s: {n!r}, tangential_m_s: {t!r}"), "mission")
         try:
-            approach = plan_approach(*_first(document, dual))
+            mission, collision = _first(document, dual)
+            approach, impact = plan_approach(mission, collision), collision.impact_point
         except (InputError, NoApproachError):
             assert grid.codes != 0
             seen.add(REFUSALS[int(grid.codes) - 1])
             continue
         wall = dual.walls["wood"]
-        if wall.end_distance_m(approach.impact) < end_margin_m(wall, approach.impact):  # `check` refuses it
+        assert impact is not None
+        if wall.end_distance_m(impact) < end_margin_m(wall, impact):  # `check` refuses it
             assert REFUSALS[int(grid.codes) - 1] is Refusal.BEYOND_WALL
             continue
         assert grid.codes == 0
-        assert (float(grid.begin_x), float(grid.begin_y)) == pytest.approx(approach.begin)
-        assert float(grid.impact_s) == pytest.approx(approach.impact_s)
+        assert (float(grid.begin_x), float(grid.begin_y)) == pytest.approx(approach.begin[:2])
+        assert float(grid.impact_s) == pytest.approx(approach.duration_s)
         seen.add(None)
     assert {None, Refusal.BEYOND_WALL, Refusal.RUN_UP_BLOCKED} <= seen
 

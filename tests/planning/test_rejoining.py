@@ -11,10 +11,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dart_flight.config.mission_file import TrajectoryPieces
-from dart_flight.core.mission.trajectories import PlannedTrajectory
+from dart_flight.core.mission.trajectories import Trajectory
 from dart_flight.planning.rejoining import rejoin
 
-PLANNED = PlannedTrajectory.from_pieces(
+PLANNED = Trajectory.from_mission(
     TrajectoryPieces(
         (1.2, 0.1),
         [(0.3, -4.0, 1.0), (0.2, 0.0, -3.0), (0.4, 6.0, 0.5), (0.5, -1.0, 0.0)],
@@ -103,10 +103,10 @@ def test_what_is_judged_is_what_is_flown(away: tuple[float, ...], settled_s: flo
 
 
 def test_too_near_to_its_end_there_is_no_way_back() -> None:
-    short = PlannedTrajectory.from_pieces(TrajectoryPieces((0.0, 0.0), [(0.15, 1.0, 0.0)]), 1.0)
+    short = Trajectory.from_mission(TrajectoryPieces((0.0, 0.0), [(0.15, 1.0, 0.0)]), 1.0)
     assert rejoin(short, state_at(0.0), (0.0, 0.0)).from_s.size == 0
 
 
 def test_a_way_goes_over_the_pipe_of_the_planner() -> None:
     way = rejoin(PLANNED, state_at(0.1, (0.1,) * 6), (0.0, 0.0)).trajectory(3)
-    assert msgspec.json.decode(msgspec.json.encode(way), type=PlannedTrajectory) == way
+    assert msgspec.json.decode(msgspec.json.encode(way), type=Trajectory) == way

@@ -17,7 +17,7 @@ from dart_flight.config.mission import Mission, load_mission
 from dart_flight.config.mission_file import CollisionPrediction
 from dart_flight.config.vehicle import packaged
 from dart_flight.core.mission.position_loop import ATTITUDE_LAG_S
-from dart_flight.core.mission.trajectories import PlannedTrajectory
+from dart_flight.core.mission.trajectories import Trajectory
 from dart_flight.planning.predicted_flight import predict_mission
 from dart_flight.planning.replanner import Replanner, _straights
 from dart_flight.recording.about import flown_mission
@@ -35,10 +35,8 @@ TO_GOAL = msgspec.structs.replace(
 )  # fmt: skip
 
 
-def way_of(answer: PlanAnswer) -> PlannedTrajectory:
-    return PlannedTrajectory(
-        answer.x_mission, answer.y_mission, answer.duration_s, MISSION.altitude_m, answer.pieces_s
-    )
+def way_of(answer: PlanAnswer) -> Trajectory:
+    return Trajectory.from_plan(answer, MISSION.altitude_m)
 
 
 @settings(max_examples=40, deadline=None)
@@ -80,7 +78,7 @@ def test_a_way_to_the_goal_ends_there_at_rest(x: float, y: float, vx: float, vy:
     _assert_flyable(way)
 
 
-def _assert_flyable(way: PlannedTrajectory) -> None:
+def _assert_flyable(way: Trajectory) -> None:
     limit = GRAVITY_M_S2 * math.tan(math.radians(MISSION.vehicle.px4.mpc_tiltmax_air))
     for t in np.linspace(0.0, way.duration_s, 50):
         at = way.at(float(t))
@@ -109,7 +107,7 @@ def test_leading_back_to_the_mission_s_trajectory_stays_near_its_limits_where_it
     hairpin = load_mission(packaged("missions", "hairpin.yaml"))
     leg = hairpin.goal_trajectory
     assert leg is not None
-    planned = PlannedTrajectory.from_pieces(leg, 1.0).at(0.4)
+    planned = Trajectory.from_mission(leg, 1.0).at(0.4)
     vx, vy, _ = planned.velocity
     request = msgspec.structs.replace(
         TO_GOAL, collision=None, begin_us=0, under_way=True, position_mission=planned.position,
@@ -378,7 +376,7 @@ def test_it_ends_as_planned_where_the_attitude_follows_to_the_end(dead_s: float 
     way = way_of(Replanner(msgspec.structs.replace(mission, vehicle=vehicle)).answer(request, 0))
     written = mission.collisions[1].trajectory
     assert written is not None
-    planned = PlannedTrajectory.from_pieces(written, mission.altitude_m)
+    planned = Trajectory.from_mission(written, mission.altitude_m)
     off = [
         math.dist(way.at(way.duration_s - s).jerk, planned.at(planned.duration_s - s).jerk)
         for s in (0.02, 0.1, 0.18)

@@ -9,6 +9,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from dart_flight.base.geometry import distance2
 from dart_flight.base.records import Mode, Record, WallEstimate
 from dart_flight.base.walls import Wall
 from dart_flight.check.findings import CheckFinding
@@ -16,7 +17,7 @@ from dart_flight.check.mission_check import check_mission
 from dart_flight.config.document import Document
 from dart_flight.config.mission import Mission, load_mission, parse_mission
 from dart_flight.config.vehicle.configuration import load_vehicle
-from dart_flight.core.mission.approach import Approach, plan_approach, standoff_point
+from dart_flight.core.mission.approach import plan_approach, standoff_point
 from dart_flight.core.mission.wall_uncertainty import (
     EstimatedWalls,
     early_m,
@@ -105,7 +106,8 @@ def test_the_run_up_is_steady_before_where_the_wall_may_stand_nearest() -> None:
     one = single(near, room)
     other = single(near, room, (POINT, f"{POINT}, position_sd_m: 0.06"))
     approaches = [plan_approach(m, m.collisions[0]) for m in (one, other)]
-    lengths = [a.length_m for a in approaches if isinstance(a, Approach)]
+    impacts = [m.collisions[0].impact_point or (0.0, 0.0) for m in (one, other)]
+    lengths = [distance2(a.begin[:2], there) for a, there in zip(approaches, impacts, strict=True)]
     assert lengths[1] - lengths[0] == pytest.approx(0.18 * math.hypot(1.0, 0.5))
 
 
@@ -163,7 +165,8 @@ def test_a_rehearsal_stops_before_where_the_wall_may_stand_nearest() -> None:
         mission = as_rehearsal(single(("length_m: 3.0", figures)), 0.5)
         (collision,) = mission.collisions
         approach = plan_approach(mission, collision)
-        stop = standoff_point(mission, collision, approach.begin, approach.impact)
+        assert collision.impact_point is not None
+        stop = standoff_point(mission, collision, approach.begin[:2], collision.impact_point)
         assert collision.wall.signed_distance(stop) == pytest.approx(wanted)
 
 

@@ -11,8 +11,6 @@ import math
 from collections.abc import Callable
 from typing import NamedTuple
 
-import msgspec
-
 from dart_flight.base.geometry import Vec2, Vec3, distance2
 from dart_flight.base.walls import Post, Wall
 from dart_flight.config.mission import Collision, Mission
@@ -20,7 +18,7 @@ from dart_flight.config.mission_file import TrajectoryPieces
 from dart_flight.config.probes import Probe
 from dart_flight.config.vehicle import Flying
 from dart_flight.core.mission.arithmetic import Number, hypot, maximum, sqrt, where
-from dart_flight.core.mission.trajectories import PlannedTrajectory, TrajectoryPoint, TransitTrajectory
+from dart_flight.core.mission.trajectories import Trajectory
 from dart_flight.core.mission.wall_uncertainty import end_margin_m, position_margin_m
 
 # Speed follows 3 s^2 - 2 s^3: the peak acceleration is 1.5 times the mean, the length half speed times time.
@@ -30,73 +28,6 @@ CLEARANCE_M = 0.15
 ON_PLANE_M = 1e-6  # an impact lies on its wall's plane but for rounding
 _TRAJECTORY_STEP_S = 0.02  # in which a trajectory passes no wall unseen
 _ON_RAY_M = 1e-6  # ... and the start on the ray of its approach
-
-
-class Approach(msgspec.Struct, frozen=True):
-    """Run-up and constant-velocity approach to the point of impact.
-
-    Attributes:
-        begin: run-up point, at rest.
-        impact: where the vehicle's centre meets the plane.
-        direction: unit vector from begin to impact.
-        speed_m_s: speed at the impact.
-        ramp_s: duration of the acceleration from rest.
-        altitude_m: constant height.
-    """
-
-    begin: Vec2
-    impact: Vec2
-    direction: Vec2
-    speed_m_s: float
-    ramp_s: float
-    altitude_m: float
-
-    @property
-    def length_m(self) -> float:
-        """Way from the run-up point to the plane."""
-        return distance2(self.begin, self.impact)
-
-    @property
-    def impact_s(self) -> float:
-        """Time of the impact after the start of the run-up."""
-        return float(impact_time_s(self.length_m, self.speed_m_s, self.ramp_s))
-
-    def at(self, t_s: float) -> TrajectoryPoint:
-        """The reference `t_s` seconds after the start of the run-up; it goes on through the wall."""
-        tau = max(0.0, min(1.0, t_s / self.ramp_s))
-        v, big = self.speed_m_s, self.ramp_s
-        speed = v * tau * tau * (3.0 - 2.0 * tau)
-        acceleration = v / big * 6.0 * tau * (1.0 - tau)
-        jerk = v / (big * big) * 6.0 * (1.0 - 2.0 * tau) if 0.0 <= t_s <= big else 0.0
-        run_m = v * big * tau * tau * tau * (1.0 - 0.5 * tau) + v * max(0.0, t_s - big)
-        dx, dy = self.direction
-        return TrajectoryPoint(
-            (self.begin[0] + dx * run_m, self.begin[1] + dy * run_m, self.altitude_m),
-            (dx * speed, dy * speed, 0.0),
-            (dx * acceleration, dy * acceleration, 0.0),
-            (dx * jerk, dy * jerk, 0.0),
-        )
-
-
-class PlannedApproach(msgspec.Struct, frozen=True):
-    """An approach along a trajectory, from rest at `begin` into the wall at `impact`.
-
-    Of the mission's own, or of a probe, which ends at rest where it meets nothing.
-    """
-
-    begin: Vec2
-    impact: Vec2
-    speed_m_s: float
-    trajectory: PlannedTrajectory
-
-    @property
-    def impact_s(self) -> float:
-        """Time of the impact after the beginning."""
-        return self.trajectory.duration_s
-
-    def at(self, t_s: float) -> TrajectoryPoint:
-        """The reference `t_s` seconds after the beginning; it goes on through the wall."""
-        return self.trajectory.at(t_s)
 
 
 class NoApproachError(ValueError):
@@ -208,34 +139,33 @@ def segments_to_impact(
     return against
 
 
-def plan_approach(mission: Mission, collision: Collision) -> Approach | PlannedApproach:
-    """The approach of a collision that has one: along the mission's trajectory, or straight with a run-up.
+def plan_approach(mission: Mission, collision: Collision) -> Trajectory:
+    """Return the approach of a collision that has one: the mission's trajectory, a probe, or a run-up.
+
+    Its end is the impact, except for a probe, whose end is where it gives up.
 
     Raises:
         NoApproachError: the run-up leaves the bounds, or a wall is in its way.
     """
     assert collision.impact_point is not None
-    vx, vy, _ = collision.approach_velocity()
-    impact = collision.impact_point
-    if collision.probe is not None:
-        trajectory = _probe_trajectory(mission, collision.probe, mission.altitude_at(collision.index - 1))
-        probed = PlannedApproach(collision.probe.begin, impact, math.hypot(vx, vy), trajectory)
-        _check_room(mission, collision, probed)
-        return probed
-    if collision.trajectory is not None:
-        trajectory = PlannedTrajectory.from_pieces(
-            collision.trajectory, mission.altitude_at(collision.index - 1)
-        )
-        return PlannedApproach(collision.trajectory.position_m, impact, math.hypot(vx, vy), trajectory)
-    flying = mission.vehicle.flying
-    begin, direction, speed, ramp_s = run_up(mission.start, impact, (vx, vy), flying, collision.wall)
     altitude_m = mission.altitude_at(collision.index - 1)
-    approach = Approach(begin, impact, direction, speed, ramp_s, altitude_m)
-    _check_room(mission, collision, approach)
+    if collision.probe is not None:
+        approach = _probe_trajectory(mission, collision.probe, altitude_m)
+    elif collision.trajectory is not None:
+        return Trajectory.from_mission(collision.trajectory, altitude_m)
+    else:
+        vx, vy, _ = collision.approach_velocity()
+        begin, direction, speed, ramp_s = run_up(
+            mission.start, collision.impact_point, (vx, vy), mission.vehicle.flying, collision.wall
+        )
+        steady_s = impact_time_s(distance2(begin, collision.impact_point), speed, ramp_s) - ramp_s
+        velocity = (speed * direction[0], speed * direction[1])
+        approach = Trajectory.run_up(begin, velocity, ramp_s, steady_s, altitude_m)
+    _check_room(mission, collision, approach.begin[:2])
     return approach
 
 
-def _probe_trajectory(mission: Mission, probe: Probe, altitude_m: float) -> PlannedTrajectory:
+def _probe_trajectory(mission: Mission, probe: Probe, altitude_m: float) -> Trajectory:
     """From rest to rest at the probe's speed, but for the ramps of an approach at both ends."""
     way_m = distance2(probe.begin, probe.end)
     a_m_s2 = mission.vehicle.flying.acceleration_m_s2
@@ -252,16 +182,17 @@ def _probe_trajectory(mission: Mission, probe: Probe, altitude_m: float) -> Plan
     for begin, end in zip(probe.begin, probe.end, strict=True):
         d = (end - begin) / way_m
         axes.append(tuple(begin * (k == 0) + d * c for piece in parts for k, c in enumerate(piece)))
-    durations = (ramp_s, steady_s, ramp_s)
-    return PlannedTrajectory(axes[0], axes[1], sum(durations), altitude_m, durations)
+    return Trajectory.level(axes[0], axes[1], altitude_m, (ramp_s, steady_s, ramp_s))
 
 
-def _check_room(mission: Mission, collision: Collision, approach: Approach | PlannedApproach) -> None:
-    begin, impact = approach.begin, approach.impact
+def _check_room(mission: Mission, collision: Collision, begin: Vec2) -> None:
+    impact = collision.impact_point
+    assert impact is not None
     excess = mission.bounds.excess2(begin)
     if excess > 0.0:
+        speed_m_s = math.hypot(*collision.approach_velocity())
         raise NoApproachError(
-            f"the run-up to wall {collision.wall.name} at {approach.speed_m_s:.2f} m/s starts at "
+            f"the run-up to wall {collision.wall.name} at {speed_m_s:.2f} m/s starts at "
             f"({begin[0]:.2f}, {begin[1]:.2f}), {excess:.2f} m outside bounds_m; approach slower or from "
             "further along the wall, or move start back along the ray"
         )
@@ -316,10 +247,10 @@ def transit_segments(mission: Mission) -> list[TransitSegment]:
     return found
 
 
-def transit_of(mission: Mission, leg: TransitSegment, begin: Vec3) -> TransitTrajectory:
-    """How a leg is flown from a place."""
+def transit_of(mission: Mission, leg: TransitSegment, begin: Vec3) -> Trajectory:
+    """Return the flight of a leg from a place."""
     flying = mission.vehicle.flying
-    return TransitTrajectory.between(begin, leg.end, leg.speed_m_s, flying, flying.climb_speed_m_s)
+    return Trajectory.rest_to_rest(begin, leg.end, leg.speed_m_s, flying, flying.climb_speed_m_s)
 
 
 def check_segments_clear(mission: Mission) -> None:
@@ -344,7 +275,7 @@ def check_segments_clear(mission: Mission) -> None:
 
 def _check_trajectory_clear(mission: Mission, written: TrajectoryPieces, leads_to: str) -> None:
     """Raises NoApproachError: the trajectory crosses a wall, or leaves the bounds."""
-    trajectory = PlannedTrajectory.from_pieces(written, mission.altitude_m)
+    trajectory = Trajectory.from_mission(written, mission.altitude_m)
     count = max(2, math.ceil(trajectory.duration_s / _TRAJECTORY_STEP_S))
     places = [trajectory.at(trajectory.duration_s * k / count).position[:2] for k in range(count + 1)]
     for a, b in itertools.pairwise(places):

@@ -28,9 +28,7 @@ from dart_flight.base.records import (
 from dart_flight.config.mission import Collision, Mission, Waypoint
 from dart_flight.core.mission.anchors import FrameAnchors
 from dart_flight.core.mission.approach import (
-    Approach,
     NoApproachError,
-    PlannedApproach,
     check_segments_clear,
     plan_approach,
 )
@@ -48,7 +46,7 @@ from dart_flight.core.mission.recovery import PASSED_AFTER_S, PASSED_RISE_M
 from dart_flight.core.mission.replan_requests import ReplanRequests
 from dart_flight.core.mission.setpoint_generator import SetpointGenerator
 from dart_flight.core.mission.setpoint_selection import SetpointSelection
-from dart_flight.core.mission.trajectories import PlannedTrajectory
+from dart_flight.core.mission.trajectories import Trajectory
 from dart_flight.core.mission.wall_uncertainty import EstimatedWalls, late_s, overrun_m
 from dart_flight.core.sense.senses import Sensed
 from dart_flight.core.sense.state import FlightState
@@ -72,7 +70,7 @@ class Executive:
 
     def __init__(self, mission: Mission) -> None:
         self.mission = mission
-        self._approaches: dict[int, Approach | PlannedApproach] = {
+        self._approaches: dict[int, Trajectory] = {
             c.index: plan_approach(mission, c) for c in mission.collisions if c.approach_m_s is not None
         }
         check_segments_clear(mission)
@@ -199,7 +197,7 @@ class Executive:
             self._references.fly_to(self.mission.goal.position_m)
         else:
             altitude_m = self._references.altitude_m
-            self._references.follow_trajectory(PlannedTrajectory.from_pieces(written, altitude_m))
+            self._references.follow_trajectory(Trajectory.from_mission(written, altitude_m))
 
     def _fly_to_waypoint(self, state: FlightState, sensed: Sensed, p: Proposal) -> None:
         waypoint = self.progress.waypoint
@@ -232,7 +230,7 @@ class Executive:
         assert collision is not None
         if collision.wall.sought or collision.probe is not None or self._anchors is not None:
             self._plan_approach_now(collision, state, p)
-        self._references.fly_to(self._approaches[collision.index].begin)
+        self._references.fly_to(self._approaches[collision.index].begin[:2])
 
     def _plan_approach_now(self, collision: Collision, state: FlightState, p: Proposal) -> None:
         """The approach to a wall as it is known by now; a probe that begins at a place keeps its line."""
@@ -282,9 +280,7 @@ class Executive:
             )
 
     def _begin_approach(self, collision: Collision) -> None:
-        approach = self._approaches[collision.index]
-        self._references.impact_s = approach.impact_s
-        self._references.approach(approach)
+        self._references.approach(self._approaches[collision.index])
 
     def _approach(self, state: FlightState, sensed: Sensed, p: Proposal) -> None:
         collision = self.progress.collision
@@ -297,14 +293,15 @@ class Executive:
             return
         since_s = self.progress.elapsed_us(state) * 1e-6 - self._references.impact_s
         # A trajectory may begin beside its wall, behind the plane.
-        if since_s > -_NEAR_S or isinstance(self._approaches[collision.index], Approach):
+        if since_s > -_NEAR_S or collision.trajectory is None:
             self._check_wall_met(collision, state, sensed, p)
         if since_s <= 0.0:  # no wall is late before its time
             return
-        approach, guard = self._approaches[collision.index], self.mission.vehicle.guard
+        guard, impact = self.mission.vehicle.guard, collision.impact_point
         assert collision.approach_m_s is not None
+        assert impact is not None
         wall = self._walls.wall_now(collision.wall, state.now_us)
-        if since_s > late_s(guard, wall, approach.impact, -collision.approach_m_s[0]):
+        if since_s > late_s(guard, wall, impact, -collision.approach_m_s[0]):
             detail = f"wall {collision.wall.name} not met {since_s:.1f} s after the planned impact"
             p.add_finding("wall_not_met", detail)
 

@@ -27,6 +27,7 @@ from dart_flight.core.mission.proposal import Proposal
 from dart_flight.core.mission.recovery import recovery_point
 from dart_flight.core.mission.replan_requests import ReplanRequests
 from dart_flight.core.mission.setpoint_generator import SetpointGenerator
+from dart_flight.core.mission.setpoints import Reference, Trigger, make_setpoint
 from dart_flight.core.mission.wall_uncertainty import EstimatedWalls, early_m
 from dart_flight.core.sense.detector import ExpectedContact
 from dart_flight.core.sense.senses import Sensed
@@ -185,8 +186,12 @@ class ImpactResponse:
         references.hold(point)
         assert state.frame is not None
         p.outputs.append(
-            references.recovery_setpoint(
-                state.frame, event.detected_us, event.received_us, self._feedforward.feed_forward
+            make_setpoint(
+                state.frame,
+                Trigger(event.detected_us, event.received_us, recovery=True),
+                Reference(references.target),
+                references.heading,
+                added=self._feedforward.feed_forward,
             )
         )
         force = math.hypot(event.normal_force_n, event.tangential_force_n)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from dart_flight.config.mission import Collision
 from dart_flight.core.mission.approach import standoff_point
 from dart_flight.core.mission.executive import Executive
@@ -16,9 +18,11 @@ class Rehearsal(Executive):
 
     def _begin_approach(self, collision: Collision) -> None:
         """Along the approach, but from rest to rest."""
-        approach = self._approaches[collision.index]
-        stop = standoff_point(self.mission, collision, approach.begin, approach.impact)
-        self._references.fly_to(stop, min(approach.speed_m_s, self.mission.limits.speed_m_s))
+        approach, impact = self._approaches[collision.index], collision.impact_point
+        assert impact is not None
+        stop = standoff_point(self.mission, collision, approach.begin[:2], impact)
+        speed_m_s = math.hypot(*collision.approach_velocity())
+        self._references.fly_to(stop, min(speed_m_s, self.mission.limits.speed_m_s))
 
     def _approach(self, state: FlightState, sensed: Sensed, p: Proposal) -> None:
         if self._has_arrived(state):

@@ -16,11 +16,11 @@ from dart_flight.base.geometry import Vec3
 from dart_flight.base.records import AfterImpact, PlanAnswer, PlanRequest, PlanTaken
 from dart_flight.base.walls import Wall
 from dart_flight.config.mission import Collision, Mission
-from dart_flight.core.mission.approach import Approach, NoApproachError, PlannedApproach, plan_approach
+from dart_flight.core.mission.approach import NoApproachError, plan_approach
 from dart_flight.core.mission.lock_orders import LockOrders
 from dart_flight.core.mission.position_loop import PlaneMet
 from dart_flight.core.mission.proposal import Proposal
-from dart_flight.core.mission.trajectories import PlannedTrajectory
+from dart_flight.core.mission.trajectories import Trajectory
 from dart_flight.core.mission.wall_uncertainty import late_s
 from dart_flight.core.sense.senses import Sensed
 from dart_flight.core.sense.state import FlightState
@@ -46,8 +46,9 @@ class ReplanRequests:
         self._asked: PlanRequest | None = None
         self._answer: PlanAnswer | None = None
         self._from_rest = False  # what was asked for has an approach of its own
-        self._trajectory: PlannedTrajectory | None = None
+        self._trajectory: Trajectory | None = None
         self._begin_us = 0  # of the trajectory
+        self._leaned = False  # it ends as leaned as its wall wants it: in the mission's own shape
         self._quickest = True  # the trajectory is given up only for one that ends not much later
         self._impact_us: int | None = None  # when the trajectory meets the next wall
 
@@ -158,7 +159,7 @@ class ReplanRequests:
             return "answer does not match the request"
         return None
 
-    def approach(self, following: Collision, now_us: int, p: Proposal) -> Approach | PlannedApproach | None:
+    def approach(self, following: Collision, now_us: int, p: Proposal) -> Trajectory | None:
         """The approach from rest at the velocity that the answer wants, once, where there is room for it."""
         answer = self._answer
         if answer is None or not self._from_rest:
@@ -178,7 +179,7 @@ class ReplanRequests:
 
     # -- the trajectory --
 
-    def trajectory_due(self, state: FlightState, p: Proposal) -> PlannedTrajectory | None:
+    def trajectory_due(self, state: FlightState, p: Proposal) -> Trajectory | None:
         """The answered trajectory, once, when its time has come and the vehicle is where it begins."""
         answer = self._answer
         if answer is None or self._from_rest or state.now_us < answer.begin_us:
@@ -187,9 +188,7 @@ class ReplanRequests:
         collision = answer.collision
         flown = len(self._mission.collisions) if collision is None else collision - 1
         altitude_m = self._mission.altitude_at(flown)
-        trajectory = PlannedTrajectory(
-            answer.x_mission, answer.y_mission, answer.duration_s, altitude_m, answer.pieces_s
-        )
+        trajectory = Trajectory.from_plan(answer, altitude_m)
         at = trajectory.at((state.now_us - answer.begin_us) * 1e-6)
         beside_m = math.dist(at.position[:2], state.position[:2])
         beside_m_s = math.dist(at.velocity[:2], state.velocity[:2])
@@ -202,11 +201,12 @@ class ReplanRequests:
             return None
         p.outputs.append(PlanTaken(state.now_us, answer.number, True))
         self._trajectory, self._begin_us = trajectory, answer.begin_us
+        self._leaned = bool(answer.pieces_s)
         if answer.impact_s is not None:
             self._impact_us = answer.begin_us + round(answer.impact_s * 1e6)
         return trajectory
 
-    def _is_on_a_quicker(self, trajectory: PlannedTrajectory, answer: PlanAnswer, state: FlightState) -> bool:
+    def _is_on_a_quicker(self, trajectory: Trajectory, answer: PlanAnswer, state: FlightState) -> bool:
         """Whether the trajectory that is flown, and held to, is there well before another one."""
         flown = self._trajectory
         if flown is None or not self._quickest:
@@ -220,7 +220,7 @@ class ReplanRequests:
     @property
     def is_leaned(self) -> bool:
         """Whether the trajectory flown ends as leaned as its wall wants it: in the mission's own shape."""
-        return self._trajectory is not None and len(self._trajectory.pieces_s) > 0
+        return self._trajectory is not None and self._leaned
 
     @property
     def trajectory_since_us(self) -> int | None:

@@ -1,19 +1,16 @@
-"""Where the vehicle is sent: target, references on the way to it, heading, and the setpoints of them."""
+"""Where the vehicle is sent: target, trajectory, heading, and the references of them."""
 
 from __future__ import annotations
 
 import math
 from typing import Final
 
-import msgspec
-
 from dart_flight.base.geometry import MissionFrame, Vec2, Vec3, add, norm, scale, wrap_angle
-from dart_flight.base.records import OdometrySample, Setpoint
-from dart_flight.base.walls import Wall
+from dart_flight.base.records import OdometrySample
 from dart_flight.config.mission import Mission
-from dart_flight.core.mission.approach import Approach, PlannedApproach
 from dart_flight.core.mission.position_loop import ATTITUDE_LAG_S
-from dart_flight.core.mission.trajectories import PlannedTrajectory, TrajectoryPoint, TransitTrajectory
+from dart_flight.core.mission.setpoints import FreeAxes, Reference
+from dart_flight.core.mission.trajectories import AfterEnd, Trajectory
 from dart_flight.core.sense.state import FlightState
 
 _ARRIVED_YAW_RAD: Final = 0.05
@@ -45,7 +42,7 @@ class SetpointGenerator:
         self.yaw_asked: float | None = None
         self.altitude_m = mission.altitude_m
         self.impact_s = 0.0
-        self._trajectory: TransitTrajectory | Approach | PlannedApproach | PlannedTrajectory | None = None
+        self._trajectory: Trajectory | None = None
         self._yaw_us = 0
         self._arrived_us: int | None = None
         flying, drifts = self._flying, mission.is_anchored
@@ -84,17 +81,17 @@ class SetpointGenerator:
         self.altitude_m = place[2]
         self._transit_to(place, speed_m_s)
 
-    def approach(self, approach: Approach | PlannedApproach) -> None:
+    def approach(self, approach: Trajectory) -> None:
         """Along an approach, whose beginning is the target, into the wall."""
-        self._trajectory, self.impact_s = approach, approach.impact_s
+        self._trajectory, self.impact_s = approach, approach.duration_s
 
-    def follow_trajectory(self, trajectory: PlannedTrajectory) -> None:
+    def follow_trajectory(self, trajectory: Trajectory) -> None:
         """A trajectory that was planned, in flight or before it; its end becomes the target."""
         self.target, self._trajectory = trajectory.at(trajectory.duration_s).position, trajectory
 
     def _transit_to(self, target: Vec3, speed_m_s: float) -> None:
         flying = self._flying
-        self._trajectory = TransitTrajectory.between(
+        self._trajectory = Trajectory.rest_to_rest(
             self.target, target, speed_m_s, flying, flying.climb_speed_m_s
         )
         self.target = target
@@ -107,18 +104,17 @@ class SetpointGenerator:
     @property
     def on_transit(self) -> bool:
         """Whether a transit leads to the target."""
-        return isinstance(self._trajectory, TransitTrajectory)
+        return self._trajectory is not None and self._trajectory.after is AfterEnd.HOLD
 
     @property
     def duration_s(self) -> float:
         """Of the trajectory to the target; 0 without one."""
-        trajectory = self._trajectory
-        return trajectory.duration_s if isinstance(trajectory, TransitTrajectory | PlannedTrajectory) else 0.0
+        return 0.0 if self._trajectory is None else self._trajectory.duration_s
 
     @property
     def along_trajectory(self) -> bool:
         """Whether a planned trajectory leads to the target; it may pass it before its end."""
-        return isinstance(self._trajectory, PlannedTrajectory)
+        return self._trajectory is not None and self._trajectory.after is AfterEnd.CONTINUE
 
     def phase_begins(self) -> None:
         """Arrival counts anew."""
@@ -148,144 +144,49 @@ class SetpointGenerator:
         self.yaw = wrap_angle(self.yaw + max(-most, min(most, wrap_angle(wanted - self.yaw))))
         self._yaw_us = now_us
 
-    # -- setpoints --
+    # -- references --
 
-    def setpoint(
-        self,
-        frame: MissionFrame,
-        t_us: int,
-        received_us: int,
-        since_us: int | None,
-        feed_forward: Vec3 | None = None,
-    ) -> Setpoint:
-        """The setpoint for a sample.
+    @property
+    def heading(self) -> float:
+        """Heading to command, mission frame, rad."""
+        return self.yaw if self.yaw_asked is None else self.yaw_asked
+
+    def reference(self, t_us: int, since_us: int | None) -> Reference:
+        """Return what to command at a moment: of the trajectory, or the target as a step.
 
         Args:
-            frame: of the mission.
-            t_us, received_us: of the sample.
-            since_us: when the trajectory began; None: go to the target as a step.
-            feed_forward: acceleration to a step, mission frame, m/s2 (`yielding`).
-        """
-        if self._trajectory is None or since_us is None:
-            return self._make(frame, t_us, received_us, self.target, feed_forward=feed_forward)
-        reference = self._reference((t_us - since_us) * 1e-6)
-        return self._make(frame, t_us, received_us, reference.position, reference)
-
-    def coasting_setpoint(
-        self, frame: MissionFrame, sample: OdometrySample, since_us: int, wall: Wall, push_m_s2: float = 0.0
-    ) -> Setpoint:
-        """The reference along a wall, but of what it asks across it only the thrust.
-
-        Who comes a little late or slow to a wall must not lean into it to make up for that: the contact turns
-        a leaning vehicle over. But for `push_m_s2` off the wall, that balances it.
-        """
-        assert self._trajectory is not None
-        reference = self._reference((sample.t_us - since_us) * 1e-6)
-        (nx, ny), p, v = wall.normal, reference.position, reference.velocity
-        now = frame.vector_from_ned(sample.velocity_ned)
-        here = add(frame.point_from_ned(sample.position_ned), scale(now, self._delay_s))
-        off = (here[0] - p[0]) * nx + (here[1] - p[1]) * ny
-        off_m_s = (now[0] - v[0]) * nx + (now[1] - v[1]) * ny
-        ax, ay, az = self._feed_forward(reference)
-        return Setpoint(
-            t_us=sample.t_us,
-            trigger_received_us=sample.received_us,
-            position_ned=frame.point_to_ned((p[0] + off * nx, p[1] + off * ny, self.altitude_m)),
-            yaw_ned_rad=self._yaw_ned(frame),
-            velocity_ned=frame.vector_to_ned((v[0] + off_m_s * nx, v[1] + off_m_s * ny, 0.0)),
-            acceleration_ned=frame.vector_to_ned((ax + push_m_s2 * nx, ay + push_m_s2 * ny, az)),
-        )
-
-    def recovery_setpoint(
-        self, frame: MissionFrame, t_us: int, received_us: int, feed_forward: Vec3 | None = None
-    ) -> Setpoint:
-        """The target as the setpoint of an impact, whose latency is measured."""
-        return self._make(frame, t_us, received_us, self.target, recovery=True, feed_forward=feed_forward)
-
-    def contact_setpoint(
-        self,
-        frame: MissionFrame,
-        sample: OdometrySample,
-        feed_forward: Vec3 | None,
-        reference: TrajectoryPoint | None = None,
-    ) -> Setpoint:
-        """What the vehicle does anyway, at the present altitude: nothing pushes on into a wall.
-
-        Of a trajectory (`reference`) that begins after the contact only the thrust is asked for.
-        """
-        x, y, _ = frame.point_from_ned(sample.position_ned)
-        vx, vy, _ = frame.vector_from_ned(sample.velocity_ned)
-        if reference is not None:
-            push, extra = self._feed_forward(reference), feed_forward or (0.0, 0.0, 0.0)
-            feed_forward = (push[0] + extra[0], push[1] + extra[1], 0.0)
-        return Setpoint(
-            t_us=sample.t_us,
-            trigger_received_us=sample.received_us,
-            position_ned=frame.point_to_ned((x, y, self.altitude_m)),
-            yaw_ned_rad=self._yaw_ned(frame),
-            velocity_ned=frame.vector_to_ned((vx, vy, 0.0)),
-            acceleration_ned=frame.vector_to_ned(feed_forward or (0.0, 0.0, 0.0)),
-        )
-
-    def _yaw_ned(self, frame: MissionFrame) -> float:
-        return frame.yaw_to_ned(self.yaw if self.yaw_asked is None else self.yaw_asked)
-
-    def _make(
-        self,
-        frame: MissionFrame,
-        t_us: int,
-        received_us: int,
-        position: Vec3,
-        reference: TrajectoryPoint | None = None,
-        recovery: bool = False,
-        feed_forward: Vec3 | None = None,
-    ) -> Setpoint:
-        velocity = acceleration = None
-        if feed_forward is not None:  # PX4 takes an acceleration only with a velocity
-            velocity, acceleration = (0.0, 0.0, 0.0), frame.vector_to_ned(feed_forward)
-        if reference is not None:
-            velocity = frame.vector_to_ned(reference.velocity)
-            acceleration = frame.vector_to_ned(self._feed_forward(reference))
-        return Setpoint(
-            t_us=t_us,
-            trigger_received_us=received_us,
-            position_ned=frame.point_to_ned(position),
-            yaw_ned_rad=self._yaw_ned(frame),
-            velocity_ned=velocity,
-            acceleration_ned=acceleration,
-            recovery=recovery,
-        )
-
-    def _reference(self, since_s: float) -> TrajectoryPoint:
-        """Position and velocity when the setpoint is flown; acceleration and jerk ahead, for the attitude.
-
-        Never beyond the wall before its time: a trajectory asks for no thrust there.
+            t_us: stamp of the sample that asks for it.
+            since_us: when the trajectory began; None: there is none yet.
         """
         trajectory = self._trajectory
-        assert trajectory is not None
-        if isinstance(trajectory, Approach):  # at a steady speed through its wall
-            end_s = math.inf
-        else:
-            end_s = self.impact_s if isinstance(trajectory, PlannedApproach) else self.duration_s
-        flown_s = min(since_s + self._delay_s, max(since_s, end_s))
-        reference, tilted_s = trajectory.at(flown_s), min(flown_s + self._dead_s, max(flown_s, end_s))
-        if tilted_s == flown_s:
-            return reference
-        tilted = trajectory.at(tilted_s)
-        return msgspec.structs.replace(reference, acceleration=tilted.acceleration, jerk=tilted.jerk)
+        if trajectory is None or since_us is None:
+            return Reference(self.target)
+        return self.led(trajectory, (t_us - since_us) * 1e-6)
 
-    def _feed_forward(self, reference: TrajectoryPoint) -> Vec3:
-        """Acceleration fed forward, mission frame, m/s2.
+    def led(self, trajectory: Trajectory, since_s: float) -> Reference:
+        """Return the reference of a trajectory for the moment at which PX4 flies it.
 
-        Beside the reference's own: the drag that it will meet, and what PX4's D term takes away again, so
-        that no error builds up for the position loop to make up for. The lead in time makes up for the
-        attitude's lag, but for its dead time (`_reference`), so that a wall is met at the planned velocity.
+        The acceleration is that of a later moment, because the attitude lags; but never of one beyond a wall,
+        where a trajectory asks for no thrust. Added to it are the drag that the vehicle will meet and what
+        PX4's D term takes away again, so that no error builds up for the position loop.
         """
-        b, v, a = self._mission.vehicle.airframe.drag_per_s, reference.velocity, reference.acceleration
-        d = 1.0 + self._mission.vehicle.px4.mpc_xy_vel_d_acc
-        lead, j = ATTITUDE_LAG_S - self._dead_s, reference.jerk
-        return (
+        flown_s = since_s + self._delay_s
+        flown = trajectory.at(flown_s)
+        tilted_s = min(flown_s + self._dead_s, max(since_s, trajectory.duration_s))
+        tilted = flown if tilted_s == flown_s else trajectory.at(tilted_s)
+        v, a, b = flown.velocity, tilted.acceleration, self._mission.vehicle.airframe.drag_per_s
+        d, lead = 1.0 + self._mission.vehicle.px4.mpc_xy_vel_d_acc, ATTITUDE_LAG_S - self._dead_s
+        # The jerk of a flight from rest to rest jumps at both ends: it is not led.
+        j = tilted.jerk if trajectory.after is AfterEnd.CONTINUE else (0.0, 0.0, 0.0)
+        push = (
             (d + lead * b[0]) * a[0] + b[0] * v[0] + lead * j[0],
             (d + lead * b[1]) * a[1] + b[1] * v[1] + lead * j[1],
             a[2] + b[2] * v[2],
         )
+        return Reference(flown.position, v, push)
+
+    def free_axes(self, frame: MissionFrame, sample: OdometrySample, along: tuple[Vec2, ...]) -> FreeAxes:
+        """Return axes to leave free, with the motion at the moment at which PX4 flies the setpoint."""
+        velocity = frame.vector_from_ned(sample.velocity_ned)
+        position = frame.point_from_ned(sample.position_ned)
+        return FreeAxes(along, add(position, scale(velocity, self._delay_s)), velocity)

@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from dart_flight.base.geometry import rotate, wrap_angle
+from dart_flight.base.geometry import Vec2, Vec3, rotate, wrap_angle
 from dart_flight.base.records import AfterImpact, OdometrySample, Phase
+from dart_flight.base.walls import Wall
 from dart_flight.config.mission import Mission
 from dart_flight.core.mission.contact_feedforward import LONGEST_S, ContactFeedforward, balancing_m_s2
 from dart_flight.core.mission.heading import HeadingControl
@@ -16,7 +17,8 @@ from dart_flight.core.mission.phases import TO_IMPACT
 from dart_flight.core.mission.proposal import Proposal
 from dart_flight.core.mission.replan_requests import ReplanRequests
 from dart_flight.core.mission.setpoint_generator import SetpointGenerator
-from dart_flight.core.mission.trajectories import PlannedTrajectory, TrajectoryPoint
+from dart_flight.core.mission.setpoints import BOTH, Reference, Trigger, make_setpoint
+from dart_flight.core.mission.trajectories import Trajectory
 from dart_flight.core.mission.wall_uncertainty import EstimatedWalls
 from dart_flight.core.sense.senses import Sensed
 from dart_flight.core.sense.state import FlightState
@@ -24,8 +26,9 @@ from dart_flight.core.sense.state import FlightState
 _COASTING_S: Final = 0.25  # before an impact: so long does the attitude take to come to what is asked
 _COASTS_US: Final = 500_000  # after a contact, until when an answer is there, even to a second request
 _SQUARE_RAD: Final = 0.09  # off in heading at a hit: a hit at 3 m/s turns the vehicle little from there
-# The wall stops the vehicle in a contact (but for `contact_feedforward`), PX4 lands it.
-_SILENT: Final = frozenset({Phase.READYING, Phase.CONTACT, Phase.LANDING, Phase.DONE, Phase.OVERRULED})
+_SILENT: Final = frozenset({Phase.READYING, Phase.LANDING, Phase.DONE, Phase.OVERRULED})
+_STILL: Final[Vec3] = (0.0, 0.0, 0.0)
+_NO_THRUST: Final[Vec3] = (0.0, 0.0, 0.0)
 _TURNED: Final = frozenset({Phase.CONTACT, Phase.RECOVERY, Phase.GOAL})
 # In which a trajectory leads to the target, from the phase's beginning on; in a rehearsal the recovery, too.
 _UNDERWAY: Final = frozenset({Phase.CLIMB, Phase.WAYPOINT, Phase.TRANSIT, Phase.APPROACH, Phase.GOAL})
@@ -55,7 +58,7 @@ class SetpointSelection:
         self._height_m: float | None = None  # of the walls' force above the centre of mass
         # After a contact; by the collision that they lead to, None: to the goal.
         self._written = {
-            index: PlannedTrajectory.from_pieces(pieces, mission.altitude_m)
+            index: Trajectory.from_mission(pieces, mission.altitude_m)
             for index, pieces in (
                 *((c.index, c.trajectory) for c in mission.collisions if c.approach_m_s is None),
                 (None, mission.goal_trajectory),
@@ -128,53 +131,72 @@ class SetpointSelection:
         return end_us is None or state.now_us - end_us < _COASTS_US
 
     @property
-    def _written_next(self) -> PlannedTrajectory | None:
+    def _written_next(self) -> Trajectory | None:
         """The mission's own trajectory to what comes next."""
         collision = self._progress.collision
         return self._written.get(None if collision is None else collision.index)
 
-    def _planned_after_contact(self, state: FlightState) -> TrajectoryPoint | None:
-        """Where the mission's trajectory would be if it began where the contact ended.
+    def _thrust_after_contact(self, state: FlightState) -> Vec3:
+        """Return the acceleration of the mission's trajectory, as if it began where the contact ended.
 
-        None: in contact, or the vehicle is as fast already, as one is that left the wall leaning away.
+        None is asked for in a contact, or if the vehicle is as fast already, as one that leans off the wall.
         """
         trajectory, end_us = self._written_next, self._lock.contact_end_us
         if trajectory is None or end_us is None:
-            return None
-        planned = trajectory.at((state.now_us - end_us) * 1e-6)
-        return planned if math.hypot(*state.velocity[:2]) < math.hypot(*planned.velocity[:2]) else None
+            return _NO_THRUST
+        since_s = (state.now_us - end_us) * 1e-6
+        if math.hypot(*state.velocity[:2]) >= math.hypot(*trajectory.at(since_s).velocity[:2]):
+            return _NO_THRUST
+        return self._references.led(trajectory, since_s).acceleration
 
     # -- setpoints --
 
     def send(self, sample: OdometrySample, state: FlightState, p: Proposal) -> None:
         """Propose the setpoint for an odometry sample, as the phase wants it."""
-        references, frame = self._references, p.frame or state.frame
+        references, frame, phase = self._references, p.frame or state.frame, self._progress.phase
         if frame is None:
             return
         references.yaw_asked = self._yaw_asked(state)
-        phase, forward = self._progress.phase, self._feedforward.feed_forward
-        if phase is Phase.CONTACT:
-            if not self._progress.takes_longer_than(LONGEST_S, state):
-                p.outputs.append(references.contact_setpoint(frame, sample, forward))
+        in_contact = phase is Phase.CONTACT
+        if phase in _SILENT or (in_contact and self._progress.takes_longer_than(LONGEST_S, state)):
             return
-        if phase in _SILENT:
-            return
-        since_us = self._trajectory_since_us
-        if since_us is None and self.coasts(state):
+        since_us, added = self._trajectory_since_us, self._feedforward.feed_forward
+        along: tuple[Vec2, ...] = ()
+        wall = self._wall_coasted_to(state, since_us)
+        if in_contact or (since_us is None and self.coasts(state)):
+            thrust = _NO_THRUST if in_contact else self._thrust_after_contact(state)
+            reference, along = Reference((0.0, 0.0, references.altitude_m), _STILL, thrust), BOTH
+        elif wall is not None:
+            reference, along = references.reference(sample.t_us, since_us), (wall.normal,)
+            added = self._push_off(wall)
+        else:
+            reference = references.reference(sample.t_us, since_us)
+            if reference.velocity is not None or phase is not Phase.RECOVERY:
+                added = None
+        if not in_contact and wall is None:
             references.slew_yaw(self.wanted_yaw(state), state.now_us)
-            planned = self._planned_after_contact(state)
-            p.outputs.append(references.contact_setpoint(frame, sample, forward, planned))
-            return
+        free = references.free_axes(frame, sample, along) if along else None
+        trigger = Trigger(sample.t_us, sample.received_us)
+        p.outputs.append(make_setpoint(frame, trigger, reference, references.heading, free, added))
+
+    def _wall_coasted_to(self, state: FlightState, since_us: int | None) -> Wall | None:
+        """Return the wall that a trajectory of the mission is about to meet.
+
+        A vehicle that is late must not lean into it to catch up: a contact rolls a leaning vehicle over.
+        """
         collision = self._progress.collision
-        if collision is not None and since_us is not None and self._until_impact_s(state) < _COASTING_S:
-            leaned = phase is Phase.RECOVERY and self._replanning.is_leaned
-            out_m = self._mission.vehicle.airframe.contact_distance_m
-            push_m_s2 = 0.0 if leaned else balancing_m_s2(self._height_m, out_m, collision.mode)
-            p.outputs.append(references.coasting_setpoint(frame, sample, since_us, collision.wall, push_m_s2))
-            return
-        references.slew_yaw(self.wanted_yaw(state), state.now_us)
-        forward = forward if phase is Phase.RECOVERY else None
-        p.outputs.append(references.setpoint(frame, sample.t_us, sample.received_us, since_us, forward))
+        if collision is None or since_us is None or self._until_impact_s(state) >= _COASTING_S:
+            return None
+        return None if self._progress.phase is Phase.CONTACT else collision.wall
+
+    def _push_off(self, wall: Wall) -> Vec3:
+        """Return the acceleration off a wall that balances the contact's torque, mission frame, m/s2."""
+        collision = self._progress.collision
+        assert collision is not None
+        leaned = self._progress.phase is Phase.RECOVERY and self._replanning.is_leaned
+        out_m = self._mission.vehicle.airframe.contact_distance_m
+        push_m_s2 = 0.0 if leaned else balancing_m_s2(self._height_m, out_m, collision.mode)
+        return (push_m_s2 * wall.normal[0], push_m_s2 * wall.normal[1], 0.0)
 
 
 def _yaw_rate(state: FlightState) -> float:

@@ -1,20 +1,26 @@
-"""Trajectories that are flown as references: position, velocity, acceleration and jerk as functions of time.
+"""The one type of trajectory: a position, with three derivatives, as a function of time.
 
-They are fed forward to PX4, so that its P-PID cascade has only errors to remove.
+Trajectories are fed forward to PX4, so that its P-PID cascade has only errors to remove. Executive, planner
+and report use them; the constructors say where a trajectory comes from.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from enum import StrEnum
 
 import msgspec
 
-from dart_flight.base.geometry import Vec3
+from dart_flight.base.geometry import Vec2, Vec3
+from dart_flight.base.records import PlanAnswer
 from dart_flight.config.mission_file import TrajectoryPieces
 from dart_flight.config.vehicle import Flying
 from dart_flight.core.mission.arithmetic import Number, maximum, sqrt
 
 _MIN_TRANSIT_S = 0.1
+# Rest to rest over a distance of 1 in a time of 1, the share flown, constant term first.
+_REST_TO_REST = (0.0, 0.0, 0.0, 10.0, -15.0, 6.0)
 
 
 class TrajectoryPoint(msgspec.Struct, frozen=True, gc=False):
@@ -26,10 +32,17 @@ class TrajectoryPoint(msgspec.Struct, frozen=True, gc=False):
     jerk: Vec3 = (0.0, 0.0, 0.0)
 
 
+class AfterEnd(StrEnum):
+    """What follows the end of a trajectory."""
+
+    HOLD = "hold"  # at rest at the end
+    CONTINUE = "continue"  # straight on at the velocity of the end, as through a wall
+
+
 def transit_time_s(
     way_m: Number, speed_m_s: float, acceleration_m_s2: float, jerk_m_s3: float | None = None
 ) -> Number:
-    """Of the quickest smooth flight from rest to rest over a distance within the limits.
+    """Return the duration of the fastest rest-to-rest quintic over a distance, within the limits.
 
     Quintic over d: peak speed 1.875 d/T, peak acceleration 5.774 d/T^2, peak jerk 60 d/T^3.
     """
@@ -39,68 +52,87 @@ def transit_time_s(
     return maximum(time_s, (60.0 * way_m / jerk_m_s3) ** (1.0 / 3.0))
 
 
-class TransitTrajectory(msgspec.Struct, frozen=True):
-    """Straight flight from rest to rest at a limited speed and acceleration."""
+class Trajectory(msgspec.Struct, frozen=True):
+    """Polynomials of fifth order per axis, one piece after the other.
 
-    begin: Vec3
-    end: Vec3
+    Attributes:
+        x, y, z: coefficients in the seconds since the beginning of a piece, constant term first, six for each
+            piece; mission frame, metres.
+        pieces_s: duration of each piece.
+        duration_s: of all pieces.
+        after: what follows the end.
+    """
+
+    x: tuple[float, ...]
+    y: tuple[float, ...]
+    z: tuple[float, ...]
+    pieces_s: tuple[float, ...]
     duration_s: float
+    after: AfterEnd = AfterEnd.CONTINUE
 
     @classmethod
-    def between(
+    def level(
+        cls,
+        x: Sequence[float],
+        y: Sequence[float],
+        altitude_m: float,
+        pieces_s: Sequence[float],
+        duration_s: float | None = None,
+    ) -> Trajectory:
+        """Return a trajectory at constant altitude that continues after its end."""
+        z = (altitude_m, 0.0, 0.0, 0.0, 0.0, 0.0) * len(pieces_s)
+        lasts_s = sum(pieces_s) if duration_s is None else duration_s
+        return cls(tuple(x), tuple(y), z, tuple(pieces_s), lasts_s)
+
+    @classmethod
+    def rest_to_rest(
         cls,
         begin: Vec3,
         end: Vec3,
         speed_m_s: float,
         flying: Flying,
         climb_speed_m_s: float = math.inf,
-    ) -> TransitTrajectory:
-        """The quickest smooth transit within the limits, of which one is on its vertical part."""
+    ) -> Trajectory:
+        """Return the fastest smooth flight in a straight line between two points at rest.
+
+        Args:
+            begin, end: mission frame, metres.
+            speed_m_s, climb_speed_m_s: limits of the speed, and of its vertical part.
+            flying: limits of acceleration and jerk.
+        """
         distance_m, acceleration_m_s2 = math.dist(begin, end), flying.acceleration_m_s2
         duration = transit_time_s(distance_m, speed_m_s, acceleration_m_s2, flying.jerk_m_s3)
         climb = abs(end[2] - begin[2])
         if climb > 0.0:
             duration = max(duration, transit_time_s(climb, climb_speed_m_s, acceleration_m_s2))
-        return cls(begin, end, max(duration, _MIN_TRANSIT_S))
-
-    def at(self, t_s: float) -> TrajectoryPoint:
-        """The reference `t_s` seconds after the start; it stays at the end."""
-        big = self.duration_s
-        s = max(0.0, min(1.0, t_s / big))
-        share = s * s * s * (10.0 + s * (-15.0 + 6.0 * s))
-        speed = 30.0 * s * s * (1.0 - s) * (1.0 - s) / big
-        acceleration = 60.0 * s * (1.0 - s) * (1.0 - 2.0 * s) / (big * big)
-        d = (self.end[0] - self.begin[0], self.end[1] - self.begin[1], self.end[2] - self.begin[2])
-        b = self.begin
-        return TrajectoryPoint(
-            (b[0] + d[0] * share, b[1] + d[1] * share, b[2] + d[2] * share),
-            (d[0] * speed, d[1] * speed, d[2] * speed),
-            (d[0] * acceleration, d[1] * acceleration, d[2] * acceleration),
-        )
-
-
-class PlannedTrajectory(msgspec.Struct, frozen=True):
-    """A trajectory of polynomials of fifth order per axis, one after the other, then straight on or at rest.
-
-    Planned in flight, or written in the mission (`from_pieces`).
-
-    Attributes:
-        x, y: coefficients in the seconds since a polynomial's beginning, constant term first, six for each;
-            mission frame, metres.
-        duration_s: of all polynomials; afterwards the velocity of their end is kept.
-        altitude_m: constant height.
-        pieces_s: duration of each, where there are several.
-    """
-
-    x: tuple[float, ...]
-    y: tuple[float, ...]
-    duration_s: float
-    altitude_m: float
-    pieces_s: tuple[float, ...] = ()
+        duration = max(duration, _MIN_TRANSIT_S)
+        shares = [c / duration**k for k, c in enumerate(_REST_TO_REST)]
+        x, y, z = ((a, *((b - a) * s for s in shares[1:])) for a, b in zip(begin, end, strict=True))
+        return cls(x, y, z, (duration,), duration, AfterEnd.HOLD)
 
     @classmethod
-    def from_pieces(cls, written: TrajectoryPieces, altitude_m: float) -> PlannedTrajectory:
-        """A trajectory as a mission file says it: constant jerk in each piece."""
+    def run_up(
+        cls, begin: Vec2, velocity: Vec2, ramp_s: float, steady_s: float, altitude_m: float
+    ) -> Trajectory:
+        """Return an acceleration from rest and a steady run, which continues through the wall.
+
+        The speed follows 3 s^2 - 2 s^3 over the ramp.
+
+        Args:
+            begin: of the acceleration, mission frame, metres.
+            velocity: of the steady run, m/s.
+            ramp_s, steady_s: durations.
+            altitude_m: of all of it.
+        """
+        axes = []
+        for place, v in zip(begin, velocity, strict=True):
+            ramp = (place, 0.0, 0.0, v / ramp_s**2, -0.5 * v / ramp_s**3, 0.0)
+            axes.append((*ramp, place + 0.5 * v * ramp_s, v, 0.0, 0.0, 0.0, 0.0))
+        return cls.level(axes[0], axes[1], altitude_m, (ramp_s, max(0.0, steady_s)))
+
+    @classmethod
+    def from_mission(cls, written: TrajectoryPieces, altitude_m: float) -> Trajectory:
+        """Return a trajectory of a mission file, which has constant jerk in each piece."""
         xs: list[float] = []
         ys: list[float] = []
         for (_, (x, y), (vx, vy), (ax, ay)), (_, jx, jy) in zip(
@@ -108,37 +140,45 @@ class PlannedTrajectory(msgspec.Struct, frozen=True):
         ):
             xs += (x, vx, 0.5 * ax, jx / 6.0, 0.0, 0.0)
             ys += (y, vy, 0.5 * ay, jy / 6.0, 0.0, 0.0)
-        durations = tuple(piece[0] for piece in written.pieces)
-        return cls(tuple(xs), tuple(ys), written.duration_s, altitude_m, durations)
+        return cls.level(xs, ys, altitude_m, [piece[0] for piece in written.pieces], written.duration_s)
+
+    @classmethod
+    def from_plan(cls, answer: PlanAnswer, altitude_m: float) -> Trajectory:
+        """Return the trajectory of a planner's answer."""
+        pieces_s = answer.pieces_s or (answer.duration_s,)
+        return cls.level(answer.x_mission, answer.y_mission, altitude_m, pieces_s, answer.duration_s)
+
+    @property
+    def begin(self) -> Vec3:
+        """Where it begins."""
+        return (self.x[0], self.y[0], self.z[0])
 
     def at(self, t_s: float) -> TrajectoryPoint:
-        """The reference `t_s` seconds after the beginning."""
-        inside = max(0.0, min(t_s, self.duration_s))
-        first, since = self._piece_at(inside)
-        x, y = self.x[first : first + 6], self.y[first : first + 6]
-        (px, vx, ax, jx), (py, vy, ay, jy) = _derivatives(x, since), _derivatives(y, since)
-        beyond = max(0.0, t_s - self.duration_s)
-        if beyond > 0.0:
-            ax = ay = jx = jy = 0.0
-        return TrajectoryPoint(
-            (px + vx * beyond, py + vy * beyond, self.altitude_m),
-            (vx, vy, 0.0),
-            (ax, ay, 0.0),
-            (jx, jy, 0.0),
-        )
+        """Return the reference `t_s` seconds after the beginning."""
+        first, since = self._piece_at(max(0.0, min(t_s, self.duration_s)))
+        px, vx, ax, jx = _derivatives(self.x[first : first + 6], since)
+        py, vy, ay, jy = _derivatives(self.y[first : first + 6], since)
+        pz, vz, az, jz = _derivatives(self.z[first : first + 6], since)
+        beyond = t_s - self.duration_s
+        if beyond <= 0.0:
+            return TrajectoryPoint((px, py, pz), (vx, vy, vz), (ax, ay, az), (jx, jy, jz))
+        still = (0.0, 0.0, 0.0)
+        if self.after is AfterEnd.HOLD:
+            return TrajectoryPoint((px, py, pz), still, still)
+        return TrajectoryPoint((px + vx * beyond, py + vy * beyond, pz + vz * beyond), (vx, vy, vz), still)
 
     def _piece_at(self, t_s: float) -> tuple[int, float]:
-        """The first coefficient of the polynomial that holds at a time, and the time since its beginning."""
+        """Return the first coefficient of the piece that holds at a time, and the time since it began."""
         begin = 0.0
         for i, duration in enumerate(self.pieces_s[:-1]):
             if t_s < begin + duration:
                 return 6 * i, t_s - begin
             begin += duration
-        return 6 * max(0, len(self.pieces_s) - 1), t_s - begin
+        return 6 * (len(self.pieces_s) - 1), t_s - begin
 
 
 def _derivatives(coefficients: tuple[float, ...], t: float) -> tuple[float, float, float, float]:
-    """A polynomial and its first three derivatives, by Horner's scheme."""
+    """Return a polynomial and its first three derivatives, by Horner's scheme."""
     value = slope = half = sixth = 0.0
     for c in reversed(coefficients):
         sixth = sixth * t + half

@@ -207,7 +207,7 @@ class ContactMotion:
         return force / (1.0 + force) / self.mass_kg
 
 
-class Trajectory(NamedTuple):
+class HitHistory(NamedTuple):
     """A hit with the free flight before and after it, in the collision frame; arrays (n,).
 
     Attributes:
@@ -232,8 +232,8 @@ class Trajectory(NamedTuple):
 
 def trajectory(
     contact: ContactMotion, time_s: ArrayLike, tangential_m_s: float = 0.0, vertical_sign: int = -1
-) -> Trajectory:
-    """A hit at the given times (s, since the onset).
+) -> HitHistory:
+    """Return a hit at the given times (s, since the onset).
 
     Args:
         contact: the hit.
@@ -246,7 +246,7 @@ def trajectory(
     way, slip = contact.way(t), contact.slip(t)
     lift, rise = contact.lift(t), contact.rise(t)
     c = contact.coefficients
-    return Trajectory(
+    return HitHistory(
         time_s=t,
         normal_m=x,
         tangential_m=tangential_m_s * way,

@@ -28,9 +28,9 @@ from dart_flight.base.records import (
 from dart_flight.config.mission import Collision, Mission
 from dart_flight.contact.law import Onset
 from dart_flight.core.mission.approach import transit_segments
-from dart_flight.core.mission.trajectories import PlannedTrajectory
+from dart_flight.core.mission.trajectories import Trajectory
 from dart_flight.lab.flight_arrays import Array, FlightArrays
-from dart_flight.lab.predict.path import ContactMotion, Trajectory, trajectory
+from dart_flight.lab.predict.path import ContactMotion, HitHistory, trajectory
 from dart_flight.planning.predicted_flight import PredictedFlight, predict_mission
 from dart_flight.recording.about import flown_mission
 from dart_flight.recording.reader import Log, read_log
@@ -106,7 +106,7 @@ class Impact:
         self.planned = verdict.planned
         self.peak = _peak_after(course, verdict.t_us)
         self._truth = _truth_near(course, verdict)
-        self.prediction: Trajectory | None = None
+        self.prediction: HitHistory | None = None
         self.predicted_n: float | None = None
         self.onset_s = at_s
         self._predict(mission)
@@ -302,13 +302,7 @@ class RecordedFlight:
         found = []
         for _, answer, taken in self.replanned():
             if answer is not None and taken is not None and taken.taken and answer.x_mission:
-                way = PlannedTrajectory(
-                    answer.x_mission,
-                    answer.y_mission,
-                    answer.duration_s,
-                    self.mission.altitude_m,
-                    answer.pieces_s,
-                )
+                way = Trajectory.from_plan(answer, self.mission.altitude_m)
                 times = np.linspace(0.0, answer.impact_s or answer.duration_s, _WAY_POINTS)
                 found.append(np.array([way.at(float(t)).position[:2] for t in times]))
         return found

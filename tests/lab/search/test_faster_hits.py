@@ -7,7 +7,7 @@ import pytest
 
 from dart_flight.base.records import PlanRequest, Record
 from dart_flight.config.vehicle import LockDriver
-from dart_flight.core.mission.trajectories import PlannedTrajectory
+from dart_flight.core.mission.trajectories import Trajectory
 from dart_flight.planning.replanner import Replanner
 from dart_flight.run.fast import FastFlight, fly_fast
 from dart_flight.sim.draws import DrawnWorld, parse_vary
@@ -70,9 +70,7 @@ def test_a_touch_tells_how_high_the_guards_are(height_m: float) -> None:
         request = msgspec.structs.replace(to_wall, contact_height_m=known_m)
         answer = replanner.answer(request, request.t_us)
         assert answer.problem == ""
-        way = PlannedTrajectory(
-            answer.x_mission, answer.y_mission, answer.duration_s, mission.altitude_m, answer.pieces_s
-        )
+        way = Trajectory.from_plan(answer, mission.altitude_m)
         end = way.at(way.duration_s - 1e-6)
         assert wall.to_collision(end.velocity)[0] == pytest.approx(-3.0, abs=1e-3)
         pushes.append(wall.to_collision(end.acceleration)[0])

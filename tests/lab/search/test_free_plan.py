@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from dart_flight.cli import main
 from dart_flight.config.mission import load_mission
 from dart_flight.config.vehicle import packaged
-from dart_flight.core.mission.approach import Approach, plan_approach
+from dart_flight.core.mission.approach import plan_approach
 from dart_flight.core.mission.trajectories import transit_time_s
 from dart_flight.lab.search.free_plan import plan_free, straight_time_s
 from dart_flight.lab.search.optimal_trajectory import MotionLimits
@@ -118,8 +118,7 @@ def test_limits_hold_for_the_flight_that_follows_them() -> None:
     )
     for one, a, j in ((slow, 0.5, 2.0), (fast, 3.0, 4.0)):
         approach = plan_approach(one, one.collisions[0])
-        assert isinstance(approach, Approach)
-        points = [approach.at(0.001 * k) for k in range(round(1000 * approach.ramp_s))]
+        points = [approach.at(0.001 * k) for k in range(round(1000 * approach.pieces_s[0]))]
         assert max(math.hypot(*p.acceleration[:2]) for p in points) <= a * 1.001
         assert max(math.hypot(*p.jerk[:2]) for p in points) <= j * 1.001
     assert fast.vehicle.flying.transit_speed_m_s == 3.0  # limits.speed_m_s

@@ -17,7 +17,7 @@ import dart_flight
 from dart_flight.cli import main
 from dart_flight.config.document import InputError
 from dart_flight.config.vehicle import packaged
-from dart_flight.core.mission.trajectories import PlannedTrajectory
+from dart_flight.core.mission.trajectories import Trajectory
 from dart_flight.lab.search.limited_sight import plan_limited_sight, safe_speed_m_s
 from dart_flight.lab.search.optimal_trajectory import MotionLimits
 from dart_flight.lab.search.quickest import QuickestPlan
@@ -46,7 +46,7 @@ def test_from_the_safe_speed_the_stop_takes_all_of_the_room(
 
 def speeds(plan: QuickestPlan) -> tuple[np.ndarray, np.ndarray]:
     """Place and velocity towards the wall along the first leg."""
-    way = PlannedTrajectory.from_pieces(plan.trajectory.legs[0], 1.0)
+    way = Trajectory.from_mission(plan.trajectory.legs[0], 1.0)
     states = [way.at(t) for t in np.linspace(0.0, way.duration_s, 3000)]
     return np.array([s.position[0] for s in states]), np.array([s.velocity[0] for s in states])
 

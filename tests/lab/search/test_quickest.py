@@ -20,7 +20,7 @@ from dart_flight.base.records import Mode
 from dart_flight.cli import main
 from dart_flight.config.document import InputError
 from dart_flight.config.vehicle import packaged
-from dart_flight.core.mission.trajectories import PlannedTrajectory
+from dart_flight.core.mission.trajectories import Trajectory
 from dart_flight.lab.search import quickest
 from dart_flight.lab.search.free_plan import straight_time_s
 from dart_flight.lab.search.mission_writer import write_mission
@@ -87,7 +87,7 @@ def test_a_hit_turns_back_quicker_than_braking_does() -> None:
     limits = MotionLimits(3.0, 5.0, 8.0, 45.0)
     assert_within(result.best.trajectory, limits)
     assert_within(result.free.trajectory, limits)
-    way = PlannedTrajectory.from_pieces(result.free.trajectory.legs[0], 1.0)
+    way = Trajectory.from_mission(result.free.trajectory.legs[0], 1.0)
     passed = [way.at(t).position[0] for t in np.linspace(0.0, way.duration_s, 2000)]
     assert max(passed) == pytest.approx(2.0 - 0.04, abs=2e-3)
 
@@ -293,7 +293,7 @@ def test_a_post_is_passed_as_far_off_as_a_vehicle_turned_as_it_likes_needs(way: 
     airframe = scenario.vehicle.airframe
     kept_m = 0.1 + math.hypot(airframe.contact_distance_m, airframe.guard_along_m)
     for leg in plan.trajectory.legs:
-        flown = PlannedTrajectory.from_pieces(leg, 1.0)
+        flown = Trajectory.from_mission(leg, 1.0)
         for t in np.arange(0.0, flown.duration_s, 0.01):
             assert math.dist(flown.at(float(t)).position[:2], (1.0, 0.05)) >= kept_m + 0.1
     unhindered = getattr(plan_quickest(between()), way)
@@ -316,7 +316,7 @@ def test_a_wall_s_end_is_passed_round_its_edge() -> None:
     free = plan_quickest(scenario).free
     assert free is not None
     (leg,) = free.trajectory.legs
-    flown = PlannedTrajectory.from_pieces(leg, 1.0)
+    flown = Trajectory.from_mission(leg, 1.0)
     places = [flown.at(float(t)).position[:2] for t in np.arange(0.0, flown.duration_s, 0.005)]
     nearest = min(min(math.dist(p, edge) for edge in ((1.2, 0.0), (1.2, 2.0))) for p in places)
     assert nearest == pytest.approx(0.2 + 0.13, abs=0.01)
