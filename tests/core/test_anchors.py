@@ -255,5 +255,5 @@ def test_a_contact_with_a_wall_that_nobody_knew_puts_no_frame_right(sought: bool
     state.anchor(MissionFrame(0.0, 0.0, 0.0, 0.0))
     (x, y), (nx, ny) = mission.walls[0].point, mission.walls[0].normal
     estimate = felt((x + 0.05 * nx, y + 0.05 * ny), (nx, ny), 0.05, wall=mission.walls[0].name)
-    flown._impacts.take(Sensed(None, (), False, wall=estimate), state, p)
+    flown._handle_contacts(Sensed(None, (), False, wall=estimate), state, p)
     assert (p.frame is None) is sought

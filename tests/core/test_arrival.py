@@ -9,9 +9,9 @@ import msgspec
 import pytest
 
 from dart_flight.base.geometry import MissionFrame
-from dart_flight.base.records import AttitudeSample, OdometrySample
+from dart_flight.base.records import AttitudeSample, OdometrySample, Phase
 from dart_flight.config.mission import Mission, load_mission
-from dart_flight.core.mission.setpoint_generator import SetpointGenerator
+from dart_flight.core.mission.executive import Executive
 from dart_flight.core.sense.state import FlightState
 from tests.core.conftest import ROOT
 
@@ -20,9 +20,9 @@ SHAKE_M_S, SHAKE_TIME_S, STEP_US = 0.07, 0.1, 8000
 
 def hovering(mission: Mission, seconds: float, drift_m_s: float = 0.0) -> float | None:
     """When the vehicle counts as arrived, seconds; its velocity estimate shakes by 0.07 m/s an axis."""
-    references, state, rng = SetpointGenerator(mission), FlightState(), random.Random(7)
+    flown, state, rng = Executive(mission), FlightState(), random.Random(7)
     state.anchor(MissionFrame())
-    references.hold((0.0, 0.0))
+    flown.progress.phase, flown.progress.course = Phase.GOAL, flown.progress.course.hold((0.0, 0.0))
     x, shake = -0.5 * drift_m_s * seconds, [0.0, 0.0, 0.0]
     keep = math.exp(-STEP_US * 1e-6 / SHAKE_TIME_S)
     for i in range(1, round(seconds * 1e6 / STEP_US)):
@@ -33,7 +33,7 @@ def hovering(mission: Mission, seconds: float, drift_m_s: float = 0.0) -> float 
         velocity = (drift_m_s + shake[0], shake[1], shake[2])
         state.take_attitude(AttitudeSample(t, t, (1.0, 0.0, 0.0, 0.0)))
         state.take_odometry(OdometrySample(t, t, position, velocity))
-        if references.has_arrived(state, 0.0):
+        if flown._has_arrived(state):
             return t * 1e-6
     return None
 

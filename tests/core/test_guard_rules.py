@@ -54,6 +54,7 @@ from dart_flight.core.guard.rules import RULES, Rule
 from dart_flight.core.guard.second_vehicle import SecondClockDetector, SecondPositionDetector
 from dart_flight.core.mission import executive
 from dart_flight.core.mission.proposal import Proposal
+from dart_flight.core.mission.replan import Replan
 from dart_flight.core.mission.trajectories import Trajectory
 from dart_flight.core.sense.senses import Sensed
 from dart_flight.core.sense.state import FlightState
@@ -675,10 +676,10 @@ def test_the_contact_that_is_expected_is_that_with_the_next_wall(
         2_000_000,
     )  # a bounce would be over
     for flown.progress.index, name in enumerate(walls):
-        expected = flown._impacts.expected(state)
+        expected = flown.progress.expected = flown._impacts.expected(flown.progress, state)
         assert (expected.wall.name if expected.wall else None) == name
         assert expected.watching is (phase is not Phase.LANDING)
-        assert flown._impacts.expected(state) is expected
+        assert flown._impacts.expected(flown.progress, state) is expected
 
 
 @pytest.mark.parametrize(
@@ -695,12 +696,11 @@ def test_the_contact_that_is_expected_is_that_with_the_next_wall(
 def test_an_onset_is_the_plans_only_where_the_plan_has_one(
     phase: Phase, wall: int, of_the_plan: bool
 ) -> None:
-    flown, p = executive.Executive(HandFedCore().core.mission), Proposal()
+    flown = executive.Executive(HandFedCore().core.mission)
     flown.progress.phase, flown.progress.index, flown.progress.entered_us = phase, wall, 0
-    flown._impacts.on_onset(
-        ImpactOnset(5, 1, 5, (0.0, 9.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), True), FlightState(), p
-    )
-    assert ("unplanned_hit" not in [finding.rule for finding in p.findings]) is of_the_plan
+    onset = ImpactOnset(5, 1, 5, (0.0, 9.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), True)
+    finding = flown._impacts.on_onset(onset, flown.progress, FlightState()).finding
+    assert (finding is None or finding.rule != "unplanned_hit") is of_the_plan
 
 
 @pytest.mark.parametrize("hits", [1, 3], ids=["after a probe", "after a hit, the next wall ahead"])
@@ -716,17 +716,18 @@ def test_the_wall_that_was_just_hit_may_be_touched_again_at_once(
     before_m: float, after_s: float, noted: bool, hits: int
 ) -> None:
     mission = load_mission(packaged("missions", "dual_collision_gps.yaml"))
-    flown, p, state = executive.Executive(mission), Proposal(), FlightState()
+    flown, state = executive.Executive(mission), FlightState()
     flown.progress.phase, flown.progress.index, flown.progress.entered_us = Phase.RECOVERY, hits, 0
     state.now_us = round(1e6 * after_s)
     state.position = place = (0.4, -1.1 + before_m, 1.0)
-    assert (flown._impacts.expected(state).wall is None) is (
+    assert (flown._impacts.expected(flown.progress, state).wall is None) is (
         noted or hits == 1
     )  # nothing learnt of the wall ahead
-    flown._impacts.on_onset(ImpactOnset(5, 1, 5, (0.0, 9.0, 0.0), (0.0, 0.0, 0.0), place, True), state, p)
-    ((rule, is_noted),) = [(finding.rule, finding.note_only) for finding in p.findings]
-    assert rule == ("unplanned_hit" if noted or hits == 1 else "wall_met_early")
-    assert is_noted is noted
+    onset = ImpactOnset(5, 1, 5, (0.0, 9.0, 0.0), (0.0, 0.0, 0.0), place, True)
+    finding = flown._impacts.on_onset(onset, flown.progress, state).finding
+    assert finding is not None
+    assert finding.rule == ("unplanned_hit" if noted or hits == 1 else "wall_met_early")
+    assert finding.note_only is noted
 
 
 def test_after_a_bounce_the_vehicle_goes_clear_of_the_wall_and_asks_for_a_trajectory_anew() -> None:
@@ -739,10 +740,12 @@ def test_after_a_bounce_the_vehicle_goes_clear_of_the_wall_and_asks_for_a_trajec
         300_000,
     )
     state.position = place = (1.6, -0.5, 1.0)
-    flown._replanning._trajectory = Trajectory.level((0.0,) * 6, (0.0,) * 6, 1.0, (1.0,))
-    flown._impacts.on_onset(ImpactOnset(5, 1, 5, (-9.0, 0.0, 0.0), (0.0, 0.0, 0.0), place, False), state, p)
-    assert flown._references.target[:2] == pytest.approx((1.6 - mission.vehicle.guard.retreat_m, -0.5))
-    assert flown._replanning.trajectory_since_us is None
+    flown.progress.replan = Replan(trajectory=Trajectory.level((0.0,) * 6, (0.0,) * 6, 1.0, (1.0,)))
+    onset = ImpactOnset(5, 1, 5, (-9.0, 0.0, 0.0), (0.0, 0.0, 0.0), place, False)
+    flown._handle_contacts(Sensed(None, (onset,), True), state, p)
+    target = flown.progress.course.target
+    assert target[:2] == pytest.approx((1.6 - mission.vehicle.guard.retreat_m, -0.5))
+    assert flown.progress.replan.since_us is None
     assert [finding.note_only for finding in p.findings] == [True]
 
 
@@ -750,9 +753,8 @@ def test_after_a_bounce_the_vehicle_goes_clear_of_the_wall_and_asks_for_a_trajec
 def test_a_peak_without_a_contact_of_the_plans_starts_no_recovery(phase: Phase, wall: int) -> None:
     flown, p = executive.Executive(HandFedCore().core.mission), Proposal()
     flown.progress.phase, flown.progress.index = phase, wall
-    flown._impacts.on_peak(
-        ImpactPeak(5, 5, 5, (0.0, 1.0), 20.0, 0.0, (0.0, 0.0, 1.0), False), FlightState(), p
-    )
+    peak = ImpactPeak(5, 5, 5, (0.0, 1.0), 20.0, 0.0, (0.0, 0.0, 1.0), False)
+    flown._handle_contacts(Sensed(None, (peak,), True), FlightState(), p)
     assert (p.outputs, flown.progress.phase, flown.progress.index) == ([], phase, wall)
 
 
@@ -809,12 +811,13 @@ def test_of_two_findings_in_one_step_the_stronger_action_is_taken_and_the_weaker
 def test_a_planned_hit_is_in_the_noise_where_its_modes_floor_is_above_it(
     mode: Mode, threshold_n: float, rigid_n: float, flexible_n: float | None, fires: bool
 ) -> None:
-    mission, p = HandFedCore().core.mission, Proposal()
+    mission = HandFedCore().core.mission
     planned = msgspec.structs.replace(mission.collisions[0], mode=mode)
     changed = msgspec.structs.replace(mission, collisions=(planned, *mission.collisions[1:]))
     found = executive.Executive(changed)
-    found._impacts.on_detection_floor(DetectionFloor(0, threshold_n, 1.0, 1.0, rigid_n, flexible_n), p)
-    assert [finding.rule for finding in p.findings] == ["hit_in_noise"] * fires
+    floor = DetectionFloor(0, threshold_n, 1.0, 1.0, rigid_n, flexible_n)
+    finding = found._impacts.on_detection_floor(floor, found.progress).finding
+    assert (finding is not None and finding.rule == "hit_in_noise") is fires
 
 
 def test_a_landed_vehicle_is_told_to_disarm_only_where_it_has_long_not_done_so_itself() -> None:
@@ -1038,7 +1041,9 @@ def test_a_wall_that_may_be_further_away_is_late_as_much_later(sd: float | None)
 
     def found(since_s: float) -> list[str]:
         flown, state, p = executive.Executive(mission), FlightState(), Proposal()
-        flown.progress.phase, flown.progress.entered_us, flown._references.impact_s = Phase.APPROACH, 0, 2.0
+        flown.progress.phase, flown.progress.entered_us = Phase.APPROACH, 0
+        approach = Trajectory.level((0.0,) * 6, (0.0,) * 6, 1.0, (2.0,))
+        flown.progress.course = flown.progress.course.approach(approach)
         state.now_us = round((2.0 + since_s) * 1e6)
         state.lock = LockState(0, LockPhase.SETTLED, planned.mode)
         flown._approach(state, Sensed(None, (), False), p)
@@ -1207,7 +1212,7 @@ def test_names_that_others_report_are_in_the_table() -> None:
     names = {rule.name: rule for rule in RULES}
     found = set[str]()
     for source in Path(executive.__file__).parent.glob("*.py"):
-        found |= set(re.findall(r'add_finding\(\s*"(\w+)"', source.read_text()))
+        found |= set(re.findall(r'[fF]inding\(\s*"(\w+)"', source.read_text()))
     found |= set(re.findall(r'Finding\(\s*"(\w+)"', inspect.getsource(flight_core)))
     assert found == {name for name, rule in names.items() if rule.cause is None}
 

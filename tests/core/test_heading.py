@@ -9,7 +9,7 @@ from dart_flight.base.geometry import MissionFrame, quaternion_from_euler, yaw_n
 from dart_flight.base.records import Mode, WallEstimate
 from dart_flight.base.walls import Wall
 from dart_flight.core.mission.anchors import FrameAnchors
-from dart_flight.core.mission.heading import HeadingControl
+from dart_flight.core.mission.heading import Heading, HeadingControl
 from dart_flight.core.mission.wall_uncertainty import EstimatedWalls
 from dart_flight.sim.cascade import Cascade, TrajectorySetpoint
 from dart_flight.sim.embedded_autopilot import default_parameters
@@ -29,8 +29,7 @@ def heading_over_time(off: float, rate: float, guided: bool) -> list[float]:
     """
     parameters = {name: float(value) for name, value in default_parameters(VEHICLE).items()}
     cascade = Cascade(parameters, VEHICLE.hover_thrust_fraction(), VEHICLE.thrust, VEHICLE.airframe.motors)
-    control = HeadingControl(VEHICLE)
-    control.begin(0)
+    control, heading = HeadingControl(VEHICLE), Heading()
     plant = Plant(VEHICLE, (), MissionFrame())
     plant.position, plant.ground_down = (0.0, 0.0, -5.0), 100.0
     plant.q, plant.rate = quaternion_from_euler(0.0, 0.0, off), (0.0, 0.0, rate)
@@ -39,7 +38,8 @@ def heading_over_time(off: float, rate: float, guided: bool) -> list[float]:
     for step in range(round(WITHIN_S / STEP_S)):
         yaw = yaw_ned_of(plant.q)
         found.append(yaw)
-        asked = control.setpoint(0.0, yaw, plant.rate[2], round(step * STEP_S * 1e6)) if guided else 0.0
+        heading = control.lead(heading, yaw, plant.rate[2], round(step * STEP_S * 1e6))
+        asked = heading.commanded if guided else 0.0
         for _ in range(5):
             hold = TrajectorySetpoint((0.0, 0.0, -5.0), yaw=asked)
             cascade.update_position(hold, plant.position, plant.velocity, yaw_ned_of(plant.q), 0.004)
@@ -67,10 +67,9 @@ def test_a_heading_comes_back_without_overshoot_and_when_it_is_said_to(off: floa
 
 def test_a_square_heading_needs_no_time_and_is_asked_for() -> None:
     control = HeadingControl(VEHICLE)
-    control.begin(0)
     assert control.time_to_s(0.05, 0.0, SQUARE_RAD) == 0.0
     assert control.time_to_s(2.0 * math.pi, 0.0, SQUARE_RAD) == 0.0
-    assert control.setpoint(1.0, 1.0, 0.0, 20_000) == pytest.approx(1.0)
+    assert control.lead(Heading(yaw=1.0), 1.0, 0.0, 20_000).commanded == pytest.approx(1.0)
 
 
 def test_a_wall_is_turned_as_it_was_felt() -> None:

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from dart_flight.base.geometry import wrap_angle
 from dart_flight.base.records import Phase
 from dart_flight.config.mission import load_mission
+from dart_flight.core.mission.heading import Heading
 from dart_flight.core.mission.setpoint_selection import SetpointSelection
 
 SHUTTLE = load_mission(Path(__file__).parents[2] / "missions" / "shuttle.yaml")
@@ -20,13 +21,13 @@ EAST, WEST = (next(c for c in SHUTTLE.collisions if c.wall.name == name) for nam
 turns = st.floats(-0.17, 0.17)
 
 
-def selection(yaw: float, turned: dict[str, float], phase: Phase, collision: Any) -> SetpointSelection:
-    """As it is in a phase, on a heading, of walls that were felt to be turned."""
-    progress: Any = SimpleNamespace(phase=phase, collision=collision)
-    references: Any = SimpleNamespace(yaw=yaw)
+CHOICE = SetpointSelection(SHUTTLE)
+
+
+def progress_at(yaw: float, turned: dict[str, float], phase: Phase, collision: Any) -> Any:
+    """A mission in a phase, on a heading, with walls that were felt to be turned."""
     walls: Any = SimpleNamespace(turned=lambda wall: turned[wall.name])
-    nothing: Any = None
-    return SetpointSelection(SHUTTLE, progress, nothing, references, nothing, walls, nothing)
+    return SimpleNamespace(phase=phase, collision=collision, heading=Heading(yaw), walls=walls)
 
 
 def off_square(yaw: float, collision: Any, turned: dict[str, float]) -> float:
@@ -41,24 +42,36 @@ def test_after_a_hit_the_heading_is_square_to_the_next_wall_whatever_the_last_on
 ) -> None:
     turned = {"east": east, "west": west}
     state: Any = SimpleNamespace(yaw=0.0, now_us=0)
-    chosen = selection(0.0, turned, Phase.APPROACH, EAST)
-    now: Any = chosen._progress
-    approach = chosen.wanted_yaw(state)
+    now = progress_at(0.0, turned, Phase.APPROACH, EAST)
+    approach = CHOICE.wanted_yaw(now, state)
     assert off_square(approach, EAST, turned) == pytest.approx(0.0, abs=1e-9)
-    chosen._references.yaw = approach
-    assert chosen._yaw_asked(state) is None
+    now.heading = now.heading._replace(yaw=approach)
+    now.heading = CHOICE.heading(now, state)
+    assert now.heading.asked is None
     # The hit has turned the vehicle; the next wall stands otherwise than the one that was hit.
     now.phase, now.collision = Phase.RECOVERY, WEST
     state.yaw = approach + spun
-    wanted = chosen.wanted_yaw(state)
+    wanted = CHOICE.wanted_yaw(now, state)
     assert off_square(wanted, WEST, turned) == pytest.approx(0.0, abs=1e-9)
     assert abs(wrap_angle(wanted - approach)) == pytest.approx(abs(west - east), abs=1e-9)
 
 
 def test_to_the_goal_the_heading_before_the_hits_is_kept() -> None:
     state: Any = SimpleNamespace(yaw=0.3, now_us=0)
-    chosen = selection(0.1, {}, Phase.TRANSIT, None)
-    assert chosen._yaw_asked(state) is None
-    chosen._progress.phase = Phase.RECOVERY
-    chosen._references.yaw = 0.25
-    assert chosen.wanted_yaw(state) == 0.1
+    now = progress_at(0.1, {}, Phase.TRANSIT, None)
+    now.heading = CHOICE.heading(now, state)
+    assert now.heading.asked is None
+    now.phase, now.heading = Phase.RECOVERY, now.heading._replace(yaw=0.25)
+    assert CHOICE.wanted_yaw(now, state) == 0.1
+
+
+@given(st.floats(-3.1, 3.1), st.floats(-3.1, 3.1), st.floats(0.1, 2.0), st.floats(0.0, 3.0))
+def test_a_heading_turns_the_short_way_at_its_rate(
+    yaw: float, wanted: float, rate_rad_s: float, for_s: float
+) -> None:
+    before = Heading(yaw, 1_000_000)
+    after = before.turn(wanted, 1_000_000 + round(for_s * 1e6), rate_rad_s)
+    way = abs(wrap_angle(wanted - yaw))
+    assert abs(wrap_angle(after.yaw - yaw)) == pytest.approx(min(way, rate_rad_s * for_s), abs=1e-5)
+    left = abs(wrap_angle(wanted - after.yaw))
+    assert left == pytest.approx(max(0.0, way - rate_rad_s * for_s), abs=1e-5)

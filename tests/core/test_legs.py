@@ -21,6 +21,7 @@ from dart_flight.core.mission.approach import plan_approach
 from dart_flight.core.mission.executive import Executive
 from dart_flight.core.mission.legs import collision_now, mission_now, waypoint_now, why_left_out
 from dart_flight.core.mission.proposal import Proposal
+from dart_flight.core.mission.trajectories import Trajectory
 from dart_flight.core.mission.wall_uncertainty import EstimatedWalls
 from dart_flight.core.sense.senses import Sensed
 from dart_flight.core.sense.state import FlightState
@@ -158,14 +159,15 @@ def test_a_probe_that_meets_nothing_ends_where_the_vehicle_is() -> None:
     state.now_us, state.position = 9_000_000, (2.7, 0.1, 1.0)
     state.lock = LockState(state.now_us, LockPhase.SETTLED, mission.collisions[0].mode)
     flown.progress.phase, flown.progress.entered_us = Phase.APPROACH, 0
-    flown._references.impact_s = 8.8
+    level = (0.0,) * 6
+    flown.progress.course = flown.progress.course.approach(Trajectory.level(level, level, 1.0, (8.8,)))
     flown._approach(state, Sensed(None, (), False), p)
     assert flown.progress.phase is Phase.APPROACH
     state.now_us += 200_000
     flown._approach(state, Sensed(None, (), False), p)
     assert (flown.progress.phase, flown.progress.index) == (Phase.RECOVERY, 1)
-    assert flown._references.target[:2] == state.position[:2]
-    assert flown._lock.contact_end_us == state.now_us, "nothing keeps the lock from moving"
+    assert flown.progress.course.target[:2] == state.position[:2]
+    assert flown.progress.lock.contact_end_us == state.now_us, "nothing keeps the lock from moving"
     assert [o.what for o in p.outputs if isinstance(o, ProbeEnd)] == [
         "nothing met on the probe for wall east"
     ]

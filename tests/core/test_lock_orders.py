@@ -6,7 +6,7 @@ import msgspec
 
 from dart_flight.base.records import LockCommand, LockPermission, LockPhase, LockState, Mode
 from dart_flight.config.vehicle import load_vehicle, packaged
-from dart_flight.core.mission.lock_orders import LockOrders
+from dart_flight.core.mission.lock_orders import LockMemory, LockOrders
 from dart_flight.core.sense.state import FlightState
 
 NOW_US = 10_000_000
@@ -15,9 +15,34 @@ assert PACKAGED is not None
 RELAX_US, SWITCH_US = 300_000, round(1e6 * PACKAGED.switch_time_s)
 
 
-def orders() -> LockOrders:
-    assert PACKAGED is not None
-    return LockOrders(msgspec.structs.replace(PACKAGED, relaxation_s=RELAX_US * 1e-6))
+class Lock:
+    """The orders of the packaged lock with their memory, written as the executive writes it."""
+
+    def __init__(self) -> None:
+        assert PACKAGED is not None
+        self.rules = LockOrders(msgspec.structs.replace(PACKAGED, relaxation_s=RELAX_US * 1e-6))
+        self.memory = LockMemory()
+
+    def permission(self, now_us: int, in_contact: bool) -> LockPermission | None:
+        changed = self.rules.permission(self.memory, now_us, in_contact)
+        if changed is not None:
+            self.memory = self.memory._replace(permitted=changed.permitted)
+        return changed
+
+    def ready_us(self, mode: Mode, state: FlightState) -> int | None:
+        return self.rules.ready_us(self.memory, mode, state)
+
+    def order(self, mode: Mode, state: FlightState) -> LockCommand | None:
+        order = self.rules.order(self.memory, mode, state)
+        if order is not None:
+            self.memory = self.memory._replace(ordered=mode, ordered_us=state.now_us)
+        return order
+
+    def contact_begins(self, t_us: int) -> None:
+        self.memory = self.memory.contact_begins(t_us)
+
+    def contact_ends(self, t_us: int) -> None:
+        self.memory = self.memory.contact_ends(t_us)
 
 
 def state_with(
@@ -30,7 +55,7 @@ def state_with(
 
 
 def test_it_may_move_but_in_a_contact_and_until_the_arms_have_sprung_back() -> None:
-    lock = orders()
+    lock = Lock()
     assert lock.permission(NOW_US, True) == LockPermission(NOW_US, False)
     assert lock.permission(NOW_US + 1, False) == LockPermission(NOW_US + 1, True)
     assert lock.permission(NOW_US + 2, False) is None  # said once
@@ -41,11 +66,11 @@ def test_it_may_move_but_in_a_contact_and_until_the_arms_have_sprung_back() -> N
     after_us = NOW_US + 10 + RELAX_US
     assert lock.permission(after_us, True) is None
     assert lock.permission(after_us, False) == LockPermission(after_us, True)
-    assert LockOrders(None).permission(NOW_US, False) is None
+    assert LockOrders(None).permission(LockMemory(), NOW_US, False) is None
 
 
 def test_when_it_will_be_there() -> None:
-    lock = orders()
+    lock = Lock()
     assert lock.ready_us(Mode.RIGID, state_with(LockPhase.SETTLED, Mode.RIGID)) == NOW_US
     assert lock.ready_us(Mode.RIGID, state_with(LockPhase.FAULT, Mode.RIGID)) is None
     # Before any contact, and while there is one, the arms spring back from now on at the soonest.
@@ -58,7 +83,7 @@ def test_when_it_will_be_there() -> None:
 
 
 def test_a_travel_is_over_a_switching_time_after_its_command_or_has_failed() -> None:
-    lock, told_us = orders(), NOW_US - 100_000
+    lock, told_us = Lock(), NOW_US - 100_000
     for now_us, ready_us in (
         (NOW_US, told_us + SWITCH_US),
         (told_us + SWITCH_US + 50_000, told_us + SWITCH_US),
@@ -73,10 +98,10 @@ def test_a_travel_is_over_a_switching_time_after_its_command_or_has_failed() -> 
 
 
 def test_it_is_told_once_a_second_until_it_moves() -> None:
-    lock = orders()
+    lock = Lock()
 
     def told(now_us: int, phase: LockPhase = LockPhase.SETTLED, mode: Mode = Mode.FLEXIBLE) -> bool:
-        command = lock.command_mode(Mode.RIGID, state_with(phase, mode, now_us))
+        command = lock.order(Mode.RIGID, state_with(phase, mode, now_us))
         assert command in (None, LockCommand(now_us, Mode.RIGID))
         return command is not None
 
@@ -85,10 +110,10 @@ def test_it_is_told_once_a_second_until_it_moves() -> None:
     assert told(NOW_US)
     assert not told(NOW_US + 999_999)
     assert told(NOW_US + 1_000_000)
-    lock.phase_begins()
+    lock.memory = lock.memory.phase_begins()
     assert not told(NOW_US + 1_000_001, LockPhase.TRAVELLING, Mode.RIGID)
     assert not told(NOW_US + 1_000_001, LockPhase.SETTLED, Mode.RIGID)
     assert told(NOW_US + 1_000_001)
     assert told(NOW_US + 2_000_001, LockPhase.TRAVELLING)  # the other way
-    flexible = lock.command_mode(Mode.FLEXIBLE, state_with(LockPhase.UNKNOWN, None, NOW_US + 2_000_002))
+    flexible = lock.order(Mode.FLEXIBLE, state_with(LockPhase.UNKNOWN, None, NOW_US + 2_000_002))
     assert flexible == LockCommand(NOW_US + 2_000_002, Mode.FLEXIBLE)  # another order waits for nothing

@@ -15,11 +15,13 @@ from dart_flight.base.records import (
     PlanTaken,
     WallEstimate,
 )
-from dart_flight.config.mission import load_mission
+from dart_flight.base.walls import Wall
+from dart_flight.config.mission import Collision, Mission, load_mission
 from dart_flight.config.mission_file import TrajectoryPieces
 from dart_flight.config.vehicle import packaged
-from dart_flight.core.mission.lock_orders import LockOrders
-from dart_flight.core.mission.proposal import Proposal
+from dart_flight.core.mission.lock_orders import LockMemory
+from dart_flight.core.mission.mission_state import NO_CHANGE, Change, MissionState
+from dart_flight.core.mission.replan import Replan
 from dart_flight.core.mission.replan_requests import ReplanRequests
 from dart_flight.core.mission.trajectories import Trajectory
 from dart_flight.core.sense.senses import Sensed
@@ -36,30 +38,75 @@ def state_at(now_us: int, position: tuple[float, float, float] = (1.0, -1.0, 1.0
     return state
 
 
-def asked() -> tuple[ReplanRequests, PlanRequest]:
-    planning, p = ReplanRequests(MISSION), Proposal()
-    hit, following = MISSION.collisions
-    over = Sensed(estimate=ForceEstimate(NOW_US, (0.0, 0.0, 0.0), False))
-    lock = LockOrders(MISSION.vehicle.lock)
-    planning.request_once(hit, following, state_at(NOW_US), over, (2.0, -0.8, 1.0), lock, p)
-    (request,) = p.outputs
-    assert isinstance(request, PlanRequest)
-    planning.request_once(hit, following, state_at(NOW_US + 4_000), over, (2.0, -0.8, 1.0), lock, p)
-    assert len(p.outputs) == 1  # once after each contact
+class Planning:
+    """The rules of a mission with its state, written as the executive writes it."""
+
+    def __init__(self, mission: Mission) -> None:
+        self.rules, self.progress = ReplanRequests(mission), MissionState(mission, {})
+        self.progress.course = self.progress.course.hold((2.0, -0.8))
+
+    @property
+    def replan(self) -> Replan:
+        return self.progress.replan
+
+    def apply(self, change: Change) -> Change:
+        if change.replan is not None:
+            self.progress.replan = change.replan
+        return change
+
+    def request(
+        self,
+        between: tuple[Collision, Collision],
+        state: FlightState,
+        sensed: Sensed,
+        square_us: int = 0,
+    ) -> PlanRequest | None:
+        """What is asked between a hit and the next one."""
+        hit, following = between
+        self.progress.index = self.progress.mission.collisions.index(hit) + 1
+        self.progress.collisions[self.progress.index :] = [following]
+        change = self.apply(self.rules.request(self.progress, state, sensed, square_us, False))
+        assert all(isinstance(o, PlanRequest) for o in change.outputs)
+        return next((o for o in change.outputs if isinstance(o, PlanRequest)), None)
+
+    def accept(self, answer: PlanAnswer, now_us: int) -> Change:
+        return self.apply(self.rules.accept(self.replan, answer, now_us))
+
+    def trajectory(self, state: FlightState) -> Change:
+        return self.apply(self.rules.trajectory(self.progress, state))
+
+    def flies(self, state: FlightState) -> bool:
+        return self.trajectory(state).course is not None
+
+    def contact_begins(self) -> None:
+        self.progress.replan = self.replan.contact_begins()
+
+    def is_late(self, wall: Wall, state: FlightState) -> bool:
+        return self.rules.is_late(self.replan, wall, state)
+
+
+OVER = Sensed(estimate=ForceEstimate(NOW_US, (0.0, 0.0, 0.0), False))
+BETWEEN = (MISSION.collisions[0], MISSION.collisions[1])
+
+
+def asked() -> tuple[Planning, PlanRequest]:
+    planning = Planning(MISSION)
+    request = planning.request(BETWEEN, state_at(NOW_US), OVER)
+    assert request is not None
+    assert request.setpoint_mission == (2.0, -0.8, 1.0)
+    assert planning.request(BETWEEN, state_at(NOW_US + 4_000), OVER) is None  # once after each contact
     return planning, request
 
 
-def refusal_of(planning: ReplanRequests, answer: PlanAnswer, now_us: int) -> str | None:
+def refusal_of(planning: Planning, answer: PlanAnswer, now_us: int) -> str | None:
     """Why an answer is not to be flown; None where it is."""
-    p = Proposal()
-    planning.take(answer, now_us, p)
-    return said(p)
+    return said(planning.accept(answer, now_us))
 
 
-def said(p: Proposal) -> str | None:
-    if not p.outputs:
+def said(change: Change) -> str | None:
+    if not change.outputs:
         return None
-    (taken,) = p.outputs
+    (taken,) = change.outputs
     assert isinstance(taken, PlanTaken)
     assert not taken.taken
     return taken.reason
@@ -88,25 +135,23 @@ def moved_to(request: PlanRequest) -> FlightState:
 
 def test_an_answer_in_time_is_flown_from_its_moment_on() -> None:
     planning, request = asked()
-    p = Proposal()
-    planning.take(answer_to(request), NOW_US + 40_000, p)
-    assert planning.trajectory_due(state_at(NOW_US + 90_000), p) is None
-    assert planning.trajectory_since_us is None
-    assert p.outputs == []
-    assert planning.trajectory_due(moved_to(request), p) is not None
-    assert p.outputs == [PlanTaken(request.begin_us, request.number, True)]
-    assert planning.trajectory_since_us == request.begin_us
-    assert planning.trajectory_due(moved_to(request), p) is None  # once
-    assert len(p.outputs) == 1
-    met = planning.meets_plane(1.2, state_at(request.begin_us + 300_000))
+    planning.accept(answer_to(request), NOW_US + 40_000)
+    assert planning.trajectory(state_at(NOW_US + 90_000)) == NO_CHANGE
+    assert planning.replan.since_us is None
+    change = planning.trajectory(moved_to(request))
+    assert change.course is not None
+    assert change.outputs == (PlanTaken(request.begin_us, request.number, True),)
+    assert planning.replan.since_us == request.begin_us
+    assert planning.trajectory(moved_to(request)) == NO_CHANGE  # once
+    met = planning.replan.meets_plane(1.2, state_at(request.begin_us + 300_000))
     assert met is not None
     assert met.after_s == pytest.approx(1.0)
     assert met.normal_m_s == -1.2
-    beyond = planning.meets_plane(1.2, state_at(request.begin_us + 1_400_000))
+    beyond = planning.replan.meets_plane(1.2, state_at(request.begin_us + 1_400_000))
     assert beyond is not None
     assert beyond.after_s == 0.0  # it is due, and not over
     end_us = request.begin_us + 1_000_000
-    assert [planning.is_over(t_us) for t_us in (end_us - 1, end_us)] == [False, True]
+    assert [planning.replan.is_over(t_us) for t_us in (end_us - 1, end_us)] == [False, True]
     late_us = request.begin_us + 1_300_000 + round(MISSION.vehicle.guard.wall_late_s * 1e6)
     assert not planning.is_late(MISSION.walls[1], state_at(late_us))
     assert planning.is_late(MISSION.walls[1], state_at(late_us + 1))
@@ -132,8 +177,8 @@ def test_an_answer_that_cannot_be_flown_is_refused_with_its_reason(
     planning, request = asked()
     answer = msgspec.structs.replace(answer_to(request), **change)
     assert says in (refusal_of(planning, answer, NOW_US + 40_000) or "")
-    assert planning.trajectory_due(moved_to(request), Proposal()) is None
-    assert planning.trajectory_since_us is None
+    assert not planning.flies(moved_to(request))
+    assert planning.replan.since_us is None
 
 
 def test_what_was_felt_is_waited_for_where_the_same_wall_comes_again() -> None:
@@ -143,15 +188,13 @@ def test_what_was_felt_is_waited_for_where_the_same_wall_comes_again() -> None:
     felt = WallEstimate(0, 0, "wood", None, None, 0.0, *coefficients, *plane)
 
     def asks(again: bool, after_us: int, wall: WallEstimate | None = None) -> bool:
-        lock, p = LockOrders(MISSION.vehicle.lock), Proposal()
-        lock.contact_ends(NOW_US)
         sensed = Sensed(estimate=ForceEstimate(NOW_US, (0.0, 0.0, 0.0), False), wall=wall)
         planning.contact_begins()
-        at, target = state_at(NOW_US + after_us), (2.0, -0.8, 1.0)
-        planning.request_once(hit, hit if again else following, at, sensed, target, lock, p)
-        return bool(p.outputs)
+        planning.progress.lock = LockMemory(contact_end_us=NOW_US)
+        between = (hit, hit if again else following)
+        return planning.request(between, state_at(NOW_US + after_us), sensed) is not None
 
-    planning = ReplanRequests(MISSION)
+    planning = Planning(MISSION)
     assert asks(False, 0)
     assert not asks(True, 59_999)
     assert asks(True, 60_000)
@@ -166,23 +209,21 @@ def test_what_was_felt_is_waited_for_where_the_same_wall_comes_again() -> None:
 def test_an_approach_from_rest_goes_towards_its_wall(
     normal_m_s: float | None, tangential_m_s: float, flown: bool
 ) -> None:
-    planning, p = ReplanRequests(MISSION), Proposal()
-    (hit, _), lock = MISSION.collisions, LockOrders(MISSION.vehicle.lock)
+    planning, hit = Planning(MISSION), MISSION.collisions[0]
     assert hit.approach_m_s is not None
-    over = Sensed(estimate=ForceEstimate(NOW_US, (0.0, 0.0, 0.0), False))
-    planning.request_once(hit, hit, state_at(NOW_US), over, (2.0, -0.8, 1.0), lock, p)
-    (request,) = p.outputs
-    assert isinstance(request, PlanRequest)
+    request = planning.request((hit, hit), state_at(NOW_US), OVER)
+    assert request is not None
     answer = msgspec.structs.replace(answer_to(request), normal_m_s=normal_m_s, tangential_m_s=tangential_m_s)
     refusal = refusal_of(planning, answer, NOW_US + 40_000)
     assert refusal == (None if flown else "answer does not match the request")
-    approach = planning.approach(hit, NOW_US + 40_000, p)
+    change = planning.apply(planning.rules.approach(planning.progress, NOW_US + 40_000))
+    approach = change.approach
     assert (approach is not None) is flown
     if approach is not None:
         at_wall = approach.at(approach.duration_s).velocity
         assert math.hypot(*at_wall) == pytest.approx(math.hypot(normal_m_s or 0.0, tangential_m_s))
-        assert p.outputs[1:] == [PlanTaken(NOW_US + 40_000, request.number, True)]
-        assert planning.approach(hit, NOW_US + 40_000, p) is None  # once
+        assert change.outputs == (PlanTaken(NOW_US + 40_000, request.number, True),)
+        assert planning.rules.approach(planning.progress, NOW_US + 40_000) == NO_CHANGE  # once
 
 
 def test_an_answer_that_comes_late_is_not_flown() -> None:
@@ -192,45 +233,38 @@ def test_an_answer_that_comes_late_is_not_flown() -> None:
 
 def test_no_wall_is_to_be_met_before_a_vehicle_that_a_contact_has_turned_is_square_to_it() -> None:
     """Not on the way that is asked for, and a way that leads there earlier is given up for a later one."""
-    lock = LockOrders(MISSION.vehicle.lock)
-    hit, following = MISSION.collisions
-    over = Sensed(estimate=ForceEstimate(NOW_US, (0.0, 0.0, 0.0), False))
     mission = msgspec.structs.replace(
         MISSION, goal_trajectory=TrajectoryPieces((0.0, 0.0), [(1.0, 0.0, 0.0)])
     )
-    planning = ReplanRequests(mission)
+    planning = Planning(mission)
 
     def asked_at(now_us: int, square_us: int) -> PlanRequest:
-        p = Proposal()
-        planning.request_once(hit, following, state_at(now_us), over, (2.0, -0.8, 1.0), lock, p, square_us)
-        (request,) = p.outputs
-        assert isinstance(request, PlanRequest)
+        request = planning.request(BETWEEN, state_at(now_us), OVER, square_us)
+        assert request is not None
         return request
 
     first = asked_at(NOW_US, NOW_US + 1_500_000)
     assert first.lock_ready_us == NOW_US + 1_500_000
     way = msgspec.structs.replace(answer_to(first), impact_s=1.8, duration_s=1.8)
-    planning.take(way, NOW_US + 40_000, Proposal())
-    assert planning.trajectory_due(moved_to(first), Proposal()) is not None
+    planning.accept(way, NOW_US + 40_000)
+    assert planning.flies(moved_to(first))
     impact_us = first.begin_us + 1_800_000
     assert asked_at(NOW_US + 350_000, impact_us - 1).under_way
     # Turned further than was thought.
     late = asked_at(NOW_US + 700_000, impact_us + 1)
     assert not late.under_way
     assert late.coasts
-    state = state_at(late.begin_us, moved_to(first).position)
     later = msgspec.structs.replace(answer_to(late), impact_s=3.0, duration_s=3.0)
-    planning.take(later, NOW_US + 740_000, Proposal())
-    state = moved_to(late)
-    assert planning.trajectory_due(state, Proposal()) is not None
+    planning.accept(later, NOW_US + 740_000)
+    assert planning.flies(moved_to(late))
 
 
 def test_a_way_that_begins_elsewhere_is_not_flown() -> None:
     planning, request = asked()
-    p = Proposal()
-    planning.take(answer_to(request), NOW_US + 40_000, p)
-    assert planning.trajectory_due(state_at(request.begin_us, (1.3, -0.9, 1.0)), p) is None
-    assert "m/s off the start of the trajectory" in (said(p) or "")
+    planning.accept(answer_to(request), NOW_US + 40_000)
+    refused = planning.trajectory(state_at(request.begin_us, (1.3, -0.9, 1.0)))
+    assert "m/s off the start of the trajectory" in (said(refused) or "")
+    assert refused.course is None
 
 
 @pytest.mark.parametrize(
@@ -241,13 +275,12 @@ def test_a_way_is_flown_from_where_the_position_loop_still_gets_onto_it(
     beside_m: float, beside_m_s: float, flown: bool
 ) -> None:
     planning, request = asked()
-    p = Proposal()
-    planning.take(answer_to(request), NOW_US + 40_000, p)
+    planning.accept(answer_to(request), NOW_US + 40_000)
     state = moved_to(request)
     (x, y, z), (vx, vy, vz) = state.position, state.velocity
     state.position, state.velocity = (x, y + beside_m, z), (vx - beside_m_s, vy, vz)
-    assert (planning.trajectory_due(state, p) is not None) is flown
-    assert planning.trajectory_due(moved_to(request), p) is None  # once
+    assert planning.flies(state) is flown
+    assert not planning.flies(moved_to(request))  # once
 
 
 def test_a_contact_ends_what_was_planned_before_it() -> None:
@@ -257,16 +290,16 @@ def test_a_contact_ends_what_was_planned_before_it() -> None:
     answered, request = asked()
     assert refusal_of(answered, answer_to(request), NOW_US + 40_000) is None
     answered.contact_begins()
-    assert answered.trajectory_due(moved_to(request), Proposal()) is None
+    assert not answered.flies(moved_to(request))
     flown, request = asked()
     assert refusal_of(flown, answer_to(request), NOW_US + 40_000) is None
-    assert flown.trajectory_due(moved_to(request), Proposal()) is not None
+    assert flown.flies(moved_to(request))
     flown.contact_begins()
     much_later = state_at(request.begin_us + 60_000_000)
-    assert flown.trajectory_since_us is None
-    assert flown.meets_plane(1.2, much_later) is None
+    assert flown.replan.since_us is None
+    assert flown.replan.meets_plane(1.2, much_later) is None
     assert not flown.is_late(MISSION.walls[1], much_later)
-    assert not flown.is_over(much_later.now_us)
+    assert not flown.replan.is_over(much_later.now_us)
 
 
 @pytest.mark.parametrize(("velocity", "more_s"), [((0.7, -0.1, 0.0), 0.6), ((-0.7, 0.1, 0.0), 3.0)])
@@ -276,7 +309,7 @@ def test_a_wall_that_is_not_known_for_sure_is_late_as_much_later_as_it_may_be_fu
     """By the velocity at which it is closed in on; a vehicle that does not, by a slow one."""
     planning, request = asked()
     assert refusal_of(planning, answer_to(request), NOW_US + 40_000) is None
-    assert planning.trajectory_due(moved_to(request), Proposal()) is not None
+    assert planning.flies(moved_to(request))
     wall = msgspec.structs.replace(MISSION.walls[1], position_sd_m=0.1, normal=(-0.8, -0.6))
     due_us = request.begin_us + 1_300_000 + round((MISSION.vehicle.guard.wall_late_s + more_s) * 1e6)
     for beside_us, late in ((-1000, False), (1000, True)):
@@ -325,31 +358,28 @@ def straight_on(t_us: int, off_m: float = 0.0) -> FlightState:
     return state_at(t_us, (1.0 + 0.4 * since_s, -1.0 + 0.5 * since_s + off_m, 1.0))
 
 
-def asks_along(planning: ReplanRequests, state: FlightState) -> PlanRequest | None:
+def asks_along(planning: Planning, state: FlightState) -> PlanRequest | None:
     """What is asked after the first contact, on the way to the second wall."""
     *_, hit, following, _ = ALONG.collisions
     over = Sensed(estimate=ForceEstimate(NOW_US, (1.3, 0.0, 0.0), False), height_m=0.02)
-    lock, p = LockOrders(ALONG.vehicle.lock), Proposal()
-    planning.request_once(hit, following, state, over, (2.0, -0.8, 1.0), lock, p)
-    assert all(isinstance(o, PlanRequest) for o in p.outputs)
-    return next((o for o in p.outputs if isinstance(o, PlanRequest)), None)
+    return planning.request((hit, following), state, over)
 
 
-def flies(duration_s: float) -> tuple[ReplanRequests, PlanRequest]:
+def flies(duration_s: float) -> tuple[Planning, PlanRequest]:
     """An answer is flown."""
-    planning = ReplanRequests(ALONG)
+    planning = Planning(ALONG)
     request = asks_along(planning, straight_on(NOW_US))
     assert request is not None
     assert asks_along(planning, straight_on(NOW_US + 100_000)) is None
     answer = msgspec.structs.replace(answer_to(request), duration_s=duration_s, impact_s=duration_s)
     assert refusal_of(planning, answer, NOW_US + 40_000) is None
-    assert planning.impact_in_s(straight_on(NOW_US)) == -math.inf
-    assert planning.trajectory_due(straight_on(request.begin_us), Proposal()) is not None
+    assert planning.replan.impact_in_s(straight_on(NOW_US)) == -math.inf
+    assert planning.flies(straight_on(request.begin_us))
     return planning, request
 
 
 def test_where_no_way_was_found_it_asks_again_for_each_contact_so_many_times() -> None:
-    planning, times = ReplanRequests(ALONG), []
+    planning, times = Planning(ALONG), []
     for contact_us in (NOW_US, NOW_US + 5_000_000):
         planning.contact_begins()
         for t_us in range(contact_us, contact_us + 4_000_000, 10_000):
@@ -363,7 +393,7 @@ def test_where_no_way_was_found_it_asks_again_for_each_contact_so_many_times() -
 
 
 def test_while_an_answer_waits_for_its_time_nothing_is_asked() -> None:
-    planning = ReplanRequests(ALONG)
+    planning = Planning(ALONG)
     request = asks_along(planning, straight_on(NOW_US))
     assert request is not None
     assert refusal_of(planning, answer_to(request), NOW_US) is None
@@ -373,7 +403,7 @@ def test_while_an_answer_waits_for_its_time_nothing_is_asked() -> None:
 def test_a_trajectory_that_is_flown_is_planned_again_until_shortly_before_its_end() -> None:
     planning, first = flies(1.3)
     end_us = first.begin_us + 1_300_000
-    assert planning.impact_in_s(straight_on(end_us - 300_000)) == pytest.approx(0.3)
+    assert planning.replan.impact_in_s(straight_on(end_us - 300_000)) == pytest.approx(0.3)
     times = []
     for t_us in range(first.begin_us, end_us + 1_000_000, 10_000):
         request = asks_along(planning, straight_on(t_us))
@@ -385,7 +415,7 @@ def test_a_trajectory_that_is_flown_is_planned_again_until_shortly_before_its_en
     assert {b - a for a, b in itertools.pairwise(times)} == {300_000}
     assert 0 <= end_us - times[-1] - within_us - 400_000 <= 300_000
     planning.contact_begins()
-    assert planning.impact_in_s(straight_on(end_us)) == -math.inf
+    assert planning.replan.impact_in_s(straight_on(end_us)) == -math.inf
 
 
 @pytest.mark.parametrize(
@@ -403,9 +433,8 @@ def test_a_trajectory_is_held_to_where_another_one_ends_well_after_it(
     there_s = left_s + later_s
     answer = msgspec.structs.replace(answer_to(request), duration_s=there_s, impact_s=there_s)
     assert refusal_of(planning, answer, request.t_us) is None
-    p = Proposal()
-    assert (planning.trajectory_due(straight_on(request.begin_us, off_m), p) is not None) is taken
-    assert p.outputs == [
-        PlanTaken(request.begin_us, request.number, taken, "" if taken else "the trajectory flown is quicker")
-    ]
-    assert planning.trajectory_since_us == (request if taken else first).begin_us
+    change = planning.trajectory(straight_on(request.begin_us, off_m))
+    assert (change.course is not None) is taken
+    why = "" if taken else "the trajectory flown is quicker"
+    assert change.outputs == (PlanTaken(request.begin_us, request.number, taken, why),)
+    assert planning.replan.since_us == (request if taken else first).begin_us

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dart_flight.base.geometry import norm, tilt_of
+from dart_flight.base.geometry import MissionFrame, Vec3, norm, tilt_of
 from dart_flight.base.records import (
     AttitudeSample,
     ForceEstimate,
@@ -27,7 +27,8 @@ from dart_flight.config.mission import Mission, load_mission
 from dart_flight.config.vehicle import load_vehicle
 from dart_flight.core.mission import executive
 from dart_flight.core.mission.contact_feedforward import ContactFeedforward
-from dart_flight.core.mission.proposal import Proposal
+from dart_flight.core.mission.heading import Heading
+from dart_flight.core.mission.mission_state import MissionState
 from dart_flight.core.mission.setpoint_selection import SetpointSelection
 from dart_flight.core.sense.senses import Sensed
 from dart_flight.core.sense.state import FlightState
@@ -122,9 +123,17 @@ class _Unmoved(ContactFeedforward):
 class _SilentInContact(SetpointSelection):
     """Nothing is asked for in a contact until the peak."""
 
-    def send(self, sample: OdometrySample, state: FlightState, p: Proposal) -> None:
-        if self._progress.phase is not Phase.CONTACT:
-            super().send(sample, state, p)
+    def setpoint(
+        self,
+        sample: OdometrySample,
+        progress: MissionState,
+        state: FlightState,
+        frame: MissionFrame,
+        added: Vec3 | None,
+    ) -> tuple[Setpoint | None, Heading]:
+        if progress.phase is Phase.CONTACT:
+            return None, progress.heading
+        return super().setpoint(sample, progress, state, frame, added)
 
 
 def flown(mission: Mission, yields: bool) -> list[Record]:

@@ -57,13 +57,13 @@ class _Straight(Executive):
     """The paper's setpoint until the last contact is over, then straight to the goal."""
 
     def _watch_goal(self, state: FlightState, p: Proposal, timed_out: bool) -> None:
-        if self._lock.contact_end_us is None and not timed_out:
+        if self.progress.lock.contact_end_us is None and not timed_out:
             return
         miss = distance2(state.position, self.mission.goal.position_m)
         p.outputs.append(GoalPassed(state.now_us, miss))
         self._head_for_goal(state, miss)
-        self._captured_us = None
-        self.progress.go(PhaseTrigger.PASSED, state, p)
+        self.progress.captured_us = None
+        self._go(PhaseTrigger.PASSED, state, p)
 
 
 WAYS = {

@@ -1,8 +1,9 @@
 """The mission executive: walks through the phases and proposes what the vehicle should do.
 
-It proposes; the guard disposes. State and impacts come in, a `Proposal` comes out; nothing else is touched.
-Here are the phases in the air; those on the ground are in `ground_phases`, contacts in `impact_response`, the
-setpoints of all phases in `setpoint_selection`. `rehearsal` is the same walk without contacts.
+It proposes; the guard disposes. It alone writes the `MissionState`. Its helpers read that and return a
+`Change`: the phases on the ground (`ground_phases`), contacts (`impact_response`), planning after them
+(`replan_requests`), and the setpoints of all phases (`setpoint_selection`). `rehearsal` is the same walk
+without contacts.
 """
 
 from __future__ import annotations
@@ -13,7 +14,11 @@ from typing import Final
 
 from dart_flight.base.geometry import distance2
 from dart_flight.base.records import (
+    DetectionFloor,
+    FrameAnchor,
     GoalPassed,
+    ImpactOnset,
+    ImpactPeak,
     Input,
     MissionEnd,
     Mode,
@@ -21,12 +26,15 @@ from dart_flight.base.records import (
     OperatorRequest,
     Output,
     Phase,
+    PhaseChange,
     PlanAnswer,
     ProbeEnd,
     Request,
+    VehicleAction,
+    VehicleCommand,
+    WallEstimate,
 )
 from dart_flight.config.mission import Collision, Mission, Waypoint
-from dart_flight.core.mission.anchors import FrameAnchors
 from dart_flight.core.mission.approach import (
     NoApproachError,
     check_segments_clear,
@@ -34,20 +42,20 @@ from dart_flight.core.mission.approach import (
 )
 from dart_flight.core.mission.commitment import STOP_MARGIN_M, may_commit
 from dart_flight.core.mission.contact_feedforward import ContactFeedforward
+from dart_flight.core.mission.course import Arrival
 from dart_flight.core.mission.ground_phases import GroundPhases
 from dart_flight.core.mission.impact_response import ImpactResponse
 from dart_flight.core.mission.legs import collision_now, mission_now, waypoint_now, why_left_out
 from dart_flight.core.mission.lock_orders import LockOrders
-from dart_flight.core.mission.mission_progress import MissionProgress
-from dart_flight.core.mission.phases import PhaseTrigger
+from dart_flight.core.mission.mission_state import NO_CHANGE, Change, MissionState
+from dart_flight.core.mission.phases import BETWEEN, TRANSITIONS, WATCHING, PhaseTrigger
 from dart_flight.core.mission.position_loop import least_distance_m, meets_plane
 from dart_flight.core.mission.proposal import Proposal
 from dart_flight.core.mission.recovery import PASSED_AFTER_S, PASSED_RISE_M
 from dart_flight.core.mission.replan_requests import ReplanRequests
-from dart_flight.core.mission.setpoint_generator import SetpointGenerator
 from dart_flight.core.mission.setpoint_selection import SetpointSelection
 from dart_flight.core.mission.trajectories import Trajectory
-from dart_flight.core.mission.wall_uncertainty import EstimatedWalls, late_s, overrun_m
+from dart_flight.core.mission.wall_uncertainty import late_s, overrun_m
 from dart_flight.core.sense.senses import Sensed
 from dart_flight.core.sense.state import FlightState
 
@@ -58,6 +66,7 @@ _RUN_UP_US: Final = 5_000_000  # about so long from the transit's beginning to t
 _REST_TIMEOUT_US: Final = 4_000_000
 _REST_AFTER_US: Final = 500_000
 _LEFT_SHARE: Final = 0.5  # of how far it is to go back after a probe, at most, for the next leg to begin
+_RETRY_US: Final = 1_000_000  # telemetry of mode and arming lags by up to a second
 _WORDS: Final = frozenset({PlanAnswer, OperatorRequest})
 
 
@@ -69,30 +78,20 @@ class Executive:
     """
 
     def __init__(self, mission: Mission) -> None:
-        self.mission = mission
-        self._approaches: dict[int, Trajectory] = {
+        self.mission, self._flying = mission, mission.vehicle.flying
+        approaches = {
             c.index: plan_approach(mission, c) for c in mission.collisions if c.approach_m_s is not None
         }
         check_segments_clear(mission)
-        drift_m_s = mission.vehicle.estimation.position_drift_m_s
-        anchors = self._anchors = FrameAnchors(drift_m_s) if mission.is_anchored else None
-        self._walls = EstimatedWalls(anchors)
-        self._references = SetpointGenerator(mission)
-        self._lock = LockOrders(mission.vehicle.lock)
-        self._replanning = ReplanRequests(mission)
-        self.progress = MissionProgress(mission, self._lock, self._references)
-        feedforward = ContactFeedforward(mission.vehicle)
-        shared = (mission, self.progress, self._lock, self._references)
-        self._ground = GroundPhases(*shared, anchors)
-        self._impacts = ImpactResponse(*shared, self._replanning, self._walls, anchors, feedforward)
-        self._setpoints = SetpointSelection(*shared, self._replanning, self._walls, feedforward)
-        self._least_miss_m = math.inf
-        self._reached_us: int | None = None  # the waypoint under way
-        self._captured_us: int | None = None
+        self.progress = MissionState(mission, approaches)
+        self._lock, self._arrival = LockOrders(mission.vehicle.lock), Arrival(mission)
+        self._ground, self._impacts = GroundPhases(mission), ImpactResponse(mission)
+        self._replanning, self._setpoints = ReplanRequests(mission), SetpointSelection(mission)
+        self._feedforward = ContactFeedforward(mission.vehicle)
         self._steps: dict[Phase, Callable[[FlightState, Sensed, Proposal], None]] = {
-            Phase.READYING: self._ground.ready,
-            Phase.OFFBOARD: self._ground.take_offboard,
-            Phase.ARMING: self._ground.arm,
+            Phase.READYING: self._ready,
+            Phase.OFFBOARD: self._take_offboard,
+            Phase.ARMING: self._arm,
             Phase.CLIMB: self._climb,
             Phase.WAYPOINT: self._fly_to_waypoint,
             Phase.PAUSE: self._pause,
@@ -102,7 +101,7 @@ class Executive:
             Phase.CONTACT: self._contact,
             Phase.RECOVERY: self._recovery,
             Phase.GOAL: self._goal,
-            Phase.LANDING: self._ground.land,
+            Phase.LANDING: self._land,
         }
 
     # -- stepping --
@@ -110,44 +109,186 @@ class Executive:
     def propose(self, item: Input, state: FlightState, sensed: Sensed, p: Proposal) -> None:
         """Fill a proposal, after an input that has gone into `state` and taught `sensed`."""
         progress = self.progress
-        if not progress.begin(state):
+        if not self._has_begun(state):
             return
-        self._setpoints.update(sensed)
+        if sensed.estimate is not None:
+            self._feedforward.update(sensed)
+            progress.contact_height_m = sensed.height_m
         if type(item) in _WORDS:
-            self._take_word(item, state, p)
-        self._impacts.take(sensed, state, p)
-        permission = self._lock.permission(state.now_us, sensed.in_contact)
+            self._handle_word(item, state, p)
+        self._handle_contacts(sensed, state, p)
+        permission = self._lock.permission(progress.lock, state.now_us, sensed.in_contact)
         if permission is not None:
+            progress.lock = progress.lock._replace(permitted=permission.permitted)
             p.outputs.append(permission)
         step = self._steps.get(progress.phase)
-        if step is not None and not (p.frame is not None and self._anchors is not None and sensed.wall):
+        if step is not None and not (p.frame is not None and progress.anchors is not None and sensed.wall):
             step(state, sensed, p)  # what has just moved the frame has not moved the state yet
-        p.expected = self._impacts.expected(state)
-        p.altitude_m = self._references.altitude_m
+        p.expected = progress.expected = self._impacts.expected(progress, state)
+        p.altitude_m = progress.course.altitude_m
         if isinstance(item, OdometrySample):
-            self._setpoints.send(item, state, p)
+            self._propose_setpoint(item, state, p)
 
-    def _take_word(self, item: Input, state: FlightState, p: Proposal) -> None:
-        """What planner or operator say."""
+    def _has_begun(self, state: FlightState) -> bool:
+        """Note when the phase began; whether there is a time to count from."""
+        progress = self.progress
+        if progress.entered_us is None:
+            if not state.now_us:
+                return False
+            progress.entered_us = state.now_us
+        if progress.entered_host_us is None:
+            progress.entered_host_us = state.host_us
+        return True
+
+    def _propose_setpoint(self, sample: OdometrySample, state: FlightState, p: Proposal) -> None:
+        progress, frame = self.progress, p.frame or state.frame
+        if frame is None:
+            return
+        progress.heading = self._setpoints.heading(progress, state)
+        added = self._feedforward.feed_forward
+        setpoint, progress.heading = self._setpoints.setpoint(sample, progress, state, frame, added)
+        if setpoint is not None:
+            p.outputs.append(setpoint)
+
+    def _handle_word(self, item: Input, state: FlightState, p: Proposal) -> None:
+        """Handle an answer of the planner or a request of the operator."""
         if isinstance(item, PlanAnswer):
-            self._replanning.take(item, state.now_us, p)
+            self._apply(self._replanning.accept(self.progress.replan, item, state.now_us), state, p)
         elif isinstance(item, OperatorRequest) and item.request is Request.CONTINUE:
             self._on_operator_continue(state, p)
 
+    # -- what helpers want changed --
+
+    def _apply(self, change: Change, state: FlightState, p: Proposal) -> None:
+        """Write a change into the mission's state, and its records and commands into the proposal."""
+        progress = self.progress
+        if change is NO_CHANGE:
+            return
+        if change.course is not None:
+            progress.course = change.course
+        if change.heading is not None:
+            progress.heading = change.heading
+        if change.replan is not None:
+            progress.replan = change.replan
+        if change.approach is not None and progress.collision is not None:
+            progress.approaches[progress.collision.index] = change.approach
+        if change.frame is not None:
+            p.frame, progress.stood_at_ned = change.frame, change.stood_at_ned
+        if change.mode is not None:
+            self._move_lock(change.mode, state, p)
+        p.outputs += change.outputs
+        if change.finding is not None:
+            p.findings.append(change.finding)
+        if change.action is not None:
+            self._ask(change.action, state, p)
+        if change.cue is not None:
+            self._go(change.cue, state, p, change.reason)
+        if change.end is not None:
+            p.end = change.end
+
+    def _go(self, cue: PhaseTrigger, state: FlightState, p: Proposal, reason: str = "") -> None:
+        """Change the phase, and record it."""
+        p.outputs.append(self._change_phase(cue, state.now_us, reason or cue.value))
+
+    def _change_phase(self, cue: PhaseTrigger, now_us: int, reason: str) -> PhaseChange:
+        progress, before = self.progress, self.progress.phase
+        progress.phase = TRANSITIONS[before, cue]
+        progress.entered_us, progress.entered_host_us, progress.asked_us = now_us, None, None
+        progress.lock, progress.arrived_us = progress.lock.phase_begins(), None
+        collision = progress.collision
+        index = collision.index if collision and progress.phase in WATCHING - BETWEEN else None
+        return PhaseChange(now_us, before, progress.phase, reason, index)
+
+    def _ask(self, action: VehicleAction, state: FlightState, p: Proposal) -> None:
+        """Send a vehicle command, again every second until telemetry confirms it."""
+        progress = self.progress
+        if progress.asked_us is None or state.now_us - progress.asked_us >= _RETRY_US:
+            progress.asked_us = state.now_us
+            p.outputs.append(VehicleCommand(state.now_us, action))
+
+    def _move_lock(self, mode: Mode, state: FlightState, p: Proposal) -> bool:
+        """Move the lock if it is elsewhere and may move; return whether it is settled in the mode."""
+        order = self._lock.order(self.progress.lock, mode, state)
+        if order is not None:
+            self.progress.lock = self.progress.lock._replace(ordered=mode, ordered_us=state.now_us)
+            p.outputs.append(order)
+        return state.lock_is_in(mode)
+
     def overruled(self, now_us: int, reason: str) -> list[Output]:
-        """The guard has taken over; returns the change of phase, once."""
+        """Note that the guard has taken over; return the change of phase, once."""
         if self.progress.phase in (Phase.DONE, Phase.OVERRULED):
             return []
-        return [self.progress.change(PhaseTrigger.OVERRULE, now_us, reason)]
+        return [self._change_phase(PhaseTrigger.OVERRULE, now_us, reason)]
 
     def ended(self, end: MissionEnd) -> list[Output]:
-        """The guard has ended the flight, in the air or before it began; returns the last records."""
+        """Note that the guard has ended the flight, in the air or on the ground; return the last records."""
         if self.progress.phase is Phase.OVERRULED:
-            return [self.progress.change(PhaseTrigger.LANDED, end.t_us, end.outcome.value), end]
+            return [self._change_phase(PhaseTrigger.LANDED, end.t_us, end.outcome.value), end]
         if self.progress.phase is Phase.DONE:
             return [end]
         detail = (end.reason or "").partition(": ")[2]
-        return [self.progress.change(PhaseTrigger.GIVEN_UP, end.t_us, detail), end]
+        return [self._change_phase(PhaseTrigger.GIVEN_UP, end.t_us, detail), end]
+
+    # -- contacts --
+
+    def _handle_contacts(self, sensed: Sensed, state: FlightState, p: Proposal) -> None:
+        """Handle what the last input has shown of contacts and walls."""
+        progress = self.progress
+        for event in sensed.impacts:
+            if isinstance(event, ImpactOnset):
+                progress.lock = progress.lock.contact_begins(event.t_us)
+                self._apply(self._impacts.on_onset(event, progress, state), state, p)
+            elif isinstance(event, ImpactPeak):
+                added = self._feedforward.feed_forward
+                change = self._impacts.on_peak(event, progress, state, added)
+                self._apply(change, state, p)
+                if change.cue is not None:
+                    progress.index += 1
+            elif isinstance(event, DetectionFloor):
+                self._apply(self._impacts.on_detection_floor(event, progress), state, p)
+            else:
+                progress.lock = progress.lock.contact_ends(event.t_us)
+        if sensed.wall is not None:
+            self._handle_wall_estimate(sensed.wall, state, p)
+
+    def _handle_wall_estimate(self, felt: WallEstimate, state: FlightState, p: Proposal) -> None:
+        progress = self.progress
+        hit = next(c.wall for c in self.mission.collisions if c.wall.name == felt.wall)
+        known = progress.walls.wall_now(hit)
+        progress.walls.add_estimate(felt, hit)
+        if progress.anchors is not None and not known.sought:
+            self._correct_frame(progress.anchors.take(known, felt, state.now_us), state, p)
+        self._apply(self._impacts.on_wall_estimate(felt), state, p)
+
+    def _correct_frame(self, anchor: FrameAnchor, state: FlightState, p: Proposal) -> None:
+        """Move the mission frame along the normal of a wall that was met."""
+        frame = p.frame or state.frame
+        assert frame is not None
+        self.progress.walls.move_frame(anchor.moved_mission)
+        self.progress.course = self.progress.course.move_frame(anchor.moved_mission)
+        p.frame = frame.moved(*anchor.moved_mission)
+        p.outputs.append(anchor)
+
+    # -- on the ground --
+
+    def _ready(self, state: FlightState, sensed: Sensed, p: Proposal) -> None:
+        self._apply(self._ground.ready(self.progress, state), state, p)
+
+    def _take_offboard(self, state: FlightState, sensed: Sensed, p: Proposal) -> None:
+        self._apply(self._ground.take_offboard(self.progress, state), state, p)
+
+    def _arm(self, state: FlightState, sensed: Sensed, p: Proposal) -> None:
+        self._apply(self._ground.arm(self.progress, state), state, p)
+        if self.progress.anchors is not None and self.progress.phase is Phase.CLIMB:
+            self.progress.anchors.begin(state.now_us)
+
+    def _land(self, state: FlightState, sensed: Sensed, p: Proposal) -> None:
+        progress = self.progress
+        if not (state.on_ground and not state.status.armed):
+            progress.down_us = None
+        elif progress.down_us is None:
+            progress.down_us = state.now_us
+        self._apply(self._ground.land(progress, state), state, p)
 
     # -- between the collisions --
 
@@ -162,25 +303,26 @@ class Executive:
         self._leave_out(state, p)
         waypoint = self.progress.waypoint
         if waypoint is not None:
-            waypoint = waypoint_now(waypoint, self._walls)
+            waypoint = waypoint_now(waypoint, self.progress.walls)
         if waypoint is not None and waypoint.position is None:
             waits = f"waiting for the operator (Enter or SIGUSR1); landing after {waypoint.hold_s:g} s"
-            self.progress.go(PhaseTrigger.NEXT_PAUSE, state, p, waits)
+            self._go(PhaseTrigger.NEXT_PAUSE, state, p, waits)
         elif waypoint is not None and waypoint.position is not None:
-            self.progress.go(PhaseTrigger.NEXT_WAYPOINT, state, p, waypoint.name)
-            self._reached_us = None
-            self._references.fly_to_waypoint(waypoint.position, waypoint.speed_m_s)
+            self._go(PhaseTrigger.NEXT_WAYPOINT, state, p, waypoint.name)
+            self.progress.reached_us = None
+            course = self.progress.course
+            self.progress.course = course.fly_to_waypoint(waypoint.position, self._flying, waypoint.speed_m_s)
         elif self.progress.collision is not None:
-            self.progress.go(cue, state, p)
+            self._go(cue, state, p)
             self._begin_transit(state, p)
         else:
-            self.progress.go(PhaseTrigger.NEXT_GOAL, state, p)
+            self._go(PhaseTrigger.NEXT_GOAL, state, p)
             self._fly_to_goal()
 
     def _leave_out(self, state: FlightState, p: Proposal) -> None:
         """Pass over the legs that depend on a wall which was met, or was not."""
         while (leg := self.progress.waypoint or self.progress.collision) is not None:
-            reason = why_left_out(leg, self._walls)
+            reason = why_left_out(leg, self.progress.walls)
             if reason is None:
                 return
             name = leg.name if isinstance(leg, Waypoint) else f"collision {leg.index}"
@@ -192,30 +334,29 @@ class Executive:
 
     def _fly_to_goal(self) -> None:
         """From rest, along the mission's trajectory where it has one."""
-        written = self.mission.goal_trajectory
+        written, course = self.mission.goal_trajectory, self.progress.course
         if written is None or self.progress.collisions:
-            self._references.fly_to(self.mission.goal.position_m)
+            self.progress.course = course.fly_to(self.mission.goal.position_m, self._flying)
         else:
-            altitude_m = self._references.altitude_m
-            self._references.follow_trajectory(Trajectory.from_mission(written, altitude_m))
+            self.progress.course = course.follow(Trajectory.from_mission(written, course.altitude_m))
 
     def _fly_to_waypoint(self, state: FlightState, sensed: Sensed, p: Proposal) -> None:
         waypoint = self.progress.waypoint
         assert waypoint is not None
-        self._lock.move_to(self.mission.transit_mode, state, p)
-        if self._reached_us is None and self._has_arrived(state):
-            self._reached_us = state.now_us
-        if self._reached_us is None:
-            if self.progress.is_late(state, self._references.duration_s):
+        self._move_lock(self.mission.transit_mode, state, p)
+        if self.progress.reached_us is None and self._has_arrived(state):
+            self.progress.reached_us = state.now_us
+        if self.progress.reached_us is None:
+            if self.progress.is_late(state, self.progress.course.duration_s):
                 p.add_finding("transit_timeout", f"{waypoint.name} not reached")
-        elif state.now_us - self._reached_us >= waypoint.hold_s * 1e6:
+        elif state.now_us - self.progress.reached_us >= waypoint.hold_s * 1e6:
             self.progress.stops += 1
             self._start_next(PhaseTrigger.NEXT_COLLISION, state, p)
 
     def _pause(self, state: FlightState, sensed: Sensed, p: Proposal) -> None:
         waypoint = self.progress.waypoint
         assert waypoint is not None
-        self._lock.move_to(self.mission.transit_mode, state, p)
+        self._move_lock(self.mission.transit_mode, state, p)
         if self.progress.takes_longer_than(waypoint.hold_s, state):
             p.add_finding("pause_timeout", f"operator did not resume within {waypoint.hold_s:g} s")
 
@@ -228,30 +369,31 @@ class Executive:
     def _begin_transit(self, state: FlightState, p: Proposal) -> None:
         collision = self.progress.collision
         assert collision is not None
-        if collision.wall.sought or collision.probe is not None or self._anchors is not None:
+        if collision.wall.sought or collision.probe is not None or self.progress.anchors is not None:
             self._plan_approach_now(collision, state, p)
-        self._references.fly_to(self._approaches[collision.index].begin[:2])
+        begin = self.progress.approaches[collision.index].begin
+        self.progress.course = self.progress.course.fly_to(begin[:2], self._flying)
 
     def _plan_approach_now(self, collision: Collision, state: FlightState, p: Proposal) -> None:
         """The approach to a wall as it is known by now; a probe that begins at a place keeps its line."""
         if collision.trajectory is not None:
             return
         then_us = state.now_us + _RUN_UP_US
-        here = self._references.target[:2]
-        known = collision_now(collision, self._walls, then_us, here)
+        here = self.progress.course.target[:2]
+        known = collision_now(collision, self.progress.walls, then_us, here)
         self.progress.collisions[self.progress.index] = known
         if collision.probe is not None and not collision.probe.from_here:
             return
         try:
-            mission = mission_now(self.mission, self._walls, then_us, here)
-            self._approaches[collision.index] = plan_approach(mission, known)
+            mission = mission_now(self.mission, self.progress.walls, then_us, here)
+            self.progress.approaches[collision.index] = plan_approach(mission, known)
         except NoApproachError as error:
             p.add_finding("no_approach", str(error))
 
     def _transit(self, state: FlightState, sensed: Sensed, p: Proposal) -> None:
         if self._has_arrived(state):
             self._set_off(state, p)
-        elif self.progress.is_late(state, self._references.duration_s):
+        elif self.progress.is_late(state, self.progress.course.duration_s):
             p.add_finding("transit_timeout", "run-up point not reached")
 
     def _set_off(self, state: FlightState, p: Proposal) -> None:
@@ -259,20 +401,29 @@ class Executive:
         collision = self.progress.collision
         assert collision is not None
         if self.mission.vehicle.has_lock:
-            self.progress.go(PhaseTrigger.ARRIVED, state, p)
+            self._go(PhaseTrigger.ARRIVED, state, p)
         else:
-            self.progress.go(PhaseTrigger.NO_LOCK, state, p)
+            self._go(PhaseTrigger.NO_LOCK, state, p)
             self._begin_approach(collision)
 
     def _has_arrived(self, state: FlightState) -> bool:
-        return self._references.has_arrived(state, self._setpoints.wanted_yaw(state))
+        """Whether the vehicle has been at its target for the configured time."""
+        progress = self.progress
+        if not self._arrival.is_at(
+            progress.course.target, self._setpoints.wanted_yaw(progress, state), state
+        ):
+            progress.arrived_us = None
+            return False
+        if progress.arrived_us is None:
+            progress.arrived_us = state.now_us
+        return state.now_us - progress.arrived_us >= self._arrival.for_us
 
     def _prepare(self, state: FlightState, sensed: Sensed, p: Proposal) -> None:
         collision = self.progress.collision
         assert collision is not None
         lock = self.mission.vehicle.lock
-        if self._lock.move_to(collision.mode, state, p):
-            self.progress.go(PhaseTrigger.MODE_SETTLED, state, p)
+        if self._move_lock(collision.mode, state, p):
+            self._go(PhaseTrigger.MODE_SETTLED, state, p)
             self._begin_approach(collision)
         elif lock is not None and self.progress.takes_longer_than(lock.timeout_s + 2.0, state):
             p.add_finding(
@@ -280,7 +431,8 @@ class Executive:
             )
 
     def _begin_approach(self, collision: Collision) -> None:
-        self._references.approach(self._approaches[collision.index])
+        approach = self.progress.approaches[collision.index]
+        self.progress.course = self.progress.course.approach(approach)
 
     def _approach(self, state: FlightState, sensed: Sensed, p: Proposal) -> None:
         collision = self.progress.collision
@@ -288,10 +440,10 @@ class Executive:
         if not state.lock_is_in(collision.mode):
             p.add_finding("lock_not_settled", f"lock left {collision.mode.value} during the approach")
         if collision.probe is not None:
-            if self.progress.takes_longer_than(self._references.impact_s + _NOTHING_MET_S, state):
+            if self.progress.takes_longer_than(self.progress.course.duration_s + _NOTHING_MET_S, state):
                 self._end_probe(collision, state, p)
             return
-        since_s = self.progress.elapsed_us(state) * 1e-6 - self._references.impact_s
+        since_s = self.progress.elapsed_us(state) * 1e-6 - self.progress.course.duration_s
         # A trajectory may begin beside its wall, behind the plane.
         if since_s > -_NEAR_S or collision.trajectory is None:
             self._check_wall_met(collision, state, sensed, p)
@@ -300,7 +452,7 @@ class Executive:
         guard, impact = self.mission.vehicle.guard, collision.impact_point
         assert collision.approach_m_s is not None
         assert impact is not None
-        wall = self._walls.wall_now(collision.wall, state.now_us)
+        wall = self.progress.walls.wall_now(collision.wall, state.now_us)
         if since_s > late_s(guard, wall, impact, -collision.approach_m_s[0]):
             detail = f"wall {collision.wall.name} not met {since_s:.1f} s after the planned impact"
             p.add_finding("wall_not_met", detail)
@@ -308,13 +460,13 @@ class Executive:
     def _end_probe(self, collision: Collision, state: FlightState, p: Proposal) -> None:
         """At its end, and nothing was met."""
         p.outputs.append(ProbeEnd(state.now_us, f"nothing met on the probe for wall {collision.wall.name}"))
-        self._references.hold(state.position)
-        self._lock.contact_ends(state.now_us)
-        self.progress.go(PhaseTrigger.NOT_MET, state, p)
+        self.progress.course = self.progress.course.hold(state.position)
+        self.progress.lock = self.progress.lock.contact_ends(state.now_us)
+        self._go(PhaseTrigger.NOT_MET, state, p)
         self.progress.index += 1
 
     def _check_wall_met(self, collision: Collision, state: FlightState, sensed: Sensed, p: Proposal) -> None:
-        wall, (x, y, _) = self._walls.wall_now(collision.wall, state.now_us), state.position
+        wall, (x, y, _) = self.progress.walls.wall_now(collision.wall, state.now_us), state.position
         overrun = -wall.signed_distance((x, y))
         if overrun <= 0.0:
             return
@@ -336,28 +488,28 @@ class Executive:
         following, stops = self.progress.collision, self.progress.waypoint is not None
         probe = self.progress.last_collision.probe
         rests = stops or probe is not None
-        if self._lock.contact_end_us is not None:
-            self._lock.move_to(self._mode_after(following, stops), state, p)
+        if self.progress.lock.contact_end_us is not None:
+            self._move_lock(self._mode_after(following, stops), state, p)
             if not rests:
                 self._replan(following, state, sensed, p)
         timed_out = self.progress.takes_longer_than(self.mission.limits.collision_timeout_s, state)
         if rests or (following is not None and following.approach_m_s is not None):
             elapsed_us = self.progress.elapsed_us(state)
-            rested = elapsed_us > _REST_AFTER_US and self._references.is_slow(state)
+            rested = elapsed_us > _REST_AFTER_US and self._arrival.is_slow(state)
             if probe is not None:  # a hit may end slow at its wall, and PX4's integrators still lean on that
-                left_m = distance2(state.position, self._references.target)
+                left_m = distance2(state.position, self.progress.course.target)
                 rested = rested and left_m < _LEFT_SHARE * probe.back_m
             if rested or elapsed_us > _REST_TIMEOUT_US:
-                self._references.hold(state.position)
+                self.progress.course = self.progress.course.hold(state.position)
                 self._start_next(PhaseTrigger.RESTED, state, p)
         elif following is None:
             self._watch_goal(state, p, timed_out)
         else:
-            if self._replanning.impact_in_s(state) < _NEAR_S:
+            if self.progress.replan.impact_in_s(state) < _NEAR_S:
                 self._check_wall_met(following, state, sensed, p)
             self._check_lock_in_time(following, state, sensed, p)
-            wall = self._walls.wall_now(following.wall, state.now_us)
-            if timed_out or self._replanning.is_late(wall, state):
+            wall = self.progress.walls.wall_now(following.wall, state.now_us)
+            if timed_out or self._replanning.is_late(self.progress.replan, wall, state):
                 p.add_finding("wall_not_met", f"wall {following.wall.name} not reached by the recovery")
 
     def _mode_after(self, following: Collision | None, stops: bool) -> Mode:
@@ -378,11 +530,11 @@ class Executive:
         px4 = self.mission.vehicle.px4
         if least_distance_m(distance, closing, pushing, distance, px4) >= STOP_MARGIN_M:
             return
-        aim = following.wall.signed_distance(self._references.target)
-        met = self._replanning.meets_plane(closing, state) or meets_plane(
+        aim = following.wall.signed_distance(self.progress.course.target)
+        met = self.progress.replan.meets_plane(closing, state) or meets_plane(
             distance, closing, pushing, aim, px4
         )
-        ready_us = self._lock.ready_us(following.mode, state)
+        ready_us = self._lock.ready_us(self.progress.lock, following.mode, state)
         ready_s = math.inf if ready_us is None else (ready_us - state.now_us) * 1e-6
         if met is None or not may_commit(self.mission, following, met, ready_s, state):
             detail = (
@@ -393,62 +545,59 @@ class Executive:
 
     def _replan(self, following: Collision | None, state: FlightState, sensed: Sensed, p: Proposal) -> None:
         """Ask for a trajectory once the contact is over, and follow it once it begins."""
-        planning, hit = self._replanning, self.progress.last_collision
-        square_us = state.now_us if following is None else self._setpoints.square_us(state)
-        target = self._references.target
-        coasts = self._setpoints.coasts(state)
-        planning.request_once(hit, following, state, sensed, target, self._lock, p, square_us, coasts)
+        progress, planning = self.progress, self._replanning
+        square_us = state.now_us if following is None else self._setpoints.square_us(progress, state)
+        coasts = self._setpoints.coasts(progress, state)
+        self._apply(planning.request(progress, state, sensed, square_us, coasts), state, p)
         if following is not None and following.approach_m_s is not None:
-            approach = planning.approach(following, state.now_us, p)
-            if approach is not None:
-                self._approaches[following.index] = approach
-        else:
-            trajectory = planning.trajectory_due(state, p)
-            if trajectory is not None:
-                self._references.follow_trajectory(trajectory)
-                self._least_miss_m = math.inf
+            self._apply(planning.approach(progress, state.now_us), state, p)
+            return
+        change = planning.trajectory(progress, state)
+        self._apply(change, state, p)
+        if change.course is not None:
+            progress.least_miss_m = math.inf
 
     def _watch_goal(self, state: FlightState, p: Proposal, timed_out: bool) -> None:
-        if self._lock.contact_end_us is None:  # it comes: the detector waits for it only so long
+        if self.progress.lock.contact_end_us is None:  # it comes: the detector waits for it only so long
             return
         miss = distance2(state.position, self.mission.goal.position_m)
-        self._least_miss_m = min(self._least_miss_m, miss)
-        if self._replanning.trajectory_since_us is not None:
-            passed = self._replanning.is_over(state.now_us)  # it may lead away from the goal at first
+        self.progress.least_miss_m = min(self.progress.least_miss_m, miss)
+        if self.progress.replan.trajectory is not None:
+            passed = self.progress.replan.is_over(state.now_us)  # it may lead away from the goal at first
         else:
-            rising = miss > self._least_miss_m + PASSED_RISE_M
+            rising = miss > self.progress.least_miss_m + PASSED_RISE_M
             # Where a trajectory is to come it is worth waiting for.
             after_s = PASSED_AFTER_S if self.mission.goal_trajectory is None else _TRAJECTORY_WAIT_S
             passed = rising and self.progress.takes_longer_than(after_s, state)
         if passed or timed_out:
-            p.outputs.append(GoalPassed(state.now_us, self._least_miss_m, not passed))
+            p.outputs.append(GoalPassed(state.now_us, self.progress.least_miss_m, not passed))
             self._head_for_goal(state, miss)
-            self.progress.go(PhaseTrigger.PASSED if passed else PhaseTrigger.TIMED_OUT, state, p)
+            self._go(PhaseTrigger.PASSED if passed else PhaseTrigger.TIMED_OUT, state, p)
 
     def _head_for_goal(self, state: FlightState, distance_m: float) -> None:
         """Hold the goal; where a step to it would be flown faster than a transit, make it a transit."""
-        vehicle, goal = self.mission.vehicle, self.mission.goal.position_m
+        vehicle, goal, course = self.mission.vehicle, self.mission.goal.position_m, self.progress.course
         if vehicle.px4.mpc_xy_p * distance_m > vehicle.flying.transit_speed_m_s:
-            self._references.hold(state.position)
-            self._references.fly_to(goal)
+            self.progress.course = course.hold(state.position).fly_to(goal, self._flying)
         else:
-            self._references.hold(goal)
+            self.progress.course = course.hold(goal)
 
     def _goal(self, state: FlightState, sensed: Sensed, p: Proposal) -> None:
-        self._lock.move_to(self.mission.transit_mode, state, p)
+        self._move_lock(self.mission.transit_mode, state, p)
         goal = self.mission.goal
         distance = distance2(state.position, goal.position_m)
-        references = self._references
-        underway = references.along_trajectory and not self.progress.takes_longer_than(
-            references.duration_s, state
-        )
+        course = self.progress.course
+        along = course.trajectory is not None and not course.on_transit
+        underway = along and not self.progress.takes_longer_than(course.duration_s, state)
         if distance > goal.capture_radius_m or underway:
-            self._captured_us = None
-            allowed_s = self._references.duration_s + goal.hold_s + self.mission.limits.collision_timeout_s
+            self.progress.captured_us = None
+            allowed_s = (
+                self.progress.course.duration_s + goal.hold_s + self.mission.limits.collision_timeout_s
+            )
             if self.progress.takes_longer_than(allowed_s, state):
                 p.add_finding("goal_not_reached", f"still {distance:.2f} m from the goal")
-        elif self._captured_us is None:
-            self._captured_us = state.now_us
-        elif state.now_us - self._captured_us >= goal.hold_s * 1e6:
-            self._ground.final_error_m = distance
-            self.progress.go(PhaseTrigger.HELD, state, p)
+        elif self.progress.captured_us is None:
+            self.progress.captured_us = state.now_us
+        elif state.now_us - self.progress.captured_us >= goal.hold_s * 1e6:
+            self.progress.final_error_m = distance
+            self._go(PhaseTrigger.HELD, state, p)

@@ -9,7 +9,7 @@ asks for is one from which the same torque still stops in time.
 from __future__ import annotations
 
 import math
-from typing import Final
+from typing import Final, NamedTuple
 
 from dart_flight.base.geometry import wrap_angle
 from dart_flight.config.vehicle import VehicleConfig
@@ -20,6 +20,37 @@ _SURE: Final = 0.85
 _BRAKING: Final = 0.5
 _STEP_S: Final = 0.02
 _MOST_STEPS: Final = 200
+
+
+class Heading(NamedTuple):
+    """The heading of a flight; mission frame, rad.
+
+    Attributes:
+        yaw: wanted, as far as it has been turned.
+        yaw_us: when it was turned last.
+        before: wanted before the first contact.
+        asked: commanded instead of `yaw`, while the vehicle is led back after a contact.
+        integral: what PX4's integral has gathered since, normalised torque.
+        integral_us: when it was counted last.
+    """
+
+    yaw: float = 0.0
+    yaw_us: int = 0
+    before: float = 0.0
+    asked: float | None = None
+    integral: float = 0.0
+    integral_us: int = 0
+
+    @property
+    def commanded(self) -> float:
+        """The heading to command."""
+        return self.yaw if self.asked is None else self.asked
+
+    def turn(self, wanted: float, now_us: int, most_rad_s: float) -> Heading:
+        """Turn towards a wanted heading, at a limited rate."""
+        most = most_rad_s * (now_us - self.yaw_us) * 1e-6
+        turned = wrap_angle(self.yaw + max(-most, min(most, wrap_angle(wanted - self.yaw))))
+        return self._replace(yaw=turned, yaw_us=now_us)
 
 
 class HeadingControl:
@@ -35,25 +66,20 @@ class HeadingControl:
         most_nm = _MOST_TORQUE * vehicle.thrust.max_thrust_n * drag_m
         self._most_rad_s2 = most_nm / vehicle.airframe.inertia_kg_m2[2]
         self._per_s, self._p, self._i = px4.mc_yaw_p, px4.mc_yawrate_p, px4.mc_yawrate_i
-        self._integral, self._last_us = 0.0, 0
 
-    def begin(self, now_us: int) -> None:
-        """From here on the heading is asked for."""
-        self._integral, self._last_us = 0.0, now_us
-
-    def setpoint(self, wanted: float, yaw: float, rate: float, now_us: int) -> float:
-        """The heading to ask for now; rad and rad/s, mission frame.
+    def lead(self, heading: Heading, yaw: float, rate: float, now_us: int) -> Heading:
+        """Return the heading with what to command now; what PX4's integral has gathered is taken off.
 
         Args:
-            wanted: heading.
-            yaw, rate: at present.
-            now_us: since `begin` what PX4's integral has gathered is known, and taken off.
+            heading: with the wanted one, and the integral so far.
+            yaw, rate: at present, mission frame, rad and rad/s.
+            now_us: autopilot time.
         """
-        torque = self._torque(wrap_angle(wanted - yaw), rate)
-        off_rad_s = (torque - self._integral) / self._p
-        self._integral += self._i * off_rad_s * (now_us - self._last_us) * 1e-6
-        self._last_us = now_us
-        return wrap_angle(yaw + (rate + off_rad_s) / self._per_s)
+        torque = self._torque(wrap_angle(heading.yaw - yaw), rate)
+        off_rad_s = (torque - heading.integral) / self._p
+        integral = heading.integral + self._i * off_rad_s * (now_us - heading.integral_us) * 1e-6
+        asked = wrap_angle(yaw + (rate + off_rad_s) / self._per_s)
+        return heading._replace(asked=asked, integral=integral, integral_us=now_us)
 
     def time_to_s(self, off: float, rate: float, within: float) -> float:
         """Time from which on the heading will be within an angle of the wanted one.

@@ -1,4 +1,4 @@
-"""What a mission does about contacts: the planned one, a bounce, any other, and what they tell of walls."""
+"""The answers to contacts: the planned one, a bounce, any other, and what they show of the lock."""
 
 from __future__ import annotations
 
@@ -15,22 +15,15 @@ from dart_flight.base.records import (
     Phase,
     WallEstimate,
 )
-from dart_flight.base.walls import Wall
 from dart_flight.config.mission import Collision, Mission
-from dart_flight.core.mission.anchors import FrameAnchors
-from dart_flight.core.mission.contact_feedforward import ContactFeedforward
-from dart_flight.core.mission.lock_orders import LockOrders
-from dart_flight.core.mission.mission_progress import MissionProgress
+from dart_flight.core.mission.mission_state import NO_CHANGE, Change, MissionState
 from dart_flight.core.mission.phases import AT_WALL, WATCHING, PhaseTrigger
 from dart_flight.core.mission.planned_impact import expected_hit
-from dart_flight.core.mission.proposal import Proposal
+from dart_flight.core.mission.proposal import MissionFinding
 from dart_flight.core.mission.recovery import recovery_point
-from dart_flight.core.mission.replan_requests import ReplanRequests
-from dart_flight.core.mission.setpoint_generator import SetpointGenerator
-from dart_flight.core.mission.setpoints import Reference, Trigger, make_setpoint
-from dart_flight.core.mission.wall_uncertainty import EstimatedWalls, early_m
+from dart_flight.core.mission.setpoints import Reference, SetpointTrigger, make_setpoint
+from dart_flight.core.mission.wall_uncertainty import early_m
 from dart_flight.core.sense.detector import ExpectedContact
-from dart_flight.core.sense.senses import Sensed
 from dart_flight.core.sense.state import FlightState
 
 _BOUNCES_US: Final = 1_000_000  # for so long after a hit its wall may be touched again, as PX4 leans on it
@@ -39,138 +32,107 @@ _NO_WALL: Final = ExpectedContact()
 
 
 class ImpactResponse:
-    """Takes the detector's events and the walls' estimates of one flight; says which contact is expected.
+    """The answers to the detector's events, and the contact that is expected next.
 
-    With a standoff, in a rehearsal, no contact is the plan's.
+    With a standoff, in a rehearsal, no contact is planned.
     """
 
-    def __init__(
-        self,
-        mission: Mission,
-        progress: MissionProgress,
-        lock: LockOrders,
-        references: SetpointGenerator,
-        replanning: ReplanRequests,
-        walls: EstimatedWalls,
-        anchors: FrameAnchors | None,
-        feedforward: ContactFeedforward,
-    ) -> None:
-        self._mission, self._progress, self._lock = mission, progress, lock
-        self._references, self._replanning = references, replanning
-        self._walls, self._anchors, self._feedforward = walls, anchors, feedforward
-        self._expected = _NO_WALL
-
-    def take(self, sensed: Sensed, state: FlightState, p: Proposal) -> None:
-        """What the last input has shown of contacts and walls."""
-        for event in sensed.impacts:
-            if isinstance(event, ImpactOnset):
-                self.on_onset(event, state, p)
-            elif isinstance(event, ImpactPeak):
-                self.on_peak(event, state, p)
-            elif isinstance(event, DetectionFloor):
-                self.on_detection_floor(event, p)
-            else:
-                self._lock.contact_ends(event.t_us)
-        if sensed.wall is not None:
-            self._on_wall_estimate(sensed.wall, state, p)
+    def __init__(self, mission: Mission) -> None:
+        self._mission = mission
 
     # -- which contact is expected --
 
-    def expected(self, state: FlightState) -> ExpectedContact:
-        """The contact that comes next, for the detector."""
-        collision, phase = self._progress.collision, self._progress.phase
+    def expected(self, progress: MissionState, state: FlightState) -> ExpectedContact:
+        """Return the contact that comes next, for the detector."""
+        collision, watching = progress.collision, progress.phase in WATCHING
         if (
             collision is None
-            or not self._is_expected(collision)
-            or self._is_at_wall_just_hit(state.position, state)
+            or not _is_expected(progress, collision)
+            or self._is_at_wall_just_hit(progress, state.position, state)
         ):
-            return _ANY_WALL if phase in WATCHING else _NO_WALL
-        wall, watching = collision.wall, phase in WATCHING
-        if self._expected.wall is not wall or self._expected.watching is not watching:
-            self._expected = ExpectedContact(watching, wall.normal, wall.material, wall)
-        return self._expected
+            return _ANY_WALL if watching else _NO_WALL
+        wall, before = collision.wall, progress.expected
+        if before.wall is wall and before.watching is watching:
+            return before
+        return ExpectedContact(watching, wall.normal, wall.material, wall)
 
-    def _is_expected(self, collision: Collision) -> bool:
-        """Whether the plan has the vehicle meet this wall in this phase."""
-        if self._progress.phase is Phase.RECOVERY:
-            return collision.approach_m_s is None
-        return self._progress.phase in AT_WALL
-
-    def _is_due(self, collision: Collision) -> bool:
-        """Whether an onset now is the plan's; a second one before the peak is not."""
+    def _is_due(self, progress: MissionState, collision: Collision) -> bool:
+        """Whether an onset now is planned; a second one before the peak is not."""
         rehearsed = self._mission.standoff_m is not None
-        return not rehearsed and self._progress.phase is not Phase.CONTACT and self._is_expected(collision)
+        return not rehearsed and progress.phase is not Phase.CONTACT and _is_expected(progress, collision)
 
     # -- onset and peak --
 
-    def on_onset(self, event: ImpactOnset, state: FlightState, p: Proposal) -> None:
-        """A contact begins: the planned one, a bounce off the wall just hit, or a finding."""
-        self._lock.contact_begins(event.t_us)
-        if self._is_at_wall_just_hit(event.position_mission, state):
-            self._on_bounce(event, state, p)
-            return
-        self._replanning.contact_begins()
-        collision = self._progress.collision
-        if collision is None or not self._is_due(collision) or not event.planned:
-            p.add_finding("unplanned_hit", f"unplanned {self._describe(event)}")
-            return
-        wall, (x, y, _) = self._walls.wall_now(collision.wall, state.now_us), event.position_mission
+    def on_onset(self, event: ImpactOnset, progress: MissionState, state: FlightState) -> Change:
+        """Answer the onset of a contact: the planned one, a bounce off the wall just hit, or a finding."""
+        if self._is_at_wall_just_hit(progress, event.position_mission, state):
+            return self._on_bounce(event, progress, state)
+        change, collision = Change(replan=progress.replan.contact_begins()), progress.collision
+        if collision is None or not self._is_due(progress, collision) or not event.planned:
+            says = f"unplanned {_describe(event, progress)}"
+            return change._replace(finding=MissionFinding("unplanned_hit", says))
+        wall, (x, y, _) = progress.walls.wall_now(collision.wall, state.now_us), event.position_mission
         distance = wall.signed_distance((x, y))
         if collision.probe is None and distance > early_m(self._mission.vehicle.guard, wall, (x, y)):
-            p.add_finding("wall_met_early", f"{distance:.2f} m before wall {collision.wall.name}")
-        elif not state.lock_is_in(collision.mode):
-            detail = f"contact with wall {collision.wall.name} while the lock is not {collision.mode.value}"
-            p.add_finding("lock_not_settled", detail)
-        else:
-            self._progress.go(PhaseTrigger.ONSET, state, p)
+            says = f"{distance:.2f} m before wall {collision.wall.name}"
+            return change._replace(finding=MissionFinding("wall_met_early", says))
+        if not state.lock_is_in(collision.mode):
+            says = f"contact with wall {collision.wall.name} while the lock is not {collision.mode.value}"
+            return change._replace(finding=MissionFinding("lock_not_settled", says))
+        return change._replace(cue=PhaseTrigger.ONSET)
 
-    def _describe(self, event: ImpactOnset) -> str:
-        force = math.hypot(event.force_mission[0], event.force_mission[1])
-        return f"impact of {force:.0f} N in phase {self._progress.phase.value}"
-
-    def _is_at_wall_just_hit(self, place: Vec3, state: FlightState) -> bool:
+    def _is_at_wall_just_hit(self, progress: MissionState, place: Vec3, state: FlightState) -> bool:
         """Whether a contact here would be a bounce: at the wall hit last, and soon after that hit."""
-        progress = self._progress
         if progress.phase is not Phase.RECOVERY or progress.elapsed_us(state) > _BOUNCES_US:
             return False
-        wall = self._walls.wall_now(progress.last_collision.wall, state.now_us)
+        wall = progress.walls.wall_now(progress.last_collision.wall, state.now_us)
         distance_m = abs(wall.signed_distance(place))
         if distance_m > early_m(self._mission.vehicle.guard, wall, place):
             return False
         following = progress.collision
-        if following is None or not self._is_expected(following):
+        if following is None or not _is_expected(progress, following):
             return True
-        ahead = self._walls.wall_now(following.wall, state.now_us)
+        ahead = progress.walls.wall_now(following.wall, state.now_us)
         return ahead.name != wall.name and distance_m < abs(ahead.signed_distance(place))
 
-    def _on_bounce(self, event: ImpactOnset, state: FlightState, p: Proposal) -> None:
-        """Note it, and get clear of the wall until a trajectory is planned from there."""
-        p.add_finding("unplanned_hit", f"bounce, {self._describe(event)}", noted=True)
-        if self._replanning.trajectory_since_us is not None:
-            hit = self._progress.last_collision.wall
-            (nx, ny), (x, y, _) = self._walls.wall_now(hit, state.now_us).normal, state.position
+    def _on_bounce(self, event: ImpactOnset, progress: MissionState, state: FlightState) -> Change:
+        """Note a bounce, and get clear of the wall until a trajectory is planned from there."""
+        course = None
+        if progress.replan.trajectory is not None:
+            hit = progress.last_collision.wall
+            (nx, ny), (x, y, _) = progress.walls.wall_now(hit, state.now_us).normal, state.position
             away_m = self._mission.vehicle.guard.retreat_m
-            self._references.hold((x + away_m * nx, y + away_m * ny))
-        self._replanning.contact_begins()
+            course = progress.course.hold((x + away_m * nx, y + away_m * ny))
+        finding = MissionFinding("unplanned_hit", f"bounce, {_describe(event, progress)}", note_only=True)
+        return Change(finding=finding, course=course, replan=progress.replan.contact_begins())
 
-    def on_detection_floor(self, event: DetectionFloor, p: Proposal) -> None:
-        """Whether the planned hit can be told from the vibration at all; a wall not felt is flown into."""
-        collision, vehicle = self._progress.collision, self._mission.vehicle
+    def on_detection_floor(self, event: DetectionFloor, progress: MissionState) -> Change:
+        """Report a planned hit that the vibration hides: a wall that is not felt is flown into."""
+        collision, vehicle = progress.collision, self._mission.vehicle
         if collision is None or event.threshold_n <= vehicle.detection.force_threshold_n:
-            return
+            return NO_CHANGE
         hit = expected_hit(self._mission, collision)
         floor = event.rigid_n if collision.mode is Mode.RIGID else event.flexible_n
-        if hit is not None and floor is not None and hit.peak_normal_force_n < floor:
-            what = f"{collision.mode.value}, {hit.peak_normal_force_n:.0f} N at wall {collision.wall.name}"
-            says = f"{what}: below the detection limit at this vibration level ({floor:.0f} N)"
-            p.add_finding("hit_in_noise", says)
+        if hit is None or floor is None or hit.peak_normal_force_n >= floor:
+            return NO_CHANGE
+        what = f"{collision.mode.value}, {hit.peak_normal_force_n:.0f} N at wall {collision.wall.name}"
+        says = f"{what}: below the detection limit at this vibration level ({floor:.0f} N)"
+        return Change(finding=MissionFinding("hit_in_noise", says))
 
-    def on_peak(self, event: ImpactPeak, state: FlightState, p: Proposal) -> None:
-        """The planned contact is at its peak: recover from it, by the paper's setpoint."""
-        progress, references = self._progress, self._references
-        collision = progress.collision
+    def on_peak(
+        self, event: ImpactPeak, progress: MissionState, state: FlightState, added: Vec3 | None
+    ) -> Change:
+        """Recover from the planned contact at its peak, by the paper's setpoint.
+
+        Args:
+            event: the peak.
+            progress: of the mission.
+            state: of the vehicle.
+            added: acceleration of the setpoint (`contact_feedforward`), mission frame, m/s2.
+        """
+        collision, course = progress.collision, progress.course
         if progress.phase is not Phase.CONTACT or collision is None:
-            return
+            return NO_CHANGE
         point = recovery_point(
             event.position_mission,
             event.normal,
@@ -178,51 +140,42 @@ class ImpactResponse:
             event.tangential_force_n,
             collision.alpha_normal_m_per_n,
             collision.alpha_tangential_m_per_n,
-            references.altitude_m,
+            course.altitude_m,
         )
         if collision.probe is not None:
             away, (px, py, _), (nx, ny) = collision.probe.back_m, event.position_mission, event.normal
-            point = (px + away * nx, py + away * ny, references.altitude_m)
-        references.hold(point)
+            point = (px + away * nx, py + away * ny, course.altitude_m)
+        course = course.hold(point)
         assert state.frame is not None
-        p.outputs.append(
-            make_setpoint(
-                state.frame,
-                Trigger(event.detected_us, event.received_us, recovery=True),
-                Reference(references.target),
-                references.heading,
-                added=self._feedforward.feed_forward,
-            )
-        )
-        force = math.hypot(event.normal_force_n, event.tangential_force_n)
+        trigger = SetpointTrigger(event.detected_us, event.received_us, recovery=True)
+        heading = progress.heading.commanded
+        setpoint = make_setpoint(state.frame, trigger, Reference(course.target), heading, added=added)
+        force, finding = math.hypot(event.normal_force_n, event.tangential_force_n), None
         if force > self._mission.limits.peak_force_n:
-            p.add_finding("peak_force", f"{force:.0f} N at wall {collision.wall.name}")
-        progress.go(PhaseTrigger.PEAK, state, p)
-        progress.index += 1
+            finding = MissionFinding("peak_force", f"{force:.0f} N at wall {collision.wall.name}")
+        return Change(PhaseTrigger.PEAK, outputs=(setpoint,), finding=finding, course=course)
 
-    # -- what a contact has shown of its wall --
+    # -- what a contact has shown of the lock --
 
-    def _on_wall_estimate(self, felt: WallEstimate, state: FlightState, p: Proposal) -> None:
-        hit = next(c.wall for c in self._mission.collisions if c.wall.name == felt.wall)
-        known = self._walls.wall_now(hit)
-        self._walls.add_estimate(felt, hit)
-        if self._anchors is not None and not known.sought:
-            self._anchor_at(known, felt, state, p)
+    def on_wall_estimate(self, felt: WallEstimate) -> Change:
+        """Report a contact that indicates other arms than the lock reports."""
         if felt.mode_felt is None or felt.mode_reported in (None, felt.mode_felt):
-            return
+            return NO_CHANGE
         detail = (
             f"contact at wall {felt.wall} indicates {felt.mode_felt.value} arms, the lock reports "
             f"{felt.mode_reported.value} (log odds {abs(felt.log_odds):.1f})"
         )
-        p.add_finding("mode_felt", detail, noted=self._mission.mode_mismatch is ModeMismatch.NOTE_ONLY)
+        noted = self._mission.mode_mismatch is ModeMismatch.NOTE_ONLY
+        return Change(finding=MissionFinding("mode_felt", detail, noted))
 
-    def _anchor_at(self, wall: Wall, felt: WallEstimate, state: FlightState, p: Proposal) -> None:
-        """Put the mission frame right along the normal of a wall that was met."""
-        anchors, frame = self._anchors, p.frame or state.frame
-        assert anchors is not None
-        assert frame is not None
-        anchor = anchors.take(wall, felt, state.now_us)
-        self._walls.move_frame(anchor.moved_mission)
-        self._references.move_frame(anchor.moved_mission)
-        p.frame = frame.moved(*anchor.moved_mission)
-        p.outputs.append(anchor)
+
+def _is_expected(progress: MissionState, collision: Collision) -> bool:
+    """Whether the plan has the vehicle meet this wall in this phase."""
+    if progress.phase is Phase.RECOVERY:
+        return collision.approach_m_s is None
+    return progress.phase in AT_WALL
+
+
+def _describe(event: ImpactOnset, progress: MissionState) -> str:
+    force = math.hypot(event.force_mission[0], event.force_mission[1])
+    return f"impact of {force:.0f} N in phase {progress.phase.value}"

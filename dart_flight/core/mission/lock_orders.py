@@ -6,53 +6,64 @@ sprung back (paper, Sec. III; `lock.relaxation_s`).
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Final, NamedTuple
 
 from dart_flight.base.records import LockCommand, LockPermission, LockPhase, Mode
 from dart_flight.config.vehicle import LockConfig
-from dart_flight.core.mission.proposal import Proposal
 from dart_flight.core.sense.state import FlightState
 
 RETRY_US: Final = 1_000_000
 _OVERDUE_US: Final = 50_000  # two polls of the lock
 
 
-class LockOrders:
-    """Permission and commands of one flight; without a lock there are none.
+class LockMemory(NamedTuple):
+    """What the orders depend on beside the lock's state; autopilot time.
 
     Attributes:
-        contact_end_us: end of the last contact; None while there is one, or before the first.
+        contact_begin_us: beginning of the last contact.
+        contact_end_us: end of the last contact; None during a contact, or before the first.
+        permitted: whether the lock may move; None: not decided yet.
+        ordered, ordered_us: the last order, and when it was given in this phase.
     """
+
+    contact_begin_us: int | None = None
+    contact_end_us: int | None = None
+    permitted: bool | None = None
+    ordered: Mode | None = None
+    ordered_us: int | None = None
+
+    def contact_begins(self, t_us: int) -> LockMemory:
+        """Forbid lock motion from the onset of a contact."""
+        return self._replace(contact_begin_us=t_us, contact_end_us=None)
+
+    def contact_ends(self, t_us: int) -> LockMemory:
+        """Let the arms spring back from here on."""
+        return self._replace(contact_end_us=t_us)
+
+    def phase_begins(self) -> LockMemory:
+        """Allow the next order at once, without waiting for a retry."""
+        return self._replace(ordered_us=None)
+
+
+class LockOrders:
+    """The rules of one vehicle's lock; without a lock there are no orders."""
 
     def __init__(self, lock: LockConfig | None) -> None:
         self._lock = lock
         self._relaxation_us = lock.relaxation_s * 1e6 if lock else 0.0
         self._switch_us = lock.switch_time_s * 1e6 if lock else 0.0
-        self._impact_us: int | None = None
-        self.contact_end_us: int | None = None
-        self._permitted: bool | None = None
-        self._ordered: Mode | None = None
-        self._ordered_us: int | None = None
 
-    def contact_begins(self, t_us: int) -> None:
-        """An impact: from now on the lock may not move."""
-        self._impact_us, self.contact_end_us = t_us, None
-
-    def contact_ends(self, t_us: int) -> None:
-        """The force is gone; the arms spring back."""
-        self.contact_end_us = t_us
-
-    def permission(self, now_us: int, in_contact: bool) -> LockPermission | None:
-        """A record where it has changed whether the lock may move."""
-        relaxed = self.contact_end_us is not None and now_us - self.contact_end_us >= self._relaxation_us
-        permitted = not in_contact and (self._impact_us is None or relaxed)
-        if permitted == self._permitted or self._lock is None:
+    def permission(self, memory: LockMemory, now_us: int, in_contact: bool) -> LockPermission | None:
+        """Return a record if it has changed whether the lock may move."""
+        end_us = memory.contact_end_us
+        relaxed = end_us is not None and now_us - end_us >= self._relaxation_us
+        permitted = not in_contact and (memory.contact_begin_us is None or relaxed)
+        if permitted == memory.permitted or self._lock is None:
             return None
-        self._permitted = permitted
         return LockPermission(now_us, permitted)
 
-    def ready_us(self, mode: Mode, state: FlightState) -> int | None:
-        """When the lock will be settled in a mode if nothing fails, autopilot time.
+    def ready_us(self, memory: LockMemory, mode: Mode, state: FlightState) -> int | None:
+        """Return when the lock will be settled in a mode if nothing fails, autopilot time.
 
         None: it is at fault, or should have been settled by now.
         """
@@ -63,28 +74,16 @@ class LockOrders:
         if state.lock.phase is LockPhase.TRAVELLING and state.lock.mode is mode:
             ready_us = round((state.lock.commanded_us or state.now_us) + self._switch_us)
             return ready_us if state.now_us - ready_us <= _OVERDUE_US else None
-        end_us = self.contact_end_us if self.contact_end_us is not None else state.now_us
+        end_us = memory.contact_end_us if memory.contact_end_us is not None else state.now_us
         return round(max(state.now_us, end_us + self._relaxation_us) + self._switch_us)
 
-    def phase_begins(self) -> None:
-        """An order may be given anew in a new phase, without waiting for the last one's retry."""
-        self._ordered_us = None
-
-    def move_to(self, mode: Mode, state: FlightState, p: Proposal) -> bool:
-        """Move the lock where it is not there yet and may move; True once it is settled in `mode`."""
-        order = self.command_mode(mode, state)
-        if order is not None:
-            p.outputs.append(order)
-        return state.lock_is_in(mode)
-
-    def command_mode(self, mode: Mode, state: FlightState) -> LockCommand | None:
-        """The command to go to a mode where the lock is not there, may move, and was not told just now."""
+    def order(self, memory: LockMemory, mode: Mode, state: FlightState) -> LockCommand | None:
+        """Return the order to go to a mode, if the lock is not there, may move, and has no fresh order."""
         if state.lock_is_in(mode):
             return None
         moving = state.lock.phase is LockPhase.TRAVELLING and state.lock.mode is mode
-        fresh = self._ordered is not mode or self._ordered_us is None
-        stale = self._ordered_us is not None and state.now_us - self._ordered_us >= RETRY_US
-        if not self._permitted or moving or not (fresh or stale):
+        fresh = memory.ordered is not mode or memory.ordered_us is None
+        stale = memory.ordered_us is not None and state.now_us - memory.ordered_us >= RETRY_US
+        if not memory.permitted or moving or not (fresh or stale):
             return None
-        self._ordered, self._ordered_us = mode, state.now_us
         return LockCommand(state.now_us, mode)

@@ -18,44 +18,45 @@ class Rehearsal(Executive):
 
     def _begin_approach(self, collision: Collision) -> None:
         """Along the approach, but from rest to rest."""
-        approach, impact = self._approaches[collision.index], collision.impact_point
+        approach, impact = self.progress.approaches[collision.index], collision.impact_point
         assert impact is not None
         stop = standoff_point(self.mission, collision, approach.begin[:2], impact)
         speed_m_s = math.hypot(*collision.approach_velocity())
-        self._references.fly_to(stop, min(speed_m_s, self.mission.limits.speed_m_s))
+        speed_m_s = min(speed_m_s, self.mission.limits.speed_m_s)
+        self.progress.course = self.progress.course.fly_to(stop, self._flying, speed_m_s)
 
     def _approach(self, state: FlightState, sensed: Sensed, p: Proposal) -> None:
         if self._has_arrived(state):
-            self.progress.go(PhaseTrigger.STOOD_OFF, state, p)
+            self._go(PhaseTrigger.STOOD_OFF, state, p)
             self._stand_off(state)
         elif self.progress.is_late(state):
             p.add_finding("transit_timeout", "standoff point not reached")
 
     def _stand_off(self, state: FlightState) -> None:
         """At rest before the wall: the next collision, or the goal, comes next."""
-        self._lock.contact_ends(state.now_us)
-        self._references.hold(self._references.target)
-        self.progress.index += 1
+        progress = self.progress
+        progress.lock = progress.lock.contact_ends(state.now_us)
+        progress.course = progress.course.hold(progress.course.target)
+        progress.index += 1
 
     def _recovery(self, state: FlightState, sensed: Sensed, p: Proposal) -> None:
         """What the recovery would do, from rest to rest: on to the next wall, or to the goal."""
         following, stops = self.progress.collision, self.progress.waypoint is not None
-        locked = self._lock.move_to(self._mode_after(following, stops), state, p)
+        locked = self._move_lock(self._mode_after(following, stops), state, p)
         if stops:
             self._start_next(PhaseTrigger.RESTED, state, p)
         elif following is None:
-            self._references.fly_to(self.mission.goal.position_m)
-            self.progress.go(PhaseTrigger.PASSED, state, p)
+            self.progress.course = self.progress.course.fly_to(self.mission.goal.position_m, self._flying)
+            self._go(PhaseTrigger.PASSED, state, p)
         elif following.approach_m_s is not None:
-            self.progress.go(PhaseTrigger.RESTED, state, p)
+            self._go(PhaseTrigger.RESTED, state, p)
             self._begin_transit(state, p)
-        elif not self._references.on_transit:
+        elif not self.progress.course.on_transit:
             if locked:
                 here = (state.position[0], state.position[1])
                 self.progress.entered_us = state.now_us
-                self._references.fly_to(
-                    standoff_point(self.mission, following, here, following.wall.foot(here))
-                )
+                stop = standoff_point(self.mission, following, here, following.wall.foot(here))
+                self.progress.course = self.progress.course.fly_to(stop, self._flying)
         elif self._has_arrived(state):
             self._stand_off(state)
         if self.progress.is_late(state):

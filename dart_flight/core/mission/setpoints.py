@@ -12,7 +12,7 @@ from dart_flight.base.geometry import MissionFrame, Vec2, Vec3
 from dart_flight.base.records import Setpoint
 
 
-class Trigger(NamedTuple):
+class SetpointTrigger(NamedTuple):
     """The input that a setpoint answers: its stamp, its receipt, and whether it is the peak of an impact."""
 
     t_us: int
@@ -49,7 +49,7 @@ BOTH: tuple[Vec2, ...] = ((1.0, 0.0), (0.0, 1.0))
 
 def make_setpoint(
     frame: MissionFrame,
-    trigger: Trigger,
+    trigger: SetpointTrigger,
     reference: Reference,
     yaw: float,
     free: FreeAxes | None = None,

@@ -1,4 +1,4 @@
-"""Targets, arrival and setpoints, one sample at a time; in flight: test_arrival, test_limits."""
+"""Courses, arrival and setpoints, one sample at a time; in flight: test_arrival, test_limits."""
 
 from __future__ import annotations
 
@@ -10,12 +10,15 @@ from hypothesis import strategies as st
 from msgspec import structs
 
 from dart_flight.base.geometry import MissionFrame, Vec3
-from dart_flight.base.records import AttitudeSample, OdometrySample, Setpoint
-from dart_flight.config.mission import load_mission
+from dart_flight.base.records import AttitudeSample, OdometrySample, Phase, Setpoint
+from dart_flight.config.mission import Mission, load_mission
 from dart_flight.config.vehicle import packaged
+from dart_flight.core.mission.course import Arrival, Course
+from dart_flight.core.mission.executive import Executive
+from dart_flight.core.mission.mission_state import MissionState
 from dart_flight.core.mission.position_loop import ATTITUDE_LAG_S
-from dart_flight.core.mission.setpoint_generator import SetpointGenerator
-from dart_flight.core.mission.setpoints import BOTH, FreeAxes, Reference, Trigger, make_setpoint
+from dart_flight.core.mission.setpoint_selection import SetpointSelection
+from dart_flight.core.mission.setpoints import BOTH, FreeAxes, Reference, SetpointTrigger, make_setpoint
 from dart_flight.core.mission.trajectories import Trajectory
 from dart_flight.core.sense.state import FlightState
 
@@ -23,7 +26,7 @@ MISSION = load_mission(packaged("missions", "paper_single_wall.yaml"))
 FLYING, ALTITUDE_M = MISSION.vehicle.flying, MISSION.altitude_m
 FRAME = MissionFrame(2.0, -1.0, 0.3, 0.6)
 NO_PUSH: Vec3 = (0.0, 0.0, 0.0)
-TRIGGER = Trigger(0, 0)
+TRIGGER = SetpointTrigger(0, 0)
 INTO_A_WALL = Trajectory.level(
     (0.0, 1.0, 0.5, 0.1, 0.0, 0.0), (0.0, -0.4, 0.25, -0.2, 0.0, 0.0), ALTITUDE_M, (2.0,)
 )
@@ -40,10 +43,13 @@ def parts(setpoint: Setpoint) -> tuple[Vec3, Vec3 | None, Vec3 | None]:
 
 
 def asked(
-    references: SetpointGenerator, t_us: int, since_us: int | None = 0
+    flown: Course, t_us: int, since_us: int | None = 0, mission: Mission = MISSION
 ) -> tuple[Vec3, Vec3 | None, Vec3 | None]:
     """Parts of the setpoint for a sample, without anything added."""
-    return parts(make_setpoint(FRAME, TRIGGER, references.reference(t_us, since_us), references.heading))
+    progress = MissionState(mission, {})
+    progress.course = flown
+    reference = SetpointSelection(mission)._reference(progress, t_us, since_us)
+    return parts(make_setpoint(FRAME, TRIGGER, reference, 0.2))
 
 
 def says(setpoint: Setpoint, *wanted: Vec3 | None) -> bool:
@@ -52,62 +58,46 @@ def says(setpoint: Setpoint, *wanted: Vec3 | None) -> bool:
     return all(found == (None if one is None else pytest.approx(one)) for found, one in pairs)
 
 
-def standing() -> SetpointGenerator:
-    references = SetpointGenerator(MISSION)
-    references.stand((1.0, 2.0, 0.7), 0.2, 0)
-    return references
+STANDING = Course((1.0, 2.0, 0.0), ALTITUDE_M)
 
 
-def standing_on(trajectory: Trajectory) -> SetpointGenerator:
-    references = standing()
-    references.follow_trajectory(trajectory)
-    return references
+def test_a_course_climbs_and_goes_from_rest_to_rest_at_its_altitude() -> None:
+    assert (STANDING.on_transit, STANDING.duration_s) == (False, 0.0)
+    climbing = STANDING.climb(FLYING)
+    assert climbing.on_transit
+    assert climbing.target == (1.0, 2.0, ALTITUDE_M)
+    assert climbing.duration_s >= 1.8 * ALTITUDE_M / FLYING.climb_speed_m_s
+    flown = climbing.fly_to((2.0, 2.0), FLYING)
+    assert flown.target == (2.0, 2.0, ALTITUDE_M)
+    slower = climbing.fly_to((2.0, 2.0), FLYING, 0.5 * FLYING.transit_speed_m_s)
+    assert slower.duration_s > flown.duration_s
+    higher = flown.fly_to_waypoint((0.0, 0.0, 2.5), FLYING, 1.0)
+    assert (higher.target, higher.altitude_m) == ((0.0, 0.0, 2.5), 2.5)
+    assert higher.hold((3.0, 3.0, 9.0)) == Course((3.0, 3.0, 2.5), 2.5)  # the altitude is kept
+    moved = flown.move_frame((0.5, -0.25))
+    assert (moved.target, moved.trajectory) == ((1.5, 2.25, ALTITUDE_M), flown.trajectory)
 
 
-def test_it_stands_on_the_ground_climbs_and_flies_at_its_altitude() -> None:
-    references = standing()
-    assert (references.target, references.yaw, references.on_transit) == ((1.0, 2.0, 0.0), 0.2, False)
-    assert references.duration_s == 0.0
-    references.climb()
-    assert references.on_transit
-    assert references.target == (1.0, 2.0, ALTITUDE_M)
-    climb_s = references.duration_s
-    assert climb_s >= 1.8 * ALTITUDE_M / FLYING.climb_speed_m_s
-    references.fly_to((2.0, 2.0))
-    default_s = references.duration_s
-    assert references.target == (2.0, 2.0, ALTITUDE_M)
-    references.hold((1.0, 2.0))
-    references.fly_to((2.0, 2.0), 0.5 * FLYING.transit_speed_m_s)
-    assert references.duration_s > default_s
-    references.fly_to_waypoint((0.0, 0.0, 2.5), 1.0)
-    assert (references.target, references.altitude_m) == ((0.0, 0.0, 2.5), 2.5)
-    references.hold((3.0, 3.0, 9.0))
-    assert (references.target, references.on_transit) == ((3.0, 3.0, 2.5), False)  # the altitude is kept
-
-
-def test_a_step_says_only_where_and_a_way_also_how_fast() -> None:
-    references = standing()
-    references.hold((1.0, 2.0))
-    step = make_setpoint(FRAME, Trigger(500, 600), references.reference(500, None), references.heading)
-    assert (step.t_us, step.trigger_received_us, step.recovery) == (500, 600, False)
-    assert says(step, (1.0, 2.0, ALTITUDE_M), None, None)
-    assert step.yaw_ned_rad == pytest.approx(FRAME.yaw_to_ned(0.2))
-    references.fly_to((4.0, 2.0))
-    assert asked(references, 500, None)[1] is None  # not begun
-    half_us = round(0.5e6 * references.duration_s)
-    position, velocity, _ = asked(references, 500 + half_us, 500)
+def test_a_step_says_only_where_and_a_trajectory_also_how_fast() -> None:
+    step = STANDING.hold((1.0, 2.0))
+    place, *motion = asked(step, 500, None)
+    assert place == pytest.approx((1.0, 2.0, ALTITUDE_M))
+    assert motion == [None, None]
+    flown = step.fly_to((4.0, 2.0), FLYING)
+    assert asked(flown, 500, None)[1] is None  # not begun
+    half_us = round(0.5e6 * flown.duration_s)
+    position, velocity, _ = asked(flown, 500 + half_us, 500)
     assert position == pytest.approx((2.5, 2.0, ALTITUDE_M), abs=1e-5)
-    assert velocity == pytest.approx((1.875 * 3.0 / references.duration_s, 0.0, 0.0), abs=1e-5)
+    assert velocity == pytest.approx((1.875 * 3.0 / flown.duration_s, 0.0, 0.0), abs=1e-5)
 
 
 def test_drag_and_what_the_d_term_takes_are_fed_forward_ahead_of_the_attitudes_lag() -> None:
     """Drag b v, in a lag's time b (v + lag a); the reference's own a (1 + kd), and its change."""
-    references = standing()
     x, y = (0.0, 1.0, 0.5, 0.1, 0.0, 0.0), (0.0, -0.4, 0.25, -0.2, 0.0, 0.0)
     way = Trajectory.level(x, y, ALTITUDE_M, (5.0,))
-    references.follow_trajectory(way)
-    assert references.target == way.at(5.0).position
-    at, (_, velocity, fed) = way.at(1.0), asked(references, 1_000_000)
+    flown = STANDING.follow(way)
+    assert flown.target == way.at(5.0).position
+    at, (_, velocity, fed) = way.at(1.0), asked(flown, 1_000_000)
     assert velocity == pytest.approx(at.velocity)
     assert fed is not None
     kd = MISSION.vehicle.px4.mpc_xy_vel_d_acc
@@ -117,22 +107,18 @@ def test_drag_and_what_the_d_term_takes_are_fed_forward_ahead_of_the_attitudes_l
         assert fed[axis] == pytest.approx(drag * later_m_s + later_m_s2 + kd * at.acceleration[axis])
 
 
-def late(delay_s: float, dead_s: float = 0.0) -> SetpointGenerator:
-    """On a mission that says so much of the autopilot's delays."""
+def late(delay_s: float, dead_s: float = 0.0) -> Mission:
+    """A mission with these delays of the autopilot."""
     flying = structs.replace(FLYING, setpoint_delay_s=delay_s, attitude_delay_s=dead_s)
-    vehicle = structs.replace(MISSION.vehicle, flying=flying)
-    references = SetpointGenerator(structs.replace(MISSION, vehicle=vehicle))
-    references.stand((1.0, 2.0, 0.7), 0.2, 0)
-    references.follow_trajectory(INTO_A_WALL)
-    return references
+    return structs.replace(MISSION, vehicle=structs.replace(MISSION.vehicle, flying=flying))
 
 
 @given(st.floats(0.0, 0.1), st.floats(0.0, 1.9))
 def test_a_setpoint_is_of_the_moment_at_which_it_is_flown(delay_s: float, since_s: float) -> None:
     """Along a trajectory: that of one without a delay, so much later."""
     at_us, later_us = round(since_s * 1e6), round((since_s + delay_s) * 1e6)
-    found = asked(late(delay_s), at_us)
-    wanted = asked(standing_on(INTO_A_WALL), later_us)
+    found = asked(STANDING.follow(INTO_A_WALL), at_us, mission=late(delay_s))
+    wanted = asked(STANDING.follow(INTO_A_WALL), later_us)
     for one, other in zip(found, wanted, strict=True):
         assert one == pytest.approx(other, abs=1e-4)
 
@@ -143,7 +129,7 @@ def test_thrust_is_asked_for_ahead_of_the_attitudes_dead_time(
 ) -> None:
     """Position and velocity of one moment, acceleration and jerk of another, which is not beyond the wall."""
     at_us, end_s = round(since_s * 1e6), INTO_A_WALL.duration_s
-    place, velocity, fed = asked(late(delay_s, dead_s), at_us)
+    place, velocity, fed = asked(STANDING.follow(INTO_A_WALL), at_us, mission=late(delay_s, dead_s))
     flown_s = at_us * 1e-6 + delay_s
     flown = INTO_A_WALL.at(flown_s)
     tilted = INTO_A_WALL.at(min(flown_s + dead_s, max(at_us * 1e-6, end_s)))
@@ -158,13 +144,15 @@ def test_thrust_is_asked_for_ahead_of_the_attitudes_dead_time(
 
 def test_before_a_wall_the_delay_asks_for_nothing_beyond_it() -> None:
     """The last moments ask for the thrust at the wall, and of the velocity what the vehicle has."""
-    references, end_us = late(0.03, 0.05), round(1e6 * INTO_A_WALL.duration_s)
+    mission, end_us = late(0.03, 0.05), round(1e6 * INTO_A_WALL.duration_s)
     wall, motion = MISSION.walls[0], (0.7, -0.1, 0.0)
     sample = OdometrySample(
         end_us - 10_000, 0, FRAME.point_to_ned((2.0, 1.0, ALTITUDE_M)), FRAME.vector_to_ned(motion)
     )
-    free = references.free_axes(FRAME, sample, (wall.normal,))
-    reference = references.reference(sample.t_us, 0)
+    selection, progress = SetpointSelection(mission), MissionState(mission, {})
+    progress.course = STANDING.follow(INTO_A_WALL)
+    free = selection._free_axes(FRAME, sample, (wall.normal,))
+    reference = selection._reference(progress, sample.t_us, 0)
     place, velocity, fed = parts(make_setpoint(FRAME, TRIGGER, reference, 0.0, free))
     at_wall = INTO_A_WALL.at(INTO_A_WALL.duration_s)
     assert fed is not None
@@ -185,8 +173,7 @@ def test_before_a_wall_the_delay_asks_for_nothing_beyond_it() -> None:
 
 
 def test_on_the_climb_only_drag_is_added() -> None:
-    references = standing()
-    references.climb()
+    references = STANDING.climb(FLYING)
     at_us = round(0.3e6 * references.duration_s)
     _, velocity, fed = asked(references, at_us)
     _, before, _ = asked(references, at_us - 100)
@@ -200,11 +187,10 @@ def test_on_the_climb_only_drag_is_added() -> None:
 
 
 def test_an_approach_is_flown_without_a_new_target() -> None:
-    references = standing()
-    references.hold((1.0, 2.0))
-    references.approach(Trajectory.run_up((1.0, 2.0), (1.0, 0.0), 0.5, 1.75, ALTITUDE_M))
-    assert (references.target, references.on_transit) == ((1.0, 2.0, ALTITUDE_M), False)
-    position, velocity, _ = asked(references, 1_000_000)
+    approach = Trajectory.run_up((1.0, 2.0), (1.0, 0.0), 0.5, 1.75, ALTITUDE_M)
+    flown = STANDING.hold((1.0, 2.0)).approach(approach)
+    assert (flown.target, flown.on_transit) == ((1.0, 2.0, ALTITUDE_M), False)
+    position, velocity, _ = asked(flown, 1_000_000)
     assert position == pytest.approx((1.75, 2.0, ALTITUDE_M))
     assert velocity == pytest.approx((1.0, 0.0, 0.0))
 
@@ -236,7 +222,7 @@ def test_a_setpoint_is_its_reference_and_on_free_axes_the_measured_motion(
 def test_a_step_carries_an_acceleration_only_if_one_is_added() -> None:
     """PX4 accepts an acceleration only with a velocity; the peak of an impact is marked."""
     place = (1.0, 2.0, 1.5)
-    recovery = make_setpoint(FRAME, Trigger(5, 6, recovery=True), Reference(place), 0.2)
+    recovery = make_setpoint(FRAME, SetpointTrigger(5, 6, recovery=True), Reference(place), 0.2)
     assert (recovery.t_us, recovery.trigger_received_us, recovery.recovery) == (5, 6, True)
     assert says(recovery, place, None, None)
     pushed = make_setpoint(FRAME, TRIGGER, Reference(place), 0.2, added=(0.5, -0.2, 0.0))
@@ -244,9 +230,9 @@ def test_a_step_carries_an_acceleration_only_if_one_is_added() -> None:
 
 
 def test_it_has_arrived_once_it_was_there_slow_and_heading_right_for_a_while() -> None:
-    references, state, t_us = standing(), FlightState(), 0
+    flown, state, t_us = Executive(MISSION), FlightState(), 0
     state.anchor(MissionFrame())
-    references.hold((0.0, 0.0))
+    flown.progress.phase, flown.progress.course = Phase.GOAL, STANDING.hold((0.0, 0.0))
 
     def after(seconds: float, beside_m: float = 0.0, yaw: float = 0.0, speed_m_s: float = 0.0) -> bool:
         """Whether it has arrived in any of the samples of so long."""
@@ -258,7 +244,7 @@ def test_it_has_arrived_once_it_was_there_slow_and_heading_right_for_a_while() -
             state.take_attitude(AttitudeSample(t_us, t_us, (math.cos(half), 0.0, 0.0, -math.sin(half))))
             there, moving = (beside_m, 0.0, -ALTITUDE_M), (speed_m_s, 0.0, 0.0)
             state.take_odometry(OdometrySample(t_us, t_us, there, moving))
-            arrived = references.has_arrived(state, 0.0) or arrived
+            arrived = flown._has_arrived(state) or arrived
         return arrived
 
     long_s = FLYING.arrive_s + 0.02
@@ -270,22 +256,9 @@ def test_it_has_arrived_once_it_was_there_slow_and_heading_right_for_a_while() -
     assert not after(FLYING.arrive_s - 0.02)
     assert not after(0.05, beside_m=9.0)  # it counts anew
     assert not after(FLYING.arrive_s - 0.02, 0.98 * FLYING.arrive_m, 0.048, 0.98 * FLYING.arrive_speed_m_s)
-    references.phase_begins()
+    flown.progress.arrived_us = None  # as when a phase begins
     assert not after(FLYING.arrive_s - 0.02)
     assert after(0.04)
-
-
-def test_the_heading_turns_the_short_way_at_its_rate() -> None:
-    references, rate = standing(), math.radians(FLYING.yaw_rate_deg_s)
-    references.stand((0.0, 0.0, 0.0), 3.0, 1_000_000)
-    references.slew_yaw(-3.0, 1_100_000)
-    assert references.yaw == pytest.approx(3.0 + min(0.1 * rate, 2.0 * math.pi - 6.0))
-    references.stand((0.0, 0.0, 0.0), 1.0, 2_000_000)
-    references.slew_yaw(-1.0, 2_010_000)
-    references.slew_yaw(-1.0, 2_030_000)
-    assert references.yaw == pytest.approx(1.0 - 0.03 * rate)
-    references.slew_yaw(-1.0, 99_000_000)
-    assert references.yaw == pytest.approx(-1.0)
 
 
 def test_a_transit_to_where_it_is_takes_a_tenth_of_a_second() -> None:
@@ -307,10 +280,6 @@ def test_a_transit_to_where_it_is_takes_a_tenth_of_a_second() -> None:
 def test_how_near_and_how_straight_it_is_when_it_has_arrived(
     mission: str, share: float, off_rad: float, arrives: bool
 ) -> None:
-    references = SetpointGenerator(load_mission(packaged("missions", f"{mission}.yaml")))
-    state = FlightState()
-    x, y, z = references.target
-    state.position, state.yaw = (x + share * FLYING.arrive_m, y, z), off_rad
-    references.has_arrived(state, 0.0)
-    state.now_us = 60_000_000
-    assert references.has_arrived(state, 0.0) is arrives
+    arrival, state = Arrival(load_mission(packaged("missions", f"{mission}.yaml"))), FlightState()
+    state.position, state.yaw = (1.0 + share * FLYING.arrive_m, 2.0, 0.0), off_rad
+    assert arrival.is_at(STANDING.target, 0.0, state) is arrives

@@ -1,0 +1,67 @@
+"""How far planning after a contact is: what was asked for, what was answered, and the trajectory in force."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from dart_flight.base.records import PlanAnswer, PlanRequest
+from dart_flight.core.mission.position_loop import PlaneMet
+from dart_flight.core.mission.trajectories import Trajectory
+from dart_flight.core.sense.state import FlightState
+
+
+class Replan(NamedTuple):
+    """Requests to the planner and the trajectory that is flown; autopilot time.
+
+    Attributes:
+        number, tries: of all requests, and of those since the last contact.
+        felt: whether the last contact has produced an estimate of its wall.
+        asked: the request that an answer must match.
+        answer: accepted, and not flown yet.
+        from_rest: whether the request was for an approach from rest.
+        trajectory, begin_us: in force, and when it began.
+        leaned: the trajectory ends leaned as its wall wants it: it has the shape of the mission's own.
+        quickest: only a trajectory that ends not much later replaces the one in force.
+        impact_us: when the trajectory meets the next wall.
+    """
+
+    number: int = 0
+    tries: int = 0
+    felt: bool = False
+    asked: PlanRequest | None = None
+    answer: PlanAnswer | None = None
+    from_rest: bool = False
+    trajectory: Trajectory | None = None
+    begin_us: int = 0
+    leaned: bool = False
+    quickest: bool = True
+    impact_us: int | None = None
+
+    def contact_begins(self) -> Replan:
+        """Discard what was asked or planned before a contact."""
+        return Replan(self.number, from_rest=self.from_rest, begin_us=self.begin_us, quickest=self.quickest)
+
+    @property
+    def since_us(self) -> int | None:
+        """Since when a trajectory is flown; None: a setpoint is."""
+        return None if self.trajectory is None else self.begin_us
+
+    @property
+    def is_leaned(self) -> bool:
+        """Whether the trajectory in force ends as leaned as its wall wants it."""
+        return self.trajectory is not None and self.leaned
+
+    def is_over(self, now_us: int) -> bool:
+        """Whether a trajectory is flown to its end."""
+        return self.trajectory is not None and now_us - self.begin_us >= self.trajectory.duration_s * 1e6
+
+    def impact_in_s(self, state: FlightState) -> float:
+        """Return the time until the trajectory meets the next wall; minus infinity without one."""
+        return -math.inf if self.impact_us is None else (self.impact_us - state.now_us) * 1e-6
+
+    def meets_plane(self, closing_m_s: float, state: FlightState) -> PlaneMet | None:
+        """Return when the trajectory meets the next wall; None if a setpoint is flown."""
+        if self.impact_us is None:
+            return None
+        return PlaneMet(max(0.0, (self.impact_us - state.now_us) * 1e-6), -closing_m_s)
