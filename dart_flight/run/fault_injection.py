@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple, Protocol
 
 import msgspec
 
@@ -13,6 +13,9 @@ from dart_flight.base.records import (
     Setpoint,
     VehicleAction,
 )
+from dart_flight.config.mission import Mission
+from dart_flight.lock.drivers.mock import MockDriver
+from dart_flight.sim.embedded_autopilot import Autopilot
 from dart_flight.sim.faults.fault_table import (
     Fault,
     FaultSite,
@@ -25,9 +28,6 @@ from dart_flight.sim.faults.impairment import Impairment, LossyLink
 from dart_flight.sim.faults.twin import make_second_vehicle
 from dart_flight.sim.simulated_vehicle import SimulatedVehicle
 
-if TYPE_CHECKING:
-    from dart_flight.run.fast import FastFlight
-
 
 class TimeRequest(NamedTuple):
     """TIMESYNC on its way to the autopilot; sent at a host time."""
@@ -38,13 +38,34 @@ class TimeRequest(NamedTuple):
 Order = Setpoint | VehicleAction | TimeRequest
 
 
+class FaultyFlight(Protocol):
+    """The flight in which a fault happens, as far as the fault needs it."""
+
+    mission: Mission
+    vehicle: SimulatedVehicle
+    autopilot: Autopilot
+    mock: MockDriver | None
+    deadman_s: float
+
+    @property
+    def host_us(self) -> int:
+        """Host time."""
+        ...
+
+    def forget_setpoint(self) -> None:
+        """Repeat no setpoint any longer."""
+
+    def deliver(self, order: Order) -> None:
+        """Give the autopilot an order."""
+
+
 class FlightWithFault:
     """One fault in one fast flight: when it begins, and what it does between app and vehicle.
 
     A hang leaves MAVSDK repeating the last setpoint until the deadman ends the process.
     """
 
-    def __init__(self, flight: FastFlight, fault: Fault, seed: int) -> None:
+    def __init__(self, flight: FaultyFlight, fault: Fault, seed: int) -> None:
         self._flight, self.fault = flight, fault
         self._trigger = Trigger(fault)
         self.began_us: int | None = None  # host time

@@ -10,7 +10,7 @@ gates and time constants are PX4's defaults and those of `configs/px4/indoor.par
 from __future__ import annotations
 
 from collections import deque
-from typing import TYPE_CHECKING, Final
+from typing import Final, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -33,9 +33,6 @@ from dart_flight.base.geometry import (
     yaw_ned_of,
 )
 
-if TYPE_CHECKING:
-    from dart_flight.sim.estimator import Estimator
-
 _Matrix = npt.NDArray[np.float64]
 
 _TICKS: Final = 2  # ticks of 4 ms per filter step: EKF2_PREDICT_US 10000 at 250 Hz
@@ -54,6 +51,17 @@ _START_SD: Final = np.repeat((0.01, 0.05, 0.02, 0.05), 3)  # position, velocity,
 _P, _V, _R, _B = (slice(3 * i, 3 * i + 3) for i in range(4))
 
 
+class EstimatedMotion(Protocol):
+    """The state of an estimator, NED, which the filter writes."""
+
+    position: Vec3
+    velocity: Vec3
+    q: Quaternion
+    rate: Vec3
+    ok: bool
+    resets: int
+
+
 class DelayedFilter:
     """A filter that takes every pose for `delay_s` old when it arrives, and writes an estimator's state.
 
@@ -64,7 +72,7 @@ class DelayedFilter:
         delay_s: the configured age, EKF2_EV_DELAY.
     """
 
-    def __init__(self, estimator: Estimator, started: bool, now_s: float, delay_s: float) -> None:
+    def __init__(self, estimator: EstimatedMotion, started: bool, now_s: float, delay_s: float) -> None:
         self._of = estimator
         self._updates = int(started)
         self._now_s, self._delay_s = now_s, delay_s

@@ -25,6 +25,8 @@ _SILENT: Final = frozenset({Phase.READYING, Phase.LANDING, Phase.DONE, Phase.OVE
 _TURNED: Final = frozenset({Phase.CONTACT, Phase.RECOVERY, Phase.GOAL})
 # In which a trajectory leads to the target, from the phase's beginning on; in a rehearsal the recovery, too.
 _UNDERWAY: Final = frozenset({Phase.CLIMB, Phase.WAYPOINT, Phase.TRANSIT, Phase.APPROACH, Phase.GOAL})
+_OFF_TIME_S: Final = 0.1  # at most before or after its time does a vehicle lean for a hit
+_CLOSES_M_S: Final = 0.3
 _NONE: Final[Vec3] = (0.0, 0.0, 0.0)
 
 
@@ -110,12 +112,16 @@ class SetpointSelection:
         else:
             reference = self._reference(progress, sample.t_us, since_us)
             if wall is not None:
-                along, added = (wall.normal,), self._push_off(progress, wall)
+                along = (wall.normal,)
             elif reference.velocity is not None or phase is not Phase.RECOVERY:
                 added = None
         if not in_contact and wall is None:
             heading = heading.turn(self.wanted_yaw(progress, state), state.now_us, self._yaw_rad_s)
         free = self._free_axes(frame, sample, along) if along else None
+        if wall is not None and free is not None and since_us is not None:
+            since_s = (sample.t_us - since_us) * 1e-6
+            across_m_s2 = self._push_off_m_s2(progress, wall) + self._in_time_m_s2(progress, since_s, free)
+            added = (across_m_s2 * wall.normal[0], across_m_s2 * wall.normal[1], 0.0)
         trigger = SetpointTrigger(sample.t_us, sample.received_us)
         return make_setpoint(frame, trigger, reference, heading.commanded, free, added), heading
 
@@ -170,14 +176,34 @@ class SetpointSelection:
             until_s = progress.replan.impact_in_s(state) if progress.phase is Phase.RECOVERY else math.inf
         return collision.wall if until_s < _COASTING_S and trajectory.after is AfterEnd.CONTINUE else None
 
-    def _push_off(self, progress: MissionState, wall: Wall) -> Vec3:
-        """Return the acceleration off a wall that balances the contact's torque, mission frame, m/s2."""
+    def _push_off_m_s2(self, progress: MissionState, wall: Wall) -> float:
+        """Return the acceleration off a wall that balances the contact's torque."""
         collision = progress.collision
         assert collision is not None
         leaned = progress.phase is Phase.RECOVERY and progress.replan.is_leaned
         out_m = self._airframe.contact_distance_m
-        push_m_s2 = 0.0 if leaned else balancing_m_s2(progress.contact_height_m, out_m, collision.mode)
-        return (push_m_s2 * wall.normal[0], push_m_s2 * wall.normal[1], 0.0)
+        return 0.0 if leaned else balancing_m_s2(progress.contact_height_m, out_m, collision.mode)
+
+    def _in_time_m_s2(self, progress: MissionState, since_s: float, free: FreeAxes) -> float:
+        """Return the thrust across a wall at the vehicle's own time to impact, minus that of the trajectory now.
+
+        A vehicle that is ahead of its trajectory meets the wall before the trajectory has leaned it off.
+
+        Args:
+            progress: with the trajectory to the wall.
+            since_s: time since the trajectory began.
+            free: the wall's normal, and the motion when the setpoint is flown.
+        """
+        trajectory, (nx, ny) = progress.course.trajectory, free.along[0]
+        assert trajectory is not None
+        closing_m_s, own_s = -(free.velocity[0] * nx + free.velocity[1] * ny), since_s
+        if closing_m_s > _CLOSES_M_S:
+            x, y, _ = trajectory.at(trajectory.duration_s).position
+            ahead_m = (free.position[0] - x) * nx + (free.position[1] - y) * ny
+            own_s = trajectory.duration_s - self._delay_s - ahead_m / closing_m_s
+            own_s = max(since_s - _OFF_TIME_S, min(since_s + _OFF_TIME_S, own_s))
+        (ax, ay, _), (bx, by, _) = (self._lead(trajectory, t).acceleration for t in (own_s, since_s))
+        return (ax - bx) * nx + (ay - by) * ny
 
     # -- references --
 
