@@ -155,11 +155,12 @@ def test_before_a_wall_the_delay_asks_for_nothing_beyond_it() -> None:
     """The last moments ask for the thrust at the wall, and of the velocity what the vehicle has."""
     references, end_us = late(0.03, 0.05), round(1e6 * INTO_A_WALL.duration_s)
     wall, motion = MISSION.walls[0], (0.7, -0.1, 0.0)
+    at_wall = INTO_A_WALL.at(INTO_A_WALL.duration_s)
+    x, y, _ = at_wall.position
     sample = OdometrySample(
-        end_us - 10_000, 0, FRAME.point_to_ned((2.0, 1.0, ALTITUDE_M)), FRAME.vector_to_ned(motion)
+        end_us - 10_000, 0, FRAME.point_to_ned(at_wall.position), FRAME.vector_to_ned(motion)
     )
     place, velocity, fed = parts(references.coasting_setpoint(FRAME, sample, 0, wall))
-    at_wall = INTO_A_WALL.at(INTO_A_WALL.duration_s)
     assert fed is not None
     kd, lead_s = MISSION.vehicle.px4.mpc_xy_vel_d_acc, ATTITUDE_LAG_S - 0.05
     for axis, drag in enumerate(MISSION.vehicle.airframe.drag_per_s[:2]):
@@ -171,10 +172,36 @@ def test_before_a_wall_the_delay_asks_for_nothing_beyond_it() -> None:
         sum(v * n for v, n in zip(motion, across, strict=False))
     )
     # Where the vehicle is when the setpoint is flown, across the wall: nothing to brake for.
-    there = (2.0 + 0.03 * motion[0], 1.0 + 0.03 * motion[1])
+    there = (x + 0.03 * motion[0], y + 0.03 * motion[1])
     assert sum(p * n for p, n in zip(place, across, strict=False)) == pytest.approx(
         sum(p * n for p, n in zip(there, across, strict=False))
     )
+
+
+@given(st.floats(0.01, 0.24), st.floats(0.01, 0.24), st.floats(0.5, 3.0))
+def test_before_a_wall_it_leans_at_its_own_time_to_impact(
+    planned_s: float, left_s: float, closing_m_s: float
+) -> None:
+    """A vehicle ahead of its trajectory leans sooner, by up to 0.1 s; across the wall only."""
+    references, wall, end_s = late(0.0), MISSION.walls[0], INTO_A_WALL.duration_s
+    (nx, ny), (tx, ty), (x, y, _) = wall.normal, wall.tangent, INTO_A_WALL.at(end_s).position
+    at_us = round(1e6 * (end_s - planned_s))
+    away_m = closing_m_s * left_s
+    sample = OdometrySample(
+        at_us,
+        0,
+        FRAME.point_to_ned((x + away_m * nx, y + away_m * ny, ALTITUDE_M)),
+        FRAME.vector_to_ned((-closing_m_s * nx, -closing_m_s * ny, 0.0)),
+    )
+    _, _, fed = parts(references.coasting_setpoint(FRAME, sample, 0, wall))
+    early_s = max(-0.1, min(0.1, planned_s - left_s))
+    _, _, planned = parts(references.setpoint(FRAME, at_us, 0, 0))
+    _, _, own = parts(references.setpoint(FRAME, at_us + round(1e6 * early_s), 0, 0))
+    assert fed is not None
+    assert planned is not None
+    assert own is not None
+    assert fed[0] * tx + fed[1] * ty == pytest.approx(planned[0] * tx + planned[1] * ty, abs=1e-4)
+    assert fed[0] * nx + fed[1] * ny == pytest.approx(own[0] * nx + own[1] * ny, abs=1e-4)
 
 
 def test_on_the_climb_only_drag_is_added() -> None:

@@ -22,6 +22,8 @@ _ARRIVED_YAW_RAD: Final = 0.05
 _DRIFTING_NEAR: Final = 2.5
 _DRIFTING_SLOW: Final = 4.0
 _DRIFTING_TURNED: Final = 2.0
+_OFF_TIME_S: Final = 0.1  # at most before or after its time does a vehicle lean for a hit
+_CLOSES_M_S: Final = 0.3
 
 
 class SetpointGenerator:
@@ -179,14 +181,16 @@ class SetpointGenerator:
         Who comes a little late or slow to a wall must not lean into it to make up for that: the contact turns
         a leaning vehicle over. But for `push_m_s2` off the wall, that balances it.
         """
-        assert self._trajectory is not None
-        reference = self._reference((sample.t_us - since_us) * 1e-6)
+        since_s = (sample.t_us - since_us) * 1e-6
+        reference = self._reference(since_s)
         (nx, ny), p, v = wall.normal, reference.position, reference.velocity
         now = frame.vector_from_ned(sample.velocity_ned)
         here = add(frame.point_from_ned(sample.position_ned), scale(now, self._delay_s))
         off = (here[0] - p[0]) * nx + (here[1] - p[1]) * ny
         off_m_s = (now[0] - v[0]) * nx + (now[1] - v[1]) * ny
         ax, ay, az = self._feed_forward(reference)
+        here_m, closing_m_s = (here[0] * nx + here[1] * ny), -(now[0] * nx + now[1] * ny)
+        push_m_s2 += self._thrust_in_time_m_s2(since_s, here_m, closing_m_s, wall) - (ax * nx + ay * ny)
         return Setpoint(
             t_us=sample.t_us,
             trigger_received_us=sample.received_us,
@@ -195,6 +199,25 @@ class SetpointGenerator:
             velocity_ned=frame.vector_to_ned((v[0] + off_m_s * nx, v[1] + off_m_s * ny, 0.0)),
             acceleration_ned=frame.vector_to_ned((ax + push_m_s2 * nx, ay + push_m_s2 * ny, az)),
         )
+
+    def _thrust_in_time_m_s2(self, since_s: float, here_m: float, closing_m_s: float, wall: Wall) -> float:
+        """Return the thrust across a wall that the trajectory wants at the vehicle's own time to impact.
+
+        A vehicle that is ahead of its trajectory meets the wall before the trajectory has leaned it off.
+
+        Args:
+            since_s: time since the trajectory began.
+            here_m, closing_m_s: place of the vehicle along the wall's normal, and speed against it.
+            wall: the wall ahead.
+        """
+        (nx, ny), end_s, trajectory = wall.normal, self._end_s, self._trajectory
+        assert trajectory is not None
+        if math.isfinite(end_s) and closing_m_s > _CLOSES_M_S:
+            x, y, _ = trajectory.at(end_s).position
+            own_s = end_s - self._delay_s - (here_m - x * nx - y * ny) / closing_m_s
+            since_s = max(since_s - _OFF_TIME_S, min(since_s + _OFF_TIME_S, own_s))
+        ax, ay, _ = self._feed_forward(self._reference(since_s))
+        return ax * nx + ay * ny
 
     def recovery_setpoint(
         self, frame: MissionFrame, t_us: int, received_us: int, feed_forward: Vec3 | None = None
@@ -263,16 +286,20 @@ class SetpointGenerator:
         """
         trajectory = self._trajectory
         assert trajectory is not None
-        if isinstance(trajectory, Approach):  # at a steady speed through its wall
-            end_s = math.inf
-        else:
-            end_s = self.impact_s if isinstance(trajectory, PlannedApproach) else self.duration_s
+        end_s = self._end_s
         flown_s = min(since_s + self._delay_s, max(since_s, end_s))
         reference, tilted_s = trajectory.at(flown_s), min(flown_s + self._dead_s, max(flown_s, end_s))
         if tilted_s == flown_s:
             return reference
         tilted = trajectory.at(tilted_s)
         return msgspec.structs.replace(reference, acceleration=tilted.acceleration, jerk=tilted.jerk)
+
+    @property
+    def _end_s(self) -> float:
+        """When the trajectory ends, since its beginning; an approach at steady speed never does."""
+        if isinstance(self._trajectory, Approach):
+            return math.inf
+        return self.impact_s if isinstance(self._trajectory, PlannedApproach) else self.duration_s
 
     def _feed_forward(self, reference: TrajectoryPoint) -> Vec3:
         """Acceleration fed forward, mission frame, m/s2.
