@@ -129,22 +129,17 @@ def _follow(
     log: Path, flying: Callable[[], bool], show: Callable[[MonitorView], None], arguments: argparse.Namespace
 ) -> Mission:
     """Raises InputError: the log cannot be read."""
-    try:
-        follower = LogFollower(log)
-        first = follower.read()
-        mission = flown_mission(follower.about, str(log))
-        watcher = TelemetryMonitor(mission, placed=True)
-        with live_view(arguments, mission) as live:
-            viewer = live.feed if live is not None else _nobody
-            for entry in first:
-                watcher.take_record(entry.record)
-                viewer(entry.record)
-            monitor_log(watcher, follower, show, _PERIOD_S, arguments.seconds, flying, viewer)
-        return mission
-    except InputError:
-        raise
-    except (OSError, ValueError) as error:
-        raise InputError(f"cannot follow: {error}", source=str(log)) from None
+    follower = LogFollower(log)
+    first = follower.read()
+    mission = flown_mission(follower.about, str(log))
+    watcher = TelemetryMonitor(mission, placed=True)
+    with live_view(arguments, mission) as live:
+        viewer = live.feed if live is not None else _nobody
+        for entry in first:
+            watcher.take_record(entry.record)
+            viewer(entry.record)
+        monitor_log(watcher, follower, show, _PERIOD_S, arguments.seconds, flying, viewer)
+    return mission
 
 
 def screen(view: MonitorView) -> Group:

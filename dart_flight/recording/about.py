@@ -46,7 +46,7 @@ def describe_flight(mission: Mission, world: World, seed: int | None) -> dict[st
     }
     try:
         about["mission_text"] = Path(mission.source).read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError):  # built or changed in Python
+    except (OSError, UnicodeDecodeError):  # built in Python, or the file has gone since
         tree = msgspec.json.encode(mission.to_dict())
         about["mission_text"] = msgspec.json.format(tree, indent=2).decode()
     return about

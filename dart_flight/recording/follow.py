@@ -9,7 +9,8 @@ from pathlib import Path
 
 from mcap.exceptions import EndOfFile
 
-from dart_flight.recording.reader import MAGIC, MAX_BYTES, LogEntry, read_entries
+from dart_flight.config.document import InputError
+from dart_flight.recording.reader import MAGIC, MAX_BYTES, DamagedLogError, LogEntry, read_entries
 from dart_flight.recording.writer import part_path
 
 _HEAD = struct.Struct("<BQ")  # MCAP: kind and length of a record
@@ -44,10 +45,14 @@ class LogFollower:
         """The records that have come since the last call, in the order written; empty where none have.
 
         Raises:
-            OSError: the file cannot be read.
-            ValueError: it is damaged.
-        InputError: written by a newer version.
+            InputError: the file cannot be read, is damaged, or was written by a newer version.
         """
+        try:
+            return self._read()
+        except (OSError, DamagedLogError) as error:
+            raise InputError(f"cannot follow: {error}", source=str(self._path)) from None
+
+    def _read(self) -> list[LogEntry]:
         added, end, entries = io.BytesIO(self._whole_records()), dict[str, str](), list[LogEntry]()
         with contextlib.suppress(EndOfFile):
             for entry in read_entries(added, self.about, end, self._topics, str(self._path), begun=True):
@@ -68,7 +73,7 @@ class LogFollower:
         while len(data) - end >= _HEAD.size:
             _, length = _HEAD.unpack_from(data, end)
             if length > MAX_BYTES:
-                raise ValueError(f"a record of {length} bytes")
+                raise DamagedLogError(f"a record of {length} bytes")
             if end + _HEAD.size + length > len(data):
                 break
             end += _HEAD.size + length

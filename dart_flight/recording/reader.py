@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import contextlib
+import struct
 from collections.abc import Iterator
 from functools import cached_property
 from pathlib import Path
 from typing import IO, TYPE_CHECKING
 
 import msgspec
+from mcap.exceptions import EndOfFile, McapError
 from mcap.records import Channel, Chunk, Message, Metadata
 from mcap.stream_reader import StreamReader, breakup_chunk
+from zstandard import ZstdError
 
 from dart_flight.base.records import Record, World
 from dart_flight.config.document import InputError, open_file
@@ -25,6 +29,8 @@ IN_MEMORY = "<memory>"  # the source of a log without a file
 # The writer's chunks are of a megabyte: a damaged length must not make the reader ask for gigabytes.
 MAX_BYTES = 64 * 1024 * 1024
 MAGIC = b"\x89MCAP0\r\n"
+# What the libraries raise for bytes that are none of a log's.
+_DAMAGES = (McapError, ZstdError, struct.error, msgspec.MsgspecError, ValueError, OverflowError)
 DECODERS = {kind.topic: msgspec.json.Decoder(kind) for kind in RECORD_TYPES}
 
 
@@ -33,6 +39,10 @@ class NothingInItError(InputError):
 
     Where many logs are given it is left out, with a word.
     """
+
+
+class DamagedLogError(Exception):
+    """A log that is damaged at some place; what was read before it is good."""
 
 
 class LogEntry(msgspec.Struct, frozen=True, gc=False):
@@ -131,12 +141,9 @@ def _read_part(path: Path, log: Log) -> None:
             stream.seek(0)
             for entry in read_entries(stream, found, log.end, {}, source):
                 log.entries.append(entry)
-    except InputError:
-        raise
     except OSError as error:
         raise InputError(f"cannot read: {error.strerror or error}", source=source) from None
-    except Exception:
-        # Cut off or damaged here; the rest is good.
+    except (EndOfFile, DamagedLogError):
         log.complete = False
     log.about.update(found)
     if not found and log.complete:
@@ -154,11 +161,36 @@ def read_entries(
     """The records of one part of a log, or, where it is `begun`, of what has been added to it.
 
     `about` takes what describes the flight, `end` what was known only at its end, `topics` the channels by
-    number. For what is cut off or damaged the library raises many kinds of errors.
+    number.
 
     Raises:
         InputError: written by a newer version.
+        EndOfFile: the log is cut off here, or still grows.
+        DamagedLogError: the log is damaged here.
     """
+    with _as_damage():
+        yield from _read_entries(stream, about, end, topics, source, begun)
+
+
+@contextlib.contextmanager
+def _as_damage() -> Iterator[None]:
+    """Raise one kind of error for the many that the libraries raise for damaged bytes."""
+    try:
+        yield
+    except (EndOfFile, InputError):
+        raise
+    except _DAMAGES as error:
+        raise DamagedLogError(str(error)) from error
+
+
+def _read_entries(
+    stream: IO[bytes],
+    about: dict[str, str],
+    end: dict[str, str],
+    topics: dict[int, str],
+    source: str,
+    begun: bool,
+) -> Iterator[LogEntry]:
     reader = StreamReader(stream, skip_magic=begun, emit_chunks=True, record_size_limit=MAX_BYTES)
     for record in reader.records:
         if isinstance(record, Metadata) and record.name == ABOUT:

@@ -70,6 +70,7 @@ _SURE_EVERY: Final = 250  # ticks: how sure the estimator is of its position, wh
 _HOST_EVERY: Final = 5  # ticks of 4 ms: lock polled and host time reported at 50 Hz
 _ASK_EVERY: Final = 25  # ticks: as often as the app measures the round trip
 _REPEAT_US: Final = 50_000  # MAVSDK repeats the last setpoint at 20 Hz
+_LONGEST_S: Final = 180.0  # of a flight, beside the holds that its mission asks for
 _NAN3 = (math.nan, math.nan, math.nan)
 FLIGHT_MODES: Final = {
     VehicleAction.OFFBOARD: FlightMode.OFFBOARD,
@@ -179,13 +180,21 @@ class FastFlight:
         self.mock = hardware if isinstance(hardware, MockDriver) else None
         return LockSession(lock, hardware, clock_us, self._lock_states.append)
 
-    def run(self, limit_s: float = 180.0) -> None:
-        """Fly until the core says that it is over, or for `limit_s` seconds of simulated time."""
+    def run(self) -> None:
+        """Fly until the core says that it is over; end the flight if that takes longer than it may.
+
+        A simulated flight that never ends would stop a campaign without a word.
+        """
+        limit_s = longest_s(self.mission)
         self.take(ClockOffset(self.host_us, 0))
         if self.lock is not None:
             self.lock.start()
         while self.core.end is None and self.autopilot.now_s < limit_s and not self._orphaned:
             self.tick()
+        silent = self.faulted is not None and self.faulted.app_silent
+        if self.core.end is None and not (self._orphaned or silent):
+            says = f"the simulated flight did not end within {limit_s:.0f} s of its time"
+            self.take(OperatorRequest(self.host_us, Request.WORLD_DIED, says))
 
     @property
     def _orphaned(self) -> bool:
@@ -356,6 +365,11 @@ class FastFlight:
             if action is not VehicleAction.OFFBOARD:
                 self._last_setpoint = None
         self.take(CommandResult(a.time_us, action.value, ok, "" if ok else "denied"))
+
+
+def longest_s(mission: Mission) -> float:
+    """Return the simulated time after which a flight of this mission is ended."""
+    return _LONGEST_S + mission.goal.hold_s + sum(waypoint.hold_s for waypoint in mission.waypoints)
 
 
 def simulated_driver(mission: Mission) -> LockDriver:

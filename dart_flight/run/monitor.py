@@ -308,8 +308,7 @@ def monitor_log(
     gone.
 
     Raises:
-        OSError: the log cannot be read.
-        ValueError: it is damaged.
+        InputError: the log cannot be read, or is damaged.
     """
     end = None if seconds is None else time.monotonic() + seconds
     shown_s = -math.inf

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import msgspec
 
-from dart_flight.base.records import World
+from dart_flight.base.records import StatusText, World
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission
 from dart_flight.config.parameter_file import PositionSource
@@ -104,15 +104,18 @@ def fly_px4(
         world = fly_simulated(record, spec, make_app, Px4SimulatorProcess)
     ulog = folder / PX4_LOG
     built = record.build(px4_log=ulog)
-    built.px4 = _px4_figures(ulog, world.version)
+    built.px4 = _px4_figures(ulog, world.version, progress)
     return built
 
 
-def _px4_figures(ulog: Path, version: str | None) -> Px4Figures:
-    """What PX4's own log says; reading it is the lab's, and a failure there is not the flight's."""
+def _px4_figures(ulog: Path, version: str | None, tell: Onlooker) -> Px4Figures:
+    """Return the figures of PX4's own log; a failure to read it costs one line, not the flight."""
     try:
         figures: Px4Figures = load_entry(PX4_FIGURES)(ulog, version)
-    except Exception:
+    except ImportError:
+        return Px4Figures(version)
+    except Exception as error:
+        tell(StatusText(0, 0, "warning", f"PX4's log {ulog.name} was not read ({error!r})", found_here=True))
         return Px4Figures(version)
     return figures
 

@@ -19,13 +19,14 @@ from typing import IO, Protocol
 
 import msgspec
 
+from dart_flight.base.errors import FlightError
 from dart_flight.base.records import FlightMode
 from dart_flight.sim.draws import draw_world
 from dart_flight.sim.embedded_autopilot import TICK_S, TICK_US
 from dart_flight.sim.faults.fault_table import Fault, FaultSite, VehicleFault, impairment_of
 from dart_flight.sim.faults.impairment import Impairment
 from dart_flight.sim.faults.twin import make_second_vehicle
-from dart_flight.sim.lockstep import Lockstep, SilentParticipantError
+from dart_flight.sim.lockstep import Lockstep
 from dart_flight.sim.mavlink_endpoint import MavlinkEndpoint
 from dart_flight.sim.pipe import (
     FULL_SPEED,
@@ -116,7 +117,7 @@ def serve(
         The number of ticks.
 
     Raises:
-        SilentParticipantError: the app does not answer.
+        FlightError: the app does not answer, or the network fails.
     """
     reader, gone_s = LineReader(commands), math.inf
 
@@ -203,7 +204,7 @@ class EmbeddedSimulator:
             lockstep = Lockstep(self._endpoint, answers_at_rest=True, waits_at_first=True)
         try:
             serve(self, writer, commands, self._spec.speed, lockstep, self._endpoint.sockets)
-        except SilentParticipantError as error:
+        except FlightError as error:
             self._say("critical", str(error))
             writer.put(SimulatorDied(str(error)))
             writer.finish()

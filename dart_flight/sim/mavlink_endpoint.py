@@ -8,7 +8,6 @@ ticks of 4 ms as PX4's do. One endpoint has one or more links, each a UDP socket
 from __future__ import annotations
 
 import contextlib
-import errno
 import math
 import socket
 import struct
@@ -23,6 +22,7 @@ from dart_flight.base.records import MOTOR_FULL_US, MOTOR_STOP_US, FlightMode, L
 from dart_flight.config.rotors import MAV_TYPES
 from dart_flight.sim import esc_status
 from dart_flight.sim.cascade import TrajectorySetpoint
+from dart_flight.sim.datagrams import receive_datagram, send_datagram
 from dart_flight.sim.embedded_autopilot import TICK_US, Autopilot
 from dart_flight.sim.faults.impairment import Impairment, LossyLink
 
@@ -205,9 +205,7 @@ class MavlinkEndpoint:
         now_s = self.autopilot.now_s
         for link in self.links:
             for packed in link.to_app.pop(now_s):
-                # No listener yet, or no more: a datagram is allowed to be lost.
-                with contextlib.suppress(OSError):
-                    link.socket.sendto(packed, link.remote)
+                send_datagram(link.socket, packed, link.remote)
 
     def _send(self, link: Link, message: Any) -> None:
         packed = message.pack(self._pack)
@@ -219,13 +217,10 @@ class MavlinkEndpoint:
 
     def _receive(self, link: Link) -> None:
         for _ in range(100):  # a flood must not stop the flight
-            try:
-                data, _sender = link.socket.recvfrom(2048)
-            except OSError as error:
-                if error.errno in (errno.EAGAIN, errno.EWOULDBLOCK):
-                    break
-                continue  # e.g. ECONNREFUSED reported by an earlier send
-            link.from_app.push(self.autopilot.now_s, data)
+            arrived = receive_datagram(link.socket)
+            if arrived is None:
+                break
+            link.from_app.push(self.autopilot.now_s, arrived[0])
         self._parse(link)
 
     def _parse(self, link: Link) -> None:

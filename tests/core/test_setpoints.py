@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import msgspec
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -12,6 +13,7 @@ from msgspec import structs
 from dart_flight.base.geometry import MissionFrame, Vec3
 from dart_flight.base.records import AttitudeSample, OdometrySample, Phase, Setpoint
 from dart_flight.config.mission import Mission, load_mission
+from dart_flight.config.mission_file import TrajectoryPieces
 from dart_flight.config.vehicle import packaged
 from dart_flight.core.mission.course import Arrival, Course
 from dart_flight.core.mission.executive import Executive
@@ -142,19 +144,28 @@ def test_thrust_is_asked_for_ahead_of_the_attitudes_dead_time(
         assert fed[axis] == pytest.approx(push + drag * flown.velocity[axis], abs=1e-9)
 
 
+def coasted(mission: Mission, sample: OdometrySample) -> tuple[Vec3, Vec3 | None, Vec3 | None]:
+    """Parts of the setpoint shortly before a wall that the mission's own trajectory leads to."""
+    pieces = TrajectoryPieces((0.0, 0.0), [(1.0, 0.0, 0.0)])
+    (collision,) = (msgspec.structs.replace(one, trajectory=pieces) for one in mission.collisions)
+    progress, state = MissionState(mission, {}), FlightState()
+    progress.collisions, progress.course = [collision], STANDING.follow(INTO_A_WALL)
+    progress.phase, progress.entered_us, state.now_us = Phase.APPROACH, 0, sample.t_us
+    setpoint, _ = SetpointSelection(mission).setpoint(sample, progress, state, FRAME, None)
+    assert setpoint is not None
+    return parts(setpoint)
+
+
 def test_before_a_wall_the_delay_asks_for_nothing_beyond_it() -> None:
     """The last moments ask for the thrust at the wall, and of the velocity what the vehicle has."""
     mission, end_us = late(0.03, 0.05), round(1e6 * INTO_A_WALL.duration_s)
     wall, motion = MISSION.walls[0], (0.7, -0.1, 0.0)
-    sample = OdometrySample(
-        end_us - 10_000, 0, FRAME.point_to_ned((2.0, 1.0, ALTITUDE_M)), FRAME.vector_to_ned(motion)
-    )
-    selection, progress = SetpointSelection(mission), MissionState(mission, {})
-    progress.course = STANDING.follow(INTO_A_WALL)
-    free = selection._free_axes(FRAME, sample, (wall.normal,))
-    reference = selection._reference(progress, sample.t_us, 0)
-    place, velocity, fed = parts(make_setpoint(FRAME, TRIGGER, reference, 0.0, free))
     at_wall = INTO_A_WALL.at(INTO_A_WALL.duration_s)
+    x, y, _ = at_wall.position
+    sample = OdometrySample(
+        end_us - 10_000, 0, FRAME.point_to_ned(at_wall.position), FRAME.vector_to_ned(motion)
+    )
+    place, velocity, fed = coasted(mission, sample)
     assert fed is not None
     kd, lead_s = MISSION.vehicle.px4.mpc_xy_vel_d_acc, ATTITUDE_LAG_S - 0.05
     for axis, drag in enumerate(MISSION.vehicle.airframe.drag_per_s[:2]):
@@ -166,10 +177,36 @@ def test_before_a_wall_the_delay_asks_for_nothing_beyond_it() -> None:
         sum(v * n for v, n in zip(motion, across, strict=False))
     )
     # Where the vehicle is when the setpoint is flown, across the wall: nothing to brake for.
-    there = (2.0 + 0.03 * motion[0], 1.0 + 0.03 * motion[1])
+    there = (x + 0.03 * motion[0], y + 0.03 * motion[1])
     assert sum(p * n for p, n in zip(place, across, strict=False)) == pytest.approx(
         sum(p * n for p, n in zip(there, across, strict=False))
     )
+
+
+@given(st.floats(0.01, 0.24), st.floats(0.01, 0.24), st.floats(0.5, 3.0))
+def test_before_a_wall_it_leans_at_its_own_time_to_impact(
+    planned_s: float, left_s: float, closing_m_s: float
+) -> None:
+    """A vehicle ahead of its trajectory leans sooner, by up to 0.1 s; across the wall only."""
+    wall, end_s = MISSION.walls[0], INTO_A_WALL.duration_s
+    (nx, ny), (tx, ty), (x, y, _) = wall.normal, wall.tangent, INTO_A_WALL.at(end_s).position
+    at_us = round(1e6 * (end_s - planned_s))
+    away_m = closing_m_s * left_s
+    sample = OdometrySample(
+        at_us,
+        0,
+        FRAME.point_to_ned((x + away_m * nx, y + away_m * ny, ALTITUDE_M)),
+        FRAME.vector_to_ned((-closing_m_s * nx, -closing_m_s * ny, 0.0)),
+    )
+    _, _, fed = coasted(late(0.0), sample)
+    early_s = max(-0.1, min(0.1, planned_s - left_s))
+    _, _, planned = asked(STANDING.follow(INTO_A_WALL), at_us)
+    _, _, own = asked(STANDING.follow(INTO_A_WALL), at_us + round(1e6 * early_s))
+    assert fed is not None
+    assert planned is not None
+    assert own is not None
+    assert fed[0] * tx + fed[1] * ty == pytest.approx(planned[0] * tx + planned[1] * ty, abs=1e-4)
+    assert fed[0] * nx + fed[1] * ny == pytest.approx(own[0] * nx + own[1] * ny, abs=1e-4)
 
 
 def test_on_the_climb_only_drag_is_added() -> None:

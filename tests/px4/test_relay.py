@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
+from dart_flight.base.errors import FlightError
 from dart_flight.sim.px4.relay import Relay, frames
 from tests.doubles.ports import free_udp_port
 
@@ -124,3 +125,12 @@ def test_px4s_heartbeat_is_repeated_while_simulated_time_stands_still(
 @pytest.mark.parametrize("data", [b"", b"\xfd", b"\xfd\xff" + bytes(7), bytes(300), b"\xfe" + bytes(30)])
 def test_frames_of_noise_end_without_an_error(data: bytes) -> None:
     assert all(number >= 0 for number, _, _, _ in frames(data))
+
+
+def test_a_network_that_fails_ends_the_wait_with_its_own_text(ends: Ends) -> None:
+    """Nothing is forwarded any more; without a word the simulation would wait for the application."""
+    ends.relay._app_address = ("127.0.0.1", 0)
+    ends.px4.send(packed(attitude(1)))
+    ends.relay._thread.join(timeout=5.0)
+    with pytest.raises(FlightError, match=r"cannot send to 127\.0\.0\.1:0"):
+        ends.relay.rest()

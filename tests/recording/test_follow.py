@@ -8,6 +8,8 @@ from pathlib import Path
 import pytest
 
 from dart_flight.base.records import StatusText, Tick
+from dart_flight.config.document import InputError
+from dart_flight.recording import reader
 from dart_flight.recording.follow import LogFollower
 from dart_flight.recording.reader import read_log
 from dart_flight.recording.writer import FlightLog
@@ -56,3 +58,35 @@ def test_half_a_record_is_waited_for(tmp_path: Path) -> None:
         numbers += [entry.number for entry in follower.read()]
     assert numbers == list(range(1000))
     assert follower.ended
+
+
+def test_a_damaged_log_is_refused_in_one_line(tmp_path: Path) -> None:
+    """A record that is no log's, a length of gigabytes, and a file that goes away."""
+    log = FlightLog(tmp_path / "whole.mcap", {})
+    for number in range(1000):
+        log.put(Tick(number), number)
+    log.close()
+    whole = log.path.read_bytes()
+    chunk = whole.index(b"zstd")
+    broken = {
+        "content": whole[:chunk] + whole[chunk:].replace(whole[chunk + 40 : chunk + 60], bytes(20), 1),
+        "length": whole[:9] + b"\xff" * 8 + whole[17:],
+    }
+    for name, data in broken.items():
+        path = tmp_path / f"{name}.mcap"
+        path.write_bytes(data)
+        with pytest.raises(InputError, match="cannot follow"):
+            LogFollower(path).read()
+    follower = LogFollower(tmp_path / "gone.mcap")
+    with pytest.raises(InputError, match="cannot follow"):
+        follower.read()
+
+
+def test_a_fault_of_the_program_is_no_damage(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    log = FlightLog(tmp_path / "whole.mcap", {})
+    log.put(Tick(1), 1)
+    log.close()
+    monkeypatch.setattr(reader, "decode", lambda data, decoder: 1 / 0)
+    for read in (lambda: read_log(log.path), LogFollower(log.path).read):
+        with pytest.raises(ZeroDivisionError):
+            read()

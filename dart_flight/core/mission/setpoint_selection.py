@@ -185,7 +185,7 @@ class SetpointSelection:
         return 0.0 if leaned else balancing_m_s2(progress.contact_height_m, out_m, collision.mode)
 
     def _in_time_m_s2(self, progress: MissionState, since_s: float, free: FreeAxes) -> float:
-        """Return the thrust across a wall at the vehicle's own time to impact, minus that of the trajectory now.
+        """Return the thrust across a wall at the vehicle's own time to impact, minus the trajectory's now.
 
         A vehicle that is ahead of its trajectory meets the wall before the trajectory has leaned it off.
 

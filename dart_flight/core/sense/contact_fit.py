@@ -337,8 +337,8 @@ class _ContactLawFit:
                 if bears > least:
                     at = middle - g * a * t.turned
                     y = bears + b.f * (speed - g * a * t.turning)
-                    for i, value in enumerate((1.0, at, at * at, y, at * y)):
-                        s[i] += value
+                    for row, value in enumerate((1.0, at, at * at, y, at * y)):
+                        s[row] += value
             if normal > least:
                 unit = -normal * (w + 0.5 * slide)
                 mxx += unit * unit

@@ -16,6 +16,9 @@ import time
 from collections.abc import Iterator
 from typing import Final
 
+from dart_flight.base.errors import FlightError
+from dart_flight.sim.datagrams import receive_datagram, send_datagram
+
 _HEARTBEAT, _SETPOINT = 0, 84
 # message id -> stream, format of the stamp at the payload's start, and its unit in microseconds
 _STREAMS: Final = {
@@ -55,6 +58,9 @@ class Relay:
         self._px4_address: tuple[str, int] | None = None
         self._heartbeat, self._heartbeat_s = b"", 0.0
         self._closed = False
+        self._failure: FlightError | None = None
+        for one in (self._px4, self._app):
+            one.setblocking(False)
         self._thread = threading.Thread(target=self._run, name="relay", daemon=True)
         self._thread.start()
 
@@ -62,7 +68,12 @@ class Relay:
         """Repeat PX4's last heartbeat after a second of the computer's time.
 
         PX4 sends a heartbeat every simulated second. Without it MAVSDK reports a lost vehicle after 3 s.
+
+        Raises:
+            FlightError: the network has failed.
         """
+        if self._failure is not None:
+            raise self._failure
         with contextlib.suppress(BlockingIOError):
             os.eventfd_read(self.wake)
         if self._heartbeat and time.monotonic() - self._heartbeat_s >= _HEARTBEAT_S:
@@ -77,27 +88,31 @@ class Relay:
         self._app.close()
 
     def _run(self) -> None:
+        try:
+            self._relay()
+        except FlightError as error:
+            self._failure = error
+
+    def _relay(self) -> None:
         while not self._closed:
             ready, _, _ = select.select([self._px4, self._app], [], [], 0.1)
             for source in ready:
-                try:
-                    data, sender = source.recvfrom(4096)
-                except OSError:  # an earlier datagram was refused, because no peer listens
+                arrived = receive_datagram(source)
+                if arrived is None:
                     continue
+                data, sender = arrived
                 if source is self._px4:
                     self._px4_address = sender
                     self._count(data)
                     self._forward_to_app(data)
                 elif self._px4_address is not None:
-                    with contextlib.suppress(OSError):
-                        self._px4.sendto(data, self._px4_address)
+                    send_datagram(self._px4, data, self._px4_address)
                     self._note_setpoint(data)
             if ready:
                 os.eventfd_write(self.wake, 1)
 
     def _forward_to_app(self, data: bytes) -> None:
-        with contextlib.suppress(OSError):  # the application does not listen
-            self._app.sendto(data, self._app_address)
+        send_datagram(self._app, data, self._app_address)
 
     def _count(self, data: bytes) -> None:
         for number, component, payload, frame in frames(data):

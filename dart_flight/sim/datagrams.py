@@ -1,0 +1,41 @@
+"""Datagrams between a simulated vehicle and peers that may not listen yet, or no longer."""
+
+from __future__ import annotations
+
+import socket
+
+from dart_flight.base.errors import FlightError
+
+Address = tuple[str, int]
+
+
+def send_datagram(link: socket.socket, data: bytes, address: Address) -> None:
+    """Send a datagram through a non-blocking socket; it is lost if nobody listens.
+
+    Raises:
+        FlightError: the network refuses it for another reason.
+    """
+    try:
+        link.sendto(data, address)
+    except (BlockingIOError, ConnectionRefusedError):
+        return
+    except OSError as error:
+        host, port = address
+        raise FlightError(f"cannot send to {host}:{port}: {error.strerror or error}") from None
+
+
+def receive_datagram(link: socket.socket) -> tuple[bytes, Address] | None:
+    """Return a datagram and its sender from a non-blocking socket, or None if none has arrived.
+
+    Raises:
+        FlightError: the network fails.
+    """
+    while True:
+        try:
+            return link.recvfrom(4096)
+        except BlockingIOError:
+            return None
+        except ConnectionRefusedError:  # of an earlier datagram, because no peer listened
+            continue
+        except OSError as error:
+            raise FlightError(f"cannot receive: {error.strerror or error}") from None

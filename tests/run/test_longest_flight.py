@@ -1,0 +1,27 @@
+"""A simulated flight that does not end by itself is ended, with the reason in the verdict."""
+
+from __future__ import annotations
+
+import pytest
+from msgspec import structs
+
+from dart_flight.base.records import Outcome
+from dart_flight.config.mission import load_mission
+from dart_flight.config.vehicle import packaged
+from dart_flight.run import fast
+
+HOVER = load_mission(packaged("missions", "hover.yaml"))
+
+
+def test_a_flight_that_does_not_end_is_ended_with_a_reason(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(fast, "_LONGEST_S", 3.0)
+    verdict, limit_s = fast.fly_fast(HOVER, 1, None), fast.longest_s(HOVER)
+    assert verdict.outcome is Outcome.ABORTED
+    assert verdict.reason == (
+        f"world_died: the simulated flight did not end within {limit_s:.0f} s of its time"
+    )
+
+
+def test_a_mission_that_holds_longer_may_last_longer() -> None:
+    goal = structs.replace(HOVER.goal, hold_s=HOVER.goal.hold_s + 400.0)
+    assert fast.longest_s(structs.replace(HOVER, goal=goal)) == pytest.approx(fast.longest_s(HOVER) + 400.0)
