@@ -34,9 +34,9 @@ from dart_flight.config.mission import Mission
 from dart_flight.core.guard.estimator_watch import EstimatorWatch
 from dart_flight.core.guard.failsafe import FailsafeEvidence, in_failsafe
 from dart_flight.core.guard.second_vehicle import OtherVehicles
-from dart_flight.core.guard.streams import SAMPLED, Stamped, StreamWatch
+from dart_flight.core.guard.streams import Stamped, StreamWatch
 from dart_flight.core.mission.position_loop import STOP_TIME_S, stop_share
-from dart_flight.core.sense.senses import Sensed
+from dart_flight.core.sense.senses import IMPACT_WINDOW_S, Sensed
 from dart_flight.core.sense.state import FlightState
 
 _DOUBT_US: Final = 100_000  # host time; another vehicle's samples come within this of its mode
@@ -70,8 +70,8 @@ class FlightConditions:
         # In land mode and armed: autopilot's and host's time.
         self._landing_since_us: tuple[int, int] | None = None
         self.streams = StreamWatch(self.config)
-        self.estimator = EstimatorWatch(self.config)
-        self.others = OtherVehicles(self.config, SAMPLED)
+        self.estimator = EstimatorWatch()
+        self.others = OtherVehicles()
         self._left_since_us: int | None = None  # host time since when the mode says that offboard was left
         self._failsafe = FailsafeEvidence()
         self._seen_us = 0  # host time at the step before
@@ -98,13 +98,13 @@ class FlightConditions:
         if isinstance(item, ImuSample):
             self._take_stamp("imu", item, state.imu)
             if item is state.imu:
-                self.estimator.take_imu(item)
+                self.estimator.resets.take_imu(item)
                 self._take_imu(item)
             self.streams.delay.take_sample(item.t_us, item.received_us)
         elif isinstance(item, AttitudeSample):
             self._take_stamp("attitude", item, state.attitude)
             if item is state.attitude:
-                self.estimator.take_attitude(item)
+                self.estimator.resets.take_attitude(item)
         elif isinstance(item, OdometrySample):
             self._take_odometry(item)
         elif isinstance(item, ActuatorSample):
@@ -142,7 +142,7 @@ class FlightConditions:
     @property
     def just_after_impact(self) -> bool:
         """Shortly after an impact: what the contact does to estimator and altitude is no fault."""
-        return self._since_impact_us() < self.config.impact_window_s * 1e6
+        return self._since_impact_us() < IMPACT_WINDOW_S * 1e6
 
     @property
     def failsafe_said(self) -> bool:

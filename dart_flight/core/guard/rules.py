@@ -28,9 +28,15 @@ from dart_flight.base.records import (
 from dart_flight.core.guard.estimator_watch import ESTIMATOR_RULES
 from dart_flight.core.guard.flight_conditions import FlightConditions
 from dart_flight.core.guard.rule import Judge, Rule, Scope, judge
-from dart_flight.core.guard.streams import STREAM_RULES
+from dart_flight.core.guard.second_vehicle import POSITION_JUMP_M
+from dart_flight.core.guard.streams import STAMP_TOLERANCE_S, STREAM_RULES
 from dart_flight.core.mission.phases import ALTITUDE_EXEMPT, ON_GROUND
 
+IMU_STUCK_S: Final = 0.1  # noise changes every reading of a working IMU
+IMU_CLIPPED_S: Final = 0.25  # longer than any contact lasts
+BATTERY_LOW_S: Final = 1.0  # longer than a burst of thrust lasts
+ALTITUDE_TOLERANCE_M: Final = 0.25  # the vertical contact force moves the vehicle by about 0.15 m
+FORCE_MARGIN: Final = 1.15  # one sample's noise is no reason; the peak itself is judged by `peak_force`
 _SPEED_TOLERANCE: Final = 1.1
 _STALE_SAMPLES: Final = 5  # in a row; one late datagram is no clock that runs backwards
 _FALL_S: Final = 0.1
@@ -76,24 +82,26 @@ def _disarmed(v: FlightConditions) -> str | None:
     return None if v.status_unreliable else "PX4 has disarmed in the air"
 
 
-@judge("autopilot timestamps went backwards: it restarted, or its clock was reset", "guard.stamp_tolerance_s")
+@judge(
+    "autopilot timestamps went backwards: it restarted, or its clock was reset", f"{STAMP_TOLERANCE_S:g} s"
+)
 def _stamps_backwards(v: FlightConditions) -> str | None:
     for name, count in v.streams.stale.items():
         if count >= _STALE_SAMPLES:
-            return f"{name}: {count} samples in a row more than {v.config.stamp_tolerance_s:g} s in the past"
+            return f"{name}: {count} samples in a row more than {STAMP_TOLERANCE_S:g} s in the past"
     return None
 
 
-@judge("IMU reading stuck", "guard.imu_stuck_s")
+@judge("IMU reading stuck", f"{IMU_STUCK_S:g} s")
 def _imu_stuck(v: FlightConditions) -> str | None:
     lasting = v.lasting_s(v.stuck_since_us)
-    return f"the same reading for {lasting * 1e3:.0f} ms" if lasting > v.config.imu_stuck_s else None
+    return f"the same reading for {lasting * 1e3:.0f} ms" if lasting > IMU_STUCK_S else None
 
 
-@judge("the IMU stays at full scale longer than any contact lasts", "guard.imu_clipped_s")
+@judge("the IMU stays at full scale longer than any contact lasts", f"{IMU_CLIPPED_S:g} s")
 def _imu_clipped(v: FlightConditions) -> str | None:
     lasting = v.lasting_s(v.clipped_since_us)
-    return f"at full scale for {lasting * 1e3:.0f} ms" if lasting > v.config.imu_clipped_s else None
+    return f"at full scale for {lasting * 1e3:.0f} ms" if lasting > IMU_CLIPPED_S else None
 
 
 @judge("PX4 itself is not sure enough of its position to fly at walls", "guard.position_sd_m")
@@ -122,9 +130,9 @@ def _still_armed(v: FlightConditions) -> str | None:
     return f"after {v.landing_s:.0f} s in land mode" if limit is not None and v.landing_s > limit else None
 
 
-@judge("the battery is low", "guard.battery_remaining, guard.battery_v, guard.battery_low_s")
+@judge("the battery is low", f"guard.battery_remaining, guard.battery_v, {BATTERY_LOW_S:g} s")
 def _battery(v: FlightConditions) -> str | None:
-    if v.lasting_s(v.battery_low_since_us) <= v.config.battery_low_s:
+    if v.lasting_s(v.battery_low_since_us) <= BATTERY_LOW_S:
         return None
     status = v.state.status
     left = "" if status.battery_remaining is None else f"{100.0 * status.battery_remaining:.0f} %"
@@ -168,13 +176,13 @@ def _bounds(v: FlightConditions) -> str | None:
 
 @judge(
     "outside of the flight space vertically; more is allowed after an impact",
-    "bounds_m.z, guard.altitude_tolerance_m, guard.impact_window_s",
+    f"bounds_m.z, {ALTITUDE_TOLERANCE_M:g} m",
 )
 def _altitude(v: FlightConditions) -> str | None:
     if v.phase in ALTITUDE_EXEMPT or not v.was_inside:
         return None
     low, high = v.mission.bounds.z
-    tolerance = v.config.altitude_tolerance_m if v.just_after_impact else _ALTITUDE_SLACK_M
+    tolerance = ALTITUDE_TOLERANCE_M if v.just_after_impact else _ALTITUDE_SLACK_M
     z = v.state.position[2]
     return None if low - tolerance <= z <= high + tolerance else f"{z:.2f} m"
 
@@ -185,9 +193,12 @@ def _speed(v: FlightConditions) -> str | None:
     return f"{speed:.2f} m/s" if speed > v.mission.limits.speed_m_s * _SPEED_TOLERANCE else None
 
 
-@judge("the contact force goes well over the limit while it lasts", "limits.peak_force_n, guard.force_margin")
+@judge(
+    "the contact force goes well over the limit while it lasts",
+    f"limits.peak_force_n, {FORCE_MARGIN:g} times",
+)
 def _force(v: FlightConditions) -> str | None:
-    limit = v.mission.limits.peak_force_n * v.config.force_margin
+    limit = v.mission.limits.peak_force_n * FORCE_MARGIN
     force = horizontal(v.force.force_mission) if v.force is not None else 0.0
     return f"{force:.0f} N" if force > limit else None
 
@@ -205,7 +216,7 @@ def _world_died(v: FlightConditions) -> str | None:
     return v.request.detail or "simulated vehicle terminated"
 
 
-_TWO = "guard.stamp_tolerance_s, guard.position_jump_m"
+_TWO = f"{STAMP_TOLERANCE_S:g} s, {POSITION_JUMP_M:g} m"
 _TERMINATED = Judge(
     "PX4 terminated the flight, or a kill switch was used: motors off", "", lambda v: v.termination
 )
@@ -337,7 +348,8 @@ def table() -> str:
         judged_by = f"guard, {rule.scope.value}" if cause is not None else "mission"
         if rule.at_once:
             judged_by += ", at once after " + ", ".join(f"`{kind.__name__}`" for kind in rule.at_once)
-        keys = ", ".join(f"`{key}`" for key in threshold.split(", ") if key) or "-"
+        parts = [part if part[0].isdigit() else f"`{part}`" for part in threshold.split(", ") if part]
+        limits = ", ".join(parts) or "-"
         action = rule.action.value.replace("_", " ")
-        rows.append(f"| `{rule.name}` | {description} | {keys} | {action} | {judged_by} |")
+        rows.append(f"| `{rule.name}` | {description} | {limits} | {action} | {judged_by} |")
     return "\n".join(rows) + "\n"

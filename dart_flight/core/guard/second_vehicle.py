@@ -8,14 +8,13 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Iterable
 from typing import Final
 
 from dart_flight.base.geometry import norm
 from dart_flight.base.records import OdometrySample
-from dart_flight.config.vehicle.flying import GuardThresholds
-from dart_flight.core.guard.streams import Stamped
+from dart_flight.core.guard.streams import SAMPLED, STAMP_TOLERANCE_S, Stamped
 
+POSITION_JUMP_M: Final = 0.3  # between two samples, beside the motion: no estimator corrects so much at once
 _TURNS: Final = 3  # there and back, within the window
 _WINDOW_US: Final = 2_000_000  # host time
 _FASTEST: Final = 20  # simulated seconds per second
@@ -123,11 +122,10 @@ class OtherVehicles:
         same_system: how a second vehicle with the same system id shows, as text; it does not go away.
     """
 
-    def __init__(self, guard: GuardThresholds, streams: Iterable[str]) -> None:
+    def __init__(self) -> None:
         self.same_system: str | None = None
-        self._tolerance_s = guard.stamp_tolerance_s
-        self._clocks = {name: SecondClockDetector(1e6 * self._tolerance_s) for name in streams}
-        self._places = SecondPositionDetector(guard.position_jump_m)
+        self._clocks = {name: SecondClockDetector(1e6 * STAMP_TOLERANCE_S) for name in SAMPLED}
+        self._places = SecondPositionDetector(POSITION_JUMP_M)
         self._other_system: int | None = None
 
     def take(self, name: str, item: Stamped) -> None:
@@ -140,7 +138,7 @@ class OtherVehicles:
             # One stream alone may come by two ways, one of them late; a vehicle sends them all.
             apart_s = [c.apart_s(received_us) for c in self._clocks.values()]
             found = [seconds for seconds in apart_s if seconds is not None]
-            if len(found) > 1 and max(found) - min(found) < self._tolerance_s:
+            if len(found) > 1 and max(found) - min(found) < STAMP_TOLERANCE_S:
                 self.same_system = f"two alternating clocks, {found[0]:.1f} s apart"
         if isinstance(item, OdometrySample):
             self._places.update(item)

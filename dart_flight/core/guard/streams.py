@@ -23,6 +23,10 @@ from dart_flight.core.sense.state import FlightState
 
 Stamped = ImuSample | AttitudeSample | OdometrySample | ActuatorSample
 
+LINK_LOST_S: Final = 5.0  # PX4's own failsafe for a lost link has had its time by then
+ACTUATOR_TIMEOUT_S: Final = 0.3  # force cannot be told from thrust for a third of a second at most
+STATUS_TIMEOUT_S: Final = 3.0  # three heartbeats
+STAMP_TOLERANCE_S: Final = 0.5  # a datagram that comes later than others is never so late
 _OTHERS_SINCE: Final = 12  # a tenth of a second of one other stream
 _GAP_US: Final = 500_000  # of silence, in which PX4 may have said anything
 _GAP_MEMORY_US: Final = 3_000_000  # a gap this long ago explains a change of mode
@@ -48,7 +52,6 @@ class StreamWatch:
         self.stale: dict[str, int] = {}
         self.delay = TelemetryDelay(guard.telemetry_late_s)
         self.host_us = 0
-        self._tolerance_us = guard.stamp_tolerance_s * 1e6
         self._since_imu = 0  # samples of other streams since the newest of the IMU
         self._counts: dict[str, tuple[int, int]] = {}  # first stamp, and samples since
         self._gap_us: int | None = None
@@ -62,7 +65,7 @@ class StreamWatch:
             self.host_us = received_us
         self._since_imu = 0 if name == "imu" else self._since_imu + 1
         lag_us = (newest or item).t_us - t_us
-        if lag_us > self._tolerance_us:
+        if lag_us > STAMP_TOLERANCE_S * 1e6:
             self.stale[name] = self.stale.get(name, 0) + 1
             return
         if -lag_us > _LEAP_US:  # not taken yet: another vehicle's, or a clock that has jumped
@@ -93,14 +96,14 @@ class StreamWatch:
 
 
 def _silence(
-    description: str, streams: tuple[str, ...], limit: str, words: str = "", alone: str = ""
+    description: str, streams: tuple[str, ...], limit: str | float, words: str = "", alone: str = ""
 ) -> Judge:
     """Return the judge of streams that have been silent together for longer than a limit.
 
     Args:
         description: for the manual's table.
         streams: by name.
-        limit: key of the guard's thresholds.
+        limit: seconds, or the key of the guard's thresholds that has them.
         words: how the silence is told; `s` and `ms` are its duration.
         alone: key of the limit while other streams go on: then neither link nor host is the cause.
     """
@@ -109,14 +112,15 @@ def _silence(
     def cause(v: Any) -> str | None:
         watch: StreamWatch = v.streams
         age_s = min([watch.age_s(name) for name in streams])
-        limit_s = getattr(watch.guard, limit)
+        limit_s = getattr(watch.guard, limit) if isinstance(limit, str) else limit
         if age_s <= limit_s and not (alone and watch.others_go_on and age_s > getattr(watch.guard, alone)):
             return None
         age_s = min(age_s, _AGE_MAX_S)
         about = watch.state.text_about(message) if message else ""
         return (words or "for {ms:.0f} ms").format(s=age_s, ms=1e3 * age_s) + about
 
-    return Judge(description, ", ".join(f"guard.{key}" for key in (alone, limit) if key), cause)
+    limits = [f"guard.{key}" if isinstance(key, str) else f"{key:g} s" for key in (alone, limit) if key]
+    return Judge(description, ", ".join(limits), cause)
 
 
 def _slow(v: Any) -> str | None:
@@ -138,7 +142,7 @@ _AIR, _LAND = Scope.AIR, Override.LAND
 STREAM_RULES: tuple[Rule, ...] = tuple(rule._replace(of_streams=True) for rule in (
     Rule("link_lost", Override.RELEASE, _AIR, _silence(
         "no telemetry at all: PX4's own failsafe must act",
-        _LINK, "link_lost_s", "no telemetry for {s:.1f} s")),
+        _LINK, LINK_LOST_S, "no telemetry for {s:.1f} s")),
     Rule("imu_silent", _LAND, _AIR, _silence(
         "IMU stream timed out: impacts cannot be detected",
         ("imu",), "stream_timeout_s", alone="imu_timeout_s")),
@@ -148,9 +152,9 @@ STREAM_RULES: tuple[Rule, ...] = tuple(rule._replace(of_streams=True) for rule i
         "position stream timed out", ("odometry",), "stream_timeout_s")),
     Rule("actuator_silent", Override.HOLD, Scope.FLYING, _silence(
         "actuator stream timed out: thrust and contact force cannot be separated",
-        ("actuator",), "actuator_timeout_s")),
+        ("actuator",), ACTUATOR_TIMEOUT_S)),
     Rule("status_silent", _LAND, _AIR, _silence(
-        "heartbeat timed out", ("status",), "status_timeout_s", "for {s:.1f} s")),
+        "heartbeat timed out", ("status",), STATUS_TIMEOUT_S, "for {s:.1f} s")),
     Rule("stream_rate", Override.HOLD, Scope.FLYING, Judge(
         "a stream comes at less than the rate that a mission needs (`base/streams.py`)",
         "streams: expected_hz", _slow)),
