@@ -36,7 +36,7 @@ from dart_flight.core.guard.second_vehicle import (
     SecondClockDetector,
     SecondPositionDetector,
 )
-from dart_flight.core.guard.streams import STAMP_TOLERANCE_S
+from dart_flight.core.guard.stream_watch import STAMP_TOLERANCE_S
 from dart_flight.vehicle import arming_problems as reasons
 from dart_flight.vehicle import messages, sdk_log
 from dart_flight.vehicle.messages import AUTOPILOT, BatteryReading, MessageEntry

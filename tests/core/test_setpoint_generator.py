@@ -15,7 +15,13 @@ from dart_flight.config.mission import load_mission
 from dart_flight.config.vehicle import packaged
 from dart_flight.core.mission.approach import Approach
 from dart_flight.core.mission.position_loop import ATTITUDE_LAG_S
-from dart_flight.core.mission.setpoint_generator import SetpointGenerator
+from dart_flight.core.mission.setpoint_generator import (
+    ARRIVED_M,
+    ARRIVED_M_S,
+    ARRIVED_S,
+    MEAN_SPEED_S,
+    SetpointGenerator,
+)
 from dart_flight.core.mission.trajectories import PlannedTrajectory, TransitTrajectory
 from dart_flight.core.sense.state import FlightState
 
@@ -231,17 +237,17 @@ def test_it_has_arrived_once_it_was_there_slow_and_heading_right_for_a_while() -
             arrived = references.has_arrived(state, 0.0) or arrived
         return arrived
 
-    long_s = FLYING.arrive_s + 0.02
-    assert not after(2.0 * long_s, beside_m=1.02 * FLYING.arrive_m)
+    long_s = ARRIVED_S + 0.02
+    assert not after(2.0 * long_s, beside_m=1.02 * ARRIVED_M)
     assert not after(2.0 * long_s, yaw=0.052)
     assert not after(2.0 * long_s, yaw=-0.052)
-    assert not after(2.0 * long_s + FLYING.arrive_mean_s, speed_m_s=1.02 * FLYING.arrive_speed_m_s)
-    assert not after(FLYING.arrive_mean_s, beside_m=9.0)
-    assert not after(FLYING.arrive_s - 0.02)
+    assert not after(2.0 * long_s + MEAN_SPEED_S, speed_m_s=1.02 * ARRIVED_M_S)
+    assert not after(MEAN_SPEED_S, beside_m=9.0)
+    assert not after(ARRIVED_S - 0.02)
     assert not after(0.05, beside_m=9.0)  # it counts anew
-    assert not after(FLYING.arrive_s - 0.02, 0.98 * FLYING.arrive_m, 0.048, 0.98 * FLYING.arrive_speed_m_s)
+    assert not after(ARRIVED_S - 0.02, 0.98 * ARRIVED_M, 0.048, 0.98 * ARRIVED_M_S)
     references.phase_begins()
-    assert not after(FLYING.arrive_s - 0.02)
+    assert not after(ARRIVED_S - 0.02)
     assert after(0.04)
 
 
@@ -280,7 +286,7 @@ def test_how_near_and_how_straight_it_is_when_it_has_arrived(
     references = SetpointGenerator(load_mission(packaged("missions", f"{mission}.yaml")))
     state = FlightState()
     x, y, z = references.target
-    state.position, state.yaw = (x + share * FLYING.arrive_m, y, z), off_rad
+    state.position, state.yaw = (x + share * ARRIVED_M, y, z), off_rad
     references.has_arrived(state, 0.0)
     state.now_us = 60_000_000
     assert references.has_arrived(state, 0.0) is arrives

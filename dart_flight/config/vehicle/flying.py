@@ -57,11 +57,6 @@ class Flying(Section, frozen=True):
         jerk_m_s3: largest jerk of the reference; null: it follows from speed and acceleration.
         yaw_rate_deg_s: largest turning rate of the reference.
         steady_run_s: constant speed before the wall, so that the velocity is met.
-        arrive_m: the vehicle has arrived when it is nearer to the target than this and slow.
-        arrive_speed_m_s: slow is below this speed.
-        arrive_s: both have to hold for this long.
-        arrive_mean_s: the speed is that of the mean velocity over this long, as PX4's estimate shakes with
-            the accelerometer.
         setpoint_delay_s: from the stamp of an odometry sample to when the autopilot flies the setpoint that
             answers it; the reference is taken so much later. null: 0.024 with PX4, none in the embedded
             simulator.
@@ -77,12 +72,8 @@ class Flying(Section, frozen=True):
     acceleration_m_s2: Annotated[float, Meta(gt=0.0, le=50.0)]
     yaw_rate_deg_s: Annotated[float, Meta(gt=0.0, le=720.0)]
     steady_run_s: SecondsOrZero
-    arrive_m: Metres
-    arrive_speed_m_s: Speed
-    arrive_s: SecondsOrZero
     ready_timeout_s: Seconds
     replan_within_s: Annotated[float, Meta(gt=0.0, le=2.0)] = 0.1
-    arrive_mean_s: Annotated[float, Meta(gt=0.0, le=1.0)] = 0.3
     jerk_m_s3: Annotated[float, Meta(gt=0.0, le=1000.0)] | None = None
     setpoint_delay_s: Annotated[float, Meta(ge=0.0, le=0.2)] | None = None
     attitude_delay_s: Annotated[float, Meta(ge=0.0, le=0.15)] | None = None

@@ -34,7 +34,7 @@ from dart_flight.config.mission import Mission
 from dart_flight.core.guard.estimator_watch import EstimatorWatch
 from dart_flight.core.guard.failsafe import FailsafeEvidence, in_failsafe
 from dart_flight.core.guard.second_vehicle import OtherVehicles
-from dart_flight.core.guard.streams import Stamped, StreamWatch
+from dart_flight.core.guard.stream_watch import Stamped, StreamWatch
 from dart_flight.core.mission.position_loop import STOP_TIME_S, stop_share
 from dart_flight.core.sense.senses import IMPACT_WINDOW_S, Sensed
 from dart_flight.core.sense.state import FlightState

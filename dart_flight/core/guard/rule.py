@@ -1,6 +1,6 @@
 """One rule of the guard, when it is judged, and the function that judges it.
 
-`rules` has the table; the rules of the streams and of PX4's estimator come from `streams` and
+`rules` has the table; the rules of the streams and of PX4's estimator come from `stream_watch` and
 `estimator_watch`.
 """
 

@@ -12,7 +12,7 @@ from typing import Final
 
 from dart_flight.base.geometry import norm
 from dart_flight.base.records import OdometrySample
-from dart_flight.core.guard.streams import SAMPLED, STAMP_TOLERANCE_S, Stamped
+from dart_flight.core.guard.stream_watch import SAMPLED, STAMP_TOLERANCE_S, Stamped
 
 POSITION_JUMP_M: Final = 0.3  # between two samples, beside the motion: no estimator corrects so much at once
 _TURNS: Final = 3  # there and back, within the window

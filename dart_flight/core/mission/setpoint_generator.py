@@ -16,6 +16,10 @@ from dart_flight.core.mission.position_loop import ATTITUDE_LAG_S
 from dart_flight.core.mission.trajectories import PlannedTrajectory, TrajectoryPoint, TransitTrajectory
 from dart_flight.core.sense.state import FlightState
 
+ARRIVED_M: Final = 0.12  # nearer to the target than PX4's position loop strays in hover
+ARRIVED_M_S: Final = 0.1
+ARRIVED_S: Final = 0.3  # place and speed have to hold for so long
+MEAN_SPEED_S: Final = 0.3  # PX4's velocity shakes with the accelerometer (docs/results/real_data.md)
 _ARRIVED_YAW_RAD: Final = 0.05
 # Times the distance, speed and heading of an arrival where PX4's position drifts: it does not come to rest,
 # and waiting for the last degrees after a hit ages the contacts by seconds.
@@ -49,8 +53,8 @@ class SetpointGenerator:
         self._yaw_us = 0
         self._arrived_us: int | None = None
         flying, drifts = self._flying, mission.is_anchored
-        self._arrived_m = flying.arrive_m * (_DRIFTING_NEAR if drifts else 1.0)
-        self._arrived_m_s = flying.arrive_speed_m_s * (_DRIFTING_SLOW if drifts else 1.0)
+        self._arrived_m = ARRIVED_M * (_DRIFTING_NEAR if drifts else 1.0)
+        self._arrived_m_s = ARRIVED_M_S * (_DRIFTING_SLOW if drifts else 1.0)
         self._arrived_rad = _ARRIVED_YAW_RAD * (_DRIFTING_TURNED if drifts else 1.0)
         self._delay_s = flying.setpoint_delay_s or 0.0
         self._dead_s = flying.attitude_delay_s or 0.0
@@ -136,11 +140,11 @@ class SetpointGenerator:
             return False
         if self._arrived_us is None:
             self._arrived_us = state.now_us
-        return state.now_us - self._arrived_us >= self._flying.arrive_s * 1e6
+        return state.now_us - self._arrived_us >= ARRIVED_S * 1e6
 
     def is_slow(self, state: FlightState) -> bool:
-        """Whether the mean velocity over `flying.arrive_mean_s` is below `flying.arrive_speed_m_s`."""
-        return norm(state.mean_velocity(self._flying.arrive_mean_s)) < self._arrived_m_s
+        """Whether the mean velocity over `MEAN_SPEED_S` is below `ARRIVED_M_S`."""
+        return norm(state.mean_velocity(MEAN_SPEED_S)) < self._arrived_m_s
 
     def slew_yaw(self, wanted: float, now_us: int) -> None:
         """Turn the heading asked for towards the wanted one, at the configured rate at most."""
