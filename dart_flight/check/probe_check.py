@@ -14,6 +14,7 @@ from dart_flight.contact import contact_map
 from dart_flight.contact.law import Onset
 from dart_flight.core.mission.anchors import has_same_normal
 from dart_flight.core.mission.approach import NoApproachError, plan_approach
+from dart_flight.core.mission.course import ARRIVED_S
 from dart_flight.core.mission.trajectories import transit_time_s
 from dart_flight.core.mission.wall_uncertainty import SURE_SD, position_margin_m
 
@@ -115,7 +116,7 @@ def _hit_times_s(mission: Mission) -> dict[int, float]:
                 assert collision.impact_point is not None
                 way_to_m = math.dist(approach.begin[:2], collision.impact_point)
                 met_s = way_to_m / collision.probe.speed_m_s + 0.5
-            now_s += (_REST_S if here is not None else 0.0) + transit_s + flying.arrive_s + switch_s + met_s
+            now_s += (_REST_S if here is not None else 0.0) + transit_s + ARRIVED_S + switch_s + met_s
         times[collision.index] = now_s
         if collision.impact_point is not None:
             back_m = collision.probe.back_m if collision.probe is not None else 0.0

@@ -13,6 +13,7 @@ import os
 import re
 import sys
 import traceback
+import warnings
 from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any
@@ -22,6 +23,7 @@ from dart_flight.base.errors import FlightError
 from dart_flight.base.processes import use_idle_priority
 from dart_flight.cli.terminal import OutputError, open_closed_streams, print_status, write_output
 from dart_flight.config.document import InputError, did_you_mean, or_known
+from dart_flight.config.retired_keys import RetiredKeyWarning
 from dart_flight.lab_entries import COMMANDS as LAB_COMMANDS
 from dart_flight.lab_entries import load_entry
 
@@ -166,6 +168,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             level=logging.DEBUG if parsed.verbose > 1 else logging.ERROR,
             format="%(name)s: %(message)s",
         )
+        warnings.showwarning = _show_warning
         return int(_module(parsed.command).run(parsed))
     except InputError as error:
         print_status(error.one_line())
@@ -185,6 +188,16 @@ def main(argv: Sequence[str] | None = None) -> int:
             raise
         print_status(_system_error(error))
         return EXIT_INCOMPLETE
+
+
+def _show_warning(
+    message: Warning | str, category: type[Warning], filename: str, lineno: int, *rest: Any, **more: Any
+) -> None:
+    """Print a warning about the user's file as one line, and another one as Python does."""
+    if issubclass(category, RetiredKeyWarning):
+        print_status(message)
+    else:
+        print_status(warnings.formatwarning(message, category, filename, lineno).rstrip())
 
 
 def _need_working_folder() -> None:

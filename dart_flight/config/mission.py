@@ -47,6 +47,7 @@ from dart_flight.config.mission_file import (
 )
 from dart_flight.config.probes import Probe, place_at, resolve_probe, sought_walls
 from dart_flight.config.provenance import FoundVehicle, VehicleSource, display_path, find_vehicle
+from dart_flight.config.retired_keys import put_in_retired
 from dart_flight.config.section import keys_of
 from dart_flight.config.settings import apply_changes
 from dart_flight.config.vehicle import VehicleConfig, load_vehicle
@@ -232,6 +233,7 @@ class Mission(MissionKeys, frozen=True, kw_only=True, forbid_unknown_fields=Fals
         tree = msgspec.to_builtins(bare)
         tree["vehicle"].pop("connection")
         (tree["vehicle"]["lock"] or {}).pop("driver", None)
+        put_in_retired(tree["vehicle"])
         return hashlib.sha256(msgspec.json.encode(tree, order="sorted")).hexdigest()[:32]
 
     def to_dict(self) -> dict[str, Any]:

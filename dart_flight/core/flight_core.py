@@ -16,7 +16,8 @@ from typing import Final
 from dart_flight.base.records import Input, MissionEnd, Output, Override, Phase
 from dart_flight.config.mission import Mission
 from dart_flight.core.guard.guard import Guard
-from dart_flight.core.guard.rules import RULES, Rule
+from dart_flight.core.guard.rule import Rule
+from dart_flight.core.guard.rules import RULES
 from dart_flight.core.mission.executive import Executive
 from dart_flight.core.mission.proposal import MissionFinding, Proposal
 from dart_flight.core.mission.rehearsal import Rehearsal

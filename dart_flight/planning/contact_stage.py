@@ -38,6 +38,7 @@ from dart_flight.contact.contact_map import friction_per_speed
 from dart_flight.contact.law import Onset
 from dart_flight.contact.oscillator import Oscillation, enter, falling_root, find_contact_times, motion
 from dart_flight.core.mission.position_loop import PositionLoop
+from dart_flight.core.sense.detector import PEAK_DROP_FRACTION
 
 Array = NDArray[np.float64]
 
@@ -246,7 +247,7 @@ def build_stages(
     course = enter(c, np.full(len(table), mass), np.full(len(table), -1.0), onset, np.zeros(len(table)))
     events = find_contact_times(course)
     omega = course.omega
-    drop = _time_of_drop(course, events.peak, events.end, vehicle.detection.peak_drop_fraction)
+    drop = _time_of_drop(course, events.peak, events.end, PEAK_DROP_FRACTION)
     delay = np.maximum((drop - events.peak) / omega, _MIN_AFTER_PEAK_S) + 1.0 / vehicle.imu.rate_hz
     engaged = events.peak / omega + np.maximum(delay + _SETPOINT_USED_S + np.asarray(extra_delay_s), 0.0)
     loop = PositionLoop.of(vehicle.px4)

@@ -20,6 +20,7 @@ from dart_flight import __version__
 from dart_flight.base.records import World
 from dart_flight.config.document import Document, InputError
 from dart_flight.config.mission import Mission, parse_mission
+from dart_flight.config.retired_keys import changed_retired, leave_out_retired, take_out_retired
 from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.recording.reader import NothingInItError
 
@@ -77,7 +78,9 @@ def software_version() -> str:
 
 
 def flown_mission(about: dict[str, str], source: str) -> Mission:
-    """The mission as it was flown, from a log's description; a younger key has the default of its type.
+    """The mission as it was flown, from a log's description.
+
+    A younger key has the default of its type; a retired one is left out (`changed_keys`).
 
     Raises:
         InputError: it is not there, or does not fit this version of the program.
@@ -86,7 +89,10 @@ def flown_mission(about: dict[str, str], source: str) -> Mission:
     if text is None:
         raise NothingInItError("the log does not hold its mission", source=source)
     try:
-        return msgspec.json.decode(text, type=Mission)
+        tree = msgspec.json.decode(text)
+        if isinstance(tree, dict) and isinstance(tree.get("vehicle"), dict):
+            take_out_retired(tree["vehicle"])
+        return msgspec.convert(tree, Mission)
     except msgspec.MsgspecError as error:
         raise InputError(f"the mission in it does not fit this version: {error}", source=source) from None
 
@@ -100,7 +106,14 @@ def written_mission(about: dict[str, str], source: str) -> tuple[Document, Docum
     if "mission_text" not in about or "vehicle" not in about:
         raise InputError("the log does not hold its mission's text", source=source)
     text = msgspec.json.format(about["vehicle"], indent=2)
-    return Document(about["mission_text"], f"{source}: mission"), Document(text, f"{source}: vehicle")
+    vehicle = Document(text, f"{source}: vehicle")
+    take_out_retired(vehicle.tree)
+    return Document(about["mission_text"], f"{source}: mission"), vehicle
+
+
+def changed_keys(about: dict[str, str]) -> list[str]:
+    """Return, as text, the keys of the flown vehicle that are constants of another value now."""
+    return changed_retired(msgspec.json.decode(about["vehicle"])) if "vehicle" in about else []
 
 
 def parse_written(mission: Document, vehicle: Document) -> Mission:
@@ -109,4 +122,5 @@ def parse_written(mission: Document, vehicle: Document) -> Mission:
     Raises:
         InputError: a key is unknown, a value is of the wrong kind or out of range.
     """
+    leave_out_retired(vehicle)
     return parse_mission(mission, vehicle.convert(VehicleConfig))

@@ -41,7 +41,7 @@ from dart_flight.config.mission import Mission
 from dart_flight.config.settings import apply_settings
 from dart_flight.core.flight_core import FlightCore
 from dart_flight.core.mission.approach import NoApproachError
-from dart_flight.recording.about import flown_mission, machine, parse_written, written_mission
+from dart_flight.recording.about import changed_keys, flown_mission, machine, parse_written, written_mission
 from dart_flight.recording.encoding import encode
 from dart_flight.recording.flight_time import zero_of
 from dart_flight.recording.reader import Log
@@ -174,11 +174,13 @@ def _missing(numbers: list[int]) -> int:
 
 
 def _note(log: Log, result: Replay) -> str:
+    notes = changed_keys(log.about)
     if result.missing:
-        return f"the log lost {result.missing} inputs; from there on the replay may differ from the flight"
-    if not log.complete:
-        return "the log was cut; replayed up to there"
-    return ""
+        lost = f"the log lost {result.missing} inputs; from there on the replay may differ from the flight"
+        notes.append(lost)
+    elif not log.complete:
+        notes.append("the log was cut; replayed up to there")
+    return "; ".join(notes)
 
 
 def _compare(

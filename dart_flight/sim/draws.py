@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import random
 from collections.abc import Callable, Iterable, Mapping
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import msgspec
 
@@ -17,7 +17,7 @@ from dart_flight.base.records import Mode
 from dart_flight.base.walls import Wall
 from dart_flight.config.document import InputError, unknown_name
 from dart_flight.config.mission import Mission
-from dart_flight.config.vehicle import ImuRinging, Material, Spreads, VehicleConfig
+from dart_flight.config.vehicle import ImuRinging, Material, VehicleConfig
 from dart_flight.lock.drivers.mock import MockFaults
 from dart_flight.lock.servo import ServoFaults
 
@@ -26,7 +26,22 @@ Drawn = dict[str, float | str]
 _RINGING_M_S2 = (2.0, 3.0)  # of one sample in hover, per axis, in recordings (docs/results/real_data.md)
 _RINGING_WHITE_M_S2 = 0.8  # of that without colour: what a mean over 32 ms of those recordings leaves
 _MIN_FACTOR = 0.1  # no quantity shrinks below this share of its nominal value
-NAMES = tuple(field.encode_name for field in msgspec.structs.fields(Spreads))
+# Default spreads: standard deviations, relative where there is no unit.
+SPREADS: Final[Mapping[str, float]] = {
+    "contact": 0.2,  # friction on wood varied in 2 of 5 flights of the paper
+    "contact_scatter": 0.05,  # from one hit to the next at the same wall
+    "lock_true_mode": 0.01,  # probability that the lock is stuck or half engaged, whatever it reports
+    "wall_offset_m": 0.03,  # a tape measure and a moved panel
+    "wall_yaw_deg": 4.0,
+    "guard_height_m": 0.02,  # battery and payload move the centre of mass
+    "mass": 0.03,
+    "wind_m_s": 0.5,  # a room with an open door, the vehicle's own wash; gusts of half of it
+    "servo": 0.2,  # 0.15 to 0.19 s over 60 degrees without load, longer under it (maker)
+    "battery": 0.05,
+    "imu": 0.02,  # metres: a flight controller beside the battery
+    "replan_latency_s": 0.02,  # 15 to 25 ms on one core (docs/replanning.md)
+}
+NAMES = tuple(SPREADS)
 LOCK_TRUE_MODE, AS_COMMANDED = "lock_true_mode", "as commanded"  # in `drawn`, of a lock without a fault
 _OF_LOCK = (LOCK_TRUE_MODE, "servo")
 
@@ -51,20 +66,19 @@ def parse_vary(settings: Iterable[str], vehicle: VehicleConfig) -> dict[str, flo
     Raises:
         InputError: unknown name, of a part that the vehicle does not have, or not a number of at least 0.
     """
-    spreads = vehicle.simulation.spreads
     names = [n for n in NAMES if vehicle.has_lock or n not in _OF_LOCK]
     wanted: dict[str, float] = {}
     for setting in settings:
         name, given, text = setting.partition("=")
         if name == "all" and not given:
-            wanted = {**{n: float(getattr(spreads, n)) for n in names}, **wanted}
+            wanted = {**{n: SPREADS[n] for n in names}, **wanted}
             continue
         if name in _OF_LOCK and name not in names:
             raise InputError(f"--vary {setting}: this vehicle has no lock")
         if name not in NAMES:
             raise InputError(f"--vary {setting}: {unknown_name(name, [*names, 'all'])}")
         try:
-            sd = float(text) if given else float(getattr(spreads, name))
+            sd = float(text) if given else SPREADS[name]
         except ValueError:
             sd = math.nan
         if not 0.0 <= sd <= 100.0:

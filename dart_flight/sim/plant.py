@@ -76,6 +76,7 @@ _NO_FORCE = (0.0, 0.0, 0.0)
 _AT_REST = (0.0, 0.0, 0.0, 0.0)  # arms: displacement north, east in m; its speed in m/s
 _GAIN_M_S: Final = 0.5  # more than this no thrust adds to the speed within a tick
 _QUARTER = 0.5 * math.pi  # the vehicle is four-fold symmetric
+GROUND_FRICTION: Final = 0.6  # rubber feet on a hall's floor
 _GROUND_STEPS: Final = 2  # a millisecond, where only the landing gear touches: nothing is measured there
 _GROUND_SPEED_M_S: Final = 0.05  # regularisation of the ground's friction
 
@@ -608,7 +609,7 @@ class Plant:
         if not self.on_ground:
             return (0.0, 0.0, 0.0)
         speed = math.hypot(v[0], v[1])
-        grip = s.ground_friction * normal / math.hypot(speed, _GROUND_SPEED_M_S)
+        grip = GROUND_FRICTION * normal / math.hypot(speed, _GROUND_SPEED_M_S)
         return (-grip * v[0], -grip * v[1], -normal)
 
     def _note_contact(

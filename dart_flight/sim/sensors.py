@@ -23,6 +23,12 @@ from dart_flight.config.vehicle import ImuRinging, VehicleConfig
 from dart_flight.sim.noise import GaussianNoise
 from dart_flight.sim.plant import Plant
 
+# Standard deviations per axis, of a Pixhawk's sensors and a motion capture of a millimetre.
+IMU_BIAS_M_S2: Final = 0.05
+GYRO_NOISE_RAD_S: Final = 0.01
+POSE_NOISE_M: Final = 0.001
+ATTITUDE_NOISE_RAD: Final = 0.002
+
 
 class ImuSensor:
     """Accelerometer and gyro: tick averages with noise, a constant residual bias, saturated at full scale."""
@@ -30,9 +36,9 @@ class ImuSensor:
     def __init__(self, vehicle: VehicleConfig, noise: GaussianNoise) -> None:
         s = vehicle.simulation
         self._noise = noise
-        self._sigma, self._gyro_sigma = s.imu_noise_m_s2, s.gyro_noise_rad_s
+        self._sigma, self._gyro_sigma = s.imu_noise_m_s2, GYRO_NOISE_RAD_S
         self.full_scale_m_s2 = vehicle.imu.full_scale_m_s2
-        self.bias: Vec3 = noise.three(s.imu_bias_m_s2)
+        self.bias: Vec3 = noise.three(IMU_BIAS_M_S2)
         ringing = s.imu_ringing
         self._ringing = None if ringing is None else _Ringing(ringing, vehicle.imu.tick_s, noise)
 
@@ -97,11 +103,7 @@ class PoseSensor:
         s = vehicle.simulation
         self._noise = noise
         self._period_s = 1.0 / s.pose_rate_hz
-        self._delay_s, self._sigma, self._attitude_sigma = (
-            s.pose_delay_s,
-            s.pose_noise_m,
-            s.attitude_noise_rad,
-        )
+        self._delay_s = s.pose_delay_s
         self.offset_ned: Vec3 = (0.0, 0.0, 0.0)  # of the motion capture's origin; a fault moves it
         self._next_s = 0.0
         self._pending: deque[tuple[float, Vec3, Quaternion]] = deque()
@@ -111,8 +113,8 @@ class PoseSensor:
         now = plant.time_s
         if now >= self._next_s:
             self._next_s += self._period_s
-            twist = quaternion_from_rotation_vector(self._noise.three(self._attitude_sigma))
-            position = add(add(plant.position, self.offset_ned), self._noise.three(self._sigma))
+            twist = quaternion_from_rotation_vector(self._noise.three(ATTITUDE_NOISE_RAD))
+            position = add(add(plant.position, self.offset_ned), self._noise.three(POSE_NOISE_M))
             self._pending.append((now, position, quaternion_multiply(plant.q, twist)))
         if self._pending and self._pending[0][0] + self._delay_s <= now:
             return self._pending.popleft()

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import math
 import random
+from typing import Final
 
 from dart_flight.config.vehicle import Simulation
 from dart_flight.sim.noise import GaussianNoise
 from dart_flight.sim.plant import Plant
+
+GUST_TIME_S: Final = 2.0  # correlation time: gusts of a room, slower than a contact
 
 
 class Wind:
@@ -21,7 +24,7 @@ class Wind:
 
     def __init__(self, simulation: Simulation, seed: int, tick_s: float) -> None:
         self._steady, self._sigma = simulation.wind_north_east_m_s, simulation.gust_m_s
-        self._decay = math.exp(-tick_s / simulation.gust_time_s)
+        self._decay = math.exp(-tick_s / GUST_TIME_S)
         self._kick = math.sqrt(1.0 - self._decay * self._decay)
         self._noise = GaussianNoise(random.Random(seed ^ 0x57494E44))
         self._gust = [self._noise.one(self._sigma), self._noise.one(self._sigma)]

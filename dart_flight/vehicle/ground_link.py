@@ -31,7 +31,12 @@ from dart_flight.base.records import (
     StatusText,
 )
 from dart_flight.config.vehicle import VehicleConfig
-from dart_flight.core.guard.second_vehicle import SecondClockDetector, SecondPositionDetector
+from dart_flight.core.guard.second_vehicle import (
+    POSITION_JUMP_M,
+    SecondClockDetector,
+    SecondPositionDetector,
+)
+from dart_flight.core.guard.stream_watch import STAMP_TOLERANCE_S
 from dart_flight.vehicle import arming_problems as reasons
 from dart_flight.vehicle import messages, sdk_log
 from dart_flight.vehicle.messages import AUTOPILOT, BatteryReading, MessageEntry
@@ -101,8 +106,6 @@ class HeartbeatMode(msgspec.Struct, frozen=True):
 
 
 _HEARTBEAT_S = 3.0
-_STAMP_TOLERANCE_US = 500_000
-_JUMP_M = 0.3  # a vehicle on the ground does not move further between two samples
 _REPORT_S = 5.0  # on top, where something is amiss: until MAVSDK has fetched the words for it
 _ROUND_TRIPS_S, _ROUND_TRIP_MAX_S = 1.0, 5.0
 _MAX_UNANSWERED = 2  # requests, where none has been answered; MAVSDK asks for each of them for seconds
@@ -116,8 +119,8 @@ class _Listener:
     def __init__(self) -> None:
         self.seen = Observation()
         self.round_trips_us: list[int] = []
-        self._clocks = SecondClockDetector(_STAMP_TOLERANCE_US)
-        self._places = SecondPositionDetector(_JUMP_M)
+        self._clocks = SecondClockDetector(1e6 * STAMP_TOLERANCE_S)
+        self._places = SecondPositionDetector(POSITION_JUMP_M)
         self._forces_m_s2, self._imu_samples = 0.0, 0
 
     def take(self, record: Input) -> None:

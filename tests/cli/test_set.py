@@ -118,7 +118,7 @@ def test_every_command_refuses_it_alike(name: str, capsys: pytest.CaptureFixture
 
 def test_a_section_that_the_file_leaves_out_can_be_set(capsys: pytest.CaptureFixture[str]) -> None:
     text = packaged("configs", "dart.yaml").read_text()
-    begin, end = text.index("  contact:    "), text.index("  spreads:    ")
+    begin, end = text.index("  contact:    "), text.index("  imu_ringing: ")
     Path("old.yaml").write_text(text[:begin] + text[end:])
     settings = ["--set", "simulation.contact.body=guards", "--set", "simulation.imu_ringing.tone_m_s2=3"]
     printed, _ = answer(capsys, *PREDICT, "--config", "old.yaml", *settings)

@@ -29,7 +29,8 @@ from dart_flight.base.records import (
 from dart_flight.config.mission import load_mission
 from dart_flight.core.flight_core import FlightCore
 from dart_flight.core.guard.guard import Guard
-from dart_flight.core.guard.rules import RULES, Rule
+from dart_flight.core.guard.rule import Rule
+from dart_flight.core.guard.rules import RULES
 
 ROOT = Path(__file__).parents[2]
 HOVER = 0.5547  # command at which four motors of the configuration carry 1.3 kg

@@ -8,11 +8,20 @@ import pytest
 
 from dart_flight.base.geometry import GRAVITY_M_S2, Vec3
 from dart_flight.config.vehicle import load_vehicle, packaged
-from dart_flight.core.sense.bias import ForceBaseline, HoverBias
+from dart_flight.core.sense.bias import (
+    BASELINE_S,
+    BIAS_LIMIT_M_S2,
+    HOVER_RATE_RAD_S,
+    HOVER_SPEED_M_S,
+    LEARNING_S,
+    THRUST_SCALE_LIMIT,
+    ForceBaseline,
+    HoverBias,
+)
 
 VEHICLE = load_vehicle(packaged("configs", "dart.yaml"))
 MASS, ESTIMATION = VEHICLE.airframe.mass_kg, VEHICLE.estimation
-HOVER, WEIGHT_N, DT_S = ESTIMATION.hover, MASS * GRAVITY_M_S2, 0.004
+WEIGHT_N, DT_S = MASS * GRAVITY_M_S2, 0.004
 STILL: Vec3 = (0.0, 0.0, 0.0)
 
 
@@ -30,15 +39,15 @@ def learnt(
 
 
 def test_a_bias_is_approached_with_its_time_constant() -> None:
-    bias = learnt((0.1, -0.05, -GRAVITY_M_S2), HOVER.time_constant_s)
+    bias = learnt((0.1, -0.05, -GRAVITY_M_S2), LEARNING_S)
     share = 1.0 - math.exp(-1.0)
     assert (bias.bias_x, bias.bias_y) == pytest.approx((0.1 * share, -0.05 * share), rel=0.01)
     assert bias.scale == pytest.approx(1.0)
-    settled = learnt((0.1, -0.05, -0.95 * GRAVITY_M_S2), 10.0 * HOVER.time_constant_s)
+    settled = learnt((0.1, -0.05, -0.95 * GRAVITY_M_S2), 10.0 * LEARNING_S)
     assert (settled.bias_x, settled.bias_y, settled.scale) == pytest.approx((0.1, -0.05, 0.95), rel=1e-3)
 
 
-RATE, SPEED = HOVER.rate_rad_s, HOVER.speed_m_s
+RATE, SPEED = HOVER_RATE_RAD_S, HOVER_SPEED_M_S
 
 
 @pytest.mark.parametrize(
@@ -70,11 +79,11 @@ def test_with_the_motors_nearly_off_only_the_noise_is_learnt() -> None:
 
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
 def test_what_is_learnt_is_limited(sign: float) -> None:
-    far = 3.0 * HOVER.bias_limit_m_s2
-    bias = learnt((sign * far, -sign * far, -GRAVITY_M_S2 * (1.0 + sign * 0.9)), 20 * HOVER.time_constant_s)
-    most = HOVER.bias_limit_m_s2
+    far = 3.0 * BIAS_LIMIT_M_S2
+    bias = learnt((sign * far, -sign * far, -GRAVITY_M_S2 * (1.0 + sign * 0.9)), 20 * LEARNING_S)
+    most = BIAS_LIMIT_M_S2
     assert (bias.bias_x, bias.bias_y) == (sign * most, -sign * most)
-    assert bias.scale == pytest.approx(1.0 + sign * HOVER.thrust_scale_limit)
+    assert bias.scale == pytest.approx(1.0 + sign * THRUST_SCALE_LIMIT)
 
 
 @pytest.mark.parametrize("share", [0.46, 0.8, 1.0, 1.25, 2.2])
@@ -119,19 +128,19 @@ def test_no_sensor_is_without_noise() -> None:
 
 def test_a_slow_force_is_followed_forty_milliseconds_late() -> None:
     baseline, values = ForceBaseline(ESTIMATION), []
-    for _ in range(round(ESTIMATION.baseline_s / DT_S)):
+    for _ in range(round(BASELINE_S / DT_S)):
         baseline.follow(0.5, -0.3, DT_S)
         values.append(baseline.value)
     assert values[:8] == [(0.0, 0.0)] * 8
     assert values[9][0] > 0.0
     x, y = values[-1]
-    late = math.exp(-1.0 + 9 * DT_S / ESTIMATION.baseline_s)
+    late = math.exp(-1.0 + 9 * DT_S / BASELINE_S)
     assert (x, y) == pytest.approx((0.5 * (1.0 - late), -0.3 * (1.0 - late)), rel=0.02)
 
 
 def test_the_baseline_is_limited_in_size_and_pace() -> None:
     baseline, fast = ForceBaseline(ESTIMATION), ForceBaseline(ESTIMATION)
-    for _ in range(round(20 * ESTIMATION.baseline_s / DT_S)):
+    for _ in range(round(20 * BASELINE_S / DT_S)):
         baseline.follow(40.0, -40.0, DT_S)
     limit = ESTIMATION.baseline_limit_n / math.sqrt(2.0)
     assert baseline.value == pytest.approx((limit, -limit), rel=0.01)

@@ -27,7 +27,7 @@ from dart_flight.core.sense.contact_fit import (
     _merged,
 )
 from dart_flight.core.sense.incidence import ContactSample, ContactSampleBuffer
-from dart_flight.core.sense.wall_estimator import WallEstimator, _PendingEstimate
+from dart_flight.core.sense.wall_estimator import SURE_LOG_ODDS, WallEstimator, _PendingEstimate
 from tests.oracles.point_law import contact_force
 from tests.sim.test_plant import VEHICLE
 from tools.campaigns.felt import FIRST_SEED, Job, covered, fly, is_wrong, judged_of, plan_of
@@ -173,10 +173,10 @@ def test_what_is_felt_of_a_mirrored_hit_is_the_mirror_image(degrees: float, mode
 def test_a_wall_between_both_modes_is_undecided() -> None:
     """Head-on, where friction says nothing, a soft rigid wall is as likely as a hard flexible one."""
     between = Coefficients(2070.0, 11.0, 1.0, 7.0)
-    assert abs(odds_of(pulse(between, -0.8), "acrylic")) < VEHICLE.estimation.walls.sure_log_odds
+    assert abs(odds_of(pulse(between, -0.8), "acrylic")) < SURE_LOG_ODDS
     # The same stiffness with friction along the wall is told.
     sliding = Coefficients(2070.0, 11.0, 5.0, 7.0)
-    assert odds_of(pulse(sliding, -0.8, 0.4), "acrylic") < -VEHICLE.estimation.walls.sure_log_odds
+    assert odds_of(pulse(sliding, -0.8, 0.4), "acrylic") < -SURE_LOG_ODDS
 
 
 @pytest.mark.parametrize("onset", list(Onset))
@@ -365,8 +365,6 @@ def test_arms_put_back_are_the_inverse_of_arms_taken_out() -> None:
 
 # --- the mode ----------------------------------------------------------------------------------------------
 
-SURE = VEHICLE.estimation.walls.sure_log_odds
-
 
 def judged(
     odds: float, misfit: float, reported: Mode | None
@@ -390,13 +388,13 @@ def judged(
 @pytest.mark.parametrize(
     ("odds", "misfit", "felt"),
     [
-        (1.01 * SURE, 0.5, Mode.RIGID),
-        (-1.01 * SURE, 0.5, Mode.FLEXIBLE),
-        (0.99 * SURE, 0.5, None),
-        (-0.99 * SURE, 0.5, None),
-        (1.9 * SURE, 1.8, Mode.RIGID),  # a poor fit counts for less
-        (1.7 * SURE, 1.8, None),
-        (50.0 * SURE, 2.1, None),  # no such contact
+        (1.01 * SURE_LOG_ODDS, 0.5, Mode.RIGID),
+        (-1.01 * SURE_LOG_ODDS, 0.5, Mode.FLEXIBLE),
+        (0.99 * SURE_LOG_ODDS, 0.5, None),
+        (-0.99 * SURE_LOG_ODDS, 0.5, None),
+        (1.9 * SURE_LOG_ODDS, 1.8, Mode.RIGID),  # a poor fit counts for less
+        (1.7 * SURE_LOG_ODDS, 1.8, None),
+        (50.0 * SURE_LOG_ODDS, 2.1, None),  # no such contact
     ],
 )
 def test_a_mode_is_felt_where_the_odds_are_sure_and_the_fit_is_one(
@@ -411,11 +409,11 @@ def test_a_mode_is_felt_where_the_odds_are_sure_and_the_fit_is_one(
 @pytest.mark.parametrize(
     ("odds", "reported", "kept"),
     [
-        (0.5 * SURE, Mode.RIGID, Mode.RIGID),
-        (0.5 * SURE, None, Mode.RIGID),
-        (-0.5 * SURE, None, Mode.FLEXIBLE),
-        (0.5 * SURE, Mode.FLEXIBLE, None),  # the readings speak against what the lock says
-        (2.0 * SURE, Mode.FLEXIBLE, Mode.RIGID),
+        (0.5 * SURE_LOG_ODDS, Mode.RIGID, Mode.RIGID),
+        (0.5 * SURE_LOG_ODDS, None, Mode.RIGID),
+        (-0.5 * SURE_LOG_ODDS, None, Mode.FLEXIBLE),
+        (0.5 * SURE_LOG_ODDS, Mode.FLEXIBLE, None),  # the readings speak against what the lock says
+        (2.0 * SURE_LOG_ODDS, Mode.FLEXIBLE, Mode.RIGID),
     ],
 )
 def test_what_was_felt_is_kept_for_the_mode_that_is_likely(

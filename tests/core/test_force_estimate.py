@@ -36,7 +36,7 @@ from dart_flight.config.mission import load_mission
 from dart_flight.config.vehicle import ThrustSource, VehicleConfig
 from dart_flight.core.sense.arm_vibration import ArmFilter
 from dart_flight.core.sense.detector import ExpectedContact, ImpactDetector, _top_of, confirmed_force
-from dart_flight.core.sense.force import ForceEstimator
+from dart_flight.core.sense.force import ATTITUDE_ERROR_RAD, ForceEstimator
 from dart_flight.core.sense.pulse import PulsePrior, TickReading, _binned, fit_friction, fit_normal
 from dart_flight.core.sense.senses import Senses
 from dart_flight.core.sense.state import FlightState
@@ -430,7 +430,7 @@ def test_the_force_is_what_thrust_gravity_and_drag_do_not_explain(seed: int) -> 
     size2 = sum(axis * axis for axis in force)
     for axis in range(3):
         across2 = size2 - force[axis] ** 2
-        variance = noise**2 + (e.thrust_error_n * up[axis]) ** 2 + e.attitude_error_rad**2 * across2
+        variance = noise**2 + (e.thrust_error_n * up[axis]) ** 2 + ATTITUDE_ERROR_RAD**2 * across2
         assert estimate.variance_n2[axis] == pytest.approx(variance)
 
 

@@ -19,6 +19,7 @@ from dart_flight.base.records import (
     VehicleAction,
     VehicleCommand,
 )
+from dart_flight.core.mission.course import ARRIVED_S
 from tests.core.conftest import HandFedCore
 from tests.core.test_limits import SINGLE, after_the_contact
 
@@ -64,7 +65,7 @@ def test_having_arrived_for_one_phase_is_not_having_arrived_for_the_next() -> No
     c = HandFedCore(settings={"waypoints": [there, there | {"altitude_m": 1.0}]})
     c.climbed()
     c.run(2.0)
-    arrive_us = c.core.mission.vehicle.flying.arrive_s * 1e6
+    arrive_us = ARRIVED_S * 1e6
     times = [o.t_us for o in c.outputs if isinstance(o, PhaseChange) and o.before is not Phase.READYING]
     assert Phase.TRANSIT in begun(c.outputs)
     first, second, transit = times[-4:-1] if c.core.phase is Phase.PREPARE else times[-3:]

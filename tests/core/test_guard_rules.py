@@ -50,7 +50,8 @@ from dart_flight.base.streams import BY_NAME
 from dart_flight.config.mission import load_mission
 from dart_flight.config.vehicle import packaged
 from dart_flight.core import flight_core
-from dart_flight.core.guard.rules import RULES, Rule
+from dart_flight.core.guard.rule import Rule
+from dart_flight.core.guard.rules import RULES
 from dart_flight.core.guard.second_vehicle import SecondClockDetector, SecondPositionDetector
 from dart_flight.core.mission import executive
 from dart_flight.core.mission.proposal import Proposal
@@ -1024,8 +1025,8 @@ def test_a_position_is_compared_with_where_the_velocity_has_carried_it(
         there[axis], c.t_us = there[axis] + away_m, c.t_us + after_us
         position, velocity = (there[0], there[1], there[2]), (fast[0], fast[1], fast[2])
         c.give(OdometrySample(c.t_us, c.t_us, position, velocity))
-    assert (c.core._guard._watch.jump == f"position by {2 * 2.9 * 0.09:.2f} m") is jumps
-    assert bool(c.core._guard._watch.jump) is jumps
+    assert (c.core._guard._watch.estimator.jump == f"position by {2 * 2.9 * 0.09:.2f} m") is jumps
+    assert bool(c.core._guard._watch.estimator.jump) is jumps
 
 
 @pytest.mark.parametrize("sd", [None, 0.05])
@@ -1214,7 +1215,7 @@ def test_names_that_others_report_are_in_the_table() -> None:
     for source in Path(executive.__file__).parent.glob("*.py"):
         found |= set(re.findall(r'[fF]inding\(\s*"(\w+)"', source.read_text()))
     found |= set(re.findall(r'Finding\(\s*"(\w+)"', inspect.getsource(flight_core)))
-    assert found == {name for name, rule in names.items() if rule.cause is None}
+    assert found == {name for name, rule in names.items() if rule.judge.cause is None}
 
 
 def test_thresholds_named_in_the_table_exist() -> None:
@@ -1233,8 +1234,8 @@ def test_thresholds_named_in_the_table_exist() -> None:
         "mode_mismatch": mission,
     }
     for rule in RULES:
-        for key in filter(None, rule.threshold.split(", ")):
-            if key.startswith("streams:"):
+        for key in filter(None, rule.judge.threshold.split(", ")):
+            if key.startswith("streams:") or key[0].isdigit():
                 continue
             section, *names = key.split(".")
             node = places[section]

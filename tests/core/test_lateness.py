@@ -8,7 +8,7 @@ from collections.abc import Callable
 import pytest
 
 from dart_flight.base.records import ImuSample, RoundTrip
-from dart_flight.core.guard.telemetry_delay import TelemetryDelay
+from dart_flight.core.guard.stream_watch import TelemetryDelay
 from dart_flight.core.pace import Pace
 from tests.core.conftest import HandFedCore
 

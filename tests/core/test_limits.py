@@ -28,6 +28,7 @@ from dart_flight.base.records import (
     VehicleCommand,
 )
 from dart_flight.core.flight_core import FlightCore
+from dart_flight.core.guard.estimator_watch import ESTIMATOR_BAD_S
 from tests.core.conftest import TELEPORTING, HandFedCore
 
 SINGLE = "missions/paper_single_wall.yaml"
@@ -151,8 +152,7 @@ def test_a_stronger_action_asks_at_once_and_does_not_wait_for_the_retry_of_a_wea
     c.give(OperatorRequest(c.t_us, Request.LAND))
     assert lands(c, 1.6) == [pytest.approx(1.5, abs=0.02)]
     c.give(EstimatorSample(c.t_us, c.t_us, healthy=False))
-    bad_s = c.core.mission.vehicle.guard.estimator_bad_s
-    assert lands(c, 0.9) == [pytest.approx(bad_s, abs=0.03)]
+    assert lands(c, 0.9) == [pytest.approx(ESTIMATOR_BAD_S, abs=0.03)]
 
 
 def test_a_vehicle_that_is_turned_over_is_stopped_by_setpoints_before_it_lands() -> None:

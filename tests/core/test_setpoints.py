@@ -15,7 +15,7 @@ from dart_flight.base.records import AttitudeSample, OdometrySample, Phase, Setp
 from dart_flight.config.mission import Mission, load_mission
 from dart_flight.config.mission_file import TrajectoryPieces
 from dart_flight.config.vehicle import packaged
-from dart_flight.core.mission.course import Arrival, Course
+from dart_flight.core.mission.course import ARRIVED_M, ARRIVED_M_S, ARRIVED_S, MEAN_SPEED_S, Arrival, Course
 from dart_flight.core.mission.executive import Executive
 from dart_flight.core.mission.mission_state import MissionState
 from dart_flight.core.mission.position_loop import ATTITUDE_LAG_S
@@ -284,17 +284,17 @@ def test_it_has_arrived_once_it_was_there_slow_and_heading_right_for_a_while() -
             arrived = flown._has_arrived(state) or arrived
         return arrived
 
-    long_s = FLYING.arrive_s + 0.02
-    assert not after(2.0 * long_s, beside_m=1.02 * FLYING.arrive_m)
+    long_s = ARRIVED_S + 0.02
+    assert not after(2.0 * long_s, beside_m=1.02 * ARRIVED_M)
     assert not after(2.0 * long_s, yaw=0.052)
     assert not after(2.0 * long_s, yaw=-0.052)
-    assert not after(2.0 * long_s + FLYING.arrive_mean_s, speed_m_s=1.02 * FLYING.arrive_speed_m_s)
-    assert not after(FLYING.arrive_mean_s, beside_m=9.0)
-    assert not after(FLYING.arrive_s - 0.02)
+    assert not after(2.0 * long_s + MEAN_SPEED_S, speed_m_s=1.02 * ARRIVED_M_S)
+    assert not after(MEAN_SPEED_S, beside_m=9.0)
+    assert not after(ARRIVED_S - 0.02)
     assert not after(0.05, beside_m=9.0)  # it counts anew
-    assert not after(FLYING.arrive_s - 0.02, 0.98 * FLYING.arrive_m, 0.048, 0.98 * FLYING.arrive_speed_m_s)
+    assert not after(ARRIVED_S - 0.02, 0.98 * ARRIVED_M, 0.048, 0.98 * ARRIVED_M_S)
     flown.progress.arrived_us = None  # as when a phase begins
-    assert not after(FLYING.arrive_s - 0.02)
+    assert not after(ARRIVED_S - 0.02)
     assert after(0.04)
 
 
@@ -318,5 +318,5 @@ def test_how_near_and_how_straight_it_is_when_it_has_arrived(
     mission: str, share: float, off_rad: float, arrives: bool
 ) -> None:
     arrival, state = Arrival(load_mission(packaged("missions", f"{mission}.yaml"))), FlightState()
-    state.position, state.yaw = (1.0 + share * FLYING.arrive_m, 2.0, 0.0), off_rad
+    state.position, state.yaw = (1.0 + share * ARRIVED_M, 2.0, 0.0), off_rad
     assert arrival.is_at(STANDING.target, 0.0, state) is arrives

@@ -32,6 +32,7 @@ from dart_flight.base.records import (
     TruthContact,
 )
 from dart_flight.config.vehicle import VehicleConfig
+from dart_flight.core.sense import detector
 from dart_flight.core.sense.angular_motion import AngularMotion
 from dart_flight.core.sense.detector import ExpectedContact, ImpactDetector
 from dart_flight.core.sense.force import ForceEstimator
@@ -417,16 +418,16 @@ def test_the_torque_that_is_always_there_and_the_noise_are_learnt_as_slowly_as_t
         assert found.noise_frd_nm == pytest.approx((math.sqrt(variance),) * 3, rel=1e-3 if i == 0 else 1e-9)
 
 
-def test_a_body_is_not_fitted_as_a_point() -> None:
+def test_a_body_is_not_fitted_as_a_point(monkeypatch: pytest.MonkeyPatch) -> None:
     """One point first: the pulse is not the oscillator's, and its fit is 5 % too low; the top is not."""
     vehicle = body_vehicle()
     # As learnt in a second of quiet flight.
     quiet = msgspec.structs.replace(vehicle.estimation, imu_noise_m_s2=0.2)
     vehicle = msgspec.structs.replace(vehicle, estimation=quiet)
-    detection = msgspec.structs.replace(vehicle.detection, pulse_misfit=1000.0)
-    always = msgspec.structs.replace(vehicle, detection=detection)
     plants = [before_the_wall(vehicle, Mode.RIGID, -1.2, 0.0, 0.1) for _ in range(2)]
-    chosen, fitted = sense(plants[0], vehicle, (HOVER,) * 4), sense(plants[1], always, (HOVER,) * 4)
+    chosen = sense(plants[0], vehicle, (HOVER,) * 4)
+    monkeypatch.setattr(detector, "PULSE_MISFIT", 1000.0)
+    fitted = sense(plants[1], vehicle, (HOVER,) * 4)
     assert chosen.contact is not None
     true = chosen.contact.peak_normal_force_n
     assert not chosen.peaks[0].fitted

@@ -12,6 +12,7 @@ import pytest
 from dart_flight.base.geometry import quaternion_from_euler
 from dart_flight.config.mission import load_mission
 from dart_flight.config.vehicle import ImuRinging, load_vehicle, packaged
+from dart_flight.sim import wind as wind_module
 from dart_flight.sim.noise import GaussianNoise
 from dart_flight.sim.plant import Plant, make_plant
 from dart_flight.sim.sensors import (
@@ -115,11 +116,13 @@ def test_motors_that_stand_still_shake_nothing() -> None:
     assert spread[True] == pytest.approx(math.hypot(3.0, 3.0), rel=0.1)
 
 
-def test_gusts_have_the_configured_size_and_time(plant: Plant) -> None:
+def test_gusts_have_the_configured_size_and_time(plant: Plant, monkeypatch: pytest.MonkeyPatch) -> None:
     import msgspec
 
+    monkeypatch.setattr(wind_module, "GUST_TIME_S", 0.5)
+
     simulation = msgspec.structs.replace(
-        load_vehicle().simulation, wind_north_east_m_s=(2.0, -1.0), gust_m_s=0.8, gust_time_s=0.5
+        load_vehicle().simulation, wind_north_east_m_s=(2.0, -1.0), gust_m_s=0.8
     )
     wind = Wind(simulation, 1, 0.004)
     north, east = [], []

@@ -100,11 +100,11 @@ def test_a_log_of_another_version_is_refused_by_the_key(flight: Log) -> None:
     about = dict(flight.about)
     for name in ("flown", "vehicle"):
         other = msgspec.json.decode(about[name])
-        del (other["vehicle"] if name == "flown" else other)["guard"]["reset_position_m"]
+        del (other["vehicle"] if name == "flown" else other)["guard"]["retreat_m"]
         about[name] = msgspec.json.encode(other).decode()
-    with pytest.raises(InputError, match=r"does not fit this version: .*`reset_position_m`.*guard"):
+    with pytest.raises(InputError, match=r"does not fit this version: .*`retreat_m`.*guard"):
         flown_mission(about, "log")
-    with pytest.raises(InputError, match="reset_position_m"):
+    with pytest.raises(InputError, match="retreat_m"):
         parse_written(*written_mission(about, "log"))
     with pytest.raises(InputError, match="does not fit"):
         flown_mission({**about, "flown": "[]"}, "log")

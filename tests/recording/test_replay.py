@@ -12,6 +12,7 @@ from dart_flight.base.records import ImpactOnset, ImpactPeak, ImuSample, Setpoin
 from dart_flight.cli import main
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission
+from dart_flight.config.retired_keys import put_in_retired
 from dart_flight.recording.reader import Log, LogEntry, read_log
 from dart_flight.run.fast import FastFlight
 from dart_flight.run.replay import changed_mission, replay
@@ -130,6 +131,21 @@ def test_a_cut_log_replays_up_to_there(flight: Log) -> None:
         result = replay(log)
         assert result.equal
         assert result.note.startswith("the log was cut")
+
+
+def test_a_key_that_is_a_constant_of_another_value_now_is_said(flight: Log) -> None:
+    about = dict(flight.about)
+    for name in ("flown", "vehicle"):
+        tree = msgspec.json.decode(about[name])
+        put_in_retired(tree["vehicle"] if name == "flown" else tree)
+        about[name] = msgspec.json.encode(tree).decode()
+    old = Log(flight.source, about, flight.end, flight.entries, True)
+    assert (replay(old).equal, replay(old).note) == (True, "")
+    tree = msgspec.json.decode(about["vehicle"])
+    tree["guard"]["imu_stuck_s"] = 0.5
+    about["vehicle"] = msgspec.json.encode(tree).decode()
+    assert replay(old).note == "guard.imu_stuck_s was 0.5 and is 0.1 now"
+    assert replay(old, ["detection.force_threshold_n=15"]).differences
 
 
 def test_lost_inputs_are_said(flight: Log) -> None:

@@ -12,7 +12,7 @@ from dart_flight.recording.reader import read_log
 from dart_flight.run.fast import fly_fast
 from dart_flight.run.prepare import load_flyable
 from dart_flight.run.replay import replay
-from dart_flight.sim.draws import NAMES, draw_world, parse_vary
+from dart_flight.sim.draws import NAMES, SPREADS, draw_world, parse_vary
 
 ROOT = Path(__file__).parents[2]
 MISSION = load_flyable(ROOT / "missions/paper_single_wall.yaml", None, ["simulation.contact.body=guards"])
@@ -23,7 +23,7 @@ def test_all_is_every_name_at_its_default_and_a_value_given_wins() -> None:
     wanted = parse_vary(["mass=0.2", "all"], VEHICLE)
     assert set(wanted) == set(NAMES)
     assert wanted["mass"] == 0.2
-    assert wanted["contact"] == VEHICLE.simulation.spreads.contact
+    assert wanted["contact"] == SPREADS["contact"]
 
 
 @pytest.mark.parametrize("setting", ["mas", "mass=heavy", "mass=-1", "mass=nan", "all=2"])

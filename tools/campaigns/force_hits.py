@@ -38,7 +38,7 @@ from dart_flight.base.records import (
 )
 from dart_flight.base.walls import Wall
 from dart_flight.config.vehicle import VehicleConfig
-from dart_flight.core.sense.detector import ExpectedContact, ImpactDetector, confirmed_force
+from dart_flight.core.sense.detector import SURE_SIGMA, ExpectedContact, ImpactDetector, confirmed_force
 from dart_flight.core.sense.force import ForceEstimator
 from dart_flight.core.sense.state import FlightState
 from dart_flight.sim.noise import GaussianNoise
@@ -208,7 +208,7 @@ class Judge:
         x, y = estimate.force_mission[0] - base[0], estimate.force_mission[1] - base[1]
         detection = self.vehicle.detection
         mean = math.hypot(*confirmed_force(x, y, self._last, estimate.noise_n, detection))
-        self.statistic = max(min(mean, size), size - detection.sure_sigma * estimate.noise_n)
+        self.statistic = max(min(mean, size), size - SURE_SIGMA * estimate.noise_n)
         self._last = ((x, y), self._last[0])
         self._shadow.update(estimate, imu.received_us, self.state, ExpectedContact())
         return list(self.detector.update(estimate, imu.received_us, self.state, self.expected))

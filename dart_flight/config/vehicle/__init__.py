@@ -37,7 +37,7 @@ from dart_flight.config.vehicle.lock_config import (
     LockStartup,
     Servo,
 )
-from dart_flight.config.vehicle.simulation import BodyModel, ContactBody, ImuRinging, Simulation, Spreads
+from dart_flight.config.vehicle.simulation import BodyModel, ContactBody, ImuRinging, Simulation
 
 __all__ = [
     "Airframe",
@@ -60,7 +60,6 @@ __all__ = [
     "Px4Parameters",
     "Servo",
     "Simulation",
-    "Spreads",
     "ThresholdTest",
     "Thrust",
     "ThrustSource",

@@ -16,6 +16,7 @@ from dart_flight.base.geometry import GRAVITY_M_S2
 from dart_flight.base.records import Mode
 from dart_flight.config.document import Document, InputError, read_text, unknown_name
 from dart_flight.config.file_kinds import EXTENDS
+from dart_flight.config.retired_keys import leave_out_retired
 from dart_flight.config.section import Section
 from dart_flight.config.settings import apply_changes, apply_settings
 from dart_flight.config.vehicle.airframe import Airframe, Imu, Material, Thrust, effectiveness
@@ -194,13 +195,14 @@ def load_vehicle(
 
 
 def vehicle_of(document: Document) -> VehicleConfig:
-    """The configuration that a document holds.
+    """The configuration that a document holds; a retired key is left out with a warning.
 
     Raises:
         InputError: a key is unknown or missing, a value is of the wrong kind or out of range; a material
             lacks a mode that the vehicle has; or the motors cannot carry the mass or turn the vehicle about
             every axis.
     """
+    leave_out_retired(document)
     lock = document.tree.get("lock")
     if isinstance(lock, dict) and lock.get("driver") == NO_LOCK:
         document.tree["lock"] = None

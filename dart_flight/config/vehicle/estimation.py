@@ -7,7 +7,7 @@ from typing import Annotated
 
 from msgspec import Meta
 
-from dart_flight.config.section import Fraction, Seconds, Section, Speed, Volts
+from dart_flight.config.section import Fraction, Section, Volts
 
 
 class ThrustSource(StrEnum):
@@ -30,24 +30,6 @@ class BatteryModel(Section, frozen=True):
     exponent: Annotated[float, Meta(ge=0.0, le=5.0)]
 
 
-class HoverLearning(Section, frozen=True):
-    """What is learnt in flight: accelerometer bias while hovering, thrust scale in all flight.
-
-    Attributes:
-        speed_m_s: it counts as hovering below this speed and below rate_rad_s.
-        rate_rad_s: likewise, sum of the body rates' magnitudes.
-        time_constant_s: of bias and thrust scale.
-        bias_limit_m_s2: largest bias of the accelerometer that is taken off, per axis.
-        thrust_scale_limit: largest relative correction of the calibrated thrust curve.
-    """
-
-    speed_m_s: Speed
-    rate_rad_s: Annotated[float, Meta(gt=0.0, le=20.0)]
-    time_constant_s: Seconds
-    bias_limit_m_s2: Annotated[float, Meta(ge=0.0, le=20.0)]
-    thrust_scale_limit: Fraction
-
-
 class ArmVibration(Section, frozen=True):
     """The damped in-plane vibration of the unlocked arms, as the IMU feels it.
 
@@ -67,14 +49,9 @@ class WallPrior(Section, frozen=True):
 
     Attributes:
         spread: standard deviation of k, f, mu and nu of a wall from the table's, relative.
-        scatter: likewise, of one hit from the next at the same wall.
-        sure_log_odds: the arms are felt rigid or flexible from these odds on, natural logarithm; below that
-            it is undecided.
     """
 
     spread: Annotated[float, Meta(gt=0.0, le=2.0)] = 0.3
-    scatter: Annotated[float, Meta(gt=0.0, le=1.0)] = 0.05
-    sure_log_odds: Annotated[float, Meta(ge=0.0, le=100.0)] = 5.3
 
 
 class Estimation(Section, frozen=True, kw_only=True):
@@ -85,11 +62,7 @@ class Estimation(Section, frozen=True, kw_only=True):
         thrust_error_n: standard deviation of the whole thrust after calibration.
         esc_thrust_n_per_rpm2: one motor's thrust over its speed squared, m g / (sum of rpm^2) at hover; null:
             motor speeds are not used.
-        attitude_error_rad: standard deviation of PX4's attitude.
         imu_noise_m_s2: standard deviation of one sample, until it has been measured in flight.
-        filter_s: time constant of the filtered force; 0: not filtered.
-        baseline_s: time constant of the baseline: slow forces (wind, errors of thrust and drag), followed
-            outside of contacts and taken off before the threshold.
         baseline_limit_n: largest force that the baseline takes off.
         arm_vibration: what the IMU feels of the unlocked arms; null: not taken out.
         walls: what is believed of a wall before it is met.
@@ -101,13 +74,9 @@ class Estimation(Section, frozen=True, kw_only=True):
     thrust_error_n: Annotated[float, Meta(ge=0.0, le=100.0)]
     esc_thrust_n_per_rpm2: Annotated[float, Meta(gt=0.0, le=1e-3)] | None
     battery: BatteryModel
-    attitude_error_rad: Annotated[float, Meta(ge=0.0, le=1.0)]
     imu_noise_m_s2: Annotated[float, Meta(gt=0.0, le=50.0)]
-    filter_s: Annotated[float, Meta(ge=0.0, le=10.0)]
-    baseline_s: Seconds
     baseline_limit_n: Annotated[float, Meta(ge=0.0, le=1000.0)]
     arm_vibration: ArmVibration | None = None
-    hover: HoverLearning
     walls: WallPrior = WallPrior()
     position_drift_m_s: Annotated[float, Meta(ge=0.0, le=10.0)] = 0.04
 
@@ -137,29 +106,13 @@ class Detection(Section, frozen=True):
     Attributes:
         force_threshold_n: horizontal force, less the baseline, from which on it is an impact.
         threshold_test: magnitude: of the horizontal force; per_axis: the larger of its mission components.
-        release_fraction: a contact is over, and the next one possible, below this fraction of the threshold.
-        peak_drop_fraction: the peak is past once the normal force drops by this share.
         peak_wait_s: longest wait for the peak after the onset.
-        contact_end_s: time below the release fraction that ends a contact.
         refractory_s: time after a contact in which no new impact is registered.
-        sure_sigma: one sample over the threshold by this many times its noise is enough; else the mean of two
-            or three in a row has to be over it.
         noise_sigma: the threshold is at least this many times the learnt noise of what is compared with it.
-        short_window_s: mean over which a rigid contact is looked for in noise.
-        long_window_s: mean over which a flexible contact is looked for in noise.
-        pulse_misfit: the peak comes from the fitted pulse while the mean square of its residuals, over their
-            expected errors, is at most this; else from the top alone.
     """
 
     force_threshold_n: Annotated[float, Meta(gt=0.0, le=1000.0)]
     threshold_test: ThresholdTest
-    release_fraction: Fraction
-    peak_drop_fraction: Fraction
     peak_wait_s: Annotated[float, Meta(gt=0.0, le=10.0)]
-    contact_end_s: Annotated[float, Meta(gt=0.0, le=10.0)]
     refractory_s: Annotated[float, Meta(ge=0.0, le=10.0)]
-    sure_sigma: Annotated[float, Meta(ge=0.0, le=100.0)]
     noise_sigma: Annotated[float, Meta(gt=0.0, le=100.0)] = 5.0
-    short_window_s: Annotated[float, Meta(gt=0.0, le=1.0)] = 0.032
-    long_window_s: Annotated[float, Meta(gt=0.0, le=1.0)] = 0.1
-    pulse_misfit: Annotated[float, Meta(gt=0.0, le=1000.0)] = 3.0

@@ -14,28 +14,13 @@ class GuardThresholds(Section, frozen=True):
 
     Attributes:
         stream_timeout_s: IMU, attitude or odometry silent for longer: land.
-        status_timeout_s: no heartbeat for longer: land.
-        altitude_tolerance_m: allowed beyond bounds_m.z for impact_window_s after an impact.
         tilt_deg: tilted further: land.
         wall_overrun_m: this far behind the wall's plane without a contact: break off.
         retreat_m: distance from the wall that is kept after breaking off.
         imu_timeout_s: IMU silent for longer while other streams are not: land.
-        actuator_timeout_s: motor outputs silent for longer: hold.
-        link_lost_s: no stream at all for longer: release, so that PX4's failsafe flies.
-        stamp_tolerance_s: stamps further in the past, five in a row: the autopilot's clock went back, land.
-        imu_stuck_s: the very same reading for longer: land.
-        imu_clipped_s: IMU at full scale for longer: land.
-        position_jump_m: step of the position between two odometry samples, beside the motion: hold.
-        velocity_jump_m_s: step of the velocity between two odometry samples: hold.
-        reset_position_m: a reset that PX4 counts with a step of the position over this: hold.
-        reset_velocity_m_s: a reset that PX4 counts with a step of the velocity over this: hold.
-        estimator_bad_s: no valid position for longer: land.
-        impact_window_s: this long after an impact the estimator is not judged, the altitude less strictly.
         battery_remaining: less charge than this share: land.
         battery_v: lower voltage of the battery: land.
-        battery_low_s: either has to be low for longer than this.
         kill_after_s: in PX4's land mode and still armed for longer: motors off; null: never.
-        force_margin: break off when a single sample exceeds limits.peak_force_n times this factor.
         wall_late_s: wall not met this long after the planned impact: break off.
         wall_early_m: a contact further before the wall's plane is not the planned wall: break off.
         deadman_s: core thread or event loop hang for longer: the program is killed.
@@ -47,28 +32,13 @@ class GuardThresholds(Section, frozen=True):
     """
 
     stream_timeout_s: Seconds
-    status_timeout_s: Seconds
-    altitude_tolerance_m: Metres
     tilt_deg: Annotated[float, Meta(gt=0.0, le=180.0)]
     wall_overrun_m: Metres
     retreat_m: Metres
     imu_timeout_s: Seconds
-    actuator_timeout_s: Seconds
-    link_lost_s: Seconds
-    stamp_tolerance_s: Seconds
-    imu_stuck_s: Seconds
-    imu_clipped_s: Seconds
-    position_jump_m: Metres
-    velocity_jump_m_s: Speed
-    reset_position_m: Metres
-    reset_velocity_m_s: Speed
-    estimator_bad_s: SecondsOrZero
-    impact_window_s: SecondsOrZero
     battery_remaining: Fraction
     battery_v: Annotated[float, Meta(ge=0.0, le=100.0)]
-    battery_low_s: SecondsOrZero
     kill_after_s: Seconds | None
-    force_margin: Annotated[float, Meta(ge=1.0, le=10.0)]
     wall_late_s: Seconds
     wall_early_m: Metres
     deadman_s: Annotated[float, Meta(ge=0.1, le=2.0)]
@@ -87,11 +57,6 @@ class Flying(Section, frozen=True):
         jerk_m_s3: largest jerk of the reference; null: it follows from speed and acceleration.
         yaw_rate_deg_s: largest turning rate of the reference.
         steady_run_s: constant speed before the wall, so that the velocity is met.
-        arrive_m: the vehicle has arrived when it is nearer to the target than this and slow.
-        arrive_speed_m_s: slow is below this speed.
-        arrive_s: both have to hold for this long.
-        arrive_mean_s: the speed is that of the mean velocity over this long, as PX4's estimate shakes with
-            the accelerometer.
         setpoint_delay_s: from the stamp of an odometry sample to when the autopilot flies the setpoint that
             answers it; the reference is taken so much later. null: 0.024 with PX4, none in the embedded
             simulator.
@@ -107,12 +72,8 @@ class Flying(Section, frozen=True):
     acceleration_m_s2: Annotated[float, Meta(gt=0.0, le=50.0)]
     yaw_rate_deg_s: Annotated[float, Meta(gt=0.0, le=720.0)]
     steady_run_s: SecondsOrZero
-    arrive_m: Metres
-    arrive_speed_m_s: Speed
-    arrive_s: SecondsOrZero
     ready_timeout_s: Seconds
     replan_within_s: Annotated[float, Meta(gt=0.0, le=2.0)] = 0.1
-    arrive_mean_s: Annotated[float, Meta(gt=0.0, le=1.0)] = 0.3
     jerk_m_s3: Annotated[float, Meta(gt=0.0, le=1000.0)] | None = None
     setpoint_delay_s: Annotated[float, Meta(ge=0.0, le=0.2)] | None = None
     attitude_delay_s: Annotated[float, Meta(ge=0.0, le=0.15)] | None = None

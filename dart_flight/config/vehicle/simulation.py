@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from msgspec import Meta
 
-from dart_flight.config.section import Fraction, Seconds, Section, Volts
+from dart_flight.config.section import Fraction, Section, Volts
 from dart_flight.config.vehicle.estimation import ArmVibration
 
 Wind = Annotated[float, Meta(ge=-50.0, le=50.0)]
@@ -49,38 +49,6 @@ class ContactBody(Section, frozen=True):
     half_engaged: bool = False
 
 
-class Spreads(Section, frozen=True):
-    """How far a real flight may be from what is believed: default spreads of `--vary`.
-
-    Attributes:
-        contact: k, f, mu, nu of every wall and mode, relative, constant over a flight.
-        contact_scatter: likewise, anew for every hit.
-        lock_true_mode: probability that the lock is stuck or half engaged, whatever it reports.
-        wall_offset_m: of every wall along its normal.
-        wall_yaw_deg: of every wall about its middle.
-        guard_height_m: of the guards against the centre of mass.
-        mass: relative, inertia with it.
-        wind_m_s: steady wind, per axis; gusts of half of it.
-        servo: travel time, relative.
-        battery: thrust, relative.
-        imu: IMU off the centre of mass, metres, per axis; ringing of 2 to 3 m/s2 comes with it.
-        replan_latency_s: what an answer to a request to plan anew takes longer than replan_latency_s.
-    """
-
-    contact: Annotated[float, Meta(ge=0.0, le=2.0)] = 0.2
-    contact_scatter: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.05
-    lock_true_mode: Fraction = 0.01
-    wall_offset_m: Annotated[float, Meta(ge=0.0, le=2.0)] = 0.03
-    wall_yaw_deg: Annotated[float, Meta(ge=0.0, le=45.0)] = 4.0
-    guard_height_m: Annotated[float, Meta(ge=0.0, le=0.5)] = 0.02
-    mass: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.03
-    wind_m_s: Annotated[float, Meta(ge=0.0, le=20.0)] = 0.5
-    servo: Annotated[float, Meta(ge=0.0, le=2.0)] = 0.2
-    battery: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.05
-    imu: Annotated[float, Meta(ge=0.0, le=0.5)] = 0.02
-    replan_latency_s: Annotated[float, Meta(ge=0.0, le=10.0)] = 0.02
-
-
 class ImuRinging(Section, frozen=True):
     """What turning motors and the frame shake into the accelerometer, per axis of the reported sample, RMS.
 
@@ -106,22 +74,15 @@ class Simulation(Section, frozen=True, kw_only=True):
 
     Attributes:
         imu_noise_m_s2: standard deviation of one accelerometer sample, per axis.
-        imu_bias_m_s2: standard deviation of the accelerometer's bias, per axis.
-        gyro_noise_rad_s: standard deviation of one gyro sample, per axis.
         pose_rate_hz: of the motion capture.
-        pose_noise_m: standard deviation of the motion capture's position, per axis.
         pose_delay_s: of the motion capture.
-        attitude_noise_rad: standard deviation of the motion capture's attitude, per axis.
         arm_vibration: of the unlocked arms, as the simulated IMU feels it; null: none.
         ground_stiffness_n_m: of the ground under a resting vehicle.
         ground_damping_n_s_m: of the ground under a resting vehicle.
-        ground_friction: friction coefficient of the ground.
         battery_v: voltage that is reported.
         wind_north_east_m_s: [north, east], steady; where the air goes to.
         gust_m_s: standard deviation of gusts beside the steady wind, per axis.
-        gust_time_s: correlation time of the gusts.
         contact: the vehicle as a body that touches walls.
-        spreads: how far a real flight may be from what is believed.
         imu_ringing: what motors and frame shake into the accelerometer while the motors turn; null: nothing.
         imu_position_m: [forward, right, down] of the centre of mass, where the IMU really is.
         replan_latency_s: from a request to plan anew to its answer, where time is simulated.
@@ -132,22 +93,15 @@ class Simulation(Section, frozen=True, kw_only=True):
     """
 
     imu_noise_m_s2: Annotated[float, Meta(ge=0.0, le=50.0)]
-    imu_bias_m_s2: Annotated[float, Meta(ge=0.0, le=20.0)]
-    gyro_noise_rad_s: Annotated[float, Meta(ge=0.0, le=10.0)]
     pose_rate_hz: Annotated[float, Meta(ge=1.0, le=1000.0)]
-    pose_noise_m: Annotated[float, Meta(ge=0.0, le=10.0)]
     pose_delay_s: Annotated[float, Meta(ge=0.0, le=1.0)]
-    attitude_noise_rad: Annotated[float, Meta(ge=0.0, le=1.0)]
     arm_vibration: ArmVibration | None = None
     ground_stiffness_n_m: Annotated[float, Meta(ge=1.0, le=1000000.0)]
     ground_damping_n_s_m: Annotated[float, Meta(ge=0.0, le=100000.0)]
-    ground_friction: Annotated[float, Meta(ge=0.0, le=10.0)]
     battery_v: Volts
     wind_north_east_m_s: tuple[Wind, Wind]
     gust_m_s: Annotated[float, Meta(ge=0.0, le=50.0)]
-    gust_time_s: Seconds
     contact: ContactBody = ContactBody()
-    spreads: Spreads = Spreads()
     imu_ringing: ImuRinging | None = None
     imu_position_m: tuple[Lever, Lever, Lever] = (0.0, 0.0, 0.0)
     replan_latency_s: Annotated[float, Meta(ge=0.0, le=10.0)] = 0.04

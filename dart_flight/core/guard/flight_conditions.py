@@ -24,44 +24,27 @@ from dart_flight.base.records import (
     OperatorRequest,
     OtherVehicle,
     Phase,
+    Request,
     RoundTrip,
     StatusSample,
     StatusText,
     SystemStatus,
 )
 from dart_flight.config.mission import Mission
-from dart_flight.core.guard.estimator_resets import REACH_US, EstimatorResets
+from dart_flight.core.guard.estimator_watch import EstimatorWatch
 from dart_flight.core.guard.failsafe import FailsafeEvidence, in_failsafe
-from dart_flight.core.guard.second_vehicle import SecondClockDetector, SecondPositionDetector
-from dart_flight.core.guard.telemetry_delay import TelemetryDelay
-from dart_flight.core.mission.phases import ON_GROUND
+from dart_flight.core.guard.second_vehicle import OtherVehicles
+from dart_flight.core.guard.stream_watch import Stamped, StreamWatch
 from dart_flight.core.mission.position_loop import STOP_TIME_S, stop_share
-from dart_flight.core.sense.senses import Sensed
+from dart_flight.core.sense.senses import IMPACT_WINDOW_S, Sensed
 from dart_flight.core.sense.state import FlightState
 
-_GAP_MEMORY_US: Final = 3_000_000  # a gap this long ago explains a change of mode
-_UNSURE_US: Final = 250_000  # in which a second vehicle shows for certain
 _DOUBT_US: Final = 100_000  # host time; another vehicle's samples come within this of its mode
-_GAP_US: Final = 500_000  # of silence, in which PX4 may have said anything
-_RATE_WINDOW_US: Final = 1_000_000
-_LEAP_US: Final = 1_000_000
 _CLIP_SHARE: Final = 0.99
 _FALLING_M_S2: Final = 4.9  # half of what carries the vehicle
 _SURELY_DOWN: Final = 3.0  # times the way down from the top of the flight space
 _PAUSE_US: Final = 40_000  # host time goes on by 20 ms at most, by ticks: after more this program did not run
 _PAUSE_MEMORY_US: Final = 3_000_000
-# PX4 may align its heading in the climb if it had none on the ground.
-_ALIGNING: Final = frozenset((*ON_GROUND, Phase.CLIMB))
-Stamped = ImuSample | AttitudeSample | OdometrySample | ActuatorSample
-
-
-class _StampHistory:
-    """What is remembered of one stream's stamps: its clocks, and the samples since a stamp."""
-
-    def __init__(self, name: str, tolerance_us: float) -> None:
-        self.name, self.clocks = name, SecondClockDetector(tolerance_us)
-        self.first_us: int | None = None
-        self.count = 0
 
 
 class FlightConditions:
@@ -80,44 +63,22 @@ class FlightConditions:
         self.was_armed = False
         self.was_inside = False  # has been above the floor of the flight space
         self.impact: ImpactOnset | None = None  # the newest
-        self.rates_hz: dict[str, float] = {}
-        self.stale: dict[str, int] = {}  # samples in a row whose stamp lies far in the past, where there are
-        self.since_imu = 0  # samples of other streams since the newest of the IMU
         self.stuck_since_us: int | None = None
         self.clipped_since_us: int | None = None
         self.battery_low_since_us: int | None = None
         self.falling_since_us: int | None = None  # motors stopped, and next to nothing carries the vehicle
-        self.flags_bad_since_us: int | None = None
         # In land mode and armed: autopilot's and host's time.
         self._landing_since_us: tuple[int, int] | None = None
-        self.jump: str = ""
-        self._resets = EstimatorResets()
-        self._reset_phase = Phase.READYING  # at the newest reset
-        self._tolerance_us = self.config.stamp_tolerance_s * 1e6
-        self._imu_stream = _StampHistory("imu", self._tolerance_us)
-        self._attitude_stream = _StampHistory("attitude", self._tolerance_us)
-        self._odometry_stream = _StampHistory("odometry", self._tolerance_us)
-        self._actuator_stream = _StampHistory("actuator", self._tolerance_us)
-        self._clocks = (
-            self._imu_stream.clocks,
-            self._attitude_stream.clocks,
-            self._odometry_stream.clocks,
-            self._actuator_stream.clocks,
-        )
-        self._places = SecondPositionDetector(self.config.position_jump_m)
-        self.lateness = TelemetryDelay(self.config.telemetry_late_s)
-        self._other_system: int | None = None
-        self.second_vehicle: str | None = None  # how a second vehicle on the link shows; it does not go away
+        self.streams = StreamWatch(self.config)
+        self.estimator = EstimatorWatch()
+        self.others = OtherVehicles()
         self._left_since_us: int | None = None  # host time since when the mode says that offboard was left
         self._failsafe = FailsafeEvidence()
-        self._gap_us: int | None = None
-        self._host_us = 0  # of the newest stamped sample
         self._seen_us = 0  # host time at the step before
         self._pause_us = self._paused_us = 0  # longest pause of this program lately, and its end
         self.surely_down_s = self._surely_down_s()
         self._full_scale = _CLIP_SHARE * mission.vehicle.imu.full_scale_m_s2
         self._imu: ImuSample | None = None
-        self._estimator_bad = False
 
     def observe(self, item: Input, state: FlightState, sensed: Sensed, phase: Phase) -> None:
         """Take the step's input, which has gone into `state`, and what it has taught."""
@@ -128,57 +89,50 @@ class FlightConditions:
             if isinstance(event, ImpactOnset):
                 # For a while the contact explains what estimator and altitude do.
                 self.impact = event
-        self.jump = ""
+        self.streams.state = state
+        self.estimator.begin(state.now_us, self.just_after_impact)
         host_us = state.host_us
         if host_us - self._seen_us > _PAUSE_US and self._seen_us:
             self._see_pause(host_us)
         self._seen_us = host_us
         if isinstance(item, ImuSample):
-            self._see_stamp(self._imu_stream, item, state.imu)
-            self._see_imu(item)
-            self.lateness.take_sample(item.t_us, item.received_us)
+            self._take_stamp("imu", item, state.imu)
+            if item is state.imu:
+                self.estimator.resets.take_imu(item)
+                self._take_imu(item)
+            self.streams.delay.take_sample(item.t_us, item.received_us)
         elif isinstance(item, AttitudeSample):
-            self._see_stamp(self._attitude_stream, item, state.attitude)
+            self._take_stamp("attitude", item, state.attitude)
             if item is state.attitude:
-                self._resets.take_attitude(item)
+                self.estimator.resets.take_attitude(item)
         elif isinstance(item, OdometrySample):
-            if state.is_plausible(item):  # else no difference to it means anything
-                self._see_stamp(self._odometry_stream, item, state.odometry)
-                self._see_odometry(item)
-                self.was_inside = self.was_inside or state.position[2] >= self.mission.bounds.z[0]
-            else:
-                away_m, fast_m_s = norm(item.position_ned), norm(item.velocity_ned)
-                self.jump = f"implausible: {away_m:.3g} m from the origin at {fast_m_s:.3g} m/s"
+            self._take_odometry(item)
         elif isinstance(item, ActuatorSample):
-            self._see_stamp(self._actuator_stream, item, state.actuator)
-            self._see_motors(item)
+            self._take_stamp("actuator", item, state.actuator)
+            self._take_motors(item)
         elif isinstance(item, EstimatorSample):
-            self._see_estimator(item)
+            self.estimator.take_report(item, phase)
         elif isinstance(item, StatusSample):
-            self._see_status(item)
+            self._take_status(item)
         elif isinstance(item, RoundTrip):
-            self.lateness.take_round_trip(item)
+            self.streams.delay.take_round_trip(item)
         elif isinstance(item, OtherVehicle):
-            self._other_system = item.system
+            self.others.take_system(item.system)
         elif isinstance(item, StatusText) and not item.found_here:
             self._failsafe.take_text(item, state.now_us)
-        self._see_flags()
+        self.estimator.finish(state.status.local_position_ok)
 
     # -- what rules ask --
 
-    @property
-    def other_system(self) -> str | None:
-        """Another vehicle on the link, in words: one that is told apart, or one that is not."""
-        if self._other_system is not None:
-            return f"system {self._other_system} sends on the same link"
-        return self.second_vehicle
+    def is_asked(self, request: Request) -> bool:
+        """Return whether the operator requests this in this step."""
+        return self.request is not None and self.request.request is request
 
     @property
     def circumstances(self) -> str:
         """What else is known where a stream fails, to be appended; empty where nothing is."""
-        known = ""
-        if self._other_system is not None:
-            known += f"; system {self._other_system} sends on the same link"
+        other = self.others.other_system
+        known = f"; {other}" if other is not None else ""
         if self._pause_us and self.state.host_us - self._paused_us < _PAUSE_MEMORY_US:
             known += (
                 f"; the computer is too busy: this program did not run for {self._pause_us * 1e-3:.0f} ms"
@@ -188,7 +142,7 @@ class FlightConditions:
     @property
     def just_after_impact(self) -> bool:
         """Shortly after an impact: what the contact does to estimator and altitude is no fault."""
-        return self._since_impact_us() < self.config.impact_window_s * 1e6
+        return self._since_impact_us() < IMPACT_WINDOW_S * 1e6
 
     @property
     def failsafe_said(self) -> bool:
@@ -227,11 +181,6 @@ class FlightConditions:
         return "PX4 has stopped the motors" if terminated and not self.status_unreliable else None
 
     @property
-    def was_cut_off(self) -> bool:
-        """Whether telemetry has come back within the last seconds after a gap."""
-        return self._gap_us is not None and self.state.now_us - self._gap_us < _GAP_MEMORY_US
-
-    @property
     def unrequested_mode(self) -> FlightMode | None:
         """The flight mode, once PX4 has left offboard without being asked to."""
         mode = self._mode_left_to
@@ -251,7 +200,7 @@ class FlightConditions:
         It may be the mode of another vehicle, whose first sample is still to come: until then nothing is
         decided, and nothing is sent. What PX4 has announced, or a gap explains, is in no doubt.
         """
-        if self._left_since_us is None or self.failsafe_said or self.was_cut_off:
+        if self._left_since_us is None or self.failsafe_said or self.streams.was_cut_off:
             return False
         young = self.state.host_us - self._left_since_us < _DOUBT_US
         return young and self._mode_left_to is not None
@@ -268,22 +217,7 @@ class FlightConditions:
     @property
     def status_unreliable(self) -> bool:
         """Whether the slow state may be another vehicle's: there is one, or the last moments look like it."""
-        if self.second_vehicle is not None:
-            return True
-        odd = [clocks.odd_us for clocks in self._clocks]
-        return any(
-            odd_us is not None and self._host_us - odd_us < _UNSURE_US
-            for odd_us in (*odd, self._places.odd_us)
-        )
-
-    def age_s(self, newest: Stamped | None) -> float:
-        """Host time since a stream's newest sample was received, seconds; infinite where there was none."""
-        return (self.state.host_us - newest.received_us) * 1e-6 if newest is not None else math.inf
-
-    @property
-    def status_age_s(self) -> float:
-        """Host time since the autopilot's slow state was received, seconds."""
-        return (self.state.host_us - self.state.status.received_us) * 1e-6
+        return self.others.is_suspected(self.streams.host_us)
 
     def lasting_s(self, since_us: int | None) -> float:
         """How long something has been going on, autopilot time, seconds; 0 where it is not."""
@@ -316,66 +250,12 @@ class FlightConditions:
         way_down_s = self.mission.bounds.z[1] / self.mission.vehicle.px4.mpc_land_speed
         return max(self.config.kill_after_s, _SURELY_DOWN * way_down_s)
 
-    def reset_step(self) -> str | None:
-        """Return the step of position or velocity during an estimator reset, as text, or None."""
-        reset, c = self._resets.newest, self.config
-        if reset is None or self.state.now_us - reset.t_us > REACH_US or self.just_after_impact:
-            return None
-        if reset.position_m > c.reset_position_m or reset.velocity_m_s > c.reset_velocity_m_s:
-            return f"by {reset.position_m:.2f} m and {reset.velocity_m_s:.2f} m/s"
-        return None
-
-    @property
-    def heading_step_rad(self) -> float:
-        """Step of the heading during an estimator reset, radians; 0 while PX4 may align its heading."""
-        reset = self._resets.newest
-        if reset is None or self.state.now_us - reset.t_us > 2 * REACH_US or self._reset_phase in _ALIGNING:
-            return 0.0
-        return reset.heading_rad
-
     def _since_impact_us(self) -> float:
         return math.inf if self.impact is None else self.state.now_us - self.impact.t_us
 
-    def _see_stamp(self, stream: _StampHistory, item: Stamped, newest: Stamped | None) -> None:
-        t_us, received_us = item.t_us, item.received_us
-        if received_us > self._host_us:
-            if self._host_us and received_us - self._host_us > _GAP_US:
-                self._gap_us = self.state.now_us
-            self._host_us = received_us
-        self.since_imu = 0 if stream is self._imu_stream else self.since_imu + 1
-        if self.second_vehicle is None:
-            self._look_for_second(stream.clocks, item, t_us, received_us)
-        lag_us = (newest or item).t_us - t_us
-        if lag_us > self._tolerance_us:
-            self.stale[stream.name] = self.stale.get(stream.name, 0) + 1
-            return
-        if -lag_us > _LEAP_US:  # not taken yet: another vehicle's, or a clock that has jumped
-            return
-        if self.stale:
-            self.stale.pop(stream.name, None)
-        if stream.first_us is None:
-            stream.first_us = t_us
-        span_us = t_us - stream.first_us
-        if span_us >= _RATE_WINDOW_US:
-            self.rates_hz[stream.name] = stream.count * 1e6 / span_us
-            stream.first_us, stream.count = t_us, 0
-        stream.count += 1
-
-    def _look_for_second(
-        self, clocks: SecondClockDetector, item: Stamped, t_us: int, received_us: int
-    ) -> None:
-        clocks.update(t_us, received_us)
-        if clocks.odd_us is not None:
-            # One stream alone may come by two ways, one of them late; a vehicle sends them all.
-            apart_s = [c.apart_s(received_us) for c in self._clocks]
-            found = [seconds for seconds in apart_s if seconds is not None]
-            if len(found) > 1 and max(found) - min(found) < self.config.stamp_tolerance_s:
-                self.second_vehicle = f"two alternating clocks, {found[0]:.1f} s apart"
-        if isinstance(item, OdometrySample):
-            self._places.update(item)
-            apart_m = self._places.apart_m(received_us)
-            if apart_m is not None:
-                self.second_vehicle = f"odometry with two alternating positions, {apart_m:.1f} m apart"
+    def _take_stamp(self, name: str, item: Stamped, newest: Stamped | None) -> None:
+        self.streams.take(name, item, newest)
+        self.others.take(name, item)
 
     def _see_pause(self, host_us: int) -> None:
         """This program has not run since the step before: no tick has come, either."""
@@ -383,10 +263,7 @@ class FlightConditions:
         if pause_us > self._pause_us or host_us - self._paused_us > _PAUSE_MEMORY_US:
             self._pause_us, self._paused_us = pause_us, host_us
 
-    def _see_imu(self, item: ImuSample) -> None:
-        if item is not self.state.imu:
-            return
-        self._resets.take_imu(item)
+    def _take_imu(self, item: ImuSample) -> None:
         before, self._imu = self._imu, item
         same = before is not None and before.specific_force_frd == item.specific_force_frd
         self.stuck_since_us = (self.stuck_since_us or item.t_us) if same else None
@@ -394,31 +271,22 @@ class FlightConditions:
         clipped = abs(x) >= full or abs(y) >= full or abs(z) >= full
         self.clipped_since_us = (self.clipped_since_us or item.t_us) if clipped else None
 
-    def _see_motors(self, item: ActuatorSample) -> None:
+    def _take_motors(self, item: ActuatorSample) -> None:
         imu = self._imu
         falls = imu is not None and not any(item.motors) and norm(imu.specific_force_frd) < _FALLING_M_S2
         self.falling_since_us = (self.falling_since_us or item.t_us) if falls else None
 
-    def _see_odometry(self, item: OdometrySample) -> None:
-        if item is not self.state.odometry:
+    def _take_odometry(self, item: OdometrySample) -> None:
+        state = self.state
+        if not state.is_plausible(item):  # then no difference to it means anything
+            self.estimator.refuse_odometry(item)
             return
-        away_m, faster_m_s = self._resets.take_odometry(item)
-        if self.just_after_impact:
-            return
-        if away_m > self.config.position_jump_m:
-            self.jump = f"position by {away_m:.2f} m"
-        if faster_m_s > self.config.velocity_jump_m_s:
-            self.jump = f"velocity by {faster_m_s:.2f} m/s"
+        self._take_stamp("odometry", item, state.odometry)
+        if item is state.odometry:
+            self.estimator.take_odometry(item)
+        self.was_inside = self.was_inside or state.position[2] >= self.mission.bounds.z[0]
 
-    def _see_estimator(self, item: EstimatorSample) -> None:
-        if item.reset_counter is not None and self._resets.take_counter(
-            item.reset_counter, self.state.now_us
-        ):
-            self._reset_phase = self.phase
-        if item.healthy is not None:
-            self._estimator_bad = not item.healthy
-
-    def _see_status(self, item: StatusSample) -> None:
+    def _take_status(self, item: StatusSample) -> None:
         if item.flight_mode is FlightMode.OFFBOARD:
             self.was_offboard = True
             self._left_since_us = None
@@ -433,9 +301,3 @@ class FlightConditions:
             item.battery_remaining is not None and item.battery_remaining < self.config.battery_remaining
         ) or (item.battery_v is not None and item.battery_v < self.config.battery_v)
         self.battery_low_since_us = (self.battery_low_since_us or self.state.now_us) if low else None
-
-    def _see_flags(self) -> None:
-        if (self.state.status.local_position_ok and not self._estimator_bad) or self.just_after_impact:
-            self.flags_bad_since_us = None
-        elif self.flags_bad_since_us is None and self.state.now_us:  # 0: nothing with a stamp has come yet
-            self.flags_bad_since_us = self.state.now_us

@@ -9,7 +9,6 @@ and commands go nowhere and the guard flies: it needs nothing of the mission.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import Final, NamedTuple
 
 from dart_flight.base.geometry import Vec2, Vec3, norm
@@ -33,7 +32,8 @@ from dart_flight.base.records import (
 )
 from dart_flight.config.mission import Mission
 from dart_flight.core.guard.flight_conditions import FlightConditions
-from dart_flight.core.guard.rules import RULES, RULES_BY_NAME, Rule, Scope, in_scope
+from dart_flight.core.guard.rule import Cause, Rule, Scope, in_scope
+from dart_flight.core.guard.rules import RULES, RULES_BY_NAME
 from dart_flight.core.mission.phases import DOWN_US
 from dart_flight.core.mission.position_loop import STOP_TIME_S
 from dart_flight.core.mission.proposal import Proposal
@@ -41,7 +41,7 @@ from dart_flight.core.mission.wall_uncertainty import early_m, position_margin_m
 from dart_flight.core.sense.senses import Sensed
 from dart_flight.core.sense.state import FlightState
 
-Causes = list[tuple[Rule, int, Callable[[FlightConditions], str | None]]]  # with the rank of its action
+Causes = list[tuple[Rule, int, Cause]]  # with the rank of its action
 
 _COMMANDS: Final = (Setpoint, VehicleCommand)
 _COMMANDS_AND_LOCK: Final = (Setpoint, VehicleCommand, LockCommand)
@@ -136,7 +136,7 @@ class Guard:
     @property
     def telemetry_late(self) -> bool:
         """Whether samples are old when they come."""
-        return self._watch.lateness.late
+        return self._watch.streams.delay.late
 
     @property
     def landing(self) -> bool:
@@ -244,7 +244,7 @@ class Guard:
             impact = self._watch.impact
             again = impact is not self._held_impact  # hit again, it goes away from that
             # After a jump of the estimate, hold the place of the new estimate.
-            jumped = bool(self._watch.jump) and "estimator_jump" in self._rules
+            jumped = bool(self._watch.estimator.jump) and "estimator_jump" in self._rules
             if self._hold is None or again or jumped or self._has_stopped_elsewhere(state, self._hold):
                 self._hold, self._held_impact = self._clear_of_walls(state), impact
             out.append(
@@ -333,9 +333,9 @@ class Guard:
 
 def _judged_in(phase: Phase, rules: tuple[Rule, ...]) -> _Judged:
     causes = [
-        (rule, rule.action.rank, rule.cause)
+        (rule, rule.action.rank, rule.judge.cause)
         for rule in rules
-        if rule.cause is not None and in_scope(rule, phase)
+        if rule.judge.cause is not None and in_scope(rule, phase)
     ]
     kinds = {kind for rule, _, _ in causes for kind in rule.at_once}
     return _Judged(causes, {kind: [one for one in causes if kind in one[0].at_once] for kind in kinds})

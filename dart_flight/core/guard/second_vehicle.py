@@ -12,11 +12,14 @@ from typing import Final
 
 from dart_flight.base.geometry import norm
 from dart_flight.base.records import OdometrySample
+from dart_flight.core.guard.stream_watch import SAMPLED, STAMP_TOLERANCE_S, Stamped
 
+POSITION_JUMP_M: Final = 0.3  # between two samples, beside the motion: no estimator corrects so much at once
 _TURNS: Final = 3  # there and back, within the window
 _WINDOW_US: Final = 2_000_000  # host time
 _FASTEST: Final = 20  # simulated seconds per second
 _REACH_US: Final = 1_000_000  # samples of one source are no further apart
+_SUSPECT_US: Final = 250_000  # in which a second vehicle shows for certain
 
 
 class SecondClockDetector:
@@ -110,3 +113,58 @@ class SecondPositionDetector:
             return False
         speed = max(norm(sample.velocity_ned), norm(before.velocity_ned))
         return math.dist(sample.position_ned, before.position_ned) <= self._jump_m + speed * age_us * 1e-6
+
+
+class OtherVehicles:
+    """Other vehicles on the link: those with their own system id, and one that shares the vehicle's id.
+
+    Attributes:
+        same_system: how a second vehicle with the same system id shows, as text; it does not go away.
+    """
+
+    def __init__(self) -> None:
+        self.same_system: str | None = None
+        self._clocks = {name: SecondClockDetector(1e6 * STAMP_TOLERANCE_S) for name in SAMPLED}
+        self._places = SecondPositionDetector(POSITION_JUMP_M)
+        self._other_system: int | None = None
+
+    def take(self, name: str, item: Stamped) -> None:
+        """Take every sample of a stream, in the order of receipt."""
+        if self.same_system is not None:
+            return
+        received_us, clocks = item.received_us, self._clocks[name]
+        clocks.update(item.t_us, received_us)
+        if clocks.odd_us is not None:
+            # One stream alone may come by two ways, one of them late; a vehicle sends them all.
+            apart_s = [c.apart_s(received_us) for c in self._clocks.values()]
+            found = [seconds for seconds in apart_s if seconds is not None]
+            if len(found) > 1 and max(found) - min(found) < STAMP_TOLERANCE_S:
+                self.same_system = f"two alternating clocks, {found[0]:.1f} s apart"
+        if isinstance(item, OdometrySample):
+            self._places.update(item)
+            apart_m = self._places.apart_m(received_us)
+            if apart_m is not None:
+                self.same_system = f"odometry with two alternating positions, {apart_m:.1f} m apart"
+
+    def take_system(self, system: int) -> None:
+        """Take the id of another system on the link."""
+        self._other_system = system
+
+    @property
+    def other_system(self) -> str | None:
+        """Another system that sends on the link, as text."""
+        if self._other_system is None:
+            return None
+        return f"system {self._other_system} sends on the same link"
+
+    @property
+    def any_system(self) -> str | None:
+        """Another vehicle on the link, whatever its system id, as text."""
+        return self.other_system or self.same_system
+
+    def is_suspected(self, host_us: int) -> bool:
+        """Return whether there is one, or the last moments look like it; `host_us` is the newest receipt."""
+        if self.same_system is not None:
+            return True
+        odd = (*[clocks.odd_us for clocks in self._clocks.values()], self._places.odd_us)
+        return any(odd_us is not None and host_us - odd_us < _SUSPECT_US for odd_us in odd)

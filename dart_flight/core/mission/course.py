@@ -11,6 +11,10 @@ from dart_flight.config.vehicle import Flying
 from dart_flight.core.mission.trajectories import AfterEnd, Trajectory
 from dart_flight.core.sense.state import FlightState
 
+ARRIVED_M: Final = 0.12  # nearer to the target than PX4's position loop strays in hover
+ARRIVED_M_S: Final = 0.1
+ARRIVED_S: Final = 0.3  # place and speed have to hold for so long
+MEAN_SPEED_S: Final = 0.3  # PX4's velocity shakes with the accelerometer (docs/results/real_data.md)
 _ARRIVED_YAW_RAD: Final = 0.05
 # Factors on the distance, speed and heading of an arrival if PX4's position drifts: the vehicle does not come
 # to rest, and waiting for the last degrees after a hit ages the contacts by seconds.
@@ -83,12 +87,10 @@ class Arrival:
     """The conditions of an arrival at a target."""
 
     def __init__(self, mission: Mission) -> None:
-        flying, drifts = mission.vehicle.flying, mission.is_anchored
-        self._mean_s = flying.arrive_mean_s
-        self._near_m = flying.arrive_m * (_DRIFTING_NEAR if drifts else 1.0)
-        self._slow_m_s = flying.arrive_speed_m_s * (_DRIFTING_SLOW if drifts else 1.0)
+        drifts = mission.is_anchored
+        self._near_m = ARRIVED_M * (_DRIFTING_NEAR if drifts else 1.0)
+        self._slow_m_s = ARRIVED_M_S * (_DRIFTING_SLOW if drifts else 1.0)
         self._turned_rad = _ARRIVED_YAW_RAD * (_DRIFTING_TURNED if drifts else 1.0)
-        self.for_us = flying.arrive_s * 1e6  # how long the conditions must hold
 
     def is_at(self, target: Vec3, yaw: float, state: FlightState) -> bool:
         """Whether the vehicle is near a target, slow, and heads as wanted."""
@@ -99,5 +101,5 @@ class Arrival:
         )
 
     def is_slow(self, state: FlightState) -> bool:
-        """Whether the mean velocity over `flying.arrive_mean_s` is below `flying.arrive_speed_m_s`."""
-        return norm(state.mean_velocity(self._mean_s)) < self._slow_m_s
+        """Whether the mean velocity over `MEAN_SPEED_S` is below `ARRIVED_M_S`."""
+        return norm(state.mean_velocity(MEAN_SPEED_S)) < self._slow_m_s

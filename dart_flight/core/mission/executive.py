@@ -42,7 +42,7 @@ from dart_flight.core.mission.approach import (
 )
 from dart_flight.core.mission.commitment import STOP_MARGIN_M, may_commit
 from dart_flight.core.mission.contact_feedforward import ContactFeedforward
-from dart_flight.core.mission.course import Arrival
+from dart_flight.core.mission.course import ARRIVED_S, Arrival
 from dart_flight.core.mission.ground_phases import GroundPhases
 from dart_flight.core.mission.impact_response import ImpactResponse
 from dart_flight.core.mission.legs import collision_now, mission_now, waypoint_now, why_left_out
@@ -416,7 +416,7 @@ class Executive:
             return False
         if progress.arrived_us is None:
             progress.arrived_us = state.now_us
-        return state.now_us - progress.arrived_us >= self._arrival.for_us
+        return state.now_us - progress.arrived_us >= ARRIVED_S * 1e6
 
     def _prepare(self, state: FlightState, sensed: Sensed, p: Proposal) -> None:
         collision = self.progress.collision

@@ -16,6 +16,13 @@ from dart_flight.base.filters import LearntVariance, taken_share
 from dart_flight.base.geometry import GRAVITY_M_S2, Vec2, Vec3
 from dart_flight.config.vehicle import Estimation
 
+# Below both it counts as hovering: faster flight adds drag, and turning a lever arm, to the bias.
+HOVER_SPEED_M_S: Final = 0.4
+HOVER_RATE_RAD_S: Final = 0.3  # sum of the body rates' magnitudes
+LEARNING_S: Final = 2.0  # time constant of bias and thrust scale, longer than any contact
+BIAS_LIMIT_M_S2: Final = 0.4  # per axis; PX4 has removed most
+THRUST_SCALE_LIMIT: Final = 0.25  # 4.3 standard deviations for 3 % spread of mass and 5 % of battery
+BASELINE_S: Final = 0.25  # wind and thrust error are slower, a contact is shorter
 _NOISE_TIME_S: Final = 0.5
 _MIN_NOISE2: Final = 1e-4  # m2/s4
 _SCALE_STEP: Final = 0.25
@@ -35,7 +42,6 @@ class HoverBias:
     """
 
     def __init__(self, config: Estimation, mass_kg: float) -> None:
-        self._config = config.hover
         self._mass = mass_kg
         self.bias_x = self.bias_y = 0.0
         self.scale = 1.0
@@ -58,8 +64,7 @@ class HoverBias:
             dt_s: since the sample before.
         """
         self._learn_noise(f, dt_s)
-        c = self._config
-        share = taken_share(dt_s, c.time_constant_s)
+        share = taken_share(dt_s, LEARNING_S)
         self._weight += share * (1.0 - self._weight)
         self._felt_n += share * (-f[2] * self._mass - self._felt_n)
         self._curve_n += share * (curve_thrust_n - self._curve_n)
@@ -67,13 +72,13 @@ class HoverBias:
             self.thrust_ratio = self._felt_n / self._curve_n
         if curve_thrust_n < 0.5 * self._mass * GRAVITY_M_S2:
             return
-        most = c.thrust_scale_limit
+        most = THRUST_SCALE_LIMIT
         seen = -f[2] * self._mass / curve_thrust_n
         # A seen scale far off is a bump and no thrust: it counts only as far as the limit.
         seen = max(self.scale - _SCALE_STEP, min(self.scale + _SCALE_STEP, seen))
         self.scale = max(1.0 - most, min(1.0 + most, self.scale + share * (seen - self.scale)))
-        if speed_m_s < c.speed_m_s and abs(rate[0]) + abs(rate[1]) + abs(rate[2]) < c.rate_rad_s:
-            most = c.bias_limit_m_s2
+        if speed_m_s < HOVER_SPEED_M_S and abs(rate[0]) + abs(rate[1]) + abs(rate[2]) < HOVER_RATE_RAD_S:
+            most = BIAS_LIMIT_M_S2
             self.bias_x = _bounded(self.bias_x + share * (f[0] - self.bias_x), most)
             self.bias_y = _bounded(self.bias_y + share * (f[1] - self.bias_y), most)
 
@@ -97,14 +102,14 @@ class ForceBaseline:
     """
 
     def __init__(self, config: Estimation) -> None:
-        self._time_s, self._limit = config.baseline_s, config.baseline_limit_n
+        self._limit = config.baseline_limit_n
         self._now: Vec2 = (0.0, 0.0)
         self._past: deque[Vec2] = deque([(0.0, 0.0)], maxlen=_BASELINE_DELAY)
         self.value: Vec2 = (0.0, 0.0)
 
     def follow(self, fx: float, fy: float, dt_s: float) -> None:
         """A sample outside of contacts, `dt_s` after the one before."""
-        share = taken_share(dt_s, self._time_s)
+        share = taken_share(dt_s, BASELINE_S)
         x, y = self._now
         x += share * _bounded(fx - x, _BASELINE_STEP_N)
         y += share * _bounded(fy - y, _BASELINE_STEP_N)

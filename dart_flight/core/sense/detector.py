@@ -26,6 +26,13 @@ from dart_flight.core.sense.pulse import NormalPulse, PulsePrior, TickReading, f
 from dart_flight.core.sense.state import FlightState
 from dart_flight.core.sense.window import WindowMean, half_sine_share
 
+RELEASE_FRACTION: Final = 0.4  # of the threshold: below it a contact is over and the next one possible
+PEAK_DROP_FRACTION: Final = 0.12  # of the top: the peak is past once the force has dropped by it
+CONTACT_END_S: Final = 0.012  # below the release level: three samples, so that noise alone ends no contact
+SURE_SIGMA: Final = 2.5  # one sample this many deviations of its noise over the threshold is enough
+SHORT_WINDOW_S: Final = 0.032  # rigid contacts of 46 to 54 ms keep 85 % of their peak in this mean
+LONG_WINDOW_S: Final = 0.1  # flexible contacts of 145 to 183 ms keep 83 % of their peak in this mean
+PULSE_MISFIT: Final = 3.0  # mean square of the residuals over their errors: beyond it a pulse is no model's
 _RISE_SHARE: Final = 0.3  # of the threshold: above it a sample before the crossing belongs to the contact
 _PEAK_DROP_SHARE: Final = 0.25  # of the threshold: a smaller drop is noise
 _DROP_SIGMA: Final = 2.5  # ... and so is one within this many standard deviations of the smoothed force
@@ -98,18 +105,18 @@ class ImpactDetector:
         }
         # Of every sample: a number of the configuration's costs a look-up by name.
         c = self._config
-        self._threshold_n, self._release_n = c.force_threshold_n, c.release_fraction * c.force_threshold_n
+        self._threshold_n, self._release_n = c.force_threshold_n, RELEASE_FRACTION * c.force_threshold_n
         self._sigma, self._refractory_us = c.noise_sigma, c.refractory_s * 1e6
         self.slow_force = ForceBaseline(vehicle.estimation)
         self.stage: Stage = "watching"
         tick_s, noise_n = vehicle.imu.tick_s, self._mass * vehicle.estimation.imu_noise_m_s2
-        lengths = (0.0, 2.0 * tick_s, self._config.short_window_s, self._config.long_window_s)
+        lengths = (0.0, 2.0 * tick_s, SHORT_WINDOW_S, LONG_WINDOW_S)
         self._windows = [WindowMean(s, noise_n, round(s / tick_s)) for s in lengths]
         # A window holds what is younger than its length.
         self._held = [max(1, math.ceil(s / tick_s - 1e-9)) for s in lengths]
         self._by_mean: WindowMean | None = None  # the window that saw the contact under way, else samples
         self._threshold = self._config.force_threshold_n  # that saw it
-        most = max(_BEFORE, round(self._config.long_window_s / tick_s) + _BEFORE)
+        most = max(_BEFORE, round(LONG_WINDOW_S / tick_s) + _BEFORE)
         self._before: deque[_Sample] = deque(maxlen=most)
         self._samples: list[_Sample] = []
         self._last_us = 0
@@ -202,7 +209,7 @@ class ImpactDetector:
         self._by_mean, self._threshold = None, threshold
         if over:
             # One sample is enough where noise cannot have lifted it; else two or three in a row.
-            if size >= max(threshold + self._config.sure_sigma * self._noise, one):
+            if size >= max(threshold + SURE_SIGMA * self._noise, one):
                 return True
             if self._mean_is_over(fx, fy, two):
                 return True
@@ -333,7 +340,7 @@ class ImpactDetector:
         if top < 0.5 * threshold:
             return False
         drop = max(
-            self._config.peak_drop_fraction * top,
+            PEAK_DROP_FRACTION * top,
             _PEAK_DROP_SHARE * threshold,
             _DROP_SIGMA * self._noise * math.sqrt(2.0 / size),
         )
@@ -356,8 +363,7 @@ class ImpactDetector:
         inside = [s for s in self._samples if s.t_us >= reference_us]
         clipped = any(s.clipped for s in inside)
         # Off its middle a body meets a wall with one point first: that pulse is not the model's.
-        most = self._config.pulse_misfit
-        fits = pulse is not None and (clipped or pulse.misfit <= most)
+        fits = pulse is not None and (clipped or pulse.misfit <= PULSE_MISFIT)
         if pulse is None or not fits:
             normal_n, peak_us = _top_of([(s.t_us, s.fx * nx + s.fy * ny) for s in inside])
         else:
@@ -442,7 +448,7 @@ class ImpactDetector:
     # -- end --
 
     def _end(self, t_us: int, fx: float, fy: float) -> ContactEnd | None:
-        release = self._config.release_fraction * self._threshold
+        release = RELEASE_FRACTION * self._threshold
         if self._by_mean is not None or self._noise_hides_release(release):
             fx, fy = self._windows[2].mean
         assert self._onset is not None
@@ -452,7 +458,7 @@ class ImpactDetector:
             return None
         if self._quiet_since_us is None:
             self._quiet_since_us = t_us
-        if t_us - self._quiet_since_us < self._config.contact_end_s * 1e6:
+        if t_us - self._quiet_since_us < CONTACT_END_S * 1e6:
             return None
         self.stage = "refractory"
         self._ended_us = t_us
@@ -466,7 +472,7 @@ class ImpactDetector:
 def confirmed_force(
     fx: float, fy: float, previous: tuple[Vec2, Vec2], noise_n: float, config: Detection
 ) -> Vec2:
-    """Mean of the newest two samples; of three where their noise is too large for `sure_sigma`."""
+    """Mean of the newest two samples; of three where their noise is too large for `SURE_SIGMA`."""
     (ax, ay), (bx, by) = previous
     if _FAR_SIGMA * noise_n <= config.force_threshold_n:
         return (0.5 * (fx + ax), 0.5 * (fy + ay))

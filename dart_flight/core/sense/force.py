@@ -25,6 +25,8 @@ from dart_flight.core.sense.bias import HoverBias
 from dart_flight.core.sense.state import FlightState
 from dart_flight.core.sense.thrust_model import ThrustModel
 
+ATTITUDE_ERROR_RAD: Final = 0.01  # standard deviation of PX4's attitude
+FILTER_S: Final = 0.02  # of the filtered force, which is for display only
 _ATTITUDE_REACH_US: Final = 60_000  # older attitudes are not carried on by the gyro
 _CLIP_SHARE: Final = 0.99  # a reading this near full scale is a lower bound
 _HISTORY: Final = 32
@@ -62,8 +64,8 @@ class ForceEstimator:
         at = vehicle.imu.position_m
         self._imu_at = at if any(at) else None
         self._thrust_variance = e.thrust_error_n**2
-        self._attitude_variance = e.attitude_error_rad**2
-        self._filter = LowPass(e.filter_s)
+        self._attitude_variance = ATTITUDE_ERROR_RAD**2
+        self._filter = LowPass(FILTER_S)
         self._arms = ArmFilter(e.arm_vibration, vehicle.imu.tick_s) if e.arm_vibration else None
         self._attitudes: deque[AttitudeSample] = deque(maxlen=_HISTORY)
         self._last_us: int | None = None

@@ -34,6 +34,9 @@ from dart_flight.core.sense.state import FlightState
 from dart_flight.core.sense.torque import TorqueEstimator
 from dart_flight.core.sense.wall_estimator import WallEstimator
 
+# A contact may move PX4's estimate for so long; what it does meanwhile is no fault of the estimator.
+IMPACT_WINDOW_S: Final = 2.0
+
 
 class Sensed:
     """What one input has taught.
@@ -95,8 +98,7 @@ class Senses:
         self.body = IncidenceEstimator(mission.vehicle, self._samples)
         self.walls = WallEstimator(mission.vehicle, self._samples)
         self.height = ContactHeight(mission.vehicle.airframe.contact_distance_m, self._samples)
-        window_s = mission.vehicle.guard.impact_window_s
-        self.delay = PositionDelay(mission.vehicle.airframe.mass_kg, window_s)
+        self.delay = PositionDelay(mission.vehicle.airframe.mass_kg, IMPACT_WINDOW_S)
 
     def update(self, item: Input, expected: ExpectedContact) -> Sensed:
         """Take one input, knowing what contact the mission expects; returns what that teaches."""

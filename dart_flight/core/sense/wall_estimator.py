@@ -39,6 +39,8 @@ from dart_flight.core.sense.incidence import (
 )
 from dart_flight.core.sense.state import FlightState
 
+HIT_SCATTER: Final = 0.05  # of k, f, mu and nu from one hit to the next at the same wall, relative
+SURE_LOG_ODDS: Final = 5.3  # 200 to 1; at most one mode in a thousand is wrong (docs/felt.md)
 _BEFORE: Final = 4  # samples of the contact from before the first one that was over the noise
 _FEWEST: Final = 4  # readings in contact
 _SLOWEST_M_S: Final = 0.02
@@ -106,10 +108,7 @@ class WallEstimator:
         fits = (
             {}
             if contacts is None
-            else {
-                mode: ContactFit(contacts[mode], before[mode], self._prior.scatter, self._body)
-                for mode in modes
-            }
+            else {mode: ContactFit(contacts[mode], before[mode], HIT_SCATTER, self._body) for mode in modes}
         )
         return _PendingEstimate(self._samples.newest.force.t_us, onset, wall, self._reported, before, fits)
 
@@ -120,7 +119,7 @@ class WallEstimator:
         if len(fits) == len(Mode):  # else there is nothing to tell apart
             best = min(fit.misfit for fit in fits.values())
             odds = (fits[Mode.RIGID].evidence - fits[Mode.FLEXIBLE].evidence) / max(1.0, best)
-            if abs(odds) >= self._prior.sure_log_odds and best <= _MAX_MISFIT:
+            if abs(odds) >= SURE_LOG_ODDS and best <= _MAX_MISFIT:
                 felt = Mode.RIGID if odds > 0.0 else Mode.FLEXIBLE
         likely = Mode.RIGID if odds > 0.0 else self._vehicle.modes[-1]
         told = felt or reported or likely

@@ -21,7 +21,7 @@ from dart_flight.base.records import (
     OdometrySample,
 )
 from dart_flight.config.vehicle import VehicleConfig
-from dart_flight.core.sense.detector import ExpectedContact, ImpactDetector
+from dart_flight.core.sense.detector import SHORT_WINDOW_S, ExpectedContact, ImpactDetector
 from dart_flight.core.sense.force import ForceEstimator
 from dart_flight.core.sense.state import FlightState
 from dart_flight.lab.flight_arrays import Array
@@ -162,7 +162,7 @@ class ThresholdCrossing(msgspec.Struct):
 
 def short_samples(vehicle: VehicleConfig) -> int:
     """Samples in the detector's short window."""
-    return max(1, round(vehicle.detection.short_window_s / vehicle.imu.tick_s))
+    return max(1, round(SHORT_WINDOW_S / vehicle.imu.tick_s))
 
 
 class InspectedFlight(msgspec.Struct):

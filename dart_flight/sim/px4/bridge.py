@@ -28,7 +28,9 @@ from dart_flight.sim.embedded_autopilot import TICK_US
 from dart_flight.sim.noise import GaussianNoise
 from dart_flight.sim.plant import make_plant
 from dart_flight.sim.sensors import (
+    ATTITUDE_NOISE_RAD,
     GPS_QUALITIES,
+    POSE_NOISE_M,
     Barometer,
     GpsFix,
     GpsReceiver,
@@ -299,8 +301,8 @@ def odometry_message(time_us: int, position_ned: Vec3, q: Quaternion, vehicle: A
     """ODOMETRY of a motion capture system: pose in local NED, no velocity."""
     nan = math.nan
     covariance = [nan] * 21
-    covariance[0] = covariance[6] = covariance[11] = vehicle.simulation.pose_noise_m**2
-    covariance[15] = covariance[18] = covariance[20] = vehicle.simulation.attitude_noise_rad**2
+    covariance[0] = covariance[6] = covariance[11] = POSE_NOISE_M**2
+    covariance[15] = covariance[18] = covariance[20] = ATTITUDE_NOISE_RAD**2
     return mavlink.MAVLink_odometry_message(
         time_us,
         mavlink.MAV_FRAME_LOCAL_NED,

@@ -1,0 +1,140 @@
+"""Keys of the vehicle configuration that are constants now.
+
+A file that has one keeps loading for one release: the key is left out, with one line that says so. Then the
+table goes, and such a key is unknown like any other. The constant stands with its reason in the module that
+uses it; a test holds the values to each other.
+"""
+
+from __future__ import annotations
+
+import json
+import warnings
+from collections.abc import Mapping
+from typing import Any, Final, NamedTuple
+
+from dart_flight.config.document import Document
+
+
+class RetiredKeyWarning(UserWarning):
+    """A file has a key that is a constant now."""
+
+
+class RetiredKey(NamedTuple):
+    """A constant that was a key.
+
+    Attributes:
+        value: of the constant.
+        constant: module below `dart_flight`, and name in it.
+    """
+
+    value: Any
+    constant: str
+
+
+RETIRED: Final[Mapping[str, RetiredKey]] = {
+    "guard.status_timeout_s": RetiredKey(3.0, "core.guard.stream_watch.STATUS_TIMEOUT_S"),
+    "guard.actuator_timeout_s": RetiredKey(0.3, "core.guard.stream_watch.ACTUATOR_TIMEOUT_S"),
+    "guard.link_lost_s": RetiredKey(5.0, "core.guard.stream_watch.LINK_LOST_S"),
+    "guard.stamp_tolerance_s": RetiredKey(0.5, "core.guard.stream_watch.STAMP_TOLERANCE_S"),
+    "guard.imu_stuck_s": RetiredKey(0.1, "core.guard.rules.IMU_STUCK_S"),
+    "guard.imu_clipped_s": RetiredKey(0.25, "core.guard.rules.IMU_CLIPPED_S"),
+    "guard.position_jump_m": RetiredKey(0.3, "core.guard.second_vehicle.POSITION_JUMP_M"),
+    "guard.velocity_jump_m_s": RetiredKey(1.5, "core.guard.estimator_watch.VELOCITY_JUMP_M_S"),
+    "guard.reset_position_m": RetiredKey(0.05, "core.guard.estimator_watch.RESET_POSITION_M"),
+    "guard.reset_velocity_m_s": RetiredKey(0.2, "core.guard.estimator_watch.RESET_VELOCITY_M_S"),
+    "guard.estimator_bad_s": RetiredKey(0.3, "core.guard.estimator_watch.ESTIMATOR_BAD_S"),
+    "guard.impact_window_s": RetiredKey(2.0, "core.sense.senses.IMPACT_WINDOW_S"),
+    "guard.altitude_tolerance_m": RetiredKey(0.25, "core.guard.rules.ALTITUDE_TOLERANCE_M"),
+    "guard.battery_low_s": RetiredKey(1.0, "core.guard.rules.BATTERY_LOW_S"),
+    "guard.force_margin": RetiredKey(1.15, "core.guard.rules.FORCE_MARGIN"),
+    "estimation.attitude_error_rad": RetiredKey(0.01, "core.sense.force.ATTITUDE_ERROR_RAD"),
+    "estimation.filter_s": RetiredKey(0.02, "core.sense.force.FILTER_S"),
+    "estimation.baseline_s": RetiredKey(0.25, "core.sense.bias.BASELINE_S"),
+    "estimation.hover.speed_m_s": RetiredKey(0.4, "core.sense.bias.HOVER_SPEED_M_S"),
+    "estimation.hover.rate_rad_s": RetiredKey(0.3, "core.sense.bias.HOVER_RATE_RAD_S"),
+    "estimation.hover.time_constant_s": RetiredKey(2.0, "core.sense.bias.LEARNING_S"),
+    "estimation.hover.bias_limit_m_s2": RetiredKey(0.4, "core.sense.bias.BIAS_LIMIT_M_S2"),
+    "estimation.hover.thrust_scale_limit": RetiredKey(0.25, "core.sense.bias.THRUST_SCALE_LIMIT"),
+    "estimation.walls.scatter": RetiredKey(0.05, "core.sense.wall_estimator.HIT_SCATTER"),
+    "estimation.walls.sure_log_odds": RetiredKey(5.3, "core.sense.wall_estimator.SURE_LOG_ODDS"),
+    "detection.release_fraction": RetiredKey(0.4, "core.sense.detector.RELEASE_FRACTION"),
+    "detection.peak_drop_fraction": RetiredKey(0.12, "core.sense.detector.PEAK_DROP_FRACTION"),
+    "detection.contact_end_s": RetiredKey(0.012, "core.sense.detector.CONTACT_END_S"),
+    "detection.sure_sigma": RetiredKey(2.5, "core.sense.detector.SURE_SIGMA"),
+    "detection.short_window_s": RetiredKey(0.032, "core.sense.detector.SHORT_WINDOW_S"),
+    "detection.long_window_s": RetiredKey(0.1, "core.sense.detector.LONG_WINDOW_S"),
+    "detection.pulse_misfit": RetiredKey(3.0, "core.sense.detector.PULSE_MISFIT"),
+    "flying.arrive_m": RetiredKey(0.12, "core.mission.setpoint_generator.ARRIVED_M"),
+    "flying.arrive_speed_m_s": RetiredKey(0.1, "core.mission.setpoint_generator.ARRIVED_M_S"),
+    "flying.arrive_s": RetiredKey(0.3, "core.mission.setpoint_generator.ARRIVED_S"),
+    "flying.arrive_mean_s": RetiredKey(0.3, "core.mission.setpoint_generator.MEAN_SPEED_S"),
+    "simulation.imu_bias_m_s2": RetiredKey(0.05, "sim.sensors.IMU_BIAS_M_S2"),
+    "simulation.gyro_noise_rad_s": RetiredKey(0.01, "sim.sensors.GYRO_NOISE_RAD_S"),
+    "simulation.pose_noise_m": RetiredKey(0.001, "sim.sensors.POSE_NOISE_M"),
+    "simulation.attitude_noise_rad": RetiredKey(0.002, "sim.sensors.ATTITUDE_NOISE_RAD"),
+    "simulation.ground_friction": RetiredKey(0.6, "sim.plant.GROUND_FRICTION"),
+    "simulation.gust_time_s": RetiredKey(2.0, "sim.wind.GUST_TIME_S"),
+    "simulation.spreads.contact": RetiredKey(0.2, "sim.draws.SPREADS"),
+    "simulation.spreads.contact_scatter": RetiredKey(0.05, "sim.draws.SPREADS"),
+    "simulation.spreads.lock_true_mode": RetiredKey(0.01, "sim.draws.SPREADS"),
+    "simulation.spreads.wall_offset_m": RetiredKey(0.03, "sim.draws.SPREADS"),
+    "simulation.spreads.wall_yaw_deg": RetiredKey(4.0, "sim.draws.SPREADS"),
+    "simulation.spreads.guard_height_m": RetiredKey(0.02, "sim.draws.SPREADS"),
+    "simulation.spreads.mass": RetiredKey(0.03, "sim.draws.SPREADS"),
+    "simulation.spreads.wind_m_s": RetiredKey(0.5, "sim.draws.SPREADS"),
+    "simulation.spreads.servo": RetiredKey(0.2, "sim.draws.SPREADS"),
+    "simulation.spreads.battery": RetiredKey(0.05, "sim.draws.SPREADS"),
+    "simulation.spreads.imu": RetiredKey(0.02, "sim.draws.SPREADS"),
+    "simulation.spreads.replan_latency_s": RetiredKey(0.02, "sim.draws.SPREADS"),
+}
+
+
+def take_out_retired(tree: dict[str, Any]) -> dict[str, Any]:
+    """Take the retired keys out of a configuration.
+
+    Args:
+        tree: as in a file; changed in place. Sections that are empty then go, too.
+
+    Returns:
+        The values that were given, by dotted key.
+    """
+    found: dict[str, Any] = {}
+    for key in RETIRED:
+        *above, name = key.split(".")
+        nodes: list[Any] = [tree]
+        for part in above:
+            nodes.append(nodes[-1].get(part) if isinstance(nodes[-1], dict) else None)
+        if isinstance(nodes[-1], dict) and name in nodes[-1]:
+            found[key] = nodes[-1].pop(name)
+            for i in range(len(above), 0, -1):
+                if nodes[i] == {}:
+                    del nodes[i - 1][above[i - 1]]
+    return found
+
+
+def leave_out_retired(document: Document) -> None:
+    """Take the retired keys out of a vehicle's document, and warn of each in one line."""
+    for key in take_out_retired(document.tree):
+        value = json.dumps(RETIRED[key].value)
+        says = f"is ignored, it is fixed at {value} now: remove it"
+        warnings.warn(document.error(tuple(key.split(".")), says).one_line(), RetiredKeyWarning, stacklevel=2)
+
+
+def changed_retired(tree: dict[str, Any]) -> list[str]:
+    """Return, as text, the retired keys that a configuration had at other values; it loses them all."""
+    found = take_out_retired(tree)
+    return [
+        f"{key} was {json.dumps(value)} and is {json.dumps(RETIRED[key].value)} now"
+        for key, value in found.items()
+        if value != RETIRED[key].value
+    ]
+
+
+def put_in_retired(tree: dict[str, Any]) -> None:
+    """Put the constants into a configuration where the keys were, so that its fingerprint stays the same."""
+    for key, retired in RETIRED.items():
+        *above, name = key.split(".")
+        node = tree
+        for part in above:
+            node = node.setdefault(part, {})
+        node[name] = retired.value

@@ -1,0 +1,129 @@
+"""PX4's estimator as the guard judges it: jumps, resets, steps of the heading, and its own flags.
+
+A contact disturbs the estimator; for a while after an impact only the heading is judged.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+from dart_flight.base.geometry import norm
+from dart_flight.base.records import (
+    EstimatorSample,
+    OdometrySample,
+    Override,
+    Phase,
+)
+from dart_flight.core.guard.estimator_resets import REACH_US, EstimatorReset, EstimatorResets
+from dart_flight.core.guard.heading_step import HEADING_STEP_DEG
+from dart_flight.core.guard.rule import Judge, Rule, Scope
+from dart_flight.core.guard.second_vehicle import POSITION_JUMP_M
+from dart_flight.core.mission.phases import ON_GROUND
+
+VELOCITY_JUMP_M_S: Final = 1.5  # between two samples: no manoeuvre is so quick, only a contact
+# A reset with a smaller step is of the heading alone, as when PX4 aligns it in flight.
+RESET_POSITION_M: Final = 0.05
+RESET_VELOCITY_M_S: Final = 0.2
+ESTIMATOR_BAD_S: Final = 0.3  # PX4 calls its position invalid for a moment when a source is switched
+# PX4 may align its heading in the climb if it had none on the ground.
+_ALIGNING: Final = frozenset((*ON_GROUND, Phase.CLIMB))
+
+
+class EstimatorWatch:
+    """What PX4's estimator has done in one flight.
+
+    Attributes:
+        jump: what was wrong with this step's odometry, as text; empty if nothing was.
+        resets: detector of the resets.
+    """
+
+    def __init__(self) -> None:
+        self.jump = ""
+        self._now_us = 0
+        self._excused = False
+        self.resets = EstimatorResets()
+        self._reset_phase = Phase.READYING  # at the newest reset
+        self._unhealthy = False
+        self._invalid_since_us: int | None = None
+
+    def begin(self, now_us: int, excused: bool) -> None:
+        """Begin a step; `excused` says whether an impact explains what the estimator does."""
+        self.jump, self._now_us, self._excused = "", now_us, excused
+
+    def take_odometry(self, item: OdometrySample) -> None:
+        """Take a position that the flight state has accepted."""
+        away_m, faster_m_s = self.resets.take_odometry(item)
+        if self._excused:
+            return
+        if away_m > POSITION_JUMP_M:
+            self.jump = f"position by {away_m:.2f} m"
+        if faster_m_s > VELOCITY_JUMP_M_S:
+            self.jump = f"velocity by {faster_m_s:.2f} m/s"
+
+    def refuse_odometry(self, item: OdometrySample) -> None:
+        """Take a position that cannot be."""
+        away_m, fast_m_s = norm(item.position_ned), norm(item.velocity_ned)
+        self.jump = f"implausible: {away_m:.3g} m from the origin at {fast_m_s:.3g} m/s"
+
+    def take_report(self, item: EstimatorSample, phase: Phase) -> None:
+        """Take the reset counter and the estimator's own judgement."""
+        if item.reset_counter is not None and self.resets.take_counter(item.reset_counter, self._now_us):
+            self._reset_phase = phase
+        if item.healthy is not None:
+            self._unhealthy = not item.healthy
+
+    def finish(self, position_ok: bool) -> None:
+        """Finish a step; `position_ok` is PX4's flag in the slow state."""
+        if (position_ok and not self._unhealthy) or self._excused:
+            self._invalid_since_us = None
+        elif self._invalid_since_us is None and self._now_us:  # 0: nothing with a stamp has come yet
+            self._invalid_since_us = self._now_us
+
+    def _reset_within(self, reach_us: int) -> EstimatorReset | None:
+        reset = self.resets.newest
+        return reset if reset is not None and self._now_us - reset.t_us <= reach_us else None
+
+    def reset_step(self) -> str | None:
+        """Return the step of position or velocity in a reset, as text."""
+        reset = self._reset_within(REACH_US)
+        if reset is None or self._excused:
+            return None
+        if reset.position_m > RESET_POSITION_M or reset.velocity_m_s > RESET_VELOCITY_M_S:
+            return f"by {reset.position_m:.2f} m and {reset.velocity_m_s:.2f} m/s"
+        return None
+
+    def heading_step(self) -> str | None:
+        """Return the step of the heading in a reset, as text."""
+        reset = self._reset_within(2 * REACH_US)
+        if reset is None or self._reset_phase in _ALIGNING:
+            return None
+        step_deg, limit = math.degrees(reset.heading_rad), HEADING_STEP_DEG
+        return f"by {step_deg:.1f} deg, {limit:.0f} deg allowed" if abs(step_deg) > limit else None
+
+    def invalid_estimate(self) -> str | None:
+        """Return how long the estimator has called its position invalid, as text."""
+        since_us = self._invalid_since_us
+        lasting_s = 0.0 if since_us is None else (self._now_us - since_us) * 1e-6
+        return f"no valid estimate for {lasting_s:.1f} s" if lasting_s > ESTIMATOR_BAD_S else None
+
+
+# fmt: off
+ESTIMATOR_RULES: tuple[Rule, ...] = (
+    Rule("estimator_jump", Override.HOLD, Scope.GUIDED, Judge(
+        "position or velocity has jumped, other than shortly after an impact",
+        f"{POSITION_JUMP_M:g} m, {VELOCITY_JUMP_M_S:g} m/s",
+        lambda v: v.estimator.jump or None), (OdometrySample,), noted=True),
+    Rule("estimator_reset", Override.HOLD, Scope.GUIDED, Judge(
+        "PX4's estimator was reset, and position or velocity stepped, other than shortly after an impact",
+        f"{RESET_POSITION_M:g} m, {RESET_VELOCITY_M_S:g} m/s",
+        lambda v: v.estimator.reset_step()), noted=True),
+    Rule("heading_reset", Override.BREAK_OFF, Scope.FLYING, Judge(
+        "PX4's estimator was reset, and the heading stepped by more than 5 degrees against the gyro", "",
+        lambda v: v.estimator.heading_step())),
+    Rule("estimator_flags", Override.LAND, Scope.AIR, Judge(
+        "PX4's estimator says that its position is not valid, and the impact is over",
+        f"{ESTIMATOR_BAD_S:g} s",
+        lambda v: v.estimator.invalid_estimate())),
+)
+# fmt: on

@@ -1,0 +1,110 @@
+"""Keys that are constants now: a file that has one loads with one line, a misspelt key does not load."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import re
+import warnings
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+
+from dart_flight.cli import main
+from dart_flight.config.document import InputError
+from dart_flight.config.mission import load_mission
+from dart_flight.config.retired_keys import RETIRED, RetiredKeyWarning, put_in_retired, take_out_retired
+from dart_flight.config.vehicle import VehicleConfig, load_vehicle
+
+ROOT = Path(__file__).parents[2]
+DART = ROOT / "configs" / "dart.yaml"
+VEHICLE = load_vehicle(DART)
+
+
+def file_with(tmp_path: Path, values: dict[str, Any]) -> Path:
+    """A vehicle that differs from the shipped one in these keys, one a line from the second line on."""
+    lines = [f"extends: {DART}"]
+    tree: dict[str, Any] = {}
+    for key, value in values.items():
+        node = tree
+        *above, name = key.split(".")
+        for part in above:
+            node = node.setdefault(part, {})
+        node[name] = value
+    lines += [f"{name}: {json.dumps(part)}" for name, part in tree.items()]
+    path = tmp_path / "own.yaml"
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def loaded(path: Path, *settings: str) -> tuple[VehicleConfig, list[str]]:
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        vehicle = load_vehicle(path, settings)
+    assert all(one.category is RetiredKeyWarning for one in caught)
+    return vehicle, [str(one.message) for one in caught]
+
+
+@pytest.mark.parametrize("key", RETIRED)
+def test_the_constant_has_the_value_that_the_table_says(key: str) -> None:
+    module, _, name = RETIRED[key].constant.rpartition(".")
+    value = getattr(importlib.import_module(f"dart_flight.{module}"), name)
+    for part in key.split(".")[-1:] if isinstance(value, dict) else ():
+        value = value[part]
+    assert value == RETIRED[key].value
+    assert type(value) is type(RETIRED[key].value)
+
+
+@pytest.mark.parametrize("key", RETIRED)
+def test_a_retired_key_gives_one_line_and_the_file_loads(key: str, tmp_path: Path) -> None:
+    fixed = json.dumps(RETIRED[key].value)
+    for value in (RETIRED[key].value, 17.5, "nonsense"):
+        path = file_with(tmp_path, {key: value})
+        vehicle, lines = loaded(path)
+        assert vehicle == VEHICLE
+        assert lines == [f"{path}:2: {key}: is ignored, it is fixed at {fixed} now: remove it"]
+        assert loaded(DART, f"{key}={json.dumps(value)}") == (
+            VEHICLE,
+            [f"--set {key}={json.dumps(value)}: is ignored, it is fixed at {fixed} now: remove it"],
+        )
+
+
+@pytest.mark.parametrize("key", RETIRED)
+def test_a_misspelt_key_is_an_error(key: str, tmp_path: Path) -> None:
+    misspelt = f"{key[:-1]}x"
+    with pytest.raises(InputError, match="unknown key"):
+        load_vehicle(file_with(tmp_path, {misspelt: RETIRED[key].value}))
+
+
+def test_a_file_with_all_of_them_gives_a_line_each(tmp_path: Path) -> None:
+    vehicle, lines = loaded(file_with(tmp_path, {key: row.value for key, row in RETIRED.items()}))
+    assert vehicle == VEHICLE
+    assert [re.split(": ", line)[1] for line in lines] == list(RETIRED)
+
+
+def test_no_key_of_the_configuration_is_retired() -> None:
+    tree = msgspec.to_builtins(VEHICLE)
+    assert take_out_retired(msgspec.to_builtins(VEHICLE)) == {}
+    put_in_retired(tree)
+    assert list(take_out_retired(tree)) == list(RETIRED)
+    assert msgspec.convert(tree, VehicleConfig) == VEHICLE
+
+
+def test_the_command_line_shows_one_line_on_standard_error(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = file_with(tmp_path, {"guard.imu_stuck_s": 0.2})
+    command = ["predict", "--config", str(path), "--json", "--surface", "acrylic", "--mode", "rigid"]
+    assert main([*command, "--velocity", "-1.0", "0.0"]) == 0
+    shown = capsys.readouterr()
+    assert json.loads(shown.out)["vehicle"]["source"] == str(path)
+    says = f"{path}:2: guard.imu_stuck_s: is ignored, it is fixed at 0.1 now: remove it"
+    assert [line for line in shown.err.splitlines() if "imu_stuck" in line] == [says]
+
+
+def test_a_plan_that_was_flown_before_keeps_its_fingerprint() -> None:
+    """The fingerprint is that of the time when the constants were keys."""
+    mission = load_mission(ROOT / "missions/ring_guard_250g/square.yaml")
+    assert mission.digest == "d2ba051f01772abf025f40bc0419aa6c"
