@@ -6,8 +6,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
 
 import msgspec
 
@@ -16,9 +16,7 @@ from dart_flight.base.records import AfterImpact
 from dart_flight.config.mission import Collision, Mission
 from dart_flight.core.mission.planned_impact import expected_hit, impact_velocity
 from dart_flight.planning.predicted_flight import predict_mission
-
-if TYPE_CHECKING:
-    from dart_flight.recording.verdict import CollisionVerdict
+from dart_flight.recording.flown_impact import FlownImpact
 
 
 class PlannedImpact(NamedTuple):
@@ -98,30 +96,24 @@ def _as_written(mission: Mission, collision: Collision) -> PlannedImpact:
 
 
 def deviations(
-    mission: Mission,
-    planned: Prediction,
-    flown: Sequence[CollisionVerdict],
-    places: Mapping[int, Vec2],
-    goal_miss_m: float | None,
+    mission: Mission, planned: Prediction, flown: Sequence[FlownImpact], goal_miss_m: float | None
 ) -> list[Deviation]:
     """Everything that was planned, in the order of the mission; nothing of a rehearsal.
 
     Args:
         mission: with its tolerances.
         planned: what it leads to (`predict_flight`).
-        flown: the collisions that were met.
-        places: of the vehicle's centre at their onsets, by index of the collision, mission frame.
-        goal_miss_m: None where the goal was not passed.
+        flown: the impacts of the flight.
+        goal_miss_m: None if the goal was not passed.
     """
     if mission.standoff_m is not None:
         return []
-    met = {one.index: one for one in flown}
+    by_index = {one.collision.index: one for one in flown}
     found: list[Deviation] = []
     for collision in mission.collisions:
         index = collision.index
-        if index in met or not collision.is_conditional:
-            one = met.get(index)
-            found += _of_collision(mission, collision, planned.impacts[index], one, places.get(index))
+        if index in by_index or not collision.is_conditional:
+            found += _of_collision(mission, collision, planned.impacts[index], by_index.get(index))
     if planned.goal_miss_m is not None:
         allowed = mission.goal.capture_radius_m
         found.append(Deviation("goal miss, m", planned.goal_miss_m, goal_miss_m, allowed))
@@ -129,27 +121,22 @@ def deviations(
 
 
 def _of_collision(
-    mission: Mission,
-    collision: Collision,
-    planned: PlannedImpact,
-    flown: CollisionVerdict | None,
-    place: Vec2 | None,
+    mission: Mission, collision: Collision, planned: PlannedImpact, flown: FlownImpact | None
 ) -> Iterator[Deviation]:
     name, tolerance, wall = f"collision {collision.index}", mission.tolerance, collision.wall
-    measured = None if flown is None else flown.measured
-    for what, figure, allowed in (
-        ("normal velocity", "normal_m_s", tolerance.impact_m_s),
-        ("velocity along the wall", "tangential_m_s", tolerance.impact_m_s),
+    normal, tangential = (None, None) if flown is None else flown.velocity
+    for what, wanted, velocity in (
+        ("normal velocity", planned.normal_m_s, normal),
+        ("velocity along the wall", planned.tangential_m_s, tangential),
     ):
-        wanted = getattr(planned, figure)
         if wanted is not None:
-            yield Deviation(f"{name} {what}, m/s", wanted, getattr(measured, figure, None), allowed)
+            yield Deviation(f"{name} {what}, m/s", wanted, velocity, tolerance.impact_m_s)
     if planned.peak_force_n is not None and collision.probe is None and wall.material_known:
-        peak_n = None if measured is None else measured.peak_force_n
+        peak_n = None if flown is None else flown.peak_force_n
         allowed = tolerance.peak_force_share * planned.peak_force_n
         yield Deviation(f"{name} peak force, N", planned.peak_force_n, peak_n, allowed)
     if planned.place is not None and collision.probe is None and not wall.sought:
-        beside_m = None if place is None else distance2(place, planned.place)
+        beside_m = None if flown is None else distance2(flown.onset.position_mission[:2], planned.place)
         yield Deviation(f"{name} beside its place, m", 0.0, beside_m, tolerance.place_m)
     mode = collision.mode.value
     if flown is None:
