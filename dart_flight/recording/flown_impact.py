@@ -5,6 +5,7 @@ Verdict, deviations, report, figures and animation read a flight's impacts here 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -13,6 +14,7 @@ import msgspec
 from dart_flight.base.geometry import Vec2, Vec3
 from dart_flight.base.records import (
     ContactEnd,
+    ContactSide,
     ImpactBody,
     ImpactOnset,
     ImpactPeak,
@@ -28,9 +30,32 @@ from dart_flight.base.records import (
     WallEstimate,
 )
 from dart_flight.config.mission import Collision, Mission
+from dart_flight.core.sense.incidence import side_of
 from dart_flight.recording.anchor import MissionFrameReader
 
 _TRUTH_MATCH_US = 60_000  # an impact and its truth lie this near in time
+
+
+class Velocities(msgspec.Struct):
+    """Velocity before and after the contact in the collision frame, peaks, and how the body met the wall.
+
+    Attributes:
+        normal_m_s, tangential_m_s: the last before the contact.
+        peak_force_n: of the normal force.
+        contact_side: which point of the side came first, seen when flying into the wall: left, right, both.
+        incidence_deg: leading edge against the wall at the first touch, positive turned left.
+        peak_torque_nm: largest external torque about the centre of mass.
+        normal_out_m_s, tangential_out_m_s: the first after the contact; if measured, from odometry.
+    """
+
+    normal_m_s: float | None = None
+    tangential_m_s: float | None = None
+    peak_force_n: float | None = None
+    contact_side: ContactSide | None = None
+    incidence_deg: float | None = None
+    peak_torque_nm: float | None = None
+    normal_out_m_s: float | None = None
+    tangential_out_m_s: float | None = None
 
 
 class LockTimes(msgspec.Struct):
@@ -42,44 +67,49 @@ class LockTimes(msgspec.Struct):
     settled_us: int | None = None
 
 
-class FlownImpact(msgspec.Struct):
-    """A planned collision as it was flown: its records, each None if the flight does not have it.
+class CollisionVerdict(msgspec.Struct):
+    """One collision, planned against measured against true."""
+
+    index: int
+    wall: str
+    mode: str
+    t_us: int
+    clipped: bool = False
+    planned: Velocities = msgspec.field(default_factory=Velocities)
+    measured: Velocities = msgspec.field(default_factory=Velocities)
+    truth: Velocities | None = None
+    lock: LockTimes | None = None  # None: the vehicle has no lock
+    detection_latency_ms: float | None = None
+    setpoint_latency_ms: float | None = None
+    contact_time_ms: float | None = None
+    mode_felt: Mode | None = None  # what the whole contact says (docs/felt.md); None: undecided, or not told
+    mode_log_odds: float | None = None  # of rigid against flexible; None: not told
+    mode_true: Mode | None = None  # of the simulated arms
+
+    @property
+    def force_error(self) -> float | None:
+        """Measured over true peak normal force, minus one; None where one is unknown."""
+        measured, true = self.measured.peak_force_n, self.truth and self.truth.peak_force_n
+        return None if measured is None or not true else measured / true - 1.0
+
+
+class FlownImpact(CollisionVerdict, kw_only=True):
+    """A planned collision as it was flown: the verdict on it, and what only figures of the flight show.
 
     Attributes:
         collision: the collision that was planned.
-        onset, peak, body, end: as the flight core measured them.
+        onset, peak: records of the flight core; peak is None if none was measured.
+        contact: the simulated contact; None on the drone.
         lock_mode: mode in which the lock was settled at the onset; rigid without a lock.
-        lock: times of the switch that follows; None without a lock.
-        wall_estimate: fit of this contact.
-        truth: the simulated contact.
         recovery: recovery setpoint, mission frame, metres.
-        setpoint_latency_ms: from the sample that triggered the recovery to its setpoint leaving.
-        velocity_out: normal and tangential velocity by the first odometry after the contact, m/s.
     """
 
     collision: Collision
     onset: ImpactOnset
-    lock_mode: Mode | None
-    lock: LockTimes | None
     peak: ImpactPeak | None = None
-    body: ImpactBody | None = None
-    end: ContactEnd | None = None
-    wall_estimate: WallEstimate | None = None
-    truth: TruthContact | None = None
+    contact: TruthContact | None = None
+    lock_mode: Mode | None = None
     recovery: Vec3 | None = None
-    setpoint_latency_ms: float | None = None
-    velocity_out: Vec2 | None = None
-
-    @property
-    def velocity(self) -> Vec2:
-        """Normal and tangential velocity, the last before the contact, m/s."""
-        normal, tangential, _ = self.collision.wall.to_collision(self.onset.velocity_mission)
-        return normal, tangential
-
-    @property
-    def peak_force_n(self) -> float | None:
-        """Measured peak of the normal force."""
-        return None if self.peak is None else self.peak.normal_force_n
 
     @property
     def force(self) -> Vec2 | None:
@@ -90,20 +120,9 @@ class FlownImpact(msgspec.Struct):
         x, y, _ = self.collision.wall.from_collision(peaks)
         return x, y
 
-    @property
-    def contact_time_ms(self) -> float | None:
-        """Measured contact time."""
-        return None if self.end is None else (self.end.t_us - self.end.first_us) * 1e-3
-
-    @property
-    def mode_felt(self) -> Mode | None:
-        """Mode that the whole contact indicates (docs/felt.md), or None if undecided or without a lock."""
-        return None if self.wall_estimate is None or self.lock is None else self.wall_estimate.mode_felt
-
-    @property
-    def mode_log_odds(self) -> float | None:
-        """Log odds of rigid against flexible, likewise."""
-        return None if self.wall_estimate is None or self.lock is None else self.wall_estimate.log_odds
+    def verdict(self) -> CollisionVerdict:
+        """Return the part that the verdict shows."""
+        return CollisionVerdict(*(getattr(self, name) for name in CollisionVerdict.__struct_fields__))
 
 
 class ImpactCollector:
@@ -145,14 +164,27 @@ class ImpactCollector:
     def match_truth(self) -> None:
         """Give every impact the simulated contact at its wall that lies nearest in time, if there is one."""
         for impact in self.impacts:
-            at_us, wall = impact.onset.t_us, impact.collision.wall.name
             near = [
                 t
                 for t in self._truths
-                if (t.wall == wall or wall in self._sought)
-                and t.t_us - _TRUTH_MATCH_US <= at_us <= t.end_us + _TRUTH_MATCH_US
+                if (t.wall == impact.wall or impact.wall in self._sought)
+                and t.t_us - _TRUTH_MATCH_US <= impact.t_us <= t.end_us + _TRUTH_MATCH_US
             ]
-            impact.truth = min(near, key=lambda t: abs(t.t_us - at_us), default=None)
+            true = impact.contact = min(near, key=lambda t: abs(t.t_us - impact.t_us), default=None)
+            if true is None:
+                continue
+            impact.mode_true = true.mode
+            impact.detection_latency_ms = (impact.t_us - true.t_us) * 1e-3
+            impact.truth = Velocities(
+                true.normal_in_m_s,
+                true.tangential_in_m_s,
+                true.peak_normal_force_n,
+                side_of(true.lead_m),
+                math.degrees(true.incidence_rad),
+                true.peak_torque_nm,
+                true.normal_out_m_s,
+                true.tangential_out_m_s,
+            )
 
     def _newest(self) -> FlownImpact | None:
         """Return the impact of the last onset, or None if that was no planned collision."""
@@ -163,33 +195,51 @@ class ImpactCollector:
 
     def _take_phase(self, record: PhaseChange) -> None:
         if record.after is Phase.CONTACT and record.collision is not None and self._onset is not None:
-            collision = self._mission.collisions[record.collision - 1]
-            times = None if self._relaxation_us is None else LockTimes()
-            self.impacts.append(FlownImpact(collision, self._onset, self._lock_mode, times))
+            self._open(self._mission.collisions[record.collision - 1], self._onset)
+
+    def _open(self, collision: Collision, onset: ImpactOnset) -> None:
+        normal, tangential, _ = collision.wall.to_collision(onset.velocity_mission)
+        self.impacts.append(
+            FlownImpact(
+                index=collision.index,
+                wall=collision.wall.name,
+                mode=collision.mode.value,
+                t_us=onset.t_us,
+                measured=Velocities(normal, tangential),
+                lock=None if self._relaxation_us is None else LockTimes(),
+                detection_latency_ms=(onset.t_us - onset.first_us) * 1e-3,
+                collision=collision,
+                onset=onset,
+                lock_mode=self._lock_mode,
+            )
+        )
 
     def _take_peak(self, record: ImpactPeak) -> None:
         impact = self._newest()
         if impact is not None:
-            impact.peak = record
+            impact.peak, impact.clipped = record, record.clipped
+            impact.measured.peak_force_n = record.normal_force_n
 
     def _take_body(self, record: ImpactBody) -> None:
         impact = self._newest()
         if impact is not None:
-            impact.body = record
+            impact.measured.contact_side = record.side
+            impact.measured.incidence_deg = math.degrees(record.incidence_rad)
+            impact.measured.peak_torque_nm = record.peak_torque_nm
 
     def _take_end(self, record: ContactEnd) -> None:
-        if not self.impacts or self.impacts[-1].end is not None:
+        if not self.impacts or self.impacts[-1].contact_time_ms is not None:
             return
-        impact = self.impacts[-1]
-        impact.end, self._left_us = record, record.t_us
+        impact, self._left_us = self.impacts[-1], record.t_us
+        impact.contact_time_ms = (record.t_us - record.first_us) * 1e-3
         if impact.lock is not None and self._relaxation_us is not None:
             impact.lock.contact_end_us = record.t_us
             impact.lock.relaxed_us = record.t_us + self._relaxation_us
 
     def _take_wall_estimate(self, record: WallEstimate) -> None:
         impact = self._newest()
-        if impact is not None and impact.onset.first_us == record.first_us:
-            impact.wall_estimate = record
+        if impact is not None and impact.lock is not None and impact.onset.first_us == record.first_us:
+            impact.mode_felt, impact.mode_log_odds = record.mode_felt, record.log_odds
 
     def _take_odometry(self, record: OdometrySample) -> None:
         frame = self._anchor.frame
@@ -197,7 +247,7 @@ class ImpactCollector:
             self._left_us, impact = None, self.impacts[-1]
             velocity = frame.vector_from_ned(record.velocity_ned)
             normal, tangential, _ = impact.collision.wall.to_collision(velocity)
-            impact.velocity_out = normal, tangential
+            impact.measured.normal_out_m_s, impact.measured.tangential_out_m_s = normal, tangential
 
     def _take_setpoint(self, record: Setpoint) -> None:
         impact = self._newest() if record.recovery else None

@@ -18,7 +18,6 @@ import msgspec
 from dart_flight.base.geometry import Vec3, tilt_of
 from dart_flight.base.records import (
     AttitudeSample,
-    ContactSide,
     EstimatorSample,
     FrameAnchor,
     GoalPassed,
@@ -42,60 +41,17 @@ from dart_flight.config.mission import Mission
 from dart_flight.config.provenance import VehicleSource
 from dart_flight.core.guard.estimator_resets import EstimatorReset, EstimatorResets
 from dart_flight.core.mission.phases import ON_GROUND
-from dart_flight.core.sense.incidence import side_of
 from dart_flight.recording.about import flown_mission
 from dart_flight.recording.anchor import MissionFrameReader
-from dart_flight.recording.flown_impact import FlownImpact, ImpactCollector, LockTimes
+from dart_flight.recording.flown_impact import CollisionVerdict, FlownImpact, ImpactCollector
 from dart_flight.recording.found import PX4_LOG
 from dart_flight.recording.measured_walls import MeasuredWall, WallMeasurements
-from dart_flight.recording.plan_versus_flight import Deviation, PlannedImpact, deviations, predict_flight
+from dart_flight.recording.plan_versus_flight import Deviation, deviations, predict_flight
 from dart_flight.recording.reader import IN_MEMORY, Log
 from dart_flight.recording.uncontrolled import TruthExtremes, find_uncontrolled
 
 _TICK_US = 20_000
 _KEPT = 1024  # samples of estimate and truth until they have met: 8 s at 125 Hz
-
-
-class Velocities(msgspec.Struct):
-    """Velocity before and after the contact in the collision frame, peaks, and how the body met the wall.
-
-    Attributes:
-        normal_m_s, tangential_m_s: the last before the contact.
-        peak_force_n: of the normal force.
-        contact_side: which point of the side came first, seen when flying into the wall: left, right, both.
-        incidence_deg: leading edge against the wall at the first touch, positive turned left.
-        peak_torque_nm: largest external torque about the centre of mass.
-        normal_out_m_s, tangential_out_m_s: the first after the contact; if measured, from odometry.
-    """
-
-    normal_m_s: float | None = None
-    tangential_m_s: float | None = None
-    peak_force_n: float | None = None
-    contact_side: ContactSide | None = None
-    incidence_deg: float | None = None
-    peak_torque_nm: float | None = None
-    normal_out_m_s: float | None = None
-    tangential_out_m_s: float | None = None
-
-
-class CollisionVerdict(msgspec.Struct):
-    """One collision, planned against measured against true."""
-
-    index: int
-    wall: str
-    mode: str
-    t_us: int
-    clipped: bool
-    planned: Velocities
-    measured: Velocities
-    truth: Velocities | None
-    lock: LockTimes | None  # None: the vehicle has no lock
-    detection_latency_ms: float | None
-    setpoint_latency_ms: float | None
-    contact_time_ms: float | None = None
-    mode_felt: Mode | None = None  # what the whole contact says (docs/felt.md); None: undecided, or not told
-    mode_log_odds: float | None = None  # of rigid against flexible; None: not told
-    mode_true: Mode | None = None  # of the simulated arms
 
 
 class ResetFigures(msgspec.Struct):
@@ -148,10 +104,10 @@ class Verdict(msgspec.Struct):
     reason: str | None
     collisions: list[CollisionVerdict]
     guard: list[GuardEvent]
-    goal_miss_m: float | None
-    final_error_m: float | None
-    max_tilt_deg: float | None
-    flight_time_s: float | None
+    goal_miss_m: float | None = None
+    final_error_m: float | None = None
+    max_tilt_deg: float | None = None
+    flight_time_s: float | None = None
     log: str | None = None
     log_failure: str | None = None  # what is missing in the log, and why
     own_lateness_ms: float | None = None  # how late the program itself ran at worst; none: not told
@@ -220,15 +176,16 @@ class VerdictBuilder:
 
     Attributes:
         takers: functions that take a record, by its kind; other kinds do not matter here.
+        end: how the flight ended; None as long as it flies.
     """
 
     def __init__(self, mission: Mission) -> None:
         self._mission = mission
-        self._guard: list[GuardEvent] = []
-        self._end: MissionEnd | None = None
+        self._so_far = Verdict(  # without an end the flight counts as aborted
+            mission.name, None, None, Outcome.ABORTED, "program terminated during the flight", [], []
+        )
+        self.end: MissionEnd | None = None
         self._phase = Phase.READYING
-        self._miss_m: float | None = None
-        self._tilt_rad: float | None = None
         self._airborne_us: int | None = None
         self._landed_us: int | None = None
         self._anchor = MissionFrameReader(mission)
@@ -238,6 +195,7 @@ class VerdictBuilder:
         self._estimator = EstimatorResets()
         self._resets: list[EstimatorReset] = []
         self._extremes = TruthExtremes(mission.bounds)
+        self._tilt_rad: float | None = None
         self._ticked_us: int | None = None
         self._late_us: int | None = None  # at worst, between ticks
         self._settled: set[Mode] = set()
@@ -256,17 +214,12 @@ class VerdictBuilder:
                 TruthSample: self._take_truth,
                 PhaseChange: self._take_phase,
                 LockState: self._take_lock,
-                GuardEvent: self._guard.append,
+                GuardEvent: self._so_far.guard.append,
                 GoalPassed: self._take_passed,
                 MissionEnd: self._take_end,
                 Tick: self._take_tick,
             },
         )
-
-    @property
-    def end(self) -> MissionEnd | None:
-        """How the flight ended, once it has."""
-        return self._end
 
     def take(self, record: Any) -> None:
         """Take the next record; kinds that do not matter here are skipped."""
@@ -290,7 +243,7 @@ class VerdictBuilder:
             self._tilt_rad = max(self._tilt_rad or 0.0, tilt_of(record.q_frd_to_ned))
 
     def _take_tick(self, record: Tick) -> None:
-        if self._ticked_us is not None and self._end is None:
+        if self._ticked_us is not None and self.end is None:
             late_us = max(0, record.host_us - self._ticked_us - _TICK_US)
             self._late_us = max(self._late_us or 0, late_us)
         self._ticked_us = record.host_us
@@ -301,12 +254,18 @@ class VerdictBuilder:
         self._extremes.update(record)
 
     def _take_passed(self, record: GoalPassed) -> None:
-        self._miss_m = record.miss_m
+        self._so_far.goal_miss_m = record.miss_m
 
     def _take_end(self, record: MissionEnd) -> None:
-        self._end = record
+        so_far, self.end = self._so_far, record
+        so_far.outcome, so_far.reason, so_far.final_error_m = (
+            record.outcome,
+            record.reason,
+            record.final_error_m,
+        )
         if self._airborne_us is not None:
             self._landed_us = record.t_us
+            so_far.flight_time_s = (record.t_us - self._airborne_us) * 1e-6
 
     def _take_odometry(self, record: OdometrySample) -> None:
         self._estimator.take_odometry(record)
@@ -323,9 +282,8 @@ class VerdictBuilder:
         if record.phase is LockPhase.SETTLED and record.mode is not None:
             self._settled.add(record.mode)
 
-    @property
     def impacts(self) -> list[FlownImpact]:
-        """The impacts so far, with their truth in simulation."""
+        """Return the impacts so far, with their truth in simulation."""
         self._impacts.match_truth()
         return self._impacts.impacts
 
@@ -344,24 +302,16 @@ class VerdictBuilder:
             log, px4_log: where they are.
             drawn: what the simulated world was drawn as.
         """
-        planned, impacts = predict_flight(self._mission), self.impacts
-        differ = deviations(self._mission, planned, impacts, self._miss_m)
-        end = self._end
-        time_s = None
-        if self._airborne_us is not None and self._landed_us is not None:
-            time_s = (self._landed_us - self._airborne_us) * 1e-6
-        return Verdict(
-            mission=self._mission.name,
+        planned, impacts, so_far = predict_flight(self._mission), self.impacts(), self._so_far
+        for impact in impacts:
+            impact.planned = planned.velocities[impact.index]
+        differ = deviations(self._mission, planned, impacts, so_far.goal_miss_m)
+        return msgspec.structs.replace(
+            so_far,
             world=world,
             seed=seed,
-            outcome=end.outcome if end else Outcome.ABORTED,
-            reason=end.reason if end else "program terminated during the flight",
-            collisions=[_verdict_on(one, planned.impacts[one.collision.index]) for one in impacts],
-            guard=self._guard,
-            goal_miss_m=self._miss_m,
-            final_error_m=end.final_error_m if end else None,
-            max_tilt_deg=math.degrees(self._tilt_rad) if self._tilt_rad is not None else None,
-            flight_time_s=time_s,
+            collisions=[impact.verdict() for impact in impacts],
+            max_tilt_deg=None if self._tilt_rad is None else math.degrees(self._tilt_rad),
             log=log,
             px4_log=px4_log,
             own_lateness_ms=None if self._late_us is None else self._late_us * 1e-3,
@@ -370,7 +320,7 @@ class VerdictBuilder:
             plan_followed=all(one.within for one in differ) if differ else None,
             deviations=differ,
             drawn=dict(drawn or {}),
-            walls=self._walls.build(end.t_us if end else self._landed_us or 0, drawn or {}),
+            walls=self._walls.build(self.end.t_us if self.end else 0, drawn or {}),
             arms_moved=self._arms_moved(),
             time=TimeKind.SIMULATED if world is World.FAST else None,
             estimator_resets=[
@@ -384,19 +334,19 @@ class VerdictBuilder:
 
     def _goal_reached(self) -> bool | None:
         """Whether the goal was passed, or arrived at from rest, within its capture radius."""
-        if self._end is None:
+        if self.end is None:
             return None
-        nearest_m = self._miss_m
-        if nearest_m is None and self._end.outcome is Outcome.COMPLETED:
-            nearest_m = self._end.final_error_m
+        nearest_m = self._so_far.goal_miss_m
+        if nearest_m is None and self.end.outcome is Outcome.COMPLETED:
+            nearest_m = self.end.final_error_m
         return nearest_m is not None and nearest_m <= self._mission.goal.capture_radius_m
 
     def _find_uncontrolled(self) -> list[str]:
         """Return the reasons why a simulated flight is uncontrolled, or an empty list on the drone."""
         if self._extremes.last is None:
             return []
-        completed = self._end is not None and self._end.outcome is Outcome.COMPLETED
-        return list(find_uncontrolled(self._extremes, completed, self._end is None or bool(self._end.reason)))
+        completed = self._so_far.outcome is Outcome.COMPLETED
+        return list(find_uncontrolled(self._extremes, completed, bool(self._so_far.reason)))
 
     def _arms_moved(self) -> bool | None:
         if len(self._settled) < len(Mode) or not self._true_modes:
@@ -419,48 +369,6 @@ def _each(takes: Sequence[Callable[[Any], None]]) -> Callable[[Any], None]:
             take(record)
 
     return take_all
-
-
-def _verdict_on(impact: FlownImpact, planned: PlannedImpact) -> CollisionVerdict:
-    """Return the figures of an impact, as the verdict has them."""
-    onset, body, truth = impact.onset, impact.body, impact.truth
-    begin_us = onset.first_us if truth is None else truth.t_us
-    measured = Velocities(*impact.velocity, impact.peak_force_n)
-    if body is not None:
-        measured.contact_side, measured.peak_torque_nm = body.side, body.peak_torque_nm
-        measured.incidence_deg = math.degrees(body.incidence_rad)
-    if impact.velocity_out is not None:
-        measured.normal_out_m_s, measured.tangential_out_m_s = impact.velocity_out
-    return CollisionVerdict(
-        index=impact.collision.index,
-        wall=impact.collision.wall.name,
-        mode=impact.collision.mode.value,
-        t_us=onset.t_us,
-        clipped=impact.peak is not None and impact.peak.clipped,
-        planned=Velocities(planned.normal_m_s, planned.tangential_m_s, planned.peak_force_n),
-        measured=measured,
-        truth=None if truth is None else _true_velocities(truth),
-        lock=impact.lock,
-        detection_latency_ms=(onset.t_us - begin_us) * 1e-3,
-        setpoint_latency_ms=impact.setpoint_latency_ms,
-        contact_time_ms=impact.contact_time_ms,
-        mode_felt=impact.mode_felt,
-        mode_log_odds=impact.mode_log_odds,
-        mode_true=None if truth is None else truth.mode,
-    )
-
-
-def _true_velocities(truth: TruthContact) -> Velocities:
-    return Velocities(
-        truth.normal_in_m_s,
-        truth.tangential_in_m_s,
-        truth.peak_normal_force_n,
-        side_of(truth.lead_m),
-        math.degrees(truth.incidence_rad),
-        truth.peak_torque_nm,
-        truth.normal_out_m_s,
-        truth.tangential_out_m_s,
-    )
 
 
 class Judged(NamedTuple):
@@ -486,7 +394,7 @@ def judge(log: Log) -> Judged:
     source = None if log.source == IN_MEMORY else log.source
     drawn = msgspec.json.decode(log.about["drawn"]) if "drawn" in log.about else {}
     verdict = builder.build(log.world, log.seed, source, str(beside) if beside.exists() else None, drawn)
-    return Judged(verdict, builder.impacts)
+    return Judged(verdict, builder.impacts())
 
 
 def verdict_of(log: Log) -> Verdict:
