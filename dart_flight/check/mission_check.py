@@ -415,14 +415,11 @@ def _check_flown(mission: Mission) -> CheckFinding:
         return CheckFinding(
             "flown", False, f"in simulation {flown.danger}: plan it with lower speed or with touches"
         )
-    says = f"flown in simulation by {flown.software}: nominal flight completed"
+    says = f"flown in simulation by {flown.software}: {flown.summary}"
     figures: dict[str, float] = {}
     if flown.drawn is not None:
-        says += f", {flown.drawn.completed} of {flown.drawn.flights} drawn flights completed"
         figures = {"flights": flown.drawn.flights, "completed": flown.drawn.completed}
     if flown.saving_s is not None:
-        verb = "quicker" if flown.saving_s > 0.0 else "slower"
-        says += f", {abs(flown.saving_s):.2f} s {verb} than without a collision"
         figures["saving_s"] = flown.saving_s
     return CheckFinding("flown", True, says, remark=flown.failure is not None, figures=figures)
 

@@ -16,8 +16,9 @@ from dart_flight.cli.terminal import emit_json, keep_status, styled, tables
 from dart_flight.config.mission import Mission
 from dart_flight.recording.events import Event, EventFormatter, Level
 from dart_flight.recording.flight_time import FlightTime
+from dart_flight.recording.flown_impact import CollisionVerdict, Velocities
 from dart_flight.recording.plan_versus_flight import format_departures
-from dart_flight.recording.verdict import CollisionVerdict, Velocities, Verdict
+from dart_flight.recording.verdict import Verdict
 from dart_flight.run.many_flights import RunsSummary
 
 TOO_BUSY = "the computer cannot keep up with real time; omit --realtime, or use --fast"

@@ -508,6 +508,22 @@ class FlownRecord(Section, frozen=True):
             return f"{says} ({causes})"
         return None
 
+    @property
+    def summary(self) -> str:
+        """Flights, times and saving in one line, for `plan`, `check` and the mission's picture."""
+        drawn = self.drawn
+        if drawn is None:
+            return self.danger or "nominal flight completed, not flown in drawn worlds"
+        says = (
+            f"{drawn.completed} of {drawn.flights} drawn flights complete, {drawn.uncontrolled} uncontrolled"
+        )
+        if drawn.median_time_s is not None:
+            says += f", {drawn.median_time_s:.1f} s from take-off to landing"
+        if self.saving_s is not None and self.free_time_s is not None:
+            verb = "saves" if self.saving_s > 0.0 else "loses"
+            says += f" against {self.free_time_s:.1f} s free: {verb} {abs(self.saving_s):.2f} s in a flight"
+        return says
+
 
 class MissionKeys(SpaceKeys, frozen=True, kw_only=True):
     """Keys of a mission that the flight reads as they are written.

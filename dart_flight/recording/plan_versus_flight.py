@@ -6,8 +6,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
 
 import msgspec
 
@@ -16,18 +16,7 @@ from dart_flight.base.records import AfterImpact
 from dart_flight.config.mission import Collision, Mission
 from dart_flight.core.mission.planned_impact import expected_hit, impact_velocity
 from dart_flight.planning.predicted_flight import predict_mission
-
-if TYPE_CHECKING:
-    from dart_flight.recording.verdict import CollisionVerdict
-
-
-class PlannedImpact(NamedTuple):
-    """What a mission says, or leads to, at one of its walls; None where nothing says it."""
-
-    normal_m_s: float | None = None
-    tangential_m_s: float | None = None
-    peak_force_n: float | None = None
-    place: Vec2 | None = None
+from dart_flight.recording.flown_impact import FlownImpact, Velocities
 
 
 class Deviation(msgspec.Struct, frozen=True):
@@ -56,72 +45,68 @@ class Prediction(NamedTuple):
     """What a mission leads to.
 
     Attributes:
-        impacts: by index of the collision.
+        velocities: velocities and peak force, by index of the collision; None in them if nothing says it.
+        places: impact points, by index of the collision, mission frame, as far as they are known.
         goal_miss_m: how near to the goal the last recovery passes; None where that is not known, or the goal
             is flown to from rest.
     """
 
-    impacts: dict[int, PlannedImpact]
+    velocities: dict[int, Velocities]
+    places: dict[int, Vec2]
     goal_miss_m: float | None
 
 
 def predict_flight(mission: Mission) -> Prediction:
     """The planner's prediction in the mission, else the approach and the contact law, else where the flight
     model leads. What is planned again after every hit is planned to pass through the goal."""
-    said = {c.index: _as_written(mission, c) for c in mission.collisions}
-    miss_m = None
+    velocities, places, miss_m = dict[int, Velocities](), dict[int, Vec2](), None
+    for collision in mission.collisions:
+        velocities[collision.index], place = _as_written(mission, collision)
+        if place is not None:
+            places[collision.index] = place
     if mission.recovers_to_goal:
-        miss_m = 0.0 if mission.after_impact is AfterImpact.REPLAN else _miss_as_written(mission)
-    if all(one.normal_m_s is not None for one in said.values()) and (
-        miss_m is not None or not mission.recovers_to_goal
-    ):
-        return Prediction(said, miss_m)
+        written_m = None if mission.predicted is None else mission.predicted.goal_miss_m
+        miss_m = 0.0 if mission.after_impact is AfterImpact.REPLAN else written_m
+    missing = [index for index, one in velocities.items() if one.normal_m_s is None]
+    if not missing and (miss_m is not None or not mission.recovers_to_goal):
+        return Prediction(velocities, places, miss_m)
     model = predict_mission(mission)
-    for index, hit in model.hits.items():
-        if said[index].normal_m_s is None:
-            said[index] = PlannedImpact(hit.normal_m_s, hit.tangential_m_s, hit.normal_n, hit.position)
-    return Prediction(said, model.goal_miss_m if miss_m is None else miss_m)
+    for index in missing:
+        if index in model.hits:
+            hit = model.hits[index]
+            velocities[index] = Velocities(hit.normal_m_s, hit.tangential_m_s, hit.normal_n)
+            places[index] = hit.position
+    return Prediction(velocities, places, model.goal_miss_m if miss_m is None else miss_m)
 
 
-def _miss_as_written(mission: Mission) -> float | None:
-    return None if mission.predicted is None else mission.predicted.goal_miss_m
-
-
-def _as_written(mission: Mission, collision: Collision) -> PlannedImpact:
+def _as_written(mission: Mission, collision: Collision) -> tuple[Velocities, Vec2 | None]:
     if collision.predicted is not None:
         p = collision.predicted
-        return PlannedImpact(p.normal_m_s, p.tangential_m_s, p.peak_force_n, p.position_m)
+        return Velocities(p.normal_m_s, p.tangential_m_s, p.peak_force_n), p.position_m
     velocity, hit = impact_velocity(collision), expected_hit(mission, collision)
     if velocity is None or hit is None:
-        return PlannedImpact()
-    return PlannedImpact(*velocity, hit.peak_normal_force_n, collision.impact_point)
+        return Velocities(), None
+    return Velocities(*velocity, hit.peak_normal_force_n), collision.impact_point
 
 
 def deviations(
-    mission: Mission,
-    planned: Prediction,
-    flown: Sequence[CollisionVerdict],
-    places: Mapping[int, Vec2],
-    goal_miss_m: float | None,
+    mission: Mission, planned: Prediction, flown: Sequence[FlownImpact], goal_miss_m: float | None
 ) -> list[Deviation]:
     """Everything that was planned, in the order of the mission; nothing of a rehearsal.
 
     Args:
         mission: with its tolerances.
         planned: what it leads to (`predict_flight`).
-        flown: the collisions that were met.
-        places: of the vehicle's centre at their onsets, by index of the collision, mission frame.
-        goal_miss_m: None where the goal was not passed.
+        flown: the impacts of the flight.
+        goal_miss_m: None if the goal was not passed.
     """
     if mission.standoff_m is not None:
         return []
-    met = {one.index: one for one in flown}
+    by_index = {one.index: one for one in flown}
     found: list[Deviation] = []
     for collision in mission.collisions:
-        index = collision.index
-        if index in met or not collision.is_conditional:
-            one = met.get(index)
-            found += _of_collision(mission, collision, planned.impacts[index], one, places.get(index))
+        if collision.index in by_index or not collision.is_conditional:
+            found += _of_collision(mission, collision, planned, by_index.get(collision.index))
     if planned.goal_miss_m is not None:
         allowed = mission.goal.capture_radius_m
         found.append(Deviation("goal miss, m", planned.goal_miss_m, goal_miss_m, allowed))
@@ -129,27 +114,22 @@ def deviations(
 
 
 def _of_collision(
-    mission: Mission,
-    collision: Collision,
-    planned: PlannedImpact,
-    flown: CollisionVerdict | None,
-    place: Vec2 | None,
+    mission: Mission, collision: Collision, planned: Prediction, flown: FlownImpact | None
 ) -> Iterator[Deviation]:
     name, tolerance, wall = f"collision {collision.index}", mission.tolerance, collision.wall
-    measured = None if flown is None else flown.measured
-    for what, figure, allowed in (
-        ("normal velocity", "normal_m_s", tolerance.impact_m_s),
-        ("velocity along the wall", "tangential_m_s", tolerance.impact_m_s),
+    wanted, place = planned.velocities[collision.index], planned.places.get(collision.index)
+    measured = Velocities() if flown is None else flown.measured
+    for what, planned_m_s, flown_m_s in (
+        ("normal velocity", wanted.normal_m_s, measured.normal_m_s),
+        ("velocity along the wall", wanted.tangential_m_s, measured.tangential_m_s),
     ):
-        wanted = getattr(planned, figure)
-        if wanted is not None:
-            yield Deviation(f"{name} {what}, m/s", wanted, getattr(measured, figure, None), allowed)
-    if planned.peak_force_n is not None and collision.probe is None and wall.material_known:
-        peak_n = None if measured is None else measured.peak_force_n
-        allowed = tolerance.peak_force_share * planned.peak_force_n
-        yield Deviation(f"{name} peak force, N", planned.peak_force_n, peak_n, allowed)
-    if planned.place is not None and collision.probe is None and not wall.sought:
-        beside_m = None if place is None else distance2(place, planned.place)
+        if planned_m_s is not None:
+            yield Deviation(f"{name} {what}, m/s", planned_m_s, flown_m_s, tolerance.impact_m_s)
+    if wanted.peak_force_n is not None and collision.probe is None and wall.material_known:
+        allowed = tolerance.peak_force_share * wanted.peak_force_n
+        yield Deviation(f"{name} peak force, N", wanted.peak_force_n, measured.peak_force_n, allowed)
+    if place is not None and collision.probe is None and not wall.sought:
+        beside_m = None if flown is None else distance2(flown.onset.position_mission[:2], place)
         yield Deviation(f"{name} beside its place, m", 0.0, beside_m, tolerance.place_m)
     mode = collision.mode.value
     if flown is None:

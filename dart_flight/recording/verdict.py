@@ -8,25 +8,20 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from enum import StrEnum
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import msgspec
 
-from dart_flight.base.geometry import Vec2, Vec3, tilt_of
+from dart_flight.base.geometry import Vec3, tilt_of
 from dart_flight.base.records import (
     AttitudeSample,
-    ContactEnd,
-    ContactSide,
     EstimatorSample,
     FrameAnchor,
     GoalPassed,
     GuardEvent,
-    ImpactBody,
-    ImpactOnset,
-    ImpactPeak,
     ImuSample,
     LockPhase,
     LockState,
@@ -36,20 +31,19 @@ from dart_flight.base.records import (
     Outcome,
     Phase,
     PhaseChange,
-    SetpointSent,
     Tick,
     TruthContact,
     TruthSample,
     WallEstimate,
     World,
 )
-from dart_flight.config.mission import Collision, Mission
+from dart_flight.config.mission import Mission
 from dart_flight.config.provenance import VehicleSource
 from dart_flight.core.guard.estimator_resets import EstimatorReset, EstimatorResets
 from dart_flight.core.mission.phases import ON_GROUND
-from dart_flight.core.sense.incidence import side_of
 from dart_flight.recording.about import flown_mission
 from dart_flight.recording.anchor import MissionFrameReader
+from dart_flight.recording.flown_impact import CollisionVerdict, FlownImpact, ImpactCollector
 from dart_flight.recording.found import PX4_LOG
 from dart_flight.recording.measured_walls import MeasuredWall, WallMeasurements
 from dart_flight.recording.plan_versus_flight import Deviation, deviations, predict_flight
@@ -58,58 +52,6 @@ from dart_flight.recording.uncontrolled import TruthExtremes, find_uncontrolled
 
 _TICK_US = 20_000
 _KEPT = 1024  # samples of estimate and truth until they have met: 8 s at 125 Hz
-_TRUTH_MATCH_US = 60_000  # an impact and its truth lie this near in time
-
-
-class Velocities(msgspec.Struct):
-    """Velocity before and after the contact in the collision frame, peaks, and how the body met the wall.
-
-    Attributes:
-        normal_m_s, tangential_m_s: the last before the contact.
-        peak_force_n: of the normal force.
-        contact_side: which point of the side came first, seen when flying into the wall: left, right, both.
-        incidence_deg: leading edge against the wall at the first touch, positive turned left.
-        peak_torque_nm: largest external torque about the centre of mass.
-        normal_out_m_s, tangential_out_m_s: the first after the contact; if measured, from odometry.
-    """
-
-    normal_m_s: float | None = None
-    tangential_m_s: float | None = None
-    peak_force_n: float | None = None
-    contact_side: ContactSide | None = None
-    incidence_deg: float | None = None
-    peak_torque_nm: float | None = None
-    normal_out_m_s: float | None = None
-    tangential_out_m_s: float | None = None
-
-
-class LockTimes(msgspec.Struct):
-    """The lock's switch that follows a collision, autopilot time."""
-
-    contact_end_us: int | None = None
-    relaxed_us: int | None = None
-    commanded_us: int | None = None
-    settled_us: int | None = None
-
-
-class CollisionVerdict(msgspec.Struct):
-    """One collision, planned against measured against true."""
-
-    index: int
-    wall: str
-    mode: str
-    t_us: int
-    clipped: bool
-    planned: Velocities
-    measured: Velocities
-    truth: Velocities | None
-    lock: LockTimes | None  # None: the vehicle has no lock
-    detection_latency_ms: float | None
-    setpoint_latency_ms: float | None
-    contact_time_ms: float | None = None
-    mode_felt: Mode | None = None  # what the whole contact says (docs/felt.md); None: undecided, or not told
-    mode_log_odds: float | None = None  # of rigid against flexible; None: not told
-    mode_true: Mode | None = None  # of the simulated arms
 
 
 class ResetFigures(msgspec.Struct):
@@ -162,10 +104,10 @@ class Verdict(msgspec.Struct):
     reason: str | None
     collisions: list[CollisionVerdict]
     guard: list[GuardEvent]
-    goal_miss_m: float | None
-    final_error_m: float | None
-    max_tilt_deg: float | None
-    flight_time_s: float | None
+    goal_miss_m: float | None = None
+    final_error_m: float | None = None
+    max_tilt_deg: float | None = None
+    flight_time_s: float | None = None
     log: str | None = None
     log_failure: str | None = None  # what is missing in the log, and why
     own_lateness_ms: float | None = None  # how late the program itself ran at worst; none: not told
@@ -233,83 +175,75 @@ class VerdictBuilder:
     """Takes the records of one flight in order.
 
     Attributes:
-        takers: what takes a record, by its kind; other kinds do not matter here.
+        takers: functions that take a record, by its kind; other kinds do not matter here.
+        end: how the flight ended; None as long as it flies.
     """
 
     def __init__(self, mission: Mission) -> None:
         self._mission = mission
-        lock = mission.vehicle.lock
-        self._relaxation_us = None if lock is None else round(lock.relaxation_s * 1e6)
-        self._collisions: list[CollisionVerdict] = []
-        self._places: dict[int, Vec2] = {}  # of the impacts, by index of the collision
-        self._truths: list[TruthContact] = []
-        self._guard: list[GuardEvent] = []
-        self._onset: ImpactOnset | None = None
-        self._left_us: int | None = None  # end of the last collision's contact, until its velocity is known
-        self._end: MissionEnd | None = None
+        self._so_far = Verdict(  # without an end the flight counts as aborted
+            mission.name, None, None, Outcome.ABORTED, "program terminated during the flight", [], []
+        )
+        self.end: MissionEnd | None = None
         self._phase = Phase.READYING
-        self._miss_m: float | None = None
-        self._tilt_rad: float | None = None
         self._airborne_us: int | None = None
         self._landed_us: int | None = None
         self._anchor = MissionFrameReader(mission)
-        self._sought = {c.wall.name for c in mission.collisions if c.wall.sought}  # by names of their own
-        self._measured_walls = WallMeasurements(mission)
+        self._impacts = ImpactCollector(mission, self._anchor)
+        self._walls = WallMeasurements(mission)
         self._position_error = PositionError()
         self._estimator = EstimatorResets()
         self._resets: list[EstimatorReset] = []
         self._extremes = TruthExtremes(mission.bounds)
+        self._tilt_rad: float | None = None
         self._ticked_us: int | None = None
         self._late_us: int | None = None  # at worst, between ticks
         self._settled: set[Mode] = set()
         self._true_modes: set[Mode] = set()
-        # By kind: most records matter to nothing here, and are passed over by one look-up.
-        self.takers: dict[type, Callable[[Any], None]] = {
-            ImuSample: self._estimator.take_imu,
-            EstimatorSample: self._take_estimator,
-            AttitudeSample: self._take_attitude,
-            OdometrySample: self._take_odometry,
-            TruthSample: self._take_truth,
-            PhaseChange: self._take_phase,
-            ImpactOnset: self._take_onset,
-            ImpactPeak: self._take_peak,
-            ImpactBody: self._take_body,
-            ContactEnd: self._take_contact_end,
-            WallEstimate: self._take_felt,
-            SetpointSent: self._take_sent,
-            LockState: self._take_lock,
-            GuardEvent: self._take_guard,
-            GoalPassed: self._take_passed,
-            TruthContact: self._take_contact,
-            FrameAnchor: self._take_anchor,
-            MissionEnd: self._take_end,
-            Tick: self._take_tick,
-        }
-
-    @property
-    def end(self) -> MissionEnd | None:
-        """How the flight ended, once it has."""
-        return self._end
+        anchor, walls = self._anchor.take, self._walls.take
+        # By kind: most records matter to nothing here, and are skipped by one look-up.
+        self.takers = _joined(
+            {OdometrySample: anchor, PhaseChange: anchor, FrameAnchor: anchor},
+            {WallEstimate: walls, TruthContact: walls, FrameAnchor: walls},
+            self._impacts.takers,
+            {
+                ImuSample: self._estimator.take_imu,
+                EstimatorSample: self._take_estimator,
+                AttitudeSample: self._take_attitude,
+                OdometrySample: self._take_odometry,
+                TruthSample: self._take_truth,
+                PhaseChange: self._take_phase,
+                LockState: self._take_lock,
+                GuardEvent: self._so_far.guard.append,
+                GoalPassed: self._take_passed,
+                MissionEnd: self._take_end,
+                Tick: self._take_tick,
+            },
+        )
 
     def take(self, record: Any) -> None:
-        """Take the next record; kinds that do not matter here are passed over."""
+        """Take the next record; kinds that do not matter here are skipped."""
         take = self.takers.get(type(record))
         if take is not None:
             take(record)
 
+    @property
+    def _is_airborne(self) -> bool:
+        return self._airborne_us is not None and self._landed_us is None
+
     def _take_estimator(self, record: EstimatorSample) -> None:
-        counter, flies = record.reset_counter, self._airborne_us is not None and self._landed_us is None
+        counter, flies = record.reset_counter, self._is_airborne
         if counter is not None and self._estimator.take_counter(counter, record.t_us) and flies:
             assert self._estimator.newest is not None
             self._resets.append(self._estimator.newest)
 
     def _take_attitude(self, record: AttitudeSample) -> None:
         self._estimator.take_attitude(record)
-        if self._airborne_us is not None and self._landed_us is None:
+        if self._is_airborne:
             self._tilt_rad = max(self._tilt_rad or 0.0, tilt_of(record.q_frd_to_ned))
 
     def _take_tick(self, record: Tick) -> None:
-        if self._ticked_us is not None and self._end is None:
+        if self._ticked_us is not None and self.end is None:
             late_us = max(0, record.host_us - self._ticked_us - _TICK_US)
             self._late_us = max(self._late_us or 0, late_us)
         self._ticked_us = record.host_us
@@ -319,119 +253,39 @@ class VerdictBuilder:
         self._true_modes.add(record.mode)
         self._extremes.update(record)
 
-    def _take_contact(self, record: TruthContact) -> None:
-        self._truths.append(record)
-        self._measured_walls.take(record)
-
-    def _take_anchor(self, record: FrameAnchor) -> None:
-        self._anchor.take(record)
-        self._measured_walls.take(record)
-
-    def _take_onset(self, record: ImpactOnset) -> None:
-        self._onset = record
-
-    def _take_sent(self, record: SetpointSent) -> None:
-        if self._collisions and self._collisions[-1].setpoint_latency_ms is None:
-            self._collisions[-1].setpoint_latency_ms = record.latency_us * 1e-3
-
-    def _take_guard(self, record: GuardEvent) -> None:
-        self._guard.append(record)
-
     def _take_passed(self, record: GoalPassed) -> None:
-        self._miss_m = record.miss_m
+        self._so_far.goal_miss_m = record.miss_m
 
     def _take_end(self, record: MissionEnd) -> None:
-        self._end = record
+        so_far, self.end = self._so_far, record
+        so_far.outcome, so_far.reason, so_far.final_error_m = (
+            record.outcome,
+            record.reason,
+            record.final_error_m,
+        )
         if self._airborne_us is not None:
             self._landed_us = record.t_us
+            so_far.flight_time_s = (record.t_us - self._airborne_us) * 1e-6
 
     def _take_odometry(self, record: OdometrySample) -> None:
         self._estimator.take_odometry(record)
-        self._anchor.take(record)
         frame = self._anchor.frame
-        if frame is not None and self._left_us is not None and record.t_us >= self._left_us:
-            self._left_us, hit = None, self._collisions[-1]
-            wall = self._mission.collisions[hit.index - 1].wall
-            normal, tangential, _ = wall.to_collision(frame.vector_from_ned(record.velocity_ned))
-            hit.measured.normal_out_m_s, hit.measured.tangential_out_m_s = normal, tangential
-        if frame is not None and self._airborne_us is not None and self._landed_us is None:
+        if frame is not None and self._is_airborne:
             self._position_error.take_estimate(record.t_us, frame.point_from_ned(record.position_ned))
 
     def _take_phase(self, record: PhaseChange) -> None:
-        self._anchor.take(record)
         if self._phase in ON_GROUND and record.after is Phase.CLIMB:
             self._airborne_us = record.t_us
-        if record.after is Phase.CONTACT and record.collision is not None and self._onset is not None:
-            self._open(self._mission.collisions[record.collision - 1], self._onset)
         self._phase = record.after
-
-    def _open(self, collision: Collision, onset: ImpactOnset) -> None:
-        measured = collision.wall.to_collision(onset.velocity_mission)
-        self._places[collision.index] = onset.position_mission[:2]
-        self._collisions.append(
-            CollisionVerdict(
-                index=collision.index,
-                wall=collision.wall.name,
-                mode=collision.mode.value,
-                t_us=onset.t_us,
-                clipped=False,
-                planned=Velocities(),  # at the end: it may take the planner's model
-                measured=Velocities(measured[0], measured[1], None),
-                truth=None,
-                lock=None if self._relaxation_us is None else LockTimes(),
-                detection_latency_ms=(onset.t_us - onset.first_us) * 1e-3,
-                setpoint_latency_ms=None,
-            )
-        )
-
-    def _last_hit(self) -> CollisionVerdict | None:
-        """The collision whose onset came last; None: an unplanned hit came last, which has no entry."""
-        if self._collisions and self._onset and self._collisions[-1].t_us == self._onset.t_us:
-            return self._collisions[-1]
-        return None
-
-    def _take_peak(self, record: ImpactPeak) -> None:
-        hit = self._last_hit()
-        if hit is not None:
-            hit.measured.peak_force_n, hit.clipped = record.normal_force_n, record.clipped
-
-    def _take_body(self, record: ImpactBody) -> None:
-        hit = self._last_hit()
-        if hit is not None:
-            hit.measured.contact_side = record.side
-            hit.measured.incidence_deg = math.degrees(record.incidence_rad)
-            hit.measured.peak_torque_nm = record.peak_torque_nm
-
-    def _take_contact_end(self, record: ContactEnd) -> None:
-        if not self._collisions or self._collisions[-1].contact_time_ms is not None:
-            return
-        last = self._collisions[-1]
-        last.contact_time_ms = (record.t_us - record.first_us) * 1e-3
-        self._left_us = record.t_us
-        if last.lock is not None and self._relaxation_us is not None:
-            last.lock.contact_end_us = record.t_us
-            last.lock.relaxed_us = record.t_us + self._relaxation_us
-
-    def _take_felt(self, record: WallEstimate) -> None:
-        self._measured_walls.take(record)
-        if self._relaxation_us is None:
-            return  # one mode: nothing to tell apart
-        hit = self._last_hit()
-        if hit is not None and self._onset is not None and self._onset.first_us == record.first_us:
-            hit.mode_felt, hit.mode_log_odds = record.mode_felt, record.log_odds
 
     def _take_lock(self, record: LockState) -> None:
         if record.phase is LockPhase.SETTLED and record.mode is not None:
             self._settled.add(record.mode)
-        if not self._collisions:
-            return
-        times = self._collisions[-1].lock
-        if times is None or times.contact_end_us is None or (record.commanded_us or 0) < times.contact_end_us:
-            return
-        if times.commanded_us is None:
-            times.commanded_us = record.commanded_us
-        if record.phase is LockPhase.SETTLED and times.settled_us is None:
-            times.settled_us = record.settled_us
+
+    def impacts(self) -> list[FlownImpact]:
+        """Return the impacts so far, with their truth in simulation."""
+        self._impacts.match_truth()
+        return self._impacts.impacts
 
     def build(
         self,
@@ -448,28 +302,16 @@ class VerdictBuilder:
             log, px4_log: where they are.
             drawn: what the simulated world was drawn as.
         """
-        planned = predict_flight(self._mission)
-        for collision in self._collisions:
-            self._match_truth(collision)
-            of_plan = planned.impacts[collision.index]
-            collision.planned = Velocities(of_plan.normal_m_s, of_plan.tangential_m_s, of_plan.peak_force_n)
-        differ = deviations(self._mission, planned, self._collisions, self._places, self._miss_m)
-        end = self._end
-        time_s = None
-        if self._airborne_us is not None and self._landed_us is not None:
-            time_s = (self._landed_us - self._airborne_us) * 1e-6
-        return Verdict(
-            mission=self._mission.name,
+        planned, impacts, so_far = predict_flight(self._mission), self.impacts(), self._so_far
+        for impact in impacts:
+            impact.planned = planned.velocities[impact.index]
+        differ = deviations(self._mission, planned, impacts, so_far.goal_miss_m)
+        return msgspec.structs.replace(
+            so_far,
             world=world,
             seed=seed,
-            outcome=end.outcome if end else Outcome.ABORTED,
-            reason=end.reason if end else "program terminated during the flight",
-            collisions=self._collisions,
-            guard=self._guard,
-            goal_miss_m=self._miss_m,
-            final_error_m=end.final_error_m if end else None,
-            max_tilt_deg=math.degrees(self._tilt_rad) if self._tilt_rad is not None else None,
-            flight_time_s=time_s,
+            collisions=[impact.verdict() for impact in impacts],
+            max_tilt_deg=None if self._tilt_rad is None else math.degrees(self._tilt_rad),
             log=log,
             px4_log=px4_log,
             own_lateness_ms=None if self._late_us is None else self._late_us * 1e-3,
@@ -478,7 +320,7 @@ class VerdictBuilder:
             plan_followed=all(one.within for one in differ) if differ else None,
             deviations=differ,
             drawn=dict(drawn or {}),
-            walls=self._measured_walls.build(end.t_us if end else self._landed_us or 0, drawn or {}),
+            walls=self._walls.build(self.end.t_us if self.end else 0, drawn or {}),
             arms_moved=self._arms_moved(),
             time=TimeKind.SIMULATED if world is World.FAST else None,
             estimator_resets=[
@@ -492,53 +334,55 @@ class VerdictBuilder:
 
     def _goal_reached(self) -> bool | None:
         """Whether the goal was passed, or arrived at from rest, within its capture radius."""
-        if self._end is None:
+        if self.end is None:
             return None
-        nearest_m = self._miss_m
-        if nearest_m is None and self._end.outcome is Outcome.COMPLETED:
-            nearest_m = self._end.final_error_m
+        nearest_m = self._so_far.goal_miss_m
+        if nearest_m is None and self.end.outcome is Outcome.COMPLETED:
+            nearest_m = self.end.final_error_m
         return nearest_m is not None and nearest_m <= self._mission.goal.capture_radius_m
 
     def _find_uncontrolled(self) -> list[str]:
         """Return the reasons why a simulated flight is uncontrolled, or an empty list on the drone."""
         if self._extremes.last is None:
             return []
-        completed = self._end is not None and self._end.outcome is Outcome.COMPLETED
-        return list(find_uncontrolled(self._extremes, completed, self._end is None or bool(self._end.reason)))
+        completed = self._so_far.outcome is Outcome.COMPLETED
+        return list(find_uncontrolled(self._extremes, completed, bool(self._so_far.reason)))
 
     def _arms_moved(self) -> bool | None:
         if len(self._settled) < len(Mode) or not self._true_modes:
             return None
         return len(self._true_modes) == len(Mode)
 
-    def _match_truth(self, collision: CollisionVerdict) -> None:
-        near = [
-            t
-            for t in self._truths
-            if (t.wall == collision.wall or collision.wall in self._sought)
-            and t.t_us - _TRUTH_MATCH_US <= collision.t_us <= t.end_us + _TRUTH_MATCH_US
-        ]
-        if not near:
-            return
-        truth = min(near, key=lambda t: abs(t.t_us - collision.t_us))
-        collision.mode_true = truth.mode
-        collision.truth = Velocities(
-            truth.normal_in_m_s,
-            truth.tangential_in_m_s,
-            truth.peak_normal_force_n,
-            side_of(truth.lead_m),
-            math.degrees(truth.incidence_rad),
-            truth.peak_torque_nm,
-            truth.normal_out_m_s,
-            truth.tangential_out_m_s,
-        )
-        collision.detection_latency_ms = (collision.t_us - truth.t_us) * 1e-3
+
+def _joined(*parts: Mapping[type, Callable[[Any], None]]) -> dict[type, Callable[[Any], None]]:
+    """Return for each kind of record one function that calls those of all parts, in their order."""
+    by_kind: dict[type, list[Callable[[Any], None]]] = {}
+    for part in parts:
+        for kind, take in part.items():
+            by_kind.setdefault(kind, []).append(take)
+    return {kind: takes[0] if len(takes) == 1 else _each(takes) for kind, takes in by_kind.items()}
 
 
-def verdict_of(log: Log) -> Verdict:
-    """The verdict on a recorded flight.
+def _each(takes: Sequence[Callable[[Any], None]]) -> Callable[[Any], None]:
+    def take_all(record: Any) -> None:
+        for take in takes:
+            take(record)
 
-    It is what the flight's own was, but for what stands elsewhere: `px4`, and why records are missing.
+    return take_all
+
+
+class Judged(NamedTuple):
+    """A recorded flight, judged: its verdict, and the impacts that it rests on."""
+
+    verdict: Verdict
+    impacts: list[FlownImpact]
+
+
+def judge(log: Log) -> Judged:
+    """Judge a recorded flight.
+
+    The verdict is the flight's own, except for what is known only beside the log: `px4`, and why records are
+    missing.
 
     Raises:
         InputError: the log does not hold its mission.
@@ -549,4 +393,10 @@ def verdict_of(log: Log) -> Verdict:
     beside = Path(log.source).with_name(PX4_LOG)
     source = None if log.source == IN_MEMORY else log.source
     drawn = msgspec.json.decode(log.about["drawn"]) if "drawn" in log.about else {}
-    return builder.build(log.world, log.seed, source, str(beside) if beside.exists() else None, drawn)
+    verdict = builder.build(log.world, log.seed, source, str(beside) if beside.exists() else None, drawn)
+    return Judged(verdict, builder.impacts())
+
+
+def verdict_of(log: Log) -> Verdict:
+    """Return the verdict on a recorded flight; raises what `judge` raises."""
+    return judge(log).verdict

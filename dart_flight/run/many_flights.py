@@ -151,7 +151,9 @@ def summarise(verdicts: list[Verdict]) -> RunsSummary:
         goal_miss_m=_spread(v.goal_miss_m for v in verdicts),
         final_error_m=_spread(v.final_error_m for v in verdicts),
         max_tilt_deg=_spread(v.max_tilt_deg for v in verdicts),
-        peak_force_error_percent=_spread(_force_errors(verdicts)),
+        peak_force_error_percent=_spread(
+            100.0 * error for v in verdicts for c in v.collisions if (error := c.force_error) is not None
+        ),
         plan_followed=_count(v.plan_followed for v in verdicts),
         unexplained_modes={str(v.seed): found for v in verdicts if (found := unexplained_modes(v))},
     )
@@ -177,15 +179,6 @@ def unexplained_modes(verdict: Verdict) -> list[str]:
 def _count(followed: Iterable[bool | None]) -> int | None:
     known = [one for one in followed if one is not None]
     return sum(known) if known else None
-
-
-def _force_errors(verdicts: list[Verdict]) -> Iterator[float]:
-    for v in verdicts:
-        for c in v.collisions:
-            measured = c.measured.peak_force_n
-            true = c.truth.peak_force_n if c.truth else None
-            if measured is not None and true:
-                yield 100.0 * (measured / true - 1.0)
 
 
 def _spread(values: Iterable[Any]) -> RunSpread | None:

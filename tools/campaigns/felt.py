@@ -38,7 +38,8 @@ from dart_flight.core.mission.approach import NoApproachError
 from dart_flight.lab.statistics import wilson
 from dart_flight.lock.drivers.mock import MockFaults
 from dart_flight.lock.servo import ServoFaults
-from dart_flight.recording.verdict import CollisionVerdict, VerdictBuilder
+from dart_flight.recording.flown_impact import CollisionVerdict
+from dart_flight.recording.verdict import VerdictBuilder
 from dart_flight.run.fast import FastFlight
 from dart_flight.sim.draws import draw_world
 from tools.campaigns.kept import fly_missing

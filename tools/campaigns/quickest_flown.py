@@ -91,7 +91,7 @@ def row(room: Room, found: dict[str, Any]) -> list[str]:
     where = [room.vehicle, str(len(room.visits)), str(len(room.walls)), str(room.within_m)]
     planned = "–" if found["planned_s"] is None else f"{found['planned_s']:+.2f}"
     records = [msgspec.convert(found[k], FlownRecord) for k in ("said", "other") if k in found]
-    says = [*map(flown_plan.describe_record, records), "–", "–"][:2]
+    says = [*(record.summary for record in records), "–", "–"][:2]
     return [*where, planned, found["offered"], *says]
 
 

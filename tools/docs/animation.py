@@ -18,9 +18,8 @@ from dart_flight.config.mission import load_mission
 from dart_flight.lab.figure_style import FORCE, SET_POINT, Look, in_style, new_figure
 from dart_flight.lab.flight_arrays import Array
 from dart_flight.lab.report.figures.map_drawing import draw_arrow, draw_room, draw_vehicle, name_walls
-from dart_flight.lab.report.flown_collisions import flown_collisions, lock_mode, shown_span
 from dart_flight.lab.report.recorded_flight import RecordedFlight
-from dart_flight.lab.report.tracks import angles, in_force, setpoint_series
+from dart_flight.lab.report.tracks import angles, in_force, lock_mode, setpoint_series
 from dart_flight.run.fast import fly_fast
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -48,7 +47,7 @@ def flown() -> RecordedFlight:
 def moments(flight: RecordedFlight) -> list[float]:
     """When the frames are, s: evenly, and close together at the hits."""
     at = [impact.at_s for impact in flight.impacts]
-    t, end = at[0] - _BEFORE_S, min(at[-1] + _AFTER_S, shown_span(flight)[1])
+    t, end = at[0] - _BEFORE_S, min(at[-1] + _AFTER_S, flight.shown_span[1])
     found = []
     while t < end:
         found.append(t)
@@ -61,7 +60,7 @@ class Scene:
     """Draws one moment after the other into the same figure."""
 
     def __init__(self, flight: RecordedFlight) -> None:
-        self.flight, self._hits = flight, flown_collisions(flight)
+        self.flight = flight
         self._sent, self._heading = setpoint_series(flight.course), angles(flight.course, true=True)
         force = flight.course.true_force
         self._force_s, self._force_n = force.time_s, np.hypot(force.force[:, 0], force.force[:, 1])
@@ -85,7 +84,7 @@ class Scene:
         axis.set_axis_off()
         draw_room(axis, flight.mission)
         true = flight.course.true
-        air = (true.time_s >= shown_span(flight)[0]) & (true.time_s <= at_s)
+        air = (true.time_s >= flight.shown_span[0]) & (true.time_s <= at_s)
         axis.plot(*true.position[air, :2].T, color="#000000", linewidth=1.2, zorder=2)
         x, y = self._place(at_s)
         i, known = in_force(self._sent.time_s, np.array([at_s]))
@@ -118,8 +117,8 @@ class Scene:
     def _words(self, at_s: float) -> str:
         mode = lock_mode(self.flight.course, self.flight.course.start_us + round(1e6 * at_s))
         lock = "arms switching" if mode is None else f"arms {mode.value}"
-        hits = [hit for hit in self._hits if hit.impact.at_s - 0.02 <= at_s < hit.impact.at_s + 0.8]
-        said = f"hit {hits[-1].impact.verdict.index}: {hits[-1].impact.verdict.wall}" if hits else "in flight"
+        hits = [hit for hit in self.flight.impacts if hit.at_s - 0.02 <= at_s < hit.at_s + 0.8]
+        said = f"hit {hits[-1].verdict.index}: {hits[-1].verdict.wall}" if hits else "in flight"
         return f"{at_s:.2f} s   {lock}\n{said}"
 
     def _place(self, at_s: float) -> Array:

@@ -18,7 +18,6 @@ from dart_flight.lab.search.flown_plan import (
     Done,
     OfferedPlan,
     choose_flown,
-    describe_record,
     fly_mission,
 )
 from dart_flight.lab.search.limited_sight import plan_limited_sight
@@ -141,7 +140,7 @@ def _plan(arguments: argparse.Namespace) -> int:
         if record is not None and record.failure is not None:
             print_status(f"plan {plan.rank} fails in simulation: {record.failure}")
         elif record is not None:
-            tables().print(f"plan {plan.rank} in simulation: {describe_record(record)}", soft_wrap=True)
+            tables().print(f"plan {plan.rank} in simulation: {record.summary}", soft_wrap=True)
         elif arguments.output is not None:
             print_status(NOT_VERIFIED)
     return 0

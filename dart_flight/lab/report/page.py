@@ -567,7 +567,7 @@ def _statistics(flights: Sequence[RecordedFlight], indices: list[int]) -> str:
                 rows.append(_spread(f"{name}: true", (c.true for c in same)))
         rows += [
             _spread("peak against predicted, %", (_percent(i.disagreement) for i in hits)),
-            _spread("peak against true, %", (_percent(i.force_error) for i in hits)),
+            _spread("peak against true, %", (_percent(i.verdict.force_error) for i in hits)),
             _spread("detected after, ms", (i.verdict.detection_latency_ms for i in hits)),
         ]
     note = "<p class=note>± 95 %: half width of the interval of the mean, by Student's t.</p>"

@@ -18,17 +18,15 @@ from dart_flight.base.records import Mode, PhaseChange
 from dart_flight.config.mission import Mission
 from dart_flight.lab.flight_arrays import Array, ForceArrays, MotionArrays
 from dart_flight.lab.report.figures.map_drawing import arms_m
-from dart_flight.lab.report.flown_collisions import (
-    FlownCollision,
-    airborne,
-    flown_collisions,
-    guard_acts,
+from dart_flight.lab.report.recorded_flight import Impact, RecordedFlight
+from dart_flight.lab.report.tracks import (
+    Angles,
+    angles,
+    in_force,
     lock_stretches,
-    shown_span,
+    setpoint_series,
     stretches,
 )
-from dart_flight.lab.report.recorded_flight import RecordedFlight
-from dart_flight.lab.report.tracks import Angles, angles, in_force, setpoint_series
 
 _STEP_S, _FINE_S = 0.04, 0.01  # between pictures; near a hit
 _FINE_BEFORE_S, _FINE_AFTER_S = 0.2, 0.5
@@ -68,13 +66,12 @@ def player_data(flight: RecordedFlight) -> dict[str, Any] | None:
     None where there is no motion in the air.
     """
     course, mission = flight.course, flight.mission
-    span = shown_span(flight)
+    span = flight.shown_span
     motion = course.true if course.true.time_s.size else course.estimated
-    if airborne(flight) is None or motion.time_s.size < 2 or span[1] - span[0] < _STEP_S:
+    if flight.airborne is None or motion.time_s.size < 2 or span[1] - span[0] < _STEP_S:
         return None
     span = (max(span[0], float(motion.time_s[0])), min(span[1], float(motion.time_s[-1])))
-    hits = flown_collisions(flight)
-    moments = [hit.impact.at_s for hit in hits]
+    moments = [impact.at_s for impact in flight.impacts]
     times = _grid(span, moments)
     return {
         "truth": bool(course.true.time_s.size),
@@ -84,10 +81,10 @@ def player_data(flight: RecordedFlight) -> dict[str, Any] | None:
         },
         "room": _room(mission),
         "planned": [_mm(_thinned(line)) for line in flight.planned_lines()],
-        "hits": [_hit(hit) for hit in hits],
+        "hits": [_hit(impact) for impact in flight.impacts],
         "guard": [
             {"t": _ms(act.at_s), "rule": act.rule, "action": act.action}
-            for act in guard_acts(flight)
+            for act in flight.guard_acts()
             if span[0] <= act.at_s <= span[1]
         ],
         "lock": _lock(flight, span),
@@ -174,16 +171,16 @@ def _size_at(force: ForceArrays, times: Array) -> Array:
     return np.interp(times, force.time_s, size)
 
 
-def _hit(hit: FlownCollision) -> dict[str, Any]:
-    verdict = hit.impact.verdict
+def _hit(impact: Impact) -> dict[str, Any]:
+    (x, y, z), force = impact.verdict.onset.position_mission, impact.verdict.force
     return {
-        "t": _ms(hit.impact.at_s),
-        "n": verdict.index,
-        "wall": verdict.wall,
-        "mode": verdict.mode,
-        "at": _mm([(hit.position[0], hit.position[1])])[0],
-        "z": round(1e3 * hit.position[2]),
-        "force": None if hit.force_n is None else round(10.0 * math.hypot(*hit.force_n)),
+        "t": _ms(impact.at_s),
+        "n": impact.verdict.index,
+        "wall": impact.verdict.wall,
+        "mode": impact.verdict.mode,
+        "at": _mm([(x, y)])[0],
+        "z": round(1e3 * z),
+        "force": None if force is None else round(10.0 * math.hypot(*force)),
     }
 
 

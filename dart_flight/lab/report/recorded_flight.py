@@ -6,35 +6,36 @@ import math
 from datetime import datetime, timedelta
 from functools import cached_property
 from pathlib import Path
+from typing import NamedTuple
 
 import msgspec
 import numpy as np
 
+from dart_flight.base.geometry import Vec2
 from dart_flight.base.records import (
     ClockOffset,
-    ContactEnd,
-    ImpactOnset,
-    ImpactPeak,
     ImuSample,
+    Phase,
+    PhaseChange,
     PlanAnswer,
     PlanRequest,
     PlanTaken,
     Setpoint,
     SetpointSent,
     StatusSample,
-    TruthContact,
     World,
 )
-from dart_flight.config.mission import Collision, Mission
 from dart_flight.contact.law import Onset
 from dart_flight.core.mission.approach import transit_segments
 from dart_flight.core.mission.trajectories import Trajectory
 from dart_flight.lab.flight_arrays import Array, FlightArrays
 from dart_flight.lab.predict.path import ContactMotion, HitHistory, trajectory
+from dart_flight.lab.report.tracks import Angles, angles
 from dart_flight.planning.predicted_flight import PredictedFlight, predict_mission
 from dart_flight.recording.about import flown_mission
+from dart_flight.recording.flown_impact import FlownImpact, Velocities
 from dart_flight.recording.reader import Log, read_log
-from dart_flight.recording.verdict import CollisionVerdict, Velocities, Verdict, verdict_of
+from dart_flight.recording.verdict import judge
 from dart_flight.run.replay import Replay, replay
 
 _STEP_S = 0.0005
@@ -78,30 +79,20 @@ class Compared(msgspec.Struct):
 
 
 class Impact:
-    """One collision of a flight: the verdict on it and what the contact law predicts for it.
+    """One impact of a flight beside what the contact law predicts at its measured velocity.
 
     Attributes:
-        index, wall, mode, material: which.
-        verdict: planned, measured and true.
+        verdict: the impact, with planned, measured and true figures.
+        collision, material: the collision that was planned, and its wall's material.
         at_s: detection, seconds of the flight's `FlightArrays`.
-        planned: the verdict's.
-        peak: the measured peaks; None where there were none.
-        prediction: the contact law at the measured velocity, in time since its onset.
-        onset_s: when the predicted contact begins: so that its peak is where the measured one is; where none
-            was measured, so that its force reaches the threshold at `at_s`.
-        predicted_n: its peak normal force.
+        prediction, predicted: the contact law at the measured velocity, in time since its onset; its figures.
+        onset_s: when the predicted contact begins. Its peak is where the measured one is; without a measured
+            peak its force reaches the threshold at `at_s`.
         compared: planned, predicted, measured and true figures.
-
-    Args:
-        verdict: on this collision.
-        flight: with its mission, course and plan.
     """
 
-    def __init__(self, verdict: CollisionVerdict, flight: RecordedFlight) -> None:
-        mission, course = flight.mission, flight.course
-        self.verdict = verdict
-        self.collision: Collision = mission.collisions[verdict.index - 1]
-        at_s = self.at_s = course.time_of(verdict.t_us)
+    def __init__(self, impact: FlownImpact, flight: RecordedFlight) -> None:
+        self.verdict, self.collision = impact, impact.collision
         self.material = self.collision.wall.material
         self.planned = verdict.planned
         self.peak = _peak_after(course, verdict.t_us)
@@ -113,80 +104,58 @@ class Impact:
         if self.peak is not None and self._contact is not None:
             self.onset_s = course.time_of(self.peak.t_us) - self._contact.peak_s
         self.compared = self._compare(course)
+        self.at_s = self.onset_s = flight.course.time_of(impact.t_us)
+        self.prediction: HitHistory | None = None
+        self.predicted = Velocities()
+        self._contact_ms: float | None = None  # likewise predicted
+        if (impact.measured.normal_m_s or 0.0) < 0.0:
+            self._predict(flight)
+        self.compared = self._compare()
 
-    def _predict(self, mission: Mission) -> None:
-        self._contact: ContactMotion | None = None
-        measured = self.verdict.measured
-        normal, tangential = measured.normal_m_s, measured.tangential_m_s
-        if normal is None or tangential is None or normal >= 0.0:
-            return
-        vehicle = mission.vehicle
+    def _predict(self, flight: RecordedFlight) -> None:
+        vehicle, measured, peak = flight.mission.vehicle, self.verdict.measured, self.verdict.peak
+        normal, tangential = measured.normal_m_s or 0.0, measured.tangential_m_s or 0.0
         coefficients = vehicle.materials[self.material].of(self.collision.mode)
         contact = ContactMotion(coefficients, vehicle.airframe.mass_kg, normal, Onset(vehicle.onset))
         time = np.arange(-_SHOWN_BEFORE_S, _SHOWN_AFTER_S, _STEP_S)
-        path = trajectory(contact, time, tangential, vehicle.vertical_force_sign)
-        self._contact, self.prediction = contact, path
-        self.predicted_n = float(path.normal_force_n.max())
+        path = self.prediction = trajectory(contact, time, tangential, vehicle.vertical_force_sign)
+        self.predicted.peak_force_n = float(path.normal_force_n.max())
+        if math.isfinite(contact.end_s):  # else it is not released
+            end = np.array([contact.end_s])
+            slowed = math.exp(-coefficients.mu * float(contact.impulse(contact.end_s)) / contact.mass_kg)
+            self.predicted.normal_out_m_s = float(contact.normal(end)[1][0])
+            self.predicted.tangential_out_m_s = tangential * slowed
+            self._contact_ms = 1e3 * contact.end_s
         horizontal = np.hypot(path.normal_force_n, path.tangential_force_n)
         over = np.flatnonzero(horizontal >= vehicle.detection.force_threshold_n)
-        if over.size:
+        if peak is not None:
+            self.onset_s = flight.course.time_of(peak.t_us) - contact.peak_s
+        elif over.size:
             self.onset_s = self.at_s - float(time[over[0]])
 
-    def _compare(self, course: FlightArrays) -> list[Compared]:
+    def _compare(self) -> list[Compared]:
         """The rows of the report's table."""
-        v, plan, truth, peak = self.verdict, self.planned, self._truth, self.peak
-        true = v.truth if v.truth is not None else Velocities()
-        out = self._measured_out(course)
-        predicted = self._predicted_out()
+        v, path, peak, true = self.verdict, self.prediction, self.verdict.peak, self.verdict.contact
+
+        def row(name: str, unit: str, figure: str) -> Compared:
+            sources = (v.planned, self.predicted, v.measured, v.truth)
+            return Compared(name, unit, *(getattr(source, figure, None) for source in sources))
+
         friction = (
-            None if self.prediction is None else float(np.abs(self.prediction.tangential_force_n).max())
+            None if path is None else float(np.abs(path.tangential_force_n).max()),
+            None if peak is None else abs(peak.tangential_force_n),
+            None if true is None else abs(true.peak_friction_force_n),
         )
-        duration = None if truth is None else (truth.end_us - truth.t_us) * 1e-3
+        true_ms = None if true is None else (true.end_us - true.t_us) * 1e-3
         return [
-            Compared("normal velocity", "m/s", plan.normal_m_s, None, v.measured.normal_m_s, true.normal_m_s),
-            Compared(
-                "tangential velocity", "m/s", plan.tangential_m_s, None, v.measured.tangential_m_s,
-                true.tangential_m_s,
-            ),
-            Compared(
-                "peak normal force", "N", plan.peak_force_n, self.predicted_n, v.measured.peak_force_n,
-                true.peak_force_n,
-            ),
-            Compared(
-                _FRICTION, "N", None, friction,
-                None if peak is None else abs(peak.tangential_force_n),
-                None if truth is None else abs(truth.peak_friction_force_n),
-            ),
-            Compared("contact time", "ms", None, predicted[2], v.contact_time_ms, duration),
-            Compared(
-                "normal velocity out", "m/s", None, predicted[0], out[0],
-                None if truth is None else truth.normal_out_m_s,
-            ),
-            Compared(
-                "tangential velocity out", "m/s", None, predicted[1], out[1],
-                None if truth is None else truth.tangential_out_m_s,
-            ),
-        ]  # fmt: skip
-
-    def _predicted_out(self) -> tuple[float | None, float | None, float | None]:
-        """Normal and tangential velocity at the release, m/s, and the contact time, ms."""
-        contact, tangential = self._contact, self.verdict.measured.tangential_m_s
-        if contact is None or tangential is None or not math.isfinite(contact.end_s):
-            return None, None, None
-        end = np.array([contact.end_s])
-        slowed = math.exp(-contact.coefficients.mu * float(contact.impulse(contact.end_s)) / contact.mass_kg)
-        return float(contact.normal(end)[1][0]), tangential * slowed, 1e3 * contact.end_s
-
-    def _measured_out(self, course: FlightArrays) -> tuple[float | None, float | None]:
-        """Normal and tangential velocity by PX4's estimate when the force was gone, m/s."""
-        ends = (e.t_us for e in course.all(ContactEnd) if e.t_us >= self.verdict.t_us)
-        end_us, motion = next(ends, None), course.estimated
-        if end_us is None or not motion.time_s.size:
-            return None, None
-        at = course.time_of(end_us)
-        x, y, z = (float(np.interp(at, motion.time_s, motion.velocity[:, i])) for i in range(3))
-        normal, tangential, _ = self.collision.wall.to_collision((x, y, z))
-        return normal, tangential
+            row("normal velocity", "m/s", "normal_m_s"),
+            row("tangential velocity", "m/s", "tangential_m_s"),
+            row("peak normal force", "N", "peak_force_n"),
+            Compared(_FRICTION, "N", None, *friction),
+            Compared("contact time", "ms", None, self._contact_ms, v.contact_time_ms, true_ms),
+            row("normal velocity out", "m/s", "normal_out_m_s"),
+            row("tangential velocity out", "m/s", "tangential_out_m_s"),
+        ]
 
     @property
     def title(self) -> str:
@@ -196,26 +165,27 @@ class Impact:
     @property
     def disagreement(self) -> float | None:
         """Measured over predicted peak normal force, minus one; None where one is unknown or clipped."""
-        measured = self.verdict.measured.peak_force_n
-        if measured is None or not self.predicted_n or self.verdict.clipped:
-            return None
-        return measured / self.predicted_n - 1.0
+        return self._excess("peak normal force", 0.0)
 
     @property
     def friction_disagreement(self) -> float | None:
         """Likewise of the friction force; None also where it is too small to tell."""
-        friction = next(c for c in self.compared if c.name == _FRICTION)
-        if friction.measured is None or friction.predicted is None or self.verdict.clipped:
-            return None
-        return friction.measured / friction.predicted - 1.0 if friction.predicted >= _MIN_FRICTION_N else None
+        return self._excess(_FRICTION, _MIN_FRICTION_N)
 
-    @property
-    def force_error(self) -> float | None:
-        """Measured over true peak normal force, minus one; None where one is unknown."""
-        measured, truth = self.verdict.measured.peak_force_n, self.verdict.truth
-        if measured is None or truth is None or not truth.peak_force_n:
+    def _excess(self, name: str, least_n: float) -> float | None:
+        row = next(row for row in self.compared if row.name == name)
+        if row.measured is None or not row.predicted or row.predicted < least_n or self.verdict.clipped:
             return None
-        return measured / truth.peak_force_n - 1.0
+        return row.measured / row.predicted - 1.0
+
+
+class GuardAct(NamedTuple):
+    """A rule that fired, and where the vehicle was; None if that is not known."""
+
+    at_s: float
+    rule: str
+    action: str
+    place: Vec2 | None
 
 
 class Timing(msgspec.Struct):
@@ -243,9 +213,9 @@ class RecordedFlight:
         self.log = log
         self.mission = flown_mission(log.about, log.source)
         self.course = FlightArrays(log, self.mission)
-        self.verdict: Verdict = verdict_of(log)
+        self.verdict, impacts = judge(log)
         self.planned: PredictedFlight = predict_mission(self.mission)
-        self.impacts = [Impact(v, self) for v in self.verdict.collisions]
+        self.impacts = [Impact(one, self) for one in impacts]
         self.timing = _timing(self.course)
 
     @cached_property
@@ -267,6 +237,39 @@ class RecordedFlight:
         """How the flight is called among others."""
         folder = Path(self.log.source).resolve().parent.name
         return f"{folder} (seed {self.log.seed})" if self.log.seed is not None else folder
+
+    @cached_property
+    def heading(self) -> Angles:
+        """Estimated attitude."""
+        return angles(self.course)
+
+    @cached_property
+    def airborne(self) -> tuple[float, float] | None:
+        """From the climb to the landing, s; None if the flight did not leave the ground."""
+        changes = [(self.course.time_of(c.t_us), c.after) for c in self.course.all(PhaseChange)]
+        begin = next((at_s for at_s, after in changes if after is Phase.CLIMB), None)
+        ends = (at_s for at_s, after in changes if after in (Phase.LANDING, Phase.DONE))
+        return None if begin is None else (begin, next(ends, math.inf))
+
+    @cached_property
+    def shown_span(self) -> tuple[float, float]:
+        """The time that figures over the whole flight show: from the climb to a second into the landing."""
+        times = self.course.estimated.time_s
+        if not times.size:
+            return 0.0, 1.0
+        begin, end = self.airborne or (0.0, math.inf)
+        return begin, min(float(times[-1]), end + 1.0)
+
+    def guard_acts(self) -> list[GuardAct]:
+        """What the guard did, in order, and where by the vehicle's own estimate."""
+        motion, found = self.course.estimated, []
+        for event in self.verdict.guard:
+            at_s, place = self.course.time_of(event.t_us), None
+            if motion.time_s.size:
+                x, y = (float(np.interp(at_s, motion.time_s, motion.position[:, i])) for i in (0, 1))
+                place = x, y
+            found.append(GuardAct(at_s, event.rule, event.action.value, place))
+        return found
 
     def armed_utc(self) -> str | None:
         """When the vehicle was armed, by the host's calendar: PX4 names its own log by it."""
@@ -317,25 +320,6 @@ class RecordedFlight:
             if leg.begin is not None
         ]
         return [*approaches, *(leg[:, :2] for leg in planned.legs.values()), *from_rest]
-
-
-def _peak_after(course: FlightArrays, onset_us: int) -> ImpactPeak | None:
-    """The peaks of the impact whose onset was then."""
-    last: int | None = None
-    for record in course.records:
-        if isinstance(record, ImpactOnset):
-            last = record.t_us
-        elif isinstance(record, ImpactPeak) and last == onset_us:
-            return record
-    return None
-
-
-def _truth_near(course: FlightArrays, verdict: CollisionVerdict) -> TruthContact | None:
-    """The simulated contact that the verdict's truth is of."""
-    if verdict.truth is None:
-        return None
-    same = [t for t in course.all(TruthContact) if t.normal_in_m_s == verdict.truth.normal_m_s]
-    return min(same, key=lambda t: abs(t.t_us - verdict.t_us), default=None)
 
 
 def _timing(course: FlightArrays) -> Timing:

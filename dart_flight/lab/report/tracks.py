@@ -1,11 +1,11 @@
-"""More of a recorded flight as arrays, in the mission frame: attitude, setpoints, tracking, thrust, battery.
+"""More of a recorded flight as arrays, in the mission frame: attitude, setpoints, tracking, power, lock.
 
 Times are seconds of the flight's `FlightArrays`; a signal that the log does not have is an array of length 0.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,9 @@ from dart_flight.base.records import (
     AttitudeSample,
     EscSample,
     ForceEstimate,
-    Record,
+    LockPhase,
+    LockState,
+    Mode,
     Setpoint,
     StatusSample,
     TruthSample,
@@ -24,6 +26,7 @@ from dart_flight.config.mission import Mission
 from dart_flight.core.sense.thrust_model import ThrustModel
 from dart_flight.lab.flight_arrays import Array, FlightArrays, turned
 
+V = TypeVar("V")
 # Of the body, in FRD.
 _FORWARD_LEFT_UP = np.array([(1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0)])
 
@@ -126,8 +129,13 @@ def power(course: FlightArrays, mission: Mission) -> Power:
     model = ThrustModel(mission.vehicle)
     thrust: list[tuple[float, float]] = []
     for record in course.records:
-        _feed(model, record)
-        if isinstance(record, ForceEstimate):
+        if isinstance(record, ActuatorSample):
+            model.take_actuator(record)
+        elif isinstance(record, EscSample):
+            model.take_esc(record)
+        elif isinstance(record, StatusSample):
+            model.take_voltage(record.battery_v)
+        elif isinstance(record, ForceEstimate):
             n = model.mean_over_tick(record.t_us)
             if model.source is not None:
                 thrust.append((course.time_of(record.t_us), n))
@@ -145,10 +153,23 @@ def power(course: FlightArrays, mission: Mission) -> Power:
     )
 
 
-def _feed(model: ThrustModel, record: Record) -> None:
-    if isinstance(record, ActuatorSample):
-        model.take_actuator(record)
-    elif isinstance(record, EscSample):
-        model.take_esc(record)
-    elif isinstance(record, StatusSample):
-        model.take_voltage(record.battery_v)
+def stretches(moments: list[tuple[float, V]], end: float) -> list[tuple[float, float, V]]:
+    """Values that hold from one moment to the next, the last to the end."""
+    stops = [t for t, _ in moments[1:]] + [end] if moments else []
+    return [(t, stop, value) for (t, value), stop in zip(moments, stops, strict=True)]
+
+
+def lock_stretches(course: FlightArrays, end_s: float) -> list[tuple[float, float, str]]:
+    """(since, until, what) of the lock: rigid, flexible, travelling, fault or unknown."""
+
+    def name(state: LockState) -> str:
+        known = state.mode.value if state.mode else "unknown"
+        return known if state.phase is LockPhase.SETTLED else state.phase.value
+
+    return stretches([(course.time_of(s.t_us), name(s)) for s in course.all(LockState)], end_s)
+
+
+def lock_mode(course: FlightArrays, t_us: int) -> Mode | None:
+    """The mode in which the lock was settled at a moment."""
+    before = [s for s in course.all(LockState) if s.t_us <= t_us]
+    return before[-1].mode if before and before[-1].phase is LockPhase.SETTLED else None

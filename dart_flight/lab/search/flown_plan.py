@@ -175,7 +175,7 @@ def choose_flown(
             if record.failure is not None:
                 says.append(f"the colliding plan{with_touches} is not offered as a saving: {record.failure}")
                 continue
-            says.append(f"the colliding plan{with_touches} flies: {describe_record(record)}")
+            says.append(f"the colliding plan{with_touches} flies: {record.summary}")
             if _is_offered(record, free, scenario):
                 return OfferedPlan(hits, wanted, record, says, flown)
             break
@@ -186,7 +186,7 @@ def choose_flown(
     ):
         says.append("no plan is offered")
         return OfferedPlan(None, scenario, None, says, flown)
-    says.append(f"the flight without a collision is offered: {describe_record(free.record)}")
+    says.append(f"the flight without a collision is offered: {free.record.summary}")
     return OfferedPlan(result.free, scenario, free.record, says, flown)
 
 
@@ -204,20 +204,6 @@ def _is_offered(record: FlownRecord, free: FlownMission | None, scenario: Scenar
     asked = not scenario.chosen_by_planner or scenario.spec.touch_m_s is not None
     pays = record.saving_s is not None and record.saving_s > 0.0
     return asked or pays or free is None or free.record.failure is not None
-
-
-def describe_record(record: FlownRecord) -> str:
-    """Return flights, times and saving in one line."""
-    drawn = record.drawn
-    if drawn is None:
-        return record.failure or "not flown in drawn worlds"
-    says = f"{drawn.completed} of {drawn.flights} drawn flights complete, {drawn.uncontrolled} uncontrolled"
-    if drawn.median_time_s is not None:
-        says += f", {drawn.median_time_s:.1f} s from take-off to landing"
-    if record.saving_s is not None and record.free_time_s is not None:
-        verb = "saves" if record.saving_s > 0.0 else "loses"
-        says += f" against {record.free_time_s:.1f} s free: {verb} {abs(record.saving_s):.2f} s in a flight"
-    return says
 
 
 def _rounded(value: float | None) -> float | None:

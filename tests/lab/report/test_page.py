@@ -131,15 +131,20 @@ def test_the_table_says_what_the_verdict_says(flight: RecordedFlight, page: str)
             ("normal velocity, m/s", "normal_m_s"),
             ("tangential velocity, m/s", "tangential_m_s"),
             ("peak normal force, N", "peak_force_n"),
+            ("normal velocity out, m/s", "normal_out_m_s"),
+            ("tangential velocity out, m/s", "tangential_out_m_s"),
         ):
             _, planned, _, measured, true, error = parsed.row(name, impact.title)
             pairs = [(measured, getattr(v.measured, field)), (true, getattr(v.truth, field))]
-            if v.index == 1:
+            if v.index == 1 and "out" not in name:
                 pairs.append((planned, getattr(v.planned, field)))
             for shown, value in pairs:
-                assert number(shown) == pytest.approx(value, rel=6e-3)
+                assert number(shown) == pytest.approx(value, rel=6e-3, abs=6e-4)
             expected = 100.0 * (getattr(v.measured, field) / getattr(v.truth, field) - 1.0)
-            assert float(error) == pytest.approx(expected, abs=0.051)
+            if abs(getattr(v.truth, field)) > 0.05:
+                assert float(error) == pytest.approx(expected, abs=0.051)
+            else:
+                assert error == "–"
         contact = parsed.row("contact time, ms", impact.title)
         assert number(contact[3]) == pytest.approx(v.contact_time_ms, rel=6e-3)
 

@@ -17,10 +17,12 @@ from dart_flight.cli import main
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import LockDriver
+from dart_flight.lab.report.figures.mission_figure import prediction_lines
 from dart_flight.lab.search import flown_plan
 from dart_flight.lab.search.flown_plan import DRAWN, FIRST_SEED, OfferedPlan, choose_flown
 from dart_flight.lab.search.mission_writer import write_mission
 from dart_flight.lab.search.quickest import QuickestResult, plan_quickest
+from dart_flight.planning.predicted_flight import predict_mission
 from dart_flight.recording.verdict import Verdict
 from dart_flight.run.prepare import with_driver
 from tests.lab.search.test_quickest import between
@@ -208,7 +210,15 @@ def test_check_shows_the_record_and_notices_that_the_mission_changed(
     mission = written(planned, by_kind(free=20.0, colliding=18.5), path)
     finding = flown_finding(mission)
     assert (finding.go, finding.remark) == (True, False)
-    assert "20 of 20 drawn flights completed, 1.50 s quicker" in finding.says
+    assert mission.flown is not None
+    assert mission.flown.summary == (
+        "20 of 20 drawn flights complete, 0 uncontrolled, 18.5 s from take-off to landing "
+        "against 20.0 s free: saves 1.50 s in a flight"
+    )
+    assert finding.says.endswith(f": {mission.flown.summary}")
+    assert f"Flown in simulation: {mission.flown.summary}." in prediction_lines(
+        mission, predict_mission(mission), []
+    )
     assert finding.figures == {"flights": 20, "completed": 20, "saving_s": 1.5}
     assert dart_flight.load_mission(mission.to_dict()).flown == mission.flown
     assert not flown_finding(with_driver(mission, LockDriver.PX4)).remark, "the driver flies nothing else"

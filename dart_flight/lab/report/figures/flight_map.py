@@ -36,7 +36,6 @@ from dart_flight.lab.report.figures.map_drawing import (
     set_view,
     view_of,
 )
-from dart_flight.lab.report.flown_collisions import airborne, flown_collisions, guard_acts
 from dart_flight.lab.report.recorded_flight import RecordedFlight
 
 _FEW_LABELS = 14
@@ -56,7 +55,7 @@ def flight_map(flights: Sequence[RecordedFlight], *, look: Look = PAGE) -> Any:
     shown = [np.array([mission.start, mission.goal.position_m])]
     for flight in flights:
         shown += [place for (_, place), _, _ in _paths(flight)]
-        shown += [np.array([hit.position[:2]]) for hit in flown_collisions(flight)]
+        shown += [np.array([hit.verdict.onset.position_mission[:2]]) for hit in flight.impacts]
         shown += flight.planned_lines()  # the walls that a flight broken off never came to
     set_view(axis, view_of(mission, np.vstack(shown)))
     draw_room(axis, mission)
@@ -93,19 +92,22 @@ def _draw_one(axis: Any, flight: RecordedFlight) -> tuple[list[Label], list[Arra
         axis.plot(way[:, 0], way[:, 1], label="planned in flight", **REPLANNED)
     labels: list[Label] = []
     lines: list[Array] = []
-    hits = flown_collisions(flight)
-    largest = max((math.hypot(*hit.force_n) for hit in hits if hit.force_n is not None), default=0.0)
-    for hit in hits:
-        (x, y, _), (nx, ny), size = hit.position, hit.impact.collision.wall.normal, ""
-        set_point = None if hit.setpoint is None else (hit.setpoint[0], hit.setpoint[1])
-        lines += draw_hit(axis, flight.mission.vehicle.airframe, (x, y), hit.yaw_rad, hit.mode, set_point)
-        if hit.force_n is not None:
-            draw_arrow(axis, (x, y), (x, y) + LONGEST_ARROW_M / largest * np.array(hit.force_n), FORCE)
-            size = f": {math.hypot(*hit.force_n):.0f} N"
-        labels.append(Label(f"{hit.impact.verdict.index}{size}", (x, y), (-nx, -ny), FORCE))
+    forces = [one.verdict.force for one in flight.impacts]
+    largest = max((math.hypot(*force) for force in forces if force is not None), default=0.0)
+    heading = flight.heading
+    for impact, force in zip(flight.impacts, forces, strict=True):
+        hit, size = impact.verdict, ""
+        (x, y, _), (nx, ny) = hit.onset.position_mission, hit.collision.wall.normal
+        setpoint = None if hit.recovery is None else hit.recovery[:2]
+        yaw = float(np.interp(impact.at_s, heading.time_s, heading.yaw)) if heading.time_s.size else 0.0
+        lines += draw_hit(axis, flight.mission.vehicle.airframe, (x, y), yaw, hit.lock_mode, setpoint)
+        if force is not None:
+            draw_arrow(axis, (x, y), (x, y) + LONGEST_ARROW_M / largest * np.array(force), FORCE)
+            size = f": {math.hypot(*force):.0f} N"
+        labels.append(Label(f"{hit.index}{size}", (x, y), (-nx, -ny), FORCE))
     if largest > 0.0:
         name_hits(axis, largest)
-    for act in guard_acts(flight):
+    for act in flight.guard_acts():
         if act.place is not None:
             axis.plot(*act.place, "D", color=GUARD, markersize=6, label="guard", linestyle="none", zorder=6)
             labels.append(Label(f"{act.rule}:\n{act.action}", act.place, colour=GUARD))
@@ -123,7 +125,7 @@ def _draw_one(axis: Any, flight: RecordedFlight) -> tuple[list[Label], list[Arra
 
 def _paths(flight: RecordedFlight) -> list[tuple[tuple[Array, Array], dict[str, Any], str]]:
     """((time, place), style, name) of what is known of the way in the air, the true one first."""
-    air = airborne(flight)
+    air = flight.airborne
     found = []
     for motion, style, label in (
         (flight.course.true, TRUE, "flown (true)"),
@@ -178,9 +180,8 @@ def _draw_many(axis: Any, flights: Sequence[RecordedFlight]) -> None:
             (_, place), style, label = paths[0]
             thin = {**style, "linewidth": 0.8, "alpha": 0.6}
             axis.plot(place[:, 0], place[:, 1], label=label, **thin)
-        for hit in flown_collisions(flight):
-            axis.plot(
-                *hit.position[:2], "o", color=FORCE, markersize=2.5, label="hit", linestyle="none", zorder=5
-            )
+        for hit in flight.impacts:
+            x, y, _ = hit.verdict.onset.position_mission
+            axis.plot(x, y, "o", color=FORCE, markersize=2.5, label="hit", linestyle="none", zorder=5)
     for line in flights[0].planned_lines():
         axis.plot(line[:, 0], line[:, 1], label="planned", **PREDICTED)

@@ -104,7 +104,7 @@ def errors_over_trials(flights: Sequence[RecordedFlight], *, look: Look = PAGE) 
             (i.verdict.index + (-0.12 if predicted else 0.12), error)
             for f in flights
             for i in f.impacts
-            if (error := i.disagreement if predicted else i.force_error) is not None
+            if (error := i.disagreement if predicted else i.verdict.force_error) is not None
         ]
         if points:
             x, y = zip(*points, strict=True)

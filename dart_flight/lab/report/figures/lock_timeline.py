@@ -6,8 +6,8 @@ from typing import Any
 
 from dart_flight.base.records import ContactEnd, ImpactOnset, LockPermission, PhaseChange
 from dart_flight.lab.figure_style import PAGE, Look, in_style, new_figure
-from dart_flight.lab.report.flown_collisions import lock_stretches, shown_span, stretches
 from dart_flight.lab.report.recorded_flight import RecordedFlight
+from dart_flight.lab.report.tracks import lock_stretches, stretches
 
 _TONES = {
     "flexible": ("#ffffff", ""),
@@ -25,7 +25,7 @@ def timeline(flight: RecordedFlight, *, look: Look = PAGE) -> Any:
     figure, axis = new_figure(look, 2.9)
     course, has_lock = flight.course, flight.mission.vehicle.has_lock
     rows = _ROWS if has_lock else _ROWS[2:]
-    begin, end = shown_span(flight)
+    begin, end = flight.shown_span
 
     def bar(row: str, t0: float, t1: float, face: str, hatch: str = "", text: str = "") -> None:
         left, right = max(t0, begin), min(t1, end)

@@ -146,12 +146,7 @@ def _flown_line(mission: Mission) -> str:
     record = mission.flown
     if record is None or record.digest != mission.digest:
         return "Not flown in simulation in its present form: the trajectories may not be flyable."
-    if record.drawn is None or record.danger is not None:
-        return f"Flown in simulation: {record.danger}."
-    drawn = record.drawn
-    return (
-        f"Flown in simulation: {drawn.completed} of {drawn.flights} drawn flights completed, all controlled."
-    )
+    return f"Flown in simulation: {record.summary}."
 
 
 def _extent(mission: Mission, planned: PredictedFlight | None) -> Array:

@@ -16,7 +16,6 @@ from dart_flight.lab.figure_style import (
     legend_above,
     new_figure,
 )
-from dart_flight.lab.report.flown_collisions import shown_span
 from dart_flight.lab.report.recorded_flight import RecordedFlight
 from dart_flight.lab.report.tracks import angles, power, tracking
 
@@ -31,7 +30,7 @@ def mark_impacts(axis: Any, flight: RecordedFlight) -> None:
 
 def _plot(axis: Any, flight: RecordedFlight, time_s: Any, values: Any, **style: Any) -> None:
     """A line over the shown span; of more points than can be seen, the lowest and highest of each stretch."""
-    begin, end = shown_span(flight)
+    begin, end = flight.shown_span
     inside = (time_s >= begin) & (time_s <= end)
     t, v = time_s[inside], np.asarray(values)[inside]
     if v.size > _MAX_POINTS:
@@ -47,7 +46,7 @@ def _plot(axis: Any, flight: RecordedFlight, time_s: Any, values: Any, **style: 
 
 
 def _over_time(axis: Any, flight: RecordedFlight) -> None:
-    axis.set_xlim(*shown_span(flight))
+    axis.set_xlim(*flight.shown_span)
     axis.set_xlabel("time, s")
 
 

@@ -1,0 +1,269 @@
+"""The planned collisions of a flight as they were flown: `FlownImpact`, put together by `ImpactCollector`.
+
+Verdict, deviations, report, figures and animation read a flight's impacts here and nowhere else.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import msgspec
+
+from dart_flight.base.geometry import Vec2, Vec3
+from dart_flight.base.records import (
+    ContactEnd,
+    ContactSide,
+    ImpactBody,
+    ImpactOnset,
+    ImpactPeak,
+    LockPhase,
+    LockState,
+    Mode,
+    OdometrySample,
+    Phase,
+    PhaseChange,
+    Setpoint,
+    SetpointSent,
+    TruthContact,
+    WallEstimate,
+)
+from dart_flight.config.mission import Collision, Mission
+from dart_flight.core.sense.incidence import side_of
+from dart_flight.recording.anchor import MissionFrameReader
+
+_TRUTH_MATCH_US = 60_000  # an impact and its truth lie this near in time
+
+
+class Velocities(msgspec.Struct):
+    """Velocity before and after the contact in the collision frame, peaks, and how the body met the wall.
+
+    Attributes:
+        normal_m_s, tangential_m_s: the last before the contact.
+        peak_force_n: of the normal force.
+        contact_side: which point of the side came first, seen when flying into the wall: left, right, both.
+        incidence_deg: leading edge against the wall at the first touch, positive turned left.
+        peak_torque_nm: largest external torque about the centre of mass.
+        normal_out_m_s, tangential_out_m_s: the first after the contact; if measured, from odometry.
+    """
+
+    normal_m_s: float | None = None
+    tangential_m_s: float | None = None
+    peak_force_n: float | None = None
+    contact_side: ContactSide | None = None
+    incidence_deg: float | None = None
+    peak_torque_nm: float | None = None
+    normal_out_m_s: float | None = None
+    tangential_out_m_s: float | None = None
+
+
+class LockTimes(msgspec.Struct):
+    """The lock's switch that follows a collision, autopilot time."""
+
+    contact_end_us: int | None = None
+    relaxed_us: int | None = None
+    commanded_us: int | None = None
+    settled_us: int | None = None
+
+
+class CollisionVerdict(msgspec.Struct):
+    """One collision, planned against measured against true."""
+
+    index: int
+    wall: str
+    mode: str
+    t_us: int
+    clipped: bool = False
+    planned: Velocities = msgspec.field(default_factory=Velocities)
+    measured: Velocities = msgspec.field(default_factory=Velocities)
+    truth: Velocities | None = None
+    lock: LockTimes | None = None  # None: the vehicle has no lock
+    detection_latency_ms: float | None = None
+    setpoint_latency_ms: float | None = None
+    contact_time_ms: float | None = None
+    mode_felt: Mode | None = None  # what the whole contact says (docs/felt.md); None: undecided, or not told
+    mode_log_odds: float | None = None  # of rigid against flexible; None: not told
+    mode_true: Mode | None = None  # of the simulated arms
+
+    @property
+    def force_error(self) -> float | None:
+        """Measured over true peak normal force, minus one; None where one is unknown."""
+        measured, true = self.measured.peak_force_n, self.truth and self.truth.peak_force_n
+        return None if measured is None or not true else measured / true - 1.0
+
+
+class FlownImpact(CollisionVerdict, kw_only=True):
+    """A planned collision as it was flown: the verdict on it, and what only figures of the flight show.
+
+    Attributes:
+        collision: the collision that was planned.
+        onset, peak: records of the flight core; peak is None if none was measured.
+        contact: the simulated contact; None on the drone.
+        lock_mode: mode in which the lock was settled at the onset; rigid without a lock.
+        recovery: recovery setpoint, mission frame, metres.
+    """
+
+    collision: Collision
+    onset: ImpactOnset
+    peak: ImpactPeak | None = None
+    contact: TruthContact | None = None
+    lock_mode: Mode | None = None
+    recovery: Vec3 | None = None
+
+    @property
+    def force(self) -> Vec2 | None:
+        """Measured peaks of normal force and friction as a vector, mission frame, newton."""
+        if self.peak is None:
+            return None
+        peaks = self.peak.normal_force_n, self.peak.tangential_force_n, 0.0
+        x, y, _ = self.collision.wall.from_collision(peaks)
+        return x, y
+
+    def verdict(self) -> CollisionVerdict:
+        """Return the part that the verdict shows."""
+        return CollisionVerdict(*(getattr(self, name) for name in CollisionVerdict.__struct_fields__))
+
+
+class ImpactCollector:
+    """Puts the impacts of one flight together from its records, in order.
+
+    Attributes:
+        impacts: so far, in the order flown.
+        takers: functions that take a record, by its kind.
+
+    Args:
+        mission: the mission flown.
+        anchor: reader of the mission frame; takes each record before the collector does.
+    """
+
+    def __init__(self, mission: Mission, anchor: MissionFrameReader) -> None:
+        self._mission, self._anchor = mission, anchor
+        lock = mission.vehicle.lock
+        self._relaxation_us = None if lock is None else round(lock.relaxation_s * 1e6)
+        self._sought = {c.wall.name for c in mission.collisions if c.wall.sought}  # by names of their own
+        self.impacts: list[FlownImpact] = []
+        self._truths: list[TruthContact] = []
+        self._onset: ImpactOnset | None = None
+        self._lock_mode: Mode | None = Mode.RIGID if lock is None else None
+        self._left_us: int | None = None  # end of the last contact, until the velocity after it is known
+        self.takers: dict[type, Callable[[Any], None]] = {
+            ImpactOnset: self._take_onset,
+            PhaseChange: self._take_phase,
+            ImpactPeak: self._take_peak,
+            ImpactBody: self._take_body,
+            ContactEnd: self._take_end,
+            WallEstimate: self._take_wall_estimate,
+            OdometrySample: self._take_odometry,
+            Setpoint: self._take_setpoint,
+            SetpointSent: self._take_sent,
+            LockState: self._take_lock,
+            TruthContact: self._truths.append,
+        }
+
+    def match_truth(self) -> None:
+        """Give every impact the simulated contact at its wall that lies nearest in time, if there is one."""
+        for impact in self.impacts:
+            near = [
+                t
+                for t in self._truths
+                if (t.wall == impact.wall or impact.wall in self._sought)
+                and t.t_us - _TRUTH_MATCH_US <= impact.t_us <= t.end_us + _TRUTH_MATCH_US
+            ]
+            true = impact.contact = min(near, key=lambda t: abs(t.t_us - impact.t_us), default=None)
+            if true is None:
+                continue
+            impact.mode_true = true.mode
+            impact.detection_latency_ms = (impact.t_us - true.t_us) * 1e-3
+            impact.truth = Velocities(
+                true.normal_in_m_s,
+                true.tangential_in_m_s,
+                true.peak_normal_force_n,
+                side_of(true.lead_m),
+                math.degrees(true.incidence_rad),
+                true.peak_torque_nm,
+                true.normal_out_m_s,
+                true.tangential_out_m_s,
+            )
+
+    def _newest(self) -> FlownImpact | None:
+        """Return the impact of the last onset, or None if that was no planned collision."""
+        return self.impacts[-1] if self.impacts and self.impacts[-1].onset is self._onset else None
+
+    def _take_onset(self, record: ImpactOnset) -> None:
+        self._onset = record
+
+    def _take_phase(self, record: PhaseChange) -> None:
+        if record.after is Phase.CONTACT and record.collision is not None and self._onset is not None:
+            self._open(self._mission.collisions[record.collision - 1], self._onset)
+
+    def _open(self, collision: Collision, onset: ImpactOnset) -> None:
+        normal, tangential, _ = collision.wall.to_collision(onset.velocity_mission)
+        self.impacts.append(
+            FlownImpact(
+                index=collision.index,
+                wall=collision.wall.name,
+                mode=collision.mode.value,
+                t_us=onset.t_us,
+                measured=Velocities(normal, tangential),
+                lock=None if self._relaxation_us is None else LockTimes(),
+                detection_latency_ms=(onset.t_us - onset.first_us) * 1e-3,
+                collision=collision,
+                onset=onset,
+                lock_mode=self._lock_mode,
+            )
+        )
+
+    def _take_peak(self, record: ImpactPeak) -> None:
+        impact = self._newest()
+        if impact is not None:
+            impact.peak, impact.clipped = record, record.clipped
+            impact.measured.peak_force_n = record.normal_force_n
+
+    def _take_body(self, record: ImpactBody) -> None:
+        impact = self._newest()
+        if impact is not None:
+            impact.measured.contact_side = record.side
+            impact.measured.incidence_deg = math.degrees(record.incidence_rad)
+            impact.measured.peak_torque_nm = record.peak_torque_nm
+
+    def _take_end(self, record: ContactEnd) -> None:
+        if not self.impacts or self.impacts[-1].contact_time_ms is not None:
+            return
+        impact, self._left_us = self.impacts[-1], record.t_us
+        impact.contact_time_ms = (record.t_us - record.first_us) * 1e-3
+        if impact.lock is not None and self._relaxation_us is not None:
+            impact.lock.contact_end_us = record.t_us
+            impact.lock.relaxed_us = record.t_us + self._relaxation_us
+
+    def _take_wall_estimate(self, record: WallEstimate) -> None:
+        impact = self._newest()
+        if impact is not None and impact.lock is not None and impact.onset.first_us == record.first_us:
+            impact.mode_felt, impact.mode_log_odds = record.mode_felt, record.log_odds
+
+    def _take_odometry(self, record: OdometrySample) -> None:
+        frame = self._anchor.frame
+        if frame is not None and self._left_us is not None and record.t_us >= self._left_us:
+            self._left_us, impact = None, self.impacts[-1]
+            velocity = frame.vector_from_ned(record.velocity_ned)
+            normal, tangential, _ = impact.collision.wall.to_collision(velocity)
+            impact.measured.normal_out_m_s, impact.measured.tangential_out_m_s = normal, tangential
+
+    def _take_setpoint(self, record: Setpoint) -> None:
+        impact = self._newest() if record.recovery else None
+        if impact is not None and impact.recovery is None and self._anchor.frame is not None:
+            impact.recovery = self._anchor.frame.point_from_ned(record.position_ned)
+
+    def _take_sent(self, record: SetpointSent) -> None:
+        if self.impacts and self.impacts[-1].setpoint_latency_ms is None:
+            self.impacts[-1].setpoint_latency_ms = record.latency_us * 1e-3
+
+    def _take_lock(self, record: LockState) -> None:
+        self._lock_mode = record.mode if record.phase is LockPhase.SETTLED else None
+        times = self.impacts[-1].lock if self.impacts else None
+        if times is None or times.contact_end_us is None or (record.commanded_us or 0) < times.contact_end_us:
+            return
+        if times.commanded_us is None:
+            times.commanded_us = record.commanded_us
+        if record.phase is LockPhase.SETTLED and times.settled_us is None:
+            times.settled_us = record.settled_us

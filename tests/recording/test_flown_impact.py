@@ -1,0 +1,170 @@
+"""A flight's impacts: each has the records of its own contact, whatever else was touched in between."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import dart_flight
+from dart_flight.base.records import (
+    ContactEnd,
+    ContactSide,
+    ImpactBody,
+    ImpactOnset,
+    ImpactPeak,
+    LockPhase,
+    LockState,
+    Mode,
+    OdometrySample,
+    Phase,
+    PhaseChange,
+    Record,
+    Setpoint,
+    TruthContact,
+)
+from dart_flight.config.mission import load_mission
+from dart_flight.recording.flown_impact import CollisionVerdict, Velocities
+from dart_flight.recording.verdict import VerdictBuilder
+
+MISSION = load_mission(dart_flight.packaged("missions", "dual_collision.yaml"))
+APART_US = 2_000_000
+M_S = st.floats(-3.0, 3.0).map(lambda v: round(v, 6))
+PEAK_N = st.none() | st.floats(1.0, 150.0)
+
+
+class Drawn(NamedTuple):
+    """One contact: of a planned collision, or with something else."""
+
+    is_planned: bool
+    velocity: tuple[float, float]
+    peak_n: float | None
+    incidence_deg: float | None
+    contact_ms: int
+    out: tuple[float, float]
+    is_recovered: bool
+    truth_after_ms: int | None  # start of the simulated contact before the detection, if there is one
+
+
+contacts = st.lists(
+    st.builds(
+        Drawn,
+        st.booleans(),
+        st.tuples(M_S, M_S),
+        PEAK_N,
+        st.none() | st.floats(-40.0, 40.0),
+        st.integers(5, 200),
+        st.tuples(M_S, M_S),
+        st.booleans(),
+        st.none() | st.integers(0, 50),
+    ),
+    max_size=5,
+)
+
+
+def lock_phase(number: int) -> LockPhase:
+    return LockPhase.SETTLED if number % 3 else LockPhase.TRAVELLING
+
+
+def records_of(drawn: list[Drawn]) -> list[Record]:
+    """The records of a flight with these contacts; planned ones are of the collisions in their order."""
+    still = OdometrySample(1000, 1000, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    found: list[Record] = [still, PhaseChange(1000, Phase.READYING, Phase.OFFBOARD, "")]
+    frame, planned = MISSION.frame_at(still.position_ned), 0
+    for number, one in enumerate(drawn, 1):
+        t_us, wall = number * APART_US, MISSION.collisions[min(planned, 1)].wall
+        velocity = wall.from_collision((*one.velocity, 0.0))
+        mode = Mode.RIGID if number % 2 else Mode.FLEXIBLE
+        found.append(LockState(t_us - 1000, lock_phase(number), mode))
+        found.append(ImpactOnset(t_us, t_us - 4000, t_us, (0.0,) * 3, velocity, (0.1, 0.2, 1.0)))
+        if one.is_planned and planned < len(MISSION.collisions):
+            planned += 1
+            found.append(PhaseChange(t_us, Phase.APPROACH, Phase.CONTACT, "", planned))
+        if one.peak_n is not None:
+            at = (t_us + 2000, t_us + 3000, t_us + 3000)
+            found.append(ImpactPeak(*at, wall.normal, one.peak_n, 0.5 * one.peak_n, (0.1, 0.2, 1.0), True))
+        if one.incidence_deg is not None:
+            yaw = math.radians(one.incidence_deg)
+            found.append(
+                ImpactBody(t_us, t_us, True, ContactSide.LEFT, 0.0, yaw, 0.01, (0.0,) * 3, float(number))
+            )
+        if one.is_recovered:
+            place = frame.point_to_ned((float(number), 0.5, 1.0))
+            elsewhere = Setpoint(t_us + 5000, t_us, still.position_ned, 0.0, recovery=True)
+            found += [Setpoint(t_us + 4000, t_us, place, 0.0, recovery=True), elsewhere]
+        end_us = t_us - 4000 + 1000 * one.contact_ms
+        found.append(ContactEnd(end_us, t_us - 4000))
+        out = frame.vector_to_ned(wall.from_collision((*one.out, 0.0)))
+        found.append(OdometrySample(end_us + 100, end_us, still.position_ned, out))
+        if one.truth_after_ms is not None:
+            begin_us = t_us - 1000 * one.truth_after_ms
+            found.append(
+                TruthContact(
+                    begin_us, t_us + 1000, wall.name, mode, -1.0, 0.2, 0.5, 0.1, 30.0, 5.0, (0.0,) * 3
+                )
+            )
+    return found
+
+
+@settings(max_examples=200, deadline=None)
+@given(contacts)
+def test_each_impact_has_what_is_its_own(drawn: list[Drawn]) -> None:
+    builder = VerdictBuilder(MISSION)
+    for record in records_of(drawn):
+        builder.take(record)
+    planned = [(n, one) for n, one in enumerate(drawn, 1) if one.is_planned][: len(MISSION.collisions)]
+    impacts = builder.impacts()
+    assert [impact.index for impact in impacts] == list(range(1, len(planned) + 1))
+    for impact, (number, one) in zip(impacts, planned, strict=True):
+        assert impact.t_us == impact.onset.t_us == number * APART_US
+        measured = impact.measured
+        assert (measured.normal_m_s, measured.tangential_m_s) == pytest.approx(one.velocity, abs=1e-9)
+        assert (measured.normal_out_m_s, measured.tangential_out_m_s) == pytest.approx(one.out, abs=1e-9)
+        assert measured.peak_force_n == one.peak_n
+        assert impact.clipped is (one.peak_n is not None)
+        assert (measured.incidence_deg is None) is (one.incidence_deg is None)
+        assert measured.peak_torque_nm == (None if one.incidence_deg is None else number)
+        assert impact.contact_time_ms == pytest.approx(one.contact_ms)
+        settled = Mode.RIGID if number % 2 else Mode.FLEXIBLE
+        assert impact.lock_mode is (settled if lock_phase(number) is LockPhase.SETTLED else None)
+        assert (impact.recovery is not None) is one.is_recovered
+        assert impact.recovery is None or impact.recovery == pytest.approx((float(number), 0.5, 1.0))
+        if impact.force is not None:
+            along = sum(f * n for f, n in zip(impact.force, impact.collision.wall.normal, strict=True))
+            assert along == pytest.approx(one.peak_n)
+        if one.truth_after_ms is None:
+            assert (impact.truth, impact.contact, impact.detection_latency_ms) == (None, None, 4.0)
+        else:
+            assert impact.truth is not None
+            assert impact.truth.normal_m_s == -1.0
+            assert impact.detection_latency_ms == pytest.approx(one.truth_after_ms)
+
+
+@settings(max_examples=50, deadline=None)
+@given(contacts)
+def test_the_verdict_shows_the_same_impacts_however_often_it_is_asked(drawn: list[Drawn]) -> None:
+    builder = VerdictBuilder(MISSION)
+    for record in records_of(drawn):
+        builder.take(record)
+    first, second = builder.build(None, None), builder.build(None, None)
+    assert first == second
+    for shown, impact in zip(first.collisions, builder.impacts(), strict=True):
+        assert type(shown) is CollisionVerdict
+        assert all(getattr(shown, name) == getattr(impact, name) for name in shown.__struct_fields__)
+        assert impact.planned != Velocities()
+
+
+def test_a_contact_at_another_wall_is_no_truth_of_this_one() -> None:
+    builder = VerdictBuilder(MISSION)
+    hit = Drawn(True, (-1.0, 0.0), 20.0, None, 50, (0.5, 0.0), False, None)
+    for record in records_of([hit]):
+        builder.take(record)
+    other = MISSION.collisions[1].wall.name
+    assert other != MISSION.collisions[0].wall.name
+    builder.take(
+        TruthContact(APART_US, APART_US, other, Mode.RIGID, -1.0, 0.0, 0.5, 0.0, 9.0, 0.0, (0.0,) * 3)
+    )
+    assert builder.impacts()[0].truth is None
