@@ -20,8 +20,9 @@ from dart_flight.contact.law import Onset
 from dart_flight.lab.identify.estimates import Estimate, Identification, SetAside, TrialFit
 from dart_flight.lab.identify.intervals import half_widths
 from dart_flight.lab.identify.measured_impacts import MeasuredImpact, measure_impact
+from dart_flight.lab.identify.recorded_impact import find_impact, noise_of
 from dart_flight.lab.identify.sample_fit import HIGHEST_F, HIGHEST_K, LOWEST_F, LOWEST_K, PUSHES, SampleFit
-from dart_flight.lab.identify.trials import Trial, find_impact, noise_of
+from dart_flight.lab.identify.trials import Trial
 from dart_flight.lab.identify.whole_fit import HitTable, predict
 
 # Rates of change this small in the model make a coefficient unknown rather than zero.

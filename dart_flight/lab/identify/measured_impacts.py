@@ -15,7 +15,8 @@ import numpy as np
 from dart_flight.base.geometry import GRAVITY_M_S2
 from dart_flight.config.document import InputError
 from dart_flight.contact.coefficients import Array
-from dart_flight.lab.identify.trials import Series, Trial, find_impact, noise_of
+from dart_flight.lab.identify.recorded_impact import find_impact, noise_of
+from dart_flight.lab.identify.trials import Series, Trial
 
 _WINDOW_S = 0.2  # free flight on either side
 _GUARD_S = 0.03  # not free flight for sure, before the contact's own extent is known

@@ -22,7 +22,8 @@ import numpy as np
 from dart_flight.config.vehicle import Coefficients
 from dart_flight.contact.coefficients import Array
 from dart_flight.contact.law import Onset
-from dart_flight.lab.identify.trials import Trial, find_impact
+from dart_flight.lab.identify.recorded_impact import find_impact
+from dart_flight.lab.identify.trials import Trial
 from dart_flight.lab.identify.windows import cut, first_span, weigh
 from dart_flight.lab.predict.path import ContactMotion
 

@@ -12,8 +12,9 @@ import numpy as np
 from dart_flight.config.packages import missing_package
 from dart_flight.contact.coefficients import Array
 from dart_flight.contact.law import Onset
+from dart_flight.lab.identify.recorded_impact import noise_of
 from dart_flight.lab.identify.sample_fit import SampleFit
-from dart_flight.lab.identify.trials import Trial, noise_of
+from dart_flight.lab.identify.trials import Trial
 from dart_flight.lab.identify.windows import AFTER_S, BEFORE_S
 
 _DEAD = 1e-6  # in any unit: a recording that changes by less is not one

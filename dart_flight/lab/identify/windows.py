@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from dart_flight.config.document import InputError
 from dart_flight.contact.coefficients import Array
-from dart_flight.lab.identify.trials import Series, Trial, TrialImpact
+from dart_flight.lab.identify.recorded_impact import TrialImpact
+from dart_flight.lab.identify.trials import Series, Trial
 
 Mask = NDArray[np.bool_]
 

@@ -19,7 +19,8 @@ from dart_flight.contact.contact_map import drop
 from dart_flight.contact.law import Onset
 from dart_flight.lab.identify.fit import identify
 from dart_flight.lab.identify.fit_quality import assess_fit
-from dart_flight.lab.identify.trials import TrialReading, read_trials
+from dart_flight.lab.identify.trial_readers import read_trials
+from dart_flight.lab.identify.trials import TrialReading
 from dart_flight.lab.predict.path import ContactMotion
 from tests.doubles.ulog_file import write_ulog
 

@@ -10,7 +10,8 @@ import pytest
 from dart_flight.cli import main
 from dart_flight.config.document import InputError
 from dart_flight.lab.identify import whole_hits
-from dart_flight.lab.identify.trials import TrialReading, read_trials
+from dart_flight.lab.identify.trial_readers import read_trials
+from dart_flight.lab.identify.trials import TrialReading
 from tests.doubles.ulog_file import write_ulog
 
 
