@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from dart_flight.config.vehicle import Coefficients
-from dart_flight.lab.identify.held_out import HeldOut
 
 
 class Estimate(NamedTuple):
@@ -64,6 +63,56 @@ class TrialFit(NamedTuple):
     set_aside: SetAside
 
 
+class Errors(NamedTuple):
+    """Median size of the error on held-out hits; None where it cannot be judged.
+
+    Attributes:
+        peak_force: as a share of the measured peak.
+        outgoing_speed: as a share of the speed in.
+    """
+
+    peak_force: float | None
+    outgoing_speed: float | None
+
+
+class HeldOut(NamedTuple):
+    """The comparison of one mode.
+
+    Attributes:
+        mode: of the hits.
+        held_out: `speed` where all hits of one speed (or height) are left out together, else `trial`.
+        hits: how many were predicted.
+        law: errors of the paper's law; None where the hits cannot tell its coefficients.
+        baselines: errors by baseline; each predicts one of the two.
+        scatter: of repeats at one speed, the same measure; None without repeats.
+        earned: whether the law predicts better than the baselines in everything that could be judged.
+        sentence: this in words.
+    """
+
+    mode: str
+    held_out: str
+    hits: int
+    law: Errors | None
+    baselines: dict[str, Errors]
+    scatter: Errors
+    earned: bool
+    sentence: str
+
+
+class FitQuality(NamedTuple):
+    """A fit, judged.
+
+    Attributes:
+        good: nothing is further off than expected; None where there is nothing to judge by.
+        expected: quantity -> the most that a good fit is off, in its own unit.
+        says: a sentence per quantity that is not good; what to look at.
+    """
+
+    good: bool | None
+    expected: dict[str, float]
+    says: list[str]
+
+
 class Identification(NamedTuple):
     """Result of `identify`.
 
@@ -77,6 +126,7 @@ class Identification(NamedTuple):
         restitution: mode -> speed out over speed in, along the normal.
         tangential_ratio: mode -> the same along the wall.
         held_out: mode -> how well the law predicts hits it has not seen.
+        fit: whether to believe it.
     """
 
     coefficients: dict[str, dict[str, Estimate | None]]
@@ -88,6 +138,7 @@ class Identification(NamedTuple):
     restitution: dict[str, Estimate | None]
     tangential_ratio: dict[str, Estimate | None]
     held_out: dict[str, HeldOut]
+    fit: FitQuality
 
     def is_known(self, mode: str) -> bool:
         """Whether k and f of a mode are identified."""

@@ -15,7 +15,7 @@ import numpy as np
 from dart_flight.base.geometry import GRAVITY_M_S2
 from dart_flight.config.document import InputError
 from dart_flight.contact.coefficients import Array
-from dart_flight.lab.identify.recorded_impact import find_impact, noise_of
+from dart_flight.lab.identify.recorded_impact import TrialImpact, find_impact, free_spans_s, noise_of
 from dart_flight.lab.identify.trials import Series, Trial
 
 _WINDOW_S = 0.2  # free flight on either side
@@ -51,6 +51,7 @@ class MeasuredImpact:
         samples_in_contact: position samples in it.
         clipped: the sensor was at its limit; the peak is unknown then.
         notes: what a reader should know, in sentences.
+        turn: the turn from approaching to leaving that the recorded positions show.
     """
 
     name: str
@@ -71,6 +72,7 @@ class MeasuredImpact:
     samples_in_contact: int
     clipped: bool
     notes: tuple[str, ...] = ()
+    turn: TrialImpact | None = None
 
 
 def measure_impact(trial: Trial, mass_kg: float) -> MeasuredImpact:
@@ -143,12 +145,9 @@ def _of_motion(trial: Trial) -> MeasuredImpact:
     step = float(np.median(np.diff(time)))
     falls = trial.acceleration_m_s2 < 0.0
     bend, bend_sd = (trial.acceleration_m_s2, 1e-3) if falls else (0.0, _BEND_SD_M_S2)
-    spans = (_WINDOW_S, _WINDOW_S)
-    if falls:  # free only from the release on, and until the next contact
-        spans = (
-            min(0.85 * impact.approach_m_s / trial.acceleration_m_s2, _WINDOW_S),
-            min(1.5 * impact.rebound_m_s / -trial.acceleration_m_s2, _WINDOW_S),
-        )
+    spans = free_spans_s(
+        trial.acceleration_m_s2, -impact.approach_m_s, impact.rebound_m_s, (_WINDOW_S, _WINDOW_S)
+    )
     guard = max(_GUARD_S, 2.0 * step)
     begin, end = impact.turn_s - guard, impact.turn_s + guard
     flights: tuple[_FreeFlightFit, _FreeFlightFit]
@@ -189,6 +188,7 @@ def _of_motion(trial: Trial) -> MeasuredImpact:
         samples_in_contact=count,
         clipped=force.clipped,
         notes=force.notes,
+        turn=impact,
     )
 
 

@@ -140,3 +140,17 @@ def noise_of(series: Series) -> float:
         return 1e-3
     third = np.diff(series.value, 3)
     return max(float(1.4826 * np.median(np.abs(third - np.median(third))) / math.sqrt(20.0)), 1e-7)
+
+
+def free_spans_s(
+    acceleration_m_s2: float, speed_in_m_s: float, speed_out_m_s: float, longest_s: tuple[float, float]
+) -> tuple[float, float]:
+    """Return how long before and after its contact a vehicle flies freely, at most `longest_s` each.
+
+    A drop is free fall only from its release on, and after the rebound only until the next contact.
+    """
+    if acceleration_m_s2 >= 0.0:
+        return longest_s
+    fall_s = 0.85 * speed_in_m_s / -acceleration_m_s2
+    rise_s = 1.5 * max(speed_out_m_s, 0.0) / -acceleration_m_s2
+    return min(fall_s, longest_s[0]), min(rise_s, longest_s[1])

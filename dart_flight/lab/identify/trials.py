@@ -6,8 +6,9 @@ behind takes `Trial`s only.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -28,6 +29,7 @@ COLUMNS = (
     "specific_force_m_s2",
     "normal_acceleration_m_s2",
 )
+_DEAD = 1e-6  # in any unit: a recording that changes by less is not one
 
 
 class Series(NamedTuple):
@@ -108,3 +110,29 @@ class TrialReading:
     def kg(self) -> float:
         """What turns measured acceleration into force; DART's mass where none is given."""
         return 1.3 if self.mass_kg is None else self.mass_kg
+
+
+def without_derived(trials: Sequence[Trial]) -> tuple[list[Trial], list[str]]:
+    """Leave out what is no measurement: velocities differenced from the positions, dead channels.
+
+    The former would count twice; the latter seem to have no noise at all and would count for everything.
+    """
+    kept, notes = [], []
+    for trial in trials:
+        series = dict(trial.series)
+        for name in [n for n, (_, value) in series.items() if not value.size or float(np.ptp(value)) < _DEAD]:
+            if name != "normal_m":
+                del series[name]
+                notes.append(f"{trial.name}: {name} never changes and was not used")
+        for axis in ("normal", "tangential"):
+            position, velocity = series.get(f"{axis}_m"), series.get(f"{axis}_m_s")
+            if position is None or velocity is None or position.time_s.size < 20:
+                continue
+            slope = np.gradient(position.value, position.time_s)
+            own = velocity.value - np.interp(velocity.time_s, position.time_s, slope)
+            noise = np.std(np.diff(slope, 2)) / math.sqrt(6.0)
+            if np.median(np.abs(own)) < 0.2 * noise:
+                del series[f"{axis}_m_s"]
+                notes.append(f"{trial.name}: {axis}_m_s is the derivative of {axis}_m and was not used")
+        kept.append(replace(trial, series=series))
+    return kept, notes
