@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 from dart_flight.config.vehicle import Coefficients
+from dart_flight.lab.identify.measured_impacts import MeasuredImpact
 
 
 class Estimate(NamedTuple):
@@ -13,6 +15,11 @@ class Estimate(NamedTuple):
     value: float
     low: float
     high: float
+
+    @classmethod
+    def about(cls, value: float, half: float, least: float = -math.inf, most: float = math.inf) -> Estimate:
+        """Return a value and its symmetric interval, both kept within limits."""
+        return cls(*(min(max(v, least), most) for v in (value, value - half, value + half)))
 
 
 class SetAside(NamedTuple):
@@ -61,6 +68,26 @@ class TrialFit(NamedTuple):
     force_delay_s: float | None
     misfit: float | None
     set_aside: SetAside
+
+    @classmethod
+    def of_hit(cls, hit: MeasuredImpact) -> TrialFit:
+        """Return what is said of a trial whose samples are not fitted."""
+        return cls(
+            name=hit.name,
+            mode=hit.mode,
+            onset_s=hit.begin_s,
+            normal_m_s=-hit.normal_in_m_s,
+            tangential_m_s=hit.tangential_in_m_s,
+            samples_in_contact=hit.samples_in_contact,
+            push_m_s2=(0.0, 0.0),
+            used="whole",
+            normal_out_m_s=hit.normal_out_m_s,
+            tangential_out_m_s=hit.tangential_out_m_s,
+            peak_force_n=hit.peak_force_n,
+            force_delay_s=None,
+            misfit=None,
+            set_aside=SetAside(0, 0, hit.samples_in_contact),
+        )
 
 
 class Errors(NamedTuple):

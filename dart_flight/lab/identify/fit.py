@@ -18,11 +18,11 @@ import numpy as np
 
 from dart_flight.config.document import InputError
 from dart_flight.contact.law import Onset
-from dart_flight.lab.identify.estimates import Estimate, Identification
+from dart_flight.lab.identify.estimates import Estimate, Identification, TrialFit
 from dart_flight.lab.identify.fit_quality import assess_fit, errors_of, expected_residuals
 from dart_flight.lab.identify.held_out import hold_out
 from dart_flight.lab.identify.hit_fit import fit_hits
-from dart_flight.lab.identify.joint_fit import SampleResult, conclude, solve, whole_trial
+from dart_flight.lab.identify.joint_fit import SampleResult, conclude, solve
 from dart_flight.lab.identify.measured_impacts import MeasuredImpact, measure_impact
 from dart_flight.lab.identify.speed_ratios import friction, restitution, tangential_ratio
 from dart_flight.lab.identify.systematic_error import widen_intervals
@@ -68,7 +68,7 @@ def identify(trials: Sequence[Trial], mass_kg: float, onset: Onset) -> Identific
         coefficients=coefficients,
         plane_m=result.plane_m,
         residuals=result.residuals,
-        trials=[result.trials.get(i) or whole_trial(hit) for i, hit in enumerate(hits)],
+        trials=[result.trials.get(i) or TrialFit.of_hit(hit) for i, hit in enumerate(hits)],
         vertical_side=result.vertical_side,
         notes=notes,
         restitution={mode: restitution(own) for mode, own in members.items()},

@@ -52,18 +52,14 @@ class HitTable(NamedTuple):
     @classmethod
     def of(cls, hits: Sequence[MeasuredImpact]) -> HitTable:
         """From hits of one mode."""
-
-        def column(values: list[float | None]) -> Array:
-            return np.array([math.nan if v is None else v for v in values], dtype=float)
-
-        return cls(
-            column([h.normal_in_m_s for h in hits]),
-            column([h.normal_out_m_s for h in hits]),
-            column([h.peak_force_n for h in hits]),
-            column([h.contact_s for h in hits]),
-            column([h.compression_m for h in hits]),
-            column([h.acceleration_m_s2 for h in hits]),
-        )
+        rows = [
+            (
+                h.normal_in_m_s, h.normal_out_m_s, h.peak_force_n, h.contact_s, h.compression_m,
+                h.acceleration_m_s2,
+            )
+            for h in hits
+        ]  # fmt: skip
+        return cls(*np.array(rows, dtype=float).reshape(-1, 6).T)
 
     def only(self, which: NDArray[np.bool_] | NDArray[np.intp]) -> HitTable:
         """Some of the hits."""
@@ -108,7 +104,9 @@ class HitFit:
         self.hits, self.mass_kg, self.onset = hits, mass_kg, onset
         self._start = _start(hits, mass_kg)
         self._fuzzy = np.where(np.isfinite(hits.peak), 4.0, 1.0)
-        self._counts = np.ones(4 * hits.speed_in.size)
+        known = np.concatenate((hits.speed_out, hits.peak, hits.contact, hits.depth))
+        self._known = np.isfinite(known).reshape(4, -1)
+        self._counts, self._moved = np.ones(known.size), np.zeros(known.size)
 
     def solve(self) -> Array:
         """Return the logarithms of k and f that fit best.
@@ -137,16 +135,21 @@ class HitFit:
 
     def residuals(self, theta: Array) -> Array:
         """Weighted errors of the hits, then the prior."""
-        return np.concatenate((self._counts * self._errors(theta), (theta - self._start) / _PRIOR_SD))
+        errors = self._counts * (self._errors(theta) - self._moved)
+        return np.concatenate((errors, (theta - self._start) / _PRIOR_SD))
 
     def jacobian(self, theta: Array) -> Array:
         """Central differences."""
         return np.stack([difference(theta, j, self.residuals) for j in range(theta.size)], axis=1)
 
     def reweigh(self, theta: Array) -> None:
-        """Huber's weights."""
-        size = np.abs(self._errors(theta))
-        self._counts = np.sqrt(np.minimum(1.0, self.robust_from / np.maximum(size, 1e-12)))
+        """Replace the errors by Huber's pseudo-values, which have the same solution, and his covariance."""
+        errors = self._errors(theta).reshape(4, -1)
+        inside = (np.abs(errors) <= self.robust_from) & self._known
+        share = (inside.sum(axis=1) + 1.0) / (self._known.sum(axis=1) + 1.0)  # never 0
+        pseudo = np.clip(errors, -self.robust_from, self.robust_from) / share[:, None]
+        self._counts = np.sqrt(np.repeat(share, errors.shape[1]))
+        self._moved = (errors - pseudo).ravel()
 
     def variance(self, theta: Array) -> float:
         """The deviations are the law's own; a few hits that agree do not make it better than that."""

@@ -124,9 +124,8 @@ def conclude(fit: SampleFit, theta: Array, places: Sequence[int]) -> SampleResul
         places: of its trials in the call.
     """
     halves = half_widths(fit, theta)
-    half = float(halves[0])
-    plane = Estimate(float(theta[0]), float(theta[0]) - half, float(theta[0]) + half)
-    result = SampleResult(plane_m=plane, residuals=_residuals(fit, theta))
+    plane_m = Estimate.about(float(theta[0]), float(halves[0]))
+    result = SampleResult(plane_m=plane_m, residuals=_residuals(fit, theta))
     for i, (place, hit) in enumerate(zip(places, fit.hits, strict=True)):
         misfit, channel = _misfit(fit, theta, i)
         if misfit is not None and misfit > BAD_FIT:
@@ -166,7 +165,7 @@ def _friction(fit: SampleFit, theta: Array, halves: Array, members: list[int]) -
     value, half = float(theta[at]), float(halves[at])
     if not moving or (half > value and half * change > 0.3):
         return None
-    return Estimate(value, max(value - half, 0.0), value + half)
+    return Estimate.about(value, half, 0.0)
 
 
 def _vertical(
@@ -180,7 +179,7 @@ def _vertical(
     if half > max(value, 1.0):
         return None, None
     side = None if half > value else 1 if theta[at] > 0.0 else -1
-    return Estimate(value, max(value - half, 0.0), value + half), side
+    return Estimate.about(value, half, 0.0), side
 
 
 def _residuals(fit: SampleFit, theta: Array) -> dict[str, float]:
@@ -212,7 +211,7 @@ def _trial_fit(fit: SampleFit, theta: Array, i: int, hit: MeasuredImpact) -> Tri
     own, window = fit.parameters.own[i], fit.windows[i]
     before, after = (float(theta[own[f"n_{when}"]]) if "n_after" in own else 0.0 for when in PUSHES)
     gone = {name: window.counts[name] == 0.0 for name in window.series}
-    return whole_trial(hit)._replace(
+    return TrialFit.of_hit(hit)._replace(
         used="samples",
         onset_s=float(theta[own["onset"]]),
         normal_m_s=-float(theta[own["speed"]]),
@@ -225,24 +224,4 @@ def _trial_fit(fit: SampleFit, theta: Array, i: int, hit: MeasuredImpact) -> Tri
             sum(int((gone[n] & window.contact[n]).sum()) for n in gone),
             sum(int(c.sum()) for c in window.contact.values()),
         ),
-    )
-
-
-def whole_trial(hit: MeasuredImpact) -> TrialFit:
-    """What is said of a trial whose samples are not fitted."""
-    return TrialFit(
-        name=hit.name,
-        mode=hit.mode,
-        onset_s=hit.begin_s,
-        normal_m_s=-hit.normal_in_m_s,
-        tangential_m_s=hit.tangential_in_m_s,
-        samples_in_contact=hit.samples_in_contact,
-        push_m_s2=(0.0, 0.0),
-        used="whole",
-        normal_out_m_s=hit.normal_out_m_s,
-        tangential_out_m_s=hit.tangential_out_m_s,
-        peak_force_n=hit.peak_force_n,
-        force_delay_s=None,
-        misfit=None,
-        set_aside=SetAside(0, 0, hit.samples_in_contact),
     )

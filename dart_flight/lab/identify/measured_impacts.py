@@ -15,7 +15,13 @@ import numpy as np
 from dart_flight.base.geometry import GRAVITY_M_S2
 from dart_flight.config.document import InputError
 from dart_flight.contact.coefficients import Array
-from dart_flight.lab.identify.recorded_impact import TrialImpact, find_impact, free_spans_s, noise_of
+from dart_flight.lab.identify.recorded_impact import (
+    TrialImpact,
+    deviation_of,
+    find_impact,
+    free_spans_s,
+    noise_of,
+)
 from dart_flight.lab.identify.trials import Series, Trial
 
 _WINDOW_S = 0.2  # free flight on either side
@@ -107,7 +113,7 @@ class _FreeFlightFit:
             right[2] += bend / bend_sd**2
             self.line = np.linalg.solve(information, right)
             error = np.abs(value - design @ self.line)
-            scale = max(1.4826 * float(np.median(error)), 1e-6)
+            scale = max(deviation_of(error), 1e-6)
             weight = np.minimum(1.0, 2.0 * scale / np.maximum(error, 1e-12))
         self.noise = scale
         self.covariance = np.linalg.inv(information)
@@ -259,7 +265,7 @@ def _of_force(trial: Trial, begin: float, end: float) -> _ForcePulse:
     if before.sum() < 4 or near.sum() < 3:
         return _ForcePulse(notes=(f"{trial.name}: too few samples of normal_force_n about the contact",))
     level = float(np.median(value[before]))
-    noise = max(1.4826 * float(np.median(np.abs(value[before] - level))), 1e-6)
+    noise = max(deviation_of(value[before] - level), 1e-6)
     return _pulse(trial.name, time[near], value[near] - level, noise, 4.0 * float(np.median(np.diff(time))))
 
 
@@ -377,7 +383,7 @@ def _weightless_level(time: Array, value: Array, begun: int, noise: float, name:
     if calm.sum() < 8:
         raise InputError("the recording begins too late: no free fall before the impact", source=name)
     level = float(np.median(value[calm]))
-    return level, max(noise, 1.4826 * float(np.median(np.abs(value[calm] - level))))
+    return level, max(noise, deviation_of(value[calm] - level))
 
 
 def _extent_of_pulse(time: Array, felt: Array, begun: int, noise: float, loud: float) -> tuple[int, int]:

@@ -134,12 +134,17 @@ def _line_slope(time: Array, value: Array, impact: TrialImpact) -> float:
     return min(slope, -_SLOWEST_M_S)
 
 
+def deviation_of(errors: Array) -> float:
+    """Standard deviation from the median size of errors: deaf to outliers."""
+    return max(1.4826 * float(np.median(np.abs(errors))), 1e-9)
+
+
 def noise_of(series: Series) -> float:
     """Standard deviation of white noise on smooth motion, from third differences (evenly sampled)."""
     if series.value.size < 8:
         return 1e-3
     third = np.diff(series.value, 3)
-    return max(float(1.4826 * np.median(np.abs(third - np.median(third))) / math.sqrt(20.0)), 1e-7)
+    return max(deviation_of(third - np.median(third)) / math.sqrt(20.0), 1e-7)
 
 
 def free_spans_s(

@@ -23,7 +23,7 @@ from dart_flight.config.vehicle import Coefficients
 from dart_flight.contact.coefficients import Array
 from dart_flight.contact.law import Onset
 from dart_flight.lab.identify.measured_impacts import MeasuredImpact
-from dart_flight.lab.identify.recorded_impact import TrialImpact, free_spans_s
+from dart_flight.lab.identify.recorded_impact import free_spans_s
 from dart_flight.lab.identify.solver import HIGHEST_F, HIGHEST_K, LOWEST_F, LOWEST_K, difference
 from dart_flight.lab.identify.trials import Trial
 from dart_flight.lab.identify.windows import cut, weigh
@@ -116,7 +116,7 @@ class SampleFit:
     ) -> None:  # fmt: skip
         self.trials, self.hits, self.mass_kg, self.onset = list(trials), list(hits), mass_kg, onset
         self.parameters = Parameters(trials, pushed)
-        self.impacts = [_turn_of(hit) for hit in hits]
+        self.impacts = [hit.turn for hit in hits if hit.turn is not None]
         self.sd = dict(_FIRST_SD)
         position = float(np.median([impact.noise_m for impact in self.impacts]))
         for name in ("normal_m", "tangential_m", "vertical_m"):
@@ -178,13 +178,8 @@ class SampleFit:
 
     def block(self, theta: Array, i: int) -> Array:
         """Weighted residuals of trial i."""
-        window = self.windows[i]
-        predicted = self.predict(theta, i)
-        parts = [
-            window.counts[name] * (predicted[name] - series.value) / self.sd[name]
-            for name, series in window.series.items()
-        ]
-        return np.concatenate(parts)
+        counts, errors = self.windows[i].counts, self.errors(theta, i)
+        return np.concatenate([counts[name] * error / self.sd[name] for name, error in errors.items()])
 
     def prior(self, theta: Array) -> Array:
         """The plane's position; and next to nothing on the coefficients, so that none is ever singular."""
@@ -237,12 +232,6 @@ class SampleFit:
             for name, predicted in self.predict(theta, i).items()
         }
 
-    def _touching(self, theta: Array, i: int) -> tuple[float, float]:
-        """Begin and end of contact i: what the recording itself shows as contact is contact, whatever the law
-        makes of it."""
-        begin, end, _ = self.span(theta, i)
-        return min(begin, self.hits[i].begin_s), max(end, self.hits[i].end_s)
-
     def reweigh(self, theta: Array) -> None:
         """Cut windows about the contacts as found, then weigh each channel by its residuals."""
         names: dict[str, list[int]] = {}
@@ -250,7 +239,8 @@ class SampleFit:
             begin, end, contact = self.span(theta, i)
             out = float(contact.normal(end - begin)[1])
             before, after = self._free_s(trial, -contact.normal_m_s, out)
-            begin, end = self._touching(theta, i)
+            # What the recording itself shows as contact is contact, whatever the law makes of it.
+            begin, end = min(begin, self.hits[i].begin_s), max(end, self.hits[i].end_s)
             window = self.windows[i] = cut(trial, begin - before, end + after)
             for name, series in window.series.items():
                 window.contact[name][:] = (series.time_s >= begin) & (series.time_s <= end)
@@ -265,21 +255,18 @@ class SampleFit:
     def variance(self, theta: Array) -> float:
         """Mean square of the residuals, more where they are correlated: a filter's samples tell less."""
         data = sum(int(sum((c > 0.0).sum() for c in window.counts.values())) for window in self.windows)
-        squares = sum(float(np.sum(self.block(theta, i) ** 2)) for i in range(len(self.trials)))
-        return max(squares / max(data - self.parameters.size, 1), 1e-12) * self._correlation(theta)
-
-    def _correlation(self, theta: Array) -> float:
-        """Factor on the variances for residuals that are not independent, from their lag-1 correlation."""
-        products, squares, n = 0.0, 0.0, 0
+        misfit = sum(float(np.sum(self.block(theta, i) ** 2)) for i in range(len(self.trials)))
+        squares, products, n = 0.0, 0.0, 0
         for i, window in enumerate(self.windows):
             for name, error in self.errors(theta, i).items():
                 e = window.counts[name] * error / self.sd[name]
                 products += float(np.sum(e[1:] * e[:-1]))
                 squares += float(np.sum(e * e))
                 n += e.size
-        rho = min(products / squares if squares > 0.0 else 0.0, 0.95)
+        rho = min(products / squares if squares > 0.0 else 0.0, 0.95)  # between neighbours
         sure = rho - 2.0 / math.sqrt(n)  # what chance alone gives is no correlation
-        return (1.0 + rho) / (1.0 - rho) if sure > 0.0 else 1.0
+        correlated = (1.0 + rho) / (1.0 - rho) if sure > 0.0 else 1.0
+        return max(misfit / max(data - self.parameters.size, 1), 1e-12) * correlated
 
     def drawn_together(self) -> list[NDArray[np.intp]]:
         """Rows of whole trials; of few trials, of stretches of their channels."""
@@ -367,8 +354,3 @@ class SampleFit:
         error = series.value - self.contact(theta, i).normal(since)[0]
         # The plane may be off by centimetres: its part of the error is a constant.
         return float(np.mean(np.abs(error - np.median(error))))
-
-
-def _turn_of(hit: MeasuredImpact) -> TrialImpact:
-    assert hit.turn is not None, "only recorded positions are fitted"
-    return hit.turn

@@ -35,7 +35,7 @@ def _ratio(
         # The median of a normal sample spreads 1.25 times as much as its mean.
         spread = 1.25 * float(np.std(shares, ddof=1)) / math.sqrt(n)
         half = max(half, student_t(n - 1) * spread)
-    return Estimate(*(min(max(v, least), most) for v in (value, value - half, value + half)))
+    return Estimate.about(value, half, least, most)
 
 
 def restitution(hits: Sequence[MeasuredImpact]) -> Estimate | None:

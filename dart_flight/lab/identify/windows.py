@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from dart_flight.config.document import InputError
 from dart_flight.contact.coefficients import Array
+from dart_flight.lab.identify.recorded_impact import deviation_of
 from dart_flight.lab.identify.trials import Series, Trial
 
 Mask = NDArray[np.bool_]
@@ -65,11 +66,6 @@ def cut(trial: Trial, begin: float, end: float) -> TrialWindow:
                 counts[name] = np.ones(int(inside.sum()))
                 contact[name] = np.zeros(int(inside.sum()), dtype=bool)
     return TrialWindow(series, counts, contact)
-
-
-def deviation_of(errors: Array) -> float:
-    """Standard deviation from the median size of errors: deaf to outliers."""
-    return max(1.4826 * float(np.median(np.abs(errors))), 1e-9)
 
 
 def weigh(errors: list[Array], contacts: list[Mask]) -> tuple[list[Array], float]:
