@@ -28,6 +28,7 @@ from dart_flight.base.records import (
     StatusText,
 )
 from dart_flight.base.streams import BY_NAME
+from dart_flight.base.text import battery_figures
 from dart_flight.core.guard.flight_conditions import FlightConditions, Stamped
 from dart_flight.core.guard.heading_step import HEADING_STEP_DEG
 from dart_flight.core.mission.phases import ALTITUDE_EXEMPT, ON_GROUND
@@ -246,9 +247,7 @@ def _battery(v: FlightConditions) -> str | None:
     if v.lasting_s(v.battery_low_since_us) <= v.config.battery_low_s:
         return None
     status = v.state.status
-    left = "" if status.battery_remaining is None else f"{100.0 * status.battery_remaining:.0f} %"
-    volts = "" if status.battery_v is None else f"{status.battery_v:.1f} V"
-    return ", ".join(part for part in (left, volts) if part)
+    return ", ".join(battery_figures(status.battery_remaining, status.battery_v))
 
 
 def _hover_thrust(v: FlightConditions) -> str | None:
