@@ -28,9 +28,9 @@ from dart_flight.contact.contact_map import drop
 from dart_flight.contact.law import Onset
 from dart_flight.lab.identify.fit import identify
 from dart_flight.lab.identify.held_out import hold_out
+from dart_flight.lab.identify.hit_fit import HitFit, HitTable, predict
 from dart_flight.lab.identify.measured_impacts import MeasuredImpact, measure_impact
 from dart_flight.lab.identify.trials import Series, Trial
-from dart_flight.lab.identify.whole_fit import HitTable, fit, predict
 
 DROP_MASS_KG = 0.241
 WALL_MASS_KG = 1.234
@@ -253,7 +253,7 @@ def judge_walls(trials: Sequence[Trial]) -> None:
     rest = weights == 0.0
     errors: dict[str, tuple[Array, Array]] = {}
     if table.is_enough:
-        fits = [np.exp(fit(table.only(row > 0.0), WALL_MASS_KG, Onset.LCP).logs) for row in weights]
+        fits = [np.exp(HitFit(table.only(row > 0.0), WALL_MASS_KG, Onset.LCP).solve()) for row in weights]
         outcomes = [predict(k, f, table, WALL_MASS_KG, Onset.LCP) for k, f in fits]
         errors["law"] = (
             np.array([one.peak_normal_force_n for one in outcomes]) / table.peak - 1.0,

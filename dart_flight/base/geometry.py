@@ -215,6 +215,11 @@ def wrap_angle(angle_rad: float) -> float:
     return -math.pi if wrapped >= 2.0 * math.pi else wrapped - math.pi
 
 
+def wrap_deg(angle_deg: float) -> float:
+    """Return the same angle in [-180, 180), degrees."""
+    return math.degrees(wrap_angle(math.radians(angle_deg)))
+
+
 # --- the frame of a mission ---------------------------------------------------------------------------
 
 

@@ -1,7 +1,8 @@
-"""Escapes for external text (paths, names, messages) that goes to terminals, JSON and files.
+"""Text for terminals, JSON and files: a battery's figures, and escapes for external text.
 
-Python decodes bytes of a file name that are not UTF-8 to surrogates, which no encoder accepts. They are
-printed as `\\xff`. A character that the output's encoding lacks is printed as ASCII or as an escape.
+External text is paths, names and messages. Python decodes bytes of a file name that are not UTF-8 to
+surrogates, which no encoder accepts. They are printed as `\\xff`. A character that the output's encoding
+lacks is printed as ASCII or as an escape.
 """
 
 from __future__ import annotations
@@ -11,6 +12,13 @@ import codecs
 ESCAPED = "dart_flight.escaped"  # error handler for `str.encode` and `open`
 _ASCII = {"\N{NO-BREAK SPACE}": " ", "±": "+/-", "→": "->", "°": " deg", "…": "...", "–": "-", "−": "-"}
 _FIRST_BYTE, _LAST_BYTE = 0xDC80, 0xDCFF  # surrogates that represent single bytes
+
+
+def battery_figures(remaining: float | None, voltage_v: float | None) -> list[str]:
+    """Return the known ones of a battery's charge and voltage, such as ["95 %", "16.2 V"]."""
+    charge = None if remaining is None else f"{100.0 * remaining:.0f} %"
+    voltage = None if voltage_v is None else f"{voltage_v:.1f} V"
+    return [figure for figure in (charge, voltage) if figure is not None]
 
 
 def printable(text: str) -> str:

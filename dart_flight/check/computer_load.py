@@ -31,16 +31,6 @@ _FLIGHT_FACTOR = 2.5  # a sample of recorded flights (0.07 to 0.08 ms) over one 
 _LEAST_MARGIN = 4.0  # below, the core with log and link has no processor of its own any more
 
 
-def check_this_computer(mission: Mission, found: Sequence[CheckFinding] = ()) -> list[CheckFinding]:
-    """Check whether the computer that this runs on has time for a flight, and is well.
-
-    Args:
-        mission: to be flown.
-        found: findings on the mission itself, whose words are not repeated.
-    """
-    return [check_lateness(mission), check_core_speed(mission, found), *check_computer()]
-
-
 def check_lateness(mission: Mission) -> CheckFinding:
     """Measure for half a second how late this program runs: a no-go where the guard would see silence."""
     late_s = measure_lateness_s()

@@ -9,9 +9,7 @@ from collections.abc import Iterator
 from dart_flight.base.geometry import Vec3
 from dart_flight.base.records import AfterImpact
 from dart_flight.check.findings import CheckFinding
-from dart_flight.check.place_check import check_heading
-from dart_flight.check.probe_check import check_anchors, check_found, check_probe
-from dart_flight.check.wall_check import check_walls
+from dart_flight.check.probe_check import check_found, check_probe
 from dart_flight.config.mission import Collision, Mission
 from dart_flight.core.mission.approach import (
     NoApproachError,
@@ -51,34 +49,6 @@ _LEG_POINTS = 50
 _PEAK_SPEED = 1.875  # over the mean, of a transit
 
 
-def check_mission(mission: Mission) -> list[CheckFinding]:
-    """What can be judged without a vehicle."""
-    findings = [*_check_places(mission), *check_heading(mission)]
-    planned = predict_flight_path(mission)
-    findings += _check_waypoints(mission, planned)
-    for collision in mission.collisions:
-        if collision.wall.sought and collision.probe is None:
-            findings += [*check_found(collision), *_check_force(mission, collision)]
-            continue
-        findings += _check_approach(mission, collision)
-        if collision.probe is not None:
-            findings += check_probe(mission, collision, collision.probe)
-            continue
-        findings += _check_force(mission, collision)
-        findings += _check_noise(mission, collision)
-        findings += _check_envelope(mission, collision)
-        findings += _check_recovery(mission, collision, planned)
-        findings += _check_servo(mission, collision)
-    if planned is not None:
-        findings += _check_path(mission, planned)
-        findings += _check_goal(mission, planned)
-    findings += check_walls(mission, planned)
-    findings += check_anchors(mission)
-    findings += _check_coefficients(mission)
-    findings.append(_check_flown(mission))
-    return findings
-
-
 def predict_flight_path(mission: Mission) -> PredictedFlight | None:
     """The flight by the planner's model; None where an approach cannot even be flown, which is a finding, or
     where it depends on walls that nobody knows yet."""
@@ -94,7 +64,8 @@ def predict_flight_path(mission: Mission) -> PredictedFlight | None:
     return predict_mission(mission)
 
 
-def _check_places(mission: Mission) -> list[CheckFinding]:
+def check_places(mission: Mission) -> list[CheckFinding]:
+    """Whether start, goal, waypoints and walls lie within the bounds, clear of each other."""
     findings = []
     places = [("start", mission.start), ("goal", mission.goal.position_m)]
     places += [(w.name, w.position[:2]) for w in mission.waypoints if w.position is not None]
@@ -130,7 +101,7 @@ def _check_places(mission: Mission) -> list[CheckFinding]:
     return findings
 
 
-def _check_waypoints(mission: Mission, planned: PredictedFlight | None) -> list[CheckFinding]:
+def check_waypoints(mission: Mission, planned: PredictedFlight | None) -> list[CheckFinding]:
     """Whether no wall stands between waypoints, and the legs can be flown as asked."""
     legs = predicted_segments(mission, {} if planned is None else planned.hits)
     if not legs:
@@ -161,6 +132,24 @@ def _check_waypoints(mission: Mission, planned: PredictedFlight | None) -> list[
             slower = f"{leg.name}: the way is too short for {leg.speed_m_s:g} m/s, {peak:.2f} are reached"
             findings.append(CheckFinding("waypoint_speed", True, slower, remark=True))
     return findings
+
+
+def check_collisions(mission: Mission, planned: PredictedFlight | None) -> Iterator[CheckFinding]:
+    """Judge each collision: its way, force, noise, envelope, recovery, and the lock's time."""
+    for collision in mission.collisions:
+        if collision.wall.sought and collision.probe is None:
+            yield from check_found(collision)
+            yield from _check_force(mission, collision)
+            continue
+        yield from _check_approach(mission, collision)
+        if collision.probe is not None:
+            yield from check_probe(mission, collision, collision.probe)
+            continue
+        yield from _check_force(mission, collision)
+        yield from _check_noise(mission, collision)
+        yield from _check_envelope(mission, collision)
+        yield from _check_recovery(mission, collision, planned)
+        yield from _check_servo(mission, collision)
 
 
 def _check_approach(mission: Mission, collision: Collision) -> list[CheckFinding]:
@@ -238,8 +227,10 @@ def _check_envelope(mission: Mission, collision: Collision) -> list[CheckFinding
     ]
 
 
-def _check_path(mission: Mission, planned: PredictedFlight) -> list[CheckFinding]:
+def check_path(mission: Mission, planned: PredictedFlight | None) -> list[CheckFinding]:
     """Whether the vehicle stays within the bounds, and would if it were told to stop: as the guard judges."""
+    if planned is None:
+        return []
     worst, where, stops = 0.0, (0.0, 0.0), False
     for x, y, vx, vy in _states(mission, planned):
         share = STOP_TIME_S * stop_share(mission.walls, (x, y), (vx, vy))
@@ -260,9 +251,9 @@ def _check_path(mission: Mission, planned: PredictedFlight) -> list[CheckFinding
     ]
 
 
-def _check_goal(mission: Mission, planned: PredictedFlight) -> list[CheckFinding]:
+def check_goal(mission: Mission, planned: PredictedFlight | None) -> list[CheckFinding]:
     """Whether the last recovery is predicted to reach the goal; one that only passes it is a remark."""
-    if not mission.recovers_to_goal or mission.standoff_m is not None:
+    if planned is None or not mission.recovers_to_goal or mission.standoff_m is not None:
         return []
     if planned.goal_miss_m is None:
         says = "the model cannot predict the flight up to the goal"
@@ -401,7 +392,7 @@ def _check_servo(mission: Mission, collision: Collision) -> list[CheckFinding]:
     return [CheckFinding(item, go, says)]
 
 
-def _check_flown(mission: Mission) -> CheckFinding:
+def check_flown(mission: Mission) -> CheckFinding:
     """Return how the mission flew in simulation, and whether it has changed since."""
     flown = mission.flown
     again = f"dart-flight dry-run {shlex.quote(mission.source)} --fast --runs 20 --vary all"
@@ -424,7 +415,8 @@ def _check_flown(mission: Mission) -> CheckFinding:
     return CheckFinding("flown", True, says, remark=flown.failure is not None, figures=figures)
 
 
-def _check_coefficients(mission: Mission) -> list[CheckFinding]:
+def check_materials(mission: Mission) -> list[CheckFinding]:
+    """Return where the coefficients of each material are from."""
     findings = []
     for name in sorted({c.wall.material for c in mission.collisions if c.wall.material_known}):
         source = mission.vehicle.materials[name].source

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator
 from typing import Final
 
-from dart_flight.base.geometry import MissionFrame, Quaternion, Vec2, Vec3, wrap_angle, yaw_ned_of
+from dart_flight.base.geometry import MissionFrame, Quaternion, Vec2, Vec3, wrap_angle, wrap_deg, yaw_ned_of
 from dart_flight.check.findings import CheckFinding
 from dart_flight.config.mission import Mission
 from dart_flight.core.mission.anchors import START_SD_M
@@ -114,12 +114,9 @@ def _judge_heading(mission: Mission, heading_deg: float) -> Iterator[CheckFindin
     given = mission.frame.heading_deg
     in_radians = math.degrees(given)
     if 0.0 < abs(given) <= 2.0 * math.pi and (
-        _apart_deg(heading_deg, in_radians) < _FITS_DEG and _apart_deg(heading_deg, given) > _MISFITS_DEG
+        abs(wrap_deg(heading_deg - in_radians)) < _FITS_DEG
+        and abs(wrap_deg(heading_deg - given)) > _MISFITS_DEG
     ):
         says = f"frame.heading_deg {given:g} looks like radians: the vehicle's heading is {heading_deg:.0f} "
         says += f"deg, and {given:g} rad are {in_radians % 360.0:.0f} deg; give degrees"
         yield CheckFinding("heading", False, says)
-
-
-def _apart_deg(a: float, b: float) -> float:
-    return abs((a - b + 180.0) % 360.0 - 180.0)

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from typing import NamedTuple
 
 from dart_flight.base.geometry import GRAVITY_M_S2
 from dart_flight.base.motor_outputs import DSHOT, PWM, UAVCAN, OutputScale
 from dart_flight.base.streams import BY_NAME
+from dart_flight.base.text import battery_figures
 from dart_flight.check.findings import CheckFinding
 from dart_flight.config.mission import Mission
 from dart_flight.vehicle.batteries import describe_reading
@@ -18,6 +20,41 @@ _REST_TOLERANCE = 0.3  # share of g; an accelerometer in another unit is off by 
 _ARRIVES_HZ = 0.2  # slower: one or two messages, not a stream
 
 
+class StreamRate(NamedTuple):
+    """How fast usable samples of a stream arrive.
+
+    Attributes:
+        name: in the stream table.
+        rate_hz: of usable samples.
+        enough: whether that is what a mission needs.
+        unusable: why messages bring no usable samples, if that is why there are too few.
+    """
+
+    name: str
+    rate_hz: float
+    enough: bool
+    unusable: str | None
+
+    @property
+    def says(self) -> str:
+        """The rate and what is needed, or why there is none."""
+        return self.unusable or f"{self.rate_hz:.0f} Hz, needs {BY_NAME[self.name].expected_hz:g}"
+
+
+def stream_rates(rates_hz: Mapping[str, float], unusable: Mapping[str, str]) -> list[StreamRate]:
+    """Compare the rates of usable samples with what a mission needs.
+
+    Args:
+        rates_hz: by the stream table's names.
+        unusable: reason by stream, for streams with a message that is not usable.
+    """
+    slow = {name: rate < BY_NAME[name].expected_hz for name, rate in rates_hz.items()}
+    return [
+        StreamRate(name, rate, not slow[name], unusable.get(name) if slow[name] else None)
+        for name, rate in rates_hz.items()
+    ]
+
+
 def judge_rates(observed: Observation, values: Mapping[str, float]) -> list[CheckFinding]:
     """Return a finding for each stream: enough usable samples, or the reason why not.
 
@@ -25,16 +62,12 @@ def judge_rates(observed: Observation, values: Mapping[str, float]) -> list[Chec
         observed: rates and senders.
         values: parameters read from the vehicle, with `LOOPBACK` if the vehicle has it.
     """
-    findings, unusable = [], unusable_streams(observed.sources)
-    for name, rate in observed.rates_hz.items():
-        needed = BY_NAME[name].expected_hz
-        says = f"{rate:.0f} Hz, needs {needed:g}"
-        if rate < needed:
-            says = unusable.get(name, says)
-        go = rate >= needed
-        if name == "odometry" and values.get(LOOPBACK):
+    findings = []
+    for stream in stream_rates(observed.rates_hz, unusable_streams(observed.sources)):
+        go, says = stream.enough, stream.says
+        if stream.name == "odometry" and values.get(LOOPBACK):
             go, says = False, f"{says}: {LOOPBACK} is {values[LOOPBACK]:g}, set it to 0"
-        findings.append(CheckFinding(f"rate_{name}", go, says))
+        findings.append(CheckFinding(f"rate_{stream.name}", go, says))
     return findings
 
 
@@ -75,11 +108,7 @@ def judge_battery(mission: Mission, observed: Observation) -> CheckFinding:
     low = (left is not None and left < 2.0 * guard.battery_remaining) or (
         volts is not None and volts < guard.battery_v
     )
-    parts = (
-        f"{100.0 * left:.0f} %" if left is not None else "",
-        f"{volts:.1f} V" if volts is not None else "",
-    )
-    says = ", ".join(part for part in parts if part) or "not reported"
+    says = ", ".join(battery_figures(left, volts)) or "not reported"
     if observed.battery_id is not None:
         says = f"id {observed.battery_id}: {says}"
     also = [r for r in observed.batteries if r.id != observed.battery_id]

@@ -8,7 +8,8 @@ from pathlib import Path
 
 from dart_flight.check.bringup import progress
 from dart_flight.check.bringup.judgements import StepFinding, StepOutcome
-from dart_flight.check.bringup.steps import HANDS, STEPS, WAIT_S, Bringup
+from dart_flight.check.bringup.steps import STEPS, WAIT_S, Bringup
+from dart_flight.check.stages import run_checks
 from dart_flight.cli.options import add_driver_option, link_of, number
 from dart_flight.cli.terminal import emit_json, print_status
 from dart_flight.cli.vehicle_line import say_vehicle
@@ -58,15 +59,15 @@ def run(arguments: argparse.Namespace) -> int:
     with LinkLease(url, "bringup") as lease:
         bringup = Bringup(mission, url, _Terminal(), arguments.wait, lease.close_device)
         try:
-            for k, step in enumerate(record.steps, start=1):
-                print_status(f"{k}. {step.name}: {STEPS[step.name]}")
-                if step.result is StepOutcome.PASS and not arguments.again:
-                    print_status(f"  passed on {step.date}")
+            for k, (step, before) in enumerate(zip(STEPS, record.steps, strict=True), start=1):
+                print_status(f"{k}. {step.name}: {step.what}")
+                if before.result is StepOutcome.PASS and not arguments.again:
+                    print_status(f"  passed on {before.date}")
                     continue
-                if arguments.yes and step.name in HANDS:
+                if arguments.yes and step.by_hand:
                     finding = StepFinding(StepOutcome.NEEDS_OPERATOR, "needs somebody at the vehicle")
                 else:
-                    finding = bringup.carry_out(step.name)
+                    (finding,) = run_checks([step], bringup)
                 progress.note(record, step.name, finding)
                 written = progress.save(record, folder)
                 print_status(f"  {finding.result.value}: {finding.message}")

@@ -6,13 +6,9 @@ import argparse
 
 from rich.console import Console
 
-from dart_flight.check.computer_load import check_this_computer
+from dart_flight.check.checks import FlightContext, checks_of
 from dart_flight.check.findings import CheckReport, decide
-from dart_flight.check.inherited_check import check_inherited
-from dart_flight.check.log_space import check_log_space
-from dart_flight.check.mission_check import check_mission
-from dart_flight.check.px4_parameters import judge_claim
-from dart_flight.check.vehicle_check import check_vehicle
+from dart_flight.check.stages import Stage, run_checks
 from dart_flight.cli.mission_picture import add_plot_option, write_picture
 from dart_flight.cli.options import (
     add_driver_option,
@@ -47,16 +43,14 @@ def run(arguments: argparse.Namespace) -> int:
     mission = with_driver(mission, arguments.driver)
     if arguments.plot is not None:
         write_picture(mission, arguments.plot)
-    findings = [*check_mission(mission), check_log_space(mission, arguments.log_dir)]
-    findings += check_this_computer(mission, findings)
-    findings += check_inherited(mission)
+    context = FlightContext(mission, arguments.log_dir, position_from=arguments.position_from)
     if arguments.connection is not None:
-        url = link_of(arguments, mission.vehicle.connection)
-        with LinkLease(url, "check"):
-            findings += check_vehicle(mission, url, arguments.position_from)
-    elif arguments.position_from is not None:
-        findings += judge_claim(mission, arguments.position_from)
-    report = decide(mission, findings, arguments.overrule)
+        context.url = link_of(arguments, mission.vehicle.connection)
+    run_checks(checks_of(Stage.FILE, Stage.COMPUTER, Stage.DESK), context)
+    if context.url is not None:
+        with LinkLease(context.url, "check"):
+            run_checks(checks_of(Stage.VEHICLE), context)
+    report = decide(mission, context.found, arguments.overrule)
     say_vehicle(mission.flown_vehicle(), arguments)
     if arguments.json:
         emit_json(report)

@@ -7,11 +7,9 @@ import contextlib
 import shlex
 import sys
 
-from dart_flight.check.computer_load import check_this_computer
+from dart_flight.check.checks import FlightContext, checks_of
 from dart_flight.check.findings import CheckFinding, decide
-from dart_flight.check.log_space import check_log_space
-from dart_flight.check.mission_check import check_mission
-from dart_flight.check.vehicle_check import check_vehicle
+from dart_flight.check.stages import Stage, run_checks
 from dart_flight.cli.check_command import show
 from dart_flight.cli.flight_output import FlightLines, exit_status, live_line_for, show_end
 from dart_flight.cli.live_options import add_live_options, live_view
@@ -59,9 +57,8 @@ def _fly(arguments: argparse.Namespace, mission: Mission, url: str, lease: LinkL
         print_status(see)
     say_vehicle(mission.flown_vehicle(), arguments)
     console.print(_flight_summary(mission, url), soft_wrap=True)
-    findings = [*check_mission(mission), check_log_space(mission, arguments.log_dir)]
-    findings += check_this_computer(mission, findings)
-    findings += check_vehicle(mission, url, arguments.position_from)
+    context = FlightContext(mission, arguments.log_dir, url, arguments.position_from)
+    findings = run_checks(checks_of(Stage.FILE, Stage.COMPUTER, Stage.VEHICLE), context)
     verdict = fly_if_go(arguments, mission, url, lease, findings)
     if verdict is None:
         return 1

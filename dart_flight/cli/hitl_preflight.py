@@ -11,8 +11,10 @@ from collections.abc import Callable, Mapping
 from functools import partial
 
 from dart_flight.base.errors import FlightError
+from dart_flight.check.checks import FlightContext, checks_of
 from dart_flight.check.findings import decide
-from dart_flight.check.hitl_check import check_hitl, hitl_parameters
+from dart_flight.check.hitl_check import hitl_parameters
+from dart_flight.check.stages import Stage, run_checks
 from dart_flight.cli.check_command import show
 from dart_flight.cli.options import link_of
 from dart_flight.cli.terminal import messages, print_status
@@ -45,9 +47,10 @@ def prepare_hitl(
         raise InputError(
             "is also the app's link; the flight controller needs a port for each", key=("--hitl",)
         )
+    context = FlightContext(mission, url=url, position_from=position_from)
     with LinkLease(url, "dry-run --hitl"):
-        ready = check_hitl(mission, url, position_from)
-    report = decide(mission, ready.findings)
+        run_checks(checks_of(Stage.HITL), context)
+    report = decide(mission, context.found)
     show(report, messages())
     if not report.go:
         raise FlightError("flight controller not ready for hardware in the loop; not flown")
@@ -56,7 +59,7 @@ def prepare_hitl(
         fly_hitl,
         hitl_url=hitl_url,
         url=url,
-        motors=ready.motors,
+        motors=context.vehicle.motors,
         position_from=position_from,
         spreads=spreads,
     )

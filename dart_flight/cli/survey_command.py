@@ -14,8 +14,8 @@ import msgspec
 import yaml
 from rich.table import Table
 
-from dart_flight.check.mission_check import check_mission
-from dart_flight.check.vehicle_check import check_vehicle
+from dart_flight.check.checks import FlightContext, checks_of
+from dart_flight.check.stages import Stage, run_checks
 from dart_flight.cli.dry_run_command import flight_function
 from dart_flight.cli.flight_output import FlightLines, exit_status, figure_or_dash, live_line_for, show_end
 from dart_flight.cli.fly_command import fly_if_go
@@ -176,7 +176,8 @@ def _fly(arguments: argparse.Namespace, mission: Mission) -> Verdict | None:
     if arguments.connection is not None:
         url = link_of(arguments, mission.vehicle.connection)
         with LinkLease(url, "survey") as lease:
-            findings = [*check_mission(mission), *check_vehicle(mission, url, arguments.position_from)]
+            context = FlightContext(mission, url=url, position_from=arguments.position_from)
+            findings = run_checks(checks_of(Stage.FILE, Stage.VEHICLE), context)
             return fly_if_go(arguments, mission, url, lease, findings)
     fly = flight_function(arguments, mission)
     live_line = None if arguments.fast else live_line_for(mission, console)

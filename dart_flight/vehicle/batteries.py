@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-
+from dart_flight.base.text import battery_figures
 from dart_flight.vehicle.messages import BatteryReading
 
 # A supply that never exceeds this share of the landing voltage is no flight battery.
@@ -65,8 +64,5 @@ class Batteries:
 
 def describe_reading(reading: BatteryReading) -> str:
     """Return text such as "id 0: 16.2 V, 95 %"."""
-    parts: Iterable[str] = (
-        "" if reading.voltage_v is None else f"{reading.voltage_v:.1f} V",
-        "" if reading.remaining is None else f"{100.0 * reading.remaining:.0f} %",
-    )
-    return f"id {reading.id}: " + ", ".join(part for part in parts if part)
+    figures = battery_figures(reading.remaining, reading.voltage_v)
+    return f"id {reading.id}: {', '.join(reversed(figures))}"

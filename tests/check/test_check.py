@@ -16,7 +16,6 @@ from hypothesis import strategies as st
 from dart_flight.base.motor_outputs import DSHOT, PWM, OutputScale
 from dart_flight.base.records import Record, TruthContact, TruthSample
 from dart_flight.check.findings import CheckFinding, decide
-from dart_flight.check.mission_check import check_mission
 from dart_flight.check.px4_parameters import (
     IMU_POSITION,
     PARAMETERS,
@@ -48,6 +47,7 @@ from dart_flight.vehicle.ground_link import HeartbeatMode, Observation, Source
 from dart_flight.vehicle.messages import BatteryReading
 from dart_flight.vehicle.vehicle_session import Sender
 from tests.flights.test_embedded_flights import simulated_vehicle
+from tests.mission_findings import check_mission
 
 ROOT = Path(__file__).parents[2]
 DUAL = (ROOT / "missions/paper_dual_collision.yaml").read_text()
@@ -361,7 +361,7 @@ OBSERVED = Observation("1.16.0", RATES, 15.6, 0.9, True)
 
 def judged(observed: Observation, **values: float) -> dict[str, CheckFinding]:
     findings = [
-        *judge_observation(mission(), observed),
+        *judge_observation(observed),
         *judge_rates(observed, values),
         *judge_sources(observed),
         judge_battery(mission(), observed),

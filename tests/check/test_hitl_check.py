@@ -6,7 +6,11 @@ from collections.abc import Mapping
 
 import pytest
 
-from dart_flight.check.hitl_check import hitl_parameters, judge_hitl
+from dart_flight.check.checks import FlightContext, checks_of
+from dart_flight.check.findings import CheckFinding
+from dart_flight.check.hitl_check import hitl_parameters
+from dart_flight.check.stages import Stage, run_checks
+from dart_flight.check.vehicle_reading import VehicleReading
 from dart_flight.config.mission import Mission
 from dart_flight.config.parameter_file import PositionSource
 from dart_flight.config.rotors import rotor_parameters
@@ -31,19 +35,27 @@ def board(mission: Mission) -> dict[str, float]:
     return {**GOOD, **motors, **{p.name: float(p.value) for p in hitl_parameters().values()}, **io}
 
 
+def found_of(
+    mission: Mission, values: Mapping[str, float], mode: HeartbeatMode | None = READY
+) -> list[CheckFinding]:
+    reading = VehicleReading(mode, values)
+    context = FlightContext(mission, position_from=PositionSource.MOCAP, reading=reading)
+    return run_checks(checks_of(Stage.HITL), context)
+
+
 def refusals(
     mission: Mission, values: Mapping[str, float], mode: HeartbeatMode | None = READY
 ) -> dict[str, str]:
-    found = judge_hitl(mission, values, mode, PositionSource.MOCAP).findings
-    return {f.item: f.says for f in found if not f.go}
+    return {f.item: f.says for f in found_of(mission, values, mode) if not f.go}
 
 
 def test_all_well_on_a_board_and_in_a_build_without_boards(mission: Mission, board: dict[str, float]) -> None:
-    ready = judge_hitl(mission, board, READY, PositionSource.MOCAP)
-    assert [f.item for f in ready.findings if not f.go] == []
-    assert ready.motors is not None
-    assert len(ready.motors) == 4
-    assert "COM_OF_LOSS_T" in {f.item for f in ready.findings}  # the vehicle's own are judged as ever
+    ready = found_of(mission, board)
+    assert [f.item for f in ready if not f.go] == []
+    motors = VehicleReading(READY, board).motors
+    assert motors is not None
+    assert len(motors) == 4
+    assert "COM_OF_LOSS_T" in {f.item for f in ready}  # the vehicle's own are judged as ever
     posix = {n: v for n, v in board.items() if not n.startswith(("HIL_", "SYS_USB_AUTO", "PWM_AUX"))}
     assert refusals(mission, {**posix, "PWM_MAIN_FUNC1": 101.0}) == {}
 

@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 
 from dart_flight.base.geometry import quaternion_from_euler
 from dart_flight.check.findings import CheckFinding
-from dart_flight.check.mission_check import check_mission
 from dart_flight.check.place_check import judge_place
 from dart_flight.config.mission import Mission, load_mission
 from dart_flight.config.vehicle import packaged
+from tests.mission_findings import check_mission
 
 DUAL = load_mission(packaged("missions", "dual_collision.yaml"))
 

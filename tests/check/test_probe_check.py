@@ -8,9 +8,9 @@ from typing import Any
 import pytest
 
 from dart_flight.check.findings import CheckFinding
-from dart_flight.check.mission_check import check_mission
 from dart_flight.config.mission import load_mission
 from dart_flight.config.vehicle import packaged
+from tests.mission_findings import check_mission
 
 
 def findings(name: str, changes: Mapping[str, Any] | None = None) -> dict[str, CheckFinding]:

@@ -10,8 +10,9 @@ from pathlib import Path
 
 import pytest
 
+from dart_flight.check.checks import FlightContext
 from dart_flight.check.findings import CheckFinding
-from dart_flight.check.hitl_check import HitlReadiness
+from dart_flight.check.vehicle_reading import VehicleReading
 from dart_flight.cli import hitl_preflight, main
 
 MISSION = str(Path(__file__).parents[2] / "missions" / "single_wall.yaml")
@@ -66,7 +67,13 @@ def test_one_port_by_two_names_is_one_port(tmp_path: Path, capsys: pytest.Captur
 def ready(monkeypatch: pytest.MonkeyPatch) -> list[CheckFinding]:
     """What a flight controller at the link is found to be; a flight would fail the test."""
     findings = [CheckFinding("disarmed", True, "disarmed")]
-    monkeypatch.setattr(hitl_preflight, "check_hitl", lambda *_: HitlReadiness(findings, None))
+
+    def find(_: object, context: FlightContext) -> list[CheckFinding]:
+        context.reading = VehicleReading(None, {})
+        context.found += findings
+        return findings
+
+    monkeypatch.setattr(hitl_preflight, "run_checks", find)
 
     def fly(**_: object) -> None:
         pytest.fail("flown")

@@ -12,7 +12,6 @@ from pathlib import Path
 
 import pytest
 
-from dart_flight.check.mission_check import check_mission
 from dart_flight.cli import COMMANDS, main
 from dart_flight.config.document import Document
 from dart_flight.config.file_kinds import EXTENDS
@@ -23,6 +22,7 @@ from dart_flight.config.vehicle import default_config_path
 from dart_flight.config.vehicle.configuration import load_vehicle
 from dart_flight.lab.search.scenario import load_scenario
 from dart_flight.run.fast import fly_fast
+from tests.mission_findings import check_mission
 
 ROOT = Path(__file__).resolve().parents[2]
 

@@ -5,11 +5,11 @@ from typing import Any
 import pytest
 
 import dart_flight
-from dart_flight.check.mission_check import check_mission
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission, load_mission
 from dart_flight.core.mission.approach import NoApproachError, plan_approach
 from dart_flight.sim.plant import make_plant
+from tests.mission_findings import check_mission
 
 POLE = {"centre_m": [1.5, 0.0], "radius_m": 0.1, "material": "acrylic"}
 HIT = {

@@ -8,11 +8,11 @@ from pathlib import Path
 import pytest
 
 from dart_flight.check.findings import CheckFinding
-from dart_flight.check.mission_check import check_mission
 from dart_flight.recording.verdict import Verdict
 from dart_flight.run.fast import fly_fast
 from dart_flight.run.prepare import load_flyable
 from dart_flight.sim.draws import parse_vary
+from tests.mission_findings import check_mission
 
 ROOT = Path(__file__).parents[2]
 

@@ -9,7 +9,6 @@ import msgspec
 import pytest
 
 from dart_flight.base.records import LockCommand, LockPermission, LockState, Mode, PhaseChange, WallEstimate
-from dart_flight.check.mission_check import check_mission
 from dart_flight.check.vehicle_check import judge_lock
 from dart_flight.cli import main
 from dart_flight.config.document import InputError
@@ -26,6 +25,7 @@ from dart_flight.run.fast import fly_fast
 from dart_flight.run.prepare import load_flyable, with_driver
 from dart_flight.run.replay import replay
 from dart_flight.sim.draws import draw_world, parse_vary
+from tests.mission_findings import check_mission
 
 DART = packaged("configs", "dart.yaml")
 SINGLE = packaged("missions", "paper_single_wall.yaml").read_text("utf-8")

@@ -21,7 +21,6 @@ from dart_flight.base.records import (
     Setpoint,
 )
 from dart_flight.check.findings import CheckFinding
-from dart_flight.check.mission_check import check_mission
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission, load_mission
 from dart_flight.config.vehicle import packaged
@@ -35,6 +34,7 @@ from dart_flight.run.fast import FastFlight, fly_fast
 from dart_flight.run.prepare import load_flyable
 from dart_flight.run.replay import replay
 from dart_flight.sim.faults.fault_table import parse_fault
+from tests.mission_findings import check_mission
 
 DART = packaged("configs", "dart.yaml")
 BARE = f"""\

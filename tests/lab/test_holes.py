@@ -14,7 +14,8 @@ from dart_flight.base.records import ImuSample
 from dart_flight.cli import main
 from dart_flight.config.vehicle import load_vehicle
 from dart_flight.lab.holes import describe_holes, describe_missing_parts
-from dart_flight.lab.identify.trials import TrialReading, read_trials
+from dart_flight.lab.identify.trial_readers import read_trials
+from dart_flight.lab.identify.trials import TrialReading
 from dart_flight.lab.inspect.inspection import inspect_file
 from dart_flight.lab.report.inspection_page import inspection_page
 from dart_flight.lab.report.page import comparison_page, flight_page

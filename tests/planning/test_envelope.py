@@ -6,13 +6,13 @@ import msgspec
 import pytest
 
 from dart_flight.base.records import Mode
-from dart_flight.check.mission_check import check_mission
 from dart_flight.config.mission import Mission, load_mission
 from dart_flight.config.vehicle import packaged
 from dart_flight.lab.search.scenario import load_scenario
 from dart_flight.lab.search.search import search
 from dart_flight.planning.constraints import Refusal
 from dart_flight.planning.envelope import heights_flown_m, impact_warnings, incidence_deg
+from tests.mission_findings import check_mission
 
 DUAL = load_mission(packaged("missions", "paper_dual_collision.yaml"))
 

@@ -9,13 +9,13 @@ from hypothesis import strategies as st
 
 from dart_flight.base.walls import Wall
 from dart_flight.check.findings import CheckFinding
-from dart_flight.check.mission_check import check_mission
 from dart_flight.config.mission import Mission, load_mission
 from dart_flight.config.vehicle import packaged
 from dart_flight.core.mission.approach import is_blocked
 from dart_flight.core.mission.wall_uncertainty import SURE_SD, end_margin_m
 from dart_flight.lab.search.scenario import load_scenario
 from dart_flight.lab.search.search import search
+from tests.mission_findings import check_mission
 
 HALF_M = 0.2  # of the packaged vehicle: its contact distance
 

@@ -7,11 +7,11 @@ from pathlib import Path
 import pytest
 
 from dart_flight.check.findings import CheckFinding
-from dart_flight.check.mission_check import check_mission
 from dart_flight.config.document import InputError
 from dart_flight.config.vehicle import packaged
 from dart_flight.planning.envelope import expected_force_n, impact_warnings
 from dart_flight.run.prepare import load_flyable
+from tests.mission_findings import check_mission
 
 SWEEP = Path(__file__).with_name("sweep_mission.yaml")
 

@@ -13,7 +13,6 @@ from dart_flight.base.geometry import distance2
 from dart_flight.base.records import Mode, Record, WallEstimate
 from dart_flight.base.walls import Wall
 from dart_flight.check.findings import CheckFinding
-from dart_flight.check.mission_check import check_mission
 from dart_flight.config.document import Document
 from dart_flight.config.mission import Mission, load_mission, parse_mission
 from dart_flight.config.vehicle.configuration import load_vehicle
@@ -35,6 +34,7 @@ from dart_flight.recording.about import flown_mission
 from dart_flight.recording.reader import read_log
 from dart_flight.run.prepare import as_rehearsal
 from dart_flight.sim.draws import draw_world
+from tests.mission_findings import check_mission
 from tools.campaigns.walls import Row, fly
 
 ROOT = Path(__file__).parents[2]

@@ -29,9 +29,9 @@ from dart_flight.config.vehicle.configuration import load_vehicle
 from dart_flight.contact.contact_map import drop
 from dart_flight.contact.law import Onset
 from dart_flight.lab.identify.fit import identify
-from dart_flight.lab.identify.intervals import covariance
+from dart_flight.lab.identify.joint_fit import solve
 from dart_flight.lab.identify.measured_impacts import measure_impact
-from dart_flight.lab.identify.solver import solve
+from dart_flight.lab.identify.solver import covariance
 from dart_flight.lab.identify.trials import Trial
 from tools.campaigns.results import ROOT, markdown, measured_by
 from tools.synthetic_trials import MASS_KG, drop_trial, wall_trial
@@ -196,13 +196,13 @@ def deviation_bound(
     Returns:
         mode -> coefficient -> bound, in the coefficient's unit.
     """
-    felt = [(hit.begin_s, hit.end_s) for hit in (measure_impact(trial, mass_kg) for trial in trials)]
-    fit, theta, _ = solve(trials, felt, mass_kg, onset, may_curve=False)
+    hits = [measure_impact(trial, mass_kg) for trial in trials]
+    fit, theta, _ = solve(trials, hits, mass_kg, onset, may_curve=False)
     fit.sd.update(noise)
     for window in fit.windows:
         for counts in window.counts.values():
             counts[:] = 1.0
-    deviation = np.sqrt(np.diag(covariance(fit, theta)))
+    deviation = np.sqrt(np.diag(covariance(fit.jacobian(theta))))
     bounds = {}
     for mode in fit.parameters.modes:
         at = fit.parameters.of_mode(mode)

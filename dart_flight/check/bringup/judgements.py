@@ -19,11 +19,11 @@ from dart_flight.base.geometry import (
     Vec3,
     norm,
     subtract,
-    wrap_angle,
+    wrap_deg,
     yaw_ned_of,
 )
 from dart_flight.base.records import ImuSample, LockPhase, LockState, Mode, OdometrySample
-from dart_flight.base.streams import BY_NAME
+from dart_flight.check.telemetry_check import StreamRate
 from dart_flight.config.vehicle import LockConfig
 
 _WINDOW_US = 500_000  # held still for so long
@@ -71,34 +71,29 @@ def failed(message: str, **measured: float | str | None) -> StepFinding:
 
 
 def judge_link(
-    rates_hz: Mapping[str, float],
-    round_trip_s: float | None,
-    limit_s: float,
-    errors: Mapping[str, float],
-    unusable: Mapping[str, str] | None = None,
+    rates: Sequence[StreamRate], round_trip_s: float | None, limit_s: float, errors: Mapping[str, float]
 ) -> StepFinding:
     """Whether the streams of a mission come fast enough, and answers soon enough.
 
     Args:
-        rates_hz: as they arrive, by the stream table's names.
+        rates: of the streams that a mission needs.
         round_trip_s: the shortest; None: TIMESYNC was not answered.
         limit_s: of the round trip.
         errors: `drop_rate_comm` (0.01 %) and `errors_comm` of SYS_STATUS.
-        unusable: reason by stream, for streams that bring no usable message.
     """
-    measured: Measured = {f"{name}_hz": round(rate, 1) for name, rate in rates_hz.items()}
+    measured: Measured = {f"{stream.name}_hz": round(stream.rate_hz, 1) for stream in rates}
     measured["round_trip_ms"] = None if round_trip_s is None else round(1e3 * round_trip_s, 2)
     measured |= errors
-    slow = [
-        f"{name} {rate:.0f} Hz, needs {BY_NAME[name].expected_hz:g}"
-        for name, rate in rates_hz.items()
-        if rate < BY_NAME[name].expected_hz
-    ]
-    empty = [f"{name}: {why}" for name, why in (unusable or {}).items()]
-    if slow and empty:
-        return failed("; ".join(empty), **measured)
+    slow = [stream for stream in rates if not stream.enough]
+    if any(stream.unusable for stream in slow):
+        says = "; ".join(f"{stream.name}: {stream.unusable}" for stream in slow if stream.unusable)
+        return failed(says, **measured)
     if slow:
-        says = "too slow: " + "; ".join(slow) + ". Raise SER_TEL2_BAUD and MAV_1_RATE, MAV_1_MODE Onboard"
+        says = (
+            "too slow: "
+            + "; ".join(f"{stream.name} {stream.says}" for stream in slow)
+            + ". Raise SER_TEL2_BAUD and MAV_1_RATE, MAV_1_MODE Onboard"
+        )
         return failed(says, **measured)
     if round_trip_s is not None and round_trip_s > limit_s:
         says = (
@@ -168,12 +163,12 @@ def judge_axes(level: Vec3, nose_down: Vec3, right_down: Vec3) -> StepFinding:
     # The reading leans against where the vehicle was tilted to: nose down to -x, right side down to -y.
     forward = _heading_deg(subtract(nose_down, level)) - 180.0
     right = _heading_deg(subtract(right_down, level)) + 90.0
-    forward, right = _wrap_deg(forward), _wrap_deg(right)
+    forward, right = wrap_deg(forward), wrap_deg(right)
     measured: Measured = {"forward_error_deg": round(forward, 1), "right_error_deg": round(right, 1)}
     if abs(forward) <= _AXIS_DEG and abs(right) <= _AXIS_DEG:
         return passed("axes are the vehicle's", **measured)
-    if abs(_wrap_deg(forward - right)) <= 2.0 * _AXIS_DEG:
-        turned = 90.0 * round((forward + 0.5 * _wrap_deg(right - forward)) / 90.0)
+    if abs(wrap_deg(forward - right)) <= 2.0 * _AXIS_DEG:
+        turned = 90.0 * round((forward + 0.5 * wrap_deg(right - forward)) / 90.0)
         says = f"axes are turned by {turned:.0f} degrees: set SENS_BOARD_ROT as the board is mounted"
         return failed(says, **measured)
     says = (
@@ -226,7 +221,7 @@ def judge_push(push: Vec2, force: Vec2) -> StepFinding:
             f"the push came from {_side(felt)}, not from behind: repeat; if it was from behind, see imu_axes"
         )
         return failed(says, **measured)
-    if abs(_wrap_deg(told - felt)) > _AXIS_DEG:
+    if abs(wrap_deg(told - felt)) > _AXIS_DEG:
         says = f"the force points {_side(told)} while the push went {_side(felt)}: attitude or yaw is wrong"
         return failed(says, **measured)
     return passed("a push forward is felt as a force forward", **measured)
@@ -293,7 +288,7 @@ def carried(samples: Sequence[OdometrySample], q: Quaternion) -> Vec2 | None:
 def judge_position(forward: Vec2, right: Vec2) -> StepFinding:
     """Whether the position goes where the vehicle is carried: forward first, then to its right."""
     f = math.degrees(math.atan2(forward[1], forward[0]))
-    r = _wrap_deg(math.degrees(math.atan2(right[1], right[0])) - 90.0)
+    r = wrap_deg(math.degrees(math.atan2(right[1], right[0])) - 90.0)
     measured: Measured = {
         "forward_m": round(math.hypot(*forward), 2),
         "forward_error_deg": round(f, 1),
@@ -302,7 +297,7 @@ def judge_position(forward: Vec2, right: Vec2) -> StepFinding:
     }
     if abs(f) <= _AXIS_DEG and abs(r) <= _AXIS_DEG:
         return passed("position goes where it is carried", **measured)
-    if abs(_wrap_deg(f - r)) <= 2.0 * _AXIS_DEG:
+    if abs(wrap_deg(f - r)) <= 2.0 * _AXIS_DEG:
         turned = 90.0 * round(f / 90.0)
         says = f"position or heading is turned by {f:.0f} degrees" + (
             f": the source's axes are {turned:.0f} degrees off PX4's (north, east, down)" if turned else ""
@@ -335,11 +330,7 @@ def _heading_deg(v: Vec3) -> float:
     return math.degrees(math.atan2(v[1], v[0]))
 
 
-def _wrap_deg(angle: float) -> float:
-    return math.degrees(wrap_angle(math.radians(angle)))
-
-
 def _side(angle_deg: float) -> str:
     """Where a direction in the vehicle's axes points."""
     names = ("forward", "right", "back", "left")
-    return names[round(_wrap_deg(angle_deg) / 90.0) % 4]
+    return names[round(wrap_deg(angle_deg) / 90.0) % 4]

@@ -39,7 +39,7 @@ class BringupRecord(msgspec.Struct):
 
 def fresh(vehicle: VehicleSource, connection: str) -> BringupRecord:
     """A bring-up of which nothing has been done."""
-    steps = [StepRecord(name, StepOutcome.NEEDS_OPERATOR, "not done yet") for name in STEPS]
+    steps = [StepRecord(step.name, StepOutcome.NEEDS_OPERATOR, "not done yet") for step in STEPS]
     return BringupRecord(vehicle, connection, steps)
 
 
@@ -89,10 +89,10 @@ def save(record: BringupRecord, folder: Path) -> tuple[Path, Path]:
 
 def page(record: BringupRecord, date: str) -> str:
     """The record as a page that prints on one sheet."""
-    rows = []
+    rows, what = [], {step.name: step.what for step in STEPS}
     for step in record.steps:
         figures = ", ".join(f"{name} {value}" for name, value in step.measured.items())
-        cells = (STEPS[step.name], step.result.value, step.message, figures, step.date)
+        cells = (what[step.name], step.result.value, step.message, figures, step.date)
         rows.append("<tr>" + "".join(f"<td>{html.escape(str(cell))}</td>" for cell in cells) + "</tr>")
     vehicle = f"{record.vehicle.source}, {record.vehicle.mass_kg:g} kg, {record.connection}"
     return (

@@ -26,6 +26,9 @@ from dart_flight.base.records import (
 )
 from dart_flight.check.bringup import judgements
 from dart_flight.check.bringup.judgements import StepFinding, StepOutcome, failed
+from dart_flight.check.stages import Check, Stage
+from dart_flight.check.telemetry_check import StreamRate, stream_rates
+from dart_flight.check.vehicle_check import round_trip_limit_s
 from dart_flight.config.link_url import parse_link
 from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import LockDriver
@@ -38,16 +41,6 @@ from dart_flight.vehicle import messages
 from dart_flight.vehicle.baud_rate import listen_for_mavlink
 from dart_flight.vehicle.ground_link import GroundLink, unusable_streams
 from dart_flight.vehicle.vehicle_session import NoAnswerError, VehicleError
-
-STEPS = {
-    "link": "rates that arrive, errors, round trip",
-    "imu_axes": "the IMU's axes are the vehicle's",
-    "force_sign": "a push is felt where it comes from",
-    "servo": "the lock's servo goes the right way, and how long that takes",
-    "position": "the position goes where the vehicle is carried",
-    "remote_control": "the remote control is received, and switches modes",
-}
-HANDS = ("imu_axes", "force_sign", "servo", "position", "remote_control")  # need somebody at the vehicle
 
 _OBSERVE_S = 3.0
 WAIT_S = 60.0
@@ -126,7 +119,7 @@ def attitude_at(samples: Sequence[AttitudeSample], t_us: int) -> Quaternion | No
 
 
 class Bringup:
-    """Carries the steps out on one vehicle.
+    """What the steps look at: one vehicle, and who stands beside it. The link stays open for the next step.
 
     Args:
         mission: its vehicle, and what streams it needs.
@@ -135,6 +128,8 @@ class Bringup:
         wait_s: for what the operator is to do.
         opened: called once the link is open (`LinkLease.close_device`).
     """
+
+    own_errors: tuple[type[Exception], ...] = (NotDoneError, VehicleError, NoAnswerError)
 
     def __init__(
         self,
@@ -148,27 +143,16 @@ class Bringup:
         self._opened = opened
         self._telemetry = Telemetry(mission)
         self._ground: GroundLink | None = None
-        self._rates_hz: dict[str, float] = {}
-        self._unusable: dict[str, str] = {}
+        self._rates: list[StreamRate] = []
+        self.found: list[StepFinding] = []
 
-    def carry_out(self, name: str) -> StepFinding:
-        """One step of `STEPS`; the link stays open for the next."""
-        step: Callable[[], StepFinding] = {
-            "link": self._judge_link,
-            "imu_axes": self._judge_axes,
-            "force_sign": self._judge_force,
-            "servo": self._judge_servo,
-            "position": self._judge_position,
-            "remote_control": self._judge_remote,
-        }[name]
-        try:
-            return step()
-        except NotDoneError as error:
+    def explain(self, error: Exception) -> StepFinding:
+        """Return why a step could not be carried out."""
+        if isinstance(error, NotDoneError):
             return failed(f"not seen within {self._wait_s:g} s: {error}")
-        except VehicleError as error:
-            return failed(self._why_silent(str(error)))
-        except NoAnswerError as error:
+        if isinstance(error, NoAnswerError):
             return failed(f"{error.message}: is the wire to the flight controller (TX) open?")
+        return failed(self._why_silent(str(error)))
 
     def close(self) -> None:
         """Close the link."""
@@ -183,7 +167,7 @@ class Bringup:
             self._ground = link.__enter__()
             self._opened()
             observed = link.observe(self._mission.vehicle, _OBSERVE_S)
-            self._rates_hz, self._unusable = observed.rates_hz, unusable_streams(observed.sources)
+            self._rates = stream_rates(observed.rates_hz, unusable_streams(observed.sources))
         return self._ground
 
     def _why_silent(self, says: str) -> str:
@@ -210,17 +194,18 @@ class Bringup:
 
     # -- steps --
 
-    def _judge_link(self) -> StepFinding:
+    def judge_link(self) -> StepFinding:
+        """Rates that arrive, errors, round trip."""
         link = self._connect()
         round_trip_s = link.round_trip_s()
         status = link.newest(messages.SYS_STATUS, _STATUS_S)
         errors: dict[str, float] = {}
         if status is not None:
             errors |= {"drop_rate_comm": status.drop_rate_comm, "errors_comm": status.errors_comm}
-        limit_s = 2.0 * self._mission.vehicle.guard.telemetry_late_s
-        return judgements.judge_link(self._rates_hz, round_trip_s, limit_s, errors, self._unusable)
+        return judgements.judge_link(self._rates, round_trip_s, round_trip_limit_s(self._mission), errors)
 
-    def _judge_axes(self) -> StepFinding:
+    def judge_axes(self) -> StepFinding:
+        """The IMU's axes."""
         self._connect()
         level = self._held("Put the vehicle level and leave it alone.", lambda force: True)
         wrong = judgements.judge_level(level)
@@ -232,7 +217,8 @@ class Bringup:
         right = self._held("Lift its left side: right side down by some 30 degrees, and hold it so.", tilted)
         return judgements.judge_axes(level, nose, right)
 
-    def _judge_force(self) -> StepFinding:
+    def judge_force(self) -> StepFinding:
+        """Where a push is felt."""
         self._connect()
         self._telemetry.clear()
         level = self._held("Hold the vehicle level and still.", lambda force: True)
@@ -245,7 +231,8 @@ class Bringup:
             return failed("no force estimate: attitude or motor outputs do not arrive (see link)")
         return judgements.judge_push(push.acceleration_m_s2, force)
 
-    def _judge_servo(self) -> StepFinding:
+    def judge_servo(self) -> StepFinding:
+        """The lock's servo."""
         config = self._mission.vehicle.lock
         if config is None:
             return StepFinding(StepOutcome.SKIPPED, "this vehicle has no lock")
@@ -276,13 +263,15 @@ class Bringup:
         how = "locked: the rods are in their slots" if mode is Mode.RIGID else "free"
         return mode, state, self._operator.confirm(f"Told to be {mode}. Are the arms {how}?")
 
-    def _judge_position(self) -> StepFinding:
+    def judge_position(self) -> StepFinding:
+        """Where the position goes."""
         self._connect()
         forward = self._carry("Hold it level, walk half a metre straight ahead of its nose, and stand still.")
         right = self._carry("Now half a metre to its right, without turning it, and stand still.")
         return judgements.judge_position(forward, right)
 
-    def _judge_remote(self) -> StepFinding:
+    def judge_remote(self) -> StepFinding:
+        """The remote control."""
         link, t = self._connect(), self._telemetry
         t.clear()
         received = link.newest(messages.RC_CHANNELS, _RADIO_S) is not None
@@ -334,3 +323,33 @@ class Bringup:
                 raise NotDoneError(text)
             time.sleep(_POLL_S)
         return found
+
+
+BenchStep = Check[Bringup, StepFinding]
+
+STEPS: tuple[BenchStep, ...] = (
+    Check("link", Stage.BENCH, lambda b: [b.judge_link()], "rates that arrive, errors, round trip"),
+    Check("imu_axes", Stage.BENCH, lambda b: [b.judge_axes()], "the IMU's axes are the vehicle's", True),
+    Check("force_sign", Stage.BENCH, lambda b: [b.judge_force()], "a push is felt where it comes from", True),
+    Check(
+        "servo",
+        Stage.BENCH,
+        lambda b: [b.judge_servo()],
+        "the lock's servo goes the right way, and how long that takes",
+        True,
+    ),
+    Check(
+        "position",
+        Stage.BENCH,
+        lambda b: [b.judge_position()],
+        "the position goes where the vehicle is carried",
+        True,
+    ),
+    Check(
+        "remote_control",
+        Stage.BENCH,
+        lambda b: [b.judge_remote()],
+        "the remote control is received, and switches modes",
+        True,
+    ),
+)

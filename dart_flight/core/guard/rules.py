@@ -25,6 +25,7 @@ from dart_flight.base.records import (
     StatusSample,
     StatusText,
 )
+from dart_flight.base.text import battery_figures
 from dart_flight.core.guard.estimator_watch import ESTIMATOR_RULES
 from dart_flight.core.guard.flight_conditions import FlightConditions
 from dart_flight.core.guard.rule import Judge, Rule, Scope, judge
@@ -135,9 +136,7 @@ def _battery(v: FlightConditions) -> str | None:
     if v.lasting_s(v.battery_low_since_us) <= BATTERY_LOW_S:
         return None
     status = v.state.status
-    left = "" if status.battery_remaining is None else f"{100.0 * status.battery_remaining:.0f} %"
-    volts = "" if status.battery_v is None else f"{status.battery_v:.1f} V"
-    return ", ".join(part for part in (left, volts) if part)
+    return ", ".join(battery_figures(status.battery_remaining, status.battery_v))
 
 
 @judge("before the first impact, thrust differs by over 25 % from mass and thrust curve")

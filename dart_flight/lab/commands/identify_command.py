@@ -107,19 +107,16 @@ def run(arguments: argparse.Namespace) -> int:
         source = done.flown.source
     say_vehicle(source, arguments, flown=done.flown is not None)
     print_status(*found.notes)
-    from dart_flight.lab.identify.fit_quality import assess_fit
-
-    judged = assess_fit(found, trials, done.mass_kg, done.onset)
-    for line in judged.says:
+    for line in found.fit.says:
         messages().print(line, style="red", soft_wrap=True)
     # First what was found, whatever becomes of the files.
     if arguments.json:
-        emit_json({**identification.as_json(found), "fit": judged._asdict(), "vehicle": source})
+        emit_json({**identification.as_json(found), "vehicle": source})
     else:
         _print(found)
-        tables().print(styled(_FIT[judged.good]))
+        tables().print(styled(_FIT[found.fit.good]))
     if arguments.output:
-        _write(arguments, found, done.vehicle, poor=judged.good is False)
+        _write(arguments, found, done.vehicle, poor=found.fit.good is False)
     if arguments.plot:
         from dart_flight.lab.identify import trial_plot as plots
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 from dart_flight.config.vehicle import Coefficients
-from dart_flight.lab.identify.held_out import HeldOut
+from dart_flight.lab.identify.measured_impacts import MeasuredImpact
 
 
 class Estimate(NamedTuple):
@@ -14,6 +15,11 @@ class Estimate(NamedTuple):
     value: float
     low: float
     high: float
+
+    @classmethod
+    def about(cls, value: float, half: float, least: float = -math.inf, most: float = math.inf) -> Estimate:
+        """Return a value and its symmetric interval, both kept within limits."""
+        return cls(*(min(max(v, least), most) for v in (value, value - half, value + half)))
 
 
 class SetAside(NamedTuple):
@@ -63,6 +69,76 @@ class TrialFit(NamedTuple):
     misfit: float | None
     set_aside: SetAside
 
+    @classmethod
+    def of_hit(cls, hit: MeasuredImpact) -> TrialFit:
+        """Return what is said of a trial whose samples are not fitted."""
+        return cls(
+            name=hit.name,
+            mode=hit.mode,
+            onset_s=hit.begin_s,
+            normal_m_s=-hit.normal_in_m_s,
+            tangential_m_s=hit.tangential_in_m_s,
+            samples_in_contact=hit.samples_in_contact,
+            push_m_s2=(0.0, 0.0),
+            used="whole",
+            normal_out_m_s=hit.normal_out_m_s,
+            tangential_out_m_s=hit.tangential_out_m_s,
+            peak_force_n=hit.peak_force_n,
+            force_delay_s=None,
+            misfit=None,
+            set_aside=SetAside(0, 0, hit.samples_in_contact),
+        )
+
+
+class Errors(NamedTuple):
+    """Median size of the error on held-out hits; None where it cannot be judged.
+
+    Attributes:
+        peak_force: as a share of the measured peak.
+        outgoing_speed: as a share of the speed in.
+    """
+
+    peak_force: float | None
+    outgoing_speed: float | None
+
+
+class HeldOut(NamedTuple):
+    """The comparison of one mode.
+
+    Attributes:
+        mode: of the hits.
+        held_out: `speed` where all hits of one speed (or height) are left out together, else `trial`.
+        hits: how many were predicted.
+        law: errors of the paper's law; None where the hits cannot tell its coefficients.
+        baselines: errors by baseline; each predicts one of the two.
+        scatter: of repeats at one speed, the same measure; None without repeats.
+        earned: whether the law predicts better than the baselines in everything that could be judged.
+        sentence: this in words.
+    """
+
+    mode: str
+    held_out: str
+    hits: int
+    law: Errors | None
+    baselines: dict[str, Errors]
+    scatter: Errors
+    earned: bool
+    sentence: str
+
+
+class FitQuality(NamedTuple):
+    """A fit, judged.
+
+    Attributes:
+        good: nothing is further off than expected; None where there is nothing to judge by.
+        expected: quantity -> the most that a good fit is off, in its own unit.
+        says: a sentence per quantity that is not good; what to look at.
+    """
+
+    good: bool | None
+    expected: dict[str, float]
+    says: list[str]
+
 
 class Identification(NamedTuple):
     """Result of `identify`.
@@ -77,6 +153,7 @@ class Identification(NamedTuple):
         restitution: mode -> speed out over speed in, along the normal.
         tangential_ratio: mode -> the same along the wall.
         held_out: mode -> how well the law predicts hits it has not seen.
+        fit: whether to believe it.
     """
 
     coefficients: dict[str, dict[str, Estimate | None]]
@@ -88,6 +165,7 @@ class Identification(NamedTuple):
     restitution: dict[str, Estimate | None]
     tangential_ratio: dict[str, Estimate | None]
     held_out: dict[str, HeldOut]
+    fit: FitQuality
 
     def is_known(self, mode: str) -> bool:
         """Whether k and f of a mode are identified."""

@@ -1,10 +1,13 @@
 """`identify`: contact coefficients and restitution from recorded trials.
 
-Every trial is first read as a whole (`hits`): speeds in and out, peak, duration, without a law. Where its
-positions show the contact in enough samples, the paper's law is fitted to them jointly (`sample_fit`,
-`solver`), which tells most where the law is right. Where it is not (the residual in contact is several times
-the noise), or where there are only speeds or an accelerometer, the coefficients come from the hits as a
-whole. What the data cannot tell comes back as None.
+Every trial is first measured as a whole: speeds in and out, peak, duration, without a law. One solver with
+one computation of intervals (`solver`) then fits the law:
+
+- to the samples of all trials jointly (`joint_fit`), if their positions show the contact in enough samples;
+- to the hits as a whole (`hit_fit`), if the law misses the samples by several times the noise, or if there
+  are only speeds or an accelerometer.
+
+What the data cannot tell comes back as None.
 """
 
 from __future__ import annotations
@@ -16,18 +19,14 @@ import numpy as np
 from dart_flight.config.document import InputError
 from dart_flight.contact.law import Onset
 from dart_flight.lab.identify.estimates import Estimate, Identification, TrialFit
-from dart_flight.lab.identify.fit_quality import SampleResult, conclude, errors_of_hits, whole_trial
+from dart_flight.lab.identify.fit_quality import assess_fit, errors_of, expected_residuals
 from dart_flight.lab.identify.held_out import hold_out
+from dart_flight.lab.identify.hit_fit import fit_hits
+from dart_flight.lab.identify.joint_fit import SampleResult, conclude, solve
 from dart_flight.lab.identify.measured_impacts import MeasuredImpact, measure_impact
-from dart_flight.lab.identify.solver import solve, without_derived
+from dart_flight.lab.identify.speed_ratios import friction, restitution, tangential_ratio
 from dart_flight.lab.identify.systematic_error import widen_intervals
-from dart_flight.lab.identify.trials import Trial
-from dart_flight.lab.identify.whole_hits import (
-    friction,
-    restitution,
-    stiffness_and_damping,
-    tangential_ratio,
-)
+from dart_flight.lab.identify.trials import Trial, without_derived
 
 _MIN_IN_CONTACT = 4
 _SLOW_SAMPLING_S = 0.006
@@ -51,7 +50,8 @@ def identify(trials: Sequence[Trial], mass_kg: float, onset: Onset) -> Identific
     usable, notes = without_derived(trials)
     hits = [measure_impact(trial, mass_kg) for trial in usable]
     notes += [note for hit in hits for note in hit.notes]
-    sampled, result = _fit_samples(usable, hits, mass_kg, onset, notes)
+    result = _fit_samples(usable, hits, mass_kg, onset)
+    notes += result.notes
     members = {hit.mode: [other for other in hits if other.mode == hit.mode] for hit in hits}
     held_out = {mode: hold_out(own, mass_kg, onset) for mode, own in members.items()}
     notes += [found.sentence for found in held_out.values() if found.hits]
@@ -62,30 +62,27 @@ def identify(trials: Sequence[Trial], mass_kg: float, onset: Onset) -> Identific
             found, [trial for trial in usable if trial.mode == mode], own
         )
         notes += [f"{mode}: {note}" for note in more]
+    whole = [hit for i, hit in enumerate(hits) if i not in result.trials]
+    expected = expected_residuals(trials, hits)
     return Identification(
         coefficients=coefficients,
-        plane_m=result.plane_m if result else None,
-        residuals=result.residuals if result else {},
-        trials=[sampled.get(i) or whole_trial(hit) for i, hit in enumerate(hits)],
-        vertical_side=result.vertical_side if result else None,
+        plane_m=result.plane_m,
+        residuals=result.residuals,
+        trials=[result.trials.get(i) or TrialFit.of_hit(hit) for i, hit in enumerate(hits)],
+        vertical_side=result.vertical_side,
         notes=notes,
         restitution={mode: restitution(own) for mode, own in members.items()},
         tangential_ratio={mode: tangential_ratio(own) for mode, own in members.items()},
         held_out=held_out,
+        fit=assess_fit(coefficients, whole, result.residuals, expected, mass_kg, onset),
     )
 
 
 def _fit_samples(
-    trials: Sequence[Trial],
-    hits: Sequence[MeasuredImpact],
-    mass_kg: float,
-    onset: Onset,
-    notes: list[str],
-) -> tuple[dict[int, TrialFit], SampleResult | None]:
-    """The joint fit of those trials whose positions show the contact, and what it says of them by place."""
-    positions = [
-        i for i, trial in enumerate(trials) if "normal_m" in trial.series and trial.position_measured
-    ]
+    trials: Sequence[Trial], hits: Sequence[MeasuredImpact], mass_kg: float, onset: Onset
+) -> SampleResult:
+    """The joint fit of those trials whose positions show the contact."""
+    positions = [i for i, trial in enumerate(trials) if hits[i].turn is not None and trial.position_measured]
     # Where sampling is slow the hit's own extent (widened to whole samples on both sides) decides at once;
     # where it is fast that extent begins late, when the path has bent by more than noise, the fit decides.
     few = {
@@ -95,52 +92,52 @@ def _fit_samples(
     }
     few = {i: n for i, n in few.items() if n < _MIN_IN_CONTACT}
     chosen = [i for i in positions if i not in few]
-    result = None
+    result = SampleResult()
     while chosen:
-        felt = [(hits[i].begin_s, hits[i].end_s) for i in chosen]
-        fit, theta, more = solve([trials[i] for i in chosen], felt, mass_kg, onset, least=_MIN_IN_CONTACT)
+        fit, theta, notes = solve(
+            [trials[i] for i in chosen], [hits[i] for i in chosen], mass_kg, onset, least=_MIN_IN_CONTACT
+        )
         counts = {i: fit.in_contact(theta, j) for j, i in enumerate(chosen)}
         less = {i: n for i, n in counts.items() if n < _MIN_IN_CONTACT}
         if not less:
-            result = conclude(fit, theta, [hits[i] for i in chosen])
-            notes += more + result.notes
+            result = conclude(fit, theta, chosen)
+            result.notes[:0] = notes
             break
         few |= less
         chosen = [i for i in chosen if i not in less]
     for i, n in few.items():
-        notes.append(
+        result.notes.append(
             f"{trials[i].name}: {n} sample{'' if n == 1 else 's'} in contact, at least "
             f"{_MIN_IN_CONTACT} are needed for stiffness: only its speeds are used"
         )
-    return dict(zip(chosen, result.trials, strict=True)) if result else {}, result
+    return result
 
 
 def _coefficients(
     mode: str,
-    result: SampleResult | None,
+    result: SampleResult,
     hits: Sequence[MeasuredImpact],
     mass_kg: float,
     onset: Onset,
     notes: list[str],
 ) -> dict[str, Estimate | None]:
     """From samples where the law fits them, from whole hits elsewhere."""
-    found = dict(result.coefficients[mode]) if result and mode in result.coefficients else None
-    bad = result is not None and mode in result.bad
-    if bad and found is not None and _predicts(found, hits, mass_kg, onset):
-        bad = False  # off at the samples by more than noise, but right in what is asked of it
-    if found is None or bad:
-        whole, more = stiffness_and_damping(hits, mass_kg, onset)
+    sampled = result.coefficients.get(mode)
+    bad = mode in result.bad
+    if bad and sampled is not None:
+        # Off at the samples by more than noise; not bad if it is right in what is asked of it.
+        known = [e for e in errors_of(sampled, hits, mass_kg, onset) if e is not None]
+        bad = not known or max(known) >= _PREDICTS
+    found = dict.fromkeys(_COEFFICIENTS) if sampled is None else dict(sampled)
+    if sampled is None or bad:
+        whole, more = fit_hits(hits, mass_kg, onset)
         notes += [f"{mode}: {note}" for note in more]
-        if found is None:
-            found = dict.fromkeys(_COEFFICIENTS)
         if any(e is not None for e in whole.values()):
             found |= whole
             notes.append(f"{mode}: k and f are from speeds, peaks and durations of whole hits")
         elif not bad:
             notes.append(f"{mode}: neither forces nor enough samples in contact: k and f are not known")
-        mu = friction(hits)
-        if mu is not None:
-            found["mu"] = mu
+        found["mu"] = friction(hits) or found["mu"]
     for name, what in (
         ("mu", "no mu, because the trials show no motion along the wall that friction changes"),
         ("nu", "no nu, because the trials show no vertical motion that the contact changes"),
@@ -148,11 +145,3 @@ def _coefficients(
         if found[name] is None:
             notes.append(f"{mode}: {what}")
     return found
-
-
-def _predicts(
-    found: dict[str, Estimate | None], hits: Sequence[MeasuredImpact], mass_kg: float, onset: Onset
-) -> bool:
-    """Whether coefficients give peak and speed out of their own hits to a tenth, in the median."""
-    known = [e for e in errors_of_hits(found, hits, mass_kg, onset) if e is not None]
-    return bool(known) and max(known) < _PREDICTS

@@ -10,57 +10,21 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dart_flight.contact.coefficients import Array
 from dart_flight.contact.law import Onset
+from dart_flight.lab.identify.estimates import Errors, HeldOut
+from dart_flight.lab.identify.hit_fit import HitFit, HitTable, median, predict
 from dart_flight.lab.identify.measured_impacts import MeasuredImpact
-from dart_flight.lab.identify.whole_fit import HitTable, fit, predict
 
 _SAME_SPEED = 0.12  # hits whose speeds differ by less are repeats of one
 _MIN_HITS = 3
 # A difference of errors below this share of them is chance with so few hits.
 _EARNED = 0.1
 CONSTANT_RESTITUTION, FORCE_PROPORTIONAL = "constant-restitution", "force-proportional"
-
-
-class Errors(NamedTuple):
-    """Median size of the error on held-out hits; None where it cannot be judged.
-
-    Attributes:
-        peak_force: as a share of the measured peak.
-        outgoing_speed: as a share of the speed in.
-    """
-
-    peak_force: float | None
-    outgoing_speed: float | None
-
-
-class HeldOut(NamedTuple):
-    """The comparison of one mode.
-
-    Attributes:
-        mode: of the hits.
-        held_out: `speed` where all hits of one speed (or height) are left out together, else `trial`.
-        hits: how many were predicted.
-        law: errors of the paper's law; None where the hits cannot tell its coefficients.
-        baselines: errors by baseline; each predicts one of the two.
-        scatter: of repeats at one speed, the same measure; None without repeats.
-        earned: whether the law predicts better than the baselines in everything that could be judged.
-        sentence: this in words.
-    """
-
-    mode: str
-    held_out: str
-    hits: int
-    law: Errors | None
-    baselines: dict[str, Errors]
-    scatter: Errors
-    earned: bool
-    sentence: str
 
 
 def speed_groups(speed: Array) -> NDArray[np.intp]:
@@ -88,7 +52,7 @@ def hold_out(hits: Sequence[MeasuredImpact], mass_kg: float, onset: Onset) -> He
         return HeldOut(mode, "trial", 0, None, {}, Errors(None, None), False, said)
 
     def by_law(rest: HitTable, held: HitTable) -> tuple[Array, Array]:
-        k, f = np.exp(fit(rest, mass_kg, onset).logs)
+        k, f = np.exp(HitFit(rest, mass_kg, onset).solve())
         said = predict(k, f, held, mass_kg, onset)
         return said.peak_normal_force_n, said.normal_out_m_s
 
@@ -117,17 +81,6 @@ def hold_out(hits: Sequence[MeasuredImpact], mass_kg: float, onset: Onset) -> He
     )
 
 
-def _median(values: Array) -> float | None:
-    finite = values[np.isfinite(values)]
-    return float(np.median(finite)) if finite.size else None
-
-
-def _of(table: HitTable, peak: Array, out: Array) -> Errors:
-    return Errors(
-        _median(np.abs(peak / table.peak - 1.0)), _median(np.abs(out - table.speed_out) / table.speed_in)
-    )
-
-
 def _errors(
     table: HitTable, folds: NDArray[np.intp], by: Callable[[HitTable, HitTable], tuple[Array, Array]]
 ) -> Errors:
@@ -135,12 +88,12 @@ def _errors(
     peak, out = np.empty(folds.size), np.empty(folds.size)
     for fold in np.unique(folds):
         peak[folds == fold], out[folds == fold] = by(table.only(folds != fold), table.only(folds == fold))
-    return _of(table, peak, out)
+    return table.errors(peak, out)
 
 
 def _in_proportion(known: HitTable, asked: HitTable) -> tuple[Array, Array]:
     """Peak and speed out by the median ratios to the speed in of the known hits; NaN where none has it."""
-    ratios = (_median(values / known.speed_in) for values in (known.peak, known.speed_out))
+    ratios = (median(values / known.speed_in) for values in (known.peak, known.speed_out))
     peak, out = ((math.nan if ratio is None else ratio) * asked.speed_in for ratio in ratios)
     return peak, out
 
@@ -153,7 +106,7 @@ def _scatter(table: HitTable, groups: NDArray[np.intp]) -> Errors:
         if members.sum() >= 3:
             repeats = table.only(members)
             peak[members], out[members] = _in_proportion(repeats, repeats)
-    return _of(table, peak, out)
+    return table.errors(peak, out)
 
 
 def _judge(law: Errors, ratios: Errors, words: str) -> tuple[bool, str]:

@@ -17,7 +17,8 @@ from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.contact.law import Onset
 from dart_flight.lab.identify.estimates import Identification
 from dart_flight.lab.identify.fit import identify
-from dart_flight.lab.identify.trials import COLUMNS, UNLABELLED, Trial, TrialReading, read_trials
+from dart_flight.lab.identify.trial_readers import read_trials
+from dart_flight.lab.identify.trials import COLUMNS, UNLABELLED, Trial, TrialReading
 from dart_flight.recording.found import from_each, logs_in
 
 FLIGHT_LOG = ".mcap"

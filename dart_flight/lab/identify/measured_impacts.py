@@ -15,7 +15,14 @@ import numpy as np
 from dart_flight.base.geometry import GRAVITY_M_S2
 from dart_flight.config.document import InputError
 from dart_flight.contact.coefficients import Array
-from dart_flight.lab.identify.trials import Series, Trial, find_impact, noise_of
+from dart_flight.lab.identify.recorded_impact import (
+    TrialImpact,
+    deviation_of,
+    find_impact,
+    free_spans_s,
+    noise_of,
+)
+from dart_flight.lab.identify.trials import Series, Trial
 
 _WINDOW_S = 0.2  # free flight on either side
 _GUARD_S = 0.03  # not free flight for sure, before the contact's own extent is known
@@ -50,6 +57,7 @@ class MeasuredImpact:
         samples_in_contact: position samples in it.
         clipped: the sensor was at its limit; the peak is unknown then.
         notes: what a reader should know, in sentences.
+        turn: the turn from approaching to leaving that the recorded positions show.
     """
 
     name: str
@@ -70,6 +78,7 @@ class MeasuredImpact:
     samples_in_contact: int
     clipped: bool
     notes: tuple[str, ...] = ()
+    turn: TrialImpact | None = None
 
 
 def measure_impact(trial: Trial, mass_kg: float) -> MeasuredImpact:
@@ -104,7 +113,7 @@ class _FreeFlightFit:
             right[2] += bend / bend_sd**2
             self.line = np.linalg.solve(information, right)
             error = np.abs(value - design @ self.line)
-            scale = max(1.4826 * float(np.median(error)), 1e-6)
+            scale = max(deviation_of(error), 1e-6)
             weight = np.minimum(1.0, 2.0 * scale / np.maximum(error, 1e-12))
         self.noise = scale
         self.covariance = np.linalg.inv(information)
@@ -142,12 +151,9 @@ def _of_motion(trial: Trial) -> MeasuredImpact:
     step = float(np.median(np.diff(time)))
     falls = trial.acceleration_m_s2 < 0.0
     bend, bend_sd = (trial.acceleration_m_s2, 1e-3) if falls else (0.0, _BEND_SD_M_S2)
-    spans = (_WINDOW_S, _WINDOW_S)
-    if falls:  # free only from the release on, and until the next contact
-        spans = (
-            min(0.85 * impact.approach_m_s / trial.acceleration_m_s2, _WINDOW_S),
-            min(1.5 * impact.rebound_m_s / -trial.acceleration_m_s2, _WINDOW_S),
-        )
+    spans = free_spans_s(
+        trial.acceleration_m_s2, -impact.approach_m_s, impact.rebound_m_s, (_WINDOW_S, _WINDOW_S)
+    )
     guard = max(_GUARD_S, 2.0 * step)
     begin, end = impact.turn_s - guard, impact.turn_s + guard
     flights: tuple[_FreeFlightFit, _FreeFlightFit]
@@ -188,6 +194,7 @@ def _of_motion(trial: Trial) -> MeasuredImpact:
         samples_in_contact=count,
         clipped=force.clipped,
         notes=force.notes,
+        turn=impact,
     )
 
 
@@ -258,7 +265,7 @@ def _of_force(trial: Trial, begin: float, end: float) -> _ForcePulse:
     if before.sum() < 4 or near.sum() < 3:
         return _ForcePulse(notes=(f"{trial.name}: too few samples of normal_force_n about the contact",))
     level = float(np.median(value[before]))
-    noise = max(1.4826 * float(np.median(np.abs(value[before] - level))), 1e-6)
+    noise = max(deviation_of(value[before] - level), 1e-6)
     return _pulse(trial.name, time[near], value[near] - level, noise, 4.0 * float(np.median(np.diff(time))))
 
 
@@ -376,7 +383,7 @@ def _weightless_level(time: Array, value: Array, begun: int, noise: float, name:
     if calm.sum() < 8:
         raise InputError("the recording begins too late: no free fall before the impact", source=name)
     level = float(np.median(value[calm]))
-    return level, max(noise, 1.4826 * float(np.median(np.abs(value[calm] - level))))
+    return level, max(noise, deviation_of(value[calm] - level))
 
 
 def _extent_of_pulse(time: Array, felt: Array, begun: int, noise: float, loud: float) -> tuple[int, int]:

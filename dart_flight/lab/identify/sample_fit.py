@@ -15,15 +15,18 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dart_flight.config.vehicle import Coefficients
 from dart_flight.contact.coefficients import Array
 from dart_flight.contact.law import Onset
-from dart_flight.lab.identify.trials import Trial, find_impact
-from dart_flight.lab.identify.windows import cut, first_span, weigh
+from dart_flight.lab.identify.measured_impacts import MeasuredImpact
+from dart_flight.lab.identify.recorded_impact import free_spans_s
+from dart_flight.lab.identify.solver import HIGHEST_F, HIGHEST_K, LOWEST_F, LOWEST_K, difference
+from dart_flight.lab.identify.trials import Trial
+from dart_flight.lab.identify.windows import cut, weigh
 from dart_flight.lab.predict.path import ContactMotion
 
 _PLANE_SD_M = 0.015  # how well the position of the plane is known beforehand
@@ -33,7 +36,9 @@ PUSHES = ("before", "after")
 # that is shorter than its own lag. Positions alone could not tell that from stiffness.
 _PUSH_CHANGE_SD_M_S2 = 1.0
 _DELAY_SD_S = 0.01  # between the clocks of positions and forces
-LOWEST_K, HIGHEST_K, LOWEST_F, HIGHEST_F = 10.0, 1e6, 1e-3, 1e4
+_FREE_S = (0.25, 0.15)  # free flight used before and after a wall contact: later the recovery acts
+_ENOUGH_TRIALS = 5  # of a call, from which whole trials are drawn
+_STRETCH = 12  # samples of free flight drawn together; a contact is drawn in thirds
 # Deviation assumed before the residuals tell: the order in which the channels then count does not matter.
 _FIRST_SD = {
     "normal_m_s": 0.05, "normal_force_n": 2.0, "tangential_m_s": 0.05, "tangential_force_n": 2.0,
@@ -94,24 +99,40 @@ def _shape(contact: ContactMotion, name: str, time_s: Array) -> Array:
 
 
 class SampleFit:
-    """The joint fit: trials, windows, weights, and the residuals of a parameter vector."""
+    """The `LawProblem` of the samples of trials that show the contact.
+
+    Args:
+        trials: with positions.
+        hits: of the trials, in their order.
+        mass_kg, onset: as `identify`.
+        pushed: whether accelerations in free flight are unknown too.
+    """
+
+    robust_from = 2.0
 
     def __init__(
-        self, trials: Sequence[Trial], mass_kg: float, onset: Onset, pushed: bool,
-        felt: Sequence[tuple[float, float]],
+        self, trials: Sequence[Trial], hits: Sequence[MeasuredImpact], mass_kg: float, onset: Onset,
+        pushed: bool = False,
     ) -> None:  # fmt: skip
-        self.trials, self.mass_kg, self.onset = list(trials), mass_kg, onset
-        self.felt = list(felt)
+        self.trials, self.hits, self.mass_kg, self.onset = list(trials), list(hits), mass_kg, onset
         self.parameters = Parameters(trials, pushed)
-        self.impacts = [find_impact(trial) for trial in trials]
+        self.impacts = [hit.turn for hit in hits if hit.turn is not None]
         self.sd = dict(_FIRST_SD)
         position = float(np.median([impact.noise_m for impact in self.impacts]))
         for name in ("normal_m", "tangential_m", "vertical_m"):
             self.sd[name] = max(position, 1e-5)
-        self.windows = [
-            cut(trial, *first_span(trial, impact))
-            for trial, impact in zip(self.trials, self.impacts, strict=True)
-        ]
+        self.windows = []
+        for trial, impact in zip(self.trials, self.impacts, strict=True):
+            drop = trial.acceleration_m_s2 < 0.0
+            before, after = self._free_s(trial, -impact.approach_m_s, impact.rebound_m_s)
+            begin_s = impact.turn_s - (0.03 if drop else 0.05) - before
+            self.windows.append(cut(trial, begin_s, impact.turn_s + (0.04 if drop else 0.06) + after))
+
+    @staticmethod
+    def _free_s(trial: Trial, speed_in_m_s: float, speed_out_m_s: float) -> tuple[float, float]:
+        """How much free flight before and after the contact is fitted."""
+        longest = (_FREE_S[0], _FREE_S[0]) if trial.acceleration_m_s2 < 0.0 else _FREE_S
+        return free_spans_s(trial.acceleration_m_s2, speed_in_m_s, speed_out_m_s, longest)
 
     def contact(self, theta: Array, i: int) -> ContactMotion:
         """The contact of trial i under a parameter vector."""
@@ -157,13 +178,8 @@ class SampleFit:
 
     def block(self, theta: Array, i: int) -> Array:
         """Weighted residuals of trial i."""
-        window = self.windows[i]
-        predicted = self.predict(theta, i)
-        parts = [
-            window.counts[name] * (predicted[name] - series.value) / self.sd[name]
-            for name, series in window.series.items()
-        ]
-        return np.concatenate(parts)
+        counts, errors = self.windows[i].counts, self.errors(theta, i)
+        return np.concatenate([counts[name] * error / self.sd[name] for name, error in errors.items()])
 
     def prior(self, theta: Array) -> Array:
         """The plane's position; and next to nothing on the coefficients, so that none is ever singular."""
@@ -193,19 +209,10 @@ class SampleFit:
             rows = self.block(theta, i).size
             block = np.zeros((rows, theta.size))
             for j in self.parameters.of_trial(i, trial.mode):
-                block[:, j] = self._difference(theta, j, lambda x, i=i: self.block(x, i))
+                block[:, j] = difference(theta, j, functools.partial(self.block, i=i))
             blocks.append(block)
-        prior = np.stack([self._difference(theta, j, self.prior) for j in range(theta.size)], axis=1)
+        prior = np.stack([difference(theta, j, self.prior) for j in range(theta.size)], axis=1)
         return np.concatenate([*blocks, prior])
-
-    @staticmethod
-    def _difference(theta: Array, j: int, function: Any) -> Array:
-        h = 1e-6 * max(1.0, abs(float(theta[j])))
-        up, down = theta.copy(), theta.copy()
-        up[j] += h
-        down[j] -= h
-        difference: Array = (function(up) - function(down)) / (2.0 * h)
-        return difference
 
     def span(self, theta: Array, i: int) -> tuple[float, float, ContactMotion]:
         """Onset and release of trial i by the law, in the recording's time, and its contact."""
@@ -225,13 +232,16 @@ class SampleFit:
             for name, predicted in self.predict(theta, i).items()
         }
 
-    def weigh(self, theta: Array) -> None:
-        """Deviations and weights from the residuals, free flight and contact apart."""
+    def reweigh(self, theta: Array) -> None:
+        """Cut windows about the contacts as found, then weigh each channel by its residuals."""
         names: dict[str, list[int]] = {}
-        for i, window in enumerate(self.windows):
-            begin, end, _ = self.span(theta, i)
+        for i, trial in enumerate(self.trials):
+            begin, end, contact = self.span(theta, i)
+            out = float(contact.normal(end - begin)[1])
+            before, after = self._free_s(trial, -contact.normal_m_s, out)
             # What the recording itself shows as contact is contact, whatever the law makes of it.
-            begin, end = min(begin, self.felt[i][0]), max(end, self.felt[i][1])
+            begin, end = min(begin, self.hits[i].begin_s), max(end, self.hits[i].end_s)
+            window = self.windows[i] = cut(trial, begin - before, end + after)
             for name, series in window.series.items():
                 window.contact[name][:] = (series.time_s >= begin) & (series.time_s <= end)
                 names.setdefault(name, []).append(i)
@@ -242,9 +252,36 @@ class SampleFit:
             for i, weights in zip(members, counts, strict=True):
                 self.windows[i].counts[name][:] = weights
 
-    def cut(self, i: int, begin: float, end: float) -> None:
-        """Fit trial i between two of its times."""
-        self.windows[i] = cut(self.trials[i], begin, end)
+    def variance(self, theta: Array) -> float:
+        """Mean square of the residuals, more where they are correlated: a filter's samples tell less."""
+        data = sum(int(sum((c > 0.0).sum() for c in window.counts.values())) for window in self.windows)
+        misfit = sum(float(np.sum(self.block(theta, i) ** 2)) for i in range(len(self.trials)))
+        squares, products, n = 0.0, 0.0, 0
+        for i, window in enumerate(self.windows):
+            for name, error in self.errors(theta, i).items():
+                e = window.counts[name] * error / self.sd[name]
+                products += float(np.sum(e[1:] * e[:-1]))
+                squares += float(np.sum(e * e))
+                n += e.size
+        rho = min(products / squares if squares > 0.0 else 0.0, 0.95)  # between neighbours
+        sure = rho - 2.0 / math.sqrt(n)  # what chance alone gives is no correlation
+        correlated = (1.0 + rho) / (1.0 - rho) if sure > 0.0 else 1.0
+        return max(misfit / max(data - self.parameters.size, 1), 1e-12) * correlated
+
+    def drawn_together(self) -> list[NDArray[np.intp]]:
+        """Rows of whole trials; of few trials, of stretches of their channels."""
+        found: list[NDArray[np.intp]] = []
+        row = 0
+        for window in self.windows:
+            first, stretches = row, []
+            for contact in window.contact.values():
+                inside, outside = np.flatnonzero(contact), np.flatnonzero(~contact)
+                parts = np.array_split(inside, min(3, max(inside.size, 1)))
+                parts += np.array_split(outside, max(outside.size // _STRETCH, 1))
+                stretches += [row + part for part in parts if part.size]
+                row += contact.size
+            found += [np.arange(first, row)] if len(self.trials) >= _ENOUGH_TRIALS else stretches
+        return found
 
     def bounds(self) -> tuple[Array, Array]:
         """Limits that no impact in question goes beyond: they keep the search where the data are."""

@@ -1,156 +1,127 @@
-"""From trials to the parameters that fit their samples best."""
+"""The one solver of all fits of the law, and the intervals of what it finds.
+
+A fit states a `LawProblem`; `descend` solves it, `half_widths` says how sure its unknowns are, also where the
+law is wrong. Every unknown has two deviations: the statistical one (information of data and priors), which
+holds where the law is right, and the resampled one, which asks how much the estimate would move with other
+data, to first order. The interval follows the wider, where it is wider by more than chance.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import replace
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dart_flight.config.packages import missing_package
 from dart_flight.contact.coefficients import Array
-from dart_flight.contact.law import Onset
-from dart_flight.lab.identify.sample_fit import SampleFit
-from dart_flight.lab.identify.trials import Trial, noise_of
-from dart_flight.lab.identify.windows import AFTER_S, BEFORE_S
+from dart_flight.lab.identify.estimates import Estimate
+from dart_flight.lab.statistics import Z95, student_t
 
-_DEAD = 1e-6  # in any unit: a recording that changes by less is not one
-_CURVED = 4.5  # deviations of a curvature in free flight that is not noise
+LOWEST_K, HIGHEST_K, LOWEST_F, HIGHEST_F = 10.0, 1e6, 1e-3, 1e4  # what is searched, N/m and N s/m
+_AT_BOUND = 1e-3  # of a logarithm
+_BY_CHANCE = 1.3
 
 
-def least_squares(residuals: Callable[[Array], Array], start: Array, **how: Any) -> Any:
-    """SciPy's function of this name.
+class LawProblem(Protocol):
+    """A least-squares problem whose unknowns include the law's coefficients."""
+
+    robust_from: float  # weighted residual from which a robust loss counts less
+
+    def bounds(self) -> tuple[Array, Array]:
+        """Limits of the unknowns."""
+
+    def residuals(self, theta: Array) -> Array:
+        """Weighted residuals of the data, then of the priors."""
+
+    def jacobian(self, theta: Array) -> Array:
+        """Derivatives of the residuals, one column for each unknown."""
+
+    def reweigh(self, theta: Array) -> None:
+        """Weigh the data by their residuals."""
+
+    def variance(self, theta: Array) -> float:
+        """Factor on the variances of independent data with the assumed deviations."""
+
+    def drawn_together(self) -> Sequence[NDArray[np.intp]]:
+        """Rows of the data that are resampled together."""
+
+
+def descend(problem: LawProblem, theta: Array, losses: Sequence[str]) -> Array:
+    """Minimise with each loss in turn, and weigh the data between two of them.
 
     Raises:
         InputError: SciPy is missing.
     """
     try:
-        from scipy.optimize import least_squares as of_scipy  # noqa: PLC0415
+        from scipy.optimize import least_squares  # noqa: PLC0415
     except ImportError:
         raise missing_package("needs SciPy", "identify") from None
-    return of_scipy(residuals, start, **how)
+    low, high = problem.bounds()
+    for turn, loss in enumerate(losses, 1):
+        found: Any = least_squares(
+            problem.residuals, np.clip(theta, low, high), jac=problem.jacobian, bounds=(low, high),
+            x_scale="jac", loss=loss, f_scale=problem.robust_from, max_nfev=80,
+        )  # fmt: skip
+        theta = found.x
+        if turn < len(losses):
+            problem.reweigh(theta)
+    return theta
 
 
-def solve(
-    trials: Sequence[Trial],
-    felt: Sequence[tuple[float, float]],
-    mass_kg: float,
-    onset: Onset,
-    *,
-    may_curve: bool = True,
-    least: int = 0,
-) -> tuple[SampleFit, Array, list[str]]:
-    """Robust descent, then least squares with the weights that the residuals ask for.
+def difference(theta: Array, j: int, function: Callable[[Array], Array]) -> Array:
+    """Return the derivative by unknown `j`, by central differences."""
+    h = 1e-6 * max(1.0, abs(float(theta[j])))
+    up, down = theta.copy(), theta.copy()
+    up[j] += h
+    down[j] -= h
+    slope: Array = (function(up) - function(down)) / (2.0 * h)
+    return slope
+
+
+def covariance(jacobian: Array) -> Array:
+    """Return the covariance of all unknowns: the inverse information of data and priors."""
+    scale = np.sqrt(np.sum(jacobian**2, axis=0))
+    scale[scale == 0.0] = 1.0
+    inverse = np.linalg.pinv((jacobian / scale).T @ (jacobian / scale), rcond=1e-14, hermitian=True)
+    result: Array = inverse / np.outer(scale, scale)
+    return result
+
+
+def half_widths(problem: LawProblem, theta: Array) -> Array:
+    """Return the half widths of the 95 % intervals of all unknowns of a solved problem."""
+    jacobian, residuals = problem.jacobian(theta), problem.residuals(theta)
+    inverse = covariance(jacobian)
+    statistical = Z95 * np.sqrt(np.diag(inverse) * problem.variance(theta))
+    # Drawing blocks with replacement moves the estimate by the sum of their scores times the inverse
+    # information: this is the variance of that sum.
+    scores = np.stack([jacobian[rows].T @ residuals[rows] for rows in problem.drawn_together()])
+    n = len(scores)
+    moved = (scores - scores.mean(axis=0)) @ inverse
+    drawn = np.sqrt(np.sum(moved**2, axis=0) * n / max(n - 1, 1))
+    half = student_t(max(n - 1, 1)) * drawn
+    return np.where(half > _BY_CHANCE * statistical, half, statistical)
+
+
+def stiffness_and_damping(
+    logs: Array, halves: Array, widest: float
+) -> tuple[dict[str, Estimate | None], list[str]]:
+    """Return k and f from their logarithms and the half widths of these, and a note for each unknown one.
 
     Args:
-        trials: with positions.
-        felt: begin and end of each contact as the recording itself shows it.
-        mass_kg, onset: as `identify`.
-        may_curve: whether accelerations in free flight may be estimated.
-        least: samples in contact that every trial needs; with fewer the fit stops early.
-
-    Returns:
-        The fit, its parameters, and notes.
-
-    Raises:
-        InputError: SciPy is missing, or a trial cannot be used.
+        logs, halves: of k and f, each (2,).
+        widest: half width of a logarithm from which a coefficient is unknown.
     """
-    notes: list[str] = []
-
-    def descend(fit: SampleFit, theta: Array, losses: Sequence[str]) -> Array:
-        low, high = fit.bounds()
-        for turn, loss in enumerate(losses, 1):
-            result = least_squares(
-                fit.residuals, np.clip(theta, low, high), jac=fit.jacobian, bounds=(low, high),
-                x_scale="jac", loss=loss, f_scale=2.0, max_nfev=80,
-            )  # fmt: skip
-            theta = result.x
-            if turn < len(losses):
-                _refine(fit, theta)
-        return theta
-
-    fit = SampleFit(trials, mass_kg, onset, False, felt)
-    theta = descend(fit, fit.start(), ("soft_l1", "linear", "linear"))
-    if any(fit.in_contact(theta, i) < least for i in range(len(fit.trials))):
-        return fit, theta, notes
-    if may_curve and _is_curved(fit, theta):
-        notes.append("free flight is not straight: accelerations before and after the contact are estimated")
-        pushed = SampleFit(trials, mass_kg, onset, True, felt)
-        pushed.sd = dict(fit.sd)
-        start = np.zeros(pushed.parameters.size)
-        start[: 1 + 4 * len(fit.parameters.modes)] = theta[: 1 + 4 * len(fit.parameters.modes)]
-        for old, new in zip(fit.parameters.own, pushed.parameters.own, strict=True):
-            for name, j in old.items():
-                start[new[name]] = theta[j]
-        fit, theta = pushed, descend(pushed, start, ("soft_l1", "linear", "linear"))
-    return fit, theta, notes
-
-
-def _is_curved(fit: SampleFit, theta: Array) -> bool:
-    """Whether the residuals of any wall hit bend, before or after the contact, more than noise does."""
-    for i, trial in enumerate(fit.trials):
-        if trial.acceleration_m_s2 != 0.0:
-            continue
-        begin, end, _ = fit.span(theta, i)
-        predicted = fit.predict(theta, i)
-        for name in ("normal_m", "tangential_m", "vertical_m"):
-            if name not in predicted:
-                continue
-            time, value = fit.windows[i].series[name]
-            # From third differences: what bends does not add to it, as it would to the residuals.
-            sd = noise_of(fit.trials[i].series[name])
-            for part in (time < begin, time > end):
-                part &= (fit.windows[i].counts[name] > 0.0) & ~fit.windows[i].contact[name]
-                if part.sum() < 8:
-                    continue
-                t = time[part] - time[part].mean()
-                bend = np.stack((np.ones_like(t), t, 0.5 * t * t), axis=1)
-                error = (value - predicted[name])[part]
-                inverse = np.linalg.pinv(bend.T @ bend)
-                curvature = float((inverse @ bend.T @ error)[2])
-                if abs(curvature) > _CURVED * sd * math.sqrt(float(inverse[2, 2])):
-                    return True
-    return False
-
-
-def without_derived(trials: Sequence[Trial]) -> tuple[list[Trial], list[str]]:
-    """Leave out what is no measurement: velocities differenced from the positions, dead channels.
-
-    The former would count twice; the latter seem to have no noise at all and would count for everything.
-    """
-    kept, notes = [], []
-    for trial in trials:
-        series = dict(trial.series)
-        for name in [n for n, (_, value) in series.items() if not value.size or float(np.ptp(value)) < _DEAD]:
-            if name != "normal_m":
-                del series[name]
-                notes.append(f"{trial.name}: {name} never changes and was not used")
-        for axis in ("normal", "tangential"):
-            position, velocity = series.get(f"{axis}_m"), series.get(f"{axis}_m_s")
-            if position is None or velocity is None or position.time_s.size < 20:
-                continue
-            slope = np.gradient(position.value, position.time_s)
-            own = velocity.value - np.interp(velocity.time_s, position.time_s, slope)
-            noise = np.std(np.diff(slope, 2)) / math.sqrt(6.0)
-            if np.median(np.abs(own)) < 0.2 * noise:
-                del series[f"{axis}_m_s"]
-                notes.append(f"{trial.name}: {axis}_m_s is the derivative of {axis}_m and was not used")
-        kept.append(replace(trial, series=series))
-    return kept, notes
-
-
-def _refine(fit: SampleFit, theta: Array) -> None:
-    """Windows about the contact that was found, then weights from the residuals."""
-    for i, trial in enumerate(fit.trials):
-        begin, end, contact = fit.span(theta, i)
-        if trial.acceleration_m_s2 < 0.0:
-            g = -trial.acceleration_m_s2
-            before = min(0.85 * -contact.normal_m_s / g, BEFORE_S)
-            after = min(1.5 * max(float(contact.normal(end - begin)[1]), 0.0) / g, BEFORE_S)
+    found: dict[str, Estimate | None] = {"k": None, "f": None}
+    notes = []
+    bounds = ((LOWEST_K, HIGHEST_K), (LOWEST_F, HIGHEST_F))
+    for name, (lowest, highest), log, half in zip(found, bounds, logs.tolist(), halves.tolist(), strict=True):
+        if not math.log(lowest) + _AT_BOUND <= log <= math.log(highest) - _AT_BOUND:
+            notes.append(f"{name} is at a bound of the search ({math.exp(log):.3g}) and not known")
+        elif half >= widest:
+            notes.append(f"{name} cannot be told from these trials")
         else:
-            before, after = BEFORE_S, AFTER_S
-        begin, end = min(begin, fit.felt[i][0]), max(end, fit.felt[i][1])
-        fit.cut(i, begin - before, end + after)
-    fit.weigh(theta)
+            found[name] = Estimate(*(math.exp(v) for v in (log, log - half, log + half)))
+    return found, notes

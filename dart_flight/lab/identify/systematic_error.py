@@ -22,26 +22,6 @@ _K_OF_TURNING = 0.03  # turning presses one guard deeper than the other: k is lo
 _TURNS = 0.1  # from this share on it is said
 
 
-def worst_rotation(trials: Sequence[Trial], hits: Sequence[MeasuredImpact]) -> tuple[float, float]:
-    """The most that any trial turned; 0 where none says it, or none moves along the wall.
-
-    Args:
-        trials: of one mode.
-        hits: of these trials, in their order.
-
-    Returns:
-        The largest rate about the vertical, rad/s; the largest velocity at the guards by turning over the
-        centre's along the wall.
-    """
-    rate = share = 0.0
-    for trial, hit in zip(trials, hits, strict=True):
-        if trial.flown is not None and trial.turn_rad_s is not None and hit.tangential_in_m_s:
-            sliding = trial.turn_rad_s * trial.flown.config.airframe.contact_distance_m
-            rate = max(rate, trial.turn_rad_s)
-            share = max(share, sliding / abs(hit.tangential_in_m_s))
-    return rate, share
-
-
 def widen_intervals(
     found: dict[str, Estimate | None], trials: Sequence[Trial], hits: Sequence[MeasuredImpact]
 ) -> tuple[dict[str, Estimate | None], list[str]]:
@@ -54,7 +34,12 @@ def widen_intervals(
     """
     shares = {name: max(trial.allowance.get(name, 0.0) for trial in trials) for name in found}
     notes = []
-    rate_rad_s, share = worst_rotation(trials, hits)
+    rate_rad_s = share = 0.0  # largest turn rate; largest speed of the guards by it over that along the wall
+    for trial, hit in zip(trials, hits, strict=True):
+        if trial.flown is not None and trial.turn_rad_s is not None and hit.tangential_in_m_s:
+            sliding = trial.turn_rad_s * trial.flown.config.airframe.contact_distance_m
+            rate_rad_s = max(rate_rad_s, trial.turn_rad_s)
+            share = max(share, sliding / abs(hit.tangential_in_m_s))
     mu = found["mu"]
     if share > _TURNS:
         slides = min(_OF_TURNING * share, _MAX)

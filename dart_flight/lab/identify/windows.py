@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 
 from dart_flight.config.document import InputError
 from dart_flight.contact.coefficients import Array
-from dart_flight.lab.identify.trials import Series, Trial, TrialImpact
+from dart_flight.lab.identify.recorded_impact import deviation_of
+from dart_flight.lab.identify.trials import Series, Trial
 
 Mask = NDArray[np.bool_]
 
-BEFORE_S, AFTER_S = 0.25, 0.15  # free flight used at a wall: later the recovery acts
 _OUTLIER = 5.0  # deviations in free flight
 _HUBER = 3.0  # deviations in contact from which a sample counts less
 _SPIKE = 8.0  # deviations of a single sample that is set aside
@@ -48,16 +48,6 @@ class TrialWindow(NamedTuple):
     contact: dict[str, Mask]
 
 
-def first_span(trial: Trial, impact: TrialImpact) -> tuple[float, float]:
-    """Where to look before anything is fitted."""
-    if trial.acceleration_m_s2 < 0.0:
-        # A drop is free fall only from its release on, and after the rebound only until the next contact.
-        fall = 0.85 * -impact.approach_m_s / -trial.acceleration_m_s2
-        rise = 1.5 * impact.rebound_m_s / -trial.acceleration_m_s2
-        return impact.turn_s - 0.03 - min(fall, BEFORE_S), impact.turn_s + 0.04 + min(rise, BEFORE_S)
-    return impact.turn_s - 0.05 - BEFORE_S, impact.turn_s + 0.06 + AFTER_S
-
-
 def cut(trial: Trial, begin: float, end: float) -> TrialWindow:
     """The samples of a trial between two of its times, all counting.
 
@@ -76,11 +66,6 @@ def cut(trial: Trial, begin: float, end: float) -> TrialWindow:
                 counts[name] = np.ones(int(inside.sum()))
                 contact[name] = np.zeros(int(inside.sum()), dtype=bool)
     return TrialWindow(series, counts, contact)
-
-
-def deviation_of(errors: Array) -> float:
-    """Standard deviation from the median size of errors: deaf to outliers."""
-    return max(1.4826 * float(np.median(np.abs(errors))), 1e-9)
 
 
 def weigh(errors: list[Array], contacts: list[Mask]) -> tuple[list[Array], float]:

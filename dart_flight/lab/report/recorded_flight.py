@@ -94,16 +94,6 @@ class Impact:
     def __init__(self, impact: FlownImpact, flight: RecordedFlight) -> None:
         self.verdict, self.collision = impact, impact.collision
         self.material = self.collision.wall.material
-        self.planned = verdict.planned
-        self.peak = _peak_after(course, verdict.t_us)
-        self._truth = _truth_near(course, verdict)
-        self.prediction: HitHistory | None = None
-        self.predicted_n: float | None = None
-        self.onset_s = at_s
-        self._predict(mission)
-        if self.peak is not None and self._contact is not None:
-            self.onset_s = course.time_of(self.peak.t_us) - self._contact.peak_s
-        self.compared = self._compare(course)
         self.at_s = self.onset_s = flight.course.time_of(impact.t_us)
         self.prediction: HitHistory | None = None
         self.predicted = Velocities()

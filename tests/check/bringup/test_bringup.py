@@ -10,7 +10,8 @@ import msgspec
 import pytest
 
 from dart_flight.check.bringup.judgements import StepFinding, StepOutcome
-from dart_flight.check.bringup.steps import Bringup
+from dart_flight.check.bringup.steps import STEPS, Bringup
+from dart_flight.check.stages import run_checks
 from dart_flight.cli import main
 from dart_flight.config.mission import Mission, load_mission
 from dart_flight.config.vehicle import LockDriver, packaged
@@ -58,10 +59,15 @@ def state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("DART_FLIGHT_STATE_DIR", str(tmp_path / "state"))
 
 
+def carry_out(bringup: Bringup, name: str) -> StepFinding:
+    (found,) = run_checks([step for step in STEPS if step.name == name], bringup)
+    return found
+
+
 def walk(vehicle: BenchVehicle, *names: str) -> dict[str, StepFinding]:
     bringup = Bringup(MISSION, vehicle.url, Hands(vehicle), WAIT_S)
     try:
-        return {name: bringup.carry_out(name) for name in names}
+        return {name: carry_out(bringup, name) for name in names}
     finally:
         bringup.close()
 
@@ -100,7 +106,7 @@ def test_a_wrong_baud_rate_is_recognised() -> None:
     with BenchVehicle(MISSION) as vehicle:
         url = vehicle.url.replace("921600", "57600")
         bringup = Bringup(MISSION, url, Hands(vehicle), 3.0)
-        found = bringup.carry_out("link")
+        found = carry_out(bringup, "link")
         bringup.close()
     assert found.result is StepOutcome.FAIL
     assert found.message == "wrong baud rate: MAVLink arrives at 921600, not at 57600 (SER_TEL2_BAUD)"
@@ -135,7 +141,7 @@ def maestro(tmp_path: Path) -> Iterator[Mission]:
 def test_the_servo_moves_the_right_way_by_the_operators_word(
     maestro: Mission, sees: Callable[[str], bool], result: StepOutcome, words: str
 ) -> None:
-    found = Bringup(maestro, "udpin://127.0.0.1:1", Hands(sees=sees)).carry_out("servo")
+    found = carry_out(Bringup(maestro, "udpin://127.0.0.1:1", Hands(sees=sees)), "servo")
     assert found.result is result
     assert words in found.message
     if result is StepOutcome.PASS:
@@ -147,7 +153,7 @@ def test_an_unplugged_servo_is_named() -> None:
     assert lock is not None
     lock = msgspec.structs.replace(lock, driver=LockDriver.MAESTRO)
     mission = msgspec.structs.replace(MISSION, vehicle=msgspec.structs.replace(MISSION.vehicle, lock=lock))
-    found = Bringup(mission, "udpin://127.0.0.1:1", Hands()).carry_out("servo")
+    found = carry_out(Bringup(mission, "udpin://127.0.0.1:1", Hands()), "servo")
     assert found.result is StepOutcome.FAIL
     assert lock.maestro.port in found.message
 
@@ -188,6 +194,6 @@ def test_a_vehicle_that_answers_nothing_is_a_failed_step(monkeypatch: pytest.Mon
         raise NoAnswerError("sends, but answers no request: TIMESYNC")
 
     monkeypatch.setattr(Bringup, "_connect", refuse)
-    found = Bringup(MISSION, "udpin://127.0.0.1:1", Hands()).carry_out("link")
+    found = carry_out(Bringup(MISSION, "udpin://127.0.0.1:1", Hands()), "link")
     assert found.result is StepOutcome.FAIL
     assert "answers no request: TIMESYNC" in found.message

@@ -21,6 +21,7 @@ from dart_flight.check.bringup.judgements import (
     judge_push,
     mean_while_still,
 )
+from dart_flight.check.telemetry_check import stream_rates
 from dart_flight.vehicle.baud_rate import has_frames
 
 UP = (0.0, 0.0, -GRAVITY_M_S2)
@@ -112,15 +113,15 @@ def test_carried_is_in_the_vehicles_own_axes() -> None:
 
 def test_a_slow_stream_is_named_with_what_it_needs() -> None:
     rates = {"imu": 49.0, "attitude": 100.0, "odometry": 100.0, "actuator": 100.0}
-    found = judge_link(rates, 0.005, 0.2, {})
+    found = judge_link(stream_rates(rates, {}), 0.005, 0.2, {})
     assert found.result is StepOutcome.FAIL
     assert "imu 49 Hz, needs 150" in found.message
     rates["imu"] = 180.0
-    assert judge_link(rates, 0.005, 0.2, {}).result is StepOutcome.PASS
-    assert "radio" in judge_link(rates, 0.5, 0.2, {}).message
-    assert "5.0 %" in judge_link(rates, 0.005, 0.2, {"drop_rate_comm": 500.0}).message
+    assert judge_link(stream_rates(rates, {}), 0.005, 0.2, {}).result is StepOutcome.PASS
+    assert "radio" in judge_link(stream_rates(rates, {}), 0.5, 0.2, {}).message
+    assert "5.0 %" in judge_link(stream_rates(rates, {}), 0.005, 0.2, {"drop_rate_comm": 500.0}).message
     why = {"odometry": "125 Hz arrive, none with a velocity"}
-    empty = judge_link({**rates, "odometry": 0.0}, 0.005, 0.2, {}, why)
+    empty = judge_link(stream_rates({**rates, "odometry": 0.0}, why), 0.005, 0.2, {})
     assert empty.message == "odometry: 125 Hz arrive, none with a velocity"  # and no word of a baud rate
 
 

@@ -25,10 +25,9 @@ from dart_flight.contact.contact_map import drop
 from dart_flight.contact.law import Onset
 from dart_flight.lab.identify.fit import identify
 from dart_flight.lab.identify.held_out import hold_out
+from dart_flight.lab.identify.hit_fit import HitTable, fit_hits, predict
 from dart_flight.lab.identify.measured_impacts import MeasuredImpact, measure_impact
 from dart_flight.lab.identify.trials import Series, Trial
-from dart_flight.lab.identify.whole_fit import HitTable, predict
-from dart_flight.lab.identify.whole_hits import stiffness_and_damping
 from dart_flight.lab.identify.windows import MAX_SET_ASIDE, weigh
 from dart_flight.lab.predict.path import ContactMotion
 from tools.synthetic_trials import MASS_KG, wall_trial
@@ -288,7 +287,7 @@ def made_by(k: float, f: float, speeds: list[float], onset: Onset, push: float =
 @pytest.mark.parametrize("push", [0.0, -G])
 def test_coefficients_come_back_from_whole_hits(onset: Onset, push: float) -> None:
     hits = made_by(4200.0, 15.0, [0.4, 0.6, 0.9, 1.2, 1.6, 2.0], onset, push)
-    found, notes = stiffness_and_damping(hits, MASS_KG, onset)
+    found, notes = fit_hits(hits, MASS_KG, onset)
     for name, true in (("k", 4200.0), ("f", 15.0)):
         estimate = found[name]
         assert estimate is not None

@@ -18,8 +18,10 @@ from dart_flight.config.vehicle.configuration import load_vehicle
 from dart_flight.contact.contact_map import drop
 from dart_flight.contact.law import Onset
 from dart_flight.lab.identify.fit import identify
-from dart_flight.lab.identify.fit_quality import assess_fit
-from dart_flight.lab.identify.trials import TrialReading, read_trials
+from dart_flight.lab.identify.fit_quality import assess_fit, expected_residuals
+from dart_flight.lab.identify.measured_impacts import measure_impact
+from dart_flight.lab.identify.trial_readers import read_trials
+from dart_flight.lab.identify.trials import TrialReading
 from dart_flight.lab.predict.path import ContactMotion
 from tests.doubles.ulog_file import write_ulog
 
@@ -108,12 +110,14 @@ def test_coefficients_that_do_not_give_back_the_drops_are_a_poor_fit(tmp_path: P
         for trial in read_trials(dropped(tmp_path / f"{height}.ulg", height, 6, positions=False), how)
     ]
     found = identify(trials, MASS_KG, Onset.LCP)
-    assert assess_fit(found, trials, MASS_KG, Onset.LCP).good is True
+    assert found.fit.good is True
+    hits = [measure_impact(trial, MASS_KG) for trial in trials]
+    expected = expected_residuals(trials, hits)
     k = found.coefficients["flexible"]["k"]
     assert k is not None
     wrong = {"flexible": found.coefficients["flexible"] | {"k": k._replace(value=3.0 * k.value)}}
-    judged = assess_fit(found._replace(coefficients=wrong), trials, MASS_KG, Onset.LCP)
+    judged = assess_fit(wrong, hits, found.residuals, expected, MASS_KG, Onset.LCP)
     assert judged.good is False
     assert any("flexible peak" in line for line in judged.says)
     unknown = {"flexible": dict.fromkeys(found.coefficients["flexible"])}
-    assert assess_fit(found._replace(coefficients=unknown), trials, MASS_KG, Onset.LCP).good is None
+    assert assess_fit(unknown, hits, found.residuals, expected, MASS_KG, Onset.LCP).good is None

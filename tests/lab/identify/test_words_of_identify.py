@@ -9,15 +9,16 @@ import pytest
 
 from dart_flight.cli import main
 from dart_flight.config.document import InputError
-from dart_flight.lab.identify import whole_hits
-from dart_flight.lab.identify.trials import TrialReading, read_trials
+from dart_flight.lab.identify import speed_ratios
+from dart_flight.lab.identify.trial_readers import read_trials
+from dart_flight.lab.identify.trials import TrialReading
 from tests.doubles.ulog_file import write_ulog
 
 
 @pytest.mark.parametrize("shares", [[-0.041], [-0.041, -0.036, -0.05], [0.02, 0.01], [1.2, 0.97], [0.5]])
 def test_an_interval_holds_its_value(shares: list[float]) -> None:
     for least, most in ((0.0, 1.0), (-np.inf, np.inf)):
-        found = whole_hits._ratio(np.array(shares), np.full(len(shares), 0.01), least, most)
+        found = speed_ratios._ratio(np.array(shares), np.full(len(shares), 0.01), least, most)
         assert found is not None
         assert least <= found.low <= found.value <= found.high <= most
 

@@ -13,7 +13,8 @@ import pytest
 
 from dart_flight.base.records import ForceEstimate, ImpactOnset, ImpactPeak
 from dart_flight.cli import main
-from dart_flight.lab.identify.trials import TrialReading, read_trials
+from dart_flight.lab.identify.trial_readers import read_trials
+from dart_flight.lab.identify.trials import TrialReading
 from dart_flight.lab.inspect.impacts import Estimated, ThresholdCrossing
 from tests.doubles.ulog_file import Topics, write_ulog
 from tools.campaigns.real import pushed

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 import dart_flight
-from dart_flight.check.mission_check import check_mission
 from dart_flight.config.mission import Mission
 from dart_flight.lab.figure_style import as_svg
 from dart_flight.lab.report.figures.map_drawing import view_of
 from dart_flight.lab.report.figures.mission_figure import mission_figure, prediction_lines
 from dart_flight.planning.predicted_flight import predict_mission, predicted_segments
 from tests.lab.report.svg import texts_of
+from tests.mission_findings import check_mission
 
 TOUCH = {"approach": {"normal_m_s": -0.6}, "alpha_wall_m_per_n": [0.025, 0.025], "mode": "flexible"}
 

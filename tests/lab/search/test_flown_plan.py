@@ -12,7 +12,6 @@ import pytest
 
 import dart_flight
 from dart_flight.base.records import Outcome, World
-from dart_flight.check.mission_check import check_mission
 from dart_flight.cli import main
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission
@@ -26,6 +25,7 @@ from dart_flight.planning.predicted_flight import predict_mission
 from dart_flight.recording.verdict import Verdict
 from dart_flight.run.prepare import with_driver
 from tests.lab.search.test_quickest import between
+from tests.mission_findings import check_mission
 
 WRITTEN = """\
 version: 1

@@ -1,0 +1,187 @@
+"""The checks of `check`, `fly`, `survey` and hardware in the loop: one list, by stage.
+
+A command chooses stages (`checks_of`), makes a `FlightContext`, and shows what `run_checks` finds. A further
+check is one line here. The steps on the bench are a list of their own: `bringup.steps.STEPS`.
+"""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from dart_flight.check.computer_load import check_computer, check_core_speed, check_lateness
+from dart_flight.check.findings import CheckFinding
+from dart_flight.check.hitl_check import (
+    judge_hitl_lock,
+    judge_hitl_mode,
+    judge_hitl_outputs,
+    judge_hitl_parameters,
+    judge_own_parameters,
+)
+from dart_flight.check.inherited_check import check_inherited
+from dart_flight.check.log_space import check_log_space
+from dart_flight.check.mission_check import (
+    check_collisions,
+    check_flown,
+    check_goal,
+    check_materials,
+    check_path,
+    check_places,
+    check_waypoints,
+    predict_flight_path,
+)
+from dart_flight.check.place_check import check_heading, judge_place
+from dart_flight.check.probe_check import check_anchors
+from dart_flight.check.px4_parameters import judge_claim, judge_parameters, judge_position
+from dart_flight.check.stages import Check, Stage
+from dart_flight.check.telemetry_check import (
+    judge_battery,
+    judge_motor_outputs,
+    judge_rates,
+    judge_resting_force,
+    judge_sources,
+)
+from dart_flight.check.vehicle_check import (
+    judge_airframe,
+    judge_lock,
+    judge_mode,
+    judge_observation,
+    judge_round_trip,
+)
+from dart_flight.check.vehicle_reading import VehicleReading, read_for_hitl, read_vehicle
+from dart_flight.check.wall_check import check_walls
+from dart_flight.config.mission import Mission
+from dart_flight.config.parameter_file import PositionSource
+from dart_flight.planning.predicted_flight import PredictedFlight
+
+
+@dataclass
+class FlightContext:
+    """What the checks before a flight look at.
+
+    Attributes:
+        mission: to be flown.
+        log_dir: where its log goes.
+        url: MAVSDK connection URL of the vehicle, None without one.
+        position_from: what the operator claims; None: as the vehicle's parameters say.
+        reading: what the vehicle says; the first check of a stage with a vehicle reads it.
+        found: what earlier checks have found.
+    """
+
+    mission: Mission
+    log_dir: Path = Path()
+    url: str | None = None
+    position_from: PositionSource | None = None
+    reading: VehicleReading | None = None
+    found: list[CheckFinding] = field(default_factory=list)
+    own_errors: tuple[type[Exception], ...] = ()
+
+    @functools.cached_property
+    def planned(self) -> PredictedFlight | None:
+        """The flight by the planner's model, None if it cannot be predicted."""
+        return predict_flight_path(self.mission)
+
+    @property
+    def vehicle(self) -> VehicleReading:
+        """What the vehicle says."""
+        assert self.reading is not None, "read by the first check of the stage"
+        return self.reading
+
+    def read(self) -> list[CheckFinding]:
+        """Read what the checks of a vehicle need; finds nothing by itself."""
+        if self.reading is None and self.url is not None:
+            self.reading = read_vehicle(self.mission, self.url)
+        return []
+
+    def read_for_hitl(self) -> list[CheckFinding]:
+        """Read what the checks for hardware in the loop need; finds nothing by itself."""
+        if self.reading is None and self.url is not None:
+            self.reading = read_for_hitl(self.mission, self.url)
+        return []
+
+    def explain(self, error: Exception) -> CheckFinding:
+        """Never called, without own errors."""
+        raise error
+
+    # -- checks that need more than one line --
+
+    def check_claim(self) -> list[CheckFinding]:
+        """What the operator claims of the position, where no vehicle can be asked."""
+        if self.url is not None or self.position_from is None:
+            return []
+        return judge_claim(self.mission, self.position_from)
+
+    def check_parameters(self) -> list[CheckFinding]:
+        """PX4's parameters."""
+        v = self.vehicle
+        return judge_parameters(self.mission, v.values, self.position_from or v.position_from, v.version)
+
+    def check_own_parameters(self) -> list[CheckFinding]:
+        """The vehicle's own parameters, once everything else is ready for hardware in the loop."""
+        if not all(finding.go for finding in self.found):
+            return []
+        return judge_own_parameters(self.mission, self.vehicle.values, self.position_from)
+
+
+FlightCheck = Check[FlightContext, CheckFinding]
+
+_FILE, _COMPUTER, _DESK, _VEHICLE, _HITL = Stage.FILE, Stage.COMPUTER, Stage.DESK, Stage.VEHICLE, Stage.HITL
+
+CHECKS: tuple[FlightCheck, ...] = (
+    Check("places", _FILE, lambda c: check_places(c.mission)),
+    Check("heading", _FILE, lambda c: check_heading(c.mission)),
+    Check("waypoints", _FILE, lambda c: check_waypoints(c.mission, c.planned)),
+    Check("collisions", _FILE, lambda c: check_collisions(c.mission, c.planned)),
+    Check("path", _FILE, lambda c: check_path(c.mission, c.planned)),
+    Check("goal", _FILE, lambda c: check_goal(c.mission, c.planned)),
+    Check("walls", _FILE, lambda c: check_walls(c.mission, c.planned)),
+    Check("anchors", _FILE, lambda c: check_anchors(c.mission)),
+    Check("materials", _FILE, lambda c: check_materials(c.mission)),
+    Check("flown", _FILE, lambda c: [check_flown(c.mission)]),
+    Check("log_space", _COMPUTER, lambda c: [check_log_space(c.mission, c.log_dir)]),
+    Check("lateness", _COMPUTER, lambda c: [check_lateness(c.mission)]),
+    Check("core_speed", _COMPUTER, lambda c: [check_core_speed(c.mission, c.found)]),
+    Check("health", _COMPUTER, lambda c: check_computer()),
+    Check("inherited", _DESK, lambda c: check_inherited(c.mission)),
+    Check("claim", _DESK, FlightContext.check_claim),
+    Check("link", _VEHICLE, FlightContext.read),
+    Check(
+        "position",
+        _VEHICLE,
+        lambda c: judge_position(
+            c.mission, c.vehicle.position_from, c.vehicle.observed.gps_fix, c.position_from
+        ),
+    ),
+    Check("parameters", _VEHICLE, FlightContext.check_parameters),
+    Check("mode", _VEHICLE, lambda c: judge_mode(c.vehicle.mode)),
+    Check("airframe", _VEHICLE, lambda c: judge_airframe(c.mission, c.vehicle.values)),
+    Check("round_trip", _VEHICLE, lambda c: [judge_round_trip(c.mission, c.vehicle.round_trip_s)]),
+    Check("estimator", _VEHICLE, lambda c: judge_observation(c.vehicle.observed)),
+    Check("rates", _VEHICLE, lambda c: judge_rates(c.vehicle.observed, c.vehicle.values)),
+    Check("sources", _VEHICLE, lambda c: judge_sources(c.vehicle.observed)),
+    Check("battery", _VEHICLE, lambda c: [judge_battery(c.mission, c.vehicle.observed)]),
+    Check("imu_scale", _VEHICLE, lambda c: judge_resting_force(c.vehicle.observed)),
+    Check(
+        "motor_outputs",
+        _VEHICLE,
+        lambda c: judge_motor_outputs(c.mission, c.vehicle.observed, c.vehicle.values),
+    ),
+    Check(
+        "place",
+        _VEHICLE,
+        lambda c: judge_place(c.mission, c.vehicle.observed.position_ned, c.vehicle.observed.q_frd_to_ned),
+    ),
+    Check("lock", _VEHICLE, lambda c: judge_lock(c.mission, c.vehicle.values)),
+    Check("link", _HITL, FlightContext.read_for_hitl),
+    Check("lock", _HITL, lambda c: [judge_hitl_lock(c.mission)]),
+    Check("mode", _HITL, lambda c: judge_hitl_mode(c.vehicle.values, c.vehicle.mode)),
+    Check("hitl_parameters", _HITL, lambda c: judge_hitl_parameters(c.vehicle.values)),
+    Check("outputs", _HITL, lambda c: judge_hitl_outputs(c.vehicle.values)),
+    Check("parameters", _HITL, FlightContext.check_own_parameters),
+)
+
+
+def checks_of(*stages: Stage) -> list[FlightCheck]:
+    """Return the checks of some stages, in their order."""
+    return [check for check in CHECKS if check.stage in stages]

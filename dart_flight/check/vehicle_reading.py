@@ -1,0 +1,119 @@
+"""What a vehicle on the ground says of itself, read once over its link for the checks of a stage."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import msgspec
+
+from dart_flight.check.hitl_check import BOARD, HITL, IO_OUTPUTS, ON_A_BOARD, WITH_IO, hitl_parameters
+from dart_flight.check.px4_parameters import names_to_read, other_names, position_source
+from dart_flight.check.stages import EndOfStageError
+from dart_flight.check.telemetry_check import LOOPBACK, motor_output_names
+from dart_flight.check.vehicle_check import judge_autopilot, judge_round_trip
+from dart_flight.config.mission import Mission
+from dart_flight.config.parameter_file import PositionSource, Version
+from dart_flight.config.rotors import COUNT, motors_of, rotor_names
+from dart_flight.config.vehicle import LockDriver, Motor
+from dart_flight.lock.drivers.px4_output import required_parameters
+from dart_flight.vehicle.ground_link import GroundLink, HeartbeatMode, Observation
+
+_MEASURE_S = 3.0
+
+
+class VehicleReading(msgspec.Struct, frozen=True):
+    """What a vehicle says of itself.
+
+    Attributes:
+        mode: of its heartbeat, None if there was none.
+        values: PX4's parameters as read.
+        observed: its telemetry over a few seconds.
+        round_trip_s: shortest round trip, None if no request was answered.
+    """
+
+    mode: HeartbeatMode | None
+    values: Mapping[str, float]
+    observed: Observation = msgspec.field(default_factory=Observation)
+    round_trip_s: float | None = None
+
+    @property
+    def version(self) -> Version | None:
+        """Major and minor of PX4; None where it tells none, as 0.0.0."""
+        return release_of(self.observed.version)
+
+    @property
+    def position_from(self) -> PositionSource | None:
+        """Where its position comes from."""
+        return position_source(self.values, self.observed.gps_fix)
+
+    @property
+    def motors(self) -> tuple[Motor, ...] | None:
+        """The motors of its parameters; None if it has none."""
+        if not rotor_names(self.values.get(COUNT, 0.0)):
+            return None
+        return motors_of(self.values, "the flight controller")
+
+
+def read_vehicle(mission: Mission, url: str) -> VehicleReading:
+    """Read what the checks of a vehicle need.
+
+    Raises:
+        EndOfStageError: another autopilot answers, or the link is too slow for the rest.
+        VehicleError: nothing answers at the URL.
+        NoAnswerError: what answers there does not answer requests.
+    """
+    lock = mission.vehicle.lock
+    with GroundLink(url, mission.vehicle.connection.timeout_s) as link:
+        mode = link.heartbeat_mode()
+        other = judge_autopilot(mode)
+        if other:
+            raise EndOfStageError(other)  # another autopilot has neither PX4's parameters nor its modes
+        round_trip_s = link.round_trip_s()
+        late = judge_round_trip(mission, round_trip_s)
+        if not late.go:
+            raise EndOfStageError([late])  # over such a link the rest would take minutes, and tell nothing
+        observed = link.observe(mission.vehicle, _MEASURE_S)
+        names = [*names_to_read(release_of(observed.version)), COUNT]
+        if lock is not None and lock.driver is LockDriver.PX4:
+            names += [required.name for required in required_parameters(lock)]
+        values = link.read_parameters(names)
+        values |= link.read_parameters(dict.fromkeys(other_names(values)))
+        values |= link.read_parameters(rotor_names(values.get(COUNT, 0.0)))
+        values |= _read_outputs(link, len(mission.vehicle.airframe.motors))
+        if any(s.reason for s in observed.sources if s.is_vehicle and s.sender.message == "ODOMETRY"):
+            values |= link.read_parameters([LOOPBACK])
+    return VehicleReading(mode, values, observed, round_trip_s)
+
+
+def _read_outputs(link: GroundLink, motors: int) -> dict[str, float]:
+    """Read the parameters of the motors' outputs, without those that the vehicle does not have."""
+    values: dict[str, float] = {}
+    while names := motor_output_names(values, motors):
+        values |= dict.fromkeys(names, math.nan) | link.read_parameters(names)
+    return {name: value for name, value in values.items() if math.isfinite(value)}
+
+
+def read_for_hitl(mission: Mission, url: str) -> VehicleReading:
+    """Read a flight controller over the app's link, before anything is fed to it.
+
+    Raises:
+        VehicleError: nothing answers at the URL.
+        NoAnswerError: what answers there does not answer requests.
+    """
+    with GroundLink(url, mission.vehicle.connection.timeout_s) as link:
+        mode = link.heartbeat_mode()
+        values = link.read_parameters([*hitl_parameters(), COUNT])
+        values |= link.read_parameters([WITH_IO, *IO_OUTPUTS] if ON_A_BOARD in values else [BOARD])
+        if round(values.get(HITL, 0)) == 1:
+            # Elsewhere the rest would take a minute, and a restart comes first.
+            values |= link.read_parameters([name for name in names_to_read() if name not in values])
+            values |= link.read_parameters(rotor_names(values.get(COUNT, 0.0)))
+    return VehicleReading(mode, values)
+
+
+def release_of(text: str) -> Version | None:
+    """Return major and minor of a version in words; None where it tells none, as 0.0.0."""
+    major, _, rest = text.partition(".")
+    minor = rest.partition(".")[0]
+    return (int(major), int(minor)) if major.isdigit() and minor.isdigit() and int(major) else None

@@ -1,0 +1,197 @@
+"""k and f from hits as a whole: speed out, peak force, duration, depth.
+
+Where the paper's law does not fit the samples of a contact, no curve of its shape through them has the right
+peak; fitting what is to be predicted has.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dart_flight.contact.coefficients import Array, CoefficientArrays
+from dart_flight.contact.contact_map import WallHit, contact_map
+from dart_flight.contact.law import Onset
+from dart_flight.lab.identify.estimates import Errors, Estimate
+from dart_flight.lab.identify.measured_impacts import MeasuredImpact
+from dart_flight.lab.identify.solver import (
+    HIGHEST_F,
+    HIGHEST_K,
+    LOWEST_F,
+    LOWEST_K,
+    descend,
+    difference,
+    half_widths,
+    stiffness_and_damping,
+)
+
+# How well the law can be expected to meet each: speed out as a share of the speed in, the others by their
+# logarithm. Duration and depth have fuzzy ends; they decide where there is no peak.
+SD_OUT, SD_PEAK, SD_CONTACT, SD_DEPTH = 0.04, 0.08, 0.3, 0.3
+_PRIOR_SD = 3.0  # of a coefficient's logarithm about its start: keeps what the hits do not show where it was
+_LOW, _HIGH = np.log([LOWEST_K, LOWEST_F]), np.log([HIGHEST_K, HIGHEST_F])
+_LONGEST = 3.0  # half periods: how long a hit that never leaves the wall counts as in contact
+_WIDEST_LOG = math.log(3.0)  # a coefficient known less well than to a factor of three is not known
+_ENOUGH_HITS = 3  # from which their spread tells something
+
+
+class HitTable(NamedTuple):
+    """Hits as arrays (n,); what is not known is nan."""
+
+    speed_in: Array
+    speed_out: Array
+    peak: Array
+    contact: Array
+    depth: Array
+    acceleration: Array
+
+    @classmethod
+    def of(cls, hits: Sequence[MeasuredImpact]) -> HitTable:
+        """From hits of one mode."""
+        rows = [
+            (
+                h.normal_in_m_s, h.normal_out_m_s, h.peak_force_n, h.contact_s, h.compression_m,
+                h.acceleration_m_s2,
+            )
+            for h in hits
+        ]  # fmt: skip
+        return cls(*np.array(rows, dtype=float).reshape(-1, 6).T)
+
+    def only(self, which: NDArray[np.bool_] | NDArray[np.intp]) -> HitTable:
+        """Some of the hits."""
+        return HitTable(*(column[which] for column in self))
+
+    @property
+    def is_enough(self) -> bool:
+        """Whether there are two numbers to fit, and half of the hits or more tell a force, a duration or a
+        depth: speeds tell no stiffness."""
+        known = np.isfinite([self.peak, self.contact, self.depth, self.speed_out])
+        told = known[:3].any(axis=0)
+        return bool(2 * told.sum() >= told.size and known.sum() >= 2)
+
+    def errors(self, peak: Array, speed_out: Array) -> Errors:
+        """Return the median sizes of the errors of predicted peaks and speeds out."""
+        return Errors(
+            median(np.abs(peak / self.peak - 1.0)),
+            median(np.abs(speed_out - self.speed_out) / self.speed_in),
+        )
+
+
+def median(values: Array) -> float | None:
+    """Return the median of the known values, None where there is none."""
+    finite = values[np.isfinite(values)]
+    return float(np.median(finite)) if finite.size else None
+
+
+def predict(k: float, f: float, hits: HitTable, mass_kg: float, onset: Onset) -> WallHit[Array]:
+    """What the law makes of the speeds in."""
+    zero = np.zeros_like(hits.speed_in)
+    push = hits.acceleration if hits.acceleration.any() else None
+    coefficients = CoefficientArrays(zero + k, zero + f, zero, zero)
+    return contact_map(coefficients, mass_kg, -hits.speed_in, zero, onset, acceleration_m_s2=push)
+
+
+class HitFit:
+    """The `LawProblem` of hits of one mode: its unknowns are the logarithms of k and f."""
+
+    robust_from = 1.5
+
+    def __init__(self, hits: HitTable, mass_kg: float, onset: Onset) -> None:
+        self.hits, self.mass_kg, self.onset = hits, mass_kg, onset
+        self._start = _start(hits, mass_kg)
+        self._fuzzy = np.where(np.isfinite(hits.peak), 4.0, 1.0)
+        known = np.concatenate((hits.speed_out, hits.peak, hits.contact, hits.depth))
+        self._known = np.isfinite(known).reshape(4, -1)
+        self._counts, self._moved = np.ones(known.size), np.zeros(known.size)
+
+    def solve(self) -> Array:
+        """Return the logarithms of k and f that fit best.
+
+        Raises:
+            InputError: SciPy is missing.
+        """
+        return descend(self, self._start, ("huber", "linear"))
+
+    def bounds(self) -> tuple[Array, Array]:
+        """What is searched."""
+        return _LOW, _HIGH
+
+    def _errors(self, theta: Array) -> Array:
+        """Return the numbers of all hits, predicted less measured, in their deviations."""
+        (k, f), hits = np.exp(theta), self.hits
+        said = predict(k, f, hits, self.mass_kg, self.onset)
+        contact = np.minimum(said.contact_time_s, _LONGEST * math.pi * math.sqrt(self.mass_kg / k))
+        parts = (
+            (said.normal_out_m_s - hits.speed_out) / hits.speed_in / SD_OUT,
+            np.log(said.peak_normal_force_n / hits.peak) / SD_PEAK,
+            np.log(contact / hits.contact) / (SD_CONTACT * self._fuzzy),
+            np.log(said.penetration_m / hits.depth) / (SD_DEPTH * self._fuzzy),
+        )
+        return np.nan_to_num(np.concatenate(parts))
+
+    def residuals(self, theta: Array) -> Array:
+        """Weighted errors of the hits, then the prior."""
+        errors = self._counts * (self._errors(theta) - self._moved)
+        return np.concatenate((errors, (theta - self._start) / _PRIOR_SD))
+
+    def jacobian(self, theta: Array) -> Array:
+        """Central differences."""
+        return np.stack([difference(theta, j, self.residuals) for j in range(theta.size)], axis=1)
+
+    def reweigh(self, theta: Array) -> None:
+        """Replace the errors by Huber's pseudo-values, which have the same solution, and his covariance."""
+        errors = self._errors(theta).reshape(4, -1)
+        inside = (np.abs(errors) <= self.robust_from) & self._known
+        share = (inside.sum(axis=1) + 1.0) / (self._known.sum(axis=1) + 1.0)  # never 0
+        pseudo = np.clip(errors, -self.robust_from, self.robust_from) / share[:, None]
+        self._counts = np.sqrt(np.repeat(share, errors.shape[1]))
+        self._moved = (errors - pseudo).ravel()
+
+    def variance(self, theta: Array) -> float:
+        """The deviations are the law's own; a few hits that agree do not make it better than that."""
+        return 1.0
+
+    def drawn_together(self) -> list[NDArray[np.intp]]:
+        """The numbers of a hit; of few hits everything, because their spread tells nothing."""
+        rows = np.arange(self._counts.size).reshape(4, -1)
+        return list(rows.T) if rows.shape[1] >= _ENOUGH_HITS else [rows.ravel()]
+
+
+def fit_hits(
+    hits: Sequence[MeasuredImpact], mass_kg: float, onset: Onset
+) -> tuple[dict[str, Estimate | None], list[str]]:
+    """k and f from hits of one mode.
+
+    Returns:
+        `k` and `f` -> estimate, None where it is not known; and notes.
+
+    Raises:
+        InputError: SciPy is missing.
+    """
+    table = HitTable.of(hits)
+    if not table.is_enough:
+        return {"k": None, "f": None}, []
+    problem = HitFit(table, mass_kg, onset)
+    logs = problem.solve()
+    return stiffness_and_damping(logs, half_widths(problem, logs), _WIDEST_LOG)
+
+
+def _start(hits: HitTable, mass_kg: float) -> Array:
+    """Logarithms of k and f of about the hits' peak force per speed and restitution."""
+    out = hits.speed_out / hits.speed_in
+    e = min(max(float(np.nanmedian(out)), 0.02), 0.98) if np.isfinite(out).any() else 0.5
+    if np.isfinite(hits.peak).any():
+        ratio = float(np.nanmedian(hits.peak / hits.speed_in))
+    elif np.isfinite(hits.contact).any():
+        ratio = mass_kg * math.pi / float(np.nanmedian(hits.contact))
+    else:
+        ratio = mass_kg * float(np.median(hits.speed_in) / np.nanmedian(hits.depth))
+    zeta = -math.log(e) / math.hypot(math.pi, math.log(e)) * 0.9
+    omega = ratio / mass_kg * math.exp(0.7 * zeta)
+    found = np.log([mass_kg * omega * omega, 2.0 * zeta * mass_kg * omega])
+    clipped: Array = np.clip(found, _LOW + 0.01, _HIGH - 0.01)
+    return clipped

@@ -1,0 +1,161 @@
+"""Where the impact is in a recording of any length, and what cannot be one."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from dart_flight.config.document import InputError
+from dart_flight.contact.coefficients import Array
+from dart_flight.lab.identify.trials import Series, Trial
+
+_LONGEST_STEP_S = 0.03  # of sampling: the shortest contacts take 0.05 s
+_FASTEST_M_S = 15.0
+_DEEPEST_M = 0.4
+_SLOWEST_M_S = 0.05
+_TURN_M_S2 = 1.2  # least mean acceleration of a turn that is an impact
+_NEAREST_M = 0.08  # the turning point of an impact lies at most this far before the assumed plane
+
+
+class TrialImpact(NamedTuple):
+    """Where the impact is in a recording, roughly: what a fit starts from.
+
+    Attributes:
+        turn_s: the normal velocity changes its sign.
+        approach_m_s: normal velocity before it (negative).
+        rebound_m_s: normal velocity after it.
+        deepest_m: position at the turn.
+        noise_m: standard deviation of the position samples.
+    """
+
+    turn_s: float
+    approach_m_s: float
+    rebound_m_s: float
+    deepest_m: float
+    noise_m: float
+
+
+def refuse_unusable(trial: Trial) -> None:
+    """Raises InputError: samples that no impact could be read from."""
+    for name, series in trial.series.items():
+        if series.time_s.size > 1 and not (np.diff(series.time_s) > 0.0).all():
+            raise InputError("time does not increase", source=trial.name, key=(name,))
+        if not (np.isfinite(series.time_s).all() and np.isfinite(series.value).all()):
+            raise InputError("values that are not numbers", source=trial.name, key=(name,))
+    if "normal_m" not in trial.series:
+        return
+    time = trial.normal.time_s
+    if time.size < 12:
+        raise InputError(f"{time.size} samples are too few for an impact", source=trial.name)
+    step = float(np.median(np.diff(time)))
+    if step > _LONGEST_STEP_S:
+        raise InputError(
+            f"one sample every {1e3 * step:.0f} ms, at most {1e3 * _LONGEST_STEP_S:.0f} ms: a contact takes "
+            "50 to 180 ms and needs several (seconds in time_s?)",
+            source=trial.name,
+            key=("time_s",),
+        )
+
+
+def _slopes(time: Array, value: Array, half_s: float) -> Array:
+    """Slope of the straight line through the samples within `half_s` of each sample."""
+    first = np.searchsorted(time, time - half_s)
+    last = np.searchsorted(time, time + half_s, side="right")
+    t, x = time - time.mean(), value - value.mean()
+    sums = [np.concatenate(([0.0], np.cumsum(v))) for v in (np.ones_like(t), t, x, t * t, t * x)]
+    n, st, sx, stt, stx = (s[last] - s[first] for s in sums)
+    spread = stt - st * st / n
+    return np.where(spread > 0.0, (stx - st * sx / n) / np.where(spread > 0.0, spread, 1.0), 0.0)
+
+
+def find_impact(trial: Trial) -> TrialImpact:
+    """The first strong turn from approaching to leaving in a recording of any length.
+
+    Raises:
+        InputError: there is none, or position or speed cannot be those of an impact in metres and seconds.
+    """
+    refuse_unusable(trial)
+    time, value = trial.normal
+    step = float(np.median(np.diff(time)))
+    speed = _slopes(time, value, max(0.012, 2.5 * step))
+    candidates = np.flatnonzero((speed[:-1] < 0.0) & (speed[1:] >= 0.0)) + 1
+    found: list[TrialImpact] = []
+    reach = 0.12  # to either side: more than half of the longest contact
+    for i in candidates:
+        at = float(time[i])
+        before = (time >= at - reach) & (time < at)
+        after = (time > at) & (time <= at + reach)
+        if before.sum() < 3 or after.sum() < 3:
+            continue
+        turn = TrialImpact(
+            at, float(speed[before].min()), float(speed[after].max()), float(value[i]), noise_of(trial.normal)
+        )
+        quick = (turn.rebound_m_s - turn.approach_m_s) / (2.0 * reach) >= _TURN_M_S2
+        if quick and turn.approach_m_s < -_SLOWEST_M_S and turn.rebound_m_s > 0.0:
+            found.append(turn)
+    if not found:
+        raise InputError("no impact found: no quick turn from approaching to leaving", source=trial.name)
+    strongest = max(turn.rebound_m_s - turn.approach_m_s for turn in found)
+    # The first of the strong ones: later ones are bounces, and noise makes several of one.
+    begun = next(t for t in found if t.rebound_m_s - t.approach_m_s >= 0.6 * strongest)
+    same = [t for t in found if abs(t.turn_s - begun.turn_s) < 0.04]
+    impact = min(same, key=lambda t: t.deepest_m)
+    if trial.acceleration_m_s2 == 0.0:
+        impact = impact._replace(approach_m_s=_line_slope(time, value, impact))
+    if -impact.approach_m_s > _FASTEST_M_S:
+        raise InputError(
+            f"an approach at {-impact.approach_m_s:.0f} m/s: are positions in metres and times in seconds?",
+            source=trial.name,
+        )
+    if impact.deepest_m < -_DEEPEST_M:
+        raise InputError(
+            f"turns {-impact.deepest_m:.2f} m behind the plane, at most {_DEEPEST_M:g} m is an impact",
+            source=trial.name,
+        )
+    if impact.deepest_m > _NEAREST_M:
+        raise InputError(
+            f"turns {impact.deepest_m:.2f} m before the plane of first touch; distances of the centre from "
+            "the surface itself need --contact-distance",
+            source=trial.name,
+        )
+    return impact
+
+
+def _line_slope(time: Array, value: Array, impact: TrialImpact) -> float:
+    """Approach velocity as the median slope between samples (Theil and Sen): bears a third of outliers."""
+    straight = (time > impact.turn_s - 0.25) & (time < impact.turn_s - 0.07)
+    t, x = time[straight][-200:], value[straight][-200:]
+    apart = t[None, :] - t[:, None] > 0.03
+    if apart.sum() < 10:
+        return impact.approach_m_s
+    slope = float(np.median(((x[None, :] - x[:, None])[apart]) / ((t[None, :] - t[:, None])[apart])))
+    return min(slope, -_SLOWEST_M_S)
+
+
+def deviation_of(errors: Array) -> float:
+    """Standard deviation from the median size of errors: deaf to outliers."""
+    return max(1.4826 * float(np.median(np.abs(errors))), 1e-9)
+
+
+def noise_of(series: Series) -> float:
+    """Standard deviation of white noise on smooth motion, from third differences (evenly sampled)."""
+    if series.value.size < 8:
+        return 1e-3
+    third = np.diff(series.value, 3)
+    return max(deviation_of(third - np.median(third)) / math.sqrt(20.0), 1e-7)
+
+
+def free_spans_s(
+    acceleration_m_s2: float, speed_in_m_s: float, speed_out_m_s: float, longest_s: tuple[float, float]
+) -> tuple[float, float]:
+    """Return how long before and after its contact a vehicle flies freely, at most `longest_s` each.
+
+    A drop is free fall only from its release on, and after the rebound only until the next contact.
+    """
+    if acceleration_m_s2 >= 0.0:
+        return longest_s
+    fall_s = 0.85 * speed_in_m_s / -acceleration_m_s2
+    rise_s = 1.5 * max(speed_out_m_s, 0.0) / -acceleration_m_s2
+    return min(fall_s, longest_s[0]), min(rise_s, longest_s[1])

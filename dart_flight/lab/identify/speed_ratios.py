@@ -1,0 +1,83 @@
+"""What the speeds before and after hits tell: restitution, ratio along the wall, friction.
+
+Intervals come from the spread of the hits, with Student's factor for few, and are never narrower than the
+measurement of the speeds allows.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from dart_flight.contact.coefficients import Array
+from dart_flight.lab.identify.estimates import Estimate
+from dart_flight.lab.identify.measured_impacts import MeasuredImpact
+from dart_flight.lab.statistics import Z95, student_t
+
+_MIN_ALONG_M_S = 0.1  # along the wall, below which a ratio says nothing
+
+
+def _ratio(
+    shares: Array, deviations: Array, least: float = -math.inf, most: float = math.inf
+) -> Estimate | None:
+    """Median of ratios with a 95 % interval: of their spread, at least of their measurement.
+
+    Value and interval are kept between the least and the most that the ratio can be.
+    """
+    n = shares.size
+    if not n:
+        return None
+    value = float(np.median(shares))
+    half = Z95 * float(np.sqrt(np.mean(deviations**2) / n))
+    if n >= 2:
+        # The median of a normal sample spreads 1.25 times as much as its mean.
+        spread = 1.25 * float(np.std(shares, ddof=1)) / math.sqrt(n)
+        half = max(half, student_t(n - 1) * spread)
+    return Estimate.about(value, half, least, most)
+
+
+def restitution(hits: Sequence[MeasuredImpact]) -> Estimate | None:
+    """Normal speed out over normal speed in; in a drop at the height of first touch."""
+    known = [(h, h.normal_out_m_s) for h in hits if h.normal_out_m_s is not None]
+    shares = np.array([out / h.normal_in_m_s for h, out in known])
+    sds = np.array(
+        [
+            math.hypot(h.sd_out_m_s, e * h.sd_in_m_s) / h.normal_in_m_s
+            for (h, _), e in zip(known, shares, strict=True)
+        ]
+    )
+    return _ratio(shares, sds, 0.0, 1.0)
+
+
+def _along(hits: Sequence[MeasuredImpact]) -> Iterator[tuple[MeasuredImpact, float, float]]:
+    """Yield the hits that move along the wall, with their velocity before and after."""
+    for h in hits:
+        before, after = h.tangential_in_m_s, h.tangential_out_m_s
+        if before is None or after is None:
+            continue
+        if abs(before) >= max(_MIN_ALONG_M_S, 5.0 * h.sd_tangential_m_s):
+            yield h, before, after
+
+
+def tangential_ratio(hits: Sequence[MeasuredImpact]) -> Estimate | None:
+    """Velocity along the wall after a hit over that before; None where none of them moves along it.
+
+    Below 0 where the vehicle comes back along the wall.
+    """
+    told = [(after / before, 1.5 * h.sd_tangential_m_s / abs(before)) for h, before, after in _along(hits)]
+    shares, deviations = np.array(told).reshape(-1, 2).T
+    return _ratio(shares, deviations)
+
+
+def friction(hits: Sequence[MeasuredImpact]) -> Estimate | None:
+    """The paper's mu from speeds alone: ln(in/out) along the wall is mu times the normal speed's change."""
+    told = []
+    for h, before, after in _along(hits):
+        if h.normal_out_m_s is not None and after / before > 0.05:
+            change = h.normal_in_m_s + h.normal_out_m_s
+            told.append((math.log(before / after) / change, 1.5 * h.sd_tangential_m_s / abs(after) / change))
+    shares, deviations = np.array(told).reshape(-1, 2).T
+    estimate = _ratio(shares, deviations, 0.0)
+    return None if estimate is None or estimate.value <= 0.0 else estimate

@@ -1,0 +1,255 @@
+"""Readers of trial files, one per suffix in `READERS`."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from dart_flight.base.geometry import GRAVITY_M_S2
+from dart_flight.config.document import InputError, read_text
+from dart_flight.config.file_kinds import FileKind, refuse_other_kind
+from dart_flight.contact.coefficients import Array
+from dart_flight.lab.holes import describe_holes, describe_missing_parts
+from dart_flight.lab.identify.flight_trials import trials_at_one
+from dart_flight.lab.identify.recorded_impact import refuse_unusable
+from dart_flight.lab.identify.trials import COLUMNS, Series, Trial, TrialReading
+from dart_flight.lab.track import calibration_series_of
+from dart_flight.lab.ulog import open_ulog
+from dart_flight.recording.reader import read_log
+
+# One of these says that there is an impact at all.
+_ANY_OF = ("normal_m", "normal_m_s", "specific_force_m_s2", "normal_acceleration_m_s2")
+_TIME = "time_s"
+_AT_A_WALL = ("vertical_m", "tangential_force_n")  # of a drop not used
+_UP = np.array([0.0, 0.0, -1.0])  # in NED
+_FARTHEST_M = 50.0
+
+
+def read_trials(path: str | Path, how: TrialReading) -> list[Trial]:
+    """The trials of a file.
+
+    Args:
+        path: the file; its suffix chooses the reader.
+        how: how to read it.
+
+    Raises:
+        InputError: the file cannot be read, its kind is unknown, or its content cannot be used.
+    """
+    reader = READERS.get(Path(path).suffix.lower())
+    if reader is None:
+        refuse_other_kind(path, FileKind.TRIAL, FileKind.ULOG, FileKind.FLIGHT_LOG)
+        raise InputError(f"unknown kind of trial, known: {', '.join(READERS)}", source=str(path))
+    trials = reader(Path(path), how)
+    for trial in trials:
+        refuse_unusable(trial)
+        if reader is read_csv:
+            _refuse_millimetres(trial)
+    shift = how.contact_distance_m
+    return [
+        replace(
+            trial,
+            series=trial.series | {"normal_m": Series(trial.normal.time_s, trial.normal.value - shift)},
+        )
+        if shift and "normal_m" in trial.series
+        else trial
+        for trial in trials
+    ]
+
+
+def _refuse_millimetres(trial: Trial) -> None:
+    """Of numbers that a person has written; a log's are in metres, however far the flight led."""
+    far = float(np.abs(trial.normal.value).max()) if "normal_m" in trial.series else 0.0
+    if far > _FARTHEST_M:
+        says = f"positions up to {far:.0f} m: millimetres? the column is in metres"
+        raise InputError(says, source=trial.name, key=("normal_m",))
+
+
+def _acceleration(how: TrialReading) -> float:
+    return -GRAVITY_M_S2 if how.drop else 0.0
+
+
+def read_csv(path: Path, how: TrialReading) -> list[Trial]:
+    """A CSV with a header: `time_s`, `normal_m`, and any of `COLUMNS`; an empty cell is no sample.
+
+    Raises:
+        InputError: with file, line and column of what is wrong.
+    """
+    source = str(path)
+    text = read_text(path)
+    lines = [(i, line) for i, line in enumerate(text.splitlines(), 1) if line.strip() and line[0] != "#"]
+    if not lines:
+        raise InputError("the file is empty", source=source)
+    delimiter = max(",;\t", key=lines[0][1].count)
+    rows = list(csv.reader(io.StringIO("\n".join(line for _, line in lines)), delimiter=delimiter))
+    header = [name.strip() for name in rows[0]]
+    places = {}
+    for name in (_TIME, *COLUMNS):
+        wanted = how.columns.get(name, name)
+        if wanted in header:
+            places[name] = header.index(wanted)
+        elif name in how.columns:
+            raise InputError(f"no column {wanted!r}, there are: {', '.join(header)}", source=source, line=1)
+    if not any(name in places for name in _ANY_OF) or _TIME not in places:
+        name = "normal_m" if _TIME in places else _TIME
+        raise InputError(
+            f"missing column {name} (map others with --columns {name}=...), there are: {', '.join(header)}",
+            source=source,
+            line=lines[0][0],
+        )
+    values: dict[str, list[float]] = {name: [] for name in places}
+    last = -math.inf
+    for (number, _), row in zip(lines[1:], rows[1:], strict=True):
+        for name, place in places.items():
+            cell = row[place].strip() if place < len(row) else ""
+            values[name].append(_number(cell, name, source, number))
+        now = values[_TIME][-1]
+        if not now > last:
+            raise InputError(
+                f"time does not increase: {now:g} after {last:g}", source=source, line=number, key=(_TIME,)
+            )
+        last = now
+    time = np.array(values.pop(_TIME))
+    series = {}
+    for name, column in values.items():
+        value = np.array(column)
+        there = np.isfinite(value)
+        if there.any():
+            series[name] = Series(time[there], value[there])
+    if not any(name in series for name in _ANY_OF):
+        raise InputError("the column normal_m is empty", source=source)
+    return [_trial(source, series, how)]
+
+
+def _trial(source: str, series: dict[str, Series], how: TrialReading) -> Trial:
+    """A trial whose series are in the form the fits take.
+
+    Acceleration becomes specific force (what an accelerometer feels: gravity is not in it), and beside
+    positions specific force becomes force. Velocity alone is integrated to a position that finds the impact.
+    """
+    series = dict(series)
+    acceleration = series.pop("normal_acceleration_m_s2", None)
+    if acceleration is not None and "specific_force_m_s2" not in series:
+        series["specific_force_m_s2"] = Series(acceleration.time_s, acceleration.value - _acceleration(how))
+    measured = "normal_m" in series
+    if not measured and "normal_m_s" in series:
+        time, speed = series["normal_m_s"]
+        way = np.concatenate(([0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(time))))
+        series["normal_m"] = Series(time, way)
+        turns = np.flatnonzero((speed[:-1] < 0.0) & (speed[1:] >= 0.0))
+        if turns.size:  # the plane is where the fastest turn is
+            jumps = [speed[i + 1 : i + 8].max() - speed[max(i - 7, 0) : i + 1].min() for i in turns]
+            series["normal_m"] = Series(time, way - way[turns[int(np.argmax(jumps))]])
+    if "normal_m" in series and "specific_force_m_s2" in series and "normal_force_n" not in series:
+        time, felt = series.pop("specific_force_m_s2")
+        series["normal_force_n"] = Series(time, how.kg * felt)
+    height = how.height_m if how.drop else None
+    notes = [
+        f"{source}: {line}"
+        for name in ("normal_m", "normal_force_n", "specific_force_m_s2")
+        if name in series
+        for line in describe_holes(series[name].time_s, name)
+    ]
+    shown = measured or "normal_m" not in series
+    return Trial(source, series, how.mode, _acceleration(how), height, shown, notes=tuple(notes))
+
+
+def _number(cell: str, name: str, source: str, line: int) -> float:
+    if not cell and name != _TIME:
+        return math.nan  # no sample
+    try:
+        value = float(cell)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise InputError(f"{cell!r} is not a number", source=source, line=line, key=(name,))
+    return value
+
+
+def read_ulog(path: Path, how: TrialReading) -> list[Trial]:
+    """A PX4 ULog: local position and velocity, and the force along the normal from the IMU.
+
+    The force is mass times the horizontal specific force, less its mean before the impact: what thrust and
+    tilt give in steady approach. In a drop it is the specific force itself.
+
+    Raises:
+        InputError: pyulog is missing, the file is not a ULog, or topics are missing; no wall was given.
+    """
+    source = str(path)
+    if how.wall is None and not how.drop:
+        raise InputError(
+            "a flight log does not say where the wall is: give --wall NORTH EAST HEADING, or have inspect -o "
+            "write every impact as a trial",
+            source=source,
+        )
+    track = calibration_series_of(
+        open_ulog(path, ("vehicle_local_position", "vehicle_attitude", "sensor_combined"))
+    )
+    felt = track.imu_s.size > 0 and track.attitude_s.size > 0
+    normal, tangent = _axes(how)
+    series: dict[str, Series] = {}
+    if track.position_s.size:
+        origin = np.array([how.wall[0], how.wall[1], 0.0]) if how.wall else np.zeros(3)
+        moved = track.position - origin
+        # The estimator's velocity is not used: it filters the same measurements as its position.
+        for name, axis in (("normal_m", normal), ("tangential_m", tangent), ("vertical_m", _UP)):
+            series[name] = _increasing(track.position_s, moved @ axis)
+    elif not how.drop or not felt:
+        raise InputError("has no vehicle_local_position", source=source)
+    if felt:
+        force = how.kg * track.to_ned(track.specific_force)
+        series["normal_force_n"] = _increasing(track.imu_s, force @ normal)
+        series["tangential_force_n"] = _increasing(track.imu_s, force @ tangent)
+        if "normal_m" not in series:
+            time, along = series["normal_force_n"]
+            series = {"specific_force_m_s2": Series(time, along / how.kg)}
+    if how.wall is None:
+        series = {name: one for name, one in series.items() if name not in _AT_A_WALL}
+    return [_trial(source, series, how)]
+
+
+def _axes(how: TrialReading) -> tuple[Array, Array]:
+    """Outward normal and tangent (Y of the collision frame) in NED."""
+    if how.wall is None:
+        return _UP, np.array([0.0, 1.0, 0.0])
+    heading = math.radians(how.wall[2])
+    normal = np.array([math.cos(heading), math.sin(heading), 0.0])
+    # To the right when looking along the normal: clockwise seen from above, as headings turn.
+    return normal, np.array([-normal[1], normal[0], 0.0])
+
+
+def _increasing(time: Array, value: Array) -> Series:
+    keep = np.concatenate(([True], np.diff(np.maximum.accumulate(time)) > 0.0)) & np.isfinite(value)
+    return Series(time[keep], value[keep])
+
+
+def read_flight(path: Path, how: TrialReading) -> list[Trial]:
+    """The collisions of a flight log.
+
+    Raises:
+        InputError: as `trials_at_one`, or a drop is wanted, which no mission has.
+    """
+    if how.drop:
+        raise InputError(
+            "a flight log has wall collisions and no drops: leave --drop away",
+            source=str(path),
+            key=("drop",),
+        )
+    log = read_log(path)
+    trials = trials_at_one(log, how.surface, how.mode)
+    notes = (f"{path}: {line}" for line in describe_missing_parts(log))
+    return [replace(trials[0], notes=(*trials[0].notes, *notes)), *trials[1:]]
+
+
+# Suffix -> reader. A further kind of recording is one function more.
+READERS: dict[str, Callable[[Path, TrialReading], list[Trial]]] = {
+    ".csv": read_csv,
+    ".ulg": read_ulog,
+    ".ulog": read_ulog,
+    ".mcap": read_flight,
+}

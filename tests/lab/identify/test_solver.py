@@ -1,0 +1,140 @@
+"""The one solver and its intervals: against what is known of a mean, and on hits that scatter."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from dart_flight.contact.coefficients import Array
+from dart_flight.contact.law import Onset
+from dart_flight.lab.identify.hit_fit import HitFit, HitTable, fit_hits, predict
+from dart_flight.lab.identify.measured_impacts import MeasuredImpact
+from dart_flight.lab.identify.solver import (
+    HIGHEST_F,
+    HIGHEST_K,
+    LOWEST_F,
+    LOWEST_K,
+    descend,
+    half_widths,
+    stiffness_and_damping,
+)
+from dart_flight.lab.statistics import Z95, student_t
+
+pytest.importorskip("scipy")
+
+K, F, MASS_KG, G = 40_000.0, 80.0, 0.241, 9.80665
+
+
+class Mean:
+    """The `LawProblem` of a mean of numbers with a known deviation."""
+
+    robust_from = 1.5
+
+    def __init__(self, numbers: Array, sd: float, together: int) -> None:
+        self.numbers, self.sd, self.together = numbers, sd, together
+
+    def bounds(self) -> tuple[Array, Array]:
+        return np.array([-1e6]), np.array([1e6])
+
+    def residuals(self, theta: Array) -> Array:
+        return np.asarray((theta[0] - self.numbers) / self.sd)
+
+    def jacobian(self, theta: Array) -> Array:
+        return np.full((self.numbers.size, theta.size), 1.0 / self.sd)
+
+    def reweigh(self, theta: Array) -> None:
+        pass
+
+    def variance(self, theta: Array) -> float:
+        return 1.0
+
+    def drawn_together(self) -> list[NDArray[np.intp]]:
+        return np.array_split(np.arange(self.numbers.size), self.together)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.lists(st.floats(-5.0, 5.0), min_size=3, max_size=30), st.floats(0.1, 3.0))
+def test_of_a_mean_the_wider_deviation_counts(numbers: list[float], sd: float) -> None:
+    values = np.array(numbers)
+    n = values.size
+    problem = Mean(values, sd, n)
+    theta = descend(problem, np.array([0.0]), ("linear",))
+    assert theta[0] == pytest.approx(values.mean(), abs=1e-6)
+    known, seen = Z95 * sd / math.sqrt(n), student_t(n - 1) * float(np.std(values, ddof=1)) / math.sqrt(n)
+    (half,) = half_widths(problem, theta)
+    if seen > 1.31 * known:
+        assert half == pytest.approx(seen, rel=1e-4)
+    elif seen < 1.29 * known:
+        assert half == pytest.approx(known, rel=1e-6)
+
+
+def test_what_is_drawn_in_one_piece_has_the_known_deviation() -> None:
+    problem = Mean(np.array([0.0, 9.0, 20.0]), 0.5, 1)
+    (half,) = half_widths(problem, np.array([29.0 / 3.0]))
+    assert half == pytest.approx(Z95 * 0.5 / math.sqrt(3.0))
+
+
+@given(st.floats(1.0, 15.0), st.floats(-8.0, 10.0), st.floats(0.0, 3.0), st.floats(0.0, 3.0))
+def test_what_the_data_cannot_tell_is_unknown(
+    log_k: float, log_f: float, wide_k: float, wide_f: float
+) -> None:
+    found, notes = stiffness_and_damping(np.array([log_k, log_f]), np.array([wide_k, wide_f]), 1.1)
+    limits = {"k": (LOWEST_K, HIGHEST_K), "f": (LOWEST_F, HIGHEST_F)}
+    for name, log, wide in (("k", log_k, wide_k), ("f", log_f, wide_f)):
+        low, high = limits[name]
+        estimate = found[name]
+        if estimate is None:
+            assert wide >= 1.1 or not 1.01 * low < math.exp(log) < 0.99 * high
+        else:
+            assert estimate.low <= estimate.value <= estimate.high
+            assert estimate.value == pytest.approx(math.exp(log))
+            assert wide < 1.1
+    assert len(notes) == sum(estimate is None for estimate in found.values())
+
+
+def scattered(n: int, sds: tuple[float, float, float], seed: int) -> list[MeasuredImpact]:
+    """Drops of the law with known coefficients, whose speed out, peak and duration are off by chance."""
+    random = np.random.default_rng((seed, n))
+
+    def hit(speed: float, out: float | None, peak: float | None, contact: float | None) -> MeasuredImpact:
+        return MeasuredImpact(
+            "drop", "rigid", speed, out, None, None, 0.001, 0.001, 0.0, peak, contact, None, -G, 0.0, 0.05,
+            10, False,
+        )  # fmt: skip
+
+    speeds = np.resize([3.1, 4.4, 5.4], n) * (1.0 + 0.02 * random.standard_normal(n))
+    true = predict(K, F, HitTable.of([hit(v, None, None, None) for v in speeds]), MASS_KG, Onset.LCP)
+    off = random.standard_normal((3, n)) * np.array(sds)[:, None]
+    out = np.maximum(true.normal_out_m_s + speeds * off[0], 0.0)
+    peak, contact = true.peak_normal_force_n * np.exp(off[1]), true.contact_time_s * np.exp(off[2])
+    return [
+        hit(*row) for row in zip(speeds.tolist(), out.tolist(), peak.tolist(), contact.tolist(), strict=True)
+    ]
+
+
+@pytest.mark.parametrize("n", [3, 6])
+@pytest.mark.parametrize("sds", [(0.04, 0.08, 0.1), (0.055, 0.19, 0.2)], ids=["as expected", "as real drops"])
+def test_intervals_of_whole_hits_hold_the_truth(n: int, sds: tuple[float, float, float]) -> None:
+    held = []
+    for seed in range(25):
+        found, _ = fit_hits(scattered(n, sds, seed), MASS_KG, Onset.LCP)
+        for name, true in (("k", K), ("f", F)):
+            estimate = found[name]
+            held.append(estimate is None or estimate.low <= true <= estimate.high)
+    assert np.mean(held) > 0.88
+
+
+def test_pseudo_values_have_the_robust_solution() -> None:
+    for seed in range(5):
+        problem = HitFit(HitTable.of(scattered(6, (0.06, 0.25, 0.2), seed)), MASS_KG, Onset.LCP)
+        robust = descend(problem, np.log([30_000.0, 60.0]), ("huber",))
+        problem.reweigh(robust)
+        score = problem.jacobian(robust).T @ problem.residuals(robust)
+        assert score == pytest.approx(0.0, abs=1e-3)
+        off = np.abs(problem.solve() - robust)  # both end where a step gains next to nothing
+        assert (off < 0.02 * half_widths(problem, robust)).all()
