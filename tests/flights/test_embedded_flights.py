@@ -122,7 +122,9 @@ def test_a_hexarotor_through_mavsdk(commanded: LiveFlights) -> None:
 @pytest.mark.realtime
 @pytest.mark.mavlink
 def test_simulate_in_one_terminal_and_fly_in_another(commanded: LiveFlights) -> None:
-    fly = f"dart-flight fly {DUAL} --driver px4 --connection udpin://127.0.0.1:14540"
+    # The README's flight, which tests/docs flies as well: one flight for both.
+    mission = "missions/dual_collision.yaml"
+    fly = f"dart-flight fly {mission} --driver px4 --connection udpin://127.0.0.1:14540"
     done = commanded(fly, "dart-flight simulate")
     verdict = json.loads(done.output)  # one object on standard output and nothing else
     assert done.status == 0
