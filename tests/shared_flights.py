@@ -29,7 +29,7 @@ from tests.doubles.ports import free_udp_port
 ROOT = Path(__file__).parents[1]
 VERDICT, SAID = "verdict.json", "said.json"
 PATIENCE_S = 0.5
-# The same as `patient`, as settings.
+# For flights in real time that are not about silence: other tests run beside them.
 PATIENT = tuple(
     f"guard.{key}={PATIENCE_S}" for key in ("imu_timeout_s", "stream_timeout_s", "telemetry_late_s")
 )
@@ -92,10 +92,7 @@ class Commanded(msgspec.Struct):
 
 
 def patient(config: str) -> str:
-    """The configuration with longer silences allowed, for flights in real time that are about other things.
-
-    Side by side on a shared machine all streams may pause for longer than the guard puts up with.
-    """
+    """Return a configuration with the settings of `PATIENT`."""
     keys = "imu_timeout_s|stream_timeout_s|telemetry_late_s"
     text, count = re.subn(rf"({keys}): [0-9.]+", rf"\1: {PATIENCE_S}", config)
     assert count == 3
@@ -103,7 +100,9 @@ def patient(config: str) -> str:
 
 
 class LiveFlights:
-    """Commands that fly through MAVSDK, each in a folder made by `init` with a `patient` guard.
+    """Commands that fly through MAVSDK, each in a folder made by `init`.
+
+    In real time the guard is `patient`.
 
     Args:
         shared: where their folders are.
@@ -138,9 +137,10 @@ class LiveFlights:
         if not lab.exists():
             start = [str(shim), "init", str(lab)]
             subprocess.run(start, env=environment, check=True, capture_output=True, timeout=60)
-            config = lab / "configs" / "dart.yaml"
-            config.write_text(patient(config.read_text(encoding="utf-8")), encoding="utf-8")
         with contextlib.ExitStack() as stack:
+            if simulate is not None or "--realtime" in command:
+                config = lab / "configs" / "dart.yaml"
+                config.write_text(patient(config.read_text(encoding="utf-8")), encoding="utf-8")
             if simulate is not None:
                 port = str(free_udp_port())
                 command = f"{command.replace('14540', port)} --yes --json"

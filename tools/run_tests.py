@@ -23,7 +23,7 @@ from typing import IO
 BEHIND = "--behind"
 _PATIENCE_S = 20.0
 LINT = ("ruff format --check .", "ruff check .")
-REAL_TIME = ("pytest -m 'realtime and not px4' -n 2 --dist worksteal -rs",)
+REAL_TIME = ("pytest -m 'realtime and not px4' -n 4 --dist worksteal -rs",)  # they mostly wait
 TESTS = ("pytest -m 'not realtime and not px4' -n auto --dist worksteal -rs", "pytest -m px4 -rs tests/px4")
 TYPES = ("mypy",)
 

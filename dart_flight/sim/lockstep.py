@@ -129,6 +129,8 @@ class Lockstep:
         """
         looked_s, waited_s = time.monotonic(), 0.0
         while look():
+            # First: what it reads no longer wakes `select`.
+            self._autopilot.rest()
             missing = self.outstanding(next_us)
             if missing is None:
                 return
@@ -144,7 +146,6 @@ class Lockstep:
                     return
                 if missing is _SENDER and waited_s > _SENDER_S:
                     return
-            self._autopilot.rest()
             select.select(wake, [], [], _LOOK_S)
 
     def _has_arrived(self, wanted: Sequence[float | None]) -> bool:

@@ -20,8 +20,8 @@ from tools.campaigns.faults import ON_GROUND, PHASES, ROWS, came_of, cell, expec
 
 ROOT = Path(__file__).parents[2]
 SINGLE = ROOT / "missions/paper_single_wall.yaml"
-# The cells that are flown here: each fault once, the phases in turn.
-SAMPLE = [(row, PHASES[i % len(PHASES)]) for i, row in enumerate(ROWS)]
+# The cells that are flown here: each fault once, at its default value, the phases in turn.
+SAMPLE = [(kind.name, PHASES[i % len(PHASES)]) for i, kind in enumerate(KINDS)]
 IN_AIR = [phase for phase in PHASES if phase != ON_GROUND]
 
 

@@ -26,7 +26,7 @@ from dart_flight.base.records import (
 from dart_flight.lab.report.recorded_flight import RecordedFlight
 from dart_flight.recording.reader import read_log
 from tests.doubles.ports import free_udp_port
-from tests.shared_flights import LiveFlights, patient
+from tests.shared_flights import LiveFlights
 
 ROOT = Path(__file__).parents[2]
 SINGLE = "missions/paper_single_wall.yaml"
@@ -48,13 +48,6 @@ def command(*arguments: str) -> subprocess.Popen[str]:
         stderr=subprocess.PIPE,
         text=True,
     )
-
-
-def patiently(folder: Path) -> tuple[str, str]:
-    """The option that takes a configuration that is patient with a shared machine."""
-    config = folder / "dart.yaml"
-    config.write_text(patient((ROOT / "configs/dart.yaml").read_text()))
-    return "--config", str(config)
 
 
 def read_until(process: subprocess.Popen[str], word: str) -> None:
@@ -129,7 +122,9 @@ def test_a_hexarotor_through_mavsdk(commanded: LiveFlights) -> None:
 @pytest.mark.realtime
 @pytest.mark.mavlink
 def test_simulate_in_one_terminal_and_fly_in_another(commanded: LiveFlights) -> None:
-    fly = f"dart-flight fly {DUAL} --driver px4 --connection udpin://127.0.0.1:14540"
+    # The README's flight, which tests/docs flies as well: one flight for both.
+    mission = "missions/dual_collision.yaml"
+    fly = f"dart-flight fly {mission} --driver px4 --connection udpin://127.0.0.1:14540"
     done = commanded(fly, "dart-flight simulate")
     verdict = json.loads(done.output)  # one object on standard output and nothing else
     assert done.status == 0
@@ -160,7 +155,7 @@ def test_a_plain_mavsdk_script_flies_the_simulated_vehicle() -> None:
 
 @pytest.mark.mavlink
 def test_sigkill_in_flight_leaves_a_landed_vehicle_and_a_log(tmp_path: Path) -> None:
-    flight = command("dry-run", NEAR, *patiently(tmp_path), "--log-dir", str(tmp_path / "flights"))
+    flight = command("dry-run", NEAR, "--log-dir", str(tmp_path / "flights"))
     read_until(flight, "APPROACH")
     time.sleep(0.5)
     flight.kill()
@@ -191,7 +186,7 @@ def test_sigkill_in_flight_leaves_a_landed_vehicle_and_a_log(tmp_path: Path) -> 
 @pytest.mark.mavlink
 def test_control_c_leaves_the_wall_and_lands(tmp_path: Path) -> None:
     flights = tmp_path / "flights"
-    flight = command("dry-run", NEAR, *patiently(tmp_path), "--log-dir", str(flights), "--json")
+    flight = command("dry-run", NEAR, "--log-dir", str(flights), "--json")
     read_until(flight, "APPROACH")
     time.sleep(1.0)
     flight.send_signal(signal.SIGINT)
@@ -210,7 +205,7 @@ def test_control_c_leaves_the_wall_and_lands(tmp_path: Path) -> None:
 def test_control_c_in_many_flights_sums_up_what_is_there(tmp_path: Path) -> None:
     """In the second of three: it lands, the third is not begun."""
     flights = tmp_path / "flights"
-    words = ["dry-run", NEAR, *patiently(tmp_path), "--log-dir", str(flights), "--runs", "3", "--json"]
+    words = ["dry-run", NEAR, "--log-dir", str(flights), "--runs", "3", "--json"]
     words += ["--speed", "2"]
     process = subprocess.Popen(
         [sys.executable, "-m", "dart_flight", *words],

@@ -57,7 +57,7 @@ def test_a_seed_decides_everything(flown: SharedFlights) -> None:
     again: list[Record] = []
     fly_fast(load_flyable(ROOT / "missions/paper_dual_collision.yaml"), 3, None, again.append)
     assert recorded(3) == setpoints(again)
-    assert recorded(3) != recorded(4)
+    assert recorded(3) != recorded(2)
 
 
 @pytest.mark.parametrize("seed", [2, 3])  # more of them: tools.campaigns.replay

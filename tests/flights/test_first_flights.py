@@ -8,33 +8,28 @@ from pathlib import Path
 import pytest
 
 from dart_flight.check.findings import CheckFinding
-from dart_flight.recording.verdict import Verdict
 from dart_flight.run.fast import fly_fast
 from dart_flight.run.prepare import load_flyable
 from dart_flight.sim.draws import parse_vary
 from tests.mission_findings import check_mission
+from tests.shared_flights import SharedFlights
 
 ROOT = Path(__file__).parents[2]
 
 
-def flown(name: str, seed: int, *vary: str) -> Verdict:
-    mission = load_flyable(ROOT / "missions" / name)
-    return fly_fast(mission, seed, None, spreads=parse_vary(vary, mission.vehicle))
-
-
 @pytest.mark.parametrize("name", ["dual_collision.yaml", "single_wall.yaml", "dual_collision_replan.yaml"])
 def test_a_first_flight_reaches_its_goal_and_follows_its_plan(name: str) -> None:
-    for seed in (2, 5):
-        verdict = flown(name, seed, "contact=0.2")
-        assert (verdict.outcome, verdict.goal_reached, verdict.plan_followed) == ("completed", True, True)
-        assert verdict.goal_miss_planned_m == 0.0
+    mission = load_flyable(ROOT / "missions" / name)
+    verdict = fly_fast(mission, 2, None, spreads=parse_vary(["contact=0.2"], mission.vehicle))
+    assert (verdict.outcome, verdict.goal_reached, verdict.plan_followed) == ("completed", True, True)
+    assert verdict.goal_miss_planned_m == 0.0
 
 
-@pytest.mark.parametrize(
-    ("name", "miss_m"), [("paper_dual_collision.yaml", 0.28), ("paper_single_wall.yaml", 0.55)]
-)
-def test_the_papers_numbers_follow_their_plan_and_miss_the_goal(name: str, miss_m: float) -> None:
-    verdict = flown(name, 1)
+@pytest.mark.parametrize(("name", "miss_m"), [("paper_dual_collision", 0.28), ("paper_single_wall", 0.55)])
+def test_the_papers_numbers_follow_their_plan_and_miss_the_goal(
+    name: str, miss_m: float, flown: SharedFlights
+) -> None:
+    verdict = flown(name, 1).verdict
     assert (verdict.goal_reached, verdict.plan_followed) == (False, True)
     assert verdict.goal_miss_planned_m == pytest.approx(miss_m, abs=0.01)
     assert verdict.goal_miss_m == pytest.approx(miss_m, abs=0.05)

@@ -45,10 +45,15 @@ def test_a_replanned_flight_follows_the_plan_and_replays_bit_for_bit(tmp_path: P
     assert replay(log).equal
 
 
+@pytest.fixture(scope="module")
+def paper() -> list[Record]:
+    """The flight on the paper's setpoints."""
+    return flown([], AfterImpact.SETPOINT)
+
+
 @pytest.mark.parametrize("latency_s", [0.11, 3.0])
-def test_a_late_planner_leaves_the_paper_s_set_points_in_force(latency_s: float) -> None:
+def test_a_late_planner_leaves_the_paper_s_set_points_in_force(latency_s: float, paper: list[Record]) -> None:
     late = flown([f"simulation.replan_latency_s={latency_s}"])
-    paper = flown([], AfterImpact.SETPOINT)
     assert not any(one.taken for one in late if isinstance(one, PlanTaken))
 
     def setpoints(records: list[Record]) -> list[Setpoint]:
@@ -57,7 +62,7 @@ def test_a_late_planner_leaves_the_paper_s_set_points_in_force(latency_s: float)
     assert setpoints(late) == setpoints(paper)
 
 
-@pytest.mark.parametrize("seed", [101, 102, 103, 104])
+@pytest.mark.parametrize("seed", [101])  # more of them: docs/results
 def test_walls_askew_turn_a_shuttle_only_when_touched(seed: int) -> None:
     """What the touches have told of the walls is made use of: no hit is askew."""
     mission = load_mission(packaged("missions", "shuttle.yaml"))

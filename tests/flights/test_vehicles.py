@@ -14,14 +14,13 @@ from dart_flight.base.records import LockCommand, LockState, OperatorRequest, Ph
 from dart_flight.config.vehicle import packaged
 from dart_flight.recording.reader import read_log
 from dart_flight.run.replay import replay
-from tests.shared_flights import patient
 
 
 @pytest.mark.mavlink
 def test_a_rigid_cage_pauses_goes_on_at_the_signal_and_hits_a_wall(tmp_path: Path) -> None:
     config = tmp_path / "cage.yaml"
     config.write_text(packaged("configs", "rigid_cage.yaml").read_text("utf-8"))
-    (tmp_path / "dart.yaml").write_text(patient(packaged("configs", "dart.yaml").read_text("utf-8")))
+    (tmp_path / "dart.yaml").write_text(packaged("configs", "dart.yaml").read_text("utf-8"))
     mission = tmp_path / "mission.yaml"
     text = packaged("missions", "rigid_cage", "single_wall.yaml").read_text("utf-8")
     mission.write_text(f"{text}waypoints: [{{pause: operator, timeout_s: 30.0}}]\n")

@@ -7,7 +7,7 @@ import math
 import msgspec
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dart_flight.config.mission_file import TrajectoryPieces
@@ -44,6 +44,7 @@ def test_on_the_trajectory_it_goes_on_as_planned() -> None:
         assert flown.acceleration == pytest.approx(planned.acceleration, abs=1e-9)
 
 
+@settings(max_examples=40)
 @given(st.tuples(*[SMALL] * 6), st.tuples(SMALL, SMALL), st.sampled_from([0.0, 0.2]))
 def test_every_way_begins_at_the_vehicle_and_ends_as_planned(
     away: tuple[float, ...], moved: tuple[float, float], settled_s: float
@@ -62,6 +63,7 @@ def test_every_way_begins_at_the_vehicle_and_ends_as_planned(
             assert end.velocity[axis] == pytest.approx(planned.velocity[axis] / slower, abs=1e-8)
 
 
+@settings(max_examples=40)
 @given(st.tuples(*[SMALL] * 6), st.tuples(SMALL, SMALL), st.tuples(SMALL, SMALL))
 def test_before_a_wall_the_last_tenths_are_the_plans(
     away: tuple[float, ...], moved: tuple[float, float], pushed: tuple[float, float]
@@ -81,6 +83,7 @@ def test_before_a_wall_the_last_tenths_are_the_plans(
                 assert flown.acceleration[axis] == pytest.approx(leaned, abs=1e-6)
 
 
+@settings(max_examples=40)
 @given(st.tuples(*[SMALL] * 6), st.sampled_from([0.0, 0.2]))
 def test_what_is_judged_is_what_is_flown(away: tuple[float, ...], settled_s: float) -> None:
     """Samples of a way, by which it is chosen, against the polynomials sent; and no step between those."""

@@ -171,7 +171,7 @@ def largest_chunk(whole: bytes) -> float:
     return max(after - before for before, after in itertools.pairwise([0, *ends])) / len(whole)
 
 
-@settings(max_examples=60)
+@settings(max_examples=30)
 @given(data=st.data())
 def test_a_log_cut_at_any_byte_opens_up_to_there(
     data: st.DataObject, flight: Log, flight_path: Path, tmp_path_factory: pytest.TempPathFactory

@@ -128,6 +128,21 @@ def test_once_the_application_is_silent_nothing_holds_the_world() -> None:
     assert not world.engaged
 
 
+def test_a_setpoint_that_arrives_between_two_looks_does_not_wait_for_the_next_datagram(
+    monkeypatch: pytest.MonkeyPatch, wake: int
+) -> None:
+    class Arriving(Sender):
+        def rest(self) -> None:
+            self.setpoint = tuple(math.nan if value is None else value for value in SETPOINT)
+
+    host = Host(monkeypatch)
+    world = lockstep(Arriving())
+    world.update(Stepped({}, SETPOINT))
+    began_s = host.now_s
+    world.wait(4_000, [wake], lambda: True)
+    assert host.now_s == began_s
+
+
 def test_a_lost_datagram_holds_the_world_for_a_second_only(
     monkeypatch: pytest.MonkeyPatch, wake: int
 ) -> None:

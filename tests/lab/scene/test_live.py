@@ -294,15 +294,6 @@ def test_a_dry_run_is_seen_while_it_goes_on(tmp_path: Path) -> None:
     port = free_port()
     command = [sys.executable, "-m", "dart_flight", "dry-run", SINGLE_WALL, "--live"]
     command += ["--live-port", str(port), "--log-dir", str(tmp_path)]
-    # Beside a client that decodes everything: a stall of the machine is not what is tested here.
-    command += [
-        "--set",
-        "guard.deadman_s=2.0",
-        "--set",
-        "guard.imu_timeout_s=0.5",
-        "--set",
-        "guard.stream_timeout_s=0.5",
-    ]
     with subprocess.Popen(
         command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
     ) as flight:

@@ -21,7 +21,7 @@ from tools.campaigns.faster_hits import (
 )
 
 
-@pytest.mark.parametrize("seed", [13001, 13002])
+@pytest.mark.parametrize("seed", [13001])  # more of them: docs/results/faster_hits.md
 def test_a_hit_at_3_m_s_recovers_where_a_touch_came_first(seed: int) -> None:
     flown = fly_mission(mission_of("flexible", 3.0, touch_m_s=TOUCH_M_S), seed)
     assert flown.recovered

@@ -18,9 +18,10 @@ from dart_flight.cli import main
 from dart_flight.config.document import InputError
 from dart_flight.config.vehicle import packaged
 from dart_flight.core.mission.trajectories import Trajectory
+from dart_flight.lab.commands import plan_command
 from dart_flight.lab.search.limited_sight import plan_limited_sight, safe_speed_m_s
 from dart_flight.lab.search.optimal_trajectory import MotionLimits
-from dart_flight.lab.search.quickest import QuickestPlan
+from dart_flight.lab.search.quickest import QuickestPlan, QuickestResult
 from dart_flight.lab.search.scenario import load_scenario
 from tools.campaigns.arrivals import arrival_of
 
@@ -51,8 +52,14 @@ def speeds(plan: QuickestPlan) -> tuple[np.ndarray, np.ndarray]:
     return np.array([s.position[0] for s in states]), np.array([s.velocity[0] for s in states])
 
 
-def test_both_cruise_until_the_reaction_to_the_wall_is_over() -> None:
-    result = plan_limited_sight(load_scenario(SHIPPED))
+@pytest.fixture(scope="module")
+def planned() -> QuickestResult:
+    """The shipped scenario's plan, which takes seconds."""
+    return plan_limited_sight(load_scenario(SHIPPED))
+
+
+def test_both_cruise_until_the_reaction_to_the_wall_is_over(planned: QuickestResult) -> None:
+    result = planned
     assert result.best is result.colliding
     for plan in (result.free, result.colliding):
         assert plan is not None
@@ -71,7 +78,13 @@ def test_both_cruise_until_the_reaction_to_the_wall_is_over() -> None:
     assert hit.normal_m_s >= -3.0 - 1e-6
 
 
-def test_the_free_plan_is_written_and_flown(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_free_plan_is_written_and_flown(
+    planned: QuickestResult,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(plan_command, "plan_limited_sight", lambda scenario, progress: planned)
     target = tmp_path / "free.yaml"
     assert main(["plan", str(SHIPPED), "--free", "--json", "--no-verify", "-o", str(target)]) == 0
     said = json.loads(capsys.readouterr().out)
