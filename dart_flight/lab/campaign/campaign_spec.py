@@ -50,7 +50,7 @@ class CampaignSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         cases: what else differs between flights, a column a key; or a function that returns this list.
         fly: function from point and seed to a flown flight; empty: a fast flight of the mission.
         judge: function from a flown flight to a `msgspec.Struct`, whose fields are the columns of the table;
-            empty: the columns of `dart-flight campaign`.
+            empty: `fly` returns it, or without `fly` the columns are those of `dart-flight campaign`.
     """
 
     missions: tuple[str, ...]
@@ -63,6 +63,11 @@ class CampaignSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     cases: tuple[dict[str, str], ...] | str = ()
     fly: str = ""
     judge: str = ""
+
+    @property
+    def makes_row(self) -> str:
+        """Name of the function that makes a row; empty for the columns of `dart-flight campaign`."""
+        return self.judge or self.fly
 
 
 class Point(NamedTuple):
@@ -172,15 +177,15 @@ def named_function(name: str) -> Callable[..., Any]:
     return found
 
 
-def row_type(judge: str) -> type[msgspec.Struct]:
-    """Return the type of a judge's rows, from its annotation.
+def row_type(name: str) -> type[msgspec.Struct]:
+    """Return the type of the rows that a function makes, from its annotation.
 
     Raises:
-        InputError: the judge is not annotated with a `msgspec.Struct`.
+        InputError: the function is not annotated with a `msgspec.Struct`.
     """
-    found = typing.get_type_hints(named_function(judge)).get("return")
+    found = typing.get_type_hints(named_function(name)).get("return")
     if not (isinstance(found, type) and issubclass(found, msgspec.Struct)):
-        raise InputError(f"{judge}: annotate what it returns as a msgspec.Struct")
+        raise InputError(f"{name}: annotate what it returns as a msgspec.Struct")
     return found
 
 
@@ -239,8 +244,8 @@ def items_of(asked: CampaignSpec, points: Sequence[Point]) -> Iterator[Item]:
 def campaign_of(asked: CampaignSpec, points: Sequence[Point]) -> Campaign:
     """What is to be written down before the first flight."""
     digests, keys = tuple(p.digest for p in points), keys_of(asked, points)
-    if asked.judge:
-        judged = row_type(asked.judge).__struct_fields__
+    if asked.makes_row:
+        judged = row_type(asked.makes_row).__struct_fields__
         columns: tuple[str, ...] = ("mission", *keys, "seed", "error", *judged)
         return Campaign(asked, digests, columns, software_version())
     drawn = dict.fromkeys(name for p in points for name in draw_world(p.mission, asked.seed, p.spreads).drawn)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import csv
 import io
 import tempfile
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from enum import Enum
 from pathlib import Path
 from typing import Any, NamedTuple, get_type_hints
@@ -73,15 +73,18 @@ class ItemFlyer:
     def __init__(self, campaign: Campaign, points: Sequence[Point]) -> None:
         self._columns, self._keys = campaign.columns, keys_of(campaign.asked, points)
         self._keep = campaign.asked.keep
-        self._fly, self._judge = campaign.asked.fly, campaign.asked.judge
+        self._asked = campaign.asked
         self._points = {point.number: point for point in points}
 
     def __call__(self, item: Item) -> Flown:
         """Fly one."""
         point = self._points[item.point]
-        if self._judge:
-            fly = named_function(self._fly) if self._fly else fly_point
-            row: msgspec.Struct = named_function(self._judge)(fly(point, item.seed))
+        if self._asked.makes_row:
+            fly: Callable[[Point, int], Any] = (
+                named_function(self._asked.fly) if self._asked.fly else fly_point
+            )
+            flown = fly(point, item.seed)
+            row = named_function(self._asked.judge)(flown) if self._asked.judge else flown
             return Flown(self._line(item, _judged_cells(row)), True, None)
         records: list[FlightRecord] = []
         take = None if self._keep is Keep.NONE else records.append
@@ -147,7 +150,7 @@ class JudgedRow(NamedTuple):
 
 def judged_rows(campaign: Campaign, rows: Iterable[Mapping[str, str]]) -> Iterator[JudgedRow]:
     """Return the rows of a judged campaign's table as the judge returned them."""
-    kind = row_type(campaign.asked.judge)
+    kind = row_type(campaign.asked.makes_row)
     types = get_type_hints(kind)
     keys = campaign.columns[1 : campaign.columns.index("seed")]
     for cells in rows:
