@@ -1,8 +1,8 @@
 """Whether a test notices a change of the core: mutants by cosmic-ray, drawn by a seed.
 
 Of a file, every kind of change is drawn as often as the others. The mutant is written into a copy of the
-tree, where the tests of the core run until the first failure. If none fails the mutant has survived: a test is
-written for it, or docs/results/mutants.md says why none is needed.
+tree, and there the tests of the core run until the first failure. If none fails the mutant has survived;
+then a test is written for it, or docs/results/mutants.md says why none is needed.
 """
 
 from __future__ import annotations
