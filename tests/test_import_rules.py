@@ -129,3 +129,12 @@ def test_the_core_reads_no_clock_and_does_no_io() -> None:
             assert top not in {"time", "os", "io", "socket", "threading", "asyncio", "random", "pathlib"}, (
                 path
             )
+
+
+def test_tools_and_tests_import_nothing_of_one_another() -> None:
+    """A test runs a tool by its command; code of both belongs to the package."""
+    root = PACKAGE.parent
+    for folder, other in (("tests", "tools"), ("tools", "tests"), ("dart_flight", "tools")):
+        for path in (root / folder).rglob("*.py"):
+            for module in imports_of(path):
+                assert module.split(".")[0] != other, f"{path.relative_to(root)} imports {module}"

@@ -21,7 +21,6 @@ from typing import IO
 
 from dart_flight.sim.faults.impairment import Impairment, LossyLink
 
-SET_POSITION_TARGET_LOCAL_NED = 84
 _WAIT_S = 0.001  # so late may leave what is held back
 
 
@@ -90,12 +89,6 @@ class Proxy:
             return
         if self._record is not None:
             self._record.write(f"{now:.4f},{way},{message_id(data)}\n")
-
-
-def set_point_times(record: Path) -> list[float]:
-    """Monotonic times at which setpoints went to the vehicle, by a recording."""
-    rows = (line.strip().split(",") for line in record.read_text().splitlines())
-    return [float(t) for t, way, kind in rows if way == "up" and int(kind) == SET_POSITION_TARGET_LOCAL_NED]
 
 
 def main() -> int:

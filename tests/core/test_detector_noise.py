@@ -21,10 +21,19 @@ from dart_flight.core.sense.pulse import PulsePrior
 from dart_flight.core.sense.state import FlightState
 from dart_flight.core.sense.window import WindowMean, half_sine_share
 from tests.core.test_force_estimate import VEHICLE, half_sine
-from tools.campaigns.real import FixedThreshold
 
 Forces = list[tuple[float, float]]
 LEARNT = 750  # samples, 3 s: as long as a climb, in which nothing is watched for
+
+
+class FixedThreshold(ImpactDetector):
+    """A detector whose threshold noise does not lift."""
+
+    def thresholds_n(self) -> tuple[float, float, float, float]:
+        return (self._threshold_n,) * 4
+
+    def _noise_hides_release(self, release: float) -> bool:
+        return False
 
 
 def noisy(seconds: float, sigma_n: float, seed: int = 1, tone_hz: float | None = None) -> Forces:

@@ -1,4 +1,4 @@
-"""Force estimate, its parts, and the seeded sample of `tools.campaigns.force`."""
+"""Force estimate, its parts, and a seeded sample of single hits."""
 
 from __future__ import annotations
 
@@ -42,9 +42,8 @@ from dart_flight.core.sense.senses import Senses
 from dart_flight.core.sense.state import FlightState
 from dart_flight.core.sense.thrust_model import LaggedCommands, ThrustModel
 from tests.core.conftest import HOVER, ROOT
-from tools.campaigns.force import judge, percentile
-from tools.campaigns.force_hits import grid
-from tools.campaigns.force_quiet import fly_quiet
+from tests.core.force_hits import grid, judge, percentile
+from tests.core.force_quiet import fly_quiet
 
 # The paper's law, which the detector's pulse is made for; a body's hits are in test_torque.
 MISSION = load_mission(

@@ -1,9 +1,9 @@
-"""Torque estimate, the lever of the IMU, side and incidence, and the sample of `tools.campaigns.torque`."""
+"""Torque estimate, the lever of the IMU, side and incidence, and a sample of the campaign `torque`."""
 
 from __future__ import annotations
 
-import itertools
 import math
+from pathlib import Path
 from typing import NamedTuple
 
 import msgspec
@@ -50,10 +50,10 @@ from dart_flight.core.sense.state import FlightState
 from dart_flight.core.sense.torque import TorqueEstimator
 from dart_flight.sim.plant import Plant
 from tests.core.conftest import HOVER
+from tests.shared_campaigns import campaign_rows
 from tests.shared_flights import SharedFlights
 from tests.sim.test_body import WALL, before_the_wall, body_vehicle
 from tests.sim.test_plant import VEHICLE
-from tools.campaigns.torque import clear, cramer_rao, fly, force_errors, side_is, torque_is_right
 
 MASS = VEHICLE.airframe.mass_kg
 component = st.floats(-3.0, 3.0)
@@ -450,24 +450,15 @@ def test_the_verdict_says_how_the_body_met(flown: SharedFlights) -> None:
     assert verdict.collisions[0].planned.contact_side is None
 
 
-def test_the_bound_is_that_of_a_known_pulse() -> None:
-    """For a height alone the bound is noise over the pulse's norm; moment and duration only add to it."""
-    time = np.arange(0.0, 0.05, 0.004)
-    pulse = 60.0 * np.sin(math.pi * time / 0.05)
-    bound = cramer_rao(time, pulse, 0.3)
-    alone = 60.0 * 0.3 / math.sqrt(float(pulse @ pulse)) * 1.0
-    assert alone < bound < 4.0 * alone
-    assert cramer_rao(time, pulse, 0.6) == pytest.approx(2.0 * bound)
-
-
-def test_a_sample_of_the_campaign() -> None:
-    """Seeds of the campaign's own sets, with walls that stand off the plan and with everything drawn."""
-    off = list(itertools.chain(*(fly("off", seed, {"wall_yaw_deg": 4.0}) for seed in (2201, 2202, 2203))))
-    assert len(off) >= 2
-    assert all(torque_is_right(r, r.torque) for r in off)
-    assert all(side_is(r, r.side) for r in clear(off))
-    assert all(abs(r.incidence - r.true_incidence) < math.radians(1.5) for r in off)
-    assert max(map(abs, force_errors(off))) < 0.06
+def test_a_sample_of_the_campaign(tmp_path: Path) -> None:
+    """Walls that stand off the plan, on seeds beside those of the results."""
+    rows = campaign_rows(tmp_path / "out", "torque", "--only", "set=off", "--seed", "2201", "--runs", "3")
+    assert len(rows) == 3
+    for row in rows:
+        assert abs(row["torque_nm"] - row["true_torque_nm"]) <= max(0.15, 0.1 * row["true_torque_nm"])
+        assert abs(row["lead_m"]) < 0.005 or row["side"] == ("right" if row["lead_m"] > 0.0 else "left")
+        assert abs(row["incidence_rad"] - row["true_incidence_rad"]) < math.radians(1.5)
+        assert abs(row["force_error"]) < 0.06
 
 
 def test_a_change_over_a_gap_of_the_stream_is_no_noise() -> None:

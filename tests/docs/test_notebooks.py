@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.docs import notebook
 from tests.docs.snippets import ROOT
-from tools.docs import notebook
 
 NOTEBOOKS = sorted((ROOT / "docs" / "notebooks").glob("*.ipynb"))
 
@@ -16,7 +16,7 @@ NOTEBOOKS = sorted((ROOT / "docs" / "notebooks").glob("*.ipynb"))
 def test_it_runs_and_prints_what_is_stored(
     path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """By `tools.docs.notebook`, which needs no Jupyter."""
+    """By `tests.docs.notebook`, which needs no Jupyter."""
     pytest.importorskip("matplotlib")
     monkeypatch.setenv("MPLBACKEND", "Agg")
     monkeypatch.chdir(tmp_path)

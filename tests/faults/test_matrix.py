@@ -1,6 +1,7 @@
 """Faults in the fast world: each cell of the matrix is what the table says, and none is uncontrolled.
 
-`make campaign` flies all of it and thousands of random ones (`docs/results/fault_matrix.md`); here a sample.
+`python -m tools.campaigns faults` flies all of it, `faults_random` thousands of random ones
+(`docs/results/fault_matrix.md`); here a sample.
 """
 
 import itertools
@@ -12,17 +13,31 @@ import pytest
 from dart_flight.base.records import GuardEvent, Outcome, Override, Record, StatusSample
 from dart_flight.cli import main
 from dart_flight.config.document import InputError
+from dart_flight.lab.campaign.fault_flights import (
+    ON_GROUND,
+    PHASES,
+    ROWS,
+    FaultFlight,
+    cell_fault,
+    fly_fault,
+    random_fault,
+)
 from dart_flight.run.fast import FastFlight, fly_fast
 from dart_flight.run.prepare import load_flyable
 from dart_flight.sim.faults.fault_table import KINDS, Fault, parse_fault
 from dart_flight.sim.faults.impairment import Impairment, LossyLink
-from tools.campaigns.faults import ON_GROUND, PHASES, ROWS, came_of, cell, expected, random_flight
+from tests.faults.expected import expected
 
 ROOT = Path(__file__).parents[2]
 SINGLE = ROOT / "missions/paper_single_wall.yaml"
 # The cells that are flown here: each fault once, at its default value, the phases in turn.
 SAMPLE = [(kind.name, PHASES[i % len(PHASES)]) for i, kind in enumerate(KINDS)]
+DUAL = ROOT / "missions/paper_dual_collision.yaml"
 IN_AIR = [phase for phase in PHASES if phase != ON_GROUND]
+
+
+def cell(fault: str, phase: str) -> FaultFlight:
+    return fly_fault(load_flyable(DUAL), cell_fault(fault, phase), 1)
 
 
 def test_the_table_has_every_cell() -> None:
@@ -34,7 +49,7 @@ def test_the_table_has_every_cell() -> None:
 def test_a_cell_is_what_the_table_says(fault: str, phase: str) -> None:
     flown = cell(fault, phase)
     assert not flown.problems
-    assert came_of(flown) in expected()[fault, phase]
+    assert flown.came_of in expected()[fault, phase]
 
 
 @pytest.mark.parametrize("delay_ms", [100, 300, 1000, 2000])
@@ -54,9 +69,9 @@ def test_with_late_telemetry_nothing_leaves_the_ground(delay_ms: float) -> None:
     assert int(found[2]) == pytest.approx(2 * delay_ms, abs=10)
 
 
-@pytest.mark.parametrize("number", range(3))  # thousands: tools.campaigns.faults
+@pytest.mark.parametrize("number", range(3))  # thousands: tools/campaigns/faults_random.yaml
 def test_random_faults_stay_controlled(number: int) -> None:
-    flown = random_flight(7 * number)
+    flown = fly_fault(*random_fault(7 * number), 7 * number)
     assert not flown.problems, flown
 
 

@@ -1,6 +1,6 @@
 """The missions that a newcomer meets reach their goals and follow their plans; the paper's do what they say.
 
-Twenty seeds of each are in docs/results/missions.md; here a sample of them.
+Twenty seeds of each are in docs/results/campaigns.md; here a sample of them.
 """
 
 from pathlib import Path

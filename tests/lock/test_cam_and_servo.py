@@ -1,8 +1,7 @@
-"""Cam kinematics, calibration, travel time, and the horn's model: all pure."""
+"""Calibration, travel time, and the horn's model: all pure."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 
 import pytest
@@ -11,26 +10,11 @@ from hypothesis import strategies as st
 
 from dart_flight.base.records import Mode
 from dart_flight.config.document import Document, InputError
-from dart_flight.config.vehicle import Cam, LockConfig, LockDriver, VehicleConfig, packaged
+from dart_flight.config.vehicle import LockConfig, LockDriver, VehicleConfig, packaged
 from dart_flight.lock import servo as calibration
 from dart_flight.lock.servo import ServoFaults, ServoModel
-from tools.docs import cam as kinematics
 
 Vary = Callable[..., LockConfig]
-
-
-@pytest.mark.parametrize(
-    ("theta", "expected"), [(0.0, 14.0), (60.0, 18.0), (90.0, 22.0), (45.0, 22.0 - 8.0 / math.sqrt(2.0))]
-)
-def test_rod_translation_is_the_papers_law(theta: float, expected: float) -> None:
-    assert kinematics.rod_mm(Cam(22.0, 8.0, 0.0), theta) == pytest.approx(expected, abs=1e-12)
-
-
-def test_cam_refuses_what_it_cannot_reach() -> None:
-    cam = Cam(22.0, 8.0, 10.0)
-    for theta in (9.9, 100.1):
-        with pytest.raises(ValueError, match="outside 10 to 100"):
-            kinematics.rod_mm(cam, theta)
 
 
 @pytest.mark.parametrize(

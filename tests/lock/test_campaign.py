@@ -1,11 +1,11 @@
-"""A seeded sample of the campaign, and that it would notice."""
+"""Random toggles with faults, and that a lock that settles too early is noticed."""
 
 from __future__ import annotations
 
 import pytest
 
 from dart_flight.config.vehicle import LockConfig
-from tools.campaigns.lock import campaign
+from tests.lock.random_toggles import campaign
 
 
 @pytest.mark.parametrize(("controller", "toggles"), [("mock", 400), ("maestro", 100)])

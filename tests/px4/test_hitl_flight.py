@@ -12,8 +12,8 @@ import pytest
 from dart_flight.config.document import InputError
 from dart_flight.run.prepare import load_flyable
 from dart_flight.sim.px4.launch import find_install
+from tests.doubles.hitl_bench import fly_bench
 from tests.doubles.hitl_px4 import ENVIRONMENT, HitlPx4
-from tools.campaigns.hitl import fly_bench
 
 pytestmark = pytest.mark.px4
 
@@ -33,7 +33,7 @@ def hitl_dir() -> str:
 
 
 def test_the_single_wall_is_flown_and_the_flight_controller_left_disarmed(hitl_dir: str) -> None:
-    flight = fly_bench("hitl", "single_wall", 1)
+    flight = fly_bench("single_wall", 1)
     assert flight.outcome == "completed", flight.reason
     assert flight.problems == []
     assert flight.tilt_deg is not None
@@ -44,7 +44,7 @@ def test_the_single_wall_is_flown_and_the_flight_controller_left_disarmed(hitl_d
 
 
 def test_a_cut_port_ends_the_flight_with_its_cause(hitl_dir: str) -> None:
-    flight = fly_bench("cut-200", "single_wall", 1)
+    flight = fly_bench("single_wall", 1, cut_usb_s=0.2)
     assert flight.outcome == "aborted"
     assert "without simulated sensors for 2" in (flight.reason or "")
     assert flight.problems == []

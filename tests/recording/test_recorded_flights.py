@@ -11,9 +11,9 @@ from dart_flight.lab.report.page import flight_page
 from dart_flight.lab.report.recorded_flight import RecordedFlight
 from dart_flight.recording.reader import read_log
 from dart_flight.run.replay import Difference, Replay, replay
+from tests.recording.keep_flight import LEFT_OUT, keep
+from tests.shared_campaigns import campaign_rows
 from tests.shared_flights import LiveFlights
-from tools.campaigns.replay import fly_and_replay, judge
-from tools.keep_flight import LEFT_OUT, keep
 
 FLIGHTS = sorted((Path(__file__).parents[1] / "data" / "flights").glob("*.mcap"))
 
@@ -62,17 +62,18 @@ def test_a_kept_flight_lacks_the_estimates_alone(flight_path: Path, tmp_path: Pa
     assert len(result.differences) > 1000
 
 
-@pytest.mark.parametrize(("mission", "seed"), [("paper_dual_collision", 11), ("paper_single_wall", 12)])
-def test_a_sample_of_the_campaign(mission: str, seed: int, tmp_path: Path) -> None:
-    result = fly_and_replay("fast", mission, seed, tmp_path)
-    assert (result.outcome, result.differences, result.missing) == ("completed", 0, 0)
-    assert result.decisions > 20
-    assert 3.0 < result.mb_per_minute < 12.0
+def test_a_sample_of_the_campaign(tmp_path: Path) -> None:
+    rows = campaign_rows(tmp_path / "out", "replay", "--runs", "1", "--seed", "11")
+    assert len(rows) == 2
+    for row in rows:
+        assert (row["outcome"], row["differences"], row["missing"]) == ("completed", 0, 0)
+        assert row["decisions"] > 20
 
 
 @pytest.mark.mavlink
 def test_a_real_time_flight_replays_bit_for_bit(commanded: LiveFlights) -> None:
     """Whatever becomes of the flight on a busy machine: what was decided is decided again."""
-    result = judge(commanded("dart-flight dry-run missions/paper_dual_collision.yaml --speed max").log)
-    assert (result.differences, result.missing) == (0, 0)
+    log = read_log(commanded("dart-flight dry-run missions/paper_dual_collision.yaml --speed max").log)
+    result = replay(log)
+    assert (result.exact, result.differences, result.missing) == (True, [], 0)
     assert result.inputs > 5000

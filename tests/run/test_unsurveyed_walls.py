@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from dart_flight.base.geometry import distance2
-from dart_flight.base.records import Mode, Record, WallEstimate
+from dart_flight.base.records import Mode, Record, WallEstimate, World
 from dart_flight.base.walls import Wall
 from dart_flight.check.findings import CheckFinding
 from dart_flight.config.document import Document
@@ -24,6 +24,7 @@ from dart_flight.core.mission.wall_uncertainty import (
     overrun_m,
     position_margin_m,
 )
+from dart_flight.lab.campaign.watched_flight import place_walls
 from dart_flight.lab.search.mission_writer import write_mission
 from dart_flight.lab.search.plan_table import with_objective
 from dart_flight.lab.search.scenario import Objective, Scenario, load_scenario
@@ -32,15 +33,18 @@ from dart_flight.planning.constraints import Constraints
 from dart_flight.planning.rollout import Rollout, new_flight, stages_for
 from dart_flight.recording.about import flown_mission
 from dart_flight.recording.reader import read_log
+from dart_flight.recording.verdict import Verdict
+from dart_flight.run.fast import FastFlight
+from dart_flight.run.flight_record import FlightRecord, Onlooker
 from dart_flight.run.prepare import as_rehearsal
-from dart_flight.sim.draws import draw_world
+from dart_flight.sim.draws import DrawnWorld, draw_world
 from tests.mission_findings import check_mission
-from tools.campaigns.walls import Row, fly
 
 ROOT = Path(__file__).parents[2]
 SINGLE = (ROOT / "missions/paper_single_wall.yaml").read_text()
 WALL = Wall("board", (1.0, 0.0), (-1.0, 0.0), 4.0, "wood")
 POINT = "point_m: [1.65, 0.5]"
+BESIDE = "point_m: [1.65, -0.5], normal: [-1.0, 0.0], length_m: 4.0"
 
 
 def known(place_m: float | None = None, yaw_deg: float | None = None) -> Wall:
@@ -114,10 +118,29 @@ def test_the_run_up_is_steady_before_where_the_wall_may_stand_nearest() -> None:
 # --- flights ----------------------------------------------------------------------------------------------
 
 
+def fly(
+    name: str, known: str, away_m: float = 0.0, turned_deg: float = 0.0, onlooker: Onlooker | None = None
+) -> Verdict:
+    """A flight among walls of which the acrylic one stands elsewhere than the mission says."""
+    path = ROOT / f"missions/{name}.yaml"
+    text = path.read_text()
+    if turned_deg:  # about its middle: the hit is 1.3 m beside it
+        text = text.replace("point_m: [1.65, 0.5], normal: [-1.0, 0.0], length_m: 3.0", BESIDE)
+    end = text.index("}", text.index("  acrylic: {"))
+    mission = parse_mission(Document(f"{text[:end]}, {known}{text[end:]}" if known else text, str(path)))
+    world = place_walls(DrawnWorld(mission, None, {}), {"acrylic": away_m}, {"acrylic": turned_deg})
+    record = FlightRecord(mission, World.FAST, 5, None)
+    if onlooker is not None:
+        record.onlookers.append(onlooker)
+    FastFlight(mission, 5, observe=record, world=world).run()
+    record.close()
+    return record.build()
+
+
 @pytest.mark.parametrize("away_m", [-0.12, 0.12, -0.27, 0.27])
 def test_a_wall_nearer_or_further_away_is_met_where_it_stands(away_m: float) -> None:
     sd = 0.06 if abs(away_m) < 0.2 else 0.1
-    verdict = fly(Row("paper_single_wall", "acrylic", away_m, 0.0, f"position_sd_m: {sd}"), 5)
+    verdict = fly("paper_single_wall", f"position_sd_m: {sd}", away_m)
     assert verdict.outcome == "completed", verdict.reason
     (hit,) = verdict.collisions
     assert hit.truth is not None
@@ -129,22 +152,20 @@ def test_a_wall_nearer_or_further_away_is_met_where_it_stands(away_m: float) -> 
     [(-0.27, 0.0, "wall_not_met"), (0.27, 0.0, "wall_met_early"), (0.0, -8.0, "wall_not_met")],
 )
 def test_without_its_figures_it_is_broken_off_as_ever(away_m: float, yaw_deg: float, rule: str) -> None:
-    mission = "single_wall beside" if yaw_deg else "paper_single_wall"
-    verdict = fly(Row(mission, "acrylic", away_m, yaw_deg, ""), 5)
+    verdict = fly("paper_single_wall", "", away_m, yaw_deg)
     assert verdict.outcome == "aborted"
     assert (verdict.reason or "").startswith(rule)
 
 
 @pytest.mark.parametrize("yaw_deg", [-8.0, 8.0, 12.0])
 def test_a_wall_turned_about_its_middle_is_met_beside_it(yaw_deg: float) -> None:
-    verdict = fly(Row("single_wall beside", "acrylic", 0.0, yaw_deg, "yaw_sd_deg: 4.0"), 5)
+    verdict = fly("paper_single_wall", "yaw_sd_deg: 4.0", 0.0, yaw_deg)
     assert verdict.outcome == "completed", verdict.reason
 
 
 @pytest.mark.parametrize("away_m", [-0.25, 0.27])
 def test_a_way_planned_in_flight_leads_to_an_uncertain_wall(away_m: float) -> None:
-    row = Row("dual_collision_replan", "acrylic", away_m, 0.0, "position_sd_m: 0.1")
-    verdict = fly(row, 5)
+    verdict = fly("dual_collision_replan", "position_sd_m: 0.1", away_m)
     assert verdict.outcome == "completed", verdict.reason
     second = verdict.collisions[1]
     assert second.truth is not None
@@ -154,7 +175,7 @@ def test_a_way_planned_in_flight_leads_to_an_uncertain_wall(away_m: float) -> No
 @pytest.mark.parametrize("away_m", [-0.27, 0.27])
 def test_where_the_plane_is_is_felt(away_m: float) -> None:
     records: list[Record] = []
-    fly(Row("paper_single_wall", "acrylic", away_m, 0.0, "position_sd_m: 0.1"), 5, records.append)
+    fly("paper_single_wall", "position_sd_m: 0.1", away_m, onlooker=records.append)
     (felt,) = [r for r in records if isinstance(r, WallEstimate)]
     assert felt.plane_offset_m == pytest.approx(away_m, abs=max(0.03, 3.0 * felt.plane_offset_sigma_m))
     assert felt.plane_offset_sigma_m < 0.05

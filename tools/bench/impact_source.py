@@ -1,11 +1,10 @@
 """A MAVLink source that hovers and is hit, for `tools.bench.latency`: a process of its own, in real time.
 
-    python -m tools.bench.impact_source PORT IMPACTS PERIOD_S [NORTH_M]
+    python -m tools.bench.impact_source PORT IMPACTS PERIOD_S
 
 Sends what the embedded autopilot would send, armed and in offboard mode, with the contact model's rigid
 pulse on the IMU every PERIOD_S seconds. When done it prints one JSON object: when every IMU sample went to
-the wire and when every setpoint came from it, host's monotonic nanoseconds. With NORTH_M it hovers
-there instead, for as long, and nothing hits it.
+the wire and when every setpoint came from it, host's monotonic nanoseconds.
 """
 
 from __future__ import annotations
@@ -13,6 +12,7 @@ from __future__ import annotations
 import math
 import random
 import select
+import socket
 import sys
 import time
 from pathlib import Path
@@ -30,6 +30,13 @@ MISSION = Path(__file__).parents[2] / "missions" / "paper_single_wall.yaml"
 POSITION_NED = (1.6, 0.0, -1.0)  # just before the acrylic wall of that mission
 SPEED_M_S = 1.0
 _SETTLE_S = 6.0  # connection, rates, the app's start
+
+
+def free_udp_port() -> int:
+    """Return a UDP port on the loopback that is free at the moment."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
 
 
 class Record(msgspec.Struct):
@@ -71,7 +78,7 @@ def pulse_n(t_s: float, k: float, f: float, mass_kg: float) -> float:
     )
 
 
-def main(port: int, impacts: int, period_s: float, north_m: float | None = None) -> int:
+def main(port: int, impacts: int, period_s: float) -> int:
     """Body of the process."""
     mission = load_mission(MISSION)
     rng = random.Random(1)
@@ -80,7 +87,7 @@ def main(port: int, impacts: int, period_s: float, north_m: float | None = None)
     hover = mission.vehicle.thrust.command_for(mission.vehicle.airframe.mass_kg * GRAVITY_M_S2 / 4.0)
     autopilot.motors = (hover,) * 4
     e = autopilot.estimator
-    e.ok, e.position = True, (POSITION_NED if north_m is None else (north_m, *POSITION_NED[1:]))
+    e.ok, e.position = True, POSITION_NED
     rigid, mass = mission.vehicle.materials["acrylic"].rigid, mission.vehicle.airframe.mass_kg
     endpoint = _Endpoint(autopilot, (port,))
     due, first = time.monotonic(), time.monotonic() + _SETTLE_S
@@ -92,7 +99,7 @@ def main(port: int, impacts: int, period_s: float, north_m: float | None = None)
         while done < impacts and t_s > next_s + period_s:
             next_s += period_s + rng.uniform(0.0, TICK_S)  # never in step with the ticks
             done += 1
-        hit = done < impacts and north_m is None
+        hit = done < impacts
         force = pulse_n(max(0.0, t_s - next_s), rigid.k, rigid.f, mass) if hit else 0.0
         noise = [rng.gauss(0.0, 0.2) for _ in range(3)]
         autopilot.imu = ImuReading(
@@ -109,4 +116,4 @@ def main(port: int, impacts: int, period_s: float, north_m: float | None = None)
 
 
 if __name__ == "__main__":
-    sys.exit(main(int(sys.argv[1]), int(sys.argv[2]), *map(float, sys.argv[3:])))
+    sys.exit(main(int(sys.argv[1]), int(sys.argv[2]), float(sys.argv[3])))

@@ -5,27 +5,20 @@ The whole app runs (MAVSDK, core thread, lock thread, log) at the rates of the s
 the peak was known to its receiving of the setpoint that followed from it.
 
     python -m tools.bench.latency [IMPACTS]
-    python -m tools.bench.latency compare IMPACTS
-    python -m tools.bench.latency busy IMPACTS  # as deployed: both cores busy, this at nice -15; needs root
-        [beside]  # whatever else already keeps them busy
 """
 
 from __future__ import annotations
 
 import asyncio
-import gc
-import os
 import subprocess
 import sys
 import tempfile
 import time
-from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
 import msgspec
 
-import dart_flight.run.app as app_module
 from dart_flight.base.records import (
     Input,
     LockPhase,
@@ -48,9 +41,7 @@ from dart_flight.run.core_thread import CoreThread
 from dart_flight.run.flight_record import FlightRecord
 from dart_flight.run.runner import CoreRunner
 from dart_flight.vehicle.clock import host_us
-from tests.doubles.ports import free_udp_port
-from tools.bench.alone import Echo, stay
-from tools.bench.impact_source import MISSION, Record
+from tools.bench.impact_source import MISSION, Record, free_udp_port
 
 IMPACTS = 500
 PERIOD_S = 0.3  # a contact of 46 ms, its end, the refractory time
@@ -170,35 +161,6 @@ def _wait_for_output(source: subprocess.Popen[bytes]) -> None:
     source.stdout.peek(1)  # type: ignore[attr-defined]
 
 
-def measure_alone(answers: int) -> list[float]:
-    """MAVSDK alone, answering from its callback: the same way without an app in between, milliseconds."""
-    port = free_udp_port()
-    command = [sys.executable, "-m", "tools.bench.impact_source", str(port), str(answers), str(PERIOD_S)]
-    echo = Echo()
-
-    async def run(source: subprocess.Popen[bytes]) -> None:
-        ended = asyncio.Event()
-        staying = asyncio.create_task(stay(rigid_mission(), f"udpin://127.0.0.1:{port}", ended, echo))
-        await asyncio.to_thread(_wait_for_output, source)
-        ended.set()
-        await staying
-
-    with subprocess.Popen(command, stdout=subprocess.PIPE) as source:
-        asyncio.run(run(source))
-        assert source.stdout is not None
-        record = msgspec.json.decode(source.stdout.readline(), type=Record)
-    sent = dict(record.imu)
-    first: dict[int, int] = {}  # of each echo, in centimetres: MAVSDK repeats the last one
-    for received, x, *_ in record.setpoints:
-        first.setdefault(round(100.0 * x), received)
-    found = [
-        (first[round(100.0 * north)] - sent[t_us]) * 1e-6
-        for t_us, north in echo.asked
-        if t_us in sent and round(100.0 * north) in first
-    ]
-    return sorted(found)
-
-
 def _match(recoveries: list[Setpoint], record: Record) -> list[float]:
     sent = dict(record.imu)
     latencies = []
@@ -263,58 +225,6 @@ def rows(impacts: int = IMPACTS) -> list[dict[str, Any]]:
     ]
 
 
-_BLOCK = 250  # impacts; app and floor take turns
-
-
-def busy(impacts: int, beside: bool = False) -> None:
-    """Print the latency as deployed, with other work on both cores, beside that of MAVSDK alone.
-
-    Args:
-        impacts: of each.
-        beside: what else the machine does is that work; otherwise a loop for each core is begun.
-    """
-    found: dict[str, list[float]] = {"MAVSDK alone": [], "app": []}
-    expected = 0
-    with ExitStack() as stack:
-        for _ in range(0 if beside else os.cpu_count() or 1):
-            spinning = stack.enter_context(subprocess.Popen([sys.executable, "-c", "while True: pass"]))
-            stack.callback(spinning.kill)
-        os.setpriority(os.PRIO_PROCESS, 0, -15)
-        while expected < impacts:
-            expected += _BLOCK
-            found["MAVSDK alone"] += measure_alone(_BLOCK)
-            result = measure(_BLOCK)
-            found["app"] += result.wire_ms
-            print(
-                f"{len(found['app'])} of {expected}; {'; '.join(sorted(set(result.overruled)))}", flush=True
-            )
-    print("client | answered | p50 | p90 | p99 | largest ms")
-    for name, values in found.items():
-        figures = " | ".join(f"{percentile(values, s):.2f}" for s in (0.5, 0.9, 0.99, 1.0))
-        print(f"{name} | {len(values)} | {figures}")
-    print(histogram(found["app"]))
-
-
-def compare(impacts: int) -> None:
-    """Print what switch interval and garbage collector do to the latency inside the program."""
-    print("switch interval ms | collector | receipt to setpoint p50 | p90 | p99 | largest ms")
-    for interval_s, collector in ((0.001, True), (0.005, True), (0.0002, True), (0.001, False)):
-        app_module._SWITCH_INTERVAL_S = interval_s
-        (gc.enable if collector else gc.disable)()
-        result = measure(impacts)
-        inside = result.inside_ms
-        figures = " | ".join(f"{percentile(inside, s):.2f}" for s in (0.5, 0.9, 0.99, 1.0))
-        print(
-            f"{interval_s * 1e3:g} | {'on, frozen at start' if collector else 'off'} | {figures}", flush=True
-        )
-    gc.enable()
-
-
 if __name__ == "__main__":
-    if sys.argv[1:2] == ["compare"]:
-        compare(int(sys.argv[2]))
-    elif sys.argv[1:2] == ["busy"]:
-        busy(int(sys.argv[2]), beside=sys.argv[3:4] == ["beside"])
-    else:
-        for row in rows(int(sys.argv[1]) if len(sys.argv) > 1 else IMPACTS):
-            print(row)
+    for row in rows(int(sys.argv[1]) if len(sys.argv) > 1 else IMPACTS):
+        print(row)

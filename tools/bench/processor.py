@@ -15,13 +15,5 @@ def process_seconds(pid: int) -> float:
     return sum(_seconds(task) for task in Path(f"/proc/{pid}/task").iterdir())
 
 
-def family_seconds(pid: int) -> float:
-    """Likewise, with the processes that it has started and that are there."""
-    children = (
-        c for task in Path(f"/proc/{pid}/task").iterdir() for c in (task / "children").read_text().split()
-    )
-    return process_seconds(pid) + sum(process_seconds(int(child)) for child in children)
-
-
 def _seconds(task: Path) -> float:
     return int((task / "schedstat").read_text(encoding="ascii").split()[0]) * 1e-9

@@ -1,48 +1,112 @@
-"""`make campaign`: the bulk runs, one after the other; each prints its report or writes it to docs/results.
+"""Measurements of the manual: a specification NAME.yaml each, flown by the engine of `dart-flight campaign`.
 
-python -m tools.campaigns.__main__ [NAME ...]      only these, e.g. `faults fuzz`
+    python -m tools.campaigns NAME [--runs N] [--only KEY=VALUE] [--resume]
+    python -m tools.campaigns                   # all that need no more (`make campaign`)
+
+The table goes to build/campaigns/NAME, and beside it the page that NAME.py makes of it. An interrupted
+campaign continues with --resume.
 """
 
 from __future__ import annotations
 
-import subprocess
+import argparse
+import importlib
+import os
 import sys
+from pathlib import Path
 
+import msgspec
 from rich.console import Console
 
-MODULES = {
-    "lock": "tools.campaigns.lock",
-    "identify": "tools.campaigns.identify",
-    "flight-identify": "tools.campaigns.flight_identify",
-    "replay": "tools.campaigns.replay",
-    "force": "tools.campaigns.force",
-    "body": "tools.campaigns.body",
-    "felt": "tools.campaigns.felt",
-    "walls": "tools.campaigns.walls",
-    "touch": "tools.campaigns.touch",
-    "faults": "tools.campaigns.faults",
-    "fuzz": "tools.campaigns.fuzz",
-    "soak": "tools.campaigns.soak",
-    "mutants": "tools.campaigns.mutants",
-}
+from dart_flight.base.errors import FlightError
+from dart_flight.config.document import InputError
+from dart_flight.lab.campaign import campaign_folder as campaigns
+from dart_flight.lab.campaign.campaign_spec import CampaignSpec, cases_of, load_specification
+from dart_flight.run.workers import Interrupt, usable_cores
+from dart_flight.sim.px4.launch import ENVIRONMENT
+from tools.campaigns.results import ROOT
+
+HERE = Path(__file__).parent
+NAMES = sorted(path.stem for path in HERE.glob("*.yaml"))
+# All but those that need a PX4, or the extra `mutants` and hours.
+USUAL = [name for name in NAMES if not name.startswith(("px4", "mutants"))]
+
+
+def specification(given: argparse.Namespace, name: str) -> CampaignSpec:
+    """Return the specification of a name, with what the command line changes.
+
+    Raises:
+        InputError: in the file, or no case is left.
+    """
+    asked = load_specification(HERE / f"{name}.yaml")
+    changes = {key: value for key in ("runs", "seed") if (value := getattr(given, key)) is not None}
+    if given.only:
+        wanted = dict(one.split("=", 1) for one in given.only)
+        left = [case for case in cases_of(asked) if wanted.items() <= case.items()]
+        if not left:
+            raise InputError(f"--only {' '.join(given.only)}: no such case in {name}.yaml")
+        changes["cases"] = tuple(left)
+    return msgspec.structs.replace(asked, **changes)
+
+
+def measure(given: argparse.Namespace, name: str) -> int:
+    """Fly a campaign, write its page; 1 if a row is an error of the program, 130 if interrupted.
+
+    Raises:
+        InputError, FlightError: as `campaigns.open_campaign` and `campaigns.fly`.
+    """
+    asked = specification(given, name)
+    opened = campaigns.open_campaign(asked, given.out or ROOT / "build" / "campaigns" / name, given.resume)
+    engine = campaigns.fly_locally(given.jobs)
+    if given.scheduler is not None:
+        from dart_flight.lab.campaign.cluster import on_cluster  # noqa: PLC0415
+
+        engine = on_cluster(given.scheduler)
+    console = Console(stderr=True)
+
+    def show(rows: int, _: int) -> None:
+        if rows % 20 == 0:
+            console.print(f"{name}: {rows} of {opened.flights}")
+
+    with Interrupt() as interrupt:
+        landed = campaigns.fly(opened, engine, interrupt, show)
+    if landed < opened.flights:
+        console.print(f"interrupted: {landed} of {opened.flights}; continue with --resume")
+        return 130
+    rows = campaigns.rows_of(opened)
+    text = importlib.import_module(f"tools.campaigns.{name}").page([r for r in rows if r.row is not None])
+    failed = [f"- error: {row.values} seed {row.seed}: {row.error}" for row in rows if row.error]
+    text = "\n".join([text, *failed])
+    (opened.folder / "page.md").write_text(text + "\n", "utf-8")
+    print(text)
+    return 1 if failed else 0
 
 
 def main() -> int:
-    """Run the campaigns named on the command line, all of them by default; 1 where one failed."""
-    wanted = sys.argv[1:] or list(MODULES)
-    unknown = [name for name in wanted if name not in MODULES]
-    if unknown:
-        sys.stderr.write(f"unknown campaign {unknown[0]}, known: {', '.join(MODULES)}\n")
+    """Measure what the command line names; returns the exit status."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("name", nargs="?", choices=NAMES)
+    parser.add_argument("--runs", type=int, help="seeds of every case")
+    parser.add_argument("--seed", type=int, help="the first one")
+    parser.add_argument("--only", action="append", default=[], metavar="KEY=VALUE", help="cases with this")
+    parser.add_argument("--jobs", type=int, default=usable_cores())
+    parser.add_argument("--scheduler", metavar="URL", help="of Dask")
+    parser.add_argument("--px4", metavar="DIR", help="a build of PX4 SITL")
+    parser.add_argument("--out", type=lambda text: Path(text).resolve(), metavar="DIR")
+    parser.add_argument("--resume", action="store_true")
+    given = parser.parse_args()
+    if given.px4 is not None:
+        os.environ[ENVIRONMENT] = str(Path(given.px4).resolve())
+        given.jobs = 1  # PX4 needs its computer for itself
+    os.chdir(ROOT)
+    status = 0
+    try:
+        for name in [given.name] if given.name else USUAL:
+            status = measure(given, name) or status
+    except (InputError, FlightError) as error:
+        sys.stderr.write(f"{error.one_line() if isinstance(error, InputError) else error}\n")
         return 2
-    console = Console(stderr=True)
-    failed = []
-    for name in wanted:
-        console.print(f"[bold]campaign {name}[/]")
-        if subprocess.run([sys.executable, "-m", MODULES[name]], check=False).returncode:
-            failed.append(name)
-    if failed:
-        console.print(f"[red]failed: {', '.join(failed)}[/]")
-    return 1 if failed else 0
+    return status
 
 
 if __name__ == "__main__":

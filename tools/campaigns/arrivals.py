@@ -1,47 +1,21 @@
-"""The missions that use collisions and the free flights of their scenarios, and when a flight has arrived."""
+"""The missions that use collisions, and the quickest free flights of their scenarios."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
 from typing import NamedTuple
-
-import numpy as np
 
 from dart_flight.base.geometry import Vec2
 from dart_flight.config.mission import Mission, load_mission
 from dart_flight.config.vehicle import packaged
+from dart_flight.lab.campaign.arrival import planned_there_s
 from dart_flight.lab.search.limited_sight import plan_limited_sight
 from dart_flight.lab.search.mission_writer import planned_mission
-from dart_flight.lab.search.optimal_trajectory import OptimalTrajectory
 from dart_flight.lab.search.quickest import QuickestPlan, plan_quickest
 from dart_flight.lab.search.scenario import Scenario, load_scenario
-from dart_flight.recording.reader import Log
 
 COLLIDING, FREE = "colliding", "free"
 USING_COLLISIONS = ("shuttle", "touch_and_return", "hairpin", "limited_sight")
-BESIDE_M = 0.03  # that a place may be passed beside its tolerance: a wall drawn elsewhere takes it along
-THERE_M, STILL_M_S = 0.15, 0.3  # of the goal: a flight and its plan end there, alike
-_UNDER_WAY_US = 500_000  # at least: where start and goal are one
-
-
-class Arrival(NamedTuple):
-    """Stamps of a flight's log, us.
-
-    Attributes:
-        begin_us: the mission's own trajectories begin.
-        visits_us: of the places passed in their order; a place that was not ends them.
-        there_us: at the goal, nearly at rest, after them; None: never before landing.
-    """
-
-    begin_us: float
-    visits_us: tuple[float, ...]
-    there_us: float | None
-
-    @property
-    def there_s(self) -> float | None:
-        """How long the flight took."""
-        return None if self.there_us is None else (self.there_us - self.begin_us) * 1e-6
+BESIDE_M = 0.03  # allowed beside a place's tolerance: a wall drawn elsewhere takes it along
 
 
 class BothWays(NamedTuple):
@@ -77,52 +51,3 @@ def both_ways(name: str) -> BothWays:
         {COLLIDING: shipped, FREE: planned_mission(scenario, result.free)},
         {COLLIDING: result.colliding, FREE: result.free},
     )
-
-
-def arrival_of(log: Log, mission: Mission, visits: Sequence[tuple[Vec2, float]]) -> Arrival | None:
-    """When a flight arrived; None: it never got under way.
-
-    Args:
-        log: with the truth.
-        mission: that was flown.
-        visits: places and within which distance of them they count as passed.
-    """
-    truth, phases = log["/truth/state"], log["/event/phase"]
-    changes = list(zip(phases["t_us"], map(str, phases["after"]), phases["collision"], strict=True))
-    # A touch before the mission's own trajectories has an approach, too.
-    own = next((c.index for c in mission.collisions if c.trajectory is not None), None)
-    first = "goal" if own is None else "approach"
-    begins = [t for t, after, led_to in changes if after == first and own in (None, led_to)]
-    if not begins:
-        return None
-    begin_us = float(begins[0])
-    landing_us = max((float(t) for t, after, _ in changes if after == "landing"), default=-math.inf)
-    t, place = np.asarray(truth["t_us"]), np.asarray(truth["position_mission"])[:, :2]
-    speed = np.linalg.norm(np.asarray(truth["velocity_mission"])[:, :2], axis=1)
-    passed: list[float] = []
-    for at, within_m in visits:
-        since = passed[-1] if passed else begin_us
-        near = np.flatnonzero((np.linalg.norm(place - np.array(at), axis=1) <= within_m) & (t >= since))
-        if not near.size:
-            break
-        passed.append(float(t[near[0]]))
-    last = max(passed[-1] if passed else 0.0, begin_us + _UNDER_WAY_US)
-    still = np.linalg.norm(place - np.array(mission.goal.position_m), axis=1) <= THERE_M
-    still &= (speed <= STILL_M_S) & (t > last) & (t < landing_us)
-    there = np.flatnonzero(still)
-    return Arrival(begin_us, tuple(passed), float(t[there[0]]) if there.size else None)
-
-
-def planned_there_s(found: OptimalTrajectory, goal: tuple[float, float]) -> float:
-    """When a planned flight is near its goal and slow for good."""
-    last = found.legs[-1]
-    begin = found.time_s - last.duration_s
-    there = begin
-    for before, after in zip(last.states(), last.states()[1:], strict=False):
-        for share in np.linspace(0.0, 1.0, 20):
-            t = before.t_s + share * (after.t_s - before.t_s)
-            p = [a + share * (b - a) for a, b in zip(before.position, after.position, strict=True)]
-            v = [a + share * (b - a) for a, b in zip(before.velocity, after.velocity, strict=True)]
-            if math.dist(p, goal) > THERE_M or math.hypot(*v) > STILL_M_S:
-                there = float(begin + t)
-    return there

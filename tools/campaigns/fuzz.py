@@ -1,24 +1,19 @@
-"""Malformed files and MAVLink frames: a refusal in one line, no traceback, no hang.
+"""Malformed files and MAVLink frames: a refusal in one line, no traceback, no hang (docs/results/fuzz.md).
 
-    python -m tools.campaigns.fuzz --inputs 100000
-
-Each input is a good one made bad (bytes or lines lost, doubled, swapped, replaced, values exchanged),
-numbered, so that a failure can be repeated. An input counts as wrong when anything but `InputError` (for
-frames: anything at all) is raised, when the error is more than one line, or when it takes more than a
-second of processor time.
+Each input is a good one made bad (bytes or lines lost, doubled, swapped, replaced, values exchanged), by its
+number. An input counts as wrong if anything but `InputError` (for frames: anything at all) is raised, if the
+error is more than one line, or if it takes more than a second of processor time.
 """
 
 from __future__ import annotations
 
-import argparse
+import functools
 import io
 import random
 import socket
-import sys
 import tempfile
 import time
-from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -30,17 +25,18 @@ from dart_flight.config.document import Document, InputError
 from dart_flight.config.mission import parse_mission
 from dart_flight.config.vehicle import LockDriver, VehicleConfig, packaged
 from dart_flight.config.vehicle.configuration import load_vehicle
+from dart_flight.lab.campaign.campaign_spec import Point
+from dart_flight.lab.campaign.flight_job import JudgedRow
 from dart_flight.lab.search.scenario import load_scenario
 from dart_flight.recording.reader import read_log
 from dart_flight.run.fast import fly_fast
 from dart_flight.run.prepare import load_flyable
 from dart_flight.sim.mavlink_endpoint import MavlinkEndpoint
 from dart_flight.sim.simulated_vehicle import SimulatedVehicle
-from tools.campaigns.results import RESULTS, measured_by
+from tools.campaigns.results import markdown
 
-KINDS = ("mission", "scenario", "configuration", "log", "frame")
-SLOW_S = 1.0
-_SHARE = {"mission": 0.3, "scenario": 0.1, "configuration": 0.1, "log": 0.05, "frame": 0.45}
+_BLOCK = 100  # inputs in a row
+_SLOW_S = 1.0
 _PIECES = "{}[]:,-#&*!|>'\"%@`\t\n\\0é"
 _VALUES = (
     "1e400",
@@ -59,15 +55,13 @@ _VALUES = (
 )
 
 
-class Tally(msgspec.Struct):
-    """What came of the inputs of one kind."""
+class Tally(msgspec.Struct, frozen=True):
+    """What came of a hundred inputs of one kind."""
 
-    kind: str
-    inputs: int = 0
-    refused: int = 0
-    taken: int = 0
-    slowest_s: float = 0.0
-    failures: list[str] = []
+    refused: int
+    taken: int
+    slowest_s: float
+    failures: list[str]
 
 
 def spoil_text(text: str, chance: random.Random) -> str:
@@ -231,84 +225,47 @@ _FEEDERS: dict[str, Callable[[], Callable[[random.Random], None]]] = {
 }
 
 
-def feed(kind: str, first: int, count: int) -> Tally:
-    """Feed the inputs numbered from `first` on."""
-    tally, one = Tally(kind), _FEEDERS[kind]()
-    for number in range(first, first + count):
+_feeder = functools.cache(lambda kind: _FEEDERS[kind]())
+
+
+def fly(point: Point, seed: int) -> Tally:
+    """Feed the hundred inputs whose numbers follow from the seed."""
+    kind, refused, taken, slowest_s = point.case["kind"], 0, 0, 0.0
+    failures: list[str] = []
+    for number in range(_BLOCK * (seed - 1), _BLOCK * seed):
         began = time.process_time()
         try:
-            one(random.Random(f"{kind} {number}"))
-            tally.taken += 1
+            _feeder(kind)(random.Random(f"{kind} {number}"))
+            taken += 1
         except InputError as error:
-            tally.refused += 1
+            refused += 1
             if "\n" in error.one_line():
-                tally.failures.append(f"{kind} {number}: more than one line")
+                failures.append(f"{kind} {number}: more than one line")
         except Exception as error:
-            tally.failures.append(f"{kind} {number}: {type(error).__name__}: {error}")
-        took = time.process_time() - began
-        tally.slowest_s = max(tally.slowest_s, took)
-        tally.inputs += 1
-        if took > SLOW_S:
-            tally.failures.append(f"{kind} {number}: took {took:.1f} s")
-    return tally
+            failures.append(f"{kind} {number}: {type(error).__name__}: {error}")
+        took_s = time.process_time() - began
+        slowest_s = max(slowest_s, took_s)
+        if took_s > _SLOW_S:
+            failures.append(f"{kind} {number}: took {took_s:.1f} s")
+    return Tally(refused, taken, slowest_s, failures)
 
 
-def _feed(job: tuple[str, int, int]) -> Tally:
-    return feed(*job)
-
-
-def run(report_dir: Path, inputs: int = 100_000) -> None:
-    """Feed them all, two processes; writes `fuzz.md` into `report_dir`.
-
-    Raises:
-        RuntimeError: something else than a refusal happened.
-    """
-    jobs = []
-    for kind in KINDS:
-        total = round(inputs * _SHARE[kind])
-        half = total // 2
-        jobs += [(kind, 0, half), (kind, half, total - half)]
-    with ProcessPoolExecutor(2) as pool:
-        tallies = list(pool.map(_feed, jobs))
-    (report_dir / "fuzz.md").write_text(report(tallies))
-    failures = [f for tally in tallies for f in tally.failures]
-    if failures:
-        raise RuntimeError(f"{len(failures)} inputs went wrong, first: {failures[0]}")
-
-
-def report(tallies: list[Tally]) -> str:
-    """The page."""
-    lines = [
-        "# Malformed input",
-        "",
-        measured_by("tools.campaigns.fuzz", "on two processes"),
-        "",
-        "Good missions, scenarios, configurations, logs and MAVLink frames made bad; refused: one line of",
-        "`InputError`; taken means that the damage left it meaningful (or, for a log, readable up to the",
-        "damage). Wrong is everything else, and what takes over 1 s of processor time.",
-        "",
-        "| kind | inputs | refused | taken | wrong | slowest ms |",
-        "|---|---|---|---|---|---|",
+def page(rows: Sequence[JudgedRow]) -> str:
+    """Return a row for every kind, and the failures."""
+    kinds: dict[str, list[Tally]] = {}
+    for r in rows:
+        kinds.setdefault(r.values["kind"], []).append(r.row)
+    table = [
+        [
+            kind,
+            str(_BLOCK * len(mine)),
+            str(sum(one.refused for one in mine)),
+            str(sum(one.taken for one in mine)),
+            str(sum(len(one.failures) for one in mine)),
+            f"{1e3 * max(one.slowest_s for one in mine):.0f}",
+        ]
+        for kind, mine in kinds.items()
     ]
-    for kind in KINDS:
-        mine = [t for t in tallies if t.kind == kind]
-        sums = [sum(getattr(t, name) for t in mine) for name in ("inputs", "refused", "taken")]
-        wrong = sum(len(t.failures) for t in mine)
-        slowest = 1e3 * max(t.slowest_s for t in mine)
-        lines.append(f"| {kind} | {sums[0]} | {sums[1]} | {sums[2]} | {wrong} | {slowest:.0f} |")
-    lines += [""] + [f"- {failure}" for t in tallies for failure in t.failures]
-    return "\n".join(lines).rstrip() + "\n"
-
-
-def main() -> int:
-    """Run it from the command line."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--inputs", type=int, default=100_000)
-    parser.add_argument("--report-dir", type=Path, default=RESULTS)
-    arguments = parser.parse_args()
-    run(arguments.report_dir, arguments.inputs)
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+    failures = [f"- {failure}" for mine in kinds.values() for one in mine for failure in one.failures]
+    heads = ("kind", "inputs", "refused", "taken", "wrong", "slowest ms")
+    return "\n".join([markdown(heads, table), *failures])

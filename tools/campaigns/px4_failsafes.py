@@ -31,14 +31,14 @@ from dart_flight.base.records import (
     Phase,
     PhaseChange,
     Record,
+    TruthSample,
 )
 from dart_flight.config.parameter_file import PositionSource
 from dart_flight.config.vehicle import packaged
-from dart_flight.recording.uncontrolled import find_uncontrolled
+from dart_flight.recording.uncontrolled import TruthExtremes, find_uncontrolled
 from dart_flight.run.prepare import load_flyable
 from dart_flight.run.px4_flight import fly_px4
 from dart_flight.sim.px4.bridge import geodetic
-from tools.campaigns.faults import Watch
 from tools.campaigns.results import RESULTS, measured_by
 
 PHASES = {Phase.TRANSIT: 0.3, Phase.APPROACH: 0.2, Phase.RECOVERY: 0.1}  # seconds after which it begins
@@ -129,11 +129,12 @@ def fly(name: str, phase: Phase, seed: int = 1) -> str:
     row, second = ROWS[name], Second()
     gps = row.position_from is not PositionSource.MOCAP
     mission = load_flyable(packaged("missions", f"paper_{'single_wall' if gps else 'dual_collision'}.yaml"))
-    watch, begun_us = Watch(mission), [0]
+    truth, begun_us = TruthExtremes(mission.bounds), [0]
     said: list[str] = []
 
     def see(record: Record) -> None:
-        watch.take(record)
+        if isinstance(record, TruthSample):
+            truth.update(record)
         if second.instance is None:
             second.find(Path(folder))
         if isinstance(record, AttitudeSample):
@@ -162,7 +163,7 @@ def fly(name: str, phase: Phase, seed: int = 1) -> str:
             viewer=see,
         )
     second.sticks_lost.set()
-    completed, truth = flown.outcome is Outcome.COMPLETED, watch.truth
+    completed = flown.outcome is Outcome.COMPLETED
     problems = list(find_uncontrolled(truth, completed, bool(said), 0.5 + row.off_m, row.falls))
     down = "–" if row.falls else f"{truth.landing_m_s:.2f}"
     figures = f"{math.degrees(truth.tilt_rad):.0f} | {truth.excursion_m:.2f} | {down}"

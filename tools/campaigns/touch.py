@@ -1,30 +1,28 @@
-"""Walls felt instead of surveyed: direction from one contact, survey, and hits on GPS without corrections.
+"""Walls felt instead of surveyed: direction from one contact, survey, hits on plain GPS, and rooms by touch.
 
-    python -m tools.campaigns.touch [--part directions|survey|anchors|rooms|page] [--runs N] [--jobs N]
-    python -m tools.campaigns.touch --part anchors --runs 10 --px4 DIR
-
-Every flight is in the fast world with everything drawn, or with `--px4` on a real PX4; what is flown goes to
-`build/touch.jsonl` as it comes, and a page of docs/results is written from it. What was tuned was tuned on
-seeds below 5000, but for the one rule that the page names.
+Every row (docs/results/touch.md) is a flight with everything drawn, or the flights in one room. An error is
+against the simulation's truth.
 """
 
 from __future__ import annotations
 
-import argparse
 import math
-import sys
+import os
+import tempfile
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import msgspec
 import numpy as np
 
-from dart_flight.base.records import FrameAnchor, Mode, Outcome, WallEstimate
+from dart_flight.base.records import FrameAnchor, Mode, WallEstimate
 from dart_flight.config.mission import Mission, load_mission
 from dart_flight.config.parameter_file import PositionSource
 from dart_flight.config.vehicle import packaged
+from dart_flight.lab.campaign.campaign_spec import Point
+from dart_flight.lab.campaign.flight_job import JudgedRow
 from dart_flight.planning.room import RoomContact, RoomFit, plan_star, touches_of
 from dart_flight.planning.survey import plan_survey
 from dart_flight.recording.reader import read_log
@@ -32,48 +30,36 @@ from dart_flight.recording.verdict import Verdict
 from dart_flight.run.fast import fly_fast
 from dart_flight.run.flight_record import FlightRecord
 from dart_flight.run.px4_flight import fly_px4
-from dart_flight.sim.draws import parse_vary
-from tools.campaigns.kept import kept_lines
-from tools.campaigns.results import RESULTS, ROOT, markdown, measured_by
+from dart_flight.sim.px4.launch import ENVIRONMENT
+from tools.campaigns.results import markdown
 
-FLOWN = ROOT / "build" / "touch.jsonl"
-PAGE = RESULTS / "touch.md"
-FIRST_SEED = 5001
 _YOUNG_S = 8.0  # an anchor
-_UNSEEN_SEED = 5061  # from here on nobody had looked at a flight on GPS before
-SURVEYED = ("dual_collision", "single_wall", "paper_dual_collision", "dual_collision on RTK")
+_UNCONTROLLED_DEG = 60.0
 _MATERIALS = ("wood", "acrylic", "concrete")
-_WALLS = 4  # of a flight that feels directions, one in each direction
-_AWAY_M, _FROM_M, _LENGTH_M = 1.8, 0.4, 2.4
 
 
-class FeltWall(msgspec.Struct):
-    """What one wall of a flight came to: errors against the truth, and what was said of them."""
+class FeltWall(msgspec.Struct, frozen=True):
+    """One wall of a flight: errors against the truth, stated deviations; k relative to the drawn."""
 
-    name: str
     mode: str
-    speed_m_s: float
     incidence_deg: float | None
     error_m: float | None
-    sd_m: float | None
     error_deg: float | None
     sd_deg: float | None
-    k_error: float | None = None  # of the stiffness, relative to the drawn one
-    k_sd: float | None = None
+    k_error: float | None
+    k_sd: float | None
 
 
-class HitOnGps(msgspec.Struct):
-    """A hit of a wall after a contact with it, or one parallel to it."""
+class HitOnGps(msgspec.Struct, frozen=True):
+    """A hit of a wall after a contact with it: by how much the frame had drifted, and what was expected."""
 
-    wall: str
     age_s: float
-    moved_m: float  # by which the frame had drifted, as the hit told
+    moved_m: float
     expected_sd_m: float
 
 
-class FoundRoom(msgspec.Struct):
-    """A room that was looked for: how many walls it has and were found, whether the outline is closed, the
-    share of the true outline within 5 cm of it, and what that took."""
+class FoundRoom(msgspec.Struct, frozen=True):
+    """A room: walls there and found, whether the outline is closed, its share within 5 cm, and the effort."""
 
     walls: int
     found: int
@@ -84,42 +70,26 @@ class FoundRoom(msgspec.Struct):
     flown_s: float
 
 
-class Flown(msgspec.Struct):
-    """One flight of this campaign, or the flights in one room."""
+class Touched(msgspec.Struct, frozen=True):
+    """One flight, or the flights in one room."""
 
-    part: str
-    case: str
-    world: str
-    seed: int
     outcome: str
-    reason: str | None
-    tilt_deg: float | None
+    reason: str
+    tilt_deg: float
     walls: list[FeltWall] = []
     hits: list[HitOnGps] = []
     room: FoundRoom | None = None
 
 
-# -- flying ------------------------------------------------------------------------------------------------
-
-
-class Job(msgspec.Struct, frozen=True):
-    """A flight to be flown; `px4` is PX4's folder, empty for the fast world."""
-
-    part: str
-    case: str
-    seed: int
-    px4: str = ""
-
-
-def directions_mission(seed: int) -> tuple[Mission, list[dict[str, Any]]]:
-    """Four unknown walls around the start, each turned by up to 15 degrees, and a probe for each."""
+def directions_mission(seed: int) -> Mission:
+    """Return four unknown walls around the start, each turned by up to 15 degrees, and a probe for each."""
     rng = np.random.default_rng(seed)
     walls, probes = {}, []
-    for k in range(_WALLS):
+    for k in range(4):
         angle, yaw = 0.5 * math.pi * k, math.radians(rng.uniform(-15.0, 15.0))
         dx, dy = math.cos(angle), math.sin(angle)
         walls[f"wall {k}"] = {
-            "point_m": [_AWAY_M * dx, _AWAY_M * dy],
+            "point_m": [1.8 * dx, 1.8 * dy],
             "normal": [-math.cos(angle + yaw), -math.sin(angle + yaw)],
             "length_m": 2.0,
             "material": _MATERIALS[rng.integers(len(_MATERIALS))],
@@ -129,9 +99,9 @@ def directions_mission(seed: int) -> tuple[Mission, list[dict[str, Any]]]:
                 "wall": f"felt {k}",
                 "mode": ("rigid", "flexible")[rng.integers(2)],
                 "probe": {
-                    "from_m": [_FROM_M * dx, _FROM_M * dy],
+                    "from_m": [0.4 * dx, 0.4 * dy],
                     "direction": [dx, dy],
-                    "length_m": _LENGTH_M,
+                    "length_m": 2.4,
                     "speed_m_s": float(rng.uniform(0.3, 1.0)),
                 },
             }
@@ -145,11 +115,11 @@ def directions_mission(seed: int) -> tuple[Mission, list[dict[str, Any]]]:
         "simulated_walls": walls,
         "collisions": probes,
     }
-    return load_mission(tree, packaged("configs", "dart.yaml")), probes
+    return load_mission(tree, packaged("configs", "dart.yaml"))
 
 
 def survey_mission(case: str) -> Mission:
-    """The survey of a shipped mission whose walls are known to 0.1 m and 1.7 degrees (one deviation)."""
+    """Return the survey of a shipped mission whose walls are known to 0.1 m and 1.7 degrees."""
     name, _, source = case.partition(" on ")
     mission = load_mission(packaged("missions", f"{name}.yaml"))
     changes: dict[str, Any] = {f"walls.{w.name}.position_sd_m": 0.1 for w in mission.flat_walls}
@@ -160,7 +130,7 @@ def survey_mission(case: str) -> Mission:
 
 
 def gps_mission(case: str) -> Mission:
-    """The dual collision on GPS with its touches, and the same without anchors."""
+    """Return the dual collision on GPS with its touches, or the same without anchors."""
     mission = load_mission(packaged("missions", "dual_collision_gps.yaml"))
     changes: dict[str, Any] = {"vehicle.simulation.position_from": "plain"}
     if case == "no anchors":  # PX4's own estimate says that it must not be flown
@@ -169,7 +139,7 @@ def gps_mission(case: str) -> Mission:
 
 
 def room_of(seed: int) -> tuple[Mission, np.ndarray]:
-    """A convex room of 4 to 6 walls, each at least 1 m long, 2.5 to 5 m across; and its corners."""
+    """Return a convex room of 4 to 6 walls, each at least 1 m long, 2.5 to 5 m across, and its corners."""
     rng = np.random.default_rng([seed, 32])
     while True:
         n = int(rng.integers(4, 7))
@@ -207,16 +177,16 @@ def room_of(seed: int) -> tuple[Mission, np.ndarray]:
     return load_mission(tree, packaged("configs", "dart.yaml")), corners
 
 
-def find_room(job: Job) -> Flown:
+def find_room(seed: int, spreads: Mapping[str, float]) -> Touched:
     """Fly in one room until its outline is closed, four times at most."""
-    mission, corners = room_of(job.seed)
+    mission, corners = room_of(seed)
     # The walls stand where the room has them: everything else is drawn.
-    spreads = {k: v for k, v in parse_vary(["all"], mission.vehicle).items() if not k.startswith("wall_")}
+    spreads = {name: sd for name, sd in spreads.items() if not name.startswith("wall_")}
     directions = [2.0 * math.pi * k / 16 for k in range(16)]
     airframe, touches, flights = mission.vehicle.airframe, list[RoomContact](), list[Verdict]()
     while True:
         flown = plan_star(mission, directions)
-        flights.append(fly_fast(flown, 10 * job.seed + len(flights), None, spreads=spreads))
+        flights.append(fly_fast(flown, 10 * seed + len(flights), None, spreads=spreads))
         touches += touches_of(flights[-1].walls, directions)
         room = RoomFit(mission.start, touches, airframe.guard_along_m, airframe.contact_distance_m).fit()
         if room.is_closed or len(flights) == 4:
@@ -231,14 +201,12 @@ def find_room(job: Job) -> Flown:
         len(flights),
         sum(v.flight_time_s or 0.0 for v in flights),
     )
-    worst = max(flights, key=lambda v: v.max_tilt_deg or 0.0)
-    last = flights[-1]
-    tilt = worst.max_tilt_deg
-    return Flown("rooms", "", "fast", job.seed, last.outcome.value, last.reason, tilt, room=found)
+    tilt = max(v.max_tilt_deg or 0.0 for v in flights)
+    return Touched(flights[-1].outcome.value, flights[-1].reason or "", tilt, room=found)
 
 
 def share_of_outline(corners: np.ndarray, found: Sequence[tuple[float, float]]) -> float:
-    """Share of the true outline that lies within 5 cm of the one that was found."""
+    """Return the share of the true outline that lies within 5 cm of the one that was found."""
     if len(found) < 3:
         return 0.0
     steps = np.linspace(0.0, 1.0, 400)[:, None]
@@ -255,51 +223,9 @@ def share_of_outline(corners: np.ndarray, found: Sequence[tuple[float, float]]) 
     return float(lengths[nearest <= 0.05].sum() / lengths.sum())
 
 
-def fly(job: Job) -> Flown:
-    """Fly one, and say what its walls came to."""
-    if job.part == "rooms":
-        return find_room(job)
-    if job.part == "directions":
-        mission, probes = directions_mission(job.seed)
-    elif job.part == "survey":
-        mission, probes = survey_mission(job.case), []
-    else:
-        mission, probes = gps_mission(job.case), []
-    spreads = parse_vary(["all"], mission.vehicle)
-    records: list[Any] = []
-    if job.px4:
-        source = PositionSource.MOCAP
-        if job.part == "anchors":
-            source = PositionSource.ANCHORED if mission.is_anchored else PositionSource.PLAIN
-        folder = ROOT / "build" / "touch"
-        verdict = fly_px4(mission, job.px4, job.seed, folder, position_from=source, spreads=spreads)
-        if verdict.log is not None:
-            records = [entry.record for entry in read_log(verdict.log).entries]
-    else:
-
-        def take(record: FlightRecord) -> None:
-            records.extend(entry.record for entry in record.log.entries)
-
-        verdict = fly_fast(mission, job.seed, None, spreads=spreads, take_record=take)
-    return Flown(
-        job.part,
-        job.case,
-        "px4" if job.px4 else "fast",
-        job.seed,
-        verdict.outcome.value,
-        verdict.reason,
-        verdict.max_tilt_deg,
-        felt_walls(mission, verdict, records, probes),
-        hits_on_gps(records),
-    )
-
-
-def felt_walls(
-    mission: Mission, verdict: Verdict, records: Iterable[Any], probes: Sequence[dict[str, Any]]
-) -> list[FeltWall]:
-    """What each wall came to, as the last contact with it has it."""
+def felt_walls(mission: Mission, verdict: Verdict, records: Iterable[Any]) -> list[FeltWall]:
+    """Return what the last contact with each wall told of it."""
     last = {record.wall: record for record in records if isinstance(record, WallEstimate)}
-    speeds = {one["wall"]: one["probe"]["speed_m_s"] for one in probes}
     found = []
     for wall in verdict.walls:
         hits = [c for c in verdict.collisions if c.wall == wall.name]
@@ -315,12 +241,9 @@ def felt_walls(
             k_error = felt.k_n_per_m / true_k - 1.0
         found.append(
             FeltWall(
-                wall.name,
                 str(mode),
-                speeds.get(wall.name, 0.5),
                 None if truth is None else truth.incidence_deg,
                 wall.truth_error_m,
-                felt.plane_offset_sigma_m,
                 wall.truth_error_deg,
                 None if sd_rad is None else math.degrees(sd_rad),
                 k_error,
@@ -330,253 +253,135 @@ def felt_walls(
     return found
 
 
-def hits_on_gps(records: Iterable[Any]) -> list[HitOnGps]:
-    """The contacts at walls that had been touched before."""
-    return [
-        HitOnGps(r.wall, r.age_s, math.hypot(*r.moved_mission), r.expected_sd_m)
+def mission_of(case: Mapping[str, str], seed: int) -> Mission:
+    """Return the mission of a case that is no room."""
+    if case["part"] == "directions":
+        return directions_mission(seed)
+    return survey_mission(case["flown"]) if case["part"] == "survey" else gps_mission(case["flown"])
+
+
+def fly(point: Point, seed: int) -> Touched:
+    """Fly one case in the fast world."""
+    if point.case["part"] == "rooms":
+        return find_room(seed, point.spreads)
+    mission = mission_of(point.case, seed)
+    kept: list[FlightRecord] = []
+    verdict = fly_fast(mission, seed, None, spreads=point.spreads, take_record=kept.append)
+    return _touched(mission, verdict, [entry.record for entry in kept[0].log.entries])
+
+
+def fly_on_px4(point: Point, seed: int) -> Touched:
+    """Fly one case on a real PX4."""
+    mission = mission_of(point.case, seed)
+    source = PositionSource.MOCAP
+    if point.case["part"] == "anchors":
+        source = PositionSource.ANCHORED if mission.is_anchored else PositionSource.PLAIN
+    with tempfile.TemporaryDirectory() as folder:
+        px4 = os.environ[ENVIRONMENT]
+        verdict = fly_px4(mission, px4, seed, Path(folder), position_from=source, spreads=point.spreads)
+        records = [] if verdict.log is None else [entry.record for entry in read_log(verdict.log).entries]
+    return _touched(mission, verdict, records)
+
+
+def _touched(mission: Mission, verdict: Verdict, records: Sequence[Any]) -> Touched:
+    hits = [
+        HitOnGps(r.age_s, math.hypot(*r.moved_mission), r.expected_sd_m)
         for r in records
         if isinstance(r, FrameAnchor) and r.age_s is not None
     ]
-
-
-def jobs_of(part: str, runs: int, px4: str) -> list[Job]:
-    """The flights of a part: `runs` seeds of each case."""
-    cases = {"directions": [""], "survey": list(SURVEYED), "anchors": ["anchors", "no anchors"]}.get(
-        part, [""]
-    )
-    seeds = range(FIRST_SEED, FIRST_SEED + runs)
-    if px4:
-        cases = cases[:1]
-    return [Job(part, case, seed, px4) for case in cases for seed in seeds]
+    walls = felt_walls(mission, verdict, records)
+    tilt = verdict.max_tilt_deg or 0.0
+    return Touched(verdict.outcome.value, verdict.reason or "", tilt, walls, hits)
 
 
 # -- page --------------------------------------------------------------------------------------------------
 
 
-def rms(values: Iterable[float | None]) -> float:
-    """Root of the mean square; not a number without values."""
-    found = [value for value in values if value is not None]
-    return math.sqrt(sum(v * v for v in found) / len(found)) if found else math.nan
-
-
-def page(flights: Sequence[Flown]) -> str:
-    """docs/results/touch.md."""
-    lines = ["# Walls felt instead of surveyed", ""]
-    lines += [measured_by("tools.campaigns.touch", "body with guards, everything drawn"), ""]
-    lines += [
-        "Seeds from 5001 on. One rule was made while looking at them: that a wall is at least where it was",
-        "met, where no fit tells more, after the survey of seed 5032 was off by 0.30 m. So the surveys are",
-        "not held out in that respect; the rest was tuned on seeds below. What it means:",
-        "[walls.md](../walls.md), [anchors.md](../anchors.md). An error is against the simulation's truth;",
-        "*error/deviation* is its rms in units of the deviation that the contact stated: 1 is honest, more",
-        "is too sure.",
-        "",
+def page(rows: Sequence[JudgedRow]) -> str:
+    """Return a table for each part."""
+    cases: dict[tuple[str, str], list[Touched]] = {}
+    for r in rows:
+        cases.setdefault((r.values["part"], r.values["flown"]), []).append(r.row)
+    tables = [
+        _directions([w for f in cases.get(("directions", ""), []) for w in f.walls]),
+        markdown(_FLIGHT_HEADS, [[*key, *_flight_figures(mine)] for key, mine in cases.items()]),
+        _hits([h for (part, _), mine in cases.items() if part == "anchors" for f in mine for h in f.hits]),
+        _rooms([(r.seed, r.row.room) for r in rows if r.row.room is not None]),
     ]
-    lines += _directions([f for f in flights if f.part == "directions"])
-    lines += _surveys([f for f in flights if f.part == "survey"])
-    lines += _anchors([f for f in flights if f.part == "anchors"])
-    lines += _rooms([f for f in flights if f.part == "rooms"])
-    return "\n".join(lines)
+    return "\n".join(table for table in tables if table)
 
 
-def _directions(flights: Sequence[Flown]) -> list[str]:
-    walls = [w for f in flights for w in f.walls if w.incidence_deg is not None and w.error_deg is not None]
+_FLIGHT_HEADS = (
+    "part", "flown", "completed", "uncontrolled", "place rms, largest m", "direction rms, largest deg",
+    "k within 2 deviations", "both walls within 8 s", "broken off by",
+)  # fmt: skip
+
+
+def _flight_figures(mine: Sequence[Touched]) -> list[str]:
+    walls = [w for f in mine for w in f.walls]
+    places = [abs(w.error_m) for w in walls if w.error_m is not None]
+    turned = [abs(w.error_deg) for w in walls if w.error_deg is not None]
+    known = [(abs(w.k_error), w.k_sd) for w in walls if w.k_error is not None and w.k_sd is not None]
+    young = [f for f in mine if len(f.hits) > 1 and all(h.age_s <= _YOUNG_S for h in f.hits)]
+    ended = Counter(f.reason.partition(":")[0] for f in mine if f.outcome != "completed")
+    return [
+        f"{sum(f.outcome == 'completed' for f in mine)} of {len(mine)}",
+        str(sum(f.tilt_deg > _UNCONTROLLED_DEG for f in mine)),
+        f"{rms(places):.4f}, {max(places):.3f}" if places else "-",
+        f"{rms(turned):.2f}, {max(turned):.2f}" if turned else "-",
+        f"{sum(error <= 2.0 * sd for error, sd in known)} of {len(known)}",
+        f"{sum(f.outcome == 'completed' for f in young)} of {len(young)}",
+        ", ".join(f"`{rule}` {count}" for rule, count in sorted(ended.items())) or "-",
+    ]
+
+
+def _directions(walls: Sequence[FeltWall]) -> str:
     rows = []
     for low, high in ((0.0, 6.0), (6.0, 15.0), (15.0, 30.0)):
         for mode in ("rigid", "flexible"):
             here = [w for w in walls if low <= abs(w.incidence_deg or 0.0) < high and w.mode == mode]
-            if here:
-                rows.append([f"{low:.0f} to {high:.0f} deg", mode, *_direction_figures(here)])
-        both = [w for w in walls if low <= abs(w.incidence_deg or 0.0) < high]
-        if both:
-            rows.append([f"{low:.0f} to {high:.0f} deg", "both", *_direction_figures(both)])
-    heads = ["incidence", "mode felt", "contacts", "rms deg", "largest deg", "error/deviation", "place rms m"]
-    done = sum(f.outcome == Outcome.COMPLETED for f in flights)
-    return [
-        "## Direction and place of an unknown wall from one contact",
-        "",
-        f"{len(flights)} flights, {done} completed, {_uncontrolled(flights)} uncontrolled (tilt over 60",
-        "degrees): four walls each, of a material drawn from three, turned by up to 15 degrees, met by",
-        "probes at 0.3 to 1 m/s in a mode that is drawn. The flight knows none of it.",
-        "",
-        markdown(heads, rows),
-    ]
-
-
-def _direction_figures(walls: Sequence[FeltWall]) -> list[str]:
-    ratio = rms((w.error_deg or 0.0) / w.sd_deg for w in walls if w.sd_deg)
-    return [
-        str(len(walls)),
-        f"{rms(w.error_deg for w in walls):.2f}",
-        f"{max(abs(w.error_deg or 0.0) for w in walls):.1f}",
-        f"{ratio:.2f}",
-        f"{rms(w.error_m for w in walls):.4f}",
-    ]
-
-
-def _surveys(flights: Sequence[Flown]) -> list[str]:
-    rows = []
-    for world in ("fast", "px4"):
-        for case in SURVEYED:
-            here = [f for f in flights if f.world == world and f.case == case]
-            walls = [w for f in here for w in f.walls]
-            if not walls:
+            errors = [w.error_deg for w in here if w.error_deg is not None]
+            if not errors:
                 continue
-            inside = [w for w in walls if w.k_error is not None and w.k_sd is not None]
-            within = sum(abs(w.k_error or 0.0) <= 2.0 * (w.k_sd or 0.0) for w in inside)
-            rows.append(
-                [
-                    case,
-                    world,
-                    f"{sum(f.outcome == Outcome.COMPLETED for f in here)} of {len(here)}",
-                    str(_uncontrolled(here)),
-                    f"{rms(w.error_m for w in walls):.4f}",
-                    f"{max(abs(w.error_m or 0.0) for w in walls):.3f}",
-                    f"{rms(w.error_deg for w in walls):.2f}",
-                    f"{max(abs(w.error_deg or 0.0) for w in walls):.2f}",
-                    f"{within} of {len(inside)}",
-                ]
-            )
-    heads = [
-        "mission", "world", "completed", "uncontrolled", "place rms m", "largest m", "direction rms deg",
-        "largest deg", "k within 2 deviations",
-    ]  # fmt: skip
-    return [
-        "## Survey",
-        "",
-        "`survey` of shipped missions in motion capture, and on GPS with corrections, whose position the",
-        "receiver states to 0.02 m; every wall stands elsewhere by 0.1 m and 1.7 degrees (standard",
-        "deviations: up to 0.3 m and 5 degrees).",
-        "",
-        markdown(heads, rows),
-    ]
+            ratios = [w.error_deg / w.sd_deg for w in here if w.error_deg is not None and w.sd_deg]
+            places = [w.error_m for w in here if w.error_m is not None]
+            figures = [f"{rms(errors):.2f}", f"{max(map(abs, errors)):.1f}", f"{rms(ratios):.2f}"]
+            rows.append([f"{low:.0f} to {high:.0f}", mode, str(len(here)), *figures, f"{rms(places):.4f}"])
+    heads = ("incidence deg", "mode felt", "contacts", "rms deg", "largest", "error/deviation", "place rms m")
+    return markdown(heads, rows) if rows else ""
 
 
-def _anchors(flights: Sequence[Flown]) -> list[str]:
+def _hits(hits: Sequence[HitOnGps]) -> str:
     rows = []
-    for world in ("fast", "px4"):
-        for name in ("anchors", "anchors, held out", "no anchors"):
-            case, _, unseen = name.partition(", ")
-            least = _UNSEEN_SEED if unseen else FIRST_SEED
-            here = [f for f in flights if f.world == world and f.case == case and f.seed >= least]
-            if here:
-                done = sum(f.outcome == Outcome.COMPLETED for f in here)
-                young = [f for f in here if all(h.age_s <= _YOUNG_S for h in f.hits)]
-                both = [f for f in young if len(f.hits) >= 2]
-                fit = sum(f.outcome == Outcome.COMPLETED for f in young)
-                of_young = (f"{fit} of {len(both)}", f"{fit} of {len(young)}") if both else ("-", "-")
-                rows.append(
-                    [
-                        name, world, f"{done} of {len(here)}", str(_uncontrolled(here)),
-                        *of_young, _reasons(here),
-                    ]
-                )  # fmt: skip
-    ages = []
-    for world in ("fast", "px4"):
-        hits = [h for f in flights if f.world == world and f.case == "anchors" for h in f.hits]
-        for low, high in ((0.0, 5.0), (5.0, 8.0), (8.0, 12.0), (12.0, 30.0)):
-            here_too = [h for h in hits if low <= h.age_s < high]
-            if here_too:
-                ages.append(
-                    [
-                        world,
-                        f"{low:.0f} to {high:.0f} s",
-                        str(len(here_too)),
-                        f"{rms(h.moved_m for h in here_too):.3f}",
-                        f"{rms(h.expected_sd_m for h in here_too):.3f}",
-                        f"{rms(h.moved_m / h.expected_sd_m for h in here_too):.2f}",
-                    ]
-                )
-    heads = ["case", "world", "completed", "uncontrolled", "both within 8 s", "none later", "broken off by"]
-    return [
-        "## The dual collision on GPS without corrections",
-        "",
-        "`missions/dual_collision_gps.yaml`: both walls are touched, then hit. The receiver wanders by 1 m",
-        "over a minute, its Doppler velocity by 0.03 m/s over 20 s. *No anchors* is the same flight with",
-        "PX4's usual weights, the frame left where it was laid, and the guard's limit for PX4's own",
-        "uncertainty lifted, without which it does not take off. The mission was tuned on seeds 401 to 450,",
-        "and earlier forms of it were flown, and looked at, on 5001 to 5060 and on PX4: held out are 5061 to",
-        "5080 in the fast world.",
-        "*Both within 8 s*: how many completed of those that hit each wall at most 8 s",
-        "after its touch; *none later* has those, too, that were broken off before they had hit both.",
-        "Uncontrolled is a tilt over 60 degrees.",
-        "",
-        markdown(heads, rows),
-        "Where the wall was met against where it was expected, by the age of its anchor:",
-        "",
-        markdown(["world", "age", "hits", "error rms m", "predicted m", "error/predicted"], ages),
-    ]
+    for low, high in ((0.0, 5.0), (5.0, 8.0), (8.0, 12.0), (12.0, 30.0)):
+        here = [h for h in hits if low <= h.age_s < high]
+        if here:
+            off, expected = rms([h.moved_m for h in here]), rms([h.expected_sd_m for h in here])
+            ratio = f"{off / expected:.2f}"
+            rows.append(
+                [f"{low:.0f} to {high:.0f} s", str(len(here)), f"{off:.3f}", f"{expected:.3f}", ratio]
+            )
+    heads = ("age of the anchor", "hits", "error rms m", "predicted m", "error/predicted")
+    return markdown(heads, rows) if rows else ""
 
 
-def _rooms(flights: Sequence[Flown]) -> list[str]:
-    rooms = [(f.seed, f.room) for f in flights if f.room is not None]
-    if not rooms:
-        return []
-    shares = [room.share for _, room in rooms]
-    closed = sum(room.closed for _, room in rooms)
+def _rooms(rooms: Sequence[tuple[int, FoundRoom]]) -> str:
+    heads = ("seed", "walls", "closed", "within 5 cm", "contacts", "flights", "flown s")
     rows = [
         [
-            str(seed), f"{room.found} of {room.walls}", "yes" if room.closed else "no",
-            f"{100.0 * room.share:.1f} %", str(room.contacts), str(room.flights), f"{room.flown_s:.0f}",
+            str(seed),
+            f"{room.found} of {room.walls}",
+            "yes" if room.closed else "no",
+            f"{100 * room.share:.1f} %",
+            str(room.contacts),
+            str(room.flights),
+            f"{room.flown_s:.0f}",
         ]
         for seed, room in rooms
-    ]  # fmt: skip
-    return [
-        "## A room by touch",
-        "",
-        "Rooms of 4 to 6 walls, each at least 1 m long, 2.5 to 5 m across, of materials that are drawn:",
-        "probes in 16 directions from the start, then where the outline is open, in at most four flights.",
-        f"All is drawn but where the walls stand. Outline closed in {closed} of {len(rooms)}; within 5 cm of",
-        f"it lies {100.0 * sum(shares) / len(shares):.1f} % of the true outline in the mean, at least",
-        f"{100.0 * min(shares):.1f} % (XPLORER's map by tactile traversal is 96.7 % right, by its authors'",
-        f"own measure). {_uncontrolled(flights)} flights uncontrolled.",
-        "",
-        markdown(["seed", "walls", "closed", "within 5 cm", "contacts", "flights", "flown s"], rows),
     ]
+    return markdown(heads, rows) if rows else ""
 
 
-def _uncontrolled(flights: Sequence[Flown]) -> int:
-    return sum((f.tilt_deg or 0.0) > 60.0 for f in flights)
-
-
-def _reasons(flights: Sequence[Flown]) -> str:
-    found = Counter(one.reason.partition(":")[0] for one in flights if one.reason)
-    return ", ".join(f"`{name}` {count}" for name, count in sorted(found.items())) or "-"
-
-
-def main() -> int:
-    """Fly what is asked for; always write the page."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--part", choices=("directions", "survey", "anchors", "rooms", "page"))
-    parser.add_argument("--runs", type=int, default=20)
-    parser.add_argument("--px4", default="", metavar="DIR")
-    parser.add_argument("--jobs", type=int, default=2)
-    arguments = parser.parse_args()
-    parts = [arguments.part] if arguments.part else ["directions", "survey", "anchors", "rooms"]
-    jobs = [job for part in parts if part != "page" for job in jobs_of(part, arguments.runs, arguments.px4)]
-    kept: dict[tuple[str, str, str, int], Flown] = {_key(one): one for one in kept_lines(FLOWN, Flown)}
-    FLOWN.parent.mkdir(exist_ok=True)
-    with FLOWN.open("ab") as file:
-        for one in _all(fly, jobs, 1 if arguments.px4 else arguments.jobs):
-            kept[_key(one)] = one
-            file.write(msgspec.json.encode(one) + b"\n")
-            file.flush()
-            sys.stderr.write(f"{one.part} {one.case} {one.seed}: {one.outcome} {one.reason or ''}\n")
-    PAGE.write_text(page(list(kept.values())), encoding="utf-8")
-    return 0
-
-
-def _key(one: Flown) -> tuple[str, str, str, int]:
-    return one.part, one.case, one.world, one.seed
-
-
-def _all(work: Callable[[Job], Flown], jobs: Sequence[Job], processes: int) -> Iterable[Flown]:
-    if processes == 1:
-        yield from map(work, jobs)
-        return
-    with ProcessPoolExecutor(processes) as pool:
-        yield from pool.map(work, jobs)
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+def rms(values: Sequence[float]) -> float:
+    """Return the root of the mean square, or not a number without values."""
+    return math.sqrt(sum(v * v for v in values) / len(values)) if values else math.nan

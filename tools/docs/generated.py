@@ -1,14 +1,15 @@
 """What the software writes of its own documentation: `make docs` brings it up to date.
 
 A generated part stands in a page of docs/ between `<!-- begin: NAME -->` and `<!-- end -->`; the JSON Schemas
-in docs/schemas are whole files; of the comments in configs/dart.yaml it is the part before the source. Tests
-hold all of them to what the code says today.
+in docs/schemas are whole files; of the comments in configs/dart.yaml it is the part before the source. A test
+runs `python -m tools.docs.generated --check`.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+import sys
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from dart_flight.core.guard import rules as guard_rules
@@ -52,13 +53,38 @@ def current(text: str) -> str:
     return _MARKED.sub(lambda mark: mark[1] + PARTS[mark[2]]() + mark[3], text)
 
 
-def main() -> None:
-    """Write everything."""
+def stale() -> Iterator[str]:
+    """Yield what differs from what the code says: files, and parts without a place or a writer."""
+    for page, names in pages().items():
+        text = page.read_text("utf-8")
+        unknown = [name for name in names if name not in PARTS]
+        if unknown:
+            yield f"{page.name}: nothing writes {unknown[0]}"
+        elif current(text) != text:
+            yield page.name
+    places = sorted(name for names in pages().values() for name in names)
+    if places != sorted(PARTS):
+        yield f"parts without a place, or with two: {sorted(set(PARTS) ^ set(places)) or places}"
+    wanted = {name: schemas.text_of(schema) for name, schema in schemas.schemas().items()}
+    if {path.name: path.read_text("utf-8") for path in schemas.FOLDER.iterdir()} != wanted:
+        yield "docs/schemas"
+    configuration = configuration_comments.CONFIGURATION.read_text("utf-8")
+    if configuration_comments.current(configuration) != configuration:
+        yield "configs/dart.yaml: comments"
+
+
+def main() -> int:
+    """Write everything, or with --check only say what is stale; returns the exit status."""
+    if sys.argv[1:] == ["--check"]:
+        found = list(stale())
+        print("\n".join(found))
+        return 1 if found else 0
     schemas.write()
     configuration_comments.write()
     for page in pages():
         page.write_text(current(page.read_text("utf-8")), "utf-8")
+    return 0
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -20,11 +20,12 @@ from dart_flight.lab.campaign.campaign_spec import (
     campaign_of,
     difference,
     items_of,
+    keys_of,
     log_name,
     points_of,
 )
-from dart_flight.lab.campaign.flight_job import Flown, ItemFlyer
-from dart_flight.lab.campaign.table import Table, flown_in
+from dart_flight.lab.campaign.flight_job import Flown, ItemFlyer, JudgedRow, judged_rows
+from dart_flight.lab.campaign.table import Table, flown_in, rows_in
 from dart_flight.recording.found import LOG_NAME
 from dart_flight.run.workers import Failure, FinishedItem, Interrupt, work
 
@@ -127,8 +128,17 @@ def write_atomically(path: Path, data: bytes) -> None:
         raise FlightError(f"cannot write {path}: {error.strerror}") from None
 
 
+def rows_of(opened: CampaignFolder) -> list[JudgedRow]:
+    """Return the rows that the judge of a campaign has made so far.
+
+    Raises:
+        InputError: the table cannot be read.
+    """
+    return list(judged_rows(opened.campaign, rows_in(opened.folder / TABLE)))
+
+
 def fly_locally(jobs: int) -> Engine:
-    """Flights in processes of this machine (`worlds.workers`)."""
+    """Flights in processes of this machine (`run.workers`)."""
     return lambda flyer, items, interrupt: work(flyer, items, jobs, interrupt)
 
 
@@ -153,7 +163,7 @@ def fly(
     campaign = opened.campaign
     flyer = ItemFlyer(campaign, opened.points)
     with Table(opened.folder / TABLE, campaign.columns) as table:
-        have = flown_in(table.path, tuple(campaign.asked.settings), opened.points)
+        have = flown_in(table.path, keys_of(campaign.asked, opened.points), opened.points)
         rows, failed = len(have), 0
         progress(rows, failed)
         missing = (item for item in items_of(campaign.asked, opened.points) if item not in have)

@@ -17,7 +17,7 @@ from dart_flight.base.records import Outcome
 from dart_flight.config.mission import Mission
 from dart_flight.config.provenance import VehicleSource
 from dart_flight.lab.campaign.campaign_folder import TABLE, CampaignFolder
-from dart_flight.lab.campaign.campaign_spec import Item, Point, command_of
+from dart_flight.lab.campaign.campaign_spec import Item, Point, command_of, keys_of
 from dart_flight.lab.campaign.flight_job import ERROR
 from dart_flight.lab.campaign.table import rows_in
 from dart_flight.lab.statistics import (
@@ -268,7 +268,7 @@ def summarise(opened: CampaignFolder) -> CampaignSummary:
 
 
 def _rows(opened: CampaignFolder, names: Sequence[str], figures: Sequence[str]) -> Iterator[_SummaryRow]:
-    keys = tuple(opened.campaign.asked.settings)
+    keys = keys_of(opened.campaign.asked, opened.points)
     points = {(point.path, *point.values): point for point in opened.points}
     path = opened.folder / TABLE
     for row in rows_in(path) if path.exists() else ():
@@ -323,7 +323,7 @@ def _at_point(opened: CampaignFolder, point: Point, rows: Sequence[_SummaryRow])
 
 
 def _settings(opened: CampaignFolder, point: Point) -> dict[str, str]:
-    return dict(zip(opened.campaign.asked.settings, point.values, strict=True))
+    return dict(zip(keys_of(opened.campaign.asked, opened.points), point.values, strict=True))
 
 
 def _drawn(rows: Sequence[_SummaryRow], names: Sequence[str]) -> list[Drawn]:

@@ -1,18 +1,30 @@
-"""One flight of a campaign, in whatever process: from its item to its row, and its log where that is kept."""
+"""One flight of a campaign, in whatever process: from its item to its row, and its log where that is kept.
+
+A specification may name how an item is flown and who judges the flight; the default judge is `cells_of`.
+"""
 
 from __future__ import annotations
 
 import csv
 import io
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from enum import Enum
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple, get_type_hints
 
 import msgspec
 
 from dart_flight.base.records import Outcome, Override
-from dart_flight.lab.campaign.campaign_spec import Campaign, Item, Keep, Point
+from dart_flight.lab.campaign.campaign_spec import (
+    Campaign,
+    Item,
+    Keep,
+    Point,
+    keys_of,
+    named_function,
+    row_type,
+)
 from dart_flight.recording.found import LOG_NAME
 from dart_flight.recording.plan_versus_flight import out_of_tolerance
 from dart_flight.recording.reader import Log
@@ -34,6 +46,22 @@ class Flown(NamedTuple):
     log: bytes | None
 
 
+class FlownFlight(NamedTuple):
+    """A fast flight as its judge gets it: its point, its verdict, and its log with the truth."""
+
+    point: Point
+    seed: int
+    verdict: Verdict
+    log: Log
+
+
+def fly_point(point: Point, seed: int) -> FlownFlight:
+    """Fly the mission of a point in the fast world, with what the seed draws."""
+    records: list[FlightRecord] = []
+    verdict = fly_fast(point.mission, seed, None, spreads=point.spreads, take_record=records.append)
+    return FlownFlight(point, seed, verdict, records[0].log)
+
+
 class ItemFlyer:
     """Flies the items of a campaign; goes to other processes and machines by pickle.
 
@@ -43,13 +71,21 @@ class ItemFlyer:
     """
 
     def __init__(self, campaign: Campaign, points: Sequence[Point]) -> None:
-        self._columns, self._keys = campaign.columns, tuple(campaign.asked.settings)
+        self._columns, self._keys = campaign.columns, keys_of(campaign.asked, points)
         self._keep = campaign.asked.keep
+        self._asked = campaign.asked
         self._points = {point.number: point for point in points}
 
     def __call__(self, item: Item) -> Flown:
         """Fly one."""
         point = self._points[item.point]
+        if self._asked.makes_row:
+            fly: Callable[[Point, int], Any] = (
+                named_function(self._asked.fly) if self._asked.fly else fly_point
+            )
+            flown = fly(point, item.seed)
+            row = named_function(self._asked.judge)(flown) if self._asked.judge else flown
+            return Flown(self._line(item, _judged_cells(row)), True, None)
         records: list[FlightRecord] = []
         take = None if self._keep is Keep.NONE else records.append
         verdict = fly_fast(point.mission, item.seed, None, spreads=point.spreads, take_record=take)
@@ -60,7 +96,7 @@ class ItemFlyer:
 
     def failed(self, item: Item, why: str) -> Flown:
         """The row of a flight that has no verdict."""
-        return Flown(self._line(item, {"outcome": ERROR, "reason": why}), False, None)
+        return Flown(self._line(item, {"outcome": ERROR, "reason": why, "error": why}), False, None)
 
     def _line(self, item: Item, cells: Mapping[str, Cell]) -> bytes:
         point = self._points[item.point]
@@ -89,6 +125,50 @@ def cells_of(verdict: Verdict) -> dict[str, Cell]:
         cells[f"c{c.index}_normal_m_s"] = c.measured.normal_m_s
         cells[f"c{c.index}_peak_force_n"] = c.measured.peak_force_n
     return cells
+
+
+def _judged_cells(row: msgspec.Struct) -> dict[str, Cell]:
+    """Return the fields of a judge's row as cells; lists and structures as JSON."""
+    cells: dict[str, Cell] = {}
+    for name in row.__struct_fields__:
+        value = getattr(row, name)
+        value = value.value if isinstance(value, Enum) else value
+        scalar = value is None or isinstance(value, str | float | int)
+        cells[name] = value if scalar else msgspec.json.encode(value).decode()
+    return cells
+
+
+class JudgedRow(NamedTuple):
+    """A row of a judged campaign; `row` is None where the flight ended with an error of the program."""
+
+    mission: str
+    values: dict[str, str]
+    seed: int
+    error: str
+    row: Any
+
+
+def judged_rows(campaign: Campaign, rows: Iterable[Mapping[str, str]]) -> Iterator[JudgedRow]:
+    """Return the rows of a judged campaign's table as the judge returned them."""
+    kind = row_type(campaign.asked.makes_row)
+    types = get_type_hints(kind)
+    keys = campaign.columns[1 : campaign.columns.index("seed")]
+    for cells in rows:
+        fields = {name: _field(cells[name], types[name]) for name in types}
+        row = None if cells["error"] else kind(**fields)
+        yield JudgedRow(
+            cells["mission"], {k: cells[k] for k in keys}, int(cells["seed"]), cells["error"], row
+        )
+
+
+def _field(text: str, kind: Any) -> Any:
+    if kind is str:
+        return text
+    if not text:
+        return None
+    if text[0] in "[{" and kind != (str | None):
+        return msgspec.json.decode(text, type=kind)
+    return msgspec.convert(text, kind, strict=False)
 
 
 def _not_followed(verdict: Verdict) -> str | None:

@@ -13,9 +13,7 @@ from dart_flight.contact.law import Onset
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
-    parser.add_argument(
-        "-o", "--output", metavar="FILE", help="write the page (docs/results/paper_tables.md)"
-    )
+    parser.add_argument("-o", "--output", metavar="FILE", help="write the page (docs/paper_tables.md)")
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -223,7 +223,7 @@ def _rows(rows: list[list[str]]) -> str:
 
 
 def page(vehicle: VehicleConfig) -> str:
-    """`docs/results/paper_tables.md`: the paper's figures and the model's side by side."""
+    """`docs/paper_tables.md`: the paper's figures and the model's side by side."""
     drops = [
         [
             f"{row.published.height_m:g} m {row.published.mode.value}",

@@ -8,6 +8,7 @@ import random
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -17,7 +18,6 @@ from dart_flight.lab.identify.trial_readers import read_trials
 from dart_flight.lab.identify.trials import TrialReading
 from dart_flight.lab.inspect.impacts import Estimated, ThresholdCrossing
 from tests.doubles.ulog_file import Topics, write_ulog
-from tools.campaigns.real import pushed
 
 pytest.importorskip("pyulog")
 
@@ -25,6 +25,14 @@ FULL_M_S2, FACTOR = 22.0, 0.3
 HIT_S, HIT_M_S2, HIT_DEG, LONG_S = 30.0, 14.0, 60.0, 0.15
 VIBRATION_M_S2 = 2.5
 Rows = list[tuple[float, list[float]]]
+
+
+def pushed(estimated: Estimated, push: tuple[float, float]) -> Estimated:
+    """The estimate with one more horizontal force, newton, mission frame."""
+    x, y, z = estimated.force.force_mission
+    force = msgspec.structs.replace(estimated.force, force_mission=(x + push[0], y + push[1], z))
+    along = estimated.along_n + push[0] * estimated.up[0] + push[1] * estimated.up[1]
+    return estimated._replace(force=force, along_n=along)
 
 
 def topics(motor_hz: float = 100.0, motors: bool = True, north_m_s: float = 0.0) -> Topics:

@@ -20,7 +20,7 @@ from dart_flight.contact.law import Onset
 from dart_flight.lab.paper import tables as paper
 
 DATA = Path(__file__).parents[2] / "data"
-PAGE = Path(__file__).parents[3] / "docs" / "results" / "paper_tables.md"
+PAGE = Path(__file__).parents[3] / "docs" / "paper_tables.md"
 WALL = ["predict", "--surface", "acrylic", "--mode", "rigid", "--velocity", "-1.0", "0.5"]
 DROP = ["predict", "--surface", "concrete", "--mode", "flexible", "--drop", "0.2"]
 

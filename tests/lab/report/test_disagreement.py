@@ -18,8 +18,8 @@ from dart_flight.recording.about import flown_mission
 from dart_flight.recording.reader import read_log
 from dart_flight.run.prepare import load_flyable
 from dart_flight.run.replay import replay
+from tests.lab.report.other_wall import fly_against, with_walls
 from tests.shared_flights import SharedFlights
-from tools.bench.other_wall import fly_against, with_walls
 
 CONFIG = packaged("configs", "dart.yaml")
 

@@ -18,9 +18,9 @@ from dart_flight.lab.report.player import player_data
 from dart_flight.lab.report.recorded_flight import RecordedFlight
 from dart_flight.run.fast import fly_fast
 from dart_flight.run.replay import Replay
+from tests.lab.report.browser import Browser, find_browser
 from tests.lab.report.ten_hits import many_hits
 from tests.shared_flights import SharedFlights
-from tools.docs.browser import Browser, find_browser
 
 DATA = re.compile(r'<script type="application/json" id="flight-data">(.*?)</script>', re.DOTALL)
 

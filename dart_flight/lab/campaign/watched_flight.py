@@ -1,0 +1,148 @@
+"""A fast flight that is followed on to the ground, and whether it stayed under control.
+
+A flight counts as controlled only if all of this holds:
+
+* no exception escaped;
+* it ended: landed and disarmed (by the mission, the guard, or PX4's own failsafe once the program is gone),
+  or held still in another mode than offboard after a pilot took over;
+* a flight that did not complete gives a reason, unless the program itself was hung or killed;
+* by its truth it is controlled as `dart_flight.recording.uncontrolled` defines that.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+
+from dart_flight.base.geometry import distance2
+from dart_flight.base.records import FlightMode, GuardEvent, Outcome, Override, Record, TruthSample, World
+from dart_flight.config.mission import Mission
+from dart_flight.recording.uncontrolled import OUT_M, TruthExtremes, find_uncontrolled
+from dart_flight.recording.verdict import Verdict, VerdictBuilder
+from dart_flight.run.fast import FastFlight
+from dart_flight.run.runner import Observe
+from dart_flight.sim.draws import DrawnWorld, with_walls
+from dart_flight.sim.faults.fault_table import Fault
+
+_DOWN_M = 0.2  # lying on its side the vehicle's centre is this high
+_STILL_M_S = 0.3
+_RUN_OUT_S, _HELD_S = 60.0, 3.0
+
+
+def place_walls(
+    world: DrawnWorld, away_m: Mapping[str, float], turned_deg: Mapping[str, float]
+) -> DrawnWorld:
+    """Return the world with walls moved out along their normals and turned about their middles, by name."""
+    walls = {
+        w.name: w.moved(away_m.get(w.name, 0.0)).turned(math.radians(turned_deg.get(w.name, 0.0)))
+        for w in world.mission.walls
+    }
+    return with_walls(world, walls)
+
+
+class WatchedFlight:
+    """A fast flight with its verdict, the extremes of its truth, and why it counts as uncontrolled.
+
+    Args:
+        mission: as believed.
+        seed: of the sensors.
+        world: as drawn; None: as believed.
+        fault: what goes wrong.
+
+    Attributes:
+        onlookers: called with every record and its number.
+        truth: extremes so far.
+        decided_us: host time at which guard or autopilot first decided something after the fault began.
+        problems: why the flight is uncontrolled, after `run`; empty for a controlled flight.
+    """
+
+    def __init__(
+        self, mission: Mission, seed: int, world: DrawnWorld | None = None, fault: Fault | None = None
+    ) -> None:
+        self.seed, self.fault = seed, fault
+        self.onlookers: list[Observe] = []
+        self.truth = TruthExtremes(mission.bounds)
+        self.decided_us: int | None = None
+        self.problems: list[str] = []
+        self._builder = VerdictBuilder(mission)
+        faults = None if world is None else world.lock_faults
+        self.flight = FastFlight(
+            mission, seed, faults=faults, observe=self._observe, fault=fault, world=world
+        )
+        self._say = self.flight.autopilot.say
+        self.flight.autopilot.say = self._hear
+
+    def run(self) -> Verdict:
+        """Fly until the vehicle is down or held by a pilot, and return the verdict."""
+        try:
+            self.flight.run()
+            self._run_out()
+        except Exception as error:
+            self.problems.append(f"exception {type(error).__name__}: {error}")
+        verdict = self._builder.build(World.FAST, self.seed)
+        self.problems += self._find_problems(verdict)
+        return verdict
+
+    def _observe(self, record: Record, number: int) -> None:
+        self._builder.take(record)
+        if isinstance(record, GuardEvent):
+            self._note_decision()
+        elif isinstance(record, TruthSample):
+            self.truth.update(record)
+        for onlooker in self.onlookers:
+            onlooker(record, number)
+
+    def _hear(self, severity: str, text: str) -> None:
+        if "failsafe" in text.lower():
+            self._note_decision()
+        self._say(severity, text)
+
+    def _note_decision(self) -> None:
+        faulted = self.flight.faulted
+        if self.decided_us is None and faulted is not None and faulted.began_us is not None:
+            self.decided_us = self.flight.host_us
+
+    def _run_out(self) -> None:
+        """Let the vehicle land by itself; in a pilot's hands it only has to hold still."""
+        autopilot = self.flight.autopilot
+        until_s = autopilot.now_s + _RUN_OUT_S
+        while autopilot.armed and autopilot.now_s < until_s:
+            self.flight.tick()
+            if autopilot.mode is FlightMode.MANUAL:
+                until_s = min(until_s, autopilot.now_s + _HELD_S)
+
+    def _find_problems(self, verdict: Verdict) -> Iterator[str]:
+        a, last = self.flight.autopilot, self.truth.last
+        falls = self.fault is not None and self.fault.name == "kill-switch"  # what the switch is for
+        gone = self.flight.faulted is not None and self.flight.faulted.app_silent
+        if self.flight.core.end is None and not gone:
+            yield "it did not end"
+        if a.armed:
+            speed = distance2(a.plant.velocity, (0.0, 0.0))
+            held = a.mode in (FlightMode.MANUAL, FlightMode.HOLD) and speed < _STILL_M_S
+            if not (verdict.outcome is Outcome.RELEASED and held):
+                yield f"still armed in {a.mode.value} at {speed:.2f} m/s"
+        elif not falls and last is not None and last.position_mission[2] > _DOWN_M:
+            yield "disarmed in the air"
+        explained = gone or bool(verdict.reason and verdict.guard)
+        completed = verdict.outcome is Outcome.COMPLETED
+        yield from find_uncontrolled(self.truth, completed, explained, excursion_allowed_m(self.fault), falls)
+
+
+def excursion_allowed_m(fault: Fault | None) -> float:
+    """Return how far out of the bounds a flight may get before it counts as uncontrolled, metres.
+
+    Half a metre for braking; if the fault makes the position wrong, also as much as it is wrong by.
+    """
+    wrong = abs(fault.value) if fault is not None and fault.name == "ekf-jump" else 0.0
+    return OUT_M + wrong if math.isfinite(wrong) else math.inf
+
+
+def rule_of(verdict: Verdict) -> str:
+    """Return the first guard rule that acted in a flight that did not complete, or an empty text.
+
+    On its way down a flight may be broken off again: the first rule is the cause.
+    """
+    if verdict.outcome is Outcome.COMPLETED:
+        return ""
+    return next((one.rule for one in verdict.guard if one.action is not Override.NONE), "")

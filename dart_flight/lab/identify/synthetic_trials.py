@@ -1,0 +1,118 @@
+"""Synthetic trials with sensor noise: what a laboratory would record of known coefficients."""
+
+from __future__ import annotations
+
+import csv
+import math
+from pathlib import Path
+
+import numpy as np
+
+from dart_flight.base.geometry import GRAVITY_M_S2
+from dart_flight.config.vehicle.airframe import Coefficients
+from dart_flight.contact.coefficients import Array
+from dart_flight.contact.contact_map import drop
+from dart_flight.contact.law import Onset
+from dart_flight.lab.identify.trials import Series, Trial
+from dart_flight.lab.predict.path import ContactMotion, trajectory
+
+MASS_KG = 1.3
+
+
+def _sampled(begin: float, end: float, rate_hz: float, random: np.random.Generator) -> Array:
+    """Sample times of a camera that knows nothing of the impact: any phase."""
+    return np.arange(begin + random.uniform(0.0, 1.0 / rate_hz), end, 1.0 / rate_hz)
+
+
+def wall_trial(
+    c: Coefficients,
+    normal_m_s: float,
+    random: np.random.Generator,
+    *,
+    onset: Onset = Onset.LCP,
+    tangential_m_s: float | None = None,
+    rate_hz: float = 240.0,
+    noise_m: float = 0.001,
+    plane_m: float = 0.0,
+    with_vertical: bool = False,
+    force_noise_n: float | None = None,
+    mode: str = "unlabelled",
+    name: str = "wall",
+    before_s: float = 0.5,
+    after_s: float = 0.25,
+) -> Trial:
+    """One wall hit as motion capture sees it.
+
+    Args:
+        c: true coefficients.
+        normal_m_s: normal velocity at the onset (negative).
+        random: where the noise comes from.
+        onset: onset rule of the truth.
+        tangential_m_s: velocity along the wall; None records the normal only.
+        rate_hz, noise_m: of the pose.
+        plane_m: where the plane lies in the recording.
+        with_vertical: record the height too.
+        force_noise_n: record the normal force with this noise; None does not.
+        mode, name: of the trial.
+        before_s, after_s: recorded before and after the contact.
+    """
+    contact = ContactMotion(c, MASS_KG, normal_m_s, onset)
+    t = _sampled(-before_s, contact.end_s + after_s, rate_hz, random)
+    path = trajectory(contact, t, tangential_m_s or 0.0)
+    start = random.uniform(5.0, 20.0)  # the recording began earlier
+
+    def noisy(value: Array, sd: float) -> Series:
+        return Series(t + start, value + random.normal(0.0, sd, t.size))
+
+    series = {"normal_m": noisy(path.normal_m + plane_m, noise_m)}
+    if tangential_m_s is not None:
+        series["tangential_m"] = noisy(path.tangential_m + random.uniform(-1.0, 1.0), noise_m)
+    if with_vertical:
+        # Heights: Z of the collision frame points down at a wall.
+        series["vertical_m"] = noisy(1.0 - path.vertical_m, noise_m)
+    if force_noise_n is not None:
+        series["normal_force_n"] = noisy(path.normal_force_n, force_noise_n)
+    return Trial(name, series, mode)
+
+
+def drop_trial(
+    c: Coefficients,
+    height_m: float,
+    random: np.random.Generator,
+    *,
+    onset: Onset = Onset.LCP,
+    rate_hz: float = 1000.0,
+    noise_m: float = 0.0005,
+    plane_m: float = 0.0,
+    mode: str = "unlabelled",
+    name: str = "drop",
+    held_s: float = 0.3,
+) -> Trial:
+    """One drop as a high-speed camera sees it: held, released, in contact, rebounding to its apex.
+
+    Arguments as `wall_trial`; `held_s` is how long the recording shows it held before the release.
+    """
+    numbers = drop(c, MASS_KG, height_m, onset)
+    contact = ContactMotion(c, MASS_KG, -numbers.onset_speed_m_s, onset, acceleration_m_s2=-GRAVITY_M_S2)
+    if not math.isfinite(contact.end_s):
+        raise ValueError("this drop does not rebound")
+    apex = float(contact.normal(contact.end_s)[1]) / GRAVITY_M_S2
+    t = _sampled(-numbers.onset_s - held_s, contact.end_s + apex, rate_hz, random)
+    x = np.where(t < -numbers.onset_s, height_m, contact.normal(t)[0])
+    start = random.uniform(0.0, 3.0)
+    return Trial(
+        name,
+        {"normal_m": Series(t + start, x + plane_m + random.normal(0.0, noise_m, t.size))},
+        mode,
+        -GRAVITY_M_S2,
+    )
+
+
+def write_csv(trial: Trial, path: Path) -> None:
+    """Write a trial in the format `dart-flight identify` reads (all series at the same times)."""
+    with path.open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(["time_s", *trial.series])
+        columns = [series.value.tolist() for series in trial.series.values()]
+        for time, *values in zip(trial.normal.time_s.tolist(), *columns, strict=True):
+            writer.writerow([f"{time:.6f}", *(f"{value:.7g}" for value in values)])

@@ -1,0 +1,373 @@
+"""Single simulated hits for judging force estimate and detector: plant, IMU and core parts, no mission.
+
+The plant flies ballistically (constant equal motor commands, so it keeps its tilt) into one wall; what a
+perfect IMU would read is kept, so that the same hit can be estimated under different noise.
+"""
+
+from __future__ import annotations
+
+import math
+import random
+from collections.abc import Iterator, Sequence
+
+import msgspec
+
+from dart_flight.base.geometry import (
+    GRAVITY_M_S2,
+    MissionFrame,
+    Quaternion,
+    Vec2,
+    Vec3,
+    add,
+    quaternion_from_euler,
+    quaternion_from_rotation_vector,
+    quaternion_multiply,
+)
+from dart_flight.base.records import (
+    ActuatorSample,
+    AttitudeSample,
+    ImpactOnset,
+    ImpactPeak,
+    ImuSample,
+    LandedState,
+    LockPhase,
+    LockState,
+    Mode,
+    OdometrySample,
+    StatusSample,
+)
+from dart_flight.base.walls import Wall
+from dart_flight.config.mission import Mission
+from dart_flight.config.vehicle import VehicleConfig
+from dart_flight.core.sense.detector import SURE_SIGMA, ExpectedContact, ImpactDetector, confirmed_force
+from dart_flight.core.sense.force import ForceEstimator
+from dart_flight.core.sense.state import FlightState
+from dart_flight.sim.noise import GaussianNoise
+from dart_flight.sim.plant import Plant
+from dart_flight.sim.sensors import ImuSensor
+
+TICK_US = 4000
+LEAD_S = 0.4  # flight before the contact
+AFTER_S = 0.22  # observed after the first force
+FRAME = MissionFrame(north_m=3.0, east_m=-2.0, down_m=0.0, heading_rad=0.6)
+_HOVER_S = 1.0
+_START_US = 5_000_000
+_ATTITUDE_SIGMA_RAD, _VELOCITY_SIGMA_M_S = 0.005, 0.03
+
+
+class Hit(msgspec.Struct, frozen=True):
+    """One case: velocity at the wall, mode and material, and tilt.
+
+    `lean` says where the thrust points: `in` to the wall, `along` it, or `away` from it.
+    """
+
+    normal_m_s: float
+    tangential_m_s: float
+    mode: Mode
+    material: str
+    wall_deg: float
+    tilt_deg: float
+    lean: str
+
+
+class Tick(msgspec.Struct):
+    """What happened in one tick of 4 ms, without noise."""
+
+    t_us: int
+    specific_force: Vec3
+    q: Quaternion
+    position: Vec3
+    velocity: Vec3
+    contact_n: Vec2  # mean contact force, wall's normal and tangent
+
+
+class Flown(msgspec.Struct):
+    """A hit as it truly was; peaks in newton, `cross_us` the tick whose mean force crosses the threshold."""
+
+    hit: Hit
+    command: float
+    ticks: list[Tick]
+    normal: Vec2
+    peak_normal: float
+    cross_us: int | None
+    contacts: int  # that reach the threshold
+    friction: list[tuple[int, float]]  # (t_us, newton along the tangent) every millisecond of contact
+
+    def peak_tangential(self, until_us: int) -> float:
+        """Largest friction force up to a moment, signed: what can be known by then."""
+        return max((f for t, f in self.friction if t <= until_us), key=abs, default=0.0)
+
+
+class Judged(msgspec.Struct):
+    """What estimator and detector made of it."""
+
+    onsets: list[ImpactOnset]
+    peak: ImpactPeak | None
+    statistic: float  # largest detection statistic: the threshold up to which it would be detected
+
+
+def fly_hit(vehicle: VehicleConfig, hit: Hit) -> Flown:
+    """Simulate one hit, from `LEAD_S` before it to `AFTER_S` after its first force."""
+    angle = math.radians(hit.wall_deg)
+    normal = (math.cos(angle), math.sin(angle))
+    wall = Wall("wall", (0.0, 0.0), normal, 50.0, hit.material)
+    towards = {"in": (-1.0, 0.0), "along": (0.0, 1.0), "away": (1.0, 0.0)}[hit.lean]
+    tilt = math.radians(hit.tilt_deg)
+    push = GRAVITY_M_S2 * math.tan(tilt)
+    accel = (push * towards[0], push * towards[1])
+    # Backwards in time from the wall; drag over that time is small and shows in the true speed. Leaning in,
+    # the vehicle has come from rest at most, else it would have come through the wall.
+    lead = min(LEAD_S, -0.95 * hit.normal_m_s / push) if hit.lean == "in" and push > 0.0 else LEAD_S
+    v0 = (hit.normal_m_s - accel[0] * lead, hit.tangential_m_s - accel[1] * lead)
+    x0 = -(v0[0] * lead + 0.5 * accel[0] * lead**2)
+    nx, ny = normal
+    plant = Plant(vehicle, (wall,), FRAME, FRAME.point_to_ned((x0 * nx, x0 * ny, 5.0)))
+    plant.ground_down = 100.0
+    plant.velocity = FRAME.vector_to_ned((v0[0] * nx + v0[1] * ny, v0[0] * ny - v0[1] * nx, 0.0))
+    plant.q = _attitude(wall, tilt, towards)
+    plant.set_mode(hit.mode)
+    command = vehicle.thrust.command_for(
+        vehicle.airframe.mass_kg * GRAVITY_M_S2 / math.cos(tilt) / len(vehicle.airframe.motors)
+    )
+    plant.motor = [command] * 4
+    return _record(plant, wall, hit, command, vehicle.detection.force_threshold_n)
+
+
+def _attitude(wall: Wall, tilt: float, towards: Vec2) -> Quaternion:
+    """Leading edge parallel to the wall, thrust tilted towards a direction of the wall's frame."""
+    yaw = FRAME.yaw_to_ned(wall.parallel_yaw(0.3))
+    tn, tt = wall.normal, wall.tangent
+    d = FRAME.vector_to_ned(
+        (towards[0] * tn[0] + towards[1] * tt[0], towards[0] * tn[1] + towards[1] * tt[1], 0.0)
+    )
+    # Rotation axis: up x direction, in NED (0, 0, -1) x d.
+    axis = (d[1] * tilt, -d[0] * tilt, 0.0)
+    return quaternion_multiply(quaternion_from_rotation_vector(axis), quaternion_from_euler(0.0, 0.0, yaw))
+
+
+def _record(plant: Plant, wall: Wall, hit: Hit, command: float, threshold_n: float) -> Flown:
+    ticks: list[Tick] = []
+    friction: list[tuple[int, float]] = []
+    peaks: list[float] = []  # of the horizontal force, one contact each
+    peak_n, touching, cross_us, touched_s = 0.0, False, None, math.inf
+    commands = (command,) * 4
+    while plant.time_s < min(2.0 * LEAD_S + 1.0, touched_s + AFTER_S):
+        f = [0.0, 0.0, 0.0]
+        mean_n = mean_t = 0.0
+        for _ in range(4):
+            part = plant.advance(commands, 1)
+            f = [f[i] + 0.25 * part[i] for i in range(3)]
+            force = wall.to_collision(FRAME.vector_from_ned(plant.contact_force_ned))
+            mean_n, mean_t = mean_n + 0.25 * force[0], mean_t + 0.25 * force[1]
+            if force[0] > 0.0:
+                touched_s = min(touched_s, plant.time_s)
+                if not touching:
+                    peaks.append(0.0)
+                peaks[-1] = max(peaks[-1], math.hypot(force[0], force[1]))
+                if len(peaks) == 1:
+                    peak_n = max(peak_n, force[0])
+                    friction.append((_START_US + round(plant.time_s * 1e6), force[1]))
+            touching = force[0] > 0.0
+        t_us = _START_US + round(plant.time_s * 1e6)
+        if cross_us is None and math.hypot(mean_n, mean_t) >= threshold_n:
+            cross_us = t_us
+        ticks.append(
+            Tick(t_us, (f[0], f[1], f[2]), plant.q, plant.position, plant.velocity, (mean_n, mean_t))
+        )
+    reached = sum(p >= threshold_n for p in peaks)
+    return Flown(hit, command, ticks, wall.normal, peak_n, cross_us, reached, friction)
+
+
+class Judge:
+    """Estimator and detector on a stream of ticks, as the core would run them.
+
+    Args:
+        vehicle: what the core believes.
+        planned: outward normal and material that the plan announces, or None.
+        shadow: also a detector that never detects, for the receiver operating curve.
+    """
+
+    def __init__(self, state: FlightState, vehicle: VehicleConfig, planned: tuple[Vec2, str] | None) -> None:
+        self.state, self.vehicle = state, vehicle
+        self.estimator = ForceEstimator(vehicle)
+        self.detector = ImpactDetector(vehicle)
+        self.expected = ExpectedContact(True, *(planned or (None, None)))
+        blind = msgspec.structs.replace(vehicle.detection, force_threshold_n=1e9)
+        self._shadow = ImpactDetector(msgspec.structs.replace(vehicle, detection=blind))
+        self._last: tuple[Vec2, Vec2] = ((0.0, 0.0), (0.0, 0.0))
+        self.statistic = 0.0
+
+    def take(self, imu: ImuSample) -> list[object]:
+        """An IMU sample; the detector's events. `statistic` is then the detection statistic of the sample."""
+        if not self.state.take_imu(imu):
+            return []
+        estimate = self.estimator.estimate(imu, self.state, self.detector.in_contact)
+        if estimate is None:
+            return []
+        base = self._shadow.slow_force.value
+        size = math.hypot(estimate.force_mission[0] - base[0], estimate.force_mission[1] - base[1])
+        x, y = estimate.force_mission[0] - base[0], estimate.force_mission[1] - base[1]
+        detection = self.vehicle.detection
+        mean = math.hypot(*confirmed_force(x, y, self._last, estimate.noise_n, detection))
+        self.statistic = max(min(mean, size), size - SURE_SIGMA * estimate.noise_n)
+        self._last = ((x, y), self._last[0])
+        self._shadow.update(estimate, imu.received_us, self.state, ExpectedContact())
+        return list(self.detector.update(estimate, imu.received_us, self.state, self.expected))
+
+
+def judge_hit(
+    vehicle: VehicleConfig,
+    state: FlightState,
+    flown: Flown,
+    sigma: float,
+    seed: int,
+) -> Judged:
+    """Estimate a flown hit under IMU noise of `sigma` m/s2 a sample.
+
+    Args:
+        vehicle: the plant's: its IMU is measured with.
+        state: a fresh one.
+        flown: the hit.
+        sigma: noise.
+        seed: of it.
+    """
+    noise = GaussianNoise(random.Random(seed))
+    noisy = msgspec.structs.replace(vehicle.simulation, imu_noise_m_s2=sigma)
+    imu = ImuSensor(msgspec.structs.replace(vehicle, simulation=noisy), noise)
+    state.frame = FRAME
+    state.lock = LockState(_START_US, LockPhase.SETTLED, flown.hit.mode)
+    state.status = StatusSample(_START_US, _START_US, landed=LandedState.IN_AIR)
+    hover = vehicle.thrust.command_for(vehicle.airframe.mass_kg * GRAVITY_M_S2 / 4.0)
+    judge = Judge(state, vehicle, (flown.normal, flown.hit.material))
+    onsets: list[ImpactOnset] = []
+    peak: ImpactPeak | None = None
+    statistic = 0.0
+    for i, tick in enumerate([*_hover(flown), *flown.ticks]):
+        t = tick.t_us
+        if i % 2 == 0:
+            _odometry(judge, tick, flown.command if t > _START_US else hover, noise)
+        judge.expected = judge.expected._replace(watching=t > _START_US)
+        measured, rate = imu.measure(tick.specific_force, (0.0, 0.0, 0.0))
+        for event in judge.take(ImuSample(t, t + 1000, measured, rate)):
+            if isinstance(event, ImpactOnset):
+                onsets.append(event)
+            elif isinstance(event, ImpactPeak) and peak is None:
+                peak = event
+        if t > _START_US:
+            statistic = max(statistic, judge.statistic)
+    return Judged(onsets, peak, statistic)
+
+
+def _hover(flown: Flown) -> list[Tick]:
+    """Half a second at rest before the flight, in which noise and bias become known."""
+    q = quaternion_from_euler(0.0, 0.0, 0.0)
+    count = round(_HOVER_S * 1e6) // TICK_US
+    first = flown.ticks[0]
+    return [
+        Tick(
+            first.t_us - (count - i) * TICK_US,
+            (0.0, 0.0, -GRAVITY_M_S2),
+            q,
+            first.position,
+            (0.0, 0.0, 0.0),
+            (0.0, 0.0),
+        )
+        for i in range(count)
+    ]
+
+
+def _odometry(judge: Judge, tick: Tick, command: float, noise: GaussianNoise) -> None:
+    t, s = tick.t_us, _ATTITUDE_SIGMA_RAD
+    twist = quaternion_from_rotation_vector(noise.three(s))
+    attitude = AttitudeSample(t // 1000 * 1000, t + 1000, quaternion_multiply(tick.q, twist))
+    if judge.state.take_attitude(attitude):
+        judge.estimator.take_attitude(attitude)
+    velocity = add(tick.velocity, noise.three(_VELOCITY_SIGMA_M_S))
+    judge.state.take_odometry(OdometrySample(t, t + 1000, tick.position, velocity))
+    judge.estimator.thrust.take_actuator(ActuatorSample(t, t + 1000, (command,) * 4))
+
+
+def grid(
+    speeds: tuple[float, ...],
+    orientations: tuple[float, ...],
+    tilts: tuple[float, ...],
+    materials: tuple[str, ...] = ("wood", "acrylic"),
+) -> Iterator[Hit]:
+    """The cases: every speed, mode, material, wall orientation and tilt; leans and sliding go round."""
+    rng = random.Random(11)
+    for speed in speeds:
+        for mode in Mode:
+            for material in materials:
+                for orientation in orientations:
+                    for tilt in tilts:
+                        lean = rng.choice(("in", "along", "away")) if tilt else "in"
+                        slide = rng.choice((-0.5, 0.0, 0.5)) * speed
+                        yield Hit(-speed, slide, mode, material, orientation, tilt, lean)
+
+
+def direction_error_deg(flown: Flown, peak: ImpactPeak) -> float:
+    """Angle between the estimated and the true horizontal force, each made of its two peaks."""
+    true = (flown.peak_normal, flown.peak_tangential(peak.detected_us))
+    found = (peak.normal_force_n, peak.tangential_force_n)
+    size = math.hypot(*true) * math.hypot(*found)
+    along = true[0] * found[0] + true[1] * found[1]
+    return math.degrees(math.acos(max(-1.0, min(1.0, along / size)))) if size > 0.0 else 0.0
+
+
+class Row(msgspec.Struct):
+    """One hit under one noise, in figures; errors are nan where nothing was detected."""
+
+    hit: Hit
+    sigma: float
+    clipped: bool
+    reached: bool  # the true force of a tick reached the threshold
+    onsets: int
+    contacts: int
+    delay_samples: int | None
+    peak_error: float  # relative
+    friction_error: float  # relative; nan where friction is below 3 N
+    direction_deg: float
+    fitted: bool
+    statistic: float
+    raw_error: float  # of the largest tick mean without noise: what averaging and sampling take away
+
+
+def judge(mission: Mission, hit: Hit, sigmas: Sequence[float], seed: int) -> list[Row]:
+    """Fly one hit and estimate it under each noise."""
+    vehicle = mission.vehicle
+    flown = fly_hit(vehicle, hit)
+    rows = []
+    for sigma in sigmas:
+        judged = judge_hit(vehicle, FlightState(), flown, sigma, seed)
+        peak, nan = judged.peak, math.nan
+        delay = None
+        if judged.onsets and flown.cross_us is not None:
+            delay = (judged.onsets[0].t_us - flown.cross_us) // 4000
+        friction = abs(flown.peak_tangential(peak.detected_us)) if peak else 0.0
+        clean = max((t.contact_n[0] for t in flown.ticks), default=0.0)
+        rows.append(
+            Row(
+                hit=hit,
+                sigma=sigma,
+                clipped=peak.clipped if peak else False,
+                reached=flown.cross_us is not None,
+                onsets=len(judged.onsets),
+                contacts=flown.contacts,
+                delay_samples=delay,
+                peak_error=peak.normal_force_n / flown.peak_normal - 1.0 if peak else nan,
+                friction_error=abs(peak.tangential_force_n) / friction - 1.0
+                if peak and friction > 3.0
+                else nan,
+                direction_deg=direction_error_deg(flown, peak) if peak else nan,
+                fitted=peak.fitted if peak else False,
+                statistic=judged.statistic,
+                raw_error=clean / flown.peak_normal - 1.0 if flown.peak_normal > 0.0 else nan,
+            )
+        )
+    return rows
+
+
+def percentile(values: Sequence[float], share: float) -> float:
+    """The value below which a share of the finite ones lies; nan without any."""
+    ordered = sorted(v for v in values if math.isfinite(v))
+    return ordered[min(len(ordered) - 1, round(share * (len(ordered) - 1)))] if ordered else math.nan

@@ -1,0 +1,17 @@
+"""What may come of each cell of the fault matrix (`expected.csv`)."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+
+def expected() -> dict[tuple[str, str], frozenset[str]]:
+    """Return cell -> what may come of it: rules of the guard, `completed`, or `app gone`."""
+    with open(Path(__file__).with_name("expected.csv"), newline="") as file:
+        rows = list(csv.reader(file))
+    return {
+        (row[0], phase): frozenset(cell.split("|"))
+        for row in rows[1:]
+        for phase, cell in zip(rows[0][1:], row[1:], strict=True)
+    }

@@ -1,0 +1,285 @@
+"""Random toggles of the lock with random faults: does it ever claim what is not so?
+
+Two controllers: the mock, in process, and the serial driver against the emulated Maestro behind a
+pseudo-terminal, where every byte is real. Time is simulated in both. After every reading the reported state
+is compared with the modelled horn:
+
+* `settled` with feedback and the horn elsewhere: a violation;
+* `settled` without feedback and the horn elsewhere: allowed only while the servo itself has a fault (the
+  controller then reports what it was told), and counted;
+* an exception that escapes: a violation.
+"""
+
+from __future__ import annotations
+
+import random
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Protocol
+
+import msgspec
+
+from dart_flight.base.records import LockPhase, Mode
+from dart_flight.config.vehicle import LimitSwitch, LockConfig, LockDriver, packaged
+from dart_flight.config.vehicle.configuration import load_vehicle
+from dart_flight.lock.drivers import Driver
+from dart_flight.lock.drivers.limit_switch import DriverWithLimitSwitch
+from dart_flight.lock.drivers.maestro import MaestroDriver
+from dart_flight.lock.drivers.mock import MockDriver, MockFaults
+from dart_flight.lock.lock_session import LockSession
+from dart_flight.lock.servo import NO_FAULTS, ServoFaults, mode_of
+from tests.doubles.emulated_maestro import EmulatedMaestro
+
+POLL_US = 20_000
+TOGGLES_PER_RIG = 25
+SWITCHES = (
+    None,
+    LimitSwitch(chip="/dev/gpiochip0", rigid_line=23),
+    LimitSwitch(chip="/dev/gpiochip0", flexible_line=24),
+    LimitSwitch(chip="/dev/gpiochip0", rigid_line=23, flexible_line=24),
+)
+FAULTS = (
+    "none",
+    "none",
+    "stuck",
+    "slow",
+    "stalled",
+    "unplugged",
+    "brown-out",
+    "silent switch",
+    "noise",
+    "errors",
+)
+
+
+class Tally(msgspec.Struct):
+    """What happened in a campaign."""
+
+    controller: str
+    toggles: int = 0
+    polls: int = 0
+    refused: int = 0
+    settled_with_feedback: int = 0
+    settled_without_feedback: int = 0
+    wrong_without_feedback: int = 0  # settled (no feedback) with a faulty servo elsewhere
+    faults_reported: int = 0
+    violations: list[str] = []
+
+
+class Rig(Protocol):
+    """A driver and the world behind it."""
+
+    @property
+    def driver(self) -> Driver:
+        """The driver under test."""
+
+    def horn_us(self) -> float:
+        """Where the modelled horn is."""
+
+    def break_it(self, fault: str, chance: random.Random) -> None:
+        """Bring a fault about, now or during the coming travel."""
+
+    def repair(self) -> None:
+        """Take every fault away."""
+
+
+def _servo_faults(fault: str, chance: random.Random) -> ServoFaults:
+    if fault == "stuck":
+        return ServoFaults(stuck=True)
+    if fault == "slow":
+        return ServoFaults(slow=chance.uniform(1.2, 12.0))
+    if fault == "stalled":
+        return ServoFaults(stall_fraction=chance.uniform(0.05, 0.95))
+    return NO_FAULTS
+
+
+class MockRig:
+    """The mock on a simulated clock."""
+
+    def __init__(self, config: LockConfig, clock: list[int]) -> None:
+        self.driver = MockDriver(config, lambda: clock[0])
+        self._clock = clock
+
+    def horn_us(self) -> float:
+        """Where the modelled horn is."""
+        return self.driver.horn_pulse_us(self._clock[0])
+
+    def break_it(self, fault: str, chance: random.Random) -> None:
+        """Bring a fault about."""
+        self.driver.inject(
+            MockFaults(
+                servo=_servo_faults(fault, chance),
+                unplugged=fault == "unplugged",
+                brown_out=fault == "brown-out",
+                switch_silent=fault == "silent switch",
+            )
+        )
+
+    def repair(self) -> None:
+        """Take every fault away."""
+        self.driver.inject(MockFaults())
+
+
+class MaestroRig:
+    """The serial driver, the pseudo-terminal and the emulated controller on a simulated clock."""
+
+    def __init__(self, config: LockConfig, clock: list[int], folder: Path) -> None:
+        self._config, self._clock = config, clock
+        maestro = msgspec.structs.replace(config.maestro, port=str(folder / "maestro"))
+        self.controller = EmulatedMaestro(
+            config.servo, folder / "maestro", lambda: clock[0], horn_us=config.servo.flexible_pulse_us
+        )
+        self.controller.plug()
+        self._plugged = True
+        self._silent = False
+        serial = MaestroDriver(msgspec.structs.replace(config, maestro=maestro))
+        self.driver: Driver = DriverWithLimitSwitch(serial, self)
+
+    def horn_us(self) -> float:
+        """Where the modelled horn is."""
+        return self.controller.horn_us()
+
+    def read(self) -> tuple[bool | None, bool | None]:
+        """The modelled limit switches."""
+        at, fitted = mode_of(self._config.servo, self.horn_us()), self._config.limit_switch
+        rigid = None if fitted is None or fitted.rigid_line is None else at is Mode.RIGID
+        flexible = None if fitted is None or fitted.flexible_line is None else at is Mode.FLEXIBLE
+        return (rigid and not self._silent), (flexible and not self._silent)
+
+    def close(self) -> None:
+        """Nothing to let go of."""
+
+    def break_it(self, fault: str, chance: random.Random) -> None:
+        """Bring a fault about."""
+        self.controller.set_servo_faults(_servo_faults(fault, chance))
+        self._silent = fault == "silent switch"
+        if fault == "unplugged":
+            self._plugged = False
+            self.controller.unplug(power_too=chance.random() < 0.5)
+        elif fault == "brown-out":
+            self.controller.restart_at(self._clock[0] + round(chance.uniform(0.0, 0.3) * 1e6))
+        elif fault == "noise":
+            bursts = (chance.randbytes(chance.randrange(0, 9)) for _ in range(chance.randrange(1, 12)))
+            self.controller.add_noise(*bursts)
+            self.controller.say(chance.randbytes(chance.randrange(0, 64)))
+        elif fault == "errors":
+            self.controller.set_errors(chance.randrange(1, 512))
+
+    def repair(self) -> None:
+        """Take every fault away."""
+        self.controller.set_servo_faults()
+        self.controller.restart_at(None)
+        self._silent = False
+        if not self._plugged:
+            self._plugged = True
+            self.controller.plug()
+
+
+@contextmanager
+def _rig(controller: str, config: LockConfig, clock: list[int]) -> Iterator[Rig]:
+    if controller == "mock":
+        yield MockRig(config, clock)
+        return
+    with tempfile.TemporaryDirectory() as folder:
+        rig = MaestroRig(config, clock, Path(folder))
+        try:
+            yield rig
+        finally:
+            rig.driver.close()
+            rig.controller.__exit__(None, None, None)
+
+
+class _Watch:
+    """Steps a session and compares what it says with the horn."""
+
+    def __init__(self, session: LockSession, rig: Rig, clock: list[int], tally: Tally) -> None:
+        self.session, self.rig, self._clock, self._tally = session, rig, clock, tally
+        self.servo_may_be_faulty = False
+        self.label = ""
+
+    def run(self, polls: int) -> None:
+        for _ in range(polls):
+            before = self.session.state
+            self._clock[0] += POLL_US
+            state = self.session.poll()
+            self._tally.polls += 1
+            self._judge(newly=state is not before)
+
+    def _judge(self, *, newly: bool) -> None:
+        state, tally = self.session.state, self._tally
+        if newly and state.phase is LockPhase.FAULT:
+            tally.faults_reported += 1
+        if state.phase is not LockPhase.SETTLED:
+            return
+        there = mode_of(self.session.machine.config.servo, self.rig.horn_us()) is state.mode
+        if newly:
+            tally.settled_with_feedback += state.feedback
+            tally.settled_without_feedback += not state.feedback
+            tally.wrong_without_feedback += not there and not state.feedback
+        if not there and (state.feedback or not self.servo_may_be_faulty):
+            tally.violations.append(f"{self.label}: {state} but the horn is at {self.rig.horn_us():.0f} us")
+
+
+def campaign(controller: str, toggles: int, seed: int) -> Tally:
+    """Random toggles with faults; `controller` is `mock` or `maestro`. The same seed gives the same run."""
+    tally = Tally(controller)
+    chance = random.Random(f"{controller} {seed}")
+    packaged_lock = load_vehicle(packaged("configs", "dart.yaml")).lock
+    assert packaged_lock is not None
+    while tally.toggles < toggles:
+        config = msgspec.structs.replace(
+            packaged_lock,
+            driver=LockDriver(controller),
+            limit_switch=chance.choice(SWITCHES),
+            maestro=msgspec.structs.replace(
+                packaged_lock.maestro, reply_timeout_s=0.2, speed_limit_us_s=chance.choice((0.0, 0.0, 2500.0))
+            ),
+        )
+        clock = [chance.randrange(1, 10**12)]
+        with _rig(controller, config, clock) as rig:
+            session = LockSession(config, rig.driver, lambda clock=clock: clock[0])  # type: ignore[misc]
+            watch = _Watch(session, rig, clock, tally)
+            session.start()
+            watch.run(30)
+            session.permit(True)
+            for _ in range(min(TOGGLES_PER_RIG, toggles - tally.toggles)):
+                _toggle(watch, tally, chance)
+    return tally
+
+
+def _toggle(watch: _Watch, tally: Tally, chance: random.Random) -> None:
+    fault = chance.choice(FAULTS)
+    tally.toggles += 1
+    watch.label = f"{tally.controller} toggle {tally.toggles} ({fault})"
+    session = watch.session
+    try:
+        watch.servo_may_be_faulty |= fault in ("stuck", "slow", "stalled")
+        late = chance.random() < 0.5
+        if not late:
+            watch.rig.break_it(fault, chance)
+        session.permit(chance.random() < 0.9)
+        tally.refused += session.command(chance.choice(tuple(Mode))) is not None
+        watch.run(chance.randrange(0, 14))
+        if late:
+            watch.rig.break_it(fault, chance)
+        if chance.random() < 0.2:
+            session.permit(False)
+        if chance.random() < 0.2:
+            tally.refused += session.command(chance.choice(tuple(Mode))) is not None
+        if chance.random() < 0.1:
+            session.release()
+        watch.run(chance.randrange(0, 90))
+        watch.rig.repair()
+        session.permit(True)
+        if session.state.phase is LockPhase.FAULT or watch.servo_may_be_faulty:
+            # A servo that has been at fault is where it was told to be only after a healthy travel both ways.
+            watch.run(80)
+            for mode in (Mode.FLEXIBLE, Mode.RIGID, Mode.FLEXIBLE):
+                session.command(mode)
+                watch.run(40)
+            watch.servo_may_be_faulty = False
+            watch.run(1)
+    except Exception as error:
+        tally.violations.append(f"{watch.label}: {type(error).__name__}: {error}")

@@ -1,0 +1,34 @@
+"""Every specification of `tools/campaigns` can be loaded, and what it names is there."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+import pytest
+
+from dart_flight.lab.campaign.campaign_spec import load_specification, row_type
+
+ROOT = Path(__file__).parents[1]
+SPECIFICATIONS = sorted((ROOT / "tools" / "campaigns").glob("*.yaml"))
+
+
+def functions_of(path: Path) -> set[str]:
+    """Functions of a module, or the names that it exports."""
+    tree = ast.parse(path.read_text("utf-8"))
+    found = {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}
+    imports = [node for node in tree.body if isinstance(node, ast.ImportFrom)]
+    return found | {alias.name for node in imports for alias in node.names}
+
+
+@pytest.mark.parametrize("path", SPECIFICATIONS, ids=lambda path: path.stem)
+def test_what_a_specification_names_is_there(path: Path) -> None:
+    asked = load_specification(path)
+    assert asked.makes_row, "without a judge it is a campaign of the command"
+    assert all((ROOT / mission).exists() for mission in asked.missions)
+    named = [asked.fly, asked.judge, asked.cases if isinstance(asked.cases, str) else ""]
+    for module, _, function in (name.partition(":") for name in named if name):
+        assert function in functions_of(ROOT / f"{module.replace('.', '/')}.py"), (module, function)
+    assert "page" in functions_of(path.with_suffix(".py"))
+    if asked.makes_row.startswith("dart_flight."):
+        assert row_type(asked.makes_row).__struct_fields__

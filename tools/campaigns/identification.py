@@ -1,0 +1,98 @@
+"""How well coefficients are identified from synthetic trials (docs/results/identification.md).
+
+Drops are recorded at 1000 Hz with 0.5 mm noise, wall hits at 240 Hz with 1 mm. In every set the plane is off
+by 10 mm, speeds vary by 3 %, heights by 2 % (standard deviations), and sampling starts at any phase.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import msgspec
+import numpy as np
+
+from dart_flight.base.records import Mode
+from dart_flight.config.vehicle import Coefficients
+from dart_flight.contact.law import Onset
+from dart_flight.lab.campaign.campaign_spec import Point
+from dart_flight.lab.campaign.flight_job import JudgedRow
+from dart_flight.lab.identify.fit import identify
+from dart_flight.lab.identify.synthetic_trials import MASS_KG, drop_trial, wall_trial
+from dart_flight.lab.identify.trials import Trial
+from tools.campaigns.results import markdown
+
+_SPEEDS = {"3 hits at 1.0 m/s": (1.0, 1.0, 1.0)}
+_FULL = "hits with track and height"
+
+
+class Identified(msgspec.Struct, frozen=True):
+    """Coefficients of one set: name to the estimate, its 95 % interval and the truth."""
+
+    coefficients: dict[str, tuple[float, float, float, float]]
+
+
+def trials_of(c: Coefficients, kind: str, mode: str, random: np.random.Generator) -> list[Trial]:
+    """Return one set of trials."""
+    plane = random.normal(0.0, 0.01)
+    if "drops" in kind:
+        heights = 0.05 * (1.0 + 0.02 * random.standard_normal(3))
+        return [drop_trial(c, h, random, noise_m=0.0005, plane_m=plane, mode=mode) for h in heights]
+    speeds = np.array(_SPEEDS.get(kind, (0.5, 1.0, 1.5))) * (1.0 + 0.03 * random.standard_normal(3))
+    full = kind == _FULL
+    return [
+        wall_trial(
+            c, -v, random, noise_m=0.001, plane_m=plane, mode=mode,
+            tangential_m_s=0.5 if full else None, with_vertical=full,
+        )
+        for v in speeds
+    ]  # fmt: skip
+
+
+def identify_set(point: Point, seed: int) -> Identified:
+    """Identify one set.
+
+    Raises:
+        ValueError: a coefficient is not told.
+    """
+    kind, mode = point.case["trials"], point.case["mode"]
+    surface = "concrete" if "drops" in kind else "acrylic"
+    truth = point.mission.vehicle.materials[surface].of(Mode(mode))
+    trials = trials_of(truth, kind, mode, np.random.default_rng((1, seed - 1)))
+    found = identify(trials, MASS_KG, Onset.LCP).coefficients[mode]
+    told = {}
+    for name in ("k", "f", "mu", "nu") if kind == _FULL else ("k", "f"):
+        estimate = found[name]
+        if estimate is None:
+            raise ValueError(f"{name} is not told")
+        told[name] = (estimate.value, estimate.low, estimate.high, float(getattr(truth, name)))
+    return Identified(told)
+
+
+_HEADS = (
+    "trials",
+    "mode",
+    "sets",
+    "",
+    "truth",
+    "median error",
+    "rms error",
+    "half 95 % interval",
+    "coverage",
+)
+
+
+def page(rows: Sequence[JudgedRow]) -> str:
+    """Return a row for every kind of trials and coefficient."""
+    groups: dict[tuple[str, str, str], list[tuple[float, float, float, float]]] = {}
+    for r in rows:
+        for name, told in r.row.coefficients.items():
+            groups.setdefault((r.values["trials"], r.values["mode"], name), []).append(told)
+    table = []
+    for (trials, mode, name), told in groups.items():
+        value, low, high, true = np.array(told).T
+        off = value / true - 1.0
+        covered = np.mean((low <= true) & (true <= high))
+        figures = [np.median(np.abs(off)), np.sqrt(np.mean(off**2)), np.median(0.5 * (high - low) / true)]
+        cells = [f"{figure:.2%}" for figure in figures]
+        table.append([trials, mode, str(len(told)), name, f"{true[0]:g}", *cells, f"{covered:.1%}"])
+    return markdown(_HEADS, table)

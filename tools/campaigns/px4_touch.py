@@ -1,0 +1,5 @@
+"""Survey and anchors on a real PX4, in the tables of touch.py."""
+
+from tools.campaigns.touch import page
+
+__all__ = ["page"]

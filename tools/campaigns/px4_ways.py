@@ -1,0 +1,95 @@
+"""Missions that use collisions on a real PX4, beside the free flights of their scenarios."""
+
+from __future__ import annotations
+
+import functools
+import itertools
+import os
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+
+import msgspec
+
+from dart_flight.lab.campaign.arrival import arrival_of
+from dart_flight.lab.campaign.campaign_spec import Point
+from dart_flight.lab.campaign.flight_job import JudgedRow
+from dart_flight.recording.reader import read_log
+from dart_flight.run.px4_flight import fly_px4
+from dart_flight.sim.px4.launch import ENVIRONMENT
+from tools.campaigns.arrivals import COLLIDING, FREE, USING_COLLISIONS, both_ways
+from tools.campaigns.px4 import hit_of, spread
+from tools.campaigns.results import markdown
+
+
+class WayFlown(msgspec.Struct, frozen=True):
+    """One flight of a mission that uses collisions, or of its free flight; velocities of its hits."""
+
+    outcome: str
+    followed: bool | None
+    places: str
+    planned_s: float
+    flown_s: float | None
+    hits_m_s: list[float | None]
+    tilt_deg: float | None
+    final_m: float | None
+
+
+_both_ways = functools.cache(both_ways)
+
+
+def cases() -> list[dict[str, str]]:
+    """Return every mission both ways."""
+    return [
+        {"flown": name, "way": way} for name, way in itertools.product(USING_COLLISIONS, (COLLIDING, FREE))
+    ]
+
+
+def fly(point: Point, seed: int) -> WayFlown:
+    """Fly one way on the PX4 of `--px4`."""
+    both, way = _both_ways(point.case["flown"]), point.case["way"]
+    mission = both.missions[way]
+    with tempfile.TemporaryDirectory() as folder:
+        v = fly_px4(mission, os.environ[ENVIRONMENT], seed, Path(folder))
+        arrival = None if v.log is None else arrival_of(read_log(v.log), mission, both.visits)
+    there = arrival.there_s if arrival is not None and v.outcome == "completed" else None
+    passed = 0 if arrival is None else len(arrival.visits_us)
+    return WayFlown(
+        v.outcome.value,
+        v.plan_followed,
+        f"{passed} of {len(both.visits)}",
+        both.planned_s(way),
+        there,
+        [hit_of(c).normal_m_s for c in v.collisions],
+        v.max_tilt_deg,
+        v.final_error_m,
+    )
+
+
+_HEADS = ("mission", "way", "completed", "plan followed", "places passed", "planned s", "flown s",
+          "hits m/s (medians)", "max. tilt °", "final error m")  # fmt: skip
+
+
+def page(rows: Sequence[JudgedRow]) -> str:
+    """Return a row for every mission and way."""
+    groups: dict[tuple[str, str], list[WayFlown]] = {}
+    for r in rows:
+        groups.setdefault((r.values["flown"], r.values["way"]), []).append(r.row)
+    return markdown(_HEADS, [[*key, *_cells(mine)] for key, mine in groups.items()])
+
+
+def _cells(mine: Sequence[WayFlown]) -> list[str]:
+    return [
+        f"{sum(f.outcome == 'completed' for f in mine)} of {len(mine)}",
+        f"{sum(bool(f.followed) for f in mine)} of {sum(f.followed is not None for f in mine)}",
+        ", ".join(sorted({f.places for f in mine})),
+        f"{mine[0].planned_s:.2f}",
+        spread([f.flown_s for f in mine], 2),
+        " / ".join(
+            spread(list(speeds), 2).partition(" ")[0]
+            for speeds in zip(*(f.hits_m_s for f in mine), strict=False)
+        )
+        or "-",
+        spread([f.tilt_deg for f in mine], 1),
+        spread([f.final_m for f in mine], 3),
+    ]

@@ -1,0 +1,53 @@
+"""The optimum with and without hits of every generated map, under each set of limits."""
+
+from __future__ import annotations
+
+import statistics
+from collections.abc import Sequence
+
+import msgspec
+
+from dart_flight.config.mission_file import MOTIONS
+from dart_flight.lab.campaign.campaign_spec import Point
+from dart_flight.lab.campaign.flight_job import JudgedRow
+from tools.campaigns.results import markdown
+from tools.campaigns.walls_pay import flown_cases, plan_map
+
+
+class PlannedMap(msgspec.Struct, frozen=True):
+    """Times of both plans, None without such a plan, and the share of the free time that hits save."""
+
+    free_s: float | None
+    hit_s: float | None
+    hits: int
+    gain: float | None
+
+
+def cases() -> list[dict[str, str]]:
+    """Return every map with every set of limits."""
+    return [{**case, "limits": limits} for limits in MOTIONS for case in flown_cases()]
+
+
+def plan(point: Point, _: int) -> PlannedMap:
+    """Plan one map."""
+    plans = plan_map(point.case["kind"], int(point.case["map"]), point.case["limits"])
+    free, hit = plans.get("free"), plans.get("hit")
+    gain = None if free is None or hit is None else 1.0 - hit.plan.time_s / free.plan.time_s
+    return PlannedMap(
+        free and free.plan.time_s, hit and hit.plan.time_s, len(hit.plan.trajectory.hits) if hit else 0, gain
+    )
+
+
+def page(rows: Sequence[JudgedRow]) -> str:
+    """Return a row for every kind and set of limits."""
+    groups: dict[tuple[str, str], list[PlannedMap]] = {}
+    for r in rows:
+        groups.setdefault((r.values["kind"], r.values["limits"]), []).append(r.row)
+    table = []
+    for key, mine in groups.items():
+        gains = [one.gain for one in mine if one.gain is not None]
+        median = f"{statistics.median(gains):+.1%} ({min(gains):+.1%} to {max(gains):+.1%})" if gains else "-"
+        quicker = f"{sum(gain > 0.0 for gain in gains)} of {len(gains)}"
+        table.append([*key, str(len(mine)), quicker, median])
+    heads = ("kind", "limits", "maps", "hit quicker", "gain of the optimum: median (least to most)")
+    return markdown(heads, table)
