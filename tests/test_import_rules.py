@@ -2,6 +2,7 @@
 
 import ast
 from collections.abc import Iterator
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -70,6 +71,27 @@ def imports_of(path: Path) -> Iterator[str]:
                 yield alias.name
         elif isinstance(node, ast.ImportFrom) and node.module and node.level == 0:
             yield node.module
+
+
+def files_imported_by(path: Path) -> set[str]:
+    """The package's files that a file imports anywhere in it, for types only or late, too; no `__init__`."""
+    files = {".".join(("dart_flight", *p.relative_to(PACKAGE).with_suffix("").parts)) for p in modules()}
+    found = set[str]()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.ImportFrom) and node.module:
+            found |= {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
+        elif isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+    return found & files
+
+
+def test_no_files_import_each_other() -> None:
+    graph = {
+        ".".join(("dart_flight", *path.relative_to(PACKAGE).with_suffix("").parts)): files_imported_by(path)
+        for path in modules()
+        if path.name != "__init__.py"
+    }
+    TopologicalSorter(graph).prepare()  # raises CycleError, which names the circle
 
 
 def room_of(module: str) -> str | None:

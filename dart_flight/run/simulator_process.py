@@ -48,7 +48,7 @@ class SimulatorProcess:
         # What goes wrong over there belongs beside what it says, not into the app's terminal.
         with open(spec.log or os.devnull, "ab") as errors:
             first = msgspec.json.encode(spec)
-            self.process = ChildProcess("dart_flight.sim.embedded_simulator", first, self._take, errors)
+            self.process = ChildProcess("dart_flight.sim.simulator", first, self._take, errors)
 
     @property
     def died(self) -> bool:

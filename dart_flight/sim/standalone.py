@@ -16,8 +16,8 @@ from dart_flight.base.records import Record
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import LockDriver
-from dart_flight.sim.embedded_simulator import ticks_in_real_time
 from dart_flight.sim.mavlink_endpoint import MavlinkEndpoint
+from dart_flight.sim.served_world import ticks_in_real_time
 from dart_flight.sim.simulated_vehicle import SimulatedVehicle
 from dart_flight.vehicle.link import LinkLease, LinkTakenError, feed_of, owner_of_udp_port, udp_port_is_free
 

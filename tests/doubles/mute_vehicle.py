@@ -12,8 +12,8 @@ from typing import Any
 
 from dart_flight.config.vehicle import LockDriver
 from dart_flight.run.prepare import load_flyable
-from dart_flight.sim.embedded_simulator import ticks_in_real_time
 from dart_flight.sim.mavlink_endpoint import Link, MavlinkEndpoint
+from dart_flight.sim.served_world import ticks_in_real_time
 from dart_flight.sim.simulated_vehicle import SimulatedVehicle
 
 MISSION = Path(__file__).parents[2] / "missions" / "single_wall.yaml"

@@ -11,9 +11,9 @@ import sys
 from pathlib import Path
 
 from dart_flight.run.prepare import load_flyable
-from dart_flight.sim.embedded_simulator import ticks_in_real_time
 from dart_flight.sim.faults.twin import make_second_vehicle
 from dart_flight.sim.mavlink_endpoint import MavlinkEndpoint
+from dart_flight.sim.served_world import ticks_in_real_time
 
 MISSION = Path(__file__).parents[2] / "missions" / "paper_single_wall.yaml"
 

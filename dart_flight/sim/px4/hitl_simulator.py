@@ -18,12 +18,12 @@ from dart_flight.config.document import InputError
 from dart_flight.config.parameter_file import PositionSource
 from dart_flight.sim.draws import draw_world
 from dart_flight.sim.embedded_autopilot import TICK_S
-from dart_flight.sim.embedded_simulator import STALL_S, TerminatedError, WorldLog, raise_terminated, serve
 from dart_flight.sim.faults.fault_table import Fault
 from dart_flight.sim.pipe import HitlSpec, LineWriter, Ready, SimulatorDied, SimulatorSpec
 from dart_flight.sim.plant import Plant
 from dart_flight.sim.px4.bridge import Px4LostError, Px4Vehicle
 from dart_flight.sim.px4.hitl_link import HitlLink, open_port
+from dart_flight.sim.served_world import STALL_S, TerminatedError, WorldLog, raise_terminated, serve
 
 _FIRST_S = 10.0  # for the first actuator outputs
 # In which PX4's estimator aligns and its bias settles, as far as arming asks for it.

@@ -20,7 +20,6 @@ from dart_flight.config.document import InputError
 from dart_flight.config.parameter_file import PositionSource, Value
 from dart_flight.sim.draws import draw_world
 from dart_flight.sim.embedded_autopilot import TICK_S
-from dart_flight.sim.embedded_simulator import TerminatedError, WorldLog, raise_terminated, serve
 from dart_flight.sim.faults.fault_table import Fault
 from dart_flight.sim.lockstep import Lockstep
 from dart_flight.sim.pipe import LineWriter, Px4SimulatorSpec, Ready, SimulatorDied, SimulatorSpec
@@ -38,6 +37,7 @@ from dart_flight.sim.px4.launch import (
     values_of,
 )
 from dart_flight.sim.px4.relay import Relay
+from dart_flight.sim.served_world import TerminatedError, WorldLog, raise_terminated, serve
 
 SENDER_LAG_US = 16_000  # PX4's MAVLink sender sleeps in simulated time, in its own thread
 _BOOT_TIMEOUT_S = 15.0

@@ -1,0 +1,159 @@
+"""What every simulated world's process does: serve the app over a pipe, keep a pace, end with the app.
+
+Commands of the app come on standard input, truth goes to standard output, one JSON object a line.
+"""
+
+from __future__ import annotations
+
+import gc
+import itertools
+import math
+import time
+from collections.abc import Iterator, Sequence
+from typing import IO, Protocol
+
+from dart_flight.sim.embedded_autopilot import TICK_S, TICK_US
+from dart_flight.sim.faults.fault_table import Fault
+from dart_flight.sim.lockstep import Lockstep
+from dart_flight.sim.pipe import (
+    FULL_SPEED,
+    FaultLine,
+    Horn,
+    LineReader,
+    LineWriter,
+    Stepped,
+    Truth,
+)
+from dart_flight.sim.plant import Plant
+
+_TRUTH_EVERY = 2  # ticks
+STALL_S = 0.25  # a stall longer than this is not caught up with: the world pauses instead
+
+
+class Pacer:
+    """Limiter of a world's pace; after a long stall the world pauses and does not catch up."""
+
+    def __init__(self) -> None:
+        self._due_s = time.monotonic()
+
+    def wait(self, period_s: float) -> None:
+        """Wait until the next tick is due, a period after the last tick; do not wait for a period of 0."""
+        now_s = time.monotonic()
+        if self._due_s > now_s:
+            time.sleep(self._due_s - now_s)
+        elif now_s - self._due_s > STALL_S:
+            self._due_s = now_s
+        self._due_s += period_s
+
+
+def ticks_in_real_time(period_s: float = TICK_S) -> Iterator[int]:
+    """Yield numbers of ticks, one every period; with 4 ms a tick takes the time it simulates."""
+    pace = Pacer()
+    for tick in itertools.count():
+        pace.wait(period_s)
+        yield tick
+
+
+class ServedWorld(Protocol):
+    """What is served to the app, whichever autopilot flies in it."""
+
+    @property
+    def time_us(self) -> int:
+        """The autopilot's time, microseconds."""
+
+    def set_horn(self, pulse_us: float) -> None:
+        """Where the mock servo's horn is."""
+
+    def begin_fault(self, fault: Fault) -> None:
+        """A fault begins."""
+
+    def advance(self) -> Plant:
+        """Go on by one tick; returns the plant."""
+        ...
+
+    def is_over(self, alone_s: float) -> bool:
+        """Whether it may end, without the app for so long; 0: the app has gone this moment."""
+        ...
+
+
+def serve(
+    world: ServedWorld,
+    writer: LineWriter,
+    commands: IO[bytes],
+    speed: float,
+    lockstep: Lockstep | None = None,
+    wake: Sequence[int] = (),
+) -> int:
+    """Process the app's lines and send the truth, tick by tick, until app and world have ended.
+
+    Args:
+        world: the simulated world.
+        writer: writer of the truth.
+        commands: lines from the app.
+        speed: highest number of simulated seconds per second.
+        lockstep: decides whether time may advance; None: time does not wait for the app.
+        wake: the world's descriptors that become readable when data has arrived.
+
+    Returns:
+        The number of ticks.
+
+    Raises:
+        FlightError: the app does not answer, or the network fails.
+    """
+    reader, gone_s = LineReader(commands), math.inf
+
+    def take_lines() -> bool:
+        """Process the app's lines; return whether the app is still connected."""
+        reader.clear()
+        while reader.items:
+            item = reader.items.popleft()
+            if isinstance(item, Horn):
+                world.set_horn(item.pulse_us)
+            elif isinstance(item, FaultLine):
+                world.begin_fault(item.fault)
+            elif isinstance(item, Stepped) and lockstep is not None:
+                lockstep.update(item)
+        return not reader.closed
+
+    # Exempt the objects loaded so far from garbage collection in flight.
+    gc.freeze()
+    pace = Pacer()
+    for tick in itertools.count():
+        if lockstep is not None and not reader.closed:
+            lockstep.wait(world.time_us + TICK_US, (reader.wake, *wake), take_lines)
+        take_lines()
+        # Run without a limit only while lockstep holds the world back.
+        waits = lockstep is not None and lockstep.holds and not reader.closed
+        pace.wait(TICK_S / (1.0 if speed == FULL_SPEED and not waits else speed))
+        plant = world.advance()
+        if tick % _TRUTH_EVERY == 0:
+            writer.put(Truth(state=plant.truth()))
+        while plant.finished:
+            writer.put(Truth(contact=plant.finished.pop(0)))
+        if reader.closed:
+            now_s = time.monotonic()
+            gone_s = min(gone_s, now_s)
+            if world.is_over(now_s - gone_s):
+                break
+    return tick
+
+
+class TerminatedError(Exception):
+    """The process was told to end (SIGTERM)."""
+
+
+def raise_terminated(_signum: int, _frame: object) -> None:
+    """Handler of SIGTERM for a world that has something to put away first."""
+    raise TerminatedError
+
+
+class WorldLog:
+    """The world's text log: times in its own seconds; nothing where the app wants none."""
+
+    def __init__(self, path: str | None) -> None:
+        self._file = None if path is None else open(path, "a", encoding="utf-8", buffering=1)  # noqa: SIM115
+
+    def write(self, now_s: float, text: str) -> None:
+        """Add a line."""
+        if self._file is not None:
+            self._file.write(f"{now_s:9.3f} s  {text}\n")
