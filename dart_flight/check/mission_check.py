@@ -307,10 +307,8 @@ def _check_recovery(
     target = recovery_point(
         (place[0], place[1], 0.0),
         collision.wall.normal,
-        normal_n,
-        along,
-        collision.alpha_normal_m_per_n,
-        collision.alpha_tangential_m_per_n,
+        (normal_n, along),
+        (collision.alpha_normal_m_per_n, collision.alpha_tangential_m_per_n),
         mission.altitude_at(collision.index - 1),
     )
     says = f"setpoint after wall {collision.wall.name} near ({target[0]:.2f}, {target[1]:.2f})"

@@ -136,10 +136,8 @@ class ImpactResponse:
         point = recovery_point(
             event.position_mission,
             event.normal,
-            event.normal_force_n,
-            event.tangential_force_n,
-            collision.alpha_normal_m_per_n,
-            collision.alpha_tangential_m_per_n,
+            (event.normal_force_n, event.tangential_force_n),
+            (collision.alpha_normal_m_per_n, collision.alpha_tangential_m_per_n),
             course.altitude_m,
         )
         if collision.probe is not None:

@@ -20,23 +20,20 @@ PASSED_AFTER_S: Final = 0.25
 def recovery_point(
     position: Vec3,
     normal: Vec2,
-    normal_force_n: float,
-    tangential_force_n: float,
-    alpha_normal_m_per_n: float,
-    alpha_tangential_m_per_n: float,
+    force_n: Vec2,
+    alphas_m_per_n: Vec2,
     altitude_m: float,
 ) -> Vec3:
-    """Recovery setpoint in the mission frame, metres.
+    """Return the recovery setpoint in the mission frame, metres.
 
     Args:
         position: p(t_c), where the vehicle was at the peak of the normal force.
         normal: outward unit normal of the wall.
-        normal_force_n: peak normal force; what is not positive is taken as zero.
-        tangential_force_n: peak friction force along the tangent (n_y, -n_x), signed.
-        alpha_normal_m_per_n, alpha_tangential_m_per_n: gains.
+        force_n: peak normal force, at least zero, and peak friction force along the tangent (n_y, -n_x).
+        alphas_m_per_n: gains (A_n, A_t).
         altitude_m: z of the setpoint.
     """
-    away = alpha_normal_m_per_n * max(0.0, normal_force_n)
-    onward = -alpha_tangential_m_per_n * tangential_force_n
+    away = alphas_m_per_n[0] * max(0.0, force_n[0])
+    onward = -alphas_m_per_n[1] * force_n[1]
     nx, ny = normal
     return (position[0] + away * nx + onward * ny, position[1] + away * ny - onward * nx, altitude_m)

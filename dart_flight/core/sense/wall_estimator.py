@@ -146,23 +146,31 @@ class WallEstimator:
             normal_sd = fitted.incidence_sd
             (x, y, _), (vx, vy, _), away = onset.position_mission, onset.velocity_mission, fitted.place_m
             place = (x - back_s * vx - away * normal[0], y - back_s * vy - away * normal[1])
+        unknown = fitted is not None and not wall.material_known
         return WallEstimate(
-            job.t_us,
-            onset.first_us,
-            wall.name,
-            reported,
-            felt,
-            odds,
-            *belief,
-            angle,
-            angle_sd,
-            offset,
-            offset_sd,
-            place,
-            normal,
-            normal_sd,
-            _centre_at_touch(onset),
-            self._likely_material(belief, told) if fitted is not None and not wall.material_known else None,
+            t_us=job.t_us,
+            first_us=onset.first_us,
+            wall=wall.name,
+            mode_reported=reported,
+            mode_felt=felt,
+            log_odds=odds,
+            k_n_per_m=belief.k,
+            f_ns_per_m=belief.f,
+            mu_s_per_m=belief.mu,
+            nu_n=belief.nu,
+            k_sd=belief.k_sd,
+            f_sd=belief.f_sd,
+            mu_sd=belief.mu_sd,
+            nu_sd=belief.nu_sd,
+            incidence_rad=angle,
+            incidence_sigma_rad=angle_sd,
+            plane_offset_m=offset,
+            plane_offset_sigma_m=offset_sd,
+            plane_point_mission=place,
+            plane_normal_mission=normal,
+            plane_normal_sigma_rad=normal_sd,
+            centre_mission=_centre_at_touch(onset),
+            material=self._likely_material(belief, told) if unknown else None,
         )
 
     def _likely_material(self, felt: Belief, mode: Mode) -> str | None:
