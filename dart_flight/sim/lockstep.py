@@ -55,8 +55,8 @@ class Lockstep:
 
     Args:
         autopilot: the autopilot's side of the link.
-        answers_at_rest: whether the autopilot answers requests while time stands still. A real PX4 does not,
-            so time advances while a request is open.
+        answers_at_rest: whether the autopilot answers requests while time stands still. A real PX4 does not:
+            time advances while a request is open, but still waits for the telemetry to be stepped.
         waits_at_first: whether time stands still until the first report.
         sender_lag_us: simulated time by which a sender in its own thread may lag behind the autopilot,
             microseconds.
@@ -96,12 +96,13 @@ class Lockstep:
             return "the application to connect" if self._waits_at_first else None
         if not report.flies:
             return None
-        if report.commands:
-            return "the result of a command" if self._answers_at_rest else None
+        if report.commands and self._answers_at_rest:
+            return "the result of a command"
         # The application's clock is the newest stamp, so a message with the due time must be sent first.
         if report.plan_due_us is not None and next_us > report.plan_due_us + TICK_US + self._sender_lag_us:
             return "the planner"
-        if report.setpoint is not None and not self._has_arrived(report.setpoint):
+        # MAVSDK may hold a setpoint back until a command has its result.
+        if not report.commands and report.setpoint is not None and not self._has_arrived(report.setpoint):
             return "a setpoint of the application"
         if (
             self._sender_lag_us

@@ -113,10 +113,12 @@ def test_the_planner_is_waited_for_when_its_answer_is_due() -> None:
 def test_time_goes_on_for_an_autopilot_that_answers_commands_only_then(answers_at_rest: bool) -> None:
     sender = Sender()
     world = lockstep(sender, answers_at_rest=answers_at_rest)
-    world.update(Stepped({}, commands=1))
+    world.update(Stepped({"imu": 4_000}, SETPOINT, commands=1))
     sender.sent_us = {"imu": 4_000}
-    assert (world.outstanding(8_000) is None) != answers_at_rest
+    assert (world.outstanding(8_000) is None) != answers_at_rest, "a setpoint waits for the result"
     assert world.holds is answers_at_rest, "else a world at full speed would run away"
+    sender.sent_us = {"imu": 8_000}
+    assert world.outstanding(12_000) is not None, "telemetry is waited for, whatever is asked"
 
 
 def test_once_the_application_is_silent_nothing_holds_the_world() -> None:
