@@ -12,7 +12,7 @@ and where its plane was seen in that of the mission's. Beside that there is no s
 answer follows from the log. A collision with an approach of its own, flown from rest, keeps its approach,
 slower where the hit would be too hard by what was felt.
 
-It runs outside of the core's step: in a process of its own (`worlds.planner`), or in simulated time.
+It runs outside of the core's step: in a process of its own (`run.replanner_process`), or in simulated time.
 """
 
 from __future__ import annotations

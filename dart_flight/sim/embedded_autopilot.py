@@ -1,7 +1,7 @@
 """The embedded autopilot: a small PX4 look-alike on top of the plant, without I/O and without a clock.
 
 One `step` is one tick of 4 ms: plant, sensors, estimator, modes and failsafes, control. Two worlds use it:
-`sim.fast` in process, `sim.mavlink_endpoint` behind MAVLink in a process of its own.
+`run.fast` in process, `sim.mavlink_endpoint` behind MAVLink in a process of its own.
 """
 
 from __future__ import annotations
