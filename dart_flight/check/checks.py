@@ -7,6 +7,7 @@ check is one line here. The steps on the bench are a list of their own: `bringup
 from __future__ import annotations
 
 import functools
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -34,7 +35,7 @@ from dart_flight.check.mission_check import (
 from dart_flight.check.place_check import check_heading, judge_place
 from dart_flight.check.probe_check import check_anchors
 from dart_flight.check.px4_parameters import judge_claim, judge_parameters, judge_position
-from dart_flight.check.stages import Check, Stage
+from dart_flight.check.stages import Check, CheckContext, Stage
 from dart_flight.check.telemetry_check import (
     judge_battery,
     judge_motor_outputs,
@@ -57,7 +58,7 @@ from dart_flight.planning.predicted_flight import PredictedFlight
 
 
 @dataclass
-class FlightContext:
+class FlightContext(CheckContext[CheckFinding]):
     """What the checks before a flight look at.
 
     Attributes:
@@ -75,7 +76,6 @@ class FlightContext:
     position_from: PositionSource | None = None
     reading: VehicleReading | None = None
     found: list[CheckFinding] = field(default_factory=list)
-    own_errors: tuple[type[Exception], ...] = ()
 
     @functools.cached_property
     def planned(self) -> PredictedFlight | None:
@@ -88,21 +88,11 @@ class FlightContext:
         assert self.reading is not None, "read by the first check of the stage"
         return self.reading
 
-    def read(self) -> list[CheckFinding]:
-        """Read what the checks of a vehicle need; finds nothing by itself."""
+    def read(self, reader: Callable[[Mission, str], VehicleReading]) -> list[CheckFinding]:
+        """Read what the checks of a stage with a vehicle need; finds nothing by itself."""
         if self.reading is None and self.url is not None:
-            self.reading = read_vehicle(self.mission, self.url)
+            self.reading = reader(self.mission, self.url)
         return []
-
-    def read_for_hitl(self) -> list[CheckFinding]:
-        """Read what the checks for hardware in the loop need; finds nothing by itself."""
-        if self.reading is None and self.url is not None:
-            self.reading = read_for_hitl(self.mission, self.url)
-        return []
-
-    def explain(self, error: Exception) -> CheckFinding:
-        """Never called, without own errors."""
-        raise error
 
     # -- checks that need more than one line --
 
@@ -145,7 +135,7 @@ CHECKS: tuple[FlightCheck, ...] = (
     Check("health", _COMPUTER, lambda c: check_computer()),
     Check("inherited", _DESK, lambda c: check_inherited(c.mission)),
     Check("claim", _DESK, FlightContext.check_claim),
-    Check("link", _VEHICLE, FlightContext.read),
+    Check("link", _VEHICLE, lambda c: c.read(read_vehicle)),
     Check(
         "position",
         _VEHICLE,
@@ -173,7 +163,7 @@ CHECKS: tuple[FlightCheck, ...] = (
         lambda c: judge_place(c.mission, c.vehicle.observed.position_ned, c.vehicle.observed.q_frd_to_ned),
     ),
     Check("lock", _VEHICLE, lambda c: judge_lock(c.mission, c.vehicle.values)),
-    Check("link", _HITL, FlightContext.read_for_hitl),
+    Check("link", _HITL, lambda c: c.read(read_for_hitl)),
     Check("lock", _HITL, lambda c: [judge_hitl_lock(c.mission)]),
     Check("mode", _HITL, lambda c: judge_hitl_mode(c.vehicle.values, c.vehicle.mode)),
     Check("hitl_parameters", _HITL, lambda c: judge_hitl_parameters(c.vehicle.values)),

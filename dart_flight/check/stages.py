@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from enum import StrEnum
-from typing import Generic, NamedTuple, Protocol, TypeVar
+from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
 
 
 class Stage(StrEnum):
@@ -32,7 +32,7 @@ class EndOfStageError(Exception, Generic[Found]):
         self.findings = findings
 
 
-class CheckContext(Protocol[Found]):
+class CheckContext(Generic[Found]):
     """What the checks of a list look at.
 
     Attributes:
@@ -41,13 +41,16 @@ class CheckContext(Protocol[Found]):
     """
 
     found: list[Found]
-    own_errors: tuple[type[Exception], ...]
+    own_errors: ClassVar[tuple[type[Exception], ...]] = ()
 
     def explain(self, error: Exception) -> Found:
         """Return the finding that an own error stands for."""
+        raise NotImplementedError(
+            f"{type(self).__name__} has own errors and does not explain them"
+        ) from error
 
 
-Context = TypeVar("Context", bound=CheckContext)  # type: ignore[type-arg]
+Context = TypeVar("Context", bound=CheckContext[Any])
 
 
 class Check(NamedTuple, Generic[Context, Found]):

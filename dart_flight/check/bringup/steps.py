@@ -26,7 +26,7 @@ from dart_flight.base.records import (
 )
 from dart_flight.check.bringup import judgements
 from dart_flight.check.bringup.judgements import StepFinding, StepOutcome, failed
-from dart_flight.check.stages import Check, Stage
+from dart_flight.check.stages import Check, CheckContext, Stage
 from dart_flight.check.telemetry_check import StreamRate, stream_rates
 from dart_flight.check.vehicle_check import round_trip_limit_s
 from dart_flight.config.link_url import parse_link
@@ -118,7 +118,7 @@ def attitude_at(samples: Sequence[AttitudeSample], t_us: int) -> Quaternion | No
     return next((s.q_frd_to_ned for s in reversed(list(samples)) if s.t_us <= t_us), None)
 
 
-class Bringup:
+class Bringup(CheckContext[StepFinding]):
     """What the steps look at: one vehicle, and who stands beside it. The link stays open for the next step.
 
     Args:
@@ -129,7 +129,7 @@ class Bringup:
         opened: called once the link is open (`LinkLease.close_device`).
     """
 
-    own_errors: tuple[type[Exception], ...] = (NotDoneError, VehicleError, NoAnswerError)
+    own_errors = (NotDoneError, VehicleError, NoAnswerError)
 
     def __init__(
         self,
