@@ -59,7 +59,7 @@ from dart_flight.planning.predicted_flight import PredictedFlight
 
 @dataclass
 class FlightContext(CheckContext[CheckFinding]):
-    """What the checks before a flight look at.
+    """The things that the checks before a flight look at.
 
     Attributes:
         mission: to be flown.
@@ -84,12 +84,12 @@ class FlightContext(CheckContext[CheckFinding]):
 
     @property
     def vehicle(self) -> VehicleReading:
-        """What the vehicle says."""
+        """The vehicle's own reports."""
         assert self.reading is not None, "read by the first check of the stage"
         return self.reading
 
     def read(self, reader: Callable[[Mission, str], VehicleReading]) -> list[CheckFinding]:
-        """Read what the checks of a stage with a vehicle need; finds nothing by itself."""
+        """Read once what the checks of a stage with a vehicle need; return no finding."""
         if self.reading is None and self.url is not None:
             self.reading = reader(self.mission, self.url)
         return []
@@ -97,18 +97,18 @@ class FlightContext(CheckContext[CheckFinding]):
     # -- checks that need more than one line --
 
     def check_claim(self) -> list[CheckFinding]:
-        """What the operator claims of the position, where no vehicle can be asked."""
+        """Judge the operator's claim on the position if there is no vehicle to ask."""
         if self.url is not None or self.position_from is None:
             return []
         return judge_claim(self.mission, self.position_from)
 
     def check_parameters(self) -> list[CheckFinding]:
-        """PX4's parameters."""
+        """Judge PX4's parameters."""
         v = self.vehicle
         return judge_parameters(self.mission, v.values, self.position_from or v.position_from, v.version)
 
     def check_own_parameters(self) -> list[CheckFinding]:
-        """The vehicle's own parameters, once everything else is ready for hardware in the loop."""
+        """Judge the vehicle's own parameters if all else is ready for hardware in the loop."""
         if not all(finding.go for finding in self.found):
             return []
         return judge_own_parameters(self.mission, self.vehicle.values, self.position_from)

@@ -25,7 +25,7 @@ Found = TypeVar("Found")
 
 
 class EndOfStageError(Exception, Generic[Found]):
-    """What was found makes the rest of the stage meaningless."""
+    """A finding that makes the rest of its stage meaningless."""
 
     def __init__(self, findings: Sequence[Found]) -> None:
         super().__init__()
@@ -33,7 +33,7 @@ class EndOfStageError(Exception, Generic[Found]):
 
 
 class CheckContext(Generic[Found]):
-    """What the checks of a list look at.
+    """The things that the checks of a list look at.
 
     Attributes:
         found: what earlier checks have found.
@@ -59,7 +59,7 @@ class Check(NamedTuple, Generic[Context, Found]):
     Attributes:
         name: within its stage.
         stage: where it can be made.
-        run: finds what there is to find.
+        run: returns the findings.
         what: what it looks at, for the operator.
         by_hand: whether it needs somebody at the vehicle.
     """
