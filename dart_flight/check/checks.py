@@ -7,6 +7,7 @@ check is one line here. The steps on the bench are a list of their own: `bringup
 from __future__ import annotations
 
 import functools
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -34,7 +35,7 @@ from dart_flight.check.mission_check import (
 from dart_flight.check.place_check import check_heading, judge_place
 from dart_flight.check.probe_check import check_anchors
 from dart_flight.check.px4_parameters import judge_claim, judge_parameters, judge_position
-from dart_flight.check.stages import Check, Stage
+from dart_flight.check.stages import Check, CheckContext, Stage
 from dart_flight.check.telemetry_check import (
     judge_battery,
     judge_motor_outputs,
@@ -57,8 +58,8 @@ from dart_flight.planning.predicted_flight import PredictedFlight
 
 
 @dataclass
-class FlightContext:
-    """What the checks before a flight look at.
+class FlightContext(CheckContext[CheckFinding]):
+    """The things that the checks before a flight look at.
 
     Attributes:
         mission: to be flown.
@@ -75,7 +76,6 @@ class FlightContext:
     position_from: PositionSource | None = None
     reading: VehicleReading | None = None
     found: list[CheckFinding] = field(default_factory=list)
-    own_errors: tuple[type[Exception], ...] = ()
 
     @functools.cached_property
     def planned(self) -> PredictedFlight | None:
@@ -84,41 +84,31 @@ class FlightContext:
 
     @property
     def vehicle(self) -> VehicleReading:
-        """What the vehicle says."""
+        """The vehicle's own reports."""
         assert self.reading is not None, "read by the first check of the stage"
         return self.reading
 
-    def read(self) -> list[CheckFinding]:
-        """Read what the checks of a vehicle need; finds nothing by itself."""
+    def read(self, reader: Callable[[Mission, str], VehicleReading]) -> list[CheckFinding]:
+        """Read once what the checks of a stage with a vehicle need; return no finding."""
         if self.reading is None and self.url is not None:
-            self.reading = read_vehicle(self.mission, self.url)
+            self.reading = reader(self.mission, self.url)
         return []
-
-    def read_for_hitl(self) -> list[CheckFinding]:
-        """Read what the checks for hardware in the loop need; finds nothing by itself."""
-        if self.reading is None and self.url is not None:
-            self.reading = read_for_hitl(self.mission, self.url)
-        return []
-
-    def explain(self, error: Exception) -> CheckFinding:
-        """Never called, without own errors."""
-        raise error
 
     # -- checks that need more than one line --
 
     def check_claim(self) -> list[CheckFinding]:
-        """What the operator claims of the position, where no vehicle can be asked."""
+        """Judge the operator's claim on the position if there is no vehicle to ask."""
         if self.url is not None or self.position_from is None:
             return []
         return judge_claim(self.mission, self.position_from)
 
     def check_parameters(self) -> list[CheckFinding]:
-        """PX4's parameters."""
+        """Judge PX4's parameters."""
         v = self.vehicle
         return judge_parameters(self.mission, v.values, self.position_from or v.position_from, v.version)
 
     def check_own_parameters(self) -> list[CheckFinding]:
-        """The vehicle's own parameters, once everything else is ready for hardware in the loop."""
+        """Judge the vehicle's own parameters if all else is ready for hardware in the loop."""
         if not all(finding.go for finding in self.found):
             return []
         return judge_own_parameters(self.mission, self.vehicle.values, self.position_from)
@@ -145,7 +135,7 @@ CHECKS: tuple[FlightCheck, ...] = (
     Check("health", _COMPUTER, lambda c: check_computer()),
     Check("inherited", _DESK, lambda c: check_inherited(c.mission)),
     Check("claim", _DESK, FlightContext.check_claim),
-    Check("link", _VEHICLE, FlightContext.read),
+    Check("link", _VEHICLE, lambda c: c.read(read_vehicle)),
     Check(
         "position",
         _VEHICLE,
@@ -173,7 +163,7 @@ CHECKS: tuple[FlightCheck, ...] = (
         lambda c: judge_place(c.mission, c.vehicle.observed.position_ned, c.vehicle.observed.q_frd_to_ned),
     ),
     Check("lock", _VEHICLE, lambda c: judge_lock(c.mission, c.vehicle.values)),
-    Check("link", _HITL, FlightContext.read_for_hitl),
+    Check("link", _HITL, lambda c: c.read(read_for_hitl)),
     Check("lock", _HITL, lambda c: [judge_hitl_lock(c.mission)]),
     Check("mode", _HITL, lambda c: judge_hitl_mode(c.vehicle.values, c.vehicle.mode)),
     Check("hitl_parameters", _HITL, lambda c: judge_hitl_parameters(c.vehicle.values)),

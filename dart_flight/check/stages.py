@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from enum import StrEnum
-from typing import Generic, NamedTuple, Protocol, TypeVar
+from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
 
 
 class Stage(StrEnum):
@@ -25,15 +25,15 @@ Found = TypeVar("Found")
 
 
 class EndOfStageError(Exception, Generic[Found]):
-    """What was found makes the rest of the stage meaningless."""
+    """A finding that makes the rest of its stage meaningless."""
 
     def __init__(self, findings: Sequence[Found]) -> None:
         super().__init__()
         self.findings = findings
 
 
-class CheckContext(Protocol[Found]):
-    """What the checks of a list look at.
+class CheckContext(Generic[Found]):
+    """The things that the checks of a list look at.
 
     Attributes:
         found: what earlier checks have found.
@@ -41,13 +41,16 @@ class CheckContext(Protocol[Found]):
     """
 
     found: list[Found]
-    own_errors: tuple[type[Exception], ...]
+    own_errors: ClassVar[tuple[type[Exception], ...]] = ()
 
     def explain(self, error: Exception) -> Found:
         """Return the finding that an own error stands for."""
+        raise NotImplementedError(
+            f"{type(self).__name__} has own errors and does not explain them"
+        ) from error
 
 
-Context = TypeVar("Context", bound=CheckContext)  # type: ignore[type-arg]
+Context = TypeVar("Context", bound=CheckContext[Any])
 
 
 class Check(NamedTuple, Generic[Context, Found]):
@@ -56,7 +59,7 @@ class Check(NamedTuple, Generic[Context, Found]):
     Attributes:
         name: within its stage.
         stage: where it can be made.
-        run: finds what there is to find.
+        run: returns the findings.
         what: what it looks at, for the operator.
         by_hand: whether it needs somebody at the vehicle.
     """

@@ -1,4 +1,4 @@
-"""What a vehicle on the ground says of itself, read once over its link for the checks of a stage."""
+"""A vehicle's reports on the ground, read once over its link for the checks of a stage."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _MEASURE_S = 3.0
 
 
 class VehicleReading(msgspec.Struct, frozen=True):
-    """What a vehicle says of itself.
+    """A vehicle's reports of itself.
 
     Attributes:
         mode: of its heartbeat, None if there was none.
@@ -39,7 +39,7 @@ class VehicleReading(msgspec.Struct, frozen=True):
 
     @property
     def version(self) -> Version | None:
-        """Major and minor of PX4; None where it tells none, as 0.0.0."""
+        """Major and minor of PX4; None if not reported, as 0.0.0."""
         return release_of(self.observed.version)
 
     @property
@@ -113,7 +113,7 @@ def read_for_hitl(mission: Mission, url: str) -> VehicleReading:
 
 
 def release_of(text: str) -> Version | None:
-    """Return major and minor of a version in words; None where it tells none, as 0.0.0."""
+    """Return major and minor of a version in words; None if there is none, as in 0.0.0."""
     major, _, rest = text.partition(".")
     minor = rest.partition(".")[0]
     return (int(major), int(minor)) if major.isdigit() and minor.isdigit() and int(major) else None

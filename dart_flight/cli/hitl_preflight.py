@@ -54,12 +54,13 @@ def prepare_hitl(
     show(report, messages())
     if not report.go:
         raise FlightError("flight controller not ready for hardware in the loop; not flown")
+    motors = context.vehicle.motors
     _confirm()
     return partial(
         fly_hitl,
         hitl_url=hitl_url,
         url=url,
-        motors=context.vehicle.motors,
+        motors=motors,
         position_from=position_from,
         spreads=spreads,
     )

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from dart_flight.check.bringup.steps import STEPS
 from dart_flight.check.checks import CHECKS, checks_of
-from dart_flight.check.stages import Check, EndOfStageError, Stage, run_checks
+from dart_flight.check.stages import Check, CheckContext, EndOfStageError, Stage, run_checks
 
 
 class NotThereError(Exception):
@@ -19,11 +19,11 @@ class NotThereError(Exception):
 
 
 @dataclass
-class Bench:
+class Bench(CheckContext[str]):
     """A context whose findings are words."""
 
     found: list[str] = field(default_factory=list)
-    own_errors: tuple[type[Exception], ...] = (NotThereError,)
+    own_errors = (NotThereError,)
 
     def explain(self, error: Exception) -> str:
         return f"failed: {error}"

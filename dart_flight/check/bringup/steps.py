@@ -26,7 +26,7 @@ from dart_flight.base.records import (
 )
 from dart_flight.check.bringup import judgements
 from dart_flight.check.bringup.judgements import StepFinding, StepOutcome, failed
-from dart_flight.check.stages import Check, Stage
+from dart_flight.check.stages import Check, CheckContext, Stage
 from dart_flight.check.telemetry_check import StreamRate, stream_rates
 from dart_flight.check.vehicle_check import round_trip_limit_s
 from dart_flight.config.link_url import parse_link
@@ -118,7 +118,7 @@ def attitude_at(samples: Sequence[AttitudeSample], t_us: int) -> Quaternion | No
     return next((s.q_frd_to_ned for s in reversed(list(samples)) if s.t_us <= t_us), None)
 
 
-class Bringup:
+class Bringup(CheckContext[StepFinding]):
     """What the steps look at: one vehicle, and who stands beside it. The link stays open for the next step.
 
     Args:
@@ -129,7 +129,7 @@ class Bringup:
         opened: called once the link is open (`LinkLease.close_device`).
     """
 
-    own_errors: tuple[type[Exception], ...] = (NotDoneError, VehicleError, NoAnswerError)
+    own_errors = (NotDoneError, VehicleError, NoAnswerError)
 
     def __init__(
         self,
@@ -195,7 +195,7 @@ class Bringup:
     # -- steps --
 
     def judge_link(self) -> StepFinding:
-        """Rates that arrive, errors, round trip."""
+        """Judge rates, errors and round trip of the link."""
         link = self._connect()
         round_trip_s = link.round_trip_s()
         status = link.newest(messages.SYS_STATUS, _STATUS_S)
@@ -205,7 +205,7 @@ class Bringup:
         return judgements.judge_link(self._rates, round_trip_s, round_trip_limit_s(self._mission), errors)
 
     def judge_axes(self) -> StepFinding:
-        """The IMU's axes."""
+        """Judge the IMU's axes from readings level, nose down and right side down."""
         self._connect()
         level = self._held("Put the vehicle level and leave it alone.", lambda force: True)
         wrong = judgements.judge_level(level)
@@ -218,7 +218,7 @@ class Bringup:
         return judgements.judge_axes(level, nose, right)
 
     def judge_force(self) -> StepFinding:
-        """Where a push is felt."""
+        """Judge the direction of the force of a push."""
         self._connect()
         self._telemetry.clear()
         level = self._held("Hold the vehicle level and still.", lambda force: True)
@@ -232,7 +232,7 @@ class Bringup:
         return judgements.judge_push(push.acceleration_m_s2, force)
 
     def judge_servo(self) -> StepFinding:
-        """The lock's servo."""
+        """Move the lock to both ends and judge it."""
         config = self._mission.vehicle.lock
         if config is None:
             return StepFinding(StepOutcome.SKIPPED, "this vehicle has no lock")
@@ -264,14 +264,14 @@ class Bringup:
         return mode, state, self._operator.confirm(f"Told to be {mode}. Are the arms {how}?")
 
     def judge_position(self) -> StepFinding:
-        """Where the position goes."""
+        """Judge where the position goes when the vehicle is carried."""
         self._connect()
         forward = self._carry("Hold it level, walk half a metre straight ahead of its nose, and stand still.")
         right = self._carry("Now half a metre to its right, without turning it, and stand still.")
         return judgements.judge_position(forward, right)
 
     def judge_remote(self) -> StepFinding:
-        """The remote control."""
+        """Judge the remote control and its mode switch."""
         link, t = self._connect(), self._telemetry
         t.clear()
         received = link.newest(messages.RC_CHANNELS, _RADIO_S) is not None

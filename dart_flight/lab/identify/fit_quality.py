@@ -31,7 +31,7 @@ _MOST = Errors(peak_force=0.25, outgoing_speed=0.1)
 def errors_of(
     coefficients: Mapping[str, Estimate | None], hits: Sequence[MeasuredImpact], mass_kg: float, onset: Onset
 ) -> Errors:
-    """By how much coefficients miss their own hits; unknown where k or f is, and without hits."""
+    """Return by how much coefficients miss their own hits; unknown without hits, k or f."""
     k, f = coefficients["k"], coefficients["f"]
     if k is None or f is None or not hits:
         return Errors(None, None)

@@ -36,7 +36,7 @@ _PRIOR_SD = 3.0  # of a coefficient's logarithm about its start: keeps what the 
 _LOW, _HIGH = np.log([LOWEST_K, LOWEST_F]), np.log([HIGHEST_K, HIGHEST_F])
 _LONGEST = 3.0  # half periods: how long a hit that never leaves the wall counts as in contact
 _WIDEST_LOG = math.log(3.0)  # a coefficient known less well than to a factor of three is not known
-_ENOUGH_HITS = 3  # from which their spread tells something
+_ENOUGH_HITS = 3  # whose spread is more than chance
 
 
 class HitTable(NamedTuple):
@@ -51,7 +51,7 @@ class HitTable(NamedTuple):
 
     @classmethod
     def of(cls, hits: Sequence[MeasuredImpact]) -> HitTable:
-        """From hits of one mode."""
+        """Return the table of hits of one mode."""
         rows = [
             (
                 h.normal_in_m_s, h.normal_out_m_s, h.peak_force_n, h.contact_s, h.compression_m,
@@ -62,7 +62,7 @@ class HitTable(NamedTuple):
         return cls(*np.array(rows, dtype=float).reshape(-1, 6).T)
 
     def only(self, which: NDArray[np.bool_] | NDArray[np.intp]) -> HitTable:
-        """Some of the hits."""
+        """Return some of the hits."""
         return HitTable(*(column[which] for column in self))
 
     @property
@@ -88,7 +88,7 @@ def median(values: Array) -> float | None:
 
 
 def predict(k: float, f: float, hits: HitTable, mass_kg: float, onset: Onset) -> WallHit[Array]:
-    """What the law makes of the speeds in."""
+    """Predict the hits by the law from their speeds in."""
     zero = np.zeros_like(hits.speed_in)
     push = hits.acceleration if hits.acceleration.any() else None
     coefficients = CoefficientArrays(zero + k, zero + f, zero, zero)
@@ -117,11 +117,11 @@ class HitFit:
         return descend(self, self._start, ("huber", "linear"))
 
     def bounds(self) -> tuple[Array, Array]:
-        """What is searched."""
+        """Return what is searched."""
         return _LOW, _HIGH
 
     def _errors(self, theta: Array) -> Array:
-        """Return the numbers of all hits, predicted less measured, in their deviations."""
+        """Return predicted minus measured numbers of all hits, in their deviations."""
         (k, f), hits = np.exp(theta), self.hits
         said = predict(k, f, hits, self.mass_kg, self.onset)
         contact = np.minimum(said.contact_time_s, _LONGEST * math.pi * math.sqrt(self.mass_kg / k))
@@ -134,12 +134,12 @@ class HitFit:
         return np.nan_to_num(np.concatenate(parts))
 
     def residuals(self, theta: Array) -> Array:
-        """Weighted errors of the hits, then the prior."""
+        """Return the weighted errors of the hits, then the prior."""
         errors = self._counts * (self._errors(theta) - self._moved)
         return np.concatenate((errors, (theta - self._start) / _PRIOR_SD))
 
     def jacobian(self, theta: Array) -> Array:
-        """Central differences."""
+        """Return central differences."""
         return np.stack([difference(theta, j, self.residuals) for j in range(theta.size)], axis=1)
 
     def reweigh(self, theta: Array) -> None:
@@ -152,11 +152,11 @@ class HitFit:
         self._moved = (errors - pseudo).ravel()
 
     def variance(self, theta: Array) -> float:
-        """The deviations are the law's own; a few hits that agree do not make it better than that."""
+        """Return 1: the deviations are the law's own, and hits that agree do not make it better."""
         return 1.0
 
     def drawn_together(self) -> list[NDArray[np.intp]]:
-        """The numbers of a hit; of few hits everything, because their spread tells nothing."""
+        """Return the rows of each hit; of too few hits all rows, because their spread is chance."""
         rows = np.arange(self._counts.size).reshape(4, -1)
         return list(rows.T) if rows.shape[1] >= _ENOUGH_HITS else [rows.ravel()]
 
@@ -164,7 +164,7 @@ class HitFit:
 def fit_hits(
     hits: Sequence[MeasuredImpact], mass_kg: float, onset: Onset
 ) -> tuple[dict[str, Estimate | None], list[str]]:
-    """k and f from hits of one mode.
+    """Fit k and f to hits of one mode.
 
     Returns:
         `k` and `f` -> estimate, None where it is not known; and notes.

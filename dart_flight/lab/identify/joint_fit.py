@@ -1,4 +1,4 @@
-"""The joint fit of the law to the samples of all trials that show their contact, and what it says."""
+"""The joint fit of the law to the samples of all trials that show their contact, and its result."""
 
 from __future__ import annotations
 
@@ -100,7 +100,7 @@ def _is_curved(fit: SampleFit, theta: Array) -> bool:
 
 @dataclass
 class SampleResult:
-    """What a fit of samples says; see `Identification`. Without samples it says nothing.
+    """The result of a fit of samples, part of `Identification`; empty if no trial shows its contact.
 
     Attributes:
         trials: by their place in the call.
@@ -117,7 +117,7 @@ class SampleResult:
 
 
 def conclude(fit: SampleFit, theta: Array, places: Sequence[int]) -> SampleResult:
-    """Coefficients with intervals, what became of each trial, and what a reader should know.
+    """Return coefficients with intervals, the result of each trial, and notes for the reader.
 
     Args:
         fit, theta: the fit and its parameters.

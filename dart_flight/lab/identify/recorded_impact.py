@@ -1,4 +1,4 @@
-"""Where the impact is in a recording of any length, and what cannot be one."""
+"""The search for the impact in a recording of any length, and the reasons to refuse one."""
 
 from __future__ import annotations
 
@@ -38,7 +38,11 @@ class TrialImpact(NamedTuple):
 
 
 def refuse_unusable(trial: Trial) -> None:
-    """Raises InputError: samples that no impact could be read from."""
+    """Refuse samples that no impact could be read from.
+
+    Raises:
+        InputError: name and reason.
+    """
     for name, series in trial.series.items():
         if series.time_s.size > 1 and not (np.diff(series.time_s) > 0.0).all():
             raise InputError("time does not increase", source=trial.name, key=(name,))
@@ -135,7 +139,7 @@ def _line_slope(time: Array, value: Array, impact: TrialImpact) -> float:
 
 
 def deviation_of(errors: Array) -> float:
-    """Standard deviation from the median size of errors: deaf to outliers."""
+    """Return the standard deviation from the median size of errors, which ignores outliers."""
     return max(1.4826 * float(np.median(np.abs(errors))), 1e-9)
 
 

@@ -1,9 +1,10 @@
 """The one solver of all fits of the law, and the intervals of what it finds.
 
-A fit states a `LawProblem`; `descend` solves it, `half_widths` says how sure its unknowns are, also where the
-law is wrong. Every unknown has two deviations: the statistical one (information of data and priors), which
-holds where the law is right, and the resampled one, which asks how much the estimate would move with other
-data, to first order. The interval follows the wider, where it is wider by more than chance.
+A fit states a `LawProblem`; `descend` solves it, and `half_widths` returns the intervals of its unknowns,
+which hold even if the law is wrong. Every unknown has two deviations. The statistical one follows from the
+information of data and priors and holds if the law is right. The resampled one is how much the estimate would
+move with other data, to first order. The interval follows the resampled one if it is wider by more than
+chance.
 """
 
 from __future__ import annotations
@@ -31,22 +32,22 @@ class LawProblem(Protocol):
     robust_from: float  # weighted residual from which a robust loss counts less
 
     def bounds(self) -> tuple[Array, Array]:
-        """Limits of the unknowns."""
+        """Return the limits of the unknowns."""
 
     def residuals(self, theta: Array) -> Array:
-        """Weighted residuals of the data, then of the priors."""
+        """Return the weighted residuals of the data, then of the priors."""
 
     def jacobian(self, theta: Array) -> Array:
-        """Derivatives of the residuals, one column for each unknown."""
+        """Return the derivatives of the residuals, one column for each unknown."""
 
     def reweigh(self, theta: Array) -> None:
         """Weigh the data by their residuals."""
 
     def variance(self, theta: Array) -> float:
-        """Factor on the variances of independent data with the assumed deviations."""
+        """Return the factor on the variances of independent data with the assumed deviations."""
 
     def drawn_together(self) -> Sequence[NDArray[np.intp]]:
-        """Rows of the data that are resampled together."""
+        """Return the groups of rows that are resampled together."""
 
 
 def descend(problem: LawProblem, theta: Array, losses: Sequence[str]) -> Array:

@@ -1,4 +1,4 @@
-"""What the speeds before and after hits tell: restitution, ratio along the wall, friction.
+"""Restitution, ratio along the wall and friction, from the speeds before and after hits alone.
 
 Intervals come from the spread of the hits, with Student's factor for few, and are never narrower than the
 measurement of the speeds allows.
