@@ -1,8 +1,10 @@
 """Keys of the vehicle configuration that are constants now.
 
-A file that has one keeps loading for one release: the key is left out, with one line that says so. Then the
-table goes, and such a key is unknown like any other. The constant stands with its reason in the module that
-uses it; a test holds the values to each other.
+A file that has one keeps loading for one release: the key is left out, with one line that says so. Then its
+row goes, and the key is unknown like any other. The constant stands with its reason in the module that uses
+it; a test holds the values to each other.
+
+To retire a key, take it out of its type and of configs/dart.yaml, and add a row here.
 """
 
 from __future__ import annotations

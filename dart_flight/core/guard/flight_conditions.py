@@ -7,7 +7,6 @@ judged by host time.
 
 from __future__ import annotations
 
-import math
 from typing import Final
 
 from dart_flight.base.geometry import norm
@@ -142,7 +141,7 @@ class FlightConditions:
     @property
     def just_after_impact(self) -> bool:
         """Shortly after an impact: what the contact does to estimator and altitude is no fault."""
-        return self._since_impact_us() < IMPACT_WINDOW_S * 1e6
+        return self.impact is not None and self.state.now_us - self.impact.t_us < IMPACT_WINDOW_S * 1e6
 
     @property
     def failsafe_said(self) -> bool:
@@ -249,9 +248,6 @@ class FlightConditions:
             return None
         way_down_s = self.mission.bounds.z[1] / self.mission.vehicle.px4.mpc_land_speed
         return max(self.config.kill_after_s, _SURELY_DOWN * way_down_s)
-
-    def _since_impact_us(self) -> float:
-        return math.inf if self.impact is None else self.state.now_us - self.impact.t_us
 
     def _take_stamp(self, name: str, item: Stamped, newest: Stamped | None) -> None:
         self.streams.take(name, item, newest)
