@@ -6,7 +6,6 @@ import html
 import math
 import re
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -31,14 +30,6 @@ from tests.doubles.ulog_file import write_ulog
 from tests.lab.inspect.test_inspect import topics
 
 EVIL = "<b>[1] & \"two\"<i> 'three' {{ title }}"
-
-
-@pytest.fixture
-def no_jinja2(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    rendering._environment.cache_clear()
-    monkeypatch.setitem(sys.modules, "jinja2", None)
-    yield
-    rendering._environment.cache_clear()
 
 
 def without_tags(page: str) -> str:
@@ -127,8 +118,9 @@ def test_columns_of_numbers_are_known_by_their_first_row() -> None:
     assert [numbers for _, numbers in Table(heads, []).columns] == [True] * 5
 
 
-@pytest.mark.usefixtures("no_jinja2")
-def test_without_jinja2_a_page_says_what_to_install() -> None:
+def test_without_jinja2_a_page_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(rendering, "_environment", rendering._environment.__wrapped__)
+    monkeypatch.setitem(sys.modules, "jinja2", None)
     with pytest.raises(InputError, match="a page needs jinja2") as error:
         render("inspection.html", "", flights=[])
     assert install_command("report") in str(error.value)
