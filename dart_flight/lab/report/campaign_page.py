@@ -8,7 +8,7 @@ from typing import Any
 from dart_flight.config.document import InputError
 from dart_flight.lab.campaign.campaign_summary import CampaignSummary
 from dart_flight.lab.report.figures.success import success_figure, varied_figure
-from dart_flight.lab.report.render import Row, Table, picture, render
+from dart_flight.lab.report.render import PageTable, Row, picture, render
 
 _SHOWN = 12  # figures, failed flights; the others are folded away
 
@@ -45,7 +45,7 @@ def campaign_page(summary: CampaignSummary) -> str:
         not_followed=_not_followed(summary).folded(_SHOWN),
         failed=_failed(summary).folded(_SHOWN),
         unlisted=sum(rule.flights for rule in summary.rules) - len(summary.failed),
-        figures_of_flights=Table(["", "flights", "median", "5 %", "95 %", "most"], figures),
+        figures_of_flights=PageTable(["", "flights", "median", "5 %", "95 %", "most"], figures),
         success=success if summary.drawn else None,
         varied=varied if summary.tried else None,
         unrelated=[(_words(one), n) for one, n in summary.tried.items() if one not in followed],
@@ -80,38 +80,38 @@ def _tiles(summary: CampaignSummary) -> list[tuple[str, str]]:
     return tiles
 
 
-def _points(summary: CampaignSummary) -> Table:
+def _points(summary: CampaignSummary) -> PageTable:
     keys = list(summary.points[0].settings)
     rows: list[Row] = [
         [p.mission, *p.settings.values(), p.completed.of, *p.completed.words("–"),
          p.plan_followed.words("–")[0]]
         for p in summary.points
     ]  # fmt: skip
-    return Table(["mission", *keys, "flights", "completed", "95 % interval", "followed the plan"], rows)
+    return PageTable(["mission", *keys, "flights", "completed", "95 % interval", "followed the plan"], rows)
 
 
-def _rules(summary: CampaignSummary) -> Table:
+def _rules(summary: CampaignSummary) -> PageTable:
     rows: list[Row] = []
     for rule in summary.rules:
         rows.append(f"{rule.rule}: {rule.flights} flights")
         rows += [[t.name, t.failed, t.completed, f"{100.0 * t.chance:.0f} %"] for t in rule.telling]
-    return Table(["", "in these", "in completed ones", "higher in these"], rows)
+    return PageTable(["", "in these", "in completed ones", "higher in these"], rows)
 
 
-def _not_followed(summary: CampaignSummary) -> Table:
+def _not_followed(summary: CampaignSummary) -> PageTable:
     rows: list[Row] = [
         [d.mission, d.what, f"{d.flights} of {d.of}", d.not_flown or "", d.planned,
          "–" if d.flown is None else d.flown, "the same" if d.tolerance is None else d.tolerance]
         for d in summary.not_followed
     ]  # fmt: skip
-    return Table(["mission", "figure", "flights", "not flown", "planned", "flown", "tolerance"], rows)
+    return PageTable(["mission", "figure", "flights", "not flown", "planned", "flown", "tolerance"], rows)
 
 
-def _failed(summary: CampaignSummary) -> Table:
+def _failed(summary: CampaignSummary) -> PageTable:
     keys = list(summary.failed[0].settings) if summary.failed else []
     rows: list[Row] = [
         [one.mission, *one.settings.values(), one.seed, one.outcome, one.reason,
          {"command": one.command, "log": one.log}]
         for one in summary.failed
     ]  # fmt: skip
-    return Table(["mission", *keys, "seed", "outcome", "reason", "command to reproduce it"], rows)
+    return PageTable(["mission", *keys, "seed", "outcome", "reason", "command to reproduce it"], rows)

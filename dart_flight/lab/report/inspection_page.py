@@ -10,7 +10,7 @@ import numpy as np
 from dart_flight.lab.inspect.impacts import InspectedFlight
 from dart_flight.lab.inspect.specific_thrust import SpecificThrust
 from dart_flight.lab.report.figures.forces import force_over_flight
-from dart_flight.lab.report.render import Table, picture, render
+from dart_flight.lab.report.render import PageTable, picture, render
 
 
 def inspection_page(flights: Sequence[InspectedFlight]) -> str:
@@ -48,9 +48,9 @@ def _flight(flight: InspectedFlight) -> dict[str, Any]:
     return {
         "log": flight.log,
         "force": force,
-        "impacts": Table(heads, rows),
+        "impacts": PageTable(heads, rows),
         "nothing_found": flight.nothing_found,
-        "facts": Table(("", ""), facts),
+        "facts": PageTable(("", ""), facts),
     }
 
 

@@ -29,7 +29,7 @@ from dart_flight.lab.report.figures import lock_timeline as lock
 from dart_flight.lab.report.figures.flight_map import flight_map
 from dart_flight.lab.report.player import player_data
 from dart_flight.lab.report.recorded_flight import Impact, RecordedFlight, percentile
-from dart_flight.lab.report.render import Cell, Number, Row, Table, asset, picture, render, signed
+from dart_flight.lab.report.render import Cell, Number, PageTable, Row, asset, picture, render, signed
 from dart_flight.lab.statistics import mean_half_width
 from dart_flight.recording.plan_versus_flight import format_departures
 from dart_flight.recording.verdict import Verdict
@@ -70,10 +70,10 @@ def flight_page(flight: RecordedFlight) -> str:
         compared=_compared_table(flight, _MAIN_ROWS),
         compared_all=_compared_table(flight),
         plan_followed=v.plan_followed,
-        outside=Table(_PLAN_HEADS, [row for row in planned if row[-1] == "no"]),
-        planned=Table(_PLAN_HEADS, planned),
-        felt=Table(_FELT_HEADS, [_felt_row(flight, felt) for felt in course.all(WallEstimate)]),
-        replanned=Table(_REPLANNED_HEADS, [_replanned_row(flight, *one) for one in flight.replanned()]),
+        outside=PageTable(_PLAN_HEADS, [row for row in planned if row[-1] == "no"]),
+        planned=PageTable(_PLAN_HEADS, planned),
+        felt=PageTable(_FELT_HEADS, [_felt_row(flight, felt) for felt in course.all(WallEstimate)]),
+        replanned=PageTable(_REPLANNED_HEADS, [_replanned_row(flight, *one) for one in flight.replanned()]),
         impacts=[(one.title, picture(forces.impact_forces(flight, one))) for one in flight.impacts],
         motion=picture(motion.motion(flight)),
         attitude=picture(motion.attitude(flight)),
@@ -82,12 +82,12 @@ def flight_page(flight: RecordedFlight) -> str:
         timeline=picture(lock.timeline(flight)),
         lock=_lock_table(flight),
         timing=_timing_table(flight),
-        guard=Table(
+        guard=PageTable(
             ["s", "rule", "action", "detail"],
             [[course.time_of(g.t_us), g.rule, g.action, g.detail] for g in v.guard],
         ),
         noise=_noise_table(flight),
-        phases=Table(
+        phases=PageTable(
             ["s", "from", "to", "because"],
             [[course.time_of(c.t_us), c.before, c.after, c.reason] for c in course.all(PhaseChange)],
         ),
@@ -224,9 +224,9 @@ def outcome_sentence(flight: RecordedFlight) -> str:
     return f"{words}. {plan}" + (f": {where}." if where else ".")
 
 
-def _hits_table(flight: RecordedFlight) -> Table:
+def _hits_table(flight: RecordedFlight) -> PageTable:
     heads = ["hit", "at, s", "wall", "mode", "normal, m/s", "along, m/s", "peak, N", "error %"]
-    return Table(heads, [_hit_row(impact) for impact in flight.impacts])
+    return PageTable(heads, [_hit_row(impact) for impact in flight.impacts])
 
 
 def _hit_row(impact: Impact) -> Row:
@@ -247,7 +247,7 @@ def _where_px4_log(flight: RecordedFlight) -> str:
     return "not beside the log" + (f"; armed at {armed}" if armed else "")
 
 
-def _compared_table(flight: RecordedFlight, names: Sequence[str] = ()) -> Table:
+def _compared_table(flight: RecordedFlight, names: Sequence[str] = ()) -> PageTable:
     """The rows of every collision, or those of some names."""
     rows: list[Row] = []
     for impact in flight.impacts:
@@ -257,7 +257,7 @@ def _compared_table(flight: RecordedFlight, names: Sequence[str] = ()) -> Table:
             for c in impact.compared
             if not names or c.name in names
         ]
-    return Table(["", "planned", "predicted", "measured", "true", "error %"], rows)
+    return PageTable(["", "planned", "predicted", "measured", "true", "error %"], rows)
 
 
 _FELT_HEADS = ["wall", "mode reported", "felt", "k, N/m", "before", "f, N s/m", "before", "mu, s/m", "before"]
@@ -296,7 +296,7 @@ def _replanned_row(
     return [at, to, after, answer.normal_m_s, answer.tangential_m_s, answer.peak_force_n, flown]
 
 
-def _lock_table(flight: RecordedFlight) -> Table:
+def _lock_table(flight: RecordedFlight) -> PageTable:
     rows: list[Row] = []
     for impact in flight.impacts:
         times = impact.verdict.lock
@@ -304,10 +304,10 @@ def _lock_table(flight: RecordedFlight) -> Table:
             continue
         end_us, moments = times.contact_end_us, (times.relaxed_us, times.commanded_us, times.settled_us)
         rows.append([impact.title, *(None if t is None else (t - end_us) * 1e-3 for t in moments)])
-    return Table(["after the contact's end, ms", "arms relaxed", "commanded", "settled"], rows)
+    return PageTable(["after the contact's end, ms", "arms relaxed", "commanded", "settled"], rows)
 
 
-def _timing_table(flight: RecordedFlight) -> Table:
+def _timing_table(flight: RecordedFlight) -> PageTable:
     t = flight.timing
     rows: list[Row] = [
         [name, *(percentile(values, share) for share in (50, 99, 100))]
@@ -319,10 +319,10 @@ def _timing_table(flight: RecordedFlight) -> Table:
     ]
     for v in flight.verdict.collisions:
         rows.append([f"collision {v.index}: contact to detection", v.detection_latency_ms, None, None])
-    return Table(["ms", "median", "99 %", "most"], rows)
+    return PageTable(["ms", "median", "99 %", "most"], rows)
 
 
-def _noise_table(flight: RecordedFlight) -> Table:
+def _noise_table(flight: RecordedFlight) -> PageTable:
     """What could be felt as each approach began; empty for flights from before that was recorded."""
     time_of = flight.course.time_of
     rows: list[Row] = [
@@ -331,7 +331,7 @@ def _noise_table(flight: RecordedFlight) -> Table:
     ]
     noise = ["noise, short mean N", "long mean N"]
     heads = ["s", "threshold N", *noise, "detection limit rigid, N", "detection limit flexible, N"]
-    return Table(heads, rows)
+    return PageTable(heads, rows)
 
 
 def disagreements(flights: Sequence[RecordedFlight]) -> dict[str, dict[str, tuple[float, float]]]:
@@ -390,7 +390,7 @@ def _parameters(flight: RecordedFlight, others: Sequence[RecordedFlight] = ()) -
 # --- several flights -----------------------------------------------------------------------------------
 
 
-def _flights_table(flights: Sequence[RecordedFlight]) -> Table:
+def _flights_table(flights: Sequence[RecordedFlight]) -> PageTable:
     rows: list[Row] = []
     for f in flights:
         v = f.verdict
@@ -400,10 +400,10 @@ def _flights_table(flights: Sequence[RecordedFlight]) -> Table:
              "equal" if f.replay.equal else f"{len(f.replay.differences)} differ"]
         )  # fmt: skip
     heads = ["flight", "outcome", "impacts", "goal miss m", "final error m", "tilt °", "replay"]
-    return Table(heads, rows)
+    return PageTable(heads, rows)
 
 
-def _statistics(flights: Sequence[RecordedFlight], indices: list[int]) -> Table:
+def _statistics(flights: Sequence[RecordedFlight], indices: list[int]) -> PageTable:
     rows: list[Row] = [
         _spread("goal miss, m", (f.verdict.goal_miss_m for f in flights)),
         _spread("final error, m", (f.verdict.final_error_m for f in flights)),
@@ -424,7 +424,7 @@ def _statistics(flights: Sequence[RecordedFlight], indices: list[int]) -> Table:
             _spread("peak against true, %", (_percent(i.verdict.force_error) for i in hits)),
             _spread("detected after, ms", (i.verdict.detection_latency_ms for i in hits)),
         ]
-    return Table(["", "n", "mean", "± 95 %", "sd", "least", "most"], rows)
+    return PageTable(["", "n", "mean", "± 95 %", "sd", "least", "most"], rows)
 
 
 def _percent(share: float | None) -> float | None:

@@ -31,7 +31,7 @@ class Number(str):
     """A number that is already written."""
 
 
-class Table(NamedTuple):
+class PageTable(NamedTuple):
     """A table; columns of numbers are set to the right."""
 
     heads: Sequence[str]
@@ -43,7 +43,7 @@ class Table(NamedTuple):
         first = next((row for row in self.rows if not isinstance(row, str)), [])
         return [(head or "", is_number(cell)) for head, cell in zip_longest(self.heads, first)]
 
-    def folded(self, count: int) -> tuple[Table, Table]:
+    def folded(self, count: int) -> tuple[PageTable, PageTable]:
         """Return the first rows and the others."""
         return self._replace(rows=self.rows[:count]), self._replace(rows=self.rows[count:])
 

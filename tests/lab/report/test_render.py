@@ -23,7 +23,7 @@ from dart_flight.lab.report.campaign_page import campaign_page
 from dart_flight.lab.report.inspection_page import inspection_page
 from dart_flight.lab.report.page import comparison_page
 from dart_flight.lab.report.recorded_flight import RecordedFlight
-from dart_flight.lab.report.render import Cell, Number, Row, Table, render, signed, write_number
+from dart_flight.lab.report.render import Cell, Number, PageTable, Row, render, signed, write_number
 from dart_flight.lab.statistics import share
 from dart_flight.recording.reader import Log
 from tests.doubles.ulog_file import write_ulog
@@ -38,7 +38,7 @@ def without_tags(page: str) -> str:
 
 @given(st.text(min_size=1, max_size=40))
 def test_whatever_a_name_holds_is_shown_as_it_is(name: str) -> None:
-    table = Table(["", name], [name, [name, {"command": name, "log": name}]])
+    table = PageTable(["", name], [name, [name, {"command": name, "log": name}]])
     page = render(
         "comparison.html", name, missing=[(name, name)], flights=table, map="", errors="", forces=[],
         statistics=table, materials=[], used=dict.fromkeys(("name", "different", "mission", "vehicle"), name),
@@ -89,7 +89,7 @@ def test_a_value_that_a_template_lacks_is_an_error() -> None:
         render("inspection.html", "nothing")
     with pytest.raises(UndefinedError, match="facts"):
         render("inspection.html", "little", flights=[{"log": "", "force": None, "nothing_found": "",
-                                                      "impacts": Table([], [])}])  # fmt: skip
+                                                      "impacts": PageTable([], [])}])  # fmt: skip
 
 
 @pytest.mark.parametrize(
@@ -113,9 +113,9 @@ def test_columns_of_numbers_are_known_by_their_first_row() -> None:
     command: Cell = {"command": "ls", "log": None}
     rows: list[Row] = ["a heading", ["name", 1.0, None, Number("+1.0"), command], [""] * 5]
     heads = ["", "value", "unknown", "signed", "command"]
-    found = Table(heads, rows).columns
+    found = PageTable(heads, rows).columns
     assert found == list(zip(heads, [False, True, True, True, False], strict=True))
-    assert [numbers for _, numbers in Table(heads, []).columns] == [True] * 5
+    assert [numbers for _, numbers in PageTable(heads, []).columns] == [True] * 5
 
 
 def test_without_jinja2_a_page_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
