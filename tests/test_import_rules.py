@@ -57,6 +57,7 @@ DOORS = {
     "asyncio": ("vehicle/", "run/", "cli/"),
     "mcap": ("recording/",),
     "foxglove": ("lab/scene/",),
+    "jinja2": ("lab/report/render.py",),
 }
 
 

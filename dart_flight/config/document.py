@@ -142,6 +142,20 @@ def dotted(key: Key) -> str:
     return text
 
 
+def leaves_of(tree: Any, key: Key = (), *, in_lists: bool = False) -> Iterator[tuple[Key, Any]]:
+    """Yield the values of a tree with their keys; a list is one value, or is entered `in_lists`."""
+    inner: Iterable[tuple[str | int, Any]]
+    if isinstance(tree, Mapping):
+        inner = tree.items()
+    elif in_lists and isinstance(tree, list | tuple):
+        inner = enumerate(tree)
+    else:
+        yield key, tree
+        return
+    for name, value in inner:
+        yield from leaves_of(value, (*key, name), in_lists=in_lists)
+
+
 class Document:
     """A parsed YAML file: `tree` of dicts, lists and scalars, and the line of every key.
 

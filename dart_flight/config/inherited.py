@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from dart_flight.config.document import Document, InputError
+from dart_flight.config.document import Document, InputError, dotted, leaves_of
 from dart_flight.config.file_kinds import EXTENDS
 from dart_flight.config.vehicle import VehicleConfig, load_vehicle, packaged
 
@@ -103,30 +103,22 @@ def find_inherited(
 
 def _given_and_base(path: Path) -> tuple[set[str], Path] | None:
     """Return the keys that a file sets itself and the file it inherits from, or None for a packaged file."""
-    document = Document.load(path)
+    own = Document.load(path).tree
     try:
         original = packaged("configs", path.name)
     except InputError:
-        base = document.tree.get(EXTENDS)
+        base = own.get(EXTENDS)
         if isinstance(base, str):
-            return set(_leaves(document.tree)), path.parent / base
+            return set(_by_name(own)), path.parent / base
         original = packaged("configs", "dart.yaml")
     # In an edited copy, values equal to the packaged file's count as inherited.
-    leaves, known = _leaves(document.tree), _leaves(Document.load(original).tree)
-    given = {key for key, value in leaves.items() if value != known.get(key)}
+    known = _by_name(Document.load(original).tree)
+    given = {key for key, value in _by_name(own).items() if value != known.get(key)}
     return (given, original) if given else None
 
 
-def _leaves(tree: Mapping[str, Any], above: str = "") -> dict[str, Any]:
-    return dict(_walk(tree, above))
-
-
-def _walk(tree: Mapping[str, Any], above: str) -> Iterator[tuple[str, Any]]:
-    for key, value in tree.items():
-        if isinstance(value, dict):
-            yield from _walk(value, f"{above}{key}.")
-        else:
-            yield f"{above}{key}", value
+def _by_name(tree: Mapping[str, Any]) -> dict[str, Any]:
+    return {dotted(key): value for key, value in leaves_of(tree)}
 
 
 def _values(vehicle: VehicleConfig) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from enum import StrEnum
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import msgspec
 
@@ -371,15 +371,8 @@ def _each(takes: Sequence[Callable[[Any], None]]) -> Callable[[Any], None]:
     return take_all
 
 
-class Judged(NamedTuple):
-    """A recorded flight, judged: its verdict, and the impacts that it rests on."""
-
-    verdict: Verdict
-    impacts: list[FlownImpact]
-
-
-def judge(log: Log) -> Judged:
-    """Judge a recorded flight.
+def judge(log: Log) -> tuple[Verdict, list[FlownImpact]]:
+    """Return the verdict on a recorded flight, and the impacts that it rests on.
 
     The verdict is the flight's own, except for what is known only beside the log: `px4`, and why records are
     missing.
@@ -394,9 +387,9 @@ def judge(log: Log) -> Judged:
     source = None if log.source == IN_MEMORY else log.source
     drawn = msgspec.json.decode(log.about["drawn"]) if "drawn" in log.about else {}
     verdict = builder.build(log.world, log.seed, source, str(beside) if beside.exists() else None, drawn)
-    return Judged(verdict, builder.impacts())
+    return verdict, builder.impacts()
 
 
 def verdict_of(log: Log) -> Verdict:
     """Return the verdict on a recorded flight; raises what `judge` raises."""
-    return judge(log).verdict
+    return judge(log)[0]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from importlib import resources
 from pathlib import Path
 from typing import Any, Literal
@@ -14,7 +14,7 @@ import msgspec
 
 from dart_flight.base.geometry import GRAVITY_M_S2
 from dart_flight.base.records import Mode
-from dart_flight.config.document import Document, InputError, read_text, unknown_name
+from dart_flight.config.document import Document, InputError, leaves_of, read_text, unknown_name
 from dart_flight.config.file_kinds import EXTENDS
 from dart_flight.config.retired_keys import leave_out_retired
 from dart_flight.config.section import Section
@@ -261,7 +261,7 @@ def _with_base(document: Document, seen: tuple[Path, ...] = ()) -> Document:
     if below.resolve() in seen:
         raise document.error((EXTENDS,), "a configuration cannot extend itself")
     merged = _with_base(Document.load(below), seen)
-    for key, value in _leaves(document.tree):
+    for key, value in leaves_of(document.tree):
         node = merged.tree
         for part in key[:-1]:
             if not isinstance(node.get(part), dict):
@@ -270,11 +270,3 @@ def _with_base(document: Document, seen: tuple[Path, ...] = ()) -> Document:
         node[key[-1]] = value
         merged.set_by[key] = document.error(key, "").one_line()
     return merged
-
-
-def _leaves(tree: dict[str, Any], above: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
-    for key, value in tree.items():
-        if isinstance(value, dict):
-            yield from _leaves(value, (*above, key))
-        else:
-            yield (*above, key), value

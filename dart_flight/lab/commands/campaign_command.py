@@ -83,7 +83,11 @@ def run(arguments: argparse.Namespace) -> int:
     campaigns.write_atomically(
         opened.folder / campaigns.SUMMARY, msgspec.json.format(msgspec.json.encode(summary), indent=2) + b"\n"
     )
-    campaigns.write_atomically(opened.folder / campaigns.PAGE, campaign_page(summary).encode())
+    try:
+        page = f"page: {opened.folder / campaigns.PAGE}"
+        campaigns.write_atomically(opened.folder / campaigns.PAGE, campaign_page(summary).encode())
+    except InputError as error:  # the table is complete without it
+        page = f"no page: {error.message}"
     if flown < opened.flights:
         again = shlex.join(["dart-flight", "campaign", "--resume", "--out", str(arguments.out)])
         console.print(
@@ -99,7 +103,7 @@ def run(arguments: argparse.Namespace) -> int:
         else:
             tables().print(_table(summary))
     if not arguments.json:
-        console.print(f"page: {opened.folder / campaigns.PAGE}", soft_wrap=True)
+        console.print(page, soft_wrap=True)
     if flown < opened.flights:
         return EXIT_INTERRUPTED
     return 1 if summary.errors or summary.unexplained_modes else 0

@@ -3,44 +3,37 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
 from dart_flight.lab.inspect.impacts import InspectedFlight
 from dart_flight.lab.inspect.specific_thrust import SpecificThrust
 from dart_flight.lab.report.figures.forces import force_over_flight
-from dart_flight.lab.report.markup import figure_block, page, section, table
+from dart_flight.lab.report.render import PageTable, picture, render
 
 
 def inspection_page(flights: Sequence[InspectedFlight]) -> str:
     """The page of some logs: force over the flight, impacts, what is unknown."""
-    parts = [section(flight.log, _flight(flight)) for flight in flights]
     impacts = sum(i.kind == "impact" for flight in flights for i in flight.impacts)
-    return page(f"{_counted(len(flights), 'flight')} felt, {_counted(impacts, 'impact')}", parts)
+    title = f"{_counted(len(flights), 'flight')} felt, {_counted(impacts, 'impact')}"
+    return render("inspection.html", title, flights=[_flight(flight) for flight in flights])
 
 
 def _counted(count: int, what: str) -> str:
     return f"{count} {what}" + ("" if count == 1 else "s")
 
 
-def _flight(flight: InspectedFlight) -> str:
-    body = ""
-    series = flight.series
+def _flight(flight: InspectedFlight) -> dict[str, Any]:
+    series, thrust, force = flight.series, flight.thrust, None
     if series is not None and len(series.time_s):
-        force = np.hypot(series.force_m_s2[:, 0], series.force_m_s2[:, 1])
-        figure = force_over_flight(
-            series.time_s, force, series.threshold_m_s2, [i.t_s for i in flight.impacts]
-        )
-        body += figure_block(
-            (figure, "Horizontal force over mass, and the threshold in force. Vertical: impacts.")
-        )
+        size = np.hypot(series.force_m_s2[:, 0], series.force_m_s2[:, 1])
+        impacts_s = [i.t_s for i in flight.impacts]
+        force = picture(force_over_flight(series.time_s, size, series.threshold_m_s2, impacts_s))
     rows = [
         (i.t_s, i.acceleration_m_s2, i.acceleration_sd_m_s2, i.force_n, i.direction_deg, i.speed_m_s, i.kind)
         for i in flight.impacts
     ]
-    heads = ("at s", "peak m/s²", "± m/s²", "peak N", "direction °", "speed before m/s", "")
-    body += table(heads, rows) if rows else f"<p>{flight.nothing_found}.</p>"
-    thrust = flight.thrust
     facts: list[tuple[str, str]] = [
         ("PX4", flight.px4_version or "unknown"),
         ("in the air", f"{flight.flight_s:.0f} s of {flight.duration_s:.0f} s"),
@@ -51,7 +44,14 @@ def _flight(flight: InspectedFlight) -> str:
         ("reliably detected, flexible", f"{flight.floor_flexible_m_s2:.1f} m/s²"),
         *(("unknown", what) for what in flight.unknown),
     ]
-    return body + table(("", ""), facts)
+    heads = ("at s", "peak m/s²", "± m/s²", "peak N", "direction °", "speed before m/s", "")
+    return {
+        "log": flight.log,
+        "force": force,
+        "impacts": PageTable(heads, rows),
+        "nothing_found": flight.nothing_found,
+        "facts": PageTable(("", ""), facts),
+    }
 
 
 def _curve(thrust: SpecificThrust) -> str:

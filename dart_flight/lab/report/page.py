@@ -1,4 +1,4 @@
-"""The report as one self-contained HTML file: nothing is loaded from anywhere.
+"""The page of one flight, and of several flights of one mission: what the templates of this folder print.
 
 A page of one flight has a script, which plays the flight from numbers in the page; without scripts it lacks
 the animation and nothing else.
@@ -6,8 +6,7 @@ the animation and nothing else.
 
 from __future__ import annotations
 
-import html
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from statistics import fmean, stdev
 from typing import Any
 
@@ -23,24 +22,14 @@ from dart_flight.base.records import (
     WallEstimate,
     World,
 )
-from dart_flight.config.document import InputError
+from dart_flight.config.document import InputError, dotted, leaves_of
 from dart_flight.lab.holes import describe_missing_parts
 from dart_flight.lab.report.figures import forces, motion
 from dart_flight.lab.report.figures import lock_timeline as lock
 from dart_flight.lab.report.figures.flight_map import flight_map
-from dart_flight.lab.report.markup import (
-    Cell,
-    Number,
-    Row,
-    details,
-    figure_block,
-    page,
-    section,
-    signed,
-    table,
-)
-from dart_flight.lab.report.player import animation_html, script
+from dart_flight.lab.report.player import player_data
 from dart_flight.lab.report.recorded_flight import Impact, RecordedFlight, percentile
+from dart_flight.lab.report.render import Cell, Number, PageTable, Row, asset, picture, render, signed
 from dart_flight.lab.statistics import mean_half_width
 from dart_flight.recording.plan_versus_flight import format_departures
 from dart_flight.recording.verdict import Verdict
@@ -49,80 +38,62 @@ from dart_flight.recording.verdict import Verdict
 # spread; its measured velocity, on which the prediction stands, is off by up to 4 %.
 AGREES, _ALONE = 0.05, 0.1
 _MAIN_ROWS = ("normal velocity", "peak normal force", "contact time")
+_PLAN_HEADS = ["", "planned", "flown", "tolerance", "within"]
 
 
 def flight_page(flight: RecordedFlight) -> str:
     """The page of one flight: what became of it and where, then how, then everything."""
-    v = flight.verdict
-    animation = animation_html(flight)
-    parts = [
-        _verdict(flight),
-        figure_block((flight_map([flight]), _map_words(flight)), wide=True),
-        animation,
+    v, mission, course = flight.verdict, flight.mission, flight.course
+    animation = player_data(flight)
+    planned: list[Row] = [
+        [d.what, d.planned, d.flown, d.tolerance, "yes" if d.within else "no"] for d in v.deviations
     ]
-    if flight.mission.collisions:
-        parts += [
-            section("Predicted against measured", _impact_table(flight)),
-            section("Plan versus flight", _plan_tables(flight)),
-        ]
-    if flight.impacts:
-        pictures = (
-            (
-                forces.impact_forces(flight, impact),
-                f"{impact.title}. Predicted: contact law at the measured velocity. Vertical: up.",
-            )
-            for impact in flight.impacts
-        )
-        parts.append(section("Force of each impact", figure_block(*pictures)))
-    parts += [
-        section(
-            "Motion",
-            figure_block(
-                (motion.motion(flight), "Velocities and height. Vertical lines: impacts detected."),
-                (motion.attitude(flight), "Attitude in the mission frame."),
-                (
-                    motion.tracking_error(flight),
-                    "Distance from the active setpoint. After an impact it is large on purpose: "
-                    "the recovery setpoint lies far away.",
-                ),
-                (
-                    motion.thrust_and_battery(flight),
-                    "Thrust by the calibrated curve, commands to the motors, battery.",
-                ),
-            ),
+    return render(
+        "flight.html",
+        f"{v.mission}, {_world(v)}: {v.outcome}",
+        script=asset("player.js") if animation else "",
+        has={
+            "walls": bool(mission.walls),
+            "collisions": bool(mission.collisions),
+            "lock": mission.vehicle.has_lock,
+            "recovery": mission.recovers_to_goal,
+            "no_messages": flight.log.world is World.FAST,
+        },
+        missing=_missing_parts([(flight, "The log")]),
+        sentence=outcome_sentence(flight),
+        reason=v.reason,
+        hits=_hits_table(flight),
+        shown=_tiles(v),
+        facts=_facts(flight),
+        map=picture(flight_map([flight])),
+        animation=animation,
+        compared=_compared_table(flight, _MAIN_ROWS),
+        compared_all=_compared_table(flight),
+        plan_followed=v.plan_followed,
+        outside=PageTable(_PLAN_HEADS, [row for row in planned if row[-1] == "no"]),
+        planned=PageTable(_PLAN_HEADS, planned),
+        felt=PageTable(_FELT_HEADS, [_felt_row(flight, felt) for felt in course.all(WallEstimate)]),
+        replanned=PageTable(_REPLANNED_HEADS, [_replanned_row(flight, *one) for one in flight.replanned()]),
+        impacts=[(one.title, picture(forces.impact_forces(flight, one))) for one in flight.impacts],
+        motion=picture(motion.motion(flight)),
+        attitude=picture(motion.attitude(flight)),
+        tracking=picture(motion.tracking_error(flight)),
+        thrust=picture(motion.thrust_and_battery(flight)),
+        timeline=picture(lock.timeline(flight)),
+        lock=_lock_table(flight),
+        timing=_timing_table(flight),
+        guard=PageTable(
+            ["s", "rule", "action", "detail"],
+            [[course.time_of(g.t_us), g.rule, g.action, g.detail] for g in v.guard],
         ),
-        section(
-            "Lock and timing" if flight.mission.vehicle.has_lock else "Phases and timing",
-            figure_block((lock.timeline(flight), _timeline_words(flight)))
-            + _lock_table(flight)
-            + details("Timing", _timing_table(flight)),
+        noise=_noise_table(flight),
+        phases=PageTable(
+            ["s", "from", "to", "because"],
+            [[course.time_of(c.t_us), c.before, c.after, c.reason] for c in course.all(PhaseChange)],
         ),
-        section("Guard and decisions", _guard_table(flight) + _noise_table(flight) + _phase_table(flight)),
-    ]
-    if flight.mission.collisions:
-        parts.append(section("Contact coefficients", _coefficients([flight])))
-    parts.append(_parameters(flight))
-    return page(f"{v.mission}, {_world(v)}: {v.outcome}", parts, script() if animation else "")
-
-
-def _map_words(flight: RecordedFlight) -> str:
-    words = ["From above, mission frame."]
-    if flight.mission.walls:
-        words.append(
-            "Hatched: walls, from their surface back; dashed: where the vehicle's centre is at first touch."
-        )
-    if flight.mission.collisions:
-        arms = ", arms heavy where the lock was rigid, thin where flexible"
-        to_scale = f"the vehicle to scale{arms if flight.mission.vehicle.has_lock else ''}"
-        words.append(f"At each hit, with its number and peak force: {to_scale}.")
-    if flight.mission.recovers_to_goal:
-        words.append("Planned: until the closest to the goal.")
-    return " ".join(words)
-
-
-def _timeline_words(flight: RecordedFlight) -> str:
-    lock = ", permission to lock, state of the lock" if flight.mission.vehicle.has_lock else ""
-    return f"Phases, contact{lock}."
+        materials=_coefficients([flight]),
+        used=_parameters(flight),
+    )
 
 
 def comparison_page(flights: Sequence[RecordedFlight]) -> str:
@@ -135,30 +106,19 @@ def comparison_page(flights: Sequence[RecordedFlight]) -> str:
     _check_same_mission(flights)
     done = sum(f.verdict.outcome == "completed" for f in flights)
     worlds = ", ".join(dict.fromkeys(_world(f.verdict) for f in flights))
-    title = f"{flights[0].verdict.mission}, {worlds}: {done} of {len(flights)} completed"
     indices = sorted({i.verdict.index for f in flights for i in f.impacts})
-    force_figures = [
-        (forces.impact_forces_over_trials(flights, index), f"Collision {index}, every trial.")
-        for index in indices
-    ]
-    parts = [
-        section("Flights", "".join(_missing_parts(f, f.name) for f in flights) + _flights_table(flights)),
-        section(
-            "Paths and forces",
-            figure_block(
-                (
-                    flight_map(flights),
-                    "All paths from above, mission frame. Planned: to the closest approach to the goal.",
-                ),
-                (forces.errors_over_trials(flights), "Errors of the peak force."),
-                *force_figures,
-            ),
-        ),
-        section("Over all trials", _statistics(flights, indices)),
-        section("Contact coefficients", _coefficients(flights)),
-        _parameters(flights[0], flights[1:]),
-    ]
-    return page(title, parts)
+    return render(
+        "comparison.html",
+        f"{flights[0].verdict.mission}, {worlds}: {done} of {len(flights)} completed",
+        missing=_missing_parts([(flight, flight.name) for flight in flights]),
+        flights=_flights_table(flights),
+        map=picture(flight_map(flights)),
+        errors=picture(forces.errors_over_trials(flights)),
+        forces=[(i, picture(forces.impact_forces_over_trials(flights, i))) for i in indices],
+        statistics=_statistics(flights, indices),
+        materials=_coefficients(flights),
+        used=_parameters(flights[0], flights[1:]),
+    )
 
 
 def _check_same_mission(flights: Sequence[RecordedFlight]) -> None:
@@ -184,22 +144,14 @@ def _first_difference(first: RecordedFlight, other: RecordedFlight) -> str:
     """Return the first key that differs between two missions of one name, as text, or an empty string."""
     if first.verdict.mission != other.verdict.mission:
         return ""
-    there, here = (dict(_leaves(flight.mission.to_dict())) for flight in (first, other))
+    there, here = (
+        {dotted(key): value for key, value in leaves_of(flight.mission.to_dict(), in_lists=True)}
+        for flight in (first, other)
+    )
     for key in there | here:
         if not key.startswith("vehicle") and there.get(key) != here.get(key):
             return f" of the same name, {key} is {here.get(key)} and not {there.get(key)}"
     return ""
-
-
-def _leaves(tree: Any, key: str = "") -> Iterator[tuple[str, Any]]:
-    if isinstance(tree, dict):
-        for name, value in tree.items():
-            yield from _leaves(value, f"{key}.{name}" if key else name)
-    elif isinstance(tree, list | tuple):
-        for i, value in enumerate(tree):
-            yield from _leaves(value, f"{key}[{i}]")
-    else:
-        yield key, tree
 
 
 # --- parts ---------------------------------------------------------------------------------------------
@@ -211,9 +163,24 @@ def _vehicle(v: Verdict) -> str:
     return f"{v.vehicle.source or 'as the log says'}{packaged}, {v.vehicle.mass_kg:g} kg"
 
 
-def _verdict(flight: RecordedFlight) -> str:
+def _tiles(v: Verdict) -> list[tuple[str, str]]:
+    figures = [
+        ("goal missed by", v.goal_miss_m, "m", 2),
+        ("final error", v.final_error_m, "m", 3),
+        ("largest tilt", v.max_tilt_deg, "°", 1),
+        ("flight time", v.flight_time_s, "s", 1),
+        ("EKF error", v.ekf_error_m, "m", 3),
+    ]
+    return [(f"{one:.{digits}f} {unit}", name) for name, one, unit, digits in figures if one is not None]
+
+
+def _facts(flight: RecordedFlight) -> list[tuple[str, str]]:
+    """Where the flight comes from, and whether the replay decides the same."""
     v, about, replayed = flight.verdict, flight.log.about, flight.replay
-    facts = [
+    equal = f"all {replayed.outputs} outputs equal"
+    if not replayed.equal:
+        equal = f"{len(replayed.differences)} of {replayed.outputs} outputs differ"
+    return [
         ("world", _world(v) + (f", seed {v.seed}" if v.seed is not None else "")),
         ("vehicle", _vehicle(v)),
         ("started", about.get("started_utc", "?")),
@@ -221,43 +188,14 @@ def _verdict(flight: RecordedFlight) -> str:
         ("log", flight.log.source + ("" if flight.log.complete else " (cut: not all of the flight is here)")),
         ("PX4's own log", v.px4_log or _where_px4_log(flight)),
         ("records lost", flight.log.end.get("lost", "unknown: the log was cut")),
-        (
-            "replayed",
-            (
-                f"all {replayed.outputs} outputs equal"
-                if replayed.equal
-                else f"{len(replayed.differences)} of {replayed.outputs} outputs differ"
-            )
-            + (f"; {replayed.note}" if replayed.note else ""),
-        ),
+        ("replayed", equal + (f"; {replayed.note}" if replayed.note else "")),
     ]
-    figures_ = [
-        ("goal missed by", v.goal_miss_m, "m", 2),
-        ("final error", v.final_error_m, "m", 3),
-        ("largest tilt", v.max_tilt_deg, "°", 1),
-        ("flight time", v.flight_time_s, "s", 1),
-        ("EKF error", v.ekf_error_m, "m", 3),
-    ]
-    tiles = "".join(
-        f"<div class=tile><b>{value:.{digits}f} {unit}</b><span>{name}</span></div>"
-        for name, value, unit, digits in figures_
-        if value is not None
-    )
-    listed = "".join(f"<dt>{k}</dt><dd>{html.escape(t)}</dd>" for k, t in facts)
-    reason = f"<p class=reason>{html.escape(v.reason)}</p>" if v.reason else ""
-    return (
-        f"<section>{_missing_parts(flight)}<p class=sentence>{html.escape(outcome_sentence(flight))}</p>"
-        f"{reason}{_hits_table(flight)}"
-        f"<div class=tiles>{tiles}</div>{details('Source', f'<dl>{listed}</dl>')}</section>"
-    )
 
 
-def _missing_parts(flight: RecordedFlight, name: str = "The log") -> str:
-    """Return the line at the top of the page on a log that was cut or has holes."""
-    lines = "; ".join(describe_missing_parts(flight.log))
-    if not lines:
-        return ""
-    return f"<p class=note>{html.escape(name)} does not hold the whole flight: {html.escape(lines)}.</p>"
+def _missing_parts(named: Iterable[tuple[RecordedFlight, str]]) -> list[tuple[str, str]]:
+    """Return names of the logs that were cut or have holes, and what each of them lacks."""
+    lines = [(name, "; ".join(describe_missing_parts(flight.log))) for flight, name in named]
+    return [one for one in lines if one[1]]
 
 
 def outcome_sentence(flight: RecordedFlight) -> str:
@@ -286,16 +224,12 @@ def outcome_sentence(flight: RecordedFlight) -> str:
     return f"{words}. {plan}" + (f": {where}." if where else ".")
 
 
-def _hits_table(flight: RecordedFlight) -> str:
-    if not flight.mission.collisions:
-        return ""
-    if not flight.impacts:
-        return "<p>No planned wall was hit.</p>"
+def _hits_table(flight: RecordedFlight) -> PageTable:
     heads = ["hit", "at, s", "wall", "mode", "normal, m/s", "along, m/s", "peak, N", "error %"]
-    return table(heads, [_hit_row(flight, impact) for impact in flight.impacts])
+    return PageTable(heads, [_hit_row(impact) for impact in flight.impacts])
 
 
-def _hit_row(flight: RecordedFlight, impact: Impact) -> Row:
+def _hit_row(impact: Impact) -> Row:
     v = impact.verdict
     peak = next(c for c in impact.compared if c.name == "peak normal force")
     felt = f", felt {v.mode_felt}" if v.mode_felt not in (None, v.mode) else ""
@@ -313,54 +247,17 @@ def _where_px4_log(flight: RecordedFlight) -> str:
     return "not beside the log" + (f"; armed at {armed}" if armed else "")
 
 
-def _impact_table(flight: RecordedFlight) -> str:
-    if not flight.impacts:
-        return "<p>No planned wall was hit.</p>"
-    heads = ["", "planned", "predicted", "measured", "true", "error %"]
-    note = (
-        "<p class=note>Planned: the mission, and for later collisions the planner's flight model. Predicted: "
-        "the contact law at the measured velocity. Measured: by the flight core; velocities by PX4's "
-        "estimate, those out when the force was gone. True: the simulated vehicle. Error: of the measured "
-        "value, against the true one where there is one, else the predicted or planned.</p>"
-    )
-    main = table(heads, list(_compared_rows(flight, _MAIN_ROWS)))
-    return main + details("All rows", table(heads, list(_compared_rows(flight)))) + note
-
-
-def _compared_rows(flight: RecordedFlight, names: Sequence[str] = ()) -> Iterable[Row]:
+def _compared_table(flight: RecordedFlight, names: Sequence[str] = ()) -> PageTable:
     """The rows of every collision, or those of some names."""
+    rows: list[Row] = []
     for impact in flight.impacts:
-        yield impact.title + (", clipped: lower bounds" if impact.verdict.clipped else "")
-        for c in impact.compared:
-            if not names or c.name in names:
-                yield [
-                    f"{c.name}, {c.unit}", c.planned, c.predicted, c.measured, c.true,
-                    signed(c.error_percent),
-                ]  # fmt: skip
-
-
-def _plan_tables(flight: RecordedFlight) -> str:
-    """Planned against flown, what contacts taught of the walls, and what was planned in flight."""
-    v = flight.verdict
-    if v.plan_followed is None:
-        return "<p>Nothing was planned.</p>"
-    rows: list[Row] = [
-        [d.what, d.planned, d.flown, d.tolerance, "yes" if d.within else "no"] for d in v.deviations
-    ]
-    text = "<p>The plan was followed.</p>" if v.plan_followed else "<p>The plan was not followed.</p>"
-    heads = ["", "planned", "flown", "tolerance", "within"]
-    outside = [row for row, d in zip(rows, v.deviations, strict=True) if not d.within]
-    text += (table(heads, outside) if outside else "") + details("All planned quantities", table(heads, rows))
-    felt = flight.course.all(WallEstimate)
-    if felt:
-        text += "<h3>Wall estimates</h3>" + table(_FELT_HEADS, [_felt_row(flight, f) for f in felt])
-    replanned = flight.replanned()
-    if replanned:
-        rows = [_replanned_row(flight, *one) for one in replanned]
-        text += "<h3>Trajectories planned in flight</h3>" + table(
-            ["at, s", "to", "planning time, ms", "impact, m/s", "along, m/s", "peak, N", "flown"], rows
-        )
-    return text
+        rows.append(impact.title + (", clipped: lower bounds" if impact.verdict.clipped else ""))
+        rows += [
+            [f"{c.name}, {c.unit}", c.planned, c.predicted, c.measured, c.true, signed(c.error_percent)]
+            for c in impact.compared
+            if not names or c.name in names
+        ]
+    return PageTable(["", "planned", "predicted", "measured", "true", "error %"], rows)
 
 
 _FELT_HEADS = ["wall", "mode reported", "felt", "k, N/m", "before", "f, N s/m", "before", "mu, s/m", "before"]
@@ -384,6 +281,9 @@ def _felt_row(flight: RecordedFlight, felt: WallEstimate) -> Row:
     return cells
 
 
+_REPLANNED_HEADS = ["at, s", "to", "planning time, ms", "impact, m/s", "along, m/s", "peak, N", "flown"]
+
+
 def _replanned_row(
     flight: RecordedFlight, request: PlanRequest, answer: PlanAnswer | None, taken: PlanTaken | None
 ) -> Row:
@@ -396,25 +296,18 @@ def _replanned_row(
     return [at, to, after, answer.normal_m_s, answer.tangential_m_s, answer.peak_force_n, flown]
 
 
-def _lock_table(flight: RecordedFlight) -> str:
+def _lock_table(flight: RecordedFlight) -> PageTable:
     rows: list[Row] = []
     for impact in flight.impacts:
         times = impact.verdict.lock
-        end = None if times is None else times.contact_end_us
-        if times is None or end is None:
+        if times is None or times.contact_end_us is None:
             continue
-
-        def after(t_us: int | None, end: int = end) -> float | None:
-            return (t_us - end) * 1e-3 if t_us is not None else None
-
-        rows.append(
-            [impact.title, after(times.relaxed_us), after(times.commanded_us), after(times.settled_us)]
-        )
-    heads = ["after the contact's end, ms", "arms relaxed", "commanded", "settled"]
-    return table(heads, rows) if rows else ""
+        end_us, moments = times.contact_end_us, (times.relaxed_us, times.commanded_us, times.settled_us)
+        rows.append([impact.title, *(None if t is None else (t - end_us) * 1e-3 for t in moments)])
+    return PageTable(["after the contact's end, ms", "arms relaxed", "commanded", "settled"], rows)
 
 
-def _timing_table(flight: RecordedFlight) -> str:
+def _timing_table(flight: RecordedFlight) -> PageTable:
     t = flight.timing
     rows: list[Row] = [
         [name, *(percentile(values, share) for share in (50, 99, 100))]
@@ -426,22 +319,10 @@ def _timing_table(flight: RecordedFlight) -> str:
     ]
     for v in flight.verdict.collisions:
         rows.append([f"collision {v.index}: contact to detection", v.detection_latency_ms, None, None])
-    note = "<p class=note>From detection to recovery the core sends no setpoint; PX4 holds the last one.</p>"
-    if flight.log.world is World.FAST:
-        note += "<p class=note>Simulated in one process: messages take no time.</p>"
-    return table(["ms", "median", "99 %", "most"], rows) + note
+    return PageTable(["ms", "median", "99 %", "most"], rows)
 
 
-def _guard_table(flight: RecordedFlight) -> str:
-    if not flight.verdict.guard:
-        return "<p>No guard rule fired.</p>"
-    rows: list[Row] = [
-        [flight.course.time_of(g.t_us), g.rule, g.action, g.detail] for g in flight.verdict.guard
-    ]
-    return table(["s", "rule", "action", "detail"], rows)
-
-
-def _noise_table(flight: RecordedFlight) -> str:
+def _noise_table(flight: RecordedFlight) -> PageTable:
     """What could be felt as each approach began; empty for flights from before that was recorded."""
     time_of = flight.course.time_of
     rows: list[Row] = [
@@ -450,14 +331,7 @@ def _noise_table(flight: RecordedFlight) -> str:
     ]
     noise = ["noise, short mean N", "long mean N"]
     heads = ["s", "threshold N", *noise, "detection limit rigid, N", "detection limit flexible, N"]
-    return table(heads, rows) if rows else ""
-
-
-def _phase_table(flight: RecordedFlight) -> str:
-    rows: list[Row] = [
-        [flight.course.time_of(c.t_us), c.before, c.after, c.reason] for c in flight.course.all(PhaseChange)
-    ]
-    return details("Phases", table(["s", "from", "to", "because"], rows))
+    return PageTable(heads, rows)
 
 
 def disagreements(flights: Sequence[RecordedFlight]) -> dict[str, dict[str, tuple[float, float]]]:
@@ -492,51 +366,31 @@ def beyond(disagreement: dict[str, tuple[float, float]]) -> bool:
     return any(abs(mean) > max(half, AGREES) for mean, half in disagreement.values())
 
 
-def _coefficients(flights: Sequence[RecordedFlight]) -> str:
-    parts = []
-    for material, disagreement in disagreements(flights).items():
-        parts.append(f"<h3>{html.escape(material)}</h3>")
-        for force, (mean, half) in disagreement.items():
-            parts.append(
-                f"<p>{force} force: the measured peak is {100 * mean:+.1f} % off the predicted one "
-                f"(± {100 * half:.1f} %).</p>"
-            )
-        if beyond(disagreement):
-            command = html.escape(f"dart-flight identify LOG... --surface {material} -o {material}.yaml")
-            parts.append(
-                "<p>Prediction and measurement disagree. What these flights say of the coefficients:</p>"
-                f"<pre>{command}</pre>"
-            )
-        else:
-            agree = "Prediction and measurement agree." if disagreement else "No peak force to compare."
-            parts.append(f"<p class=note>{agree}</p>")
-    return "".join(parts) or "<p>No impact to identify coefficients from.</p>"
+def _coefficients(flights: Sequence[RecordedFlight]) -> list[dict[str, Any]]:
+    return [
+        {
+            "material": material,
+            "forces": [(force, 100 * mean, 100 * half) for force, (mean, half) in disagreement.items()],
+            "disagrees": beyond(disagreement),
+        }
+        for material, disagreement in disagreements(flights).items()
+    ]
 
 
-def _parameters(flight: RecordedFlight, others: Sequence[RecordedFlight] = ()) -> str:
+def _parameters(flight: RecordedFlight, others: Sequence[RecordedFlight] = ()) -> dict[str, str]:
     about = flight.log.about
-    different = [f.name for f in others if f.mission.vehicle != flight.mission.vehicle]
-    note = (
-        f"<p class=note>Of {html.escape(flight.name)}. Flown with another vehicle configuration: "
-        f"{html.escape(', '.join(different))}.</p>"
-        if different
-        else ""
-    )
-    vehicle = msgspec.json.format(about.get("vehicle", "{}"), indent=2)
-    return section(
-        "Parameters used",
-        note
-        + details(
-            "Mission as written", f"<pre>{html.escape(about.get('mission_text', 'not in the log'))}</pre>"
-        )
-        + details("Vehicle configuration as flown", f"<pre>{html.escape(vehicle)}</pre>"),
-    )
+    return {
+        "name": flight.name,
+        "different": ", ".join(f.name for f in others if f.mission.vehicle != flight.mission.vehicle),
+        "mission": about.get("mission_text", "not in the log"),
+        "vehicle": msgspec.json.format(about.get("vehicle", "{}"), indent=2),
+    }
 
 
 # --- several flights -----------------------------------------------------------------------------------
 
 
-def _flights_table(flights: Sequence[RecordedFlight]) -> str:
+def _flights_table(flights: Sequence[RecordedFlight]) -> PageTable:
     rows: list[Row] = []
     for f in flights:
         v = f.verdict
@@ -546,10 +400,10 @@ def _flights_table(flights: Sequence[RecordedFlight]) -> str:
              "equal" if f.replay.equal else f"{len(f.replay.differences)} differ"]
         )  # fmt: skip
     heads = ["flight", "outcome", "impacts", "goal miss m", "final error m", "tilt °", "replay"]
-    return table(heads, rows)
+    return PageTable(heads, rows)
 
 
-def _statistics(flights: Sequence[RecordedFlight], indices: list[int]) -> str:
+def _statistics(flights: Sequence[RecordedFlight], indices: list[int]) -> PageTable:
     rows: list[Row] = [
         _spread("goal miss, m", (f.verdict.goal_miss_m for f in flights)),
         _spread("final error, m", (f.verdict.final_error_m for f in flights)),
@@ -570,8 +424,7 @@ def _statistics(flights: Sequence[RecordedFlight], indices: list[int]) -> str:
             _spread("peak against true, %", (_percent(i.verdict.force_error) for i in hits)),
             _spread("detected after, ms", (i.verdict.detection_latency_ms for i in hits)),
         ]
-    note = "<p class=note>± 95 %: half width of the interval of the mean, by Student's t.</p>"
-    return table(["", "n", "mean", "± 95 %", "sd", "least", "most"], rows) + note
+    return PageTable(["", "n", "mean", "± 95 %", "sd", "least", "most"], rows)
 
 
 def _percent(share: float | None) -> float | None:

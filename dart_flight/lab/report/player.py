@@ -1,4 +1,4 @@
-"""The animation of a flight in its page: what is drawn, as numbers, and what draws it (`player.js`).
+"""The animation of a flight in its page: the numbers that `player.js` draws.
 
 Everything is in the page. A reader without scripts sees the map instead; nothing moves until it is asked for.
 """
@@ -7,10 +7,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from importlib import resources
 from typing import Any
 
-import msgspec
 import numpy as np
 
 from dart_flight.base.geometry import Vec2
@@ -33,31 +31,6 @@ _FINE_BEFORE_S, _FINE_AFTER_S = 0.2, 0.5
 _FORCE_BEFORE_S, _FORCE_AFTER_S = 0.1, 0.35  # every sample is kept there
 _FORCE_STEP_S = 0.05
 _PLANNED_STEP_M = 0.03
-DATA_ID = "flight-data"
-
-
-def animation_html(flight: RecordedFlight) -> str:
-    """The animation as HTML, "" of a flight that never was in the air.
-
-    The element is hidden until the page's script shows it (`script`).
-    """
-    data = player_data(flight)
-    if data is None:
-        return ""
-    # A name could hold the end of the element: JSON has another way to write these letters.
-    text = msgspec.json.encode(data).decode()
-    for letter in "<>&\u2028\u2029":
-        text = text.replace(letter, f"\\u{ord(letter):04x}")
-    return (
-        '<section class=player id=player hidden aria-label="Animation of the flight">'
-        "<h2>Flight animation</h2></section>"
-        f'<script type="application/json" id="{DATA_ID}">{text}</script>'
-    )
-
-
-def script() -> str:
-    """The program that plays, the same for every page."""
-    return resources.files("dart_flight.lab.report").joinpath("player.js").read_text(encoding="utf-8")
 
 
 def player_data(flight: RecordedFlight) -> dict[str, Any] | None:

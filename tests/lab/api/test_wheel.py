@@ -94,6 +94,8 @@ def run(python: Path, folder: Path, *words: str) -> str:
 def test_the_wheel_says_that_it_has_types(wheel: Path) -> None:
     names = zipfile.ZipFile(wheel).namelist()
     assert "dart_flight/py.typed" in names
+    assert {f"dart_flight/lab/report/{name}" for name in ("page.css", "player.js")} < set(names)
+    assert "dart_flight/lab/report/templates/flight.html" in names
     assert not [name for name in names if name.startswith(("tests/", "tools/"))]
 
 

@@ -7,6 +7,7 @@ import json
 import os
 import re
 import shlex
+import shutil
 import signal
 import subprocess
 import sys
@@ -20,6 +21,7 @@ from dart_flight.cli import main
 from dart_flight.lab.campaign import campaign_folder as campaigns
 from dart_flight.lab.campaign.campaign_spec import CampaignSpec, Item
 from dart_flight.lab.campaign.flight_job import Flown, ItemFlyer
+from dart_flight.lab.report import render as rendering
 from dart_flight.run.fast import fly_fast
 from dart_flight.run.prepare import load_flyable
 from dart_flight.run.workers import Failure, FinishedItem, Interrupt
@@ -126,6 +128,18 @@ def test_the_page_is_one_file(flown: Path) -> None:
     for link in re.findall(r'<a href="([^"]+)"', page):
         assert (flown / link).exists()
     assert page.count("data:image/svg+xml") == 2
+
+
+def test_without_jinja2_a_campaign_has_its_table_and_says_what_the_page_needs(
+    flown: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shutil.copytree(flown, tmp_path / "out", ignore=shutil.ignore_patterns("index.html", "summary.json"))
+    monkeypatch.setattr(rendering, "_environment", rendering._environment.__wrapped__)
+    monkeypatch.setitem(sys.modules, "jinja2", None)
+    assert main(["campaign", "--resume", "--out", str(tmp_path / "out")]) == 0
+    assert "no page: a page needs jinja2" in capsys.readouterr().err
+    assert not (tmp_path / "out" / "index.html").exists()
+    assert json.loads((tmp_path / "out" / "summary.json").read_text())["flights"] == RUNS
 
 
 # --- going on -------------------------------------------------------------------------------------------
