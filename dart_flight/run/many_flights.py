@@ -80,7 +80,7 @@ def fly_fast_many(
     done: Callable[[Verdict], None],
     spreads: Mapping[str, float] | None = None,
 ) -> list[Verdict]:
-    """Many fast flights, spread over the processor's cores (`worlds.workers`), in the order of the seeds.
+    """Many fast flights, spread over the processor's cores (`run.workers`), in the order of the seeds.
 
     Raises:
         RunsInterruptedError: by Ctrl-C. The flights under way are flown to their end, no other is begun; a

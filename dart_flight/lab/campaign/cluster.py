@@ -46,7 +46,7 @@ def on_cluster(url: str) -> Engine:
 
 
 def _work(url: str, flyer: ItemFlyer, items: Iterable[Item], interrupt: Interrupt) -> Landings:
-    """Fly the items on the scheduler's workers, like `worlds.workers.work`.
+    """Fly the items on the scheduler's workers, like `run.workers.work`.
 
     Raises:
         FlightError: the scheduler does not answer or has no worker.
