@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import random
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 import msgspec
 
@@ -39,7 +39,7 @@ from dart_flight.base.records import (
 from dart_flight.base.walls import Wall
 from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import VehicleConfig
-from dart_flight.core.sense.detector import SURE_SIGMA, ExpectedContact, ImpactDetector, confirmed_force
+from dart_flight.core.sense.detector import ExpectedContact, ImpactDetector
 from dart_flight.core.sense.force import ForceEstimator
 from dart_flight.core.sense.state import FlightState
 from dart_flight.sim.noise import GaussianNoise
@@ -96,14 +96,6 @@ class Flown(msgspec.Struct):
     def peak_tangential(self, until_us: int) -> float:
         """Largest friction force up to a moment, signed: what can be known by then."""
         return max((f for t, f in self.friction if t <= until_us), key=abs, default=0.0)
-
-
-class Judged(msgspec.Struct):
-    """What estimator and detector made of it."""
-
-    onsets: list[ImpactOnset]
-    peak: ImpactPeak | None
-    statistic: float  # largest detection statistic: the threshold up to which it would be detected
 
 
 def fly_hit(vehicle: VehicleConfig, hit: Hit) -> Flown:
@@ -184,7 +176,6 @@ class Judge:
     Args:
         vehicle: what the core believes.
         planned: outward normal and material that the plan announces, or None.
-        shadow: also a detector that never detects, for the receiver operating curve.
     """
 
     def __init__(self, state: FlightState, vehicle: VehicleConfig, planned: tuple[Vec2, str] | None) -> None:
@@ -192,26 +183,14 @@ class Judge:
         self.estimator = ForceEstimator(vehicle)
         self.detector = ImpactDetector(vehicle)
         self.expected = ExpectedContact(True, *(planned or (None, None)))
-        blind = msgspec.structs.replace(vehicle.detection, force_threshold_n=1e9)
-        self._shadow = ImpactDetector(msgspec.structs.replace(vehicle, detection=blind))
-        self._last: tuple[Vec2, Vec2] = ((0.0, 0.0), (0.0, 0.0))
-        self.statistic = 0.0
 
     def take(self, imu: ImuSample) -> list[object]:
-        """An IMU sample; the detector's events. `statistic` is then the detection statistic of the sample."""
+        """An IMU sample; the detector's events."""
         if not self.state.take_imu(imu):
             return []
         estimate = self.estimator.estimate(imu, self.state, self.detector.in_contact)
         if estimate is None:
             return []
-        base = self._shadow.slow_force.value
-        size = math.hypot(estimate.force_mission[0] - base[0], estimate.force_mission[1] - base[1])
-        x, y = estimate.force_mission[0] - base[0], estimate.force_mission[1] - base[1]
-        detection = self.vehicle.detection
-        mean = math.hypot(*confirmed_force(x, y, self._last, estimate.noise_n, detection))
-        self.statistic = max(min(mean, size), size - SURE_SIGMA * estimate.noise_n)
-        self._last = ((x, y), self._last[0])
-        self._shadow.update(estimate, imu.received_us, self.state, ExpectedContact())
         return list(self.detector.update(estimate, imu.received_us, self.state, self.expected))
 
 
@@ -221,7 +200,7 @@ def judge_hit(
     flown: Flown,
     sigma: float,
     seed: int,
-) -> Judged:
+) -> tuple[list[ImpactOnset], ImpactPeak | None]:
     """Estimate a flown hit under IMU noise of `sigma` m/s2 a sample.
 
     Args:
@@ -241,7 +220,6 @@ def judge_hit(
     judge = Judge(state, vehicle, (flown.normal, flown.hit.material))
     onsets: list[ImpactOnset] = []
     peak: ImpactPeak | None = None
-    statistic = 0.0
     for i, tick in enumerate([*_hover(flown), *flown.ticks]):
         t = tick.t_us
         if i % 2 == 0:
@@ -253,9 +231,7 @@ def judge_hit(
                 onsets.append(event)
             elif isinstance(event, ImpactPeak) and peak is None:
                 peak = event
-        if t > _START_US:
-            statistic = max(statistic, judge.statistic)
-    return Judged(onsets, peak, statistic)
+    return onsets, peak
 
 
 def _hover(flown: Flown) -> list[Tick]:
@@ -314,60 +290,41 @@ def direction_error_deg(flown: Flown, peak: ImpactPeak) -> float:
     return math.degrees(math.acos(max(-1.0, min(1.0, along / size)))) if size > 0.0 else 0.0
 
 
-class Row(msgspec.Struct):
-    """One hit under one noise, in figures; errors are nan where nothing was detected."""
+class HitFigures(msgspec.Struct):
+    """One hit in figures; errors are nan where nothing was detected.
+
+    Attributes:
+        reached: the true force of a tick reached the threshold.
+        delay_samples: from that tick to the onset.
+        peak_error: relative.
+    """
 
     hit: Hit
-    sigma: float
     clipped: bool
-    reached: bool  # the true force of a tick reached the threshold
+    reached: bool
     onsets: int
     contacts: int
     delay_samples: int | None
-    peak_error: float  # relative
-    friction_error: float  # relative; nan where friction is below 3 N
+    peak_error: float
     direction_deg: float
     fitted: bool
-    statistic: float
-    raw_error: float  # of the largest tick mean without noise: what averaging and sampling take away
 
 
-def judge(mission: Mission, hit: Hit, sigmas: Sequence[float], seed: int) -> list[Row]:
-    """Fly one hit and estimate it under each noise."""
-    vehicle = mission.vehicle
-    flown = fly_hit(vehicle, hit)
-    rows = []
-    for sigma in sigmas:
-        judged = judge_hit(vehicle, FlightState(), flown, sigma, seed)
-        peak, nan = judged.peak, math.nan
-        delay = None
-        if judged.onsets and flown.cross_us is not None:
-            delay = (judged.onsets[0].t_us - flown.cross_us) // 4000
-        friction = abs(flown.peak_tangential(peak.detected_us)) if peak else 0.0
-        clean = max((t.contact_n[0] for t in flown.ticks), default=0.0)
-        rows.append(
-            Row(
-                hit=hit,
-                sigma=sigma,
-                clipped=peak.clipped if peak else False,
-                reached=flown.cross_us is not None,
-                onsets=len(judged.onsets),
-                contacts=flown.contacts,
-                delay_samples=delay,
-                peak_error=peak.normal_force_n / flown.peak_normal - 1.0 if peak else nan,
-                friction_error=abs(peak.tangential_force_n) / friction - 1.0
-                if peak and friction > 3.0
-                else nan,
-                direction_deg=direction_error_deg(flown, peak) if peak else nan,
-                fitted=peak.fitted if peak else False,
-                statistic=judged.statistic,
-                raw_error=clean / flown.peak_normal - 1.0 if flown.peak_normal > 0.0 else nan,
-            )
-        )
-    return rows
-
-
-def percentile(values: Sequence[float], share: float) -> float:
-    """The value below which a share of the finite ones lies; nan without any."""
-    ordered = sorted(v for v in values if math.isfinite(v))
-    return ordered[min(len(ordered) - 1, round(share * (len(ordered) - 1)))] if ordered else math.nan
+def figures_of(mission: Mission, hit: Hit, sigma: float, seed: int) -> HitFigures:
+    """Fly one hit and estimate it under a noise."""
+    flown = fly_hit(mission.vehicle, hit)
+    onsets, peak = judge_hit(mission.vehicle, FlightState(), flown, sigma, seed)
+    delay = None
+    if onsets and flown.cross_us is not None:
+        delay = (onsets[0].t_us - flown.cross_us) // TICK_US
+    return HitFigures(
+        hit=hit,
+        clipped=peak is not None and peak.clipped,
+        reached=flown.cross_us is not None,
+        onsets=len(onsets),
+        contacts=flown.contacts,
+        delay_samples=delay,
+        peak_error=peak.normal_force_n / flown.peak_normal - 1.0 if peak else math.nan,
+        direction_deg=direction_error_deg(flown, peak) if peak else math.nan,
+        fitted=peak is not None and peak.fitted,
+    )

@@ -7,6 +7,7 @@ import random
 import statistics
 
 import msgspec
+import numpy as np
 import pytest
 
 from dart_flight.base.geometry import (
@@ -42,7 +43,7 @@ from dart_flight.core.sense.senses import Senses
 from dart_flight.core.sense.state import FlightState
 from dart_flight.core.sense.thrust_model import LaggedCommands, ThrustModel
 from tests.core.conftest import HOVER, ROOT
-from tests.core.force_hits import grid, judge, percentile
+from tests.core.force_hits import figures_of, grid
 from tests.core.force_quiet import fly_quiet
 
 # The paper's law, which the detector's pulse is made for; a body's hits are in test_torque.
@@ -670,15 +671,15 @@ def test_the_wait_for_a_peak_is_bounded() -> None:
 
 def test_a_sample_of_the_grid_keeps_the_figures() -> None:
     hits = list(grid((0.3, 0.75, 2.0, 3.0), (45.0, 270.0), (0.0, 30.0)))
-    rows = [row for i, hit in enumerate(hits) for row in judge(MISSION, hit, (0.2,), i)]
+    rows = [figures_of(MISSION, hit, 0.2, i) for i, hit in enumerate(hits)]
     reached = [r for r in rows if r.reached]
     assert len(reached) >= 50
     assert all(r.onsets >= 1 for r in reached)
     assert all(r.onsets <= r.contacts for r in reached)
     assert all(r.delay_samples is not None and r.delay_samples <= 2 for r in reached)
     errors = [abs(r.peak_error) for r in reached if not r.clipped]
-    assert percentile(errors, 0.5) <= 0.01
-    assert percentile(errors, 0.95) <= 0.05
+    assert np.quantile(errors, 0.5) <= 0.01
+    assert np.quantile(errors, 0.95) <= 0.05
     assert max(r.direction_deg for r in reached) <= 5.0
     # No lean away means that every hit from 0.3 m/s on reaches the threshold.
     assert all(r.reached for r in rows if r.hit.lean != "away")
@@ -686,7 +687,7 @@ def test_a_sample_of_the_grid_keeps_the_figures() -> None:
 
 def test_a_clipped_hit_is_reconstructed_from_plant_to_peak() -> None:
     hits = [h for h in grid((3.5,), (0.0,), (0.0, 15.0), ("wood",)) if h.mode is Mode.RIGID]
-    rows = [row for i, hit in enumerate(hits) for row in judge(MISSION, hit, (0.2,), i)]
+    rows = [figures_of(MISSION, hit, 0.2, i) for i, hit in enumerate(hits)]
     assert all(r.clipped and r.fitted for r in rows)
     assert max(abs(r.peak_error) for r in rows) <= 0.05
 

@@ -39,7 +39,6 @@ NOT_RUN: list[tuple[str, str]] = [
     (r"--driver (maestro|pwm)", "needs the servo"),
     (r"^dart-flight lock calibrate", "asks at the keyboard"),
     (r"\.ulg", "needs a log of PX4's"),
-    (r"tools\.real_data", "needs recordings that are not in the repository"),
     (
         r"^python -m tools\.(bench|campaigns|synthetic_trials|lossy_proxy)",
         "takes minutes or waits",

@@ -258,6 +258,12 @@ def test_every_result_says_when_and_by_which_command(page: Path) -> None:
     )
 
 
+@pytest.mark.parametrize("page", RESULTS, ids=name_of)
+def test_every_result_is_short(page: Path) -> None:
+    """Date, command, table, what it means and what it cannot say: git has the rest."""
+    assert len(page.read_text(encoding="utf-8").split()) <= 400
+
+
 def test_every_page_that_is_named_exists() -> None:
     files = [path for folder in SOURCES for path in (ROOT / folder).rglob("*") if path.suffix in _TEXT]
     files = [path for path in files if ROOT / "tests" / "data" not in path.parents]  # as they were flown

@@ -8,13 +8,13 @@ import tempfile
 from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import msgspec
 
 from dart_flight.config.parameter_file import PositionSource
 from dart_flight.lab.campaign.campaign_spec import Point
 from dart_flight.lab.campaign.flight_job import JudgedRow
-from dart_flight.recording.flown_impact import CollisionVerdict
 from dart_flight.run.px4_flight import fly_px4
 from dart_flight.sim.px4.launch import ENVIRONMENT
 from tools.campaigns.results import markdown
@@ -44,8 +44,8 @@ class Px4Flight(msgspec.Struct, frozen=True):
     hits: list[Px4Hit]
 
 
-def hit_of(c: CollisionVerdict) -> Px4Hit:
-    """Return the figures of a collision."""
+def hit_of(c: Any) -> Px4Hit:
+    """Return the figures of a collision of a verdict."""
     normal_m_s, peak_n = (c.truth.normal_m_s, c.truth.peak_force_n) if c.truth else (None, None)
     measured_n = c.measured.peak_force_n
     ratio = measured_n / peak_n if peak_n and measured_n else None

@@ -1,25 +1,21 @@
 """PX4's own failsafes, terminations and estimator resets in flight: what the guard makes of each.
 
-    DART_PX4_DIR=... python -m tools.campaigns.px4_failsafes [--only NAME] [--phase PHASE]
-
-Each begins when the mission reaches a phase, by a second MAVLink link. `tools.campaigns.faults` judges what
-is uncontrolled. Rows that are flown again replace theirs on the page.
+Each (docs/results/px4_failsafes.md) begins when the mission reaches a phase, by a second MAVLink link.
 """
 
 from __future__ import annotations
 
-import argparse
 import math
 import re
 import socket
 import struct
-import sys
 import tempfile
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import msgspec
 from pymavlink.dialects.v20 import common as mavlink
 
 from dart_flight.base.geometry import yaw_ned_of
@@ -35,17 +31,19 @@ from dart_flight.base.records import (
 )
 from dart_flight.config.parameter_file import PositionSource
 from dart_flight.config.vehicle import packaged
+from dart_flight.lab.campaign.campaign_spec import Point
+from dart_flight.lab.campaign.flight_job import JudgedRow
 from dart_flight.recording.uncontrolled import TruthExtremes, find_uncontrolled
 from dart_flight.run.prepare import load_flyable
 from dart_flight.run.px4_flight import fly_px4
 from dart_flight.sim.px4.bridge import geodetic
-from tools.campaigns.results import RESULTS, measured_by
+from tools.campaigns.results import markdown
 
 PHASES = {Phase.TRANSIT: 0.3, Phase.APPROACH: 0.2, Phase.RECOVERY: 0.1}  # seconds after which it begins
 _PORT = 18570  # PX4's link to a ground station, of the first instance
 _INSTANCE = re.compile(r"PX4 instance (\d+)")
 _JUMP_M = 1.0
-_BEFORE, _TRIES = "before it", 4  # on a busy computer a flight may end for another reason before it begins
+_TRIES = 4  # on a busy computer a flight may end for another reason before it begins
 
 
 class Second:
@@ -121,16 +119,39 @@ ROWS = {
     "position reset 1 m": Row(Second.move, PositionSource.RTK, off_m=_JUMP_M),
     "motion capture off": Row(lambda s: s.set(EKF2_EV_CTRL=0)),
 }
-HEAD = "| disturbance | phase | rules, time after it, words | tilt ° | outside m | down m/s | |"
 
 
-def fly(name: str, phase: Phase, seed: int = 1) -> str:
-    """Fly one disturbance in one phase; returns its row."""
+class Disturbed(msgspec.Struct, frozen=True):
+    """One disturbed flight: rules, s after the disturbance (None: before it began), words; and the truth."""
+
+    rules: list[tuple[str, float | None, str]]
+    outcome: str
+    tilt_deg: float
+    outside_m: float
+    down_m_s: float | None
+    problems: list[str]
+
+
+def cases() -> list[dict[str, str]]:
+    """Return every disturbance in every phase."""
+    return [{"disturbance": name, "phase": phase.value} for name in ROWS for phase in PHASES]
+
+
+def fly(point: Point, seed: int) -> Disturbed:
+    """Fly until the disturbance began while nothing else had ended the flight, a few times at most."""
+    for _ in range(_TRIES):
+        flown = _fly_once(point.case["disturbance"], Phase(point.case["phase"]), seed)
+        if all(after_s is not None for _, after_s, _ in flown.rules):
+            return flown
+    return flown
+
+
+def _fly_once(name: str, phase: Phase, seed: int) -> Disturbed:
     row, second = ROWS[name], Second()
     gps = row.position_from is not PositionSource.MOCAP
     mission = load_flyable(packaged("missions", f"paper_{'single_wall' if gps else 'dual_collision'}.yaml"))
     truth, begun_us = TruthExtremes(mission.bounds), [0]
-    said: list[str] = []
+    rules: list[tuple[str, float | None, str]] = []
 
     def see(record: Record) -> None:
         if isinstance(record, TruthSample):
@@ -145,69 +166,52 @@ def fly(name: str, phase: Phase, seed: int = 1) -> str:
             begun_us[0] = record.t_us + round(PHASES[phase] * 1e6)
             threading.Timer(PHASES[phase], row.begin, (second,)).start()
         elif isinstance(record, GuardEvent):
-            late_s = f"{(record.t_us - begun_us[0]) * 1e-6:.2f} s" if begun_us[0] else _BEFORE
-            said.append(f"`{record.rule}` {late_s}: {record.detail}")
+            after_s = (record.t_us - begun_us[0]) * 1e-6 if begun_us[0] else None
+            rules.append((record.rule, after_s, record.detail))
 
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "row.params"
         file.write_text(f"1\t1\t{row.parameters}\n" if row.parameters else "")
         if row.parameters:
             threading.Thread(target=second.hold_sticks, daemon=True).start()
+        source, files = row.position_from, (file,)
         flown = fly_px4(
-            mission,
-            None,
-            seed,
-            Path(folder),
-            position_from=row.position_from,
-            parameter_files=(file,),
-            viewer=see,
+            mission, None, seed, Path(folder), position_from=source, parameter_files=files, viewer=see
         )
     second.sticks_lost.set()
     completed = flown.outcome is Outcome.COMPLETED
-    problems = list(find_uncontrolled(truth, completed, bool(said), 0.5 + row.off_m, row.falls))
-    down = "–" if row.falls else f"{truth.landing_m_s:.2f}"
-    figures = f"{math.degrees(truth.tilt_rad):.0f} | {truth.excursion_m:.2f} | {down}"
-    end = f"**uncontrolled: {'; '.join(problems)}**" if problems else "controlled"
-    return f"| {name} | {phase.value} | {'<br>'.join(said) or flown.outcome.value} | {figures} | {end} |"
+    problems = list(find_uncontrolled(truth, completed, bool(rules), 0.5 + row.off_m, row.falls))
+    down_m_s = None if row.falls else truth.landing_m_s
+    tilt_deg = math.degrees(truth.tilt_rad)
+    return Disturbed(rules, flown.outcome.value, tilt_deg, truth.excursion_m, down_m_s, problems)
 
 
-def main() -> int:
-    """Run it from the command line."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--only", choices=ROWS, nargs="*", default=list(ROWS))
-    parser.add_argument("--phase", choices=[p.value for p in PHASES], nargs="*", default=list(PHASES))
-    parser.add_argument("--page", type=Path, default=RESULTS / "px4_failsafes.md")
-    a = parser.parse_args()
-    keys = [f"| {name} | {phase.value} |" for name in ROWS for phase in PHASES]
-    lines = a.page.read_text().splitlines() if a.page.exists() else []
-    rows = {key: line for key in keys for line in lines if line.startswith(key)}
-    for name in a.only:
-        for phase in map(Phase, a.phase):
-            flown = next(
-                (row for row in (fly(name, phase) for _ in range(_TRIES)) if _BEFORE not in row), None
-            )
-            print(flown or f"| {name} | {phase.value} |: ended {_TRIES} times before it began", flush=True)
-            if flown is None:
-                continue
-            rows[f"| {name} | {phase.value} |"] = flown
-            table = "\n".join(rows[key] for key in keys if key in rows)
-            a.page.write_text(_PAGE.format(measured_by("tools.campaigns.px4_failsafes"), HEAD, table))
-    return 0
+def page(rows: Sequence[JudgedRow]) -> str:
+    """Return a row for every disturbance, with the time of each rule in each phase."""
+    groups: dict[str, list[Disturbed]] = {}
+    for r in rows:
+        groups.setdefault(r.values["disturbance"], []).append(r.row)
+    heads = (
+        "disturbance",
+        "rules, s after it",
+        "tilt up to °",
+        "outside up to m",
+        "down up to m/s",
+        "uncontrolled",
+    )
+    return markdown(heads, [[name, *_cells(mine)] for name, mine in groups.items()])
 
 
-_PAGE = """# PX4's failsafes in flight
-
-{}
-
-PX4 v1.18 (release/1.18 of 2026-08-08) SITL, seed 1. Geofence and position reset: RTK, single wall;
-all others: motion capture, the paper's dual collision. Each begins 0.1 to 0.3 s after the phase.
-Times are the vehicle's. Tilt, distance outside of the bounds and speed at the ground are true. After a
-termination PX4 SITL ends its link to the simulator: how the vehicle falls is not seen there.
-
-{}
-|---|---|---|---|---|---|---|
-{}
-"""
-
-if __name__ == "__main__":
-    sys.exit(main())
+def _cells(mine: Sequence[Disturbed]) -> list[str]:
+    times: dict[str, list[str]] = {}
+    for flown in mine:
+        for rule, after_s, _ in flown.rules:
+            times.setdefault(rule, []).append("before" if after_s is None else f"{after_s:.2f}")
+    down = [flown.down_m_s for flown in mine if flown.down_m_s is not None]
+    return [
+        "<br>".join(f"`{rule}` {', '.join(seconds)}" for rule, seconds in times.items()) or "none",
+        f"{max(flown.tilt_deg for flown in mine):.0f}",
+        f"{max(flown.outside_m for flown in mine):.2f}",
+        f"{max(down):.2f}" if down else "-",
+        "; ".join(problem for flown in mine for problem in flown.problems) or "no",
+    ]

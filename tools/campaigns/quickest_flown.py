@@ -1,35 +1,25 @@
-"""Twelve scenarios of the objective `quickest`: does what `plan` says hold in twenty other drawn worlds?
-
-python -m tools.campaigns.quickest_flown
-
-Results go to `build/quickest_flown.jsonl` as they come, and the table to docs/results.
-"""
+"""Rooms of the objective `quickest`: does what `plan` says of its flights hold in other drawn worlds?"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import msgspec
 
 from dart_flight.config.mission_file import FlownRecord
 from dart_flight.config.vehicle import packaged
+from dart_flight.lab.campaign.campaign_spec import Point
+from dart_flight.lab.campaign.flight_job import JudgedRow
 from dart_flight.lab.search import flown_plan
 from dart_flight.lab.search.mission_writer import planned_mission
 from dart_flight.lab.search.quickest import plan_quickest
 from dart_flight.lab.search.scenario import load_scenario
-from tools.campaigns.kept import fly_missing
-from tools.campaigns.results import RESULTS, ROOT, markdown, measured_by
+from tools.campaigns.results import markdown
 
 PLACES = {"e": (1, 0), "w": (-1, 0), "n": (0, 1), "E": (1, 0.2), "W": (-1, 0.2), "c": (0, 0)}
 NORMALS = {"e": (-1, 0), "w": (1, 0), "n": (0, -1)}
 OTHER_SEED = 800_001
-HEADS = ("vehicle", "visits", "walls", "within m", "planned s", "offered", "completed", "uncontrolled",
-         "saving s", "tilt °")  # fmt: skip
-ABOUT = """Each scenario is planned and flown in 20 drawn worlds by `plan`, the offered plan in 20 others.
-Two figures are those of `plan` and of the other worlds. `planned` is the saving that the search promises,
-`saving` the median from take-off to landing with touches, negative where the hits lose. `–`: the flight
-without a hit is offered.
-"""
 
 
 class Room(NamedTuple):
@@ -55,7 +45,7 @@ ROOMS = [
 
 
 def scenario_of(room: Room) -> dict[str, Any]:
-    """The scenario of a room."""
+    """Return the scenario of a room."""
     half, cage = (
         room.half_m,
         {"speed_m_s": 2.0, "peak_force_n": 100.0} if room.vehicle == "rigid_cage" else {},
@@ -73,45 +63,56 @@ def scenario_of(room: Room) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def fly(room: Room) -> dict[str, Any]:
+class RoomFlown(msgspec.Struct, frozen=True):
+    """What was planned and offered, and both records; None if nothing was offered."""
+
+    planned_saving_s: float | None
+    offered: str
+    said: FlownRecord | None
+    other: FlownRecord | None
+
+
+def cases() -> list[dict[str, str]]:
+    """Return the numbers of the rooms."""
+    return [{"room": str(number)} for number in range(1, len(ROOMS) + 1)]
+
+
+def fly(point: Point, _: int) -> RoomFlown:
     """Plan a room, fly the plan as `plan` does, and twenty times more."""
-    result, alone = plan_quickest(load_scenario(scenario_of(room)), 60.0), flown_plan.fly_in_process
+    room, alone = ROOMS[int(point.case["room"]) - 1], flown_plan.fly_in_process
+    result = plan_quickest(load_scenario(scenario_of(room)), 60.0)
     offered = flown_plan.choose_flown(result, False, fly=alone)
-    found: dict[str, Any] = {"planned_s": result.saving_s, "says": offered.says, "offered": "none"}
     if offered.plan is None:
-        return found
-    found["offered"] = next(name for name, one in offered.flown.items() if one == offered.record)
-    flown_plan.FIRST_SEED = OTHER_SEED
+        return RoomFlown(result.saving_s, "none", None, None)
+    name = next(name for name, one in offered.flown.items() if one == offered.record)
+    said_seed, flown_plan.FIRST_SEED = flown_plan.FIRST_SEED, OTHER_SEED
     other = flown_plan.fly_mission(planned_mission(offered.scenario, offered.plan), fly=alone)
     record = other.record
-    if result.free is not None and found["offered"] != "free":
-        record = flown_plan.compare(
-            other, flown_plan.fly_mission(planned_mission(result.scenario, result.free), fly=alone)
+    if result.free is not None and name != "free":
+        free = flown_plan.fly_mission(planned_mission(result.scenario, result.free), fly=alone)
+        record = flown_plan.compare(other, free)
+    flown_plan.FIRST_SEED = said_seed
+    return RoomFlown(result.saving_s, name, offered.record, record)
+
+
+_HEADS = ("vehicle", "visits", "walls", "within m", "planned s", "offered", "completed", "uncontrolled",
+          "saving s", "tilt °")  # fmt: skip
+
+
+def page(rows: Sequence[JudgedRow]) -> str:
+    """Return a row for every room; two figures are those of `plan` and those of the other worlds."""
+    table = []
+    for r in rows:
+        room, found = ROOMS[int(r.values["room"]) - 1], r.row
+        planned = "-" if found.planned_saving_s is None else f"{found.planned_saving_s:+.2f}"
+        where = [room.vehicle, str(len(room.visits)), str(len(room.walls)), str(room.within_m), planned]
+        records = [one for one in (found.said, found.other) if one is not None]
+        drawn = [one.drawn for one in records if one.drawn is not None]
+        columns = (
+            [str(one.completed) for one in drawn],
+            [str(one.uncontrolled) for one in drawn],
+            ["-" if one.saving_s is None else f"{one.saving_s:+.2f}" for one in records],
+            [f"{one.max_tilt_deg or 0.0:.0f}" for one in drawn],
         )
-    flown_plan.FIRST_SEED = 700_001
-    return found | {"said": offered.record, "other": record}
-
-
-def row(room: Room, found: dict[str, Any]) -> list[str]:
-    """Return one line of the table; two figures are those of `plan` and those of the other worlds."""
-    where = [room.vehicle, str(len(room.visits)), str(len(room.walls)), str(room.within_m)]
-    planned = "–" if found["planned_s"] is None else f"{found['planned_s']:+.2f}"
-    records = [msgspec.convert(found[k], FlownRecord) for k in ("said", "other") if k in found]
-    drawn = [one.drawn for one in records if one.drawn is not None]
-    savings = ["–" if one.saving_s is None else f"{one.saving_s:+.2f}" for one in records]
-    columns = (
-        [str(one.completed) for one in drawn],
-        [str(one.uncontrolled) for one in drawn],
-        savings,
-        [f"{one.max_tilt_deg or 0.0:.0f}" for one in drawn],
-    )
-    return [*where, planned, found["offered"], *(" / ".join(column) or "–" for column in columns)]
-
-
-if __name__ == "__main__":
-    flown = fly_missing(ROOT / "build" / "quickest_flown.jsonl", ROOMS, fly, tuple[Room, dict[str, Any]])
-    kept = [msgspec.json.decode(msgspec.json.encode(one)) for one in flown]
-    table = markdown(HEADS, [row(room, one) for room, one in zip(ROOMS, kept, strict=True)])
-    measured = measured_by("tools.campaigns.quickest_flown")
-    head = f"# What `plan` says of its flights, and other worlds\n\n{measured}\n\n"
-    (RESULTS / "quickest_flown.md").write_text(f"{head}{ABOUT}\n{table}")
+        table.append([*where, found.offered, *(" / ".join(column) or "-" for column in columns)])
+    return markdown(_HEADS, table)

@@ -15,12 +15,17 @@ from tools.campaigns.walls_pay import flown_cases, plan_map
 
 
 class PlannedMap(msgspec.Struct, frozen=True):
-    """Times of both plans, None without such a plan, and the share of the free time that hits save."""
+    """Times of both plans, None without such a plan, and the share of the free time that hits save.
+
+    Attributes:
+        cruise_ratio: with limited sight, how much faster the colliding plan approaches the wall.
+    """
 
     free_s: float | None
     hit_s: float | None
     hits: int
     gain: float | None
+    cruise_ratio: float | None
 
 
 def cases() -> list[dict[str, str]]:
@@ -33,9 +38,10 @@ def plan(point: Point, _: int) -> PlannedMap:
     plans = plan_map(point.case["kind"], int(point.case["map"]), point.case["limits"])
     free, hit = plans.get("free"), plans.get("hit")
     gain = None if free is None or hit is None else 1.0 - hit.plan.time_s / free.plan.time_s
-    return PlannedMap(
-        free and free.plan.time_s, hit and hit.plan.time_s, len(hit.plan.trajectory.hits) if hit else 0, gain
-    )
+    cruises = [one and one.plan.cruise_m_s for one in (free, hit)]
+    ratio = cruises[1] / cruises[0] if cruises[0] and cruises[1] else None
+    hits = len(hit.plan.trajectory.hits) if hit else 0
+    return PlannedMap(free and free.plan.time_s, hit and hit.plan.time_s, hits, gain, ratio)
 
 
 def page(rows: Sequence[JudgedRow]) -> str:
@@ -48,6 +54,8 @@ def page(rows: Sequence[JudgedRow]) -> str:
         gains = [one.gain for one in mine if one.gain is not None]
         median = f"{statistics.median(gains):+.1%} ({min(gains):+.1%} to {max(gains):+.1%})" if gains else "-"
         quicker = f"{sum(gain > 0.0 for gain in gains)} of {len(gains)}"
-        table.append([*key, str(len(mine)), quicker, median])
-    heads = ("kind", "limits", "maps", "hit quicker", "gain of the optimum: median (least to most)")
+        ratios = [one.cruise_ratio for one in mine if one.cruise_ratio is not None]
+        faster = f"{statistics.median(ratios):.2f}" if ratios else "-"
+        table.append([*key, str(len(mine)), quicker, median, faster])
+    heads = ("kind", "limits", "maps", "hit quicker", "gain of the optimum: median (least to most)", "cruise")
     return markdown(heads, table)

@@ -66,6 +66,10 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.scheduler is not None and arguments.jobs is not None:
         raise InputError("--jobs is for this machine, a scheduler's workers are its own", key=("--jobs",))
     opened = campaigns.open_campaign(_asked(arguments), arguments.out, arguments.resume)
+    if opened.campaign.asked.makes_row:
+        raise InputError(
+            "a judge of its own fills this table; resume it as it was begun", source=str(opened.folder)
+        )
     if arguments.scheduler is not None:
         from dart_flight.lab.campaign.cluster import on_cluster
 

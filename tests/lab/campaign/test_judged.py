@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dart_flight.base.records import Mode, TruthContact
+from dart_flight.cli import main
 from dart_flight.config.document import InputError
 from dart_flight.lab.campaign import campaign_folder as campaigns
 from dart_flight.lab.campaign import flight_job
@@ -100,7 +101,7 @@ def test_cases_are_flown_with_every_seed_and_an_error_is_a_row(tmp_path: Path) -
     assert all(r.row is None and "ValueError: no such world" in r.error for r in rows[3:])
 
 
-def test_resuming_flies_only_what_has_no_row(tmp_path: Path) -> None:
+def test_resuming_flies_only_what_has_no_row(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     spec = CampaignSpec((MISSION,), cases=f"{HERE}:three_cases", fly=FLY, judge=JUDGE)
     flown(spec, tmp_path / "out")
     table = tmp_path / "out" / campaigns.TABLE
@@ -108,6 +109,8 @@ def test_resuming_flies_only_what_has_no_row(tmp_path: Path) -> None:
     table.write_bytes(whole[:-3])  # the last row is torn
     assert len(flown(spec, tmp_path / "out", resume=True)) == 3
     assert table.read_bytes() == whole
+    assert main(["campaign", "--resume", "--out", str(tmp_path / "out")]) == 2
+    assert "a judge of its own" in capsys.readouterr().err
     with pytest.raises(InputError, match="the judge"):
         flown(msgspec.structs.replace(spec, judge=f"{HERE}:judge_contacts"), tmp_path / "out", resume=True)
 

@@ -19,15 +19,14 @@ MISSION = Path(__file__).parents[2] / "data" / "faster_hit.yaml"  # 3 m/s with f
 
 def test_a_hit_at_3_m_s_recovers_where_a_touch_came_first(tmp_path: Path) -> None:
     options = ["--only", "mode=flexible", "--only", "normal_m_s=3.0", "--only", "touch_m_s=0.6"]
-    options += ["--only", "incidence_deg=drawn", "--seed", "13001", "--runs", "2"]
+    options += ["--only", "incidence_deg=drawn", "--seed", "13001", "--runs", "1"]
     rows = campaign_rows(tmp_path / "out", "faster_hits", *options)
-    assert len(rows) == 2
-    for row in rows:
-        assert row["recovered"]
-        assert row["problems"] == []
-        assert row["closing_m_s"] == pytest.approx(3.0, abs=0.2)
-        assert row["exit_m_s"] > 1.0
-        assert row["tilt_deg"] < 60.0
+    (row,) = rows
+    assert row["recovered"]
+    assert row["problems"] == []
+    assert row["closing_m_s"] == pytest.approx(3.0, abs=0.2)
+    assert row["exit_m_s"] > 1.0
+    assert row["tilt_deg"] < 60.0
 
 
 @pytest.mark.parametrize("height_m", [-0.03, 0.03])
