@@ -254,17 +254,8 @@ _GIVE_UP, _BREAK_OFF, _HOLD = Override.GIVE_UP, Override.BREAK_OFF, Override.HOL
 _LAND, _KILL, _RELEASE = Override.LAND, Override.KILL, Override.RELEASE
 _MODE = (StatusSample, StatusText)  # PX4's own words say whose doing a change of mode is
 _MOTORS, _REQUEST, _POSITION = (StatusSample, ActuatorSample), (OperatorRequest,), (OdometrySample,)
-_BY_TWO = frozenset(
-    {
-        "stamps_backwards",
-        "odometry_silent",
-        "attitude_silent",
-        "imu_silent",
-        "status_silent",
-        "estimator_flags",
-        "altitude",
-    }
-)
+_SILENT = ("odometry_silent", "attitude_silent", "imu_silent", "status_silent")
+_BY_TWO = frozenset((*_SILENT, "stamps_backwards", "estimator_flags", "altitude"))
 
 # fmt: off
 RULES: tuple[Rule, ...] = (
