@@ -66,10 +66,10 @@ RETIRED: Final[Mapping[str, RetiredKey]] = {
     "detection.short_window_s": RetiredKey(0.032, "core.sense.detector.SHORT_WINDOW_S"),
     "detection.long_window_s": RetiredKey(0.1, "core.sense.detector.LONG_WINDOW_S"),
     "detection.pulse_misfit": RetiredKey(3.0, "core.sense.detector.PULSE_MISFIT"),
-    "flying.arrive_m": RetiredKey(0.12, "core.mission.setpoint_generator.ARRIVED_M"),
-    "flying.arrive_speed_m_s": RetiredKey(0.1, "core.mission.setpoint_generator.ARRIVED_M_S"),
-    "flying.arrive_s": RetiredKey(0.3, "core.mission.setpoint_generator.ARRIVED_S"),
-    "flying.arrive_mean_s": RetiredKey(0.3, "core.mission.setpoint_generator.MEAN_SPEED_S"),
+    "flying.arrive_m": RetiredKey(0.12, "core.mission.course.ARRIVED_M"),
+    "flying.arrive_speed_m_s": RetiredKey(0.1, "core.mission.course.ARRIVED_M_S"),
+    "flying.arrive_s": RetiredKey(0.3, "core.mission.course.ARRIVED_S"),
+    "flying.arrive_mean_s": RetiredKey(0.3, "core.mission.course.MEAN_SPEED_S"),
     "simulation.imu_bias_m_s2": RetiredKey(0.05, "sim.sensors.IMU_BIAS_M_S2"),
     "simulation.gyro_noise_rad_s": RetiredKey(0.01, "sim.sensors.GYRO_NOISE_RAD_S"),
     "simulation.pose_noise_m": RetiredKey(0.001, "sim.sensors.POSE_NOISE_M"),
@@ -115,10 +115,19 @@ def take_out_retired(tree: dict[str, Any]) -> dict[str, Any]:
 
 
 def leave_out_retired(document: Document) -> None:
-    """Take the retired keys out of a vehicle's document, and warn of each in one line."""
-    for key in take_out_retired(document.tree):
-        value = json.dumps(RETIRED[key].value)
-        says = f"is ignored, it is fixed at {value} now: remove it"
+    """Take the retired keys out of a vehicle's document and warn of them.
+
+    A key with another value than its constant gets a line of its own; all others share one.
+    """
+    found = take_out_retired(document.tree)
+    same = [key for key, value in found.items() if value == RETIRED[key].value]
+    if len(same) > 1:
+        says = f"{len(same)} keys are ignored, they are fixed at these values now: remove {', '.join(same)}"
+        warnings.warn(document.error((), says).one_line(), RetiredKeyWarning, stacklevel=2)
+    for key in found:
+        if len(same) > 1 and key in same:
+            continue
+        says = f"is ignored, it is fixed at {json.dumps(RETIRED[key].value)} now: remove it"
         warnings.warn(document.error(tuple(key.split(".")), says).one_line(), RetiredKeyWarning, stacklevel=2)
 
 
