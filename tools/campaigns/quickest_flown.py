@@ -114,5 +114,5 @@ def page(rows: Sequence[JudgedRow]) -> str:
             ["-" if one.saving_s is None else f"{one.saving_s:+.2f}" for one in records],
             [f"{one.max_tilt_deg or 0.0:.0f}" for one in drawn],
         )
-        table.append([*where, found.offered, *(" / ".join(column) or "-" for column in columns)])
+        table.append([*where, found.offered, *("/".join(column) or "-" for column in columns)])
     return markdown(_HEADS, table)
