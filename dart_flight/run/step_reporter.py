@@ -109,7 +109,8 @@ class StepReporter:
                 elif isinstance(item, PlanAnswer):
                     self._plans.pop(item.number, None)
             self._open -= work
-            if not self._open:
+            # A lock order may itself wait for a command, for which a real PX4 needs time to advance.
+            if not self._open or self._commands:
                 self._report()
 
     def open_command(self) -> None:

@@ -201,7 +201,7 @@ def test_a_hit_beyond_full_scale_is_sent_saturated_and_counted(
 def test_without_answers_the_plant_goes_on_only_while_px4_boots(
     mission: Mission, pair: tuple[HilLink, FakePx4], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(px4_bridge, "_ANSWER_WAIT_S", 0.2)
+    monkeypatch.setattr(px4_bridge, "_ANSWER_WAIT_S", 2.0)
     link, fake = pair
     vehicle = Px4Vehicle(mission, 1, link)
     for _ in range(3):

@@ -71,6 +71,17 @@ def test_nothing_is_reported_while_work_is_open() -> None:
     assert told.last.streams == {"imu": 4_000}
 
 
+def test_samples_are_reported_while_a_command_is_open_whatever_else_is() -> None:
+    """A lock order by PX4's output is open work that waits for a command, which needs time to advance."""
+    told = Reports()
+    told.reporter.open()
+    with told.reporter.command():
+        told.reporter.close([imu(4_000)], 0)
+        assert (told.last.streams, told.last.commands) == ({"imu": 4_000}, 1)
+    told.reporter.close([imu(8_000)], 0)
+    assert told.last.streams == {"imu": 4_000}, "the order is still open"
+
+
 def test_a_command_is_open_until_its_result_is_stepped() -> None:
     told = Reports()
     told.reporter.open_command()
