@@ -47,8 +47,7 @@ from dart_flight.config.mission_file import (
 )
 from dart_flight.config.probes import Probe, place_at, resolve_probe, sought_walls
 from dart_flight.config.provenance import FoundVehicle, VehicleSource, display_path, find_vehicle
-from dart_flight.config.retired_keys import put_in_retired
-from dart_flight.config.section import keys_of
+from dart_flight.config.section import keys_of, without_defaults
 from dart_flight.config.settings import apply_changes
 from dart_flight.config.vehicle import VehicleConfig, load_vehicle
 
@@ -228,12 +227,14 @@ class Mission(MissionKeys, frozen=True, kw_only=True, forbid_unknown_fields=Fals
 
     @property
     def digest(self) -> str:
-        """Return a fingerprint of mission and vehicle, without file names, link and lock driver."""
+        """Return a fingerprint of mission and vehicle, without file names, link and lock driver.
+
+        A key at its default does not count, so a key that a later version adds leaves it as it was.
+        """
         bare = msgspec.structs.replace(self, source="", vehicle_source=None, flown=None, standoff_m=None)
-        tree = msgspec.to_builtins(bare)
-        tree["vehicle"].pop("connection")
-        (tree["vehicle"]["lock"] or {}).pop("driver", None)
-        put_in_retired(tree["vehicle"])
+        tree = without_defaults(bare)
+        tree["vehicle"].pop("connection", None)
+        tree["vehicle"].get("lock", {}).pop("driver", None)
         return hashlib.sha256(msgspec.json.encode(tree, order="sorted")).hexdigest()[:32]
 
     def to_dict(self) -> dict[str, Any]:

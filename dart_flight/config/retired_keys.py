@@ -139,13 +139,3 @@ def changed_retired(tree: dict[str, Any]) -> list[str]:
         for key, value in found.items()
         if value != RETIRED[key].value
     ]
-
-
-def put_in_retired(tree: dict[str, Any]) -> None:
-    """Put the constants into a configuration where the keys were, so that its fingerprint stays the same."""
-    for key, retired in RETIRED.items():
-        *above, name = key.split(".")
-        node = tree
-        for part in above:
-            node = node.setdefault(part, {})
-        node[name] = retired.value

@@ -11,6 +11,7 @@ decided, that is the value with which nothing changes, and the shipped configura
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Annotated, Any
 
 import msgspec
@@ -28,6 +29,25 @@ Fraction = Annotated[float, Meta(ge=0.0, le=1.0)]
 
 class Section(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Base of every part of a file: frozen, unknown keys refused."""
+
+
+def without_defaults(value: Any) -> Any:
+    """Return a value as plain dictionaries and lists, without the fields that have their default."""
+    if isinstance(value, msgspec.Struct):
+        fields = msgspec.structs.fields(value)
+        kept = {f.name: getattr(value, f.name) for f in fields if getattr(value, f.name) != _default_of(f)}
+        return {name: without_defaults(one) for name, one in kept.items()}
+    if isinstance(value, Mapping):
+        return {str(key): without_defaults(one) for key, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [without_defaults(one) for one in value]
+    return msgspec.to_builtins(value)
+
+
+def _default_of(field: msgspec.structs.FieldInfo) -> Any:
+    if field.default_factory is not msgspec.NODEFAULT:
+        return field.default_factory()
+    return field.default
 
 
 def keys_of(section: Section, kind: type[Section]) -> dict[str, Any]:

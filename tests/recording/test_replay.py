@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import pytest
@@ -12,7 +13,7 @@ from dart_flight.base.records import ImpactOnset, ImpactPeak, ImuSample, Setpoin
 from dart_flight.cli import main
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission
-from dart_flight.config.retired_keys import put_in_retired
+from dart_flight.config.retired_keys import RETIRED
 from dart_flight.recording.reader import Log, LogEntry, read_log
 from dart_flight.run.fast import FastFlight
 from dart_flight.run.replay import changed_mission, replay
@@ -133,11 +134,21 @@ def test_a_cut_log_replays_up_to_there(flight: Log) -> None:
         assert result.note.startswith("the log was cut")
 
 
+def with_retired(vehicle: dict[str, Any]) -> None:
+    """Put the keys that are constants now into a configuration, as an older log has it."""
+    for key, retired in RETIRED.items():
+        *above, name = key.split(".")
+        node = vehicle
+        for part in above:
+            node = node.setdefault(part, {})
+        node[name] = retired.value
+
+
 def test_a_key_that_is_a_constant_of_another_value_now_is_said(flight: Log) -> None:
     about = dict(flight.about)
     for name in ("flown", "vehicle"):
         tree = msgspec.json.decode(about[name])
-        put_in_retired(tree["vehicle"] if name == "flown" else tree)
+        with_retired(tree["vehicle"] if name == "flown" else tree)
         about[name] = msgspec.json.encode(tree).decode()
     old = Log(flight.source, about, flight.end, flight.entries, True)
     assert (replay(old).equal, replay(old).note) == (True, "")

@@ -17,7 +17,7 @@ THERE_M, STILL_M_S = 0.15, 0.3  # of the goal: flights and plans end there
 _UNDER_WAY_US = 500_000  # at least, for missions whose start and goal are one place
 
 
-class Arrival(NamedTuple):
+class GoalArrival(NamedTuple):
     """Stamps of a flight's log, us.
 
     Attributes:
@@ -36,7 +36,7 @@ class Arrival(NamedTuple):
         return None if self.there_us is None else (self.there_us - self.begin_us) * 1e-6
 
 
-def arrival_of(log: Log, mission: Mission, visits: Sequence[tuple[Vec2, float]]) -> Arrival | None:
+def arrival_of(log: Log, mission: Mission, visits: Sequence[tuple[Vec2, float]]) -> GoalArrival | None:
     """Return when a flight arrived, or None if it never got under way.
 
     Args:
@@ -67,7 +67,7 @@ def arrival_of(log: Log, mission: Mission, visits: Sequence[tuple[Vec2, float]])
     still = np.linalg.norm(place - np.array(mission.goal.position_m), axis=1) <= THERE_M
     still &= (speed <= STILL_M_S) & (t > last) & (t < landing_us)
     there = np.flatnonzero(still)
-    return Arrival(begin_us, tuple(passed), float(t[there[0]]) if there.size else None)
+    return GoalArrival(begin_us, tuple(passed), float(t[there[0]]) if there.size else None)
 
 
 def planned_there_s(found: OptimalTrajectory, goal: tuple[float, float]) -> float:
