@@ -11,6 +11,7 @@ import os
 import pickle
 import signal
 import threading
+import time
 import traceback
 from collections import deque
 from collections.abc import Callable, Generator, Hashable, Iterable
@@ -27,6 +28,7 @@ R = TypeVar("R")
 
 _POLL_S = 0.2  # for an interrupt
 _RETRIES = 1
+_RENEWALS = 3
 # What a flight imports, once for all processes.
 _PRELOADED = ["dart_flight.run.fast", "dart_flight.recording.verdict"]
 
@@ -116,9 +118,10 @@ class _Pool(Generic[I, R]):
         """Let one fly; where the pool is broken the future says so."""
         try:
             return self._executor.submit(_fly_one, item)
-        except BrokenProcessPool as error:
+        except (BrokenProcessPool, OSError) as error:
+            # A pool that breaks while it starts a process may have closed the pipes of that process already.
             future: Future[R | Failure] = Future()
-            future.set_exception(error)
+            future.set_exception(BrokenProcessPool(str(error)))
             return future
 
     def renew(self) -> None:
@@ -127,12 +130,16 @@ class _Pool(Generic[I, R]):
         Raises:
             FlightError: they end before they could fly anything.
         """
-        self.close()
-        self._executor = self._make()
-        try:
-            self._executor.submit(int).result()
-        except BrokenProcessPool:
-            raise FlightError("worker process exited before its first flight") from None
+        for _ in range(_RENEWALS):
+            self.close()
+            self._executor = self._make()
+            try:
+                self._executor.submit(int).result()
+            except (BrokenProcessPool, OSError):
+                time.sleep(_POLL_S)  # the fork server may have died with the pool, and starts again
+            else:
+                return
+        raise FlightError("worker process exited before its first flight")
 
     def close(self) -> None:
         """Begin nothing more; what is under way ends by itself, and nobody looks at it."""

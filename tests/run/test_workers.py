@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import signal
 from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
 from functools import partial
+from itertools import count
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -85,6 +89,19 @@ def test_a_process_that_dies_costs_its_own_flight_a_retry(tmp_path: Path) -> Non
     assert {n: r for n, r in found.items() if n not in (5, 7)} == {
         n: n * n for n in range(10) if n not in (5, 7)
     }
+
+
+def test_a_pool_that_breaks_while_it_starts_a_process_is_renewed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It may have closed the pipes that the new process is to get: EBADF instead of a broken pool."""
+    submit, calls = ProcessPoolExecutor.submit, count()
+
+    def torn(pool: ProcessPoolExecutor, *what: Any) -> Any:
+        if next(calls) == 3:
+            raise OSError(errno.EBADF, "Bad file descriptor")
+        return submit(pool, *what)
+
+    monkeypatch.setattr(ProcessPoolExecutor, "submit", torn)
+    assert flown(work(square, range(10), 2, Interrupt())) == {n: n * n for n in range(10)}
 
 
 def test_an_exception_that_cannot_travel_is_told_in_words() -> None:
