@@ -32,7 +32,6 @@ def solve(
     mass_kg: float,
     onset: Onset,
     *,
-    may_curve: bool = True,
     least: int = 0,
 ) -> tuple[SampleFit, Array, list[str]]:
     """Robust descent, then least squares with the weights that the residuals ask for.
@@ -41,7 +40,6 @@ def solve(
         trials: with positions.
         hits: of the trials, in their order.
         mass_kg, onset: as `identify`.
-        may_curve: whether accelerations in free flight may be estimated.
         least: samples in contact that every trial needs; with fewer the fit stops early.
 
     Returns:
@@ -54,7 +52,7 @@ def solve(
     theta = descend(fit, fit.start(), _LOSSES)
     if any(fit.in_contact(theta, i) < least for i in range(len(fit.trials))):
         return fit, theta, []
-    if not may_curve or not _is_curved(fit, theta):
+    if not _is_curved(fit, theta):
         return fit, theta, []
     pushed = SampleFit(trials, hits, mass_kg, onset, pushed=True)
     pushed.sd = dict(fit.sd)
