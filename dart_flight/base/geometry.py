@@ -23,6 +23,8 @@ Quaternion = tuple[float, float, float, float]
 
 IDENTITY: Quaternion = (1.0, 0.0, 0.0, 0.0)
 GRAVITY_M_S2: Final = 9.81
+_HALF_TURN_X: Final[Quaternion] = (0.0, 1.0, 0.0, 0.0)  # x forward, z up to x forward, z down
+_Y_UP_TO_Z_UP: Final[Quaternion] = (0.5, 0.5, 0.5, 0.5)  # z forward, y up to x forward, z up
 _SMALL_RAD: Final = 1e-9  # below it the sine is the angle
 
 
@@ -275,3 +277,42 @@ class MissionFrame:
     def yaw_to_ned(self, yaw_mission_rad: float) -> float:
         """Mission yaw, counter-clockwise from x, to heading clockwise from north."""
         return wrap_angle(self.heading_rad - yaw_mission_rad)
+
+
+class RoomFrame:
+    """Conversion between the axes of a motion-capture room and PX4's local NED (docs/motion_capture.md).
+
+    The axes of a marker body follow the same convention as the room's: x forward and z up, or z forward and
+    y up. Both origins are the same point.
+
+    Args:
+        y_up: whether the room's y axis points up; if not, its z axis does.
+        heading_rad: direction of the room's x axis (z axis if y is up), clockwise from north.
+        body_offset_m: position of the vehicle's centre in the axes of the marker body.
+        body_yaw_rad: direction of the vehicle's nose in the marker body, counter-clockwise from the body's
+            forward axis.
+    """
+
+    def __init__(
+        self, y_up: bool, heading_rad: float, body_offset_m: Vec3 = (0.0, 0.0, 0.0), body_yaw_rad: float = 0.0
+    ) -> None:
+        to_z_up = _Y_UP_TO_Z_UP if y_up else IDENTITY
+        north = (math.cos(0.5 * heading_rad), 0.0, 0.0, math.sin(0.5 * heading_rad))
+        self._room_to_ned = quaternion_multiply(quaternion_multiply(north, _HALF_TURN_X), to_z_up)
+        nose = (math.cos(0.5 * body_yaw_rad), 0.0, 0.0, math.sin(0.5 * body_yaw_rad))
+        frd_to_z_up = quaternion_multiply(nose, _HALF_TURN_X)
+        self._frd_to_body = quaternion_multiply(quaternion_conjugate(to_z_up), frd_to_z_up)
+        self._offset = body_offset_m
+
+    def pose_to_ned(self, position_room: Vec3, q_body_to_room: Quaternion) -> tuple[Vec3, Quaternion]:
+        """Return the vehicle's position (NED) and attitude (FRD to NED) for a pose of the marker body."""
+        centre = add(position_room, rotate(q_body_to_room, self._offset))
+        q_frd_to_room = quaternion_multiply(q_body_to_room, self._frd_to_body)
+        return rotate(self._room_to_ned, centre), quaternion_multiply(self._room_to_ned, q_frd_to_room)
+
+    def pose_from_ned(self, position_ned: Vec3, q_frd_to_ned: Quaternion) -> tuple[Vec3, Quaternion]:
+        """Return the pose of the marker body in the room for a position and attitude of the vehicle."""
+        q_frd_to_room = quaternion_multiply(quaternion_conjugate(self._room_to_ned), q_frd_to_ned)
+        q_body_to_room = quaternion_multiply(q_frd_to_room, quaternion_conjugate(self._frd_to_body))
+        centre = rotate_back(self._room_to_ned, position_ned)
+        return subtract(centre, rotate(q_body_to_room, self._offset)), q_body_to_room

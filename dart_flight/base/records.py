@@ -278,6 +278,25 @@ class OtherVehicle(Record, frozen=True, gc=False):
     system: int  # MAVLink's system id
 
 
+class PoseSample(Record, frozen=True, gc=False):
+    """A pose of the vehicle's marker body, as the motion-capture system sent it (docs/motion_capture.md).
+
+    `base.geometry.RoomFrame` converts it to PX4's local NED.
+    """
+
+    topic: ClassVar[str] = "/in/pose"
+    frequent: ClassVar[bool] = True
+    t_us: int  # autopilot's time of receipt
+    received_us: int
+    body: str  # name or number of the body at the source
+    tracked: bool  # whether the source reports the body as tracked; the pose is meaningless if not
+    position_room: Vec3  # m, in the axes of the room
+    q_body_to_room: Quaternion
+    frame_number: int | None = None  # counter of the source, or None if it has none
+    source_us: int | None = None  # the source's own stamp, on its clock
+    sender: str = ""  # address of the source, to detect a second one
+
+
 # --- inputs: lock, results, operator, time -----------------------------------------------------------
 
 
@@ -381,6 +400,7 @@ Input = (
     | StatusText
     | HealthReport
     | OtherVehicle
+    | PoseSample
     | LockState
     | CommandResult
     | OperatorRequest

@@ -23,6 +23,8 @@ RECORD_TYPES: tuple[type[Record], ...] = (*INPUTS, *OUTPUTS, *NOTES)
 # Endings of names that say the frame; the longest that fits counts.
 FRAMES = {
     "_frd_to_ned": "rotation body FRD to world NED, (w, x, y, z)",
+    "_body_to_room": "rotation marker body to room, (w, x, y, z)",
+    "_room": "motion-capture room (docs/motion_capture.md)",
     "_ned": "local NED: north, east, down",
     "_frd": "body FRD: forward, right, down",
     "_frd_nm": "body FRD: forward, right, down",

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from dart_flight.base.geometry import (
     MissionFrame,
     Quaternion,
+    RoomFrame,
     Vec3,
     advance_attitude,
     norm,
@@ -146,3 +147,32 @@ def test_wrapped_angles(angle: float) -> None:
 def test_a_zero_quaternion_is_no_rotation() -> None:
     with pytest.raises(ValueError, match="not a rotation"):
         quaternion_normalise((0.0, 0.0, 0.0, 0.0))
+
+
+@given(vectors, rotations(), st.booleans(), angles, vectors, angles)
+def test_a_pose_in_the_room_converts_to_ned_and_back(
+    position: Vec3, q: Quaternion, y_up: bool, heading: float, offset: Vec3, nose: float
+) -> None:
+    room = RoomFrame(y_up, heading, offset, nose)
+    back, q_back = room.pose_to_ned(*room.pose_from_ned(position, q))
+    assert close(back, position)
+    assert abs(sum(a * b for a, b in zip(q, q_back, strict=True))) == pytest.approx(1.0, abs=1e-9)
+
+
+def test_the_axes_of_a_room_with_z_up_and_of_one_with_y_up() -> None:
+    east = RoomFrame(False, math.radians(90.0))  # x points east, so y points north
+    position, q = east.pose_to_ned((1.0, 2.0, 3.0), (1.0, 0.0, 0.0, 0.0))
+    assert close(position, (2.0, 1.0, -3.0))
+    assert yaw_ned_of(q) == pytest.approx(math.radians(90.0))
+    north = RoomFrame(True, 0.0)  # z points north, so x points west
+    position, q = north.pose_to_ned((1.0, 2.0, 3.0), (1.0, 0.0, 0.0, 0.0))
+    assert close(position, (3.0, -1.0, -2.0))
+    assert yaw_ned_of(q) == pytest.approx(0.0)
+    assert tilt_of(q) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_marker_body_beside_the_centre_whose_nose_points_to_its_left() -> None:
+    room = RoomFrame(False, 0.0, (0.1, 0.0, -0.05), math.radians(90.0))
+    position, q = room.pose_to_ned((1.0, 0.0, 1.0), (1.0, 0.0, 0.0, 0.0))
+    assert close(position, (1.1, 0.0, -0.95))
+    assert yaw_ned_of(q) == pytest.approx(math.radians(-90.0))

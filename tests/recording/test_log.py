@@ -122,7 +122,7 @@ def test_nothing_is_read_from_the_disk_but_the_log(flight_path: Path, tmp_path: 
 
 @pytest.mark.parametrize("kind", RECORD_TYPES)
 def test_every_number_has_a_unit_and_every_vector_a_frame(kind: type[Record]) -> None:
-    without_unit = {"severity", "collision", "reset_counter"}
+    without_unit = {"severity", "collision", "reset_counter", "frame_number"}
     for name, value in schema(kind)["properties"].items():
         numeric = value["type"] in ("number", "integer") or value.get("items", {}).get("type") == "number"
         if not numeric or name in without_unit:
@@ -132,7 +132,9 @@ def test_every_number_has_a_unit_and_every_vector_a_frame(kind: type[Record]) ->
         if name.endswith("_us"):
             assert "clock" in text or name in CLOCKS
         if value["type"] == "array" and name not in ("motors", "rpm", "pieces_s"):
-            assert any(word in text for word in ("NED", "FRD", "mission frame")), f"{kind.__name__}.{name}"
+            assert any(word in text for word in ("NED", "FRD", "mission frame", "room")), (
+                f"{kind.__name__}.{name}"
+            )
 
 
 def test_a_stranger_can_read_it(flight_path: Path) -> None:

@@ -2,18 +2,32 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 from msgspec import Meta
 
 from dart_flight.config.section import Section
 
+_Offset = Annotated[float, Meta(ge=-1.0, le=1.0)]
+
 
 class MotionCapture(Section, frozen=True):
-    """The motion capture that provides PX4's position.
+    """The motion capture that provides PX4's position (docs/motion_capture.md).
 
     Attributes:
+        url: source of the poses, such as optitrack://192.168.1.10/dart; null: another program forwards them.
+        rate_hz: rate at which poses are forwarded to PX4.
+        up: axis of the room that points up.
+        heading_deg: direction of the room's x axis (z axis if y is up), clockwise from PX4's north.
+        body_offset_m: position of the vehicle's centre in the axes of the marker body.
+        body_yaw_deg: direction of the vehicle's nose in the marker body, counter-clockwise from its x axis.
         delay_ms: age of a pose when it reaches PX4; EKF2_EV_DELAY must match it; null: not measured.
     """
 
+    url: str | None = None
+    rate_hz: Annotated[float, Meta(ge=20.0, le=200.0)] = 50.0
+    up: Literal["y", "z"] = "z"
+    heading_deg: Annotated[float, Meta(ge=-360.0, le=360.0)] = 0.0
+    body_offset_m: tuple[_Offset, _Offset, _Offset] = (0.0, 0.0, 0.0)
+    body_yaw_deg: Annotated[float, Meta(ge=-360.0, le=360.0)] = 0.0
     delay_ms: Annotated[float, Meta(ge=0.0, le=300.0)] | None = None
