@@ -204,7 +204,7 @@ def _matrices(q: Array) -> Array:
 
 def _kernel(sigma_s: float) -> tuple[Array, Array]:
     t = np.arange(-round(4.0 * sigma_s / _STEP_S), round(4.0 * sigma_s / _STEP_S) + 1) * _STEP_S
-    gaussian = np.exp(-0.5 * (t / sigma_s) ** 2)
+    gaussian: Array = np.exp(-0.5 * (t / sigma_s) ** 2)
     return t, gaussian / gaussian.sum()
 
 
