@@ -204,8 +204,8 @@ def _matrices(q: Array) -> Array:
 
 def _kernel(sigma_s: float) -> tuple[Array, Array]:
     t = np.arange(-round(4.0 * sigma_s / _STEP_S), round(4.0 * sigma_s / _STEP_S) + 1) * _STEP_S
-    gaussian: Array = np.exp(-0.5 * (t / sigma_s) ** 2)
-    return t, gaussian / gaussian.sum()
+    gaussian: Array = np.asarray(np.exp(-0.5 * (t / sigma_s) ** 2), np.float64)
+    return np.asarray(t, np.float64), gaussian / float(gaussian.sum())
 
 
 def _filtered(values: Array, kernel: Array) -> Array:
