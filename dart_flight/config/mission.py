@@ -239,8 +239,7 @@ class Mission(MissionKeys, frozen=True, kw_only=True, forbid_unknown_fields=Fals
         return hashlib.sha256(msgspec.json.encode(tree, order="sorted")).hexdigest()[:32]
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the resolved mission with its vehicle as a mission file; `load_mission` restores the
-        mission.
+        """Return the resolved mission with its vehicle as in a file; `load_mission` restores the mission.
 
         Walls are given at the vehicle's centre, gains in the wall's axes. An impact point that follows from
         start and approach is omitted. The file that the vehicle came from is not included.
