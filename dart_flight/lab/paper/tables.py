@@ -286,27 +286,24 @@ def page(vehicle: VehicleConfig) -> str:
     normal, tangential = FLIGHT_APPROACH_M_S
     return f"""# The paper's tables
 
-Computed by `dart-flight tables`. Model: closed form, {vehicle.airframe.mass_kg:g} kg, coefficients
-of the configuration. The onset rules `lcp` and `touch` are explained in docs/contact.md.
+Computed by `dart-flight tables`, to compare the paper's figures with the contact model: closed form,
+{vehicle.airframe.mass_kg:g} kg, coefficients of the configuration. docs/contact.md explains the onset rules `lcp` and `touch`.
 
 ## Drop tests
 
-Concrete, gravity along the normal, released at rest; published values are averages of three trials
-(Sec. III).
+Concrete, gravity along the normal, released at rest. Published values are averages of three trials (Sec. III).
 
 | drop | onset | contact ms, paper | model | error | rebound m/s, paper | model | error | peak force N |
 | --- | --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: |
 {_rows(drops)}
 
-Mean size of the error: {"; ".join(means)}.
+Mean magnitude of the error: {"; ".join(means)}.
 
-## Drop tests fitted anew
+## Drop tests refitted
 
-Stiffness and damping that meet the published contact time and rebound speed best, one height at a time and
-both together; errors are the model's over the published value, less one. One height alone is met by some
-pair, but no single pair meets both. Least so in the rigid mode: its published contact is longer and its
-rebound a larger share from the greater height, while a spring and a damper under gravity are in contact for
-less long.
+Stiffness and damping that fit the published contact time and rebound speed best, for each height and for both.
+Errors are relative to the published value. Some pair fits one height exactly, but no pair fits both. The rigid
+mode fits worst: its published contact lasts longer from the greater height, but the law's contact is shorter.
 
 | mode | onset | fitted to | k N/m | f N s/m | 0.05 m contact | rebound | 0.2 m contact | rebound |
 | --- | --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: |
@@ -315,8 +312,8 @@ less long.
 ## Peaks in flight
 
 Acrylic, {normal:g} m/s along the normal, {
-        tangential:g} m/s along the wall (Sec. V-A). The paper gives no values,
-only how closely its peak acceleration met the measured one over three trials (last column).
+        tangential:g} m/s along the wall (Sec. V-A). The paper gives no values.
+The last column is the paper's agreement between predicted and measured peak acceleration over three trials.
 
 | mode | onset | normal N | friction N | vertical N | normal m/s² | friction m/s² | agreement in the paper |
 | --- | --- | ---: | ---: | ---: | ---: | ---: | ---: |
@@ -324,8 +321,9 @@ only how closely its peak acceleration met the measured one over three trials (l
 
 ## Dual collision
 
-From the published first impact on, with the published gains (Sec. V-B): velocities in each wall's frame, and
-the flight model's with PX4's default gains, as the paper gives none. Wood has the ground's coefficients.
+Velocities in each wall's frame, from the published first impact and with the published recovery gains
+(Sec. V-B). The paper does not give its controller gains, so the flight model uses PX4's defaults. Wood has the
+ground's coefficients.
 
 | wall | mode | normal m/s, paper | along, paper | normal m/s, model | along, model | peak N, model |
 | --- | --- | ---: | ---: | ---: | ---: | ---: |
