@@ -234,6 +234,11 @@ class GroundLink:
         self._heard.take(record)
         self._viewer(record)
 
+    @property
+    def pose_problem(self) -> str | None:
+        """Why no poses arrive from the motion capture; None while they do, or without one."""
+        return self._bridge.problem if self._bridge is not None else None
+
     def newest(self, entry: MessageEntry, seconds: float) -> Any:
         """Return the newest usable value of a message within `seconds`, or None."""
         return self._session.newest(entry, seconds)
@@ -340,7 +345,7 @@ class GroundLink:
         seen.sources = self._sources(before, time.monotonic() - began)
         if self._bridge is not None:
             seen.poses = self._heard.poses.figures(session.clock.host_us())
-            seen.pose_problem = self._bridge.problem
+            seen.pose_problem = self.pose_problem
         seen.rates_hz = {
             name: sum(
                 s.usable_hz
