@@ -568,6 +568,11 @@ class VehicleSession:
             return "no answer"
         return "" if name == "SUCCESS" else name
 
+    def send_message(self, message: MavlinkMessage) -> None:
+        """Send a raw message from any thread; a link that refuses it shows by its silence."""
+        with contextlib.suppress(MavsdkError):
+            self._direct.send_message(message)
+
     def silence(self) -> None:
         """Send nothing more. MAVSDK stops repeating by itself once it sees another mode than offboard."""
         self._silent = True
