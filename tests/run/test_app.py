@@ -286,6 +286,9 @@ class Flight(Session):
     async def keep_measuring(self) -> None:
         await asyncio.sleep(60.0)
 
+    def serve_operator(self, system_id: int, answer: object) -> None:
+        self.asked.append(("serve", system_id))
+
     def subscribe(self, estimation: object, motors: int, *, lowest_battery_v: float) -> None:
         self.motors = motors
         self.clock.update(5_000_000, host_us())  # the autopilot has been up for five seconds
