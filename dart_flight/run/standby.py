@@ -268,7 +268,8 @@ class Standby:
             self._errand = reply.effect
             assert self._loop is not None
             self._loop.call_soon_threadsafe(self._wake.set)
-        self._say("standby", f"ground station: {reply.text}")
+        said = reply.result.name.lower().replace("_", " ")
+        self._say("standby", f"button {press.button} {said}: {reply.text}")
         return reply.result, reply.text
 
     def _take_channels(self, pulses_us: Sequence[int]) -> None:

@@ -13,7 +13,9 @@ from dart_flight.sim.standalone import run_vehicle
 
 def main() -> None:
     mission, config, port, ground_port = sys.argv[1:]
-    run_vehicle(load_mission(mission, config), 1, (int(port), int(ground_port)), lambda line: print(line, flush=True))
+    run_vehicle(
+        load_mission(mission, config), 1, (int(port), int(ground_port)), lambda line: print(line, flush=True)
+    )
 
 
 if __name__ == "__main__":

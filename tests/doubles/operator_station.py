@@ -26,6 +26,7 @@ class OperatorStation:
     Attributes:
         texts: the program's STATUSTEXTs, whole.
         beats: number of the program's heartbeats.
+        armed: whether the vehicle's motors may turn.
     """
 
     def __init__(self, port: int, system: int = 255, vehicle_port: int | None = None) -> None:
@@ -40,7 +41,7 @@ class OperatorStation:
         self._parts: dict[int, str] = {}
         self.texts: list[str] = []
         self.beats = self._systems = 0
-        self._vehicle_system = 1
+        self._vehicle_system, self.armed = 1, False
         self._stop = threading.Event()
         self._threads = [
             threading.Thread(target=run, daemon=True, name="operator station")
@@ -94,6 +95,11 @@ class OperatorStation:
         with self._news:
             assert self._news.wait_for(lambda: self.beats >= wanted, _WAIT_S), "no heartbeat of the program"
 
+    def wait_disarmed(self) -> None:
+        """Wait until the vehicle has landed and disarmed."""
+        with self._news:
+            assert self._news.wait_for(lambda: not self.armed, 2.0 * _WAIT_S), "still armed"
+
     def send(self, message: mavlink.MAVLink_message) -> None:
         """Send a message to the vehicle once its address is known."""
         if self._vehicle is not None:
@@ -126,6 +132,7 @@ class OperatorStation:
         kind = message.get_type()
         if kind == "HEARTBEAT" and message.get_srcComponent() == 1:
             self._vehicle_system = message.get_srcSystem()
+            self.armed = bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
         if message.get_srcComponent() != PROGRAM:
             return
         if kind == "HEARTBEAT":

@@ -85,6 +85,7 @@ class Laboratory:
         self.station.wait_for("standby", times, timeout_s=120.0)
         assert self.standby.poll() is None
         assert self.station.press(Button.LAND) == NO
+        time.sleep(1.0)  # until standby has heard the transmitter
 
 
 @pytest.fixture
@@ -145,7 +146,10 @@ def test_a_day(laboratory: Laboratory) -> None:
     os.kill(laboratory.flight_process(), signal.SIGKILL)
     station.wait_for("one: the process was killed by SIGKILL: PX4's failsafe has the vehicle")
     laboratory.is_standing_by(6)
-    time.sleep(5.0)
+    assert station.press(Button.FLY, 1) == NO, "the vehicle is still in the air"
+    station.wait_for("denied: the vehicle is armed")
+    station.wait_disarmed()
+    time.sleep(1.5)  # until standby has heard it as well
     assert station.press(Button.LOCK_FLEXIBLE) == OK
     laboratory.fly(1)
     station.wait_for("one: completed", 2, timeout_s=120.0)
