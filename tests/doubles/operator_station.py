@@ -42,6 +42,7 @@ class OperatorStation:
         self.texts: list[str] = []
         self.beats = self._systems = 0
         self._vehicle_system, self.armed = 1, False
+        self._transmits = False
         self._stop = threading.Event()
         self._threads = [
             threading.Thread(target=run, daemon=True, name="operator station")
@@ -79,6 +80,10 @@ class OperatorStation:
         pulses[channel - 1] = pulse_us
         self.send(mavlink.MAVLink_rc_channels_override_message(self._vehicle_system, 1, *pulses))
 
+    def hold_transmitter(self) -> None:
+        """From now on send centred channels, beside the heartbeats."""
+        self._transmits = True
+
     def wait_for(self, text: str, count: int = 1, timeout_s: float = _WAIT_S) -> str:
         """Wait until `count` of the texts contain a text; returns the last of them."""
 
@@ -108,6 +113,8 @@ class OperatorStation:
 
     def _beat(self) -> None:
         while not self._stop.wait(0.2):
+            if self._transmits:
+                self.move_switch(1, 1500)
             self.send(
                 mavlink.MAVLink_heartbeat_message(
                     mavlink.MAV_TYPE_GCS, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, 0, 3
