@@ -37,6 +37,7 @@ COMMANDS = {
     "bringup": "bring a vehicle up on the bench, step by step, and file what was measured",
     "mocap": "forward a motion capture's poses to PX4, and show their rate, gaps and age",
     "survey": "touch a mission's walls gently, and write the mission with the walls as they were met",
+    "standby": "hold link and lock between flights, and fly by the buttons of a ground station",
     "lock": "move or report the locking mechanism",
     "plan": "choose walls, velocities and modes for a scenario, and write the mission",
     "replay": "replay a recorded flight through the flight core and compare decisions",
