@@ -21,6 +21,7 @@ from dart_flight.cli.options import (
 from dart_flight.cli.terminal import emit_json, messages, styled
 from dart_flight.cli.vehicle_line import say_vehicle
 from dart_flight.config.mission import load_mission
+from dart_flight.config.parameter_file import PX4_NAME
 from dart_flight.run.prepare import with_driver
 from dart_flight.vehicle.link import LinkLease
 
@@ -69,5 +70,9 @@ def show(report: CheckReport, console: Console) -> None:
             word, style = "overruled", "yellow"
         line = styled((f"{word:9}", style), " ", (finding.item, "bold"), f": {finding.says}")
         console.print(line, soft_wrap=True)
+    if any(PX4_NAME.match(f.item) and (f.remark or not f.go) for f in report.findings):
+        console.print(
+            "parameters that differ: `dart-flight parameters` lists and writes them", soft_wrap=True
+        )
     end = styled(("go", "bold green")) if report.go else styled(("no-go", "bold red"), ": do not fly")
     console.print(end)
