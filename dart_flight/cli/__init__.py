@@ -34,6 +34,7 @@ COMMANDS = {
     "campaign": "fly thousands of simulated missions into a resumable results table",
     "simulate": "run a standalone simulated vehicle for `fly` in another terminal or a ground station",
     "check": "preflight check of a mission and, where connected, of the vehicle",
+    "parameters": "list PX4's parameters that are not as wanted, write them, write them back",
     "bringup": "bring a vehicle up on the bench, step by step, and file what was measured",
     "mocap": "forward a motion capture's poses to PX4, and show their rate, gaps and age",
     "survey": "touch a mission's walls gently, and write the mission with the walls as they were met",

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import contextlib
 import shlex
-import sys
 
 from dart_flight.check.checks import FlightContext, checks_of
 from dart_flight.check.findings import CheckFinding, decide
@@ -15,7 +14,7 @@ from dart_flight.cli.flight_output import FlightLines, exit_status, live_line_fo
 from dart_flight.cli.live_options import add_live_options, live_view
 from dart_flight.cli.mission_picture import add_plot_option, write_picture
 from dart_flight.cli.options import add_flight_options, add_overrule_option, add_position_option, link_of
-from dart_flight.cli.terminal import emit_json, messages, print_status
+from dart_flight.cli.terminal import confirm, emit_json, messages, print_status
 from dart_flight.cli.vehicle_line import say_vehicle
 from dart_flight.config.mission import Mission, Waypoint
 from dart_flight.recording.verdict import Verdict
@@ -77,7 +76,7 @@ def fly_if_go(
         if arguments.json:
             emit_json(report)
         return None
-    if not arguments.yes and not confirm_flight():
+    if not arguments.yes and not confirm("Fly?"):
         console.print("cancelled, not flown")
         return None
     lines = FlightLines(console, arguments.verbose > 0, live_line_for(mission, console))
@@ -113,12 +112,3 @@ def _stop(w: Waypoint) -> str:
     x, y, z = w.position
     held = f", hold for {w.hold_s:g} s" if w.hold_s else ""
     return f"  fly to ({x:g}, {y:g}) at {z:g} m at up to {w.speed_m_s:g} m/s{held}"
-
-
-def confirm_flight() -> bool:
-    """Ask on the terminal; without one the answer is no."""
-    if not sys.stdin.isatty():
-        return False
-    sys.stderr.write("Fly? [y/N] ")
-    sys.stderr.flush()
-    return sys.stdin.readline().strip().lower() in ("y", "yes")
