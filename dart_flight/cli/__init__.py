@@ -35,6 +35,7 @@ COMMANDS = {
     "simulate": "run a standalone simulated vehicle for `fly` in another terminal or a ground station",
     "check": "preflight check of a mission and, where connected, of the vehicle",
     "bringup": "bring a vehicle up on the bench, step by step, and file what was measured",
+    "mocap": "forward a motion capture's poses to PX4, and show their rate, gaps and age",
     "survey": "touch a mission's walls gently, and write the mission with the walls as they were met",
     "lock": "move or report the locking mechanism",
     "plan": "choose walls, velocities and modes for a scenario, and write the mission",

@@ -10,14 +10,14 @@ from dart_flight.check.bringup import progress
 from dart_flight.check.bringup.judgements import StepFinding, StepOutcome
 from dart_flight.check.bringup.steps import STEPS, WAIT_S, Bringup
 from dart_flight.check.stages import run_checks
-from dart_flight.cli.options import add_driver_option, link_of, number
+from dart_flight.cli.options import add_driver_option, add_mocap_option, link_of, number
 from dart_flight.cli.terminal import emit_json, print_status
 from dart_flight.cli.vehicle_line import say_vehicle
 from dart_flight.config.mission import load_mission
 from dart_flight.config.state_folder import state_dir
 from dart_flight.config.vehicle import packaged
 from dart_flight.config.vehicle.configuration import default_config_path
-from dart_flight.run.prepare import with_driver
+from dart_flight.run.prepare import with_driver, with_mocap
 from dart_flight.vehicle.link import LinkLease
 
 
@@ -32,6 +32,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--yes", action="store_true", help="only what needs no hands")
     add_driver_option(parser)
+    add_mocap_option(parser)
 
 
 class _Terminal:
@@ -50,7 +51,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the command; returns 0 where no step has failed."""
     config = arguments.config or (None if arguments.mission else default_config_path())
     mission = load_mission(arguments.mission or packaged("missions", "single_wall.yaml"), config)
-    mission = with_driver(mission, arguments.driver)
+    mission = with_mocap(with_driver(mission, arguments.driver), arguments.mocap)
     url = link_of(arguments, mission.vehicle.connection)
     folder = arguments.state or state_dir() / "bringup"
     say_vehicle(mission.flown_vehicle(), arguments)

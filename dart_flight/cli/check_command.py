@@ -13,6 +13,7 @@ from dart_flight.cli.mission_picture import add_plot_option, write_picture
 from dart_flight.cli.options import (
     add_driver_option,
     add_log_dir_option,
+    add_mocap_option,
     add_overrule_option,
     add_position_option,
     add_set_option,
@@ -21,7 +22,7 @@ from dart_flight.cli.options import (
 from dart_flight.cli.terminal import emit_json, messages, styled
 from dart_flight.cli.vehicle_line import say_vehicle
 from dart_flight.config.mission import load_mission
-from dart_flight.run.prepare import with_driver
+from dart_flight.run.prepare import with_driver, with_mocap
 from dart_flight.vehicle.link import LinkLease
 
 
@@ -33,6 +34,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add_log_dir_option(parser)
     add_position_option(parser)
     add_driver_option(parser)
+    add_mocap_option(parser)
     add_set_option(parser)
     add_plot_option(parser)
 
@@ -40,7 +42,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; returns the exit status."""
     mission = load_mission(arguments.mission, arguments.config, arguments.set)
-    mission = with_driver(mission, arguments.driver)
+    mission = with_mocap(with_driver(mission, arguments.driver), arguments.mocap)
     if arguments.plot is not None:
         write_picture(mission, arguments.plot)
     context = FlightContext(mission, arguments.log_dir, position_from=arguments.position_from)

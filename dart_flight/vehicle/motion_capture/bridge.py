@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Final
 
 import msgspec
@@ -14,7 +15,7 @@ from dart_flight.base.geometry import Quaternion, RoomFrame, Vec3
 from dart_flight.base.records import PoseSample
 from dart_flight.config.vehicle.mocap import MotionCapture
 from dart_flight.vehicle.clock import Clock
-from dart_flight.vehicle.motion_capture.source import PoseSource, RawPose
+from dart_flight.vehicle.motion_capture.source import PoseSource, RawPose, open_source
 
 _LOCAL_NED: Final = 1  # MAV_FRAME
 _LOCAL_FRD: Final = 12  # BODY_FRD: the frame of the velocities, which are not sent
@@ -146,3 +147,26 @@ class MotionCaptureBridge:
                 self._send(odometry(t_us, position, attitude, self.reset_counter))
                 self.sent += 1
         self._deliver(PoseSample(t_us, received, *raw))
+
+
+@contextlib.contextmanager
+def forwarding(
+    config: MotionCapture,
+    send: Callable[[MavlinkMessage], None],
+    clock: Clock,
+    deliver: Callable[[PoseSample], None],
+) -> Iterator[MotionCaptureBridge | None]:
+    """Forward the poses of `config.url` while the context is open; yields None without a URL.
+
+    Raises:
+        InputError: on entering, if the source cannot be opened.
+    """
+    if config.url is None:
+        yield None
+        return
+    bridge = MotionCaptureBridge(config, open_source(config.url), send, clock, deliver)
+    bridge.start()
+    try:
+        yield bridge
+    finally:
+        bridge.stop()

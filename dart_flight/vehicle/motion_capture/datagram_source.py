@@ -61,7 +61,6 @@ class DatagramSource:
             member = group.packed + socket.inet_aton("0.0.0.0")
             self._socket.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, member)
         self._socket.bind((host, port))
-        self._socket.settimeout(_POLL_S)
 
     @property
     def port(self) -> int:
@@ -69,7 +68,12 @@ class DatagramSource:
         return int(self._socket.getsockname()[1])
 
     def start(self, deliver: Callable[[RawPose], None]) -> None:
-        """Deliver every pose from now on, on a thread of the source."""
+        """Deliver every pose from now on, on a thread of the source; drop what waits in the socket."""
+        self._socket.settimeout(0.0)
+        with contextlib.suppress(OSError):
+            while True:
+                self._socket.recv(_MAX_DATAGRAM)
+        self._socket.settimeout(_POLL_S)
         self._thread = threading.Thread(target=self._run, args=(deliver,), name="mocap", daemon=True)
         self._thread.start()
 

@@ -135,6 +135,7 @@ class OptiTrackSource:
 
     def start(self, deliver: Callable[[RawPose], None]) -> None:
         """Deliver every pose from now on, on a thread of the client."""
+        self._client.update_sync()  # drops the frames that wait in the socket
         self._deliver = deliver
         self._answered_s = self._framed_s = time.monotonic()
         self._client.run_async()
