@@ -102,8 +102,8 @@ def test_a_setpoint_is_seen_once_it_has_been_forwarded(ends: Ends) -> None:
     )
     ends.app.sendto(packed(message, component=191), relay)
     assert ends.px4.recv(4096) == packed(message, component=191)
-    until(lambda: ends.relay.setpoint[0] == 1.0)
-    assert ends.relay.setpoint == pytest.approx(
+    until(lambda: ends.relay.arrived.get("setpoint", (0.0,))[0] == 1.0)
+    assert ends.relay.arrived["setpoint"] == pytest.approx(
         (1.0, 2.0, -1.0, 0.5, math.nan, 0.0, 0.0, 0.0, 0.25), nan_ok=True
     )
 

@@ -146,7 +146,7 @@ def test_a_setpoint_is_reported_with_what_it_leaves_out() -> None:
     told = Reports()
     told.reporter.sent(Setpoint(1, 1, (1.0, 2.0, -1.0), 0.0, (0.1, 0.0, 0.0)))
     told.reporter.close([imu(4_000)], 0, False)
-    assert told.last.setpoint == (1.0, 2.0, -1.0, 0.1, 0.0, 0.0, None, None, None)
+    assert told.last.sent["setpoint"] == (1.0, 2.0, -1.0, 0.1, 0.0, 0.0, None, None, None)
 
 
 def test_the_end_is_reported_at_once() -> None:

@@ -34,6 +34,10 @@ class MotionCapture(Section, frozen=True):
     body_yaw_deg: Annotated[float, Meta(ge=-360.0, le=360.0)] = 0.0
     delay_ms: Annotated[float, Meta(ge=0.0, le=300.0)] | None = None
 
+    def measured_parameters(self) -> dict[str, float]:
+        """Return the PX4 parameters that have been measured, by name."""
+        return {} if self.delay_ms is None else {"EKF2_EV_DELAY": self.delay_ms}
+
     def room_frame(self) -> RoomFrame:
         """Return the conversion between the room's axes and PX4's local NED."""
         heading, body_yaw = math.radians(self.heading_deg), math.radians(self.body_yaw_deg)
