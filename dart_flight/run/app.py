@@ -230,6 +230,7 @@ class FlightApp:
         self._deadman: Deadman | None = None
         self.mock: MockDriver | None = None
         self._session: VehicleSession | None = None
+        self._bridge: MotionCaptureBridge | None = None
         self._unsent: set[str] = set()  # causes of setpoints not sent that were reported
         self._done = asyncio.Event()
         self._ended = threading.Event()
@@ -258,7 +259,7 @@ class FlightApp:
         try:
             await self._fly(source)
         finally:
-            if source is not None:
+            if source is not None and self._bridge is None:  # which would have stopped it
                 source.stop()
 
     async def _fly(self, source: PoseSource | None) -> None:
@@ -289,7 +290,8 @@ class FlightApp:
             motors, lowest_v = len(vehicle.airframe.motors), vehicle.guard.battery_v
             session.subscribe(vehicle.estimation, motors, lowest_battery_v=lowest_v)
             self._listen_for_signals()
-            bridge = None if source is None else self._open_bridge(session, source)
+            if source is not None:
+                self._bridge = self._open_bridge(session, source)
             keeper = asyncio.create_task(self._keep_alive())
             # In lockstep a round trip takes no time.
             measuring = None if self._lockstep else asyncio.create_task(session.keep_measuring())
@@ -299,11 +301,11 @@ class FlightApp:
                 if self._lockstep is not None:
                     self._lockstep.begin()
                 await self._watch(session)
-                if bridge is not None and self._world is None:
+                if self._bridge is not None and self._world is None:
                     await self._forward_until_disarmed(session)
             finally:
-                if bridge is not None:
-                    bridge.stop()
+                if self._bridge is not None:
+                    self._bridge.stop()
                 keeper.cancel()
                 if measuring is not None:
                     measuring.cancel()

@@ -93,6 +93,19 @@ def test_a_setpoint_counts_once_it_has_arrived_in_single_precision() -> None:
     assert world.outstanding(4_000) is None
 
 
+def test_a_published_pose_is_waited_for_until_it_is_stepped_and_has_come_back() -> None:
+    sender = Sender()
+    world = lockstep(sender)
+    world.update(Stepped({}))
+    world.publish("pose", 7)
+    assert world.outstanding(4_000) == "the application to step its telemetry"
+    pose = (1.0, 2.0, -3.0)
+    world.update(Stepped({"pose": 7}, {"pose": pose}))
+    assert world.outstanding(4_000) == "a pose of the application"
+    sender.arrived["pose"] = pose
+    assert world.outstanding(4_000) is None
+
+
 def test_a_batch_is_not_waited_for_before_its_end() -> None:
     sender = Sender()
     world = lockstep(sender)

@@ -109,21 +109,6 @@ KINDS: tuple[FaultKind, ...] = (
         0.0,
         300.0,
     ),
-    FaultKind("mocap-lost", _P.MOCAP, "the marker body is not tracked for this long", "s", 1.0, 0.0, 60.0),
-    FaultKind(
-        "mocap-flip", _P.MOCAP, "markers are swapped: the body is turned by this", "deg", 90.0, 0.0, 180.0
-    ),
-    FaultKind(
-        "mocap-other-body",
-        _P.MOCAP,
-        "the poses are another vehicle's, which stands this far north of the start",
-        "m",
-        1.0,
-        -10.0,
-        10.0,
-    ),
-    FaultKind("mocap-late", _P.MOCAP, "poses arrive later by this much", "ms", 50.0, 0.0, 1000.0),
-    FaultKind("mocap-slow", _P.MOCAP, "poses come at this rate", "Hz", 10.0, 1.0, 50.0),
     FaultKind("clock-back", _P.AUTOPILOT, "the autopilot's clock goes back", "s", 5.0, 0.0, 1000.0),
     FaultKind("low-battery", _P.AUTOPILOT, "charge left", "%", 10.0, 0.0, 100.0),
     FaultKind("pilot", _P.AUTOPILOT, "the pilot takes over (position mode)"),
@@ -144,6 +129,21 @@ KINDS: tuple[FaultKind, ...] = (
     FaultKind("wall-nearer", _P.PLANT, "the walls are nearer than planned", "m", 0.3, -1.0, 1.0),
     FaultKind("other-material", _P.PLANT, "the walls are of the stiffest other material"),
     FaultKind("gust", _P.PLANT, "a gust of 0.6 s along the wall's normal", "m/s", 5.0, -15.0, 15.0),
+    FaultKind("mocap-lost", _P.MOCAP, "the marker body is not tracked for this long", "s", 1.0, 0.0, 60.0),
+    FaultKind(
+        "mocap-flip", _P.MOCAP, "markers are swapped: the body is turned by this", "deg", 90.0, 0.0, 180.0
+    ),
+    FaultKind(
+        "mocap-other-body",
+        _P.MOCAP,
+        "the poses are another vehicle's, which stands this far north of the start",
+        "m",
+        1.0,
+        -10.0,
+        10.0,
+    ),
+    FaultKind("mocap-late", _P.MOCAP, "poses arrive later by this much", "ms", 50.0, 0.0, 1000.0),
+    FaultKind("mocap-slow", _P.MOCAP, "poses come at this rate", "Hz", 10.0, 1.0, 50.0),
 )
 BY_NAME = {kind.name: kind for kind in KINDS}
 
