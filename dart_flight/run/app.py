@@ -38,6 +38,7 @@ from dart_flight.base.records import (
     PhaseChange,
     PlanAnswer,
     PlanRequest,
+    PoseSample,
     Record,
     Request,
     Setpoint,
@@ -418,9 +419,11 @@ class FlightApp:
                 self._lockstep.sent_pose((pose.x, pose.y, pose.z))
             session.send_message(message)
 
-        bridge = MotionCaptureBridge(
-            self._mission.vehicle.mocap, source, send, session.clock, self._core.arrive
-        )
+        def deliver(pose: PoseSample) -> None:
+            if session.clock.offset_us is not None:  # until then the pose has no autopilot's time
+                self._core.arrive(pose)
+
+        bridge = MotionCaptureBridge(self._mission.vehicle.mocap, source, send, session.clock, deliver)
         bridge.start()
         return bridge
 
