@@ -13,13 +13,19 @@ from dart_flight.cli.check_command import show
 from dart_flight.cli.flight_output import FlightLines, exit_status, live_line_for, show_end
 from dart_flight.cli.live_options import add_live_options, live_view
 from dart_flight.cli.mission_picture import add_plot_option, write_picture
-from dart_flight.cli.options import add_flight_options, add_overrule_option, add_position_option, link_of
+from dart_flight.cli.options import (
+    add_flight_options,
+    add_mocap_option,
+    add_overrule_option,
+    add_position_option,
+    link_of,
+)
 from dart_flight.cli.terminal import confirm, emit_json, messages, print_status
 from dart_flight.cli.vehicle_line import say_vehicle
 from dart_flight.config.mission import Mission, Waypoint
 from dart_flight.recording.verdict import Verdict
 from dart_flight.run.drone import fly_vehicle
-from dart_flight.run.prepare import as_rehearsal, load_flyable, with_driver
+from dart_flight.run.prepare import as_rehearsal, load_flyable, with_driver, with_mocap
 from dart_flight.vehicle.link import LinkLease
 
 
@@ -33,6 +39,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     add_overrule_option(parser)
     add_position_option(parser)
+    add_mocap_option(parser)
     add_live_options(parser)
     add_plot_option(parser)
     parser.add_argument("--yes", action="store_true", help="do not ask before flying")
@@ -42,6 +49,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the command; returns the exit status."""
     mission = load_flyable(arguments.mission, arguments.config)
     mission = as_rehearsal(with_driver(mission, arguments.driver), arguments.standoff)
+    mission = with_mocap(mission, arguments.mocap)
     url = link_of(arguments, mission.vehicle.connection)
     with LinkLease(url, "fly") as lease:
         return _fly(arguments, mission, url, lease)

@@ -287,8 +287,7 @@ def page(vehicle: VehicleConfig) -> str:
     return f"""# The paper's tables
 
 Computed by `dart-flight tables`, to compare the paper's figures with the contact model: closed form,
-{
-        vehicle.airframe.mass_kg:g} kg, coefficients of the configuration.
+{vehicle.airframe.mass_kg:g} kg, coefficients of the configuration.
 docs/contact.md explains the onset rules `lcp` and `touch`.
 
 ## Drop tests
