@@ -305,8 +305,8 @@ Mean magnitude of the error: {"; ".join(means)}.
 
 Stiffness and damping that fit the published contact time and rebound speed best, for each height and for
 both. Errors are relative to the published value. Some pair fits one height exactly, but no pair fits both.
-The rigid mode fits worst: its published contact lasts longer from the greater height, but the law's contact is
-shorter.
+The rigid mode fits worst: its published contact lasts longer from the greater height, but the law's contact
+is shorter.
 
 | mode | onset | fitted to | k N/m | f N s/m | 0.05 m contact | rebound | 0.2 m contact | rebound |
 | --- | --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: |
