@@ -41,7 +41,6 @@ class _Case:
         self.count = self.normal.size * self.tangential.size * len(self.scenario.modes) ** 2
 
     def enumerate(self) -> list[Arrivals]:
-        """Run the planner, including its preparation."""
         stages = stages_for(self.scenario, [None])[0]
         rollout = Rollout(self.scenario, self.scenario.sequences[0], new_flight(self.scenario), None)
         grid = rollout.approach(self.normal, self.tangential)
@@ -54,7 +53,6 @@ class _Case:
         return step_everything(self.scenario, stages, self.normal, self.tangential, grid)
 
     def stages(self) -> Stages:
-        """Return the contact stages at nominal values."""
         return stages_for(self.scenario, [None])[0]
 
 

@@ -1,9 +1,9 @@
 """Campaign: malformed files and MAVLink frames must be rejected in one line, without traceback or hang.
 
 Each input (docs/results/fuzz.md) is a valid one damaged according to its number: bytes or lines are removed,
-doubled, swapped or replaced, or values are exchanged. An input counts as wrong in three cases: it raises
-anything but `InputError` (for frames: anything at all), the error has several lines, or it takes more than a
-second of processor time.
+doubled, swapped or replaced, or values are exchanged. An input fails if it raises anything but `InputError`
+(for frames: anything at all). It also fails if the error has several lines, or if it takes more than a second
+of processor time.
 """
 
 from __future__ import annotations

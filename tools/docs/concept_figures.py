@@ -157,7 +157,6 @@ def _draw_sizes(axis: Any, airframe: Airframe) -> None:
 
 
 def _size(axis: Any, begin: Vec2, end: Vec2, text: str) -> None:
-    """Draw a dimension between two points."""
     axis.annotate("", end, begin, arrowprops={"arrowstyle": "<->", "color": "#555555", "linewidth": 0.9,
                                               "shrinkA": 0, "shrinkB": 0})  # fmt: skip
     upright = abs(end[0] - begin[0]) < abs(end[1] - begin[1])

@@ -74,7 +74,6 @@ def _default(value: Schema) -> str:
 
 
 def _kind(value: Schema) -> str:
-    """Return the allowed values as text."""
     if "anyOf" in value:
         return " or ".join(_kind(option) for option in value["anyOf"] if option.get("type") != "null")
     if "enum" in value:
