@@ -178,7 +178,6 @@ def _tiles(verdict: Verdict) -> list[tuple[str, str]]:
 
 
 def _facts(flight: RecordedFlight) -> list[tuple[str, str]]:
-    """Return the source of the flight, and whether the replay is equal."""
     v, about, replayed = flight.verdict, flight.log.about, flight.replay
     equal = f"all {replayed.outputs} outputs equal"
     if not replayed.equal:
@@ -203,15 +202,15 @@ def _missing_parts(named: Iterable[tuple[RecordedFlight, str]]) -> list[tuple[st
 
 def outcome_sentence(flight: RecordedFlight) -> str:
     """Return the outcome of a flight as a sentence."""
-    v, planned, met = flight.verdict, len(flight.mission.collisions), len(flight.impacts)
+    v, planned, hit = flight.verdict, len(flight.mission.collisions), len(flight.impacts)
     if flight.mission.standoff_m is not None:
         hits = "a rehearsal, which stops before each wall"
     elif planned == 0:
         hits = "no collision was planned"
     elif planned == 1:
-        hits = f"the one planned collision was {'' if met else 'not '}flown"
+        hits = f"the one planned collision was {'' if hit else 'not '}flown"
     else:
-        hits = f"{met if met < planned else 'all'} of {planned} planned collisions were flown"
+        hits = f"{hit if hit < planned else 'all'} of {planned} planned collisions were flown"
     begin = {
         Outcome.COMPLETED: "The flight was completed",
         Outcome.ABORTED: "The flight was aborted",
