@@ -492,7 +492,7 @@ class Px4:
             os.unlink(f"/tmp/px4-sock-{self.instance}")
 
     def keep_log(self) -> Path | None:
-        """Move PX4's ULog beside the flight's own and delete the working folder; return None without a log."""
+        """Move PX4's ULog beside the flight's own and delete the working folder; None without a log."""
         logs = sorted(self.work.glob("log/**/*.ulg"), key=lambda path: path.stat().st_size)
         if not logs:
             return None
