@@ -203,7 +203,9 @@ def test_json_is_what_the_command_prints(
 @pytest.mark.parametrize("command", COMMANDS)
 def test_every_command_has_its_row(command: str) -> None:
     page = (ROOT / "docs" / "commands.md").read_text(encoding="utf-8")
-    assert re.search(rf"^\| `{command}` \|", page, re.MULTILINE), f"docs/commands.md needs a row for {command}"
+    assert re.search(rf"^\| `{command}` \|", page, re.MULTILINE), (
+        f"docs/commands.md needs a row for {command}"
+    )
 
 
 def test_every_option_in_the_text_of_the_commands_exists() -> None:
