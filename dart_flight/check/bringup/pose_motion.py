@@ -228,16 +228,10 @@ def _matrices(q: Array) -> Array:
 
 
 def _kernel(sigma_s: float) -> tuple[Array, Array]:
-<<<<<<< HEAD
     steps = round(4.0 * sigma_s / _STEP_S)
     t = np.linspace(-steps * _STEP_S, steps * _STEP_S, 2 * steps + 1)
     gaussian = np.exp(-0.5 * (t / sigma_s) ** 2)
     return t, np.asarray(gaussian / gaussian.sum(), dtype=np.float64)
-=======
-    t = np.arange(-round(4.0 * sigma_s / _STEP_S), round(4.0 * sigma_s / _STEP_S) + 1) * _STEP_S
-    gaussian: Array = np.asarray(np.exp(-0.5 * (t / sigma_s) ** 2), np.float64)
-    return np.asarray(t, np.float64), gaussian / float(gaussian.sum())
->>>>>>> main
 
 
 def _filtered(values: Array, kernel: Array) -> Array:
