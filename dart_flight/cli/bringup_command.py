@@ -91,6 +91,7 @@ def run(arguments: argparse.Namespace) -> int:
                 print_status(f"  {finding.result.value}: {finding.message}")
         finally:
             bringup.close()
+    print_status("next: `dart-flight parameters` lists what PX4 has otherwise than measured, and writes it")
     if arguments.json:
         emit_json({"steps": record.steps, "vehicle": record.vehicle, "files": [str(p) for p in written]})
     else:
