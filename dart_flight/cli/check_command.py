@@ -16,6 +16,7 @@ from dart_flight.cli.mission_picture import add_plot_option, write_picture
 from dart_flight.cli.options import (
     add_driver_option,
     add_log_dir_option,
+    add_mocap_option,
     add_overrule_option,
     add_position_option,
     add_set_option,
@@ -26,7 +27,7 @@ from dart_flight.cli.vehicle_line import say_vehicle
 from dart_flight.config.document import InputError, Stamp, noting_files, stamp_of
 from dart_flight.config.mission import load_mission
 from dart_flight.config.parameter_file import PX4_NAME
-from dart_flight.run.prepare import with_driver
+from dart_flight.run.prepare import with_driver, with_mocap
 from dart_flight.vehicle.link import LinkLease
 
 _LOOK_S = 0.5
@@ -40,6 +41,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add_log_dir_option(parser)
     add_position_option(parser)
     add_driver_option(parser)
+    add_mocap_option(parser)
     add_set_option(parser)
     add_plot_option(parser)
     parser.add_argument(
@@ -95,7 +97,7 @@ def _wait_for_save(watched: dict[Path, Stamp], sleep: Callable[[float], None]) -
 
 def _check(arguments: argparse.Namespace) -> int:
     mission = load_mission(arguments.mission, arguments.config, arguments.set)
-    mission = with_driver(mission, arguments.driver)
+    mission = with_mocap(with_driver(mission, arguments.driver), arguments.mocap)
     if arguments.plot is not None:
         write_picture(mission, arguments.plot)
     context = FlightContext(mission, arguments.log_dir, position_from=arguments.position_from)

@@ -14,7 +14,7 @@ from dart_flight.cli.flight_output import FlightLines, exit_status, live_line_fo
 from dart_flight.cli.live_options import add_live_options, live_view
 from dart_flight.cli.mission_picture import add_plot_option, write_picture
 from dart_flight.cli.options import add_flight_options, add_overrule_option, add_position_option, link_of
-from dart_flight.cli.terminal import confirm, messages, print_status
+from dart_flight.cli.terminal import confirm, emit_json, messages, print_status
 from dart_flight.cli.vehicle_line import say_vehicle
 from dart_flight.config.mission import Mission, Waypoint
 from dart_flight.recording.verdict import Verdict
@@ -73,6 +73,8 @@ def fly_if_go(
     report = decide(mission, findings, arguments.overrule)
     show(report, console)
     if not report.go:
+        if arguments.json:
+            emit_json(report)
         return None
     if not arguments.yes and not confirm("Fly?"):
         console.print("cancelled, not flown")

@@ -93,6 +93,16 @@ def add_position_option(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_mocap_option(parser: argparse.ArgumentParser) -> None:
+    """Add the option for the motion capture whose poses are forwarded to PX4."""
+    parser.add_argument(
+        "--mocap",
+        metavar="URL",
+        help="forward this motion capture's poses to PX4, such as optitrack://192.168.1.10/dart "
+        "(default: mocap.url; docs/motion_capture.md)",
+    )
+
+
 def link_of(arguments: argparse.Namespace, connection: ConnectionConfig) -> str:
     """The URL of `--connection`, else the configuration's.
 

@@ -35,6 +35,7 @@ from dart_flight.base.records import (
     MissionEnd,
     OperatorRequest,
     Output,
+    Phase,
     PhaseChange,
     PlanAnswer,
     PlanRequest,
@@ -57,10 +58,12 @@ from dart_flight.lock.lock_session import LockSession
 from dart_flight.lock.state_machine import status_text
 from dart_flight.run.core_thread import CoreThread
 from dart_flight.run.deadman import CORE, FEED_PERIOD_S, LOOP, Deadman, SystemdNotice
+from dart_flight.run.operator_buttons import reply_in_flight
 from dart_flight.run.replanner_process import ReplannerProcess
 from dart_flight.run.runner import CoreRunner, Observe
 from dart_flight.run.step_reporter import StepReporter
 from dart_flight.vehicle.clock import Clock, host_us
+from dart_flight.vehicle.command_server import Press, Result
 from dart_flight.vehicle.vehicle_session import NoAnswerError, VehicleSession, connect
 
 _SHOW_PERIOD_S = 0.2  # as often as the live line changes
@@ -229,6 +232,7 @@ class FlightApp:
         self.loop: asyncio.AbstractEventLoop | None = None
         self._tasks: set[asyncio.Task[None]] = set()
         self._stops = 0
+        self._phase, self._lock_text = Phase.READYING, ""  # for the buttons of the ground station
         self._core = CoreThread(
             CoreRunner(FlightCore(mission), self, self._see, self._host_us),
             lambda: self._feed(CORE),
@@ -271,6 +275,7 @@ class FlightApp:
             vehicle = self._mission.vehicle
             motors, lowest_v = len(vehicle.airframe.motors), vehicle.guard.battery_v
             session.subscribe(vehicle.estimation, motors, lowest_battery_v=lowest_v)
+            session.serve_operator(vehicle.ground_station.system_id, self._answer_button)
             self._listen_for_signals()
             keeper = asyncio.create_task(self._keep_alive())
             # In lockstep a round trip takes no time.
@@ -310,6 +315,13 @@ class FlightApp:
     def resume(self) -> None:
         """The operator's word that ends a pause; at any other time it means nothing."""
         self._core.put(OperatorRequest(self._host_us(), Request.CONTINUE))
+
+    def _answer_button(self, press: Press) -> tuple[Result, str]:
+        """Answer a button of the ground station, and do what it asks."""
+        reply = reply_in_flight(press, self._phase, self._lock_text)
+        if isinstance(reply.effect, Request):
+            self._core.put(OperatorRequest(self._host_us(), reply.effect))
+        return reply.result, reply.text
 
     # -- deadman and terminal --
 
@@ -441,8 +453,9 @@ class FlightApp:
 
     def _take_lock_state(self, state: LockState) -> None:
         self._core.put(state)
+        self._lock_text = status_text(state)
         if state.phase is not LockPhase.TRAVELLING and self._session is not None:
-            self._session.tell_ground(status_text(state))
+            self._session.tell_ground(self._lock_text)
 
     # -- what the core wants, on the core thread (`runner.CommandSink`) --
 
@@ -484,6 +497,7 @@ class FlightApp:
                     self._lockstep.open_plan(output, round(1e6 * latency_s))
                 self._planner.send(output)
         elif isinstance(output, PhaseChange):
+            self._phase = output.after
             # For `monitor`; not on this thread, whose setpoints must not wait for it.
             self.loop.call_soon_threadsafe(self._session.tell_ground, f"phase {output.after}")
         elif isinstance(output, Silence):

@@ -13,6 +13,7 @@ from dart_flight.config.vehicle import LockDriver
 from dart_flight.core.flight_core import FlightCore
 from dart_flight.core.mission.approach import NoApproachError
 from dart_flight.planning.envelope import impact_problem
+from dart_flight.vehicle.motion_capture.source import parse_url
 
 # Measured on v1.18 SITL (docs/results/faster_hits.md): from an odometry sample's stamp to the attitude
 # setpoint that its answer makes, and the part of the attitude's lag that is its rate loop's.
@@ -66,6 +67,21 @@ def with_driver(mission: Mission, driver: LockDriver | None) -> Mission:
         raise InputError("this vehicle has no lock", key=("--driver",))
     lock = msgspec.structs.replace(mission.vehicle.lock, driver=driver)
     vehicle = msgspec.structs.replace(mission.vehicle, lock=lock)
+    return msgspec.structs.replace(mission, vehicle=vehicle)
+
+
+def with_mocap(mission: Mission, url: str | None) -> Mission:
+    """Return the mission with another source of poses; None: the configuration's.
+
+    Raises:
+        InputError: the URL is not one of a pose source.
+    """
+    url = url if url is not None else mission.vehicle.mocap.url
+    if url is None:
+        return mission
+    parse_url(url)
+    mocap = msgspec.structs.replace(mission.vehicle.mocap, url=url)
+    vehicle = msgspec.structs.replace(mission.vehicle, mocap=mocap)
     return msgspec.structs.replace(mission, vehicle=vehicle)
 
 
