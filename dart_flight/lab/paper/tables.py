@@ -287,12 +287,13 @@ def page(vehicle: VehicleConfig) -> str:
     return f"""# The paper's tables
 
 Computed by `dart-flight tables`, to compare the paper's figures with the contact model: closed form,
-{
-        vehicle.airframe.mass_kg:g} kg, coefficients of the configuration. docs/contact.md explains the onset rules `lcp` and `touch`.
+{vehicle.airframe.mass_kg:g} kg, coefficients of the configuration.
+docs/contact.md explains the onset rules `lcp` and `touch`.
 
 ## Drop tests
 
-Concrete, gravity along the normal, released at rest. Published values are averages of three trials (Sec. III).
+Concrete, gravity along the normal, released at rest. Published values are averages of three
+trials (Sec. III).
 
 | drop | onset | contact ms, paper | model | error | rebound m/s, paper | model | error | peak force N |
 | --- | --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: |
@@ -302,9 +303,10 @@ Mean magnitude of the error: {"; ".join(means)}.
 
 ## Drop tests refitted
 
-Stiffness and damping that fit the published contact time and rebound speed best, for each height and for both.
-Errors are relative to the published value. Some pair fits one height exactly, but no pair fits both. The rigid
-mode fits worst: its published contact lasts longer from the greater height, but the law's contact is shorter.
+Stiffness and damping that fit the published contact time and rebound speed best, for each height and for
+both. Errors are relative to the published value. Some pair fits one height exactly, but no pair fits both.
+The rigid mode fits worst: its published contact lasts longer from the greater height, but the law's contact
+is shorter.
 
 | mode | onset | fitted to | k N/m | f N s/m | 0.05 m contact | rebound | 0.2 m contact | rebound |
 | --- | --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: |
@@ -323,8 +325,8 @@ The last column is the paper's agreement between predicted and measured peak acc
 ## Dual collision
 
 Velocities in each wall's frame, from the published first impact and with the published recovery gains
-(Sec. V-B). The paper does not give its controller gains, so the flight model uses PX4's defaults. Wood has the
-ground's coefficients.
+(Sec. V-B). The paper does not give its controller gains, so the flight model uses PX4's defaults. Wood has
+the ground's coefficients.
 
 | wall | mode | normal m/s, paper | along, paper | normal m/s, model | along, model | peak N, model |
 | --- | --- | ---: | ---: | ---: | ---: | ---: |
