@@ -15,7 +15,13 @@ from dart_flight.cli.check_command import show
 from dart_flight.cli.flight_output import FlightLines, exit_status, live_line_for, show_end
 from dart_flight.cli.live_options import add_live_options, live_view
 from dart_flight.cli.mission_picture import add_plot_option, write_picture
-from dart_flight.cli.options import add_flight_options, add_overrule_option, add_position_option, link_of
+from dart_flight.cli.options import (
+    add_flight_options,
+    add_mocap_option,
+    add_overrule_option,
+    add_position_option,
+    link_of,
+)
 from dart_flight.cli.px4_log_command import download_px4_log
 from dart_flight.cli.terminal import confirm, emit_json, messages, print_status
 from dart_flight.cli.vehicle_line import say_vehicle
@@ -26,7 +32,7 @@ from dart_flight.recording.flight_time import armed_span
 from dart_flight.recording.reader import read_log
 from dart_flight.recording.verdict import Verdict
 from dart_flight.run.drone import fly_vehicle
-from dart_flight.run.prepare import as_rehearsal, load_flyable, with_driver
+from dart_flight.run.prepare import as_rehearsal, load_flyable, with_driver, with_mocap
 from dart_flight.run.px4_log import list_px4_logs
 from dart_flight.vehicle.downloads import Px4LogEntry
 from dart_flight.vehicle.link import LinkLease
@@ -42,6 +48,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     add_overrule_option(parser)
     add_position_option(parser)
+    add_mocap_option(parser)
     add_live_options(parser)
     add_plot_option(parser)
     parser.add_argument("--yes", action="store_true", help="do not ask before flying")
@@ -52,6 +59,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the command; returns the exit status."""
     mission = load_flyable(arguments.mission, arguments.config)
     mission = as_rehearsal(with_driver(mission, arguments.driver), arguments.standoff)
+    mission = with_mocap(mission, arguments.mocap)
     url = link_of(arguments, mission.vehicle.connection)
     with LinkLease(url, "fly") as lease:
         return _fly(arguments, mission, url, lease)

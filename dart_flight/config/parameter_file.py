@@ -62,7 +62,7 @@ class Parameter(msgspec.Struct, frozen=True):
         absent: builds of PX4 that do not have it under this name, such as "before v1.16" or "without
             gyro_fft"; empty for none.
         renamed: its name in those builds; None if they do not need it.
-        tolerance: a vehicle's value within it counts as equal.
+        tolerance: difference from the vehicle's value that counts as equal.
     """
 
     name: str

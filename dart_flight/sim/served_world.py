@@ -71,6 +71,9 @@ class ServedWorld(Protocol):
         """Go on by one tick; returns the plant."""
         ...
 
+    def publish_pose(self) -> int | None:
+        """Send the pose that is due at this time; return its frame's number if a program listens."""
+
     def is_over(self, alone_s: float) -> bool:
         """Whether it may end, without the app for so long; 0: the app has gone this moment."""
         ...
@@ -122,6 +125,11 @@ def serve(
         if lockstep is not None and not reader.closed:
             lockstep.wait(world.time_us + TICK_US, (reader.wake, *wake), take_lines)
         take_lines()
+        # After the telemetry of the same time has been stepped: so the order does not depend on the computer.
+        frame = world.publish_pose()
+        if frame is not None and lockstep is not None and not reader.closed:
+            lockstep.publish("pose", frame)
+            lockstep.wait(world.time_us + TICK_US, (reader.wake, *wake), take_lines)
         # Run without a limit only while lockstep holds the world back.
         waits = lockstep is not None and lockstep.holds and not reader.closed
         pace.wait(TICK_S / (1.0 if speed == FULL_SPEED and not waits else speed))

@@ -573,6 +573,11 @@ class VehicleSession:
         with contextlib.suppress(MavsdkError):
             self._direct.send_message(message)
 
+    @property
+    def armed(self) -> bool:
+        """Whether the vehicle is armed, by its newest heartbeat."""
+        return self._status.armed
+
     def silence(self) -> None:
         """Send nothing more. MAVSDK stops repeating by itself once it sees another mode than offboard."""
         self._silent = True

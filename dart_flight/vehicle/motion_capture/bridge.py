@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import contextlib
-import math
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from typing import Final
+from typing import Any, Final
 
 import msgspec
 from mavsdk.plugins.mavlink_direct import MavlinkMessage
@@ -28,8 +27,7 @@ _DIAGONAL: Final = (0, 6, 11, 15, 18, 20)  # of the upper triangle of a 6 x 6 ma
 
 def room_frame(config: MotionCapture) -> RoomFrame:
     """Return the conversion that a configuration describes."""
-    heading, body_yaw = math.radians(config.heading_deg), math.radians(config.body_yaw_deg)
-    return RoomFrame(config.up == "y", heading, config.body_offset_m, body_yaw)
+    return config.room_frame()
 
 
 def _covariance() -> list[float]:
@@ -64,6 +62,21 @@ def odometry(
         "quality": 100,
     }
     return MavlinkMessage("ODOMETRY", 0, 0, 0, 0, msgspec.json.encode(fields).decode())
+
+
+class ForwardedPose(msgspec.Struct):
+    """The pose in a message of `odometry`: position in local NED, attitude FRD to NED."""
+
+    x: float
+    y: float
+    z: float
+    q: Quaternion
+
+
+def forwarded_pose(message: Any) -> ForwardedPose:
+    """Return the pose in a message of `odometry`, for a simulated world."""
+    fields: str = message.fields_json
+    return msgspec.json.decode(fields, type=ForwardedPose)
 
 
 class Decimation:
@@ -112,7 +125,7 @@ class MotionCaptureBridge:
         deliver: Callable[[PoseSample], None],
     ) -> None:
         self._source, self._send, self._clock, self._deliver = source, send, clock, deliver
-        self._room = room_frame(config)
+        self._room = config.room_frame()
         self._decimation = Decimation(config.rate_hz)
         self._lock = threading.Lock()
         self._stopped = False
