@@ -246,7 +246,7 @@ def _where_px4_log(flight: RecordedFlight) -> str:
     if flight.log.world in (World.FAST, World.EMBEDDED):
         return "none (not a PX4 flight)"
     armed = flight.armed_utc()
-    return "not beside the log" + (f"; armed at {armed}" if armed else "")
+    return "not beside the log (dart-flight px4-log)" + (f"; armed at {armed}" if armed else "")
 
 
 def _compared_table(flight: RecordedFlight, names: Sequence[str] = ()) -> PageTable:
