@@ -51,7 +51,7 @@ def test_every_button_in_standby_and_in_a_flight(px4_dir: Path, tmp_path: Path) 
     (tmp_path / "two.yaml").write_text(PAUSE.format(name="two", x=0.0).replace("dart.yaml", "none.yaml"))
     mission = with_driver(load_flyable(tmp_path / "one.yaml"), LockDriver.PX4)
     with (
-        waiting_px4(mission, px4_dir, tmp_path, PositionSource.MOCAP, {}) as url,
+        waiting_px4(mission, px4_dir, tmp_path, PositionSource.MOCAP, {"COM_RC_IN_MODE": 1}) as url,
         OperatorStation(free_udp_port(), vehicle_port=PORT) as station,
     ):
         with standing_by(tmp_path, url, "one.yaml", "--driver", "px4"):
@@ -70,7 +70,7 @@ def test_every_button_in_standby_and_in_a_flight(px4_dir: Path, tmp_path: Path) 
         # A vehicle without a lock is go; sticks are there.
         with standing_by(tmp_path, url, "two.yaml") as process:
             station.wait_for("standby", 3, timeout_s=60.0)
-            station.hold_transmitter()
+            station.hold_sticks()
             station.wait_for_program()
             time.sleep(2.0)
             assert station.press(Button.LOCK_RIGID) == NO
