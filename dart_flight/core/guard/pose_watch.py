@@ -22,7 +22,7 @@ from dart_flight.core.sense.state import FlightState
 LOST_S: Final = 0.5
 LOST_APPROACH_S: Final = 0.25
 LOST_LAND_S: Final = 1.5  # dead reckoning is off by 0.2 m then, and a break-off leads nowhere
-_GROUND_LOST_S: Final = 1.0
+_GROUND_LOST_S: Final = 2.0  # nothing is in danger yet
 _FIRST_S: Final = 5.0  # from the first input to the first pose
 # Step between two poses that PX4's velocity does not explain; that velocity is off by up to 2 m/s in a
 # contact, and as old as a pose is.
