@@ -120,6 +120,24 @@ def test_silence_of_the_source_is_judged_by_phase(feed: Feed) -> None:
     assert feed.watch.blind(False, Phase.TRANSIT) == "no pose of body dart for 1.60 s"
 
 
+def test_wrong_poses_are_withheld_once_and_in_the_air_only(feed: Feed) -> None:
+    feed.hover(0.1, away=(1.0, 0.0, 0.0))
+    assert feed.watch.withhold(Phase.ARMING) is None
+    reason = feed.watch.withhold(Phase.CONTACT)
+    assert reason == "body jumped by 1.00 m: another body, or swapped markers"
+    assert feed.watch.withhold(Phase.CONTACT) is None
+    assert feed.watch.blind(False, Phase.TRANSIT) is None
+    feed.silence(1.6)
+    assert feed.watch.fault(Phase.TRANSIT) == feed.watch.blind(False, Phase.TRANSIT) == reason
+
+
+@pytest.mark.parametrize("wrong", [{"tracked": False}, {"later_us": 90_000}, {"step_us": 100_000}])
+def test_poses_that_are_the_vehicles_own_are_not_withheld(feed: Feed, wrong: dict[str, Any]) -> None:
+    feed.hover(1.2, **wrong)
+    assert feed.watch.fault(Phase.TRANSIT) is not None
+    assert feed.watch.withhold(Phase.TRANSIT) is None
+
+
 def test_an_estimate_that_jumps_with_the_poses_leaves_no_position_to_fly_by(feed: Feed) -> None:
     assert feed.watch.blind(True, Phase.TRANSIT) is None
     feed.hover(0.1, away=(0.0, 1.0, 0.0))

@@ -4,6 +4,9 @@ Without poses PX4 dead-reckons by its IMU. A bias of 0.05 m/s2 and half a degree
 estimate by 0.02 m in 0.5 s, which no phase minds. A contact on the way costs up to 1 m/s of velocity, so
 the vehicle must not meet a wall without poses: in an approach the limit is shorter. A contact and its
 recovery are finished first: breaking off would turn the vehicle away from a recovery that works by the IMU.
+
+Poses of another body, or of swapped markers, are withheld from PX4 at once. PX4 rejects them for a second,
+and then resets its position to them; without them it dead-reckons long enough to land.
 """
 
 from __future__ import annotations
@@ -61,6 +64,8 @@ class PoseWatch:
         self._known: tuple[int, Vec3] | None = None  # receipt and position of the newest plausible pose, NED
         self._strange_us: int | None = None  # since when poses have been a jump away from it
         self._jump = ""
+        self._wrong = ""  # why poses are withheld
+        self._withheld_us = 0
         self._apart_us: int | None = None
         self._turned_us: int | None = None
         self._apart_m = self._turned_deg = 0.0
@@ -99,10 +104,12 @@ class PoseWatch:
         ground = phase in ON_GROUND
         lost_s = LOST_APPROACH_S if phase is Phase.APPROACH else LOST_S
         return (
-            self._lost(_GROUND_LOST_S if ground else lost_s)
+            self._wrong
+            or self._lost(_GROUND_LOST_S if ground else lost_s)
             or self._jump
             or self._two_senders()
-            or self._differs(ground)
+            or self._turned(_GROUND_APART_S if ground else _TURNED_S)
+            or self._apart(_GROUND_APART_S if ground else _APART_S)
             or self._late()
             or self._slow()
         )
@@ -112,7 +119,16 @@ class PoseWatch:
         if estimate_steps:
             fault = self.fault(phase)
             return None if fault is None else f"{fault}; PX4's estimate has followed"
+        if self._wrong and (self._now_us - self._withheld_us) * 1e-6 > LOST_LAND_S:
+            return self._wrong
         return self._lost(LOST_LAND_S)
+
+    def withhold(self, phase: Phase) -> str | None:
+        """Return why PX4 must not get these poses any longer, as text, once in a flight."""
+        if self._wrong or phase in ON_GROUND:
+            return None
+        self._wrong, self._withheld_us = self._jump or self._turned(_TURNED_S) or "", self._now_us
+        return self._wrong or None
 
     # -- causes --
 
@@ -135,15 +151,15 @@ class PoseWatch:
         assert self._other is not None
         return f"poses from two senders: {' and '.join(sorted((self._newest.sender, self._other.sender)))}"
 
-    def _differs(self, ground: bool) -> str | None:
-        turned_s, apart_s = (_GROUND_APART_S,) * 2 if ground else (_TURNED_S, _APART_S)
-        if self._turned_us is not None and (self._tracked_us - self._turned_us) * 1e-6 > turned_s:
-            return (
-                f"the pose is turned by {self._turned_deg:.0f} deg against PX4's attitude: markers swapped?"
-            )
-        if self._apart_us is not None and (self._tracked_us - self._apart_us) * 1e-6 > apart_s:
-            return f"the pose is {self._apart_m:.2f} m from PX4's position"
-        return None
+    def _turned(self, limit_s: float) -> str | None:
+        if self._turned_us is None or (self._tracked_us - self._turned_us) * 1e-6 <= limit_s:
+            return None
+        return f"the pose is turned by {self._turned_deg:.0f} deg against PX4's attitude: markers swapped?"
+
+    def _apart(self, limit_s: float) -> str | None:
+        if self._apart_us is None or (self._tracked_us - self._apart_us) * 1e-6 <= limit_s:
+            return None
+        return f"the pose is {self._apart_m:.2f} m from PX4's position"
 
     def _late(self) -> str | None:
         if self._least_age_us is None or not self._ages:

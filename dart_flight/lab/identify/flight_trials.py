@@ -15,6 +15,7 @@ from dart_flight.recording.measured_walls import WallMeasurements
 from dart_flight.recording.reader import Log, NothingInItError
 
 _BEFORE_S, _AFTER_S = 0.5, 0.4
+_POSES = 40  # within 0.4 s of an onset: at 50 Hz a contact is between two of them
 _LONGEST_S = 0.15  # of a contact whose end was not noticed
 # What flight logs of the simulated vehicle, whose coefficients are known, are off by themselves
 # (docs/results/flight_identification.md): PX4's velocity loop brakes too while the wall does.
@@ -24,8 +25,9 @@ ALLOWANCE = {"k": 0.03, "f": 0.15, "mu": 0.08, "nu": 0.6}
 def trials_of(log: Log, material: str | None = None, mode: str = UNLABELLED) -> dict[str, list[Trial]]:
     """Every planned collision of a flight with this material in this mode, by the material of its wall.
 
-    Series: position from PX4's estimate, force from the flight core's, both in the wall's collision frame and
-    on the autopilot's clock; the plane is the mission's, or of a wall that a probe has found that which the
+    Series: position from the motion capture's poses where their age is known, else from PX4's estimate, which
+    smears a contact; force from the flight core's estimate. Both are in the wall's collision frame and on the
+    autopilot's clock. The plane is the mission's, or of a wall that a probe has found that which the
     contact told, and the vehicle that which flew it.
 
     Raises:
@@ -63,13 +65,16 @@ def trials_of(log: Log, material: str | None = None, mode: str = UNLABELLED) -> 
 
 def _series(course: FlightArrays, wall: Wall, onset_us: int) -> dict[str, Series]:
     at = course.time_of(onset_us)
-    motion, force = course.estimated, course.estimated_force
-    near = (motion.time_s > at - _BEFORE_S) & (motion.time_s < at + _AFTER_S)
+    force = course.estimated_force
+    motion_s, position = course.estimated.time_s, course.estimated.position
+    if course.posed.is_timed and np.sum(np.abs(course.posed.time_s - at) < _AFTER_S) >= _POSES:
+        motion_s, position = course.posed.time_s, course.posed.position
+    near = (motion_s > at - _BEFORE_S) & (motion_s < at + _AFTER_S)
     felt = (force.time_s > at - _BEFORE_S) & (force.time_s < at + _AFTER_S)
     n = np.array([*wall.normal, 0.0])
     t = np.array([*wall.tangent, 0.0])
-    place = motion.position[near] - np.array([*wall.point, 0.0])
-    time, force_time = motion.time_s[near] - at, force.time_s[felt] - at
+    place = position[near] - np.array([*wall.point, 0.0])
+    time, force_time = motion_s[near] - at, force.time_s[felt] - at
     return {
         "normal_m": Series(time, place @ n),
         "tangential_m": Series(time, place @ t),

@@ -76,6 +76,9 @@ def flight_page(flight: RecordedFlight) -> str:
         replanned=PageTable(_REPLANNED_HEADS, [_replanned_row(flight, *one) for one in flight.replanned()]),
         impacts=[(one.title, picture(forces.impact_forces(flight, one))) for one in flight.impacts],
         motion=picture(motion.motion(flight)),
+        poses=picture(motion.poses(flight))
+        if course.posed.time_s.size and course.estimated.time_s.size
+        else "",
         attitude=picture(motion.attitude(flight)),
         tracking=picture(motion.tracking_error(flight)),
         thrust=picture(motion.thrust_and_battery(flight)),
