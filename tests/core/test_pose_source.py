@@ -62,7 +62,7 @@ class Feed:
         room = ROOM.pose_from_ned(there, turned)
         age_us = 3_000_000 + later_us  # another clock
         sample = PoseSample(now, now, "dart", tracked, *room, self.frame, now - age_us, sender)
-        self.watch.take(sample, self.state)
+        self.watch.take(sample, self.state, Phase.TRANSIT)
 
     def tick(self) -> None:
         self.watch.tick(self.now_us)
@@ -95,7 +95,7 @@ def feed() -> Feed:
         ({"away": (0.5, 0.0, 0.0)}, 0.1, "body jumped by 0.50 m: another body, or swapped markers"),
         ({"turn": math.radians(90.0)}, 0.15, "the pose is turned by 90 deg against PX4's attitude"),
         ({"turn": math.pi}, 0.15, "the pose is turned by 180 deg against PX4's attitude"),
-        ({"later_us": 50_000}, 0.35, "poses arrive 50 ms later than at first"),
+        ({"later_us": 50_000}, 0.35, "poses arrive 50 ms later than at take-off"),
         ({"step_us": 100_000}, 0.7, "poses at 10 Hz, needs 25"),
         ({"tracked": False}, 0.6, "lost body dart for 0.5"),
     ],

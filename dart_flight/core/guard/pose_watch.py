@@ -80,7 +80,7 @@ class PoseWatch:
         self._begun_us = self._begun_us or host_us
         self._now_us = host_us
 
-    def take(self, item: PoseSample, state: FlightState) -> None:
+    def take(self, item: PoseSample, state: FlightState, phase: Phase) -> None:
         """Compare a pose with the one before it and with PX4's estimate in `state`."""
         now_us, before = item.received_us, self._newest
         self._newest = item
@@ -94,7 +94,7 @@ class PoseWatch:
         if self._tracked_us:
             self._intervals.append(now_us - self._tracked_us)
         self._tracked_us = now_us
-        self._take_age(item)
+        self._take_age(item, phase in ON_GROUND)
         position, attitude = self._room.pose_to_ned(item.position_room, item.q_body_to_room)
         self._compare_poses(now_us, position, state)
         self._compare_estimate(now_us, position, attitude, state)
@@ -165,7 +165,7 @@ class PoseWatch:
         if self._least_age_us is None or not self._ages:
             return None
         later_s = 1e-6 * (min(age_us for _, age_us in self._ages) - self._least_age_us)
-        return f"poses arrive {1e3 * later_s:.0f} ms later than at first" if later_s > LATER_S else None
+        return f"poses arrive {1e3 * later_s:.0f} ms later than at take-off" if later_s > LATER_S else None
 
     def _slow(self) -> str | None:
         if len(self._intervals) < _INTERVALS:
@@ -176,14 +176,18 @@ class PoseWatch:
 
     # -- comparisons --
 
-    def _take_age(self, item: PoseSample) -> None:
+    def _take_age(self, item: PoseSample, on_ground: bool) -> None:
         if item.source_us is None:
             return
         self._ages.append((item.received_us, item.t_us - item.source_us))
         while self._ages[0][0] < item.received_us - _AGE_US:
             self._ages.popleft()
-        age_us = self._ages[-1][1]
-        self._least_age_us = age_us if self._least_age_us is None else min(age_us, self._least_age_us)
+        if on_ground:  # the autopilot's clock is still being estimated
+            return
+        least_us = (
+            min(age_us for _, age_us in self._ages) if self._least_age_us is None else self._least_age_us
+        )
+        self._least_age_us = min(least_us, self._ages[-1][1])
 
     def _compare_poses(self, now_us: int, position: Vec3, state: FlightState) -> None:
         if self._known is None or state.odometry is None:
