@@ -79,6 +79,9 @@ def flight_page(flight: RecordedFlight) -> str:
         replanned=PageTable(_REPLANNED_HEADS, [_replanned_row(flight, *plan) for plan in flight.replanned()]),
         impacts=[(hit.title, picture(forces.impact_forces(flight, hit))) for hit in flight.impacts],
         motion=picture(motion.motion(flight)),
+        poses=picture(motion.poses(flight))
+        if course.posed.time_s.size and course.estimated.time_s.size
+        else "",
         attitude=picture(motion.attitude(flight)),
         tracking=picture(motion.tracking_error(flight)),
         thrust=picture(motion.thrust_and_battery(flight)),
