@@ -15,7 +15,7 @@ from dart_flight.recording.measured_walls import WallMeasurements
 from dart_flight.recording.reader import Log, NothingInItError
 
 _BEFORE_S, _AFTER_S = 0.5, 0.4
-_POSES = 40  # least number within 0.4 s of an onset: at 50 Hz a contact falls between two poses
+_POSES = 40  # poses required within 0.4 s of an onset; at 50 Hz a contact falls between two poses
 _LONGEST_S = 0.15  # duration of a contact whose end was not detected
 # Systematic relative errors measured on simulated flights (docs/results/flight_identification.md): PX4's
 # velocity loop also brakes during the contact.
