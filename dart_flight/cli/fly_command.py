@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import contextlib
 import shlex
-import sys
 
 from dart_flight.check.checks import FlightContext, checks_of
 from dart_flight.check.findings import CheckFinding, decide
@@ -14,13 +13,19 @@ from dart_flight.cli.check_command import show
 from dart_flight.cli.flight_output import FlightLines, exit_status, live_line_for, show_end
 from dart_flight.cli.live_options import add_live_options, live_view
 from dart_flight.cli.mission_picture import add_plot_option, write_picture
-from dart_flight.cli.options import add_flight_options, add_overrule_option, add_position_option, link_of
-from dart_flight.cli.terminal import messages, print_status
+from dart_flight.cli.options import (
+    add_flight_options,
+    add_mocap_option,
+    add_overrule_option,
+    add_position_option,
+    link_of,
+)
+from dart_flight.cli.terminal import confirm, emit_json, messages, print_status
 from dart_flight.cli.vehicle_line import say_vehicle
 from dart_flight.config.mission import Mission, Waypoint
 from dart_flight.recording.verdict import Verdict
 from dart_flight.run.drone import fly_vehicle
-from dart_flight.run.prepare import as_rehearsal, load_flyable, with_driver
+from dart_flight.run.prepare import as_rehearsal, load_flyable, with_driver, with_mocap
 from dart_flight.vehicle.link import LinkLease
 
 
@@ -34,6 +39,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     add_overrule_option(parser)
     add_position_option(parser)
+    add_mocap_option(parser)
     add_live_options(parser)
     add_plot_option(parser)
     parser.add_argument("--yes", action="store_true", help="do not ask before flying")
@@ -43,6 +49,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the command; returns the exit status."""
     mission = load_flyable(arguments.mission, arguments.config)
     mission = as_rehearsal(with_driver(mission, arguments.driver), arguments.standoff)
+    mission = with_mocap(mission, arguments.mocap)
     url = link_of(arguments, mission.vehicle.connection)
     with LinkLease(url, "fly") as lease:
         return _fly(arguments, mission, url, lease)
@@ -74,8 +81,10 @@ def fly_if_go(
     report = decide(mission, findings, arguments.overrule)
     show(report, console)
     if not report.go:
+        if arguments.json:
+            emit_json(report)
         return None
-    if not arguments.yes and not confirm_flight():
+    if not arguments.yes and not confirm("Fly?"):
         console.print("cancelled, not flown")
         return None
     lines = FlightLines(console, arguments.verbose > 0, live_line_for(mission, console))
@@ -111,12 +120,3 @@ def _stop(w: Waypoint) -> str:
     x, y, z = w.position
     held = f", hold for {w.hold_s:g} s" if w.hold_s else ""
     return f"  fly to ({x:g}, {y:g}) at {z:g} m at up to {w.speed_m_s:g} m/s{held}"
-
-
-def confirm_flight() -> bool:
-    """Ask on the terminal; without one the answer is no."""
-    if not sys.stdin.isatty():
-        return False
-    sys.stderr.write("Fly? [y/N] ")
-    sys.stderr.flush()
-    return sys.stdin.readline().strip().lower() in ("y", "yes")

@@ -91,6 +91,30 @@ def writing(path: str | Path) -> Iterator[None]:
         raise InputError(f"cannot write: {error.strerror or error}", source=str(path)) from None
 
 
+Stamp = tuple[int, int, int] | None  # of a file: time of change, size, inode; None: there is no such file
+_noting: list[dict[Path, Stamp]] = []
+
+
+def stamp_of(path: Path) -> Stamp:
+    """Return what changes when a file is saved, also by an editor that replaces it."""
+    try:
+        about = path.stat()
+    except (OSError, ValueError):
+        return None
+    return (about.st_mtime_ns, about.st_size, about.st_ino)
+
+
+@contextlib.contextmanager
+def noting_files() -> Iterator[dict[Path, Stamp]]:
+    """Note the files that are opened, with their stamps before they are read."""
+    noted: dict[Path, Stamp] = {}
+    _noting.append(noted)
+    try:
+        yield noted
+    finally:
+        _noting.remove(noted)
+
+
 def open_file(path: str | Path, most_bytes: int = MAX_LOG_BYTES) -> BinaryIO:
     """Open a file named by the operator for reading; every command opens its input here.
 
@@ -100,6 +124,9 @@ def open_file(path: str | Path, most_bytes: int = MAX_LOG_BYTES) -> BinaryIO:
         InputError: the file cannot be read, is not a regular file, or is larger than `most_bytes`.
     """
     source = str(path)
+    for noted in _noting:
+        absolute = Path(os.path.abspath(path))
+        noted.setdefault(absolute, stamp_of(absolute))
     try:
         file = os.fdopen(os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK), "rb")
     except (OSError, ValueError) as error:

@@ -13,7 +13,7 @@ from __future__ import annotations
 import contextlib
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from enum import StrEnum
 from pathlib import Path
 
@@ -26,7 +26,7 @@ Value = int | float
 Version = tuple[int, int]  # of PX4: major, minor
 
 _TYPES = {"6": int, "9": float}
-_NAME = re.compile(r"[A-Z][A-Z0-9_]{0,15}\Z")
+PX4_NAME = re.compile(r"[A-Z][A-Z0-9_]{0,15}\Z")
 _INT32 = 1 << 31
 _LISTED = re.compile(r"^\s*[x ] [ *+](?: [ l])? (?P<name>[A-Z][A-Z0-9_]*) \[.*\] : (?P<value>\S+)\s*$")
 _VERSIONS = re.compile(
@@ -62,6 +62,7 @@ class Parameter(msgspec.Struct, frozen=True):
         absent: builds of PX4 that do not have it under this name, such as "before v1.16" or "without
             gyro_fft"; empty for none.
         renamed: its name in those builds; None if they do not need it.
+        tolerance: difference from the vehicle's value that counts as equal.
     """
 
     name: str
@@ -69,6 +70,7 @@ class Parameter(msgspec.Struct, frozen=True):
     reason: str
     absent: str = ""
     renamed: str | None = None
+    tolerance: float = 0.0
 
     def is_absent_in(self, version: Version | None) -> bool:
         """Return whether a PX4 version does not have it under this name; modules are not checked."""
@@ -161,6 +163,17 @@ def parse_listing(listing: str) -> dict[str, float]:
     return found
 
 
+def format_parameters(values: Mapping[str, Value], head: Iterable[str]) -> str:
+    """Return a parameter file of one vehicle's values, as QGroundControl loads it; an int is an INT32."""
+    lines = [
+        f"# {line}" for line in (*head, "vehicle-id\tcomponent-id\tname\tvalue\ttype (6 INT32, 9 REAL32)")
+    ]
+    for name, value in values.items():
+        text, kind = (str(value), 6) if isinstance(value, int) else (f"{value:.9g}", 9)
+        lines.append(f"1\t1\t{name}\t{text}\t{kind}")
+    return "\n".join(lines) + "\n"
+
+
 def _parse(line: str, reason: str, versions: tuple[str, str | None]) -> Parameter:
     fields = line.split("\t") if "\t" in line else line.split()
     if len(fields) != 5:
@@ -168,7 +181,7 @@ def _parse(line: str, reason: str, versions: tuple[str, str | None]) -> Paramete
             f"{len(fields)} fields, a parameter line has 5: vehicle id, component id, name, value, type"
         )
     _, _, name, text, kind = (field.strip() for field in fields)
-    if not _NAME.match(name):
+    if not PX4_NAME.match(name):
         raise ValueError(f"{name!r} is not a PX4 parameter name")
     if kind not in _TYPES:
         raise ValueError(f"{name}: type {kind!r}, allowed 6 (INT32) and 9 (REAL32)")
@@ -198,6 +211,7 @@ def differences(wanted: Mapping[str, Parameter], actual: Mapping[str, float]) ->
                 name = parameter.renamed
         value = actual.get(name)
         # A REAL32 has seven significant digits.
-        if value is None or not math.isclose(value, parameter.value, rel_tol=1e-6, abs_tol=1e-9):
+        near = max(1e-9, parameter.tolerance)
+        if value is None or not math.isclose(value, parameter.value, rel_tol=1e-6, abs_tol=near):
             found.append(ParameterDifference(name, parameter.value, value, parameter.reason))
     return found

@@ -23,6 +23,7 @@ from dart_flight.sim.pipe import (
     SimulatorSpec,
 )
 from dart_flight.sim.plant import Plant
+from dart_flight.sim.pose_feed import EmulatedMotionCapture
 from dart_flight.sim.served_world import WorldLog, serve
 from dart_flight.sim.simulated_vehicle import SimulatedVehicle
 
@@ -46,11 +47,15 @@ class EmbeddedSimulator:
         self._fault: VehicleFault | None = None
         self._link_back_s: float | None = None
         self._twin: tuple[SimulatedVehicle, MavlinkEndpoint] | None = None
+        self._mocap: EmulatedMotionCapture | None = None
+        if spec.mocap is not None:
+            self._autopilot.expect_poses()
+            self._mocap = EmulatedMotionCapture(spec.mocap, spec.mission, self._autopilot.plant)
 
     def run(self, commands: IO[bytes], truth: IO[bytes]) -> None:
         """Fly at the requested pace until the app has ended and the vehicle is down."""
         writer = LineWriter(truth)
-        writer.put(Ready(self._autopilot.time_us))
+        writer.put(Ready(self._autopilot.time_us, mocap_url=self._mocap.url if self._mocap else None))
         lockstep = None
         if self._spec.lockstep:
             lockstep = Lockstep(self._endpoint, answers_at_rest=True, waits_at_first=True)
@@ -61,6 +66,8 @@ class EmbeddedSimulator:
             writer.put(SimulatorDied(str(error)))
             writer.finish()
         self._report("info", "simulated vehicle stops")
+        if self._mocap is not None:
+            self._mocap.close()
         self._endpoint.close()
 
     @property
@@ -90,7 +97,9 @@ class EmbeddedSimulator:
     def begin_fault(self, fault: Fault) -> None:
         """Implement `ServedWorld`."""
         self._report("warning", f"fault {fault.name} {fault.value:g}")
-        if fault.kind.place is not FaultSite.LINK:
+        if self._mocap is not None and fault.kind.place is FaultSite.MOCAP:
+            self._mocap.feed.begin_fault(fault, self._autopilot.now_s)
+        elif fault.kind.place is not FaultSite.LINK:
             self._fault = VehicleFault(self._vehicle, fault)
         elif fault.name == "imu-dropout":
             self._endpoint.stop_imu()
@@ -102,6 +111,12 @@ class EmbeddedSimulator:
             self._endpoint.impair(impairment_of(fault))
             if fault.name == "link-loss" and fault.value > 0.0:
                 self._link_back_s = self._autopilot.now_s + fault.value
+
+    def publish_pose(self) -> int | None:
+        """Implement `ServedWorld`."""
+        if self._mocap is None:
+            return None
+        return self._mocap.publish(self._autopilot.now_s, self._autopilot.pose)
 
     def is_over(self, alone_s: float) -> bool:
         """Implement `ServedWorld`: the vehicle flies on to its failsafe, and the world ends when landed."""

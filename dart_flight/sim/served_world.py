@@ -71,6 +71,9 @@ class ServedWorld(Protocol):
         """Advance by one tick; return the plant."""
         ...
 
+    def publish_pose(self) -> int | None:
+        """Send the pose that is due at this time; return its frame's number if a program listens."""
+
     def is_over(self, alone_s: float) -> bool:
         """Return whether the world may end, `alone_s` after the app; 0 means that the app has just ended."""
         ...
@@ -122,6 +125,11 @@ def serve(
         if lockstep is not None and not reader.closed:
             lockstep.wait(world.time_us + TICK_US, (reader.wake, *wake), process_lines)
         process_lines()
+        # After the telemetry of the same time was stepped, so the order does not depend on the computer.
+        frame = world.publish_pose()
+        if frame is not None and lockstep is not None and not reader.closed:
+            lockstep.publish("pose", frame)
+            lockstep.wait(world.time_us + TICK_US, (reader.wake, *wake), process_lines)
         # Run without a limit only while lockstep holds the world back.
         waits = lockstep is not None and lockstep.holds and not reader.closed
         pace.wait(TICK_S / (1.0 if speed == FULL_SPEED and not waits else speed))

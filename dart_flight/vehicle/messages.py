@@ -233,9 +233,11 @@ class _GpsRawIntFields(msgspec.Struct):
     fix_type: int
 
 
-class _RcChannelsFields(msgspec.Struct):
-    chancount: int
-    rssi: int
+_RC_CHANNELS: Final = 18  # in a message; those that the receiver lacks are 65535
+_RcChannelsFields = msgspec.defstruct(
+    "_RcChannelsFields",
+    [("chancount", int), ("rssi", int), *((f"chan{n}_raw", int, 65535) for n in range(1, _RC_CHANNELS + 1))],
+)
 
 
 # --- decoders ----------------------------------------------------------------------------------------------
@@ -428,8 +430,10 @@ def _gps(m: _GpsRawIntFields) -> str | Unusable:
     return _FIXES[m.fix_type] if m.fix_type < len(_FIXES) else Unusable("with a known type of fix")
 
 
-def _radio(m: _RcChannelsFields) -> bool | Unusable:
-    return True if m.chancount > 0 and m.rssi != 0 else Unusable("of a receiver with a signal")
+def _radio(m: Any) -> tuple[int, ...] | Unusable:
+    if m.chancount <= 0 or m.rssi == 0:
+        return Unusable("of a receiver with a signal")
+    return tuple(getattr(m, f"chan{n}_raw") for n in range(1, min(m.chancount, _RC_CHANNELS) + 1))
 
 
 # --- the table ---------------------------------------------------------------------------------------------
@@ -629,7 +633,7 @@ RC_CHANNELS = MessageEntry(
     _RcChannelsFields,
     _radio,
     "-",
-    "number of channels, signal",
+    "pulses in µs",
     "no channels, signal 0",
 )
 

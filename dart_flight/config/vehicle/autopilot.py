@@ -30,6 +30,16 @@ class ConnectionConfig(Section, frozen=True):
             raise ValueError(f"url {problem}")
 
 
+class GroundStation(Section, frozen=True):
+    """The ground station whose buttons the program obeys (docs/ground_station.md).
+
+    Attributes:
+        system_id: MAVLink system id of the ground station; commands of any other are denied.
+    """
+
+    system_id: Annotated[int, Meta(ge=1, le=255)] = 255
+
+
 class Px4Parameters(Section, frozen=True, rename="upper"):
     """PX4 parameters that the flight model and the embedded autopilot use, by PX4's own names.
 

@@ -20,7 +20,7 @@ from dart_flight.config.retired_keys import leave_out_retired
 from dart_flight.config.section import Section
 from dart_flight.config.settings import apply_changes, apply_settings
 from dart_flight.config.vehicle.airframe import Airframe, Imu, Material, Thrust, effectiveness
-from dart_flight.config.vehicle.autopilot import ConnectionConfig, Px4Parameters
+from dart_flight.config.vehicle.autopilot import ConnectionConfig, GroundStation, Px4Parameters
 from dart_flight.config.vehicle.estimation import Detection, Estimation
 from dart_flight.config.vehicle.flying import Flying, GuardThresholds
 from dart_flight.config.vehicle.lock_config import NO_LOCK, LockConfig, LockDriver
@@ -53,6 +53,7 @@ class VehicleConfig(Section, frozen=True, kw_only=True):
     flying: Flying
     lock: LockConfig | None = None
     connection: ConnectionConfig
+    ground_station: GroundStation = GroundStation()
     mocap: MotionCapture = MotionCapture()
     px4: Px4Parameters
     simulation: Simulation

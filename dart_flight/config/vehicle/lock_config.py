@@ -257,6 +257,7 @@ class LockConfig(Section, frozen=True):
         debounce_s: time after which a switch or a lost pulse counts.
         limit_switch: {chip: /dev/gpiochip0, rigid_line: 23, flexible_line: 24, active_low: true}, or one of
             the two lines; null: none, and a travel ends by time.
+        rc_channel: RC channel of a switch that moves the lock in standby, high is rigid; null: none.
     """
 
     driver: LockDriver
@@ -271,6 +272,7 @@ class LockConfig(Section, frozen=True):
     pwm: Pwm
     px4: Px4Output
     limit_switch: LimitSwitch | None = None
+    rc_channel: Annotated[int, Meta(ge=1, le=18)] | None = None
 
     def __post_init__(self) -> None:
         servo, theta0 = self.servo, self.cam.theta0_deg

@@ -23,6 +23,7 @@ from dart_flight.base.records import (
     OperatorRequest,
     OtherVehicle,
     Phase,
+    PoseSample,
     Request,
     RoundTrip,
     StatusSample,
@@ -32,6 +33,7 @@ from dart_flight.base.records import (
 from dart_flight.config.mission import Mission
 from dart_flight.core.guard.estimator_watch import EstimatorWatch
 from dart_flight.core.guard.failsafe import FailsafeEvidence, in_failsafe
+from dart_flight.core.guard.pose_watch import PoseWatch
 from dart_flight.core.guard.second_vehicle import OtherVehicles
 from dart_flight.core.guard.stream_watch import Stamped, StreamWatch
 from dart_flight.core.mission.position_loop import STOP_TIME_S, stop_share
@@ -71,6 +73,8 @@ class FlightConditions:
         self.streams = StreamWatch(self.config)
         self.estimator = EstimatorWatch()
         self.others = OtherVehicles()
+        mocap = mission.vehicle.mocap
+        self.poses = None if mocap.url is None else PoseWatch(mocap)
         self._left_since_us: int | None = None  # host time since which the mode is not offboard
         self._failsafe = FailsafeEvidence()
         self._stepped_us = 0  # host time at the previous step
@@ -94,6 +98,8 @@ class FlightConditions:
         if host_us - self._stepped_us > _PAUSE_US and self._stepped_us:
             self._record_pause(host_us)
         self._stepped_us = host_us
+        if self.poses is not None:
+            self.poses.tick(host_us)
         if isinstance(item, ImuSample):
             self._handle_stamp("imu", item, state.imu)
             if item is state.imu:
@@ -117,6 +123,8 @@ class FlightConditions:
             self.streams.delay.take_round_trip(item)
         elif isinstance(item, OtherVehicle):
             self.others.take_system(item.system)
+        elif isinstance(item, PoseSample) and self.poses is not None:
+            self.poses.take(item, state)
         elif isinstance(item, StatusText) and not item.found_here:
             self._failsafe.take_text(item, state.now_us)
         self.estimator.finish(state.status.local_position_ok)

@@ -28,6 +28,7 @@ from dart_flight.base.records import (
 from dart_flight.base.text import battery_figures
 from dart_flight.core.guard.estimator_watch import ESTIMATOR_RULES
 from dart_flight.core.guard.flight_conditions import FlightConditions
+from dart_flight.core.guard.pose_watch import POSE_RULES
 from dart_flight.core.guard.rule import Judge, Rule, Scope, judge
 from dart_flight.core.guard.second_vehicle import POSITION_JUMP_M
 from dart_flight.core.guard.stream_watch import STAMP_TOLERANCE_S, STREAM_RULES
@@ -270,6 +271,7 @@ RULES: tuple[Rule, ...] = (
     Rule("stamps_backwards", _LAND, _AIR, _stamps_backwards, of_streams=True),
     Rule("imu_stuck", _LAND, _AIR, _imu_stuck),
     Rule("imu_clipped", _LAND, _AIR, _imu_clipped),
+    *POSE_RULES,  # before the estimator's, which follow from them
     *ESTIMATOR_RULES,
     Rule("position_uncertain", _LAND, _GUIDED, _position_uncertain, noted=True),
     Rule("position_delayed", _BREAK_OFF, _FLYING, _position_delayed),

@@ -168,6 +168,10 @@ class Px4Vehicle:
         link: to PX4.
         position_from: motion capture (no GPS) or a GPS receiver.
         motors: the airframe's motors according to PX4's parameters; default: the configuration's.
+        sends_poses: whether the link carries the poses of the simulated motion capture to PX4.
+
+    Attributes:
+        pose: pose measured by the motion capture at this tick, or None.
     """
 
     def __init__(
@@ -177,8 +181,10 @@ class Px4Vehicle:
         link: SensorLink,
         position_from: PositionSource = PositionSource.MOCAP,
         motors: tuple[Motor, ...] | None = None,
+        sends_poses: bool = True,
     ) -> None:
-        self.vehicle, self._link = mission.vehicle, link
+        self.vehicle, self._link, self._sends_poses = mission.vehicle, link, sends_poses
+        self.pose: tuple[float, Vec3, Quaternion] | None = None
         self.plant = make_plant(mission, motors, seed)
         noise = GaussianNoise(random.Random(seed))
         self._imu = ImuSensor(self.vehicle, noise)
@@ -231,8 +237,8 @@ class Px4Vehicle:
         specific_force = self.plant.advance(m[: self._motors], _STEPS_PER_TICK)
         self._ticks += 1
         if self._pose is not None:
-            pose = self._pose.measure(self.plant)
-            if pose is not None:
+            pose = self.pose = self._pose.measure(self.plant)
+            if pose is not None and self._sends_poses:
                 self._others.append(odometry_message(self.time_us, pose[1], pose[2], self.vehicle))
         if self._gps is not None:
             fix = self._gps.measure(self.plant)

@@ -111,6 +111,9 @@ class HitlSimulator:
 
     # -- as `ServedWorld` --
 
+    def publish_pose(self) -> None:
+        """As `ServedWorld`: the poses go to the flight controller over its own link."""
+
     @property
     def time_us(self) -> int:
         """Implement `ServedWorld`."""

@@ -130,8 +130,12 @@ def flight_parameters(
     """
     own = airframe_parameters(vehicle)
     parameters = {name: Parameter(name, value, "the configuration") for name, value in own.items()}
-    for path in [*parameter_files(position_from), *(extra or [])]:
-        for name, parameter in load_parameters(path).items():
+    files = [load_parameters(path) for path in [*parameter_files(position_from), *(extra or [])]]
+    measured = vehicle.mocap.measured_parameters().items()
+    own_files = len(files) - len(extra or [])
+    files.insert(own_files, {name: Parameter(name, value, "the configuration") for name, value in measured})
+    for file in files:
+        for name, parameter in file.items():
             before = parameters.get(name)
             if (
                 before is not None and not parameter.absent

@@ -24,6 +24,7 @@ from dart_flight.sim.faults.fault_table import Fault
 from dart_flight.sim.lockstep import Lockstep
 from dart_flight.sim.pipe import LineWriter, Px4SimulatorSpec, Ready, SimulatorDied, SimulatorSpec
 from dart_flight.sim.plant import Plant
+from dart_flight.sim.pose_feed import EmulatedMotionCapture
 from dart_flight.sim.px4.bridge import HilLink, Px4LostError, Px4Vehicle
 from dart_flight.sim.px4.launch import (
     ONBOARD_PORT,
@@ -64,6 +65,7 @@ class Px4Simulator:
         self._version: tuple[int, int, int] | None = None
         self._set: dict[str, Value] = {}
         self._disarmed_at_s: float | None = None
+        self._mocap: EmulatedMotionCapture | None = None
 
     def run(self, commands: IO[bytes], truth: IO[bytes]) -> int:
         """Run PX4 until the app has ended and the vehicle is down; return the exit status."""
@@ -96,6 +98,8 @@ class Px4Simulator:
                 self._report(f"PX4 stopped, its log: {kept.name if kept else 'none'}")
             if instance is not None:
                 instance.release()
+            if self._mocap is not None:
+                self._mocap.close()
             if writer is not None:
                 writer.finish()
         return status
@@ -138,7 +142,10 @@ class Px4Simulator:
             link,
             self._px4_spec.position_from,
             motors_from(values_of(self._px4_spec.parameters), self._mission.vehicle),
+            sends_poses=self._spec.mocap is None,
         )
+        if self._spec.mocap is not None:
+            self._mocap = EmulatedMotionCapture(self._spec.mocap, self._spec.mission, self._vehicle.plant)
         self._boot(px4)
         text = ".".join(map(str, self._version)) if self._version else None
         self._free_run(_WARM_UP_S[self._px4_spec.position_from])
@@ -152,7 +159,8 @@ class Px4Simulator:
             lockstep = Lockstep(
                 relay, answers_at_rest=False, waits_at_first=False, sender_lag_us=SENDER_LAG_US
             )
-        writer.put(Ready(self._vehicle.time_us, port, text, px4.pid))
+        mocap_url = self._mocap.url if self._mocap is not None else None
+        writer.put(Ready(self._vehicle.time_us, port, text, px4.pid, mocap_url))
         begun = time.monotonic()
         ticks = serve(self, writer, commands, self._spec.speed, lockstep, wake)
         factor = ticks * TICK_S / (time.monotonic() - begun)
@@ -194,7 +202,16 @@ class Px4Simulator:
         self._vehicle.set_horn(pulse_us)
 
     def begin_fault(self, fault: Fault) -> None:
-        """Do nothing: faults are not available with PX4."""
+        """Implement `ServedWorld`; with PX4 only the motion capture has faults."""
+        if self._mocap is not None:
+            self._report(f"fault {fault.name} {fault.value:g}")
+            self._mocap.feed.begin_fault(fault, self._vehicle.plant.time_s)
+
+    def publish_pose(self) -> int | None:
+        """Implement `ServedWorld`."""
+        if self._mocap is None:
+            return None
+        return self._mocap.publish(self._vehicle.plant.time_s, self._vehicle.pose)
 
     def advance(self) -> Plant:
         """Implement `ServedWorld`."""
