@@ -125,7 +125,7 @@ def serve(
         if lockstep is not None and not reader.closed:
             lockstep.wait(world.time_us + TICK_US, (reader.wake, *wake), process_lines)
         process_lines()
-        # After the telemetry of the same time was stepped, so the order does not depend on the computer.
+        # After the telemetry of the same time, so that the order does not depend on the computer.
         frame = world.publish_pose()
         if frame is not None and lockstep is not None and not reader.closed:
             lockstep.publish("pose", frame)

@@ -124,7 +124,7 @@ class FlightConditions:
         elif isinstance(item, OtherVehicle):
             self.others.take_system(item.system)
         elif isinstance(item, PoseSample) and self.poses is not None:
-            self.poses.take(item, state)
+            self.poses.take(item, state, phase)
         elif isinstance(item, StatusText) and not item.found_here:
             self._failsafe.take_text(item, state.now_us)
         self.estimator.finish(state.status.local_position_ok)

@@ -24,6 +24,8 @@ from dart_flight.base.records import (
     Output,
     Override,
     Phase,
+    PoseSample,
+    PosesWithheld,
     Setpoint,
     Silence,
     Tick,
@@ -113,6 +115,10 @@ class Guard:
         """
         self._watch.observe(item, state, sensed, phase)
         events: list[Output] = []
+        if isinstance(item, PoseSample) and self._watch.poses is not None:
+            wrong = self._watch.poses.withhold(phase)
+            if wrong is not None:
+                events.append(PosesWithheld(state.now_us, wrong))
         for finding in proposal.findings:
             self._fire(finding.rule, finding.detail, state, events, finding.note_only)
         if self.end is None:

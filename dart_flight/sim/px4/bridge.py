@@ -168,10 +168,10 @@ class Px4Vehicle:
         link: to PX4.
         position_from: motion capture (no GPS) or a GPS receiver.
         motors: the airframe's motors according to PX4's parameters; default: the configuration's.
-        sends_poses: whether the link carries the poses of the simulated motion capture to PX4.
+        sends_poses: whether the poses of the simulated motion capture go to PX4 over this link.
 
     Attributes:
-        pose: pose measured by the motion capture at this tick, or None.
+        pose: pose that motion capture reports at this tick, or None.
     """
 
     def __init__(

@@ -202,7 +202,7 @@ class Px4Simulator:
         self._vehicle.set_horn(pulse_us)
 
     def begin_fault(self, fault: Fault) -> None:
-        """Implement `ServedWorld`; with PX4 only the motion capture has faults."""
+        """Implement `ServedWorld`; a real PX4 has only faults of the motion capture."""
         if self._mocap is not None:
             self._report(f"fault {fault.name} {fault.value:g}")
             self._mocap.feed.begin_fault(fault, self._vehicle.plant.time_s)
