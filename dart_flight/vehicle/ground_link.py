@@ -43,9 +43,9 @@ from dart_flight.core.guard.second_vehicle import (
 from dart_flight.core.guard.stream_watch import STAMP_TOLERANCE_S
 from dart_flight.vehicle import arming_problems as reasons
 from dart_flight.vehicle import messages, sdk_log
-from dart_flight.vehicle.downloads import download_file
+from dart_flight.vehicle.downloads import Px4Logs, download_file
 from dart_flight.vehicle.messages import AUTOPILOT, BatteryReading, MessageEntry
-from dart_flight.vehicle.motion_capture.bridge import MotionCaptureBridge, forwarding, room_frame
+from dart_flight.vehicle.motion_capture.bridge import MotionCaptureBridge, forwarding
 from dart_flight.vehicle.motion_capture.pose_statistics import PoseFigures, PoseStatistics
 from dart_flight.vehicle.vehicle_session import NoAnswerError, Sender, VehicleError, VehicleSession
 
@@ -128,7 +128,7 @@ class _Listener:
 
     def __init__(self, mocap: MotionCapture) -> None:
         self.seen = Observation()
-        self.poses = PoseStatistics(room_frame(mocap), mocap.delay_ms)
+        self.poses = PoseStatistics(mocap.room_frame(), mocap.delay_ms)
         self.round_trips_us: list[int] = []
         self._clocks = SecondClockDetector(1e6 * STAMP_TOLERANCE_S)
         self._places = SecondPositionDetector(POSITION_JUMP_M)
@@ -296,6 +296,18 @@ class GroundLink:
             return HeartbeatMode(armed=beat.armed, hil=beat.hil)
         other = self._session.refused_because(messages.HEARTBEAT)
         return HeartbeatMode(armed=False, hil=False, not_px4=other) if other else None
+
+    def require_disarmed(self) -> None:
+        """Raise VehicleError if the vehicle is armed, or does not report that it is not."""
+        mode = self.heartbeat_mode()
+        if mode is None or mode.armed:
+            raise VehicleError(
+                f"the vehicle {'sends no heartbeat' if mode is None else 'is armed: disarm it first'}"
+            )
+
+    def px4_logs(self) -> Px4Logs:
+        """Return PX4's logs; the caller closes them before the link."""
+        return Px4Logs(self._system)
 
     def kill(self) -> None:
         """Disarm at once, in the air, too; raises what MAVSDK raises where that is refused."""
