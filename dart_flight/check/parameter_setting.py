@@ -9,7 +9,6 @@ from pathlib import Path
 
 import msgspec
 
-from dart_flight.base.errors import FlightError
 from dart_flight.check.px4_parameters import position_source
 from dart_flight.check.vehicle_check import judge_autopilot
 from dart_flight.check.vehicle_reading import release_of
@@ -42,10 +41,6 @@ _SOURCES = ("EKF2_EV_CTRL", "EKF2_GPS_CTRL")  # by which it is known where the p
 _FIX_S = 1.5
 
 Progress = Callable[[int, int], None]  # parameters read, of how many
-
-
-class NotWritableError(FlightError):
-    """The vehicle's parameters may not be written now."""
 
 
 class ParameterReading(msgspec.Struct, frozen=True):
@@ -132,14 +127,6 @@ def _restart_names(link: GroundLink) -> tuple[frozenset[str], str]:
         return restart_names(link.read_file(METADATA)), "the parameter metadata of this PX4"
     except (DownloadError, MetadataError):
         return RESTART, RESTART_SOURCE
-
-
-def require_disarmed(link: GroundLink) -> None:
-    """Raise NotWritableError if the vehicle is armed, or does not report that it is not."""
-    mode = link.heartbeat_mode()
-    if mode is None or mode.armed:
-        says = "sends no heartbeat" if mode is None else "is armed: disarm it first"
-        raise NotWritableError(f"nothing was written: the vehicle {says}")
 
 
 def save_former(rows: Iterable[ParameterRow], folder: Path, head: str, now: datetime | None = None) -> Path:

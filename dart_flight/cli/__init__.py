@@ -41,6 +41,7 @@ COMMANDS = {
     "standby": "hold link and lock between flights, and fly by the buttons of a ground station",
     "lock": "move or report the locking mechanism",
     "plan": "choose walls, velocities and modes for a scenario, and write the mission",
+    "px4-log": "download PX4's own log of a flight into the flight's folder",
     "replay": "replay a recorded flight through the flight core and compare decisions",
     "report": "write an HTML report of recorded flights",
     "export": "export flight logs as CSV, or for 3D playback in Foxglove, Lichtblick and Rerun",

@@ -5,7 +5,9 @@ from __future__ import annotations
 import argparse
 import contextlib
 import shlex
+from pathlib import Path
 
+from dart_flight.base.errors import FlightError
 from dart_flight.check.checks import FlightContext, checks_of
 from dart_flight.check.findings import CheckFinding, decide
 from dart_flight.check.stages import Stage, run_checks
@@ -20,12 +22,19 @@ from dart_flight.cli.options import (
     add_position_option,
     link_of,
 )
+from dart_flight.cli.px4_log_command import download_px4_log
 from dart_flight.cli.terminal import confirm, emit_json, messages, print_status
 from dart_flight.cli.vehicle_line import say_vehicle
+from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission, Waypoint
+from dart_flight.config.provenance import display_path
+from dart_flight.recording.flight_time import armed_span
+from dart_flight.recording.reader import read_log
 from dart_flight.recording.verdict import Verdict
 from dart_flight.run.drone import fly_vehicle
 from dart_flight.run.prepare import as_rehearsal, load_flyable, with_driver, with_mocap
+from dart_flight.run.px4_log import list_px4_logs
+from dart_flight.vehicle.downloads import Px4LogEntry
 from dart_flight.vehicle.link import LinkLease
 
 
@@ -43,6 +52,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add_live_options(parser)
     add_plot_option(parser)
     parser.add_argument("--yes", action="store_true", help="do not ask before flying")
+    parser.add_argument("--px4-log", action="store_true", help="download PX4's own log after disarming")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -66,11 +76,38 @@ def _fly(arguments: argparse.Namespace, mission: Mission, url: str, lease: LinkL
     console.print(_flight_summary(mission, url), soft_wrap=True)
     context = FlightContext(mission, arguments.log_dir, url, arguments.position_from)
     findings = run_checks(checks_of(Stage.FILE, Stage.COMPUTER, Stage.VEHICLE), context)
+    before = _listed(mission, url) if arguments.px4_log else None
     verdict = fly_if_go(arguments, mission, url, lease, findings)
     if verdict is None:
         return 1
+    if arguments.px4_log and verdict.log is not None:
+        lease.release()  # the flight's lease keeps a serial device to itself
+        verdict.px4_log = _downloaded(mission, url, Path(verdict.log), before)
     show_end(verdict, console, arguments.json)
     return exit_status(verdict)
+
+
+def _listed(mission: Mission, url: str) -> list[Px4LogEntry] | None:
+    """Return PX4's logs before the flight, None if they cannot be listed."""
+    try:
+        return list_px4_logs(url, mission.vehicle.connection.timeout_s)
+    except FlightError as error:
+        print_status(f"{error}; the log of this flight will be chosen by its date")
+        return None
+
+
+def _downloaded(mission: Mission, url: str, log: Path, before: list[Px4LogEntry] | None) -> str | None:
+    """Download PX4's log after a flight; a failure or Ctrl-C costs two lines, not the flight's result."""
+    try:
+        span = armed_span(read_log(log))
+        timeout_s = mission.vehicle.connection.timeout_s
+        return display_path(download_px4_log(url, timeout_s, log.parent, span, before=before))
+    except KeyboardInterrupt:
+        print_status("PX4's log skipped")
+    except (FlightError, InputError) as error:
+        print_status(error.one_line() if isinstance(error, InputError) else error)
+    print_status(f"later: dart-flight px4-log {shlex.quote(str(log.parent))}")
+    return None
 
 
 def fly_if_go(

@@ -12,7 +12,6 @@ from rich.table import Table
 from dart_flight.check.parameter_setting import (
     ParameterReading,
     read_differences,
-    require_disarmed,
     save_former,
     write_rows,
 )
@@ -66,9 +65,9 @@ def run(arguments: argparse.Namespace) -> int:
             _show(found)
         rows = found.writable
         if rows and (arguments.write or arguments.restore):
-            require_disarmed(link)
+            link.require_disarmed()
             if arguments.yes or confirm(f"Write {len(rows)} parameters?"):
-                require_disarmed(link)
+                link.require_disarmed()
                 saved = save_former(rows, arguments.save_dir, f"{url}, PX4 {found.version or 'unknown'}")
                 print_status(f"former values: {saved}")
                 with _shown("writing parameters") as progress:

@@ -43,7 +43,7 @@ from dart_flight.core.guard.second_vehicle import (
 from dart_flight.core.guard.stream_watch import STAMP_TOLERANCE_S
 from dart_flight.vehicle import arming_problems as reasons
 from dart_flight.vehicle import messages, sdk_log
-from dart_flight.vehicle.downloads import download_file
+from dart_flight.vehicle.downloads import Px4Logs, download_file
 from dart_flight.vehicle.messages import AUTOPILOT, BatteryReading, MessageEntry
 from dart_flight.vehicle.motion_capture.bridge import MotionCaptureBridge, forwarding
 from dart_flight.vehicle.motion_capture.pose_statistics import PoseFigures, PoseStatistics
@@ -296,6 +296,18 @@ class GroundLink:
             return HeartbeatMode(armed=beat.armed, hil=beat.hil)
         other = self._session.refused_because(messages.HEARTBEAT)
         return HeartbeatMode(armed=False, hil=False, not_px4=other) if other else None
+
+    def require_disarmed(self) -> None:
+        """Raise VehicleError if the vehicle is armed, or does not report that it is not."""
+        mode = self.heartbeat_mode()
+        if mode is None or mode.armed:
+            raise VehicleError(
+                f"the vehicle {'sends no heartbeat' if mode is None else 'is armed: disarm it first'}"
+            )
+
+    def px4_logs(self) -> Px4Logs:
+        """Return PX4's logs; the caller closes them before the link."""
+        return Px4Logs(self._system)
 
     def kill(self) -> None:
         """Disarm at once, in the air, too; raises what MAVSDK raises where that is refused."""

@@ -195,9 +195,9 @@ def test_what_the_vehicle_does_not_take_is_named() -> None:
 
 
 def test_an_armed_vehicle_is_not_written_to() -> None:
-    setting.require_disarmed(FakeLink({}))
-    with pytest.raises(setting.NotWritableError, match="armed"):
-        setting.require_disarmed(FakeLink({}, armed=True))
+    FakeLink({}).require_disarmed()
+    with pytest.raises(VehicleError, match="armed"):
+        FakeLink({}, armed=True).require_disarmed()
 
 
 def test_a_parameter_of_another_version_is_left_out_or_read_by_its_other_name() -> None:

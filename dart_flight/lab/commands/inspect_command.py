@@ -10,6 +10,7 @@ from rich.table import Table
 
 from dart_flight.cli.terminal import emit_json, messages, print_status, tables, write_text
 from dart_flight.config.document import InputError
+from dart_flight.recording.found import px4_logs_in
 
 if TYPE_CHECKING:
     from dart_flight.lab.inspect.impacts import InspectedFlight
@@ -40,7 +41,7 @@ def run(arguments: argparse.Namespace) -> int:
     vehicle = load_vehicle(arguments.config)
     flights: list[InspectedFlight] = []
     refused: list[InputError] = []
-    for log in arguments.logs:
+    for log in px4_logs_in(arguments.logs):
         try:
             flights.append(inspect_file(log, vehicle, arguments.mass))
         except InputError as error:

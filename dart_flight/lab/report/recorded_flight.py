@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from datetime import datetime, timedelta
 from functools import cached_property
 from pathlib import Path
 from typing import NamedTuple
@@ -22,8 +21,6 @@ from dart_flight.base.records import (
     PlanTaken,
     Setpoint,
     SetpointSent,
-    StatusSample,
-    World,
 )
 from dart_flight.contact.law import Onset
 from dart_flight.core.mission.approach import transit_segments
@@ -33,6 +30,7 @@ from dart_flight.lab.predict.path import ContactMotion, HitHistory, trajectory
 from dart_flight.lab.report.tracks import Angles, angles
 from dart_flight.planning.predicted_flight import PredictedFlight, predict_mission
 from dart_flight.recording.about import flown_mission
+from dart_flight.recording.flight_time import armed_span
 from dart_flight.recording.flown_impact import FlownImpact, Velocities
 from dart_flight.recording.reader import Log, read_log
 from dart_flight.recording.verdict import judge
@@ -125,7 +123,6 @@ class Impact:
             self.onset_s = self.at_s - float(time[over[0]])
 
     def _compare(self) -> list[Compared]:
-        """Return the rows of the report's table."""
         v, path, peak, true = self.verdict, self.prediction, self.verdict.peak, self.verdict.contact
 
         def row(name: str, unit: str, figure: str) -> Compared:
@@ -266,18 +263,8 @@ class RecordedFlight:
 
     def armed_utc(self) -> str | None:
         """Return the UTC time of arming by the host's clock, from which PX4 names its own log."""
-        about = self.log.about
-        started, monotonic = about.get("started_utc"), about.get("started_monotonic_us", "")
-        armed = next((s for s in self.course.all(StatusSample) if s.armed), None)
-        if started is None or armed is None or not monotonic.isdigit() or self.log.world is World.FAST:
-            return None
-        try:
-            moment = datetime.fromisoformat(started) + timedelta(
-                microseconds=armed.received_us - int(monotonic)
-            )
-        except (ValueError, OverflowError):
-            return None
-        return moment.strftime("%Y-%m-%d %H:%M:%S UTC")
+        span = armed_span(self.log)
+        return None if span is None else f"{span[0]:%Y-%m-%d %H:%M:%S} UTC"
 
     def replanned(self) -> list[tuple[PlanRequest, PlanAnswer | None, PlanTaken | None]]:
         """Return the requests to the planner in flight, with the answers and whether they were used."""

@@ -123,7 +123,7 @@ class MotionCaptureBridge:
         self._room = config.room_frame()
         self._decimation = Decimation(config.rate_hz)
         self._lock = threading.Lock()
-        self._stopped = False
+        self._stopped = self._withheld = False
         self.sent = 0
 
     @property
@@ -134,6 +134,11 @@ class MotionCaptureBridge:
     def start(self) -> None:
         """Start the source, and forward its poses from now on."""
         self._source.start(self.forward)
+
+    def withhold(self) -> None:
+        """Send no pose to PX4 from now on; they are still delivered."""
+        with self._lock:
+            self._withheld = True
 
     def stop(self) -> None:
         """Stop forwarding and close the source."""
@@ -149,7 +154,7 @@ class MotionCaptureBridge:
         with self._lock:
             if self._stopped:
                 return
-            if raw.tracked and self._decimation.selects(stamp):
+            if raw.tracked and not self._withheld and self._decimation.selects(stamp):
                 position, attitude = self._room.pose_to_ned(raw.position_room, raw.q_body_to_room)
                 self._send(odometry(t_us, position, attitude))
                 self.sent += 1
