@@ -202,7 +202,7 @@ def test_the_packaged_configuration_is_never_written(capsys: pytest.CaptureFixtu
 
 @pytest.mark.parametrize("delay_s", [0.005, 0.05])
 def test_the_age_of_a_simulated_flights_poses_is_found(delay_s: float) -> None:
-    """Contacts included; the poses leave at the next tick of 4 ms, and the IMU averages over one."""
+    """Contacts included; the poses leave at the next tick of 4 ms."""
     settings = [
         f"simulation.pose_delay_s={delay_s}",
         "mocap.up=y",
