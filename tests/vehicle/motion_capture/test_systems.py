@@ -32,6 +32,7 @@ from dart_flight.vehicle.motion_capture import vicon
 from dart_flight.vehicle.motion_capture.optitrack import ServerInfo, decode_server_info
 from dart_flight.vehicle.motion_capture.qualisys import attitude_of_matrix, body_names
 from dart_flight.vehicle.motion_capture.source import PoseSource, RawPose, open_source
+from tests.doubles.ports import free_udp_port
 
 BODY = "my dart"
 POSITION = (1.25, -2.5, 0.75)
@@ -201,12 +202,17 @@ def test_the_qtm_client_understands_the_emulated_server() -> None:
     assert packet.timestamp == 5_000_000
 
 
+GROUP = (239, 255, 42, 99)
+
+
 class OldMotive:
     """A Motive 2 by hand: NatNet 3.1, without sizes of lists, with markers, a skeleton and a force plate."""
 
-    def __init__(self) -> None:
+    def __init__(self, data_port: int = 0) -> None:
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self.socket.bind(("127.0.0.1", 0))
+        self.socket.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, socket.inet_aton("127.0.0.1"))
+        self.data_port = data_port  # of multicast; 0: unicast
         self.client: tuple[str, int] | None = None
         threading.Thread(target=self.answer, daemon=True).start()
 
@@ -217,7 +223,8 @@ class OldMotive:
                 kind = data[0]
                 if kind == 0:
                     info = b"Motive".ljust(256, b"\0") + bytes((2, 2, 0, 0, 3, 1, 0, 0))
-                    self.send(1, info + struct.pack("<QHB4B", 1_000_000, 1511, 0, 0, 0, 0, 0), sender)
+                    info += struct.pack("<QHB4B", 1_000_000, self.data_port, self.data_port != 0, *GROUP)
+                    self.send(1, info, sender)
                 elif kind == 4:
                     self.send(5, self.model(), sender)
                 elif kind == 10:
@@ -254,15 +261,19 @@ class OldMotive:
         return data + struct.pack("<IIdQQQHI", 0, 0, 1e-6 * stamp_us, stamp_us, stamp_us, stamp_us, 0, 0)
 
 
-def test_a_natnet_3_frame_among_other_things_is_read() -> None:
-    motive = OldMotive()
+@pytest.mark.parametrize("multicast", [False, True])
+def test_a_natnet_3_frame_among_other_things_is_read(multicast: bool) -> None:
+    motive = OldMotive(free_udp_port() if multicast else 0)
     poses: queue.Queue[RawPose] = queue.Queue()
     source = open_source(f"optitrack://127.0.0.1:{motive.socket.getsockname()[1]}/my%20dart")
     source.start(poses.put)
     try:
-        until(lambda: motive.client)
-        assert motive.client is not None
-        motive.send(7, motive.frame(41, 2_000_000), motive.client)
+        client = (".".join(map(str, GROUP)), motive.data_port)
+        if not multicast:
+            until(lambda: motive.client)
+            assert motive.client is not None
+            client = motive.client
+        motive.send(7, motive.frame(41, 2_000_000), client)
         pose = poses.get(timeout=30)
     finally:
         source.stop()
