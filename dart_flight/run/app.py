@@ -40,6 +40,7 @@ from dart_flight.base.records import (
     PlanAnswer,
     PlanRequest,
     PoseSample,
+    PosesWithheld,
     Record,
     Request,
     Setpoint,
@@ -551,6 +552,9 @@ class FlightApp:
                     latency_s = self._mission.vehicle.simulation.replan_latency_s
                     self._lockstep.open_plan(output, round(1e6 * latency_s))
                 self._planner.send(output)
+        elif isinstance(output, PosesWithheld):
+            if self._bridge is not None:
+                self._bridge.withhold()
         elif isinstance(output, PhaseChange):
             self._phase = output.after
             # For `monitor`; not on this thread, whose setpoints must not wait for it.

@@ -31,6 +31,7 @@ from dart_flight.base.records import (
     PhaseChange,
     PlanAnswer,
     PlanRequest,
+    PosesWithheld,
     Record,
     Request,
     RoundTrip,
@@ -341,6 +342,8 @@ class FastFlight:
             self._replanner.update_wall(output)
         elif isinstance(output, FrameAnchor) and self._replanner is not None:
             self._replanner.move_frame(output)
+        elif isinstance(output, PosesWithheld) and self.poses is not None:
+            self.poses.withhold()
         elif isinstance(output, Silence):
             self._last_setpoint = None
 

@@ -65,11 +65,16 @@ class FastPoses:
         source = _Source()
         mocap = mission.vehicle.mocap
         self._feed = PoseFeed(mocap, source, autopilot.plant.position)
-        MotionCaptureBridge(mocap, source, self._send, clock, deliver).start()
+        self._bridge = MotionCaptureBridge(mocap, source, self._send, clock, deliver)
+        self._bridge.start()
 
     def tick(self) -> None:
         """Deliver and forward the pose that is due at this time."""
         self._feed.tick(self._autopilot.now_s, self._autopilot.pose)
+
+    def withhold(self) -> None:
+        """Forward no pose from now on."""
+        self._bridge.withhold()
 
     def begin_fault(self, fault: Fault) -> None:
         """Begin a fault of the motion capture."""

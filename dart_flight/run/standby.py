@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import math
 import os
 import queue
 import signal
@@ -37,8 +38,9 @@ _RETRY_S: Final = 5.0
 _CONNECT_S: Final = 5.0  # for the autopilot's heartbeat, then it is tried again
 _ALIVE_S: Final = 0.5
 _SYSTEMD: Final = ("NOTIFY_SOCKET", "WATCHDOG_USEC", "WATCHDOG_PID")  # of standby, not of its children
+_TEXT_PAUSE_S: Final = 0.3  # PX4 forwards from a buffer of some 580 bytes, and drops what does not fit
 _LAST_WORDS_S: Final = 0.3  # for answers and texts, before the connection closes
-_RADIO_S: Final = 2.0  # RC_CHANNELS older than this: no remote control
+_RADIO_S: Final = 3.0  # SYS_STATUS older than this: no remote control
 _RC_RECEIVER: Final = 65536  # MAV_SYS_STATUS_SENSOR
 _NO_GOES: Final = 3  # of a check, told to the ground station; the rest is in the journal
 
@@ -64,18 +66,16 @@ class StandbyDesk:
         self._state = StandbyState(tuple(missions), has_lock)
         self._channel = rc_channel
         self._buttons, self._switch = StandbyButtons(), RcSwitch()
-        self._radio_s: float | None = None
-        self._receiver_ok = True
+        self._radio_s = -math.inf  # when PX4 last said that it has a remote control
 
     def take_link(self) -> None:
         """Begin afresh: the switch may have moved while another process had the link."""
-        self._buttons, self._switch, self._radio_s = StandbyButtons(), RcSwitch(), None
-        self._receiver_ok = True
+        self._buttons, self._switch, self._radio_s = StandbyButtons(), RcSwitch(), -math.inf
 
     def press(self, press: Press, now_s: float) -> Reply:
         """Return the answer to a button."""
-        present = self._receiver_ok and self._radio_s is not None and now_s - self._radio_s <= _RADIO_S
-        return self._buttons.reply(press, self._state._replace(remote_control=present), now_s)
+        radio = now_s - self._radio_s <= _RADIO_S
+        return self._buttons.reply(press, self._state._replace(remote_control=radio), now_s)
 
     def take_lock(self, state: LockState) -> None:
         """Note the lock's state."""
@@ -86,17 +86,14 @@ class StandbyDesk:
         """Note whether the motors may turn."""
         self._state = self._state._replace(armed=armed)
 
-    def take_sensors(self, enabled: int, healthy: int) -> None:
-        """Note PX4's own judgement of its receiver."""
-        self._receiver_ok = not enabled & ~healthy & _RC_RECEIVER
+    def take_sensors(self, present: int, now_s: float) -> None:
+        """Note the sensors that PX4 has: with a valid remote control its receiver is one of them."""
+        self._radio_s = now_s if present & _RC_RECEIVER else -math.inf
 
     def take_channels(self, pulses_us: Sequence[int], now_s: float) -> Mode | None:
-        """Note the transmitter's channels; returns the mode to which its switch moves the lock, if any."""
-        if not self._receiver_ok:
-            return None
-        self._radio_s = now_s
-        if self._channel is None or self._channel > len(pulses_us):
-            return None
+        """Return the mode to which the transmitter's switch moves the lock, if any."""
+        if now_s - self._radio_s > _RADIO_S or self._channel is None or self._channel > len(pulses_us):
+            return None  # after a loss receivers may send preset positions
         return self._switch.update(pulses_us[self._channel - 1], now_s)
 
 
@@ -212,12 +209,15 @@ class Standby:
             poses = forwarding(vehicle.mocap, session.send_message, session.clock, lambda pose: None)
             held.enter_context(poses)
             session.listen(messages.HEARTBEAT, lambda beat, _: self._desk.take_armed(beat.armed))
-            session.listen(messages.SYS_STATUS, lambda s, _: self._desk.take_sensors(s.enabled, s.healthy))
+            session.listen(
+                messages.SYS_STATUS, lambda s, _: self._desk.take_sensors(s.present, time.monotonic())
+            )
             session.listen(messages.RC_CHANNELS, lambda pulses, _: self._take_channels(pulses))
             session.serve_operator(vehicle.ground_station.system_id, self._answer)
             self._say("standby", "holding the link")
             for text in [*self._news, "standby"]:
                 session.tell_ground(text)
+                await asyncio.sleep(_TEXT_PAUSE_S)
             self._news.clear()
             while not self._wake.is_set():  # an errand, or the end
                 await self._rest(_RETRY_S)

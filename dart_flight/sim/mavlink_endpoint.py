@@ -437,6 +437,7 @@ class MavlinkEndpoint:
             | mavlink.MAV_SYS_STATUS_SENSOR_VISION_POSITION
             | mavlink.MAV_SYS_STATUS_SENSOR_GPS
             | mavlink.MAV_SYS_STATUS_PREARM_CHECK
+            | mavlink.MAV_SYS_STATUS_SENSOR_RC_RECEIVER
         )
         ok = present
         if not a.estimator.ok:

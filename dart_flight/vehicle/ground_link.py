@@ -45,7 +45,7 @@ from dart_flight.vehicle import arming_problems as reasons
 from dart_flight.vehicle import messages, sdk_log
 from dart_flight.vehicle.downloads import Px4Logs, download_file
 from dart_flight.vehicle.messages import AUTOPILOT, BatteryReading, MessageEntry
-from dart_flight.vehicle.motion_capture.bridge import MotionCaptureBridge, forwarding, room_frame
+from dart_flight.vehicle.motion_capture.bridge import MotionCaptureBridge, forwarding
 from dart_flight.vehicle.motion_capture.pose_statistics import PoseFigures, PoseStatistics
 from dart_flight.vehicle.vehicle_session import NoAnswerError, Sender, VehicleError, VehicleSession
 
@@ -128,7 +128,7 @@ class _Listener:
 
     def __init__(self, mocap: MotionCapture) -> None:
         self.seen = Observation()
-        self.poses = PoseStatistics(room_frame(mocap), mocap.delay_ms)
+        self.poses = PoseStatistics(mocap.room_frame(), mocap.delay_ms)
         self.round_trips_us: list[int] = []
         self._clocks = SecondClockDetector(1e6 * STAMP_TOLERANCE_S)
         self._places = SecondPositionDetector(POSITION_JUMP_M)

@@ -107,7 +107,7 @@ class EstimatorState(NamedTuple):
 
 
 class Sensors(NamedTuple):
-    """Sensors in use and healthy, bits of MAV_SYS_STATUS_SENSOR; errors of the autopilot's links.
+    """Sensors in use, healthy and present, bits of MAV_SYS_STATUS_SENSOR; errors of the autopilot's links.
 
     `drop_rate_comm` is in 0.01 %.
     """
@@ -116,6 +116,7 @@ class Sensors(NamedTuple):
     healthy: int
     drop_rate_comm: int = 0
     errors_comm: int = 0
+    present: int = 0
 
 
 class TextChunk(NamedTuple):
@@ -405,7 +406,8 @@ def _sys_status(m: _SysStatusFields) -> Sensors | Unusable:
     if not m.onboard_control_sensors_present:
         return Unusable("with sensors")
     enabled, healthy = m.onboard_control_sensors_enabled, m.onboard_control_sensors_health
-    return Sensors(enabled, healthy, m.drop_rate_comm, m.errors_comm)
+    present = m.onboard_control_sensors_present
+    return Sensors(enabled, healthy, m.drop_rate_comm, m.errors_comm, present)
 
 
 def _status_text(m: _StatusTextFields) -> TextChunk | Unusable:

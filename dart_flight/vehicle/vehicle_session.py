@@ -314,7 +314,7 @@ class VehicleSession:
 
         def handle(answer: messages.Timesync, received: int) -> Unusable | None:
             refused = self._take_answer(answer, received)
-            if refused is None:
+            if refused is None and not heard.is_set():  # later answers may outlive the loop
                 loop.call_soon_threadsafe(heard.set)
             return refused
 

@@ -529,7 +529,7 @@ def lost_body(c: HandFedCore, seconds: float) -> None:
 @cause
 def pose_source_ground(c: HandFedCore) -> None:
     c.run(0.1)
-    lost_body(c, 1.1)
+    lost_body(c, 2.1)
 
 
 @cause

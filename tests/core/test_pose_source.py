@@ -62,7 +62,7 @@ class Feed:
         room = ROOM.pose_from_ned(there, turned)
         age_us = 3_000_000 + later_us  # another clock
         sample = PoseSample(now, now, "dart", tracked, *room, self.frame, now - age_us, sender)
-        self.watch.take(sample, self.state)
+        self.watch.take(sample, self.state, Phase.TRANSIT)
 
     def tick(self) -> None:
         self.watch.tick(self.now_us)
@@ -95,7 +95,7 @@ def feed() -> Feed:
         ({"away": (0.5, 0.0, 0.0)}, 0.1, "body jumped by 0.50 m: another body, or swapped markers"),
         ({"turn": math.radians(90.0)}, 0.15, "the pose is turned by 90 deg against PX4's attitude"),
         ({"turn": math.pi}, 0.15, "the pose is turned by 180 deg against PX4's attitude"),
-        ({"later_us": 50_000}, 0.35, "poses arrive 50 ms later than at first"),
+        ({"later_us": 50_000}, 0.35, "poses arrive 50 ms later than at take-off"),
         ({"step_us": 100_000}, 0.7, "poses at 10 Hz, needs 25"),
         ({"tracked": False}, 0.6, "lost body dart for 0.5"),
     ],
@@ -118,6 +118,24 @@ def test_silence_of_the_source_is_judged_by_phase(feed: Feed) -> None:
     assert feed.watch.blind(False, Phase.TRANSIT) is None
     feed.silence(1.0)
     assert feed.watch.blind(False, Phase.TRANSIT) == "no pose of body dart for 1.60 s"
+
+
+def test_wrong_poses_are_withheld_once_and_in_the_air_only(feed: Feed) -> None:
+    feed.hover(0.1, away=(1.0, 0.0, 0.0))
+    assert feed.watch.withhold(Phase.ARMING) is None
+    reason = feed.watch.withhold(Phase.CONTACT)
+    assert reason == "body jumped by 1.00 m: another body, or swapped markers"
+    assert feed.watch.withhold(Phase.CONTACT) is None
+    assert feed.watch.blind(False, Phase.TRANSIT) is None
+    feed.silence(1.6)
+    assert feed.watch.fault(Phase.TRANSIT) == feed.watch.blind(False, Phase.TRANSIT) == reason
+
+
+@pytest.mark.parametrize("wrong", [{"tracked": False}, {"later_us": 90_000}, {"step_us": 100_000}])
+def test_poses_that_are_the_vehicles_own_are_not_withheld(feed: Feed, wrong: dict[str, Any]) -> None:
+    feed.hover(1.2, **wrong)
+    assert feed.watch.fault(Phase.TRANSIT) is not None
+    assert feed.watch.withhold(Phase.TRANSIT) is None
 
 
 def test_an_estimate_that_jumps_with_the_poses_leaves_no_position_to_fly_by(feed: Feed) -> None:

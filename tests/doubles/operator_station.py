@@ -80,8 +80,8 @@ class OperatorStation:
         pulses[channel - 1] = pulse_us
         self.send(mavlink.MAVLink_rc_channels_override_message(self._vehicle_system, 1, *pulses))
 
-    def hold_transmitter(self) -> None:
-        """From now on send centred channels, beside the heartbeats."""
+    def hold_sticks(self) -> None:
+        """From now on send a joystick's centred sticks, which is a remote control to PX4."""
         self._transmits = True
 
     def wait_for(self, text: str, count: int = 1, timeout_s: float = _WAIT_S) -> str:
@@ -112,9 +112,9 @@ class OperatorStation:
                 self._socket.sendto(message.pack(self._mav), self._vehicle)
 
     def _beat(self) -> None:
-        while not self._stop.wait(0.2):
+        while not self._stop.wait(0.1):
             if self._transmits:
-                self.move_switch(1, 1500)
+                self.send(mavlink.MAVLink_manual_control_message(self._vehicle_system, 0, 0, 500, 0, 0))
             self.send(
                 mavlink.MAVLink_heartbeat_message(
                     mavlink.MAV_TYPE_GCS, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, 0, 3

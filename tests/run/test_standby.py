@@ -38,39 +38,37 @@ def desk(channel: int | None = 7) -> StandbyDesk:
 def test_fly_needs_a_remote_control_that_is_there_now() -> None:
     standby = desk()
     assert standby.press(FLY, 10.0).text == "PX4 receives no remote control"
-    standby.take_channels(CENTRED, 11.0)
+    standby.take_sensors(RECEIVER | 1, 11.0)
     assert standby.press(FLY, 12.0).result == OK
-    assert standby.press(FLY, 13.5).result == NO, "silent since 2.5 s"
-    standby.take_channels(CENTRED, 14.0)
-    standby.take_sensors(RECEIVER, 0)  # PX4 says that its receiver has lost the transmitter
-    assert standby.press(FLY, 14.1).result == NO
-    standby.take_sensors(0, 0)  # no judgement of the receiver at all
-    assert standby.press(FLY, 14.2).result == OK
+    assert standby.press(FLY, 14.5).result == NO, "PX4 is silent since 3.5 s"
+    standby.take_sensors(RECEIVER, 15.0)
+    standby.take_sensors(1, 15.2)  # the transmitter is off
+    assert standby.press(FLY, 15.3).result == NO
 
 
 def test_a_loss_between_the_two_presses_cancels_the_first() -> None:
     standby = desk()
-    standby.take_channels(CENTRED, 10.0)
+    standby.take_sensors(RECEIVER, 10.0)
     assert standby.press(FLY, 10.1).result == OK
-    standby.take_sensors(RECEIVER, 0)
+    standby.take_sensors(0, 10.5)
     assert standby.press(FLY, 11.0).result == NO
-    standby.take_sensors(RECEIVER, RECEIVER)
-    standby.take_channels(CENTRED, 11.1)
+    standby.take_sensors(RECEIVER, 11.1)
     assert standby.press(FLY, 11.2).effect is None
 
 
 def test_the_link_back_in_hand_everything_begins_afresh() -> None:
     standby = desk()
-    standby.take_channels(CENTRED, 10.0)
+    standby.take_sensors(RECEIVER, 10.0)
     standby.press(FLY, 10.1)
     standby.take_link()
-    standby.take_channels(CENTRED, 10.5)
+    assert standby.press(FLY, 10.4).result == NO, "of the remote control nothing is known yet"
+    standby.take_sensors(RECEIVER, 10.5)
     assert standby.press(FLY, 10.6).effect is None, "a press before it counts no more"
 
 
 def test_armed_and_travelling_decide() -> None:
     standby = desk()
-    standby.take_channels(CENTRED, 10.0)
+    standby.take_sensors(RECEIVER, 10.0)
     standby.take_armed(True)
     assert standby.press(FLY, 10.1).text == "the vehicle is armed"
     standby.take_lock(LockState(1, LockPhase.TRAVELLING, Mode.RIGID))
@@ -79,11 +77,12 @@ def test_armed_and_travelling_decide() -> None:
     assert standby.press(Press(Button.LOCK_FLEXIBLE), 10.3).effect is Mode.FLEXIBLE
 
 
-def switched(standby: StandbyDesk, *pulses_us: int) -> list[Mode]:
+def switched(standby: StandbyDesk, *pulses_us: int, present: int = RECEIVER) -> list[Mode]:
     found, now_s = [], 0.0
     for pulse_us in pulses_us:
         for _ in range(10):
             now_s += 0.1
+            standby.take_sensors(present, now_s)
             mode = standby.take_channels((*CENTRED[:6], pulse_us, 1500), now_s)
             found += [mode] if mode is not None else []
     return found
@@ -94,9 +93,7 @@ def test_the_configured_channel_moves_the_lock() -> None:
     assert switched(desk(None), 1000, 2000) == []
     assert switched(desk(8), 1000, 2000) == []
     assert switched(desk(18), 1000, 2000) == [], "a channel that the receiver lacks"
-    lost = desk()
-    lost.take_sensors(RECEIVER, 0)
-    assert switched(lost, 1000, 2000) == [], "the positions of a receiver without its transmitter"
+    assert switched(desk(), 1000, 2000, present=1) == [], "a receiver without its transmitter"
 
 
 # --- the end of a process ----------------------------------------------------------------------------------

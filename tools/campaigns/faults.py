@@ -1,4 +1,4 @@
-"""The fault matrix as a table: what came of each cell, and when something was first decided."""
+"""Campaign: the fault matrix as a table, with the end of each cell and the time of the first decision."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from tools.campaigns.results import markdown
 
 
 def page(rows: Sequence[JudgedRow]) -> str:
-    """Return the matrix, a row for each fault, and what is uncontrolled."""
+    """Return the matrix, one row per fault, followed by the uncontrolled cells."""
     cells = {(r.values["fault"], r.values["phase"]): _cell(r.row) for r in rows}
     faults = dict.fromkeys(fault for fault, _ in cells)
     phases = tuple(dict.fromkeys(phase for _, phase in cells))

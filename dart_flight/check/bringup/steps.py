@@ -50,7 +50,6 @@ from dart_flight.lock.persistence import CommandStore, ServoOwnership, ServoTake
 from dart_flight.vehicle import messages
 from dart_flight.vehicle.baud_rate import listen_for_mavlink
 from dart_flight.vehicle.ground_link import GroundLink, unusable_streams
-from dart_flight.vehicle.motion_capture.bridge import room_frame
 from dart_flight.vehicle.vehicle_session import NoAnswerError, VehicleError
 
 _OBSERVE_S = 3.0
@@ -329,7 +328,7 @@ class Bringup(CheckContext[StepFinding]):
 
     def _shown_poses(self) -> tuple[Array, Array, Array]:
         """Return the tracked poses' receipt in seconds, and their positions and attitudes in local NED."""
-        room = room_frame(self._mission.vehicle.mocap)
+        room = self._mission.vehicle.mocap.room_frame()
         poses = [p for p in list(self._telemetry.poses) if p.tracked]
         shown = [room.pose_to_ned(p.position_room, p.q_body_to_room) for p in poses]
         times_s = np.array([1e-6 * p.t_us for p in poses])

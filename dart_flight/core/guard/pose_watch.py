@@ -4,6 +4,9 @@ Without poses PX4 dead-reckons by its IMU. A bias of 0.05 m/s2 and half a degree
 estimate by 0.02 m in 0.5 s, which no phase minds. A contact on the way costs up to 1 m/s of velocity, so
 the vehicle must not meet a wall without poses: in an approach the limit is shorter. A contact and its
 recovery are finished first: breaking off would turn the vehicle away from a recovery that works by the IMU.
+
+Poses of another body, or of swapped markers, are withheld from PX4 at once. PX4 rejects them for a second,
+and then resets its position to them; without them it dead-reckons long enough to land.
 """
 
 from __future__ import annotations
@@ -22,7 +25,7 @@ from dart_flight.core.sense.state import FlightState
 LOST_S: Final = 0.5
 LOST_APPROACH_S: Final = 0.25
 LOST_LAND_S: Final = 1.5  # dead reckoning is off by 0.2 m then, and a break-off leads nowhere
-_GROUND_LOST_S: Final = 1.0
+_GROUND_LOST_S: Final = 2.0  # nothing is in danger yet
 _FIRST_S: Final = 5.0  # from the first input to the first pose
 # Step between two poses that PX4's velocity does not explain; that velocity is off by up to 2 m/s in a
 # contact, and as old as a pose is.
@@ -61,6 +64,8 @@ class PoseWatch:
         self._known: tuple[int, Vec3] | None = None  # receipt and position of the newest plausible pose, NED
         self._strange_us: int | None = None  # since when poses have been a jump away from it
         self._jump = ""
+        self._wrong = ""  # why poses are withheld
+        self._withheld_us = 0
         self._apart_us: int | None = None
         self._turned_us: int | None = None
         self._apart_m = self._turned_deg = 0.0
@@ -75,7 +80,7 @@ class PoseWatch:
         self._begun_us = self._begun_us or host_us
         self._now_us = host_us
 
-    def take(self, item: PoseSample, state: FlightState) -> None:
+    def take(self, item: PoseSample, state: FlightState, phase: Phase) -> None:
         """Compare a pose with the one before it and with PX4's estimate in `state`."""
         now_us, before = item.received_us, self._newest
         self._newest = item
@@ -89,7 +94,7 @@ class PoseWatch:
         if self._tracked_us:
             self._intervals.append(now_us - self._tracked_us)
         self._tracked_us = now_us
-        self._take_age(item)
+        self._take_age(item, phase in ON_GROUND)
         position, attitude = self._room.pose_to_ned(item.position_room, item.q_body_to_room)
         self._compare_poses(now_us, position, state)
         self._compare_estimate(now_us, position, attitude, state)
@@ -99,10 +104,12 @@ class PoseWatch:
         ground = phase in ON_GROUND
         lost_s = LOST_APPROACH_S if phase is Phase.APPROACH else LOST_S
         return (
-            self._lost(_GROUND_LOST_S if ground else lost_s)
+            self._wrong
+            or self._lost(_GROUND_LOST_S if ground else lost_s)
             or self._jump
             or self._two_senders()
-            or self._differs(ground)
+            or self._turned(_GROUND_APART_S if ground else _TURNED_S)
+            or self._apart(_GROUND_APART_S if ground else _APART_S)
             or self._late()
             or self._slow()
         )
@@ -112,7 +119,16 @@ class PoseWatch:
         if estimate_steps:
             fault = self.fault(phase)
             return None if fault is None else f"{fault}; PX4's estimate has followed"
+        if self._wrong and (self._now_us - self._withheld_us) * 1e-6 > LOST_LAND_S:
+            return self._wrong
         return self._lost(LOST_LAND_S)
+
+    def withhold(self, phase: Phase) -> str | None:
+        """Return why PX4 must not get these poses any longer, as text, once in a flight."""
+        if self._wrong or phase in ON_GROUND:
+            return None
+        self._wrong, self._withheld_us = self._jump or self._turned(_TURNED_S) or "", self._now_us
+        return self._wrong or None
 
     # -- causes --
 
@@ -135,21 +151,21 @@ class PoseWatch:
         assert self._other is not None
         return f"poses from two senders: {' and '.join(sorted((self._newest.sender, self._other.sender)))}"
 
-    def _differs(self, ground: bool) -> str | None:
-        turned_s, apart_s = (_GROUND_APART_S,) * 2 if ground else (_TURNED_S, _APART_S)
-        if self._turned_us is not None and (self._tracked_us - self._turned_us) * 1e-6 > turned_s:
-            return (
-                f"the pose is turned by {self._turned_deg:.0f} deg against PX4's attitude: markers swapped?"
-            )
-        if self._apart_us is not None and (self._tracked_us - self._apart_us) * 1e-6 > apart_s:
-            return f"the pose is {self._apart_m:.2f} m from PX4's position"
-        return None
+    def _turned(self, limit_s: float) -> str | None:
+        if self._turned_us is None or (self._tracked_us - self._turned_us) * 1e-6 <= limit_s:
+            return None
+        return f"the pose is turned by {self._turned_deg:.0f} deg against PX4's attitude: markers swapped?"
+
+    def _apart(self, limit_s: float) -> str | None:
+        if self._apart_us is None or (self._tracked_us - self._apart_us) * 1e-6 <= limit_s:
+            return None
+        return f"the pose is {self._apart_m:.2f} m from PX4's position"
 
     def _late(self) -> str | None:
         if self._least_age_us is None or not self._ages:
             return None
         later_s = 1e-6 * (min(age_us for _, age_us in self._ages) - self._least_age_us)
-        return f"poses arrive {1e3 * later_s:.0f} ms later than at first" if later_s > LATER_S else None
+        return f"poses arrive {1e3 * later_s:.0f} ms later than at take-off" if later_s > LATER_S else None
 
     def _slow(self) -> str | None:
         if len(self._intervals) < _INTERVALS:
@@ -160,14 +176,18 @@ class PoseWatch:
 
     # -- comparisons --
 
-    def _take_age(self, item: PoseSample) -> None:
+    def _take_age(self, item: PoseSample, on_ground: bool) -> None:
         if item.source_us is None:
             return
         self._ages.append((item.received_us, item.t_us - item.source_us))
         while self._ages[0][0] < item.received_us - _AGE_US:
             self._ages.popleft()
-        age_us = self._ages[-1][1]
-        self._least_age_us = age_us if self._least_age_us is None else min(age_us, self._least_age_us)
+        if on_ground:  # the autopilot's clock is still being estimated
+            return
+        least_us = (
+            min(age_us for _, age_us in self._ages) if self._least_age_us is None else self._least_age_us
+        )
+        self._least_age_us = min(least_us, self._ages[-1][1])
 
     def _compare_poses(self, now_us: int, position: Vec3, state: FlightState) -> None:
         if self._known is None or state.odometry is None:

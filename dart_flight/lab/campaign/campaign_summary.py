@@ -393,7 +393,6 @@ def _can_affect(name: str, figure: str, mission: Mission) -> bool:
 
 
 def _departures(rows: Sequence[_SummaryRow]) -> list[Departure]:
-    """Collect the deviations out of tolerance by mission and figure."""
     planned = Counter(row.point.path for row in rows if row.followed is not None)
     by_figure: dict[tuple[str, str], list[Deviation]] = {}
     for row in rows:

@@ -170,7 +170,7 @@ def _hand_out(
 
 
 class _UnfitWorkerError(Exception):
-    """Error of a worker that could not begin a flight."""
+    """A worker could not begin a flight."""
 
 
 def _result(future: Any) -> Flown | Failure:

@@ -38,10 +38,10 @@ ROWS = tuple(
     for name in (kind.name for kind in KINDS)
     for row in (name, *(f"{name}={value}" for value in _VALUES.get(name, ())))
 )
-_MOCAP_ROWS = tuple(row for row in ROWS if row.startswith("mocap-"))
-CELLS = (
-    *((row, phase) for row in ROWS for phase in PHASES),
-    *((row, "transit") for row in _MOCAP_ROWS),  # where the decision before the next wall has time
+# PX4 aligns itself with what the motion capture reports from the start on: no fault shows there.
+_MOCAP_PHASES = ("take-off", "transit", "approach", "contact", "recovery", "goal")
+CELLS = tuple(
+    (row, phase) for row in ROWS for phase in (_MOCAP_PHASES if row.startswith("mocap-") else PHASES)
 )
 APP_GONE = "app gone"  # the program hung or was killed, so the flight has no reason
 
@@ -151,5 +151,7 @@ def random_fault(number: int) -> tuple[Mission, Fault]:
     if kind.name in ranges:
         value = chance.uniform(*ranges[kind.name])
     phase = chance.choice((None, "take-off", "transit", "approach", "contact", "recovery", "goal", "landing"))
+    if kind.place is FaultSite.MOCAP:
+        phase = phase or "take-off"
     fault = Fault(kind.name, value, phase, chance.choice((0.0, 0.0, chance.uniform(0.0, 3.0))))
     return load_flyable(packaged("missions", f"{chance.choice(_MISSIONS)}.yaml")), fault

@@ -83,7 +83,6 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _airframe(arguments: argparse.Namespace) -> int:
-    """Print PX4's motor positions and their differences from the configuration."""
     if arguments.write:
         raise InputError("calibrate airframe prints a block to paste under `airframe:`; it writes no file")
     if (arguments.connection is None) != (len(arguments.logs) == 1):

@@ -77,7 +77,6 @@ def _folders(logs: list[Path], output: Path | None) -> list[Path]:
 
 
 def _files(logs: list[Path], output: Path | None) -> list[Path]:
-    """Return the output file of each log."""
     if output is None:
         names = [FOXGLOVE_NAME if log.stem == "flight" else f"{log.stem}_{FOXGLOVE_NAME}" for log in logs]
         return [log.with_name(name) for log, name in zip(logs, names, strict=True)]
@@ -88,7 +87,6 @@ def _files(logs: list[Path], output: Path | None) -> list[Path]:
 
 
 def _names(logs: list[Path]) -> list[str]:
-    """Return a unique name for each log."""
     names: list[str] = []
     for log in logs:
         base = name = log.resolve().parent.name if log.stem == "flight" else log.stem

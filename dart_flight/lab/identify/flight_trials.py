@@ -15,6 +15,7 @@ from dart_flight.recording.measured_walls import WallMeasurements
 from dart_flight.recording.reader import Log, NothingInItError
 
 _BEFORE_S, _AFTER_S = 0.5, 0.4
+_POSES = 40  # least number within 0.4 s of an onset: at 50 Hz a contact falls between two poses
 _LONGEST_S = 0.15  # duration of a contact whose end was not detected
 # Systematic relative errors measured on simulated flights (docs/results/flight_identification.md): PX4's
 # velocity loop also brakes during the contact.
@@ -24,9 +25,10 @@ ALLOWANCE = {"k": 0.03, "f": 0.15, "mu": 0.08, "nu": 0.6}
 def trials_of(log: Log, material: str | None = None, mode: str = UNLABELLED) -> dict[str, list[Trial]]:
     """Return the planned collisions of a flight with this material in this mode, by material of the wall.
 
-    The series are the position from PX4's estimate and the force from the flight core's estimate. Both are in
-    the wall's collision frame and on the autopilot's clock. The plane is the mission's; for a probed wall it
-    is the plane measured by the contact. The vehicle is the one that flew.
+    The position is that of the motion capture's poses if their age is known, otherwise PX4's estimate, which
+    smears a contact. The force is the flight core's estimate. All series are in the wall's collision frame
+    and on the autopilot's clock. The plane is the mission's; for a probed wall it is the plane measured by the
+    contact. The vehicle is the one that flew.
 
     Raises:
         InputError: the log does not contain its mission.
@@ -63,13 +65,16 @@ def trials_of(log: Log, material: str | None = None, mode: str = UNLABELLED) -> 
 
 def _series(flight: FlightArrays, wall: Wall, onset_us: int) -> dict[str, Series]:
     at = flight.time_of(onset_us)
-    motion, force = flight.estimated, flight.estimated_force
-    near = (motion.time_s > at - _BEFORE_S) & (motion.time_s < at + _AFTER_S)
+    force = flight.estimated_force
+    motion_s, position = flight.estimated.time_s, flight.estimated.position
+    if flight.posed.is_timed and np.sum(np.abs(flight.posed.time_s - at) < _AFTER_S) >= _POSES:
+        motion_s, position = flight.posed.time_s, flight.posed.position
+    near = (motion_s > at - _BEFORE_S) & (motion_s < at + _AFTER_S)
     force_near = (force.time_s > at - _BEFORE_S) & (force.time_s < at + _AFTER_S)
     n = np.array([*wall.normal, 0.0])
     t = np.array([*wall.tangent, 0.0])
-    place = motion.position[near] - np.array([*wall.point, 0.0])
-    time, force_time = motion.time_s[near] - at, force.time_s[force_near] - at
+    place = position[near] - np.array([*wall.point, 0.0])
+    time, force_time = motion_s[near] - at, force.time_s[force_near] - at
     return {
         "normal_m": Series(time, place @ n),
         "tangential_m": Series(time, place @ t),

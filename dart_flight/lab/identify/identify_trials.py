@@ -108,7 +108,6 @@ def _mass(reading: TrialReading, vehicle: VehicleConfig) -> float:
 
 
 def _refuse_mode(reading: TrialReading, vehicle: VehicleConfig) -> None:
-    """Raise an InputError if the requested mode is not one of the vehicle's."""
     problem = None if reading.mode == UNLABELLED else vehicle.mode_problem(Mode(reading.mode))
     if problem is not None:
         raise InputError(problem, key=("mode",))
@@ -194,7 +193,6 @@ def columns_of(text: str | None) -> dict[str, str]:
 
 
 def _plain(value: Any) -> Any:
-    """Return a value with its named tuples converted to dictionaries."""
     if isinstance(value, tuple) and hasattr(value, "_asdict"):
         value = value._asdict()
     if isinstance(value, dict):

@@ -118,7 +118,6 @@ class _FreeFlightFit:
         self.covariance = np.linalg.inv(information)
 
     def position(self, time: Array) -> Array:
-        """Return the position on the parabola."""
         t = time - self.about_s
         result: Array = self.line[0] + t * (self.line[1] + 0.5 * t * self.line[2])
         return result

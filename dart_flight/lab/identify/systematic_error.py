@@ -56,7 +56,6 @@ def widen_intervals(
 
 
 def _widened(estimate: Estimate | None, share: float) -> Estimate | None:
-    """Return the interval with a fraction of the value added at both ends."""
     if estimate is None:
         return None
     more = share * abs(estimate.value)

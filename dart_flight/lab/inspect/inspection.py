@@ -1,4 +1,4 @@
-"""The inspection of a PX4 log, used by `dart-flight inspect` and `tools.campaigns.felt`."""
+"""The inspection of a PX4 log, used by `dart-flight inspect`."""
 
 from __future__ import annotations
 

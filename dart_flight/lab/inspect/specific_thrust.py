@@ -92,7 +92,6 @@ def are_motors_slow(track: Track) -> bool:
 
 
 def _is_too_far(apart_s: float) -> bool:
-    """Return whether the thrust is unknown between two motor outputs."""
     return apart_s * THRUST_KNOWN_HZ >= _JITTER
 
 

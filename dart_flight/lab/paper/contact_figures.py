@@ -33,7 +33,6 @@ def _title(condition: Condition, text: str) -> str:
 
 
 def _finish(figure: Any, axes: Sequence[Any], contact_ms: tuple[float, float], path: str | Path) -> None:
-    """Label the force panel, add legends, shade the contact, and write the file."""
     axes[-1].set(xlabel="time, ms", ylabel="force, N")
     for axis in axes:
         shade(axis, *contact_ms)

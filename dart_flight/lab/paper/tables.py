@@ -218,7 +218,6 @@ def stiffness_ratios(vehicle: VehicleConfig) -> dict[str, float]:
 
 
 def _rows(rows: list[list[str]]) -> str:
-    """Return the rows of a table in Markdown."""
     return "\n".join("| " + " | ".join(cells) + " |" for cells in rows)
 
 

@@ -67,7 +67,6 @@ class _Integral:
         return np.asarray(self._inside(self._once, t) + self._before * early + self._after * late)
 
     def twice(self, t: Array) -> Array:
-        """Return the double integral from 0 to t."""
         early, late = self._outside(t)
         at_nodes, series = self._twice
         outside = 0.5 * self._before * early**2 + (at_nodes[-1] + 0.5 * self._after * late) * late

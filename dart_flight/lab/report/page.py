@@ -79,6 +79,9 @@ def flight_page(flight: RecordedFlight) -> str:
         replanned=PageTable(_REPLANNED_HEADS, [_replanned_row(flight, *plan) for plan in flight.replanned()]),
         impacts=[(hit.title, picture(forces.impact_forces(flight, hit))) for hit in flight.impacts],
         motion=picture(motion.motion(flight)),
+        poses=picture(motion.poses(flight))
+        if course.posed.time_s.size and course.estimated.time_s.size
+        else "",
         attitude=picture(motion.attitude(flight)),
         tracking=picture(motion.tracking_error(flight)),
         thrust=picture(motion.thrust_and_battery(flight)),
@@ -178,7 +181,6 @@ def _tiles(verdict: Verdict) -> list[tuple[str, str]]:
 
 
 def _facts(flight: RecordedFlight) -> list[tuple[str, str]]:
-    """Return the source of the flight, and whether the replay is equal."""
     v, about, replayed = flight.verdict, flight.log.about, flight.replay
     equal = f"all {replayed.outputs} outputs equal"
     if not replayed.equal:
@@ -203,15 +205,15 @@ def _missing_parts(named: Iterable[tuple[RecordedFlight, str]]) -> list[tuple[st
 
 def outcome_sentence(flight: RecordedFlight) -> str:
     """Return the outcome of a flight as a sentence."""
-    v, planned, met = flight.verdict, len(flight.mission.collisions), len(flight.impacts)
+    v, planned, hit = flight.verdict, len(flight.mission.collisions), len(flight.impacts)
     if flight.mission.standoff_m is not None:
         hits = "a rehearsal, which stops before each wall"
     elif planned == 0:
         hits = "no collision was planned"
     elif planned == 1:
-        hits = f"the one planned collision was {'' if met else 'not '}flown"
+        hits = f"the one planned collision was {'' if hit else 'not '}flown"
     else:
-        hits = f"{met if met < planned else 'all'} of {planned} planned collisions were flown"
+        hits = f"{hit if hit < planned else 'all'} of {planned} planned collisions were flown"
     begin = {
         Outcome.COMPLETED: "The flight was completed",
         Outcome.ABORTED: "The flight was aborted",

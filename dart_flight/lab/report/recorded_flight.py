@@ -123,7 +123,6 @@ class Impact:
             self.onset_s = self.at_s - float(time[over[0]])
 
     def _compare(self) -> list[Compared]:
-        """Return the rows of the report's table."""
         v, path, peak, true = self.verdict, self.prediction, self.verdict.peak, self.verdict.contact
 
         def row(name: str, unit: str, figure: str) -> Compared:

@@ -134,8 +134,8 @@ def _rounded(leg: TrajectoryPieces) -> dict[str, Any]:
 def recovery_gains(vehicle: VehicleConfig, wall: Wall, hit: TrajectoryHit) -> Vec2:
     """Return the gains (A_n, A_t) of the setpoint from the peak of a hit until the replanned trajectory, m/N.
 
-    With these gains PX4's position loop commands, at the outgoing velocity, the thrust per mass at the hit, u
-    = a + drag v: kv (kp A F - v) = u.
+    At the outgoing velocity these gains make PX4's position loop command the thrust per mass of the hit, u =
+    a + drag v, so that kv (kp A F - v) = u.
     """
     response, px4 = ContactResponse.of(vehicle, wall, hit.mode), vehicle.px4
     drag_n, drag_t = drag_along(wall, vehicle.airframe.drag_per_s)
@@ -203,12 +203,10 @@ def write_mission(
 
 
 def _given(section: WallSpec | Limits) -> dict[str, Any]:
-    """Return the keys of a section that are not None."""
     return _without_none(msgspec.to_builtins(section))
 
 
 def _without_none(tree: dict[str, Any]) -> dict[str, Any]:
-    """Return a tree without keys that are None, at every level."""
     return {
         key: _without_none(value) if isinstance(value, dict) else value
         for key, value in tree.items()

@@ -276,7 +276,7 @@ class _Transcription:
 
     # -- the problem --
 
-    def part(self, i: int, part: Part, begin: _GuessedEnd, end: _GuessedEnd) -> None:
+    def add_part(self, i: int, part: Part, begin: _GuessedEnd, end: _GuessedEnd) -> None:
         """Add the unknowns of one part with its motion, limits and half-planes."""
         ca, n, limits = self.ca, self.intervals, self.problem.limits
         jerk_most = limits.jerk_m_s3 or _ANY_JERK_M_S3
@@ -311,7 +311,7 @@ class _Transcription:
         """Connect the end of part `i` through an event to the next part."""
         before, after = self.states[i][:, -1], self.states[i + 1][:, 0]
         if isinstance(event, Hit):
-            self.hit(event, before, after)
+            self.add_hit(event, before, after)
             return
         self.require(after - before, 0.0, 0.0)
         if isinstance(event, Visit):
@@ -325,7 +325,7 @@ class _Transcription:
         away = self.ca.sumsqr(state[:2] - self.ca.DM(visit.place))
         self.require(away / visit.within_m**2, -math.inf, 1.0)
 
-    def hit(self, event: Hit, before: Any, after: Any) -> None:
+    def add_hit(self, event: Hit, before: Any, after: Any) -> None:
         """Connect the onset of a hit, over release and dead time, to the begin of the next leg."""
         ca, wall, limits = self.ca, event.wall, self.problem.hits
         response = ContactResponse.of(self.problem.vehicle, wall, event.mode)
@@ -360,8 +360,6 @@ class _Transcription:
 
 
 class _GuessedEnd(NamedTuple):
-    """The initial guess of a part's begin or end."""
-
     place: Vec2
     velocity: Vec2
 
@@ -416,7 +414,7 @@ def solve(problem: Problem, intervals: int = INTERVALS, tolerance: float = 1e-6)
         return None
     t = _Transcription(casadi, problem, intervals)
     for i, (part, ends) in enumerate(zip(problem.parts, _guessed_ends(problem), strict=True)):
-        t.part(i, part, *ends)
+        t.add_part(i, part, *ends)
     for i, part in enumerate(problem.parts):
         if part.to is not None:
             t.join(i, part.to)
@@ -434,7 +432,6 @@ def solve(problem: Problem, intervals: int = INTERVALS, tolerance: float = 1e-6)
 
 
 def _is_possible(vehicle: VehicleConfig, event: Event | None) -> bool:
-    """Return whether a hit rebounds from its wall."""
     if not isinstance(event, Hit):
         return True
     response = ContactResponse.of(vehicle, event.wall, event.mode)

@@ -136,7 +136,6 @@ def quickest_summary(result: QuickestResult) -> dict[str, Any]:
 
 
 def _in_order(result: QuickestResult) -> list[QuickestPlan]:
-    """Return the best plan, followed by the other one if it exists."""
     others = (plan for plan in (result.free, result.colliding) if plan is not None and plan != result.best)
     return [result.best, *others]
 

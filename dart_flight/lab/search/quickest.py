@@ -257,8 +257,6 @@ class LeastTimes:
 
 
 class _Search:
-    """The search over sequences in the order of their bounds."""
-
     def __init__(self, scenario: Scenario) -> None:
         self.scenario = scenario
         self.vehicle, self.walls = scenario.vehicle, tuple(scenario.walls.values())
@@ -326,7 +324,6 @@ class _Search:
         self.free, self.colliding = self._polished(self.free), self._polished(self.colliding)
 
     def _to_beat_s(self) -> float:
-        """Return the time that a sequence must beat."""
         found = [self.colliding] if self._demanded else [self.free, self.colliding]
         return min((plan.time_s for plan in found if plan is not None), default=math.inf)
 
@@ -470,7 +467,6 @@ class _Search:
         return plan
 
     def _polished(self, plan: QuickestPlan | None) -> QuickestPlan | None:
-        """Return the plan computed with finer intervals."""
         return plan and (self._computed_plan(plan.events, POLISHED, _POLISHED_TO) or plan)
 
 
@@ -507,7 +503,6 @@ def _repeats(events: Sequence[Event]) -> bool:
 
 
 def _place_of(event: Event, before: Vec2) -> Vec2:
-    """Return a likely position of an event."""
     if isinstance(event, Hit):
         return event.wall.foot(before if event.visit is None else event.visit.place)
     return event.place

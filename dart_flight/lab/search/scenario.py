@@ -338,7 +338,6 @@ def _check_sight(spec: ScenarioFile, sight: SightSpec, walls: list[Wall], docume
 
 
 def _grids(spec: SearchSpec, document: Document) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Return the normal and the tangential velocities to try."""
     normal = _grid(spec.normal_m_s, ("search", "normal_m_s"), document)
     if not normal[-1] < 0.0:
         raise document.error(
@@ -353,7 +352,6 @@ def _name_from(source: str) -> str:
 
 
 def _sequences(spec: ScenarioFile, document: Document) -> tuple[tuple[str, ...], ...]:
-    """Return every sequence of hits to try."""
     key: Key = ("sequence",)
     if not spec.walls:
         raise document.error(("walls",), "a plan needs at least one wall")

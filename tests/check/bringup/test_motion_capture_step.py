@@ -18,7 +18,6 @@ from dart_flight.cli.bringup_command import _write_delay
 from dart_flight.config.mission import Mission, load_mission
 from dart_flight.config.vehicle import load_vehicle, packaged
 from dart_flight.config.vehicle.mocap import MotionCapture
-from dart_flight.vehicle.motion_capture.bridge import room_frame
 from tests.check.bringup.test_pose_motion import Hand, Room, samples
 
 MISSION = load_mission(packaged("missions", "single_wall.yaml"))
@@ -77,7 +76,7 @@ class FedBringup(Bringup):
         super().__init__(mission, "serial:///dev/none:921600", self.hands, 1.0)
         imu_s, rates, forces = samples(hand or Hand(), Room())[3:]
         shown_s, positions, attitudes = samples(other or hand or Hand(), Room())[:3]
-        room, t = room_frame(true), self._telemetry
+        room, t = true.room_frame(), self._telemetry
 
         def begin() -> None:
             t.take(make_pose(0.0, *room.pose_from_ned((0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))))

@@ -140,7 +140,6 @@ def _paths(flight: RecordedFlight) -> list[tuple[tuple[Array, Array], dict[str, 
 
 
 def _draw_direction(axis: Any, place: Array) -> None:
-    """Draw arrow heads along a path."""
     distance = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(place, axis=0), axis=1))])
     for at in np.arange(0.5 * _ARROW_EVERY_M, distance[-1], _ARROW_EVERY_M):
         i, j = np.searchsorted(distance, at - 0.01), np.searchsorted(distance, at + 0.05)

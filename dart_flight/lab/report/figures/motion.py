@@ -76,6 +76,22 @@ def motion(flight: RecordedFlight, *, look: Look = PAGE) -> Any:
 
 
 @in_style
+def poses(flight: RecordedFlight, *, look: Look = PAGE) -> Any:
+    """Horizontal position by motion capture and by PX4's estimate, and the distance between them."""
+    figure, axes = new_figure(look, 4.2, 3, 1, sharex=True)
+    raw, estimated = flight.course.posed, flight.course.estimated
+    for j in (0, 1):
+        _plot(axes[j], flight, raw.time_s, raw.position[:, j], label="motion capture", **TRUE)
+        _plot(axes[j], flight, estimated.time_s, estimated.position[:, j], label="estimated", **ESTIMATED)
+    there = [np.interp(raw.time_s, estimated.time_s, axis) for axis in estimated.position.T]
+    away_m = np.linalg.norm(raw.position - np.stack(there, axis=1), axis=1)
+    _plot(axes[2], flight, raw.time_s, 1e3 * away_m, **{**TRUE, "linewidth": 1.0})
+    axes[2].set_ylim(bottom=0.0)
+    _label(axes, ("x, m", "y, m", "distance, mm"), flight)
+    return figure
+
+
+@in_style
 def attitude(flight: RecordedFlight, *, look: Look = PAGE) -> Any:
     """Draw roll, pitch and yaw, estimated and true, degrees."""
     figure, axes = new_figure(look, 4.2, 3, 1, sharex=True)
