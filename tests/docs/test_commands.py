@@ -33,6 +33,7 @@ NOT_RUN: list[tuple[str, str]] = [
     (r"--scheduler tcp://host|^dask ", "needs a Dask scheduler"),
     (
         r"--connection serial:|^dart-flight (calibrate airframe --connection|monitor|mocap)|"
+        r"^dart-flight (parameters|px4-log)|"
         r"^dart-flight fly missions/\S+( --standoff \S+)?$",
         "needs the vehicle",
     ),
