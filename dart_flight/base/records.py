@@ -645,6 +645,14 @@ class PhaseChange(Record, frozen=True, gc=False):
     collision: int | None = None  # 1-based index of the collision
 
 
+class PosesWithheld(Record, frozen=True, gc=False):
+    """The end of forwarding: the poses are not the vehicle's, and PX4 flies better by its IMU."""
+
+    topic: ClassVar[str] = "/event/poses_withheld"
+    t_us: int
+    reason: str
+
+
 class GuardEvent(Record, frozen=True, gc=False):
     """Firing of a guard rule."""
 
@@ -723,6 +731,7 @@ Output = (
     | ImpactBody
     | WallEstimate
     | PhaseChange
+    | PosesWithheld
     | GuardEvent
     | GoalPassed
     | PlanTaken

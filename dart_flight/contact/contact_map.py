@@ -428,8 +428,7 @@ def collide(
 def fall(
     coefficients: CoefficientArrays, mass_kg: ArrayLike, height_m: ArrayLike, onset: Onset
 ) -> tuple[Array, Array]:
-    """Return the time from the release at rest to the onset of contact, s, and the speed then, m/s
-    (positive).
+    """Return the time from the release at rest to the onset of contact, s, and the speed there, m/s, > 0.
 
     With `lcp` the force begins above the plane, where k x = f |v|.
     """

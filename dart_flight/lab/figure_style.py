@@ -152,8 +152,11 @@ def save_figure(figure: Any, path: Path) -> None:
     """
     if path.suffix.lower() not in (".png", ".svg", ".pdf"):
         raise InputError("a picture is a file .png, .svg or .pdf", source=str(path))
-    with writing(path), _styled(PAGE):
-        figure.savefig(path, dpi=200)
+    drawn = io.BytesIO()  # a drawing that fails leaves the last picture alone
+    with _styled(PAGE):
+        figure.savefig(drawn, format=path.suffix.lower()[1:], dpi=200)
+    with writing(path):
+        path.write_bytes(drawn.getvalue())
 
 
 def save_pages(figures: Iterable[Any], path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 from typing import NamedTuple, TypeVar
 
 import numpy as np
@@ -14,8 +15,10 @@ from dart_flight.base.records import (
     FrameAnchor,
     OdometrySample,
     PhaseChange,
+    PoseSample,
     Record,
     TruthSample,
+    World,
 )
 from dart_flight.config.mission import Mission
 from dart_flight.recording.anchor import MissionFrameReader
@@ -34,6 +37,20 @@ class MotionArrays(NamedTuple):
     time_s: Array
     position: Array
     velocity: Array
+
+
+class PoseArrays(NamedTuple):
+    """Poses of the motion capture, before PX4's estimator.
+
+    Attributes:
+        time_s: (n,), when they were measured.
+        position: (n, 3), m, in the mission frame.
+        is_timed: whether the age of a pose is known, and taken off its time of receipt.
+    """
+
+    time_s: Array
+    position: Array
+    is_timed: bool
 
 
 class ForceArrays(NamedTuple):
@@ -61,7 +78,7 @@ class FlightArrays:
     """
 
     def __init__(self, log: Log, mission: Mission) -> None:
-        self.log = log
+        self.log, self._mission = log, mission
         self.records: list[Record] = [entry.record for entry in log.entries]
         self.start_us = zero_of(self.records)
         self._frames = _frames(self.records, mission)
@@ -77,6 +94,27 @@ class FlightArrays:
         self.true_force = ForceArrays(truth.t_s, truth["contact_force_mission"])
         middle_s = force.t_s - mission.vehicle.imu.reading_lag_s
         self.estimated_force = ForceArrays(middle_s, force["force_mission"])
+
+    @cached_property
+    def posed(self) -> PoseArrays:
+        """The poses that this program forwarded to PX4; empty without motion capture or frame."""
+        samples = self.topic_in_ned(PoseSample)
+        tracked: list[PoseSample] = [s for s in samples.records if isinstance(s, PoseSample) and s.tracked]
+        received = np.array([s.t_us for s in tracked], dtype=float)
+        stamps = [s.source_us for s in tracked if s.source_us is not None]
+        if stamps and len(stamps) == len(tracked):  # they do not jitter; the clocks differ by a constant
+            own = np.array(stamps, dtype=float)
+            received = own + (received - own).min()
+        rising = np.diff(np.maximum.accumulate(received), prepend=-np.inf) > 0.0
+        mocap = self._mission.vehicle.mocap
+        delay_s = None if mocap.delay_ms is None else 1e-3 * mocap.delay_ms
+        if delay_s is None and self.log.world not in (World.DRONE, None):
+            delay_s = self._mission.vehicle.simulation.pose_delay_s
+        time_s = (received - self.start_us) * 1e-6 - (delay_s or 0.0)
+        room = mocap.room_frame()
+        places = [room.pose_to_ned(s.position_room, s.q_body_to_room)[0] for s in tracked]
+        position = self.places_from_ned(np.array(places, dtype=float).reshape(-1, 3), time_s)
+        return PoseArrays(time_s[rising], position[rising], delay_s is not None)
 
     def topic(self, kind: type[Record]) -> Topic:
         """Return the records of a kind, field by field."""

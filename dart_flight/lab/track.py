@@ -131,7 +131,7 @@ def calibration_series_of(log: ULogFile, motors: MotorCommands = NO_MOTORS) -> T
     moved, volts = log.first("vehicle_local_position"), battery(log)
     notes = [motors.said, volts.said]
     if log.first("vehicle_land_detected") is None:
-        notes.append("no vehicle_land_detected: what is on the ground is not known")
+        notes.append("no vehicle_land_detected: time on the ground is unknown")
     track = Track(
         source=log.source,
         imu_s=_NONE,

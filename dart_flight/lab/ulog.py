@@ -233,8 +233,8 @@ def motor_commands(log: ULogFile) -> MotorCommands:
     outputs = log.topics.get("actuator_outputs", {})
     found = [d for i, data in sorted(outputs.items()) if (d := _decoded(log, i, data)) is not None]
     if not found:
-        what = "actuator_outputs without a motor that moves" if outputs else "no actuator_outputs"
-        raise InputError(f"has no actuator_motors, and {what}", source=log.source)
+        other = "actuator_outputs without a motor that moves" if outputs else "no actuator_outputs"
+        raise InputError(f"has no actuator_motors, and {other}", source=log.source)
     # Motors vary most: servos, or a copy on another port, vary less.
     return max(found, key=lambda c: float(c.values.std(axis=0).mean()))
 
@@ -262,8 +262,8 @@ def _decoded(log: ULogFile, instance: int, data: dict[str, Any]) -> MotorCommand
     values = np.clip((raw - low) / (high - low), 0.0, 1.0)
     if float(values.std(axis=0).mean()) < _STILL:
         return None
-    said = f"actuator_outputs[{instance}], {kind}, {values.shape[1]} motors"
-    return MotorCommands(seconds(data), values, said)
+    source = f"actuator_outputs[{instance}], {kind}, {values.shape[1]} motors"
+    return MotorCommands(seconds(data), values, source)
 
 
 def _pulse_range(parameters: dict[str, float], instance: int, count: int) -> tuple[Array, Array]:
@@ -293,6 +293,6 @@ def battery(log: ULogFile) -> Battery:
     volts = np.asarray(data["voltage_v"], dtype=float)
     usual = float(np.median(volts[np.isfinite(volts)])) if np.isfinite(volts).any() else 0.0
     if usual < _MIN_CELL_V:
-        return Battery(empty, empty, f"battery voltage of {usual:.2f} V is none")
+        return Battery(empty, empty, f"battery voltage {usual:.2f} V is implausible")
     good = np.isfinite(volts) & (volts >= _MIN_CELL_V)
     return Battery(seconds(data)[good], volts[good])

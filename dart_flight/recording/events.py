@@ -19,6 +19,7 @@ from dart_flight.base.records import (
     Override,
     PhaseChange,
     PlanTaken,
+    PosesWithheld,
     Record,
     StatusText,
 )
@@ -95,6 +96,8 @@ class EventFormatter:
         if isinstance(record, GuardEvent):
             level = Level.WARNING if record.action is Override.NONE else Level.ERROR
             return Event(level, "guard", f"guard: {record.rule} → {record.action}", record.detail)
+        if isinstance(record, PosesWithheld):
+            return Event(Level.ERROR, "guard", f"poses withheld from PX4: {record.reason}")
         if isinstance(record, GoalPassed):
             words = "goal timed out, closest approach" if record.timed_out else "goal passed, miss distance"
             return Event(Level.INFO, "mission", f"{words} {record.miss_m:.2f} m")

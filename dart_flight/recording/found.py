@@ -32,6 +32,27 @@ def logs_in(paths: Iterable[str | Path]) -> list[Path]:
     return list(dict.fromkeys(found))
 
 
+def px4_logs_in(paths: Iterable[str | Path]) -> list[Path]:
+    """Return PX4's logs: files as they are, and those beside a flight log or below a folder of flights.
+
+    Raises:
+        InputError: there is no PX4 log beside a flight log or below a folder.
+    """
+    found: list[Path] = []
+    for path in map(Path, paths):
+        flight = path.name == LOG_NAME
+        if not flight and not path.is_dir():
+            found.append(path)
+            continue
+        below = sorted((path.parent if flight else path).rglob(PX4_LOG))
+        if not below:
+            raise InputError(
+                f"no PX4 log ({PX4_LOG}) there; `dart-flight px4-log` fetches it", source=str(path)
+            )
+        found += below
+    return list(dict.fromkeys(found))
+
+
 def from_each(paths: Iterable[Path], read: Callable[[Path], T], left_out: Callable[[str], None]) -> list[T]:
     """Return the result of `read` for every log; omit logs without the wanted data if others have it.
 

@@ -53,8 +53,7 @@ class LogEntry(msgspec.Struct, frozen=True, gc=False):
 
 
 class Log(msgspec.Struct, dict=True):
-    """A log that was read completely. `log["/estimate/force"]` returns a channel as arrays
-    (`recording.topics`).
+    """A complete log in memory; `log["/estimate/force"]` returns a channel as arrays (`recording.topics`).
 
     Attributes:
         source: the file, or `IN_MEMORY`.

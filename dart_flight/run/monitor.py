@@ -43,7 +43,7 @@ from dart_flight.core.sense.senses import Senses
 from dart_flight.lock.state_machine import status_text
 from dart_flight.recording.follow import LogFollower
 from dart_flight.vehicle.clock import host_us
-from dart_flight.vehicle.motion_capture.bridge import forwarding, room_frame
+from dart_flight.vehicle.motion_capture.bridge import forwarding
 from dart_flight.vehicle.motion_capture.pose_statistics import PoseFigures, PoseStatistics
 from dart_flight.vehicle.vehicle_session import VehicleSession, connect
 
@@ -179,7 +179,7 @@ class TelemetryMonitor:
     def _take(self, item: Input) -> list[Record]:
         """What the senses make of it: an estimate, and the impacts found in it."""
         if isinstance(item, PoseSample) and self._poses is None:
-            self._poses = PoseStatistics(room_frame(self.mocap), self.mocap.delay_ms)
+            self._poses = PoseStatistics(self.mocap.room_frame(), self.mocap.delay_ms)
         if self._poses is not None:
             self._poses.update(item)
         name = _STREAM_OF.get(type(item))

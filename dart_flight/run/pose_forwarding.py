@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable
 
 from dart_flight.config.mission import Mission
-from dart_flight.vehicle.motion_capture.bridge import MotionCaptureBridge, forwarding, room_frame
+from dart_flight.vehicle.motion_capture.bridge import MotionCaptureBridge, forwarding
 from dart_flight.vehicle.motion_capture.pose_statistics import PoseFigures, PoseStatistics
 from dart_flight.vehicle.vehicle_session import connect
 
@@ -38,7 +38,7 @@ async def forward_poses(
         VehicleError: no autopilot at the URL.
     """
     vehicle = mission.vehicle
-    statistics = PoseStatistics(room_frame(vehicle.mocap), vehicle.mocap.delay_ms)
+    statistics = PoseStatistics(vehicle.mocap.room_frame(), vehicle.mocap.delay_ms)
 
     def report(bridge: MotionCaptureBridge) -> None:
         show(statistics.figures(session.clock.host_us()), bridge.problem)

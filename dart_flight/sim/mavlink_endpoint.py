@@ -120,7 +120,7 @@ class MavlinkEndpoint:
         self._heartbeat_s = -math.inf  # host time of the last one
         # What lockstep looks at (`sim.lockstep.LinkEnd`), of the first link.
         self.sent_us: dict[str, int] = {}
-        self.setpoint: tuple[float, ...] = (math.nan,) * 9
+        self.arrived: dict[str, tuple[float, ...]] = {}
         self._rc_us = [1500] * 8  # channels of the transmitter, which is on; a ground station overrides them
         self._type = MAV_TYPES.get(len(autopilot.motors), MAV_TYPES[4])
         self._builders: dict[int, Callable[[], Any]] = {
@@ -254,7 +254,11 @@ class MavlinkEndpoint:
             self._position_target(message)
             if link is self.links[0]:
                 m = message
-                self.setpoint = (m.x, m.y, m.z, m.vx, m.vy, m.vz, m.afx, m.afy, m.afz)
+                self.arrived["setpoint"] = (m.x, m.y, m.z, m.vx, m.vy, m.vz, m.afx, m.afy, m.afz)
+        elif kind == "ODOMETRY":
+            self._external_pose(message)
+            if link is self.links[0]:
+                self.arrived["pose"] = (message.x, message.y, message.z)
         elif kind == "PARAM_REQUEST_READ":
             self._param_read(link, message)
         elif kind == "PARAM_REQUEST_LIST":
@@ -364,6 +368,13 @@ class MavlinkEndpoint:
                 math.nan if mask & 1024 else message.yaw,
             )
         )
+
+    def _external_pose(self, message: Any) -> None:
+        """Fuse a pose; like PX4, ignore one in a frame or of an estimator that it does not read."""
+        local = message.frame_id in (mavlink.MAV_FRAME_LOCAL_NED, mavlink.MAV_FRAME_LOCAL_FRD)
+        if local and message.estimator_type == mavlink.MAV_ESTIMATOR_TYPE_VISION:
+            w, x, y, z = message.q
+            self.autopilot.take_pose((message.x, message.y, message.z), (w, x, y, z))
 
     # -- parameters --
 

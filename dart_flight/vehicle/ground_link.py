@@ -32,6 +32,7 @@ from dart_flight.base.records import (
     StatusText,
 )
 from dart_flight.config.document import InputError
+from dart_flight.config.parameter_file import Value
 from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.config.vehicle.mocap import MotionCapture
 from dart_flight.core.guard.second_vehicle import (
@@ -42,8 +43,9 @@ from dart_flight.core.guard.second_vehicle import (
 from dart_flight.core.guard.stream_watch import STAMP_TOLERANCE_S
 from dart_flight.vehicle import arming_problems as reasons
 from dart_flight.vehicle import messages, sdk_log
+from dart_flight.vehicle.downloads import Px4Logs, download_file
 from dart_flight.vehicle.messages import AUTOPILOT, BatteryReading, MessageEntry
-from dart_flight.vehicle.motion_capture.bridge import MotionCaptureBridge, forwarding, room_frame
+from dart_flight.vehicle.motion_capture.bridge import MotionCaptureBridge, forwarding
 from dart_flight.vehicle.motion_capture.pose_statistics import PoseFigures, PoseStatistics
 from dart_flight.vehicle.vehicle_session import NoAnswerError, Sender, VehicleError, VehicleSession
 
@@ -126,7 +128,7 @@ class _Listener:
 
     def __init__(self, mocap: MotionCapture) -> None:
         self.seen = Observation()
-        self.poses = PoseStatistics(room_frame(mocap), mocap.delay_ms)
+        self.poses = PoseStatistics(mocap.room_frame(), mocap.delay_ms)
         self.round_trips_us: list[int] = []
         self._clocks = SecondClockDetector(1e6 * STAMP_TOLERANCE_S)
         self._places = SecondPositionDetector(POSITION_JUMP_M)
@@ -234,6 +236,11 @@ class GroundLink:
         self._heard.take(record)
         self._viewer(record)
 
+    @property
+    def pose_problem(self) -> str | None:
+        """Why no poses arrive from the motion capture; None while they do, or without one."""
+        return self._bridge.problem if self._bridge is not None else None
+
     def newest(self, entry: MessageEntry, seconds: float) -> Any:
         """Return the newest usable value of a message within `seconds`, or None."""
         return self._session.newest(entry, seconds)
@@ -290,6 +297,18 @@ class GroundLink:
         other = self._session.refused_because(messages.HEARTBEAT)
         return HeartbeatMode(armed=False, hil=False, not_px4=other) if other else None
 
+    def require_disarmed(self) -> None:
+        """Raise VehicleError if the vehicle is armed, or does not report that it is not."""
+        mode = self.heartbeat_mode()
+        if mode is None or mode.armed:
+            raise VehicleError(
+                f"the vehicle {'sends no heartbeat' if mode is None else 'is armed: disarm it first'}"
+            )
+
+    def px4_logs(self) -> Px4Logs:
+        """Return PX4's logs; the caller closes them before the link."""
+        return Px4Logs(self._system)
+
     def kill(self) -> None:
         """Disarm at once, in the air, too; raises what MAVSDK raises where that is refused."""
         Action(self._system).kill()
@@ -298,17 +317,23 @@ class GroundLink:
         """Command a peripheral output, -1 to 1; an acknowledgement says nothing about movement."""
         self._session.set_actuator(index, value)
 
-    def read_parameters(self, names: Iterable[str]) -> dict[str, float]:
-        """Values of the parameters that the vehicle has, whole numbers or not; others are left out."""
-        values = {}
+    def read_parameters(
+        self, names: Iterable[str], progress: Callable[[int], None] = lambda done: None
+    ) -> dict[str, Value]:
+        """Return the parameters that the vehicle has, an INT32 as an int; others are left out.
+
+        `progress` takes the number of parameters that were asked for.
+        """
+        values: dict[str, Value] = {}
         end_s = time.monotonic() + _PARAMETERS_S
-        for name in names:
+        for done, name in enumerate(names):
+            progress(done)
             if time.monotonic() > end_s:
                 says = f"parameter {name} and others not received within {_PARAMETERS_S:g} s"
                 raise NoAnswerError(says, source=self._url)
             for read in (self._param.get_param_int, self._param.get_param_float):
                 try:
-                    values[name] = float(self._ask(f"parameter {name}", partial(read, name)))
+                    values[name] = self._ask(f"parameter {name}", partial(read, name))
                 except NoAnswerError:
                     raise
                 except MavsdkError as error:
@@ -317,6 +342,35 @@ class GroundLink:
                     break  # not there: MAVSDK has asked for it for seconds
                 break
         return values
+
+    def write_parameter(self, name: str, value: Value) -> None:
+        """Set a parameter, an INT32 by an int.
+
+        Raises:
+            NoAnswerError: no use in asking on.
+            VehicleError: the vehicle refuses it.
+        """
+        write = self._param.set_param_int if isinstance(value, int) else self._param.set_param_float
+        try:
+            self._ask(f"parameter {name}", partial(write, name, value))
+        except MavsdkError as error:
+            refusal = getattr(getattr(error, "result", None), "name", str(error)).lower().replace("_", " ")
+            raise VehicleError(f"{name} was not set to {value:g}: {refusal}") from None
+
+    def read_file(self, path: str) -> bytes:
+        """Return the content of a small file of the flight controller.
+
+        Raises:
+            DownloadError: there is no such file, or the flight controller has no FTP.
+        """
+        return download_file(self._system, path)
+
+    def version(self) -> str:
+        """Return PX4's version, or an empty string if it is not reported."""
+        with contextlib.suppress(MavsdkError):
+            v = self._info.get_version()
+            return f"{v.flight_sw_major}.{v.flight_sw_minor}.{v.flight_sw_patch}"
+        return ""
 
     def observe(self, vehicle: VehicleConfig, seconds: float) -> Observation:
         """Ask for the rates of the stream table and listen, as in a flight; blocks for that long.
@@ -340,7 +394,7 @@ class GroundLink:
         seen.sources = self._sources(before, time.monotonic() - began)
         if self._bridge is not None:
             seen.poses = self._heard.poses.figures(session.clock.host_us())
-            seen.pose_problem = self._bridge.problem
+            seen.pose_problem = self.pose_problem
         seen.rates_hz = {
             name: sum(
                 s.usable_hz
@@ -358,9 +412,7 @@ class GroundLink:
         amiss = not seen.local_position_ok or seen.blocking
         while amiss and not self._session.checked and time.monotonic() - began < seconds + _REPORT_S:
             time.sleep(0.1)
-        with contextlib.suppress(MavsdkError):  # a vehicle that does not tell its version
-            v = self._info.get_version()
-            seen.version = f"{v.flight_sw_major}.{v.flight_sw_minor}.{v.flight_sw_patch}"
+        seen.version = self.version()
         return seen
 
     def _wait_for_position(self) -> None:

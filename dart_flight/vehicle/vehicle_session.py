@@ -314,7 +314,7 @@ class VehicleSession:
 
         def handle(answer: messages.Timesync, received: int) -> Unusable | None:
             refused = self._take_answer(answer, received)
-            if refused is None:
+            if refused is None and not heard.is_set():  # later answers may outlive the loop
                 loop.call_soon_threadsafe(heard.set)
             return refused
 
@@ -572,6 +572,11 @@ class VehicleSession:
         """Send a raw message from any thread; a link that refuses it shows by its silence."""
         with contextlib.suppress(MavsdkError):
             self._direct.send_message(message)
+
+    @property
+    def armed(self) -> bool:
+        """Whether the vehicle is armed, by its newest heartbeat."""
+        return self._status.armed
 
     def silence(self) -> None:
         """Send nothing more. MAVSDK stops repeating by itself once it sees another mode than offboard."""

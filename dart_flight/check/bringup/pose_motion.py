@@ -14,6 +14,7 @@ the filter's second derivative. The constant parts are left out, because gravity
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -128,12 +129,36 @@ def estimate_motion(
     )
 
 
-def _best_latency(pose_rate: Array, gyro_at: object) -> float:
+def heading_offset_deg(pose_s: Array, q_body: Array, attitude_s: Array, q_frd: Array) -> float | None:
+    """Return the median heading of the vehicle's attitudes minus that of the poses, degrees.
+
+    Args:
+        pose_s: times of the motion that the poses show, (n,).
+        q_body: attitude by the poses, (n, 4).
+        attitude_s: stamps of the vehicle's attitudes, (m,), in order.
+        q_frd: the vehicle's attitudes, (m, 4).
+    """
+    if len(pose_s) < 2 or len(attitude_s) < 2:
+        return None
+    within = (attitude_s >= pose_s[0]) & (attitude_s <= pose_s[-1])
+    if not within.any():
+        return None
+    shown = _resample(attitude_s[within], pose_s, _continuous(q_body))
+    forward, own = _matrices(shown)[:, :2, 0], _matrices(q_frd[within])[:, :2, 0]
+    across = forward[:, 0] * own[:, 1] - forward[:, 1] * own[:, 0]
+    along = (forward * own).sum(axis=1)
+    # The median of angles has no meaning across a full turn: turn the mean direction to zero first.
+    mean = math.atan2(float(across.sum()), float(along.sum()))
+    apart = np.angle(np.exp(1j * (np.arctan2(across, along) - mean)))
+    return math.degrees(mean + float(np.median(apart)))
+
+
+def _best_latency(pose_rate: Array, gyro_at: Callable[[float], Array]) -> float:
     """Return the latency at which the rates agree best after the best rotation, to a fraction of a step."""
 
     def agreement(latency_s: float) -> float:
         # The sum of the singular values, signed for a proper rotation, is Kabsch's best inner product.
-        reference: Array = gyro_at(latency_s)  # type: ignore[operator]
+        reference = gyro_at(latency_s)
         u, s, vt = np.linalg.svd(reference.T @ pose_rate)
         s[2] *= np.sign(np.linalg.det(u @ vt))
         return float(s.sum() / max(1e-12, np.linalg.norm(reference)))
@@ -203,9 +228,10 @@ def _matrices(q: Array) -> Array:
 
 
 def _kernel(sigma_s: float) -> tuple[Array, Array]:
-    t = np.arange(-round(4.0 * sigma_s / _STEP_S), round(4.0 * sigma_s / _STEP_S) + 1) * _STEP_S
+    steps = round(4.0 * sigma_s / _STEP_S)
+    t = np.linspace(-steps * _STEP_S, steps * _STEP_S, 2 * steps + 1)
     gaussian = np.exp(-0.5 * (t / sigma_s) ** 2)
-    return t, gaussian / gaussian.sum()
+    return t, np.asarray(gaussian / gaussian.sum(), dtype=np.float64)
 
 
 def _filtered(values: Array, kernel: Array) -> Array:

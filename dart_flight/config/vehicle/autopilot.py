@@ -1,4 +1,4 @@
-"""How to reach the autopilot, and its parameters."""
+"""Connection to the autopilot, and its parameters."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ GainOrZero = Annotated[float, Meta(ge=0.0, le=1000.0)]
 
 
 class ConnectionConfig(Section, frozen=True):
-    """How to reach the autopilot.
+    """Connection to the autopilot.
 
     Attributes:
         url: of MAVSDK, such as serial:///dev/ttyAMA0:921600 or udpin://0.0.0.0:14540.

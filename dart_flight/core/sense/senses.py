@@ -18,6 +18,7 @@ from dart_flight.base.records import (
     Input,
     LockState,
     OdometrySample,
+    PoseSample,
     StatusSample,
     StatusText,
     Tick,
@@ -115,6 +116,8 @@ class Senses:
         elif isinstance(item, ActuatorSample):
             state.take_actuator(item)
             estimator.thrust.take_actuator(item)
+        elif isinstance(item, PoseSample):
+            state.take_pose(item)
         elif isinstance(item, EscSample):
             estimator.thrust.take_esc(item)
         elif isinstance(item, Tick):

@@ -158,7 +158,7 @@ def _joined(parts: list[_Windows]) -> _Windows:
 def _refuse_unsuited(track: Track, motors: int) -> None:
     if track.motors.shape[1:] != (motors,):
         raise InputError(
-            f"has {track.motors.shape[1]} motors, the configuration's airframe {motors}", source=track.source
+            f"has {track.motors.shape[1]} motors, the configured airframe {motors}", source=track.source
         )
     for what, stamps in (("gyro", track.imu_s), ("motor commands", track.motor_s)):
         rate = (len(stamps) - 1) / max(stamps[-1] - stamps[0], 1e-6)
@@ -274,7 +274,7 @@ def _line(name: str, windows: _Windows, impulse: Array, i: int) -> tuple[AxisIne
     )
     drift = float(windows.change[:, i].mean()) / duration
     if xy <= 0.0:
-        axis.refused = f"no excitation: torques of {axis.torque_nm:.4f} N m and no turning that follows them"
+        axis.refused = f"no excitation: torques of {axis.torque_nm:.4f} N m, and no rotation follows them"
         return axis, drift, 1.0
     drift -= xy / xx * float(impulse.mean()) / duration
     # All errors assigned to the rates: upper bound. Errors beyond the gyro's noise assigned to the torques:
@@ -285,13 +285,14 @@ def _line(name: str, windows: _Windows, impulse: Array, i: int) -> tuple[AxisIne
     value = math.sqrt(most * least)
     if error > _MAX_ERROR:
         axis.refused = (
-            f"too little excitation: torques of {axis.torque_nm:.4f} N m tell the inertia to "
-            f"{100.0 * error:.0f} %, {100.0 * _MAX_ERROR:.0f} are needed"
+            f"too little excitation: torques of {axis.torque_nm:.4f} N m determine the inertia to "
+            f"{100.0 * error:.0f} %, {100.0 * _MAX_ERROR:.0f} % is needed"
         )
     elif most > _MAX_RATIO * least:
         axis.refused = (
-            f"the motors explain {100.0 * explained:.0f} % of how the rates change, which leaves anything "
-            f"from {least:.4f} to {most:.4f} kg m2: wind, too few commands, order or places of the motors"
+            f"the motors explain {100.0 * explained:.0f} % of the rate changes, so the inertia is between "
+            f"{least:.4f} and {most:.4f} kg m2; check for wind, small commands, and the motors' order and "
+            "positions"
         )
     else:
         axis.value = value

@@ -32,23 +32,23 @@ class DriverWithModelledHorn:
         return self._servo.pulse_at(t_us)
 
     def open(self) -> None:
-        """As `Driver`."""
+        """Implement `Driver`."""
         self._driver.open()
 
     def set_pulse(self, pulse_us: float) -> None:
-        """As `Driver`; a pulse that the hardware rejects moves no horn."""
+        """Implement `Driver`; a pulse that the hardware rejects moves no horn."""
         self._driver.set_pulse(pulse_us)
         self._servo.command(self._clock_us(), pulse_us)
 
     def release(self) -> None:
-        """As `Driver`."""
+        """Implement `Driver`."""
         self._driver.release()
         self._servo.command(self._clock_us(), None)
 
     def read(self) -> DriverReading:
-        """As `Driver`."""
+        """Implement `Driver`."""
         return self._driver.read()
 
     def close(self) -> None:
-        """As `Driver`."""
+        """Implement `Driver`."""
         self._driver.close()

@@ -10,6 +10,7 @@ from typing import Final, Protocol
 
 from dart_flight.base.geometry import Quaternion, Vec3
 
+BODY: Final = "dart"  # name of the simulated vehicle's marker body
 KINDS: Final = {
     "optitrack": "natnet_server",
     "qualisys": "qtm_server",

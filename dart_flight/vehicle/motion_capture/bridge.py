@@ -3,33 +3,26 @@
 from __future__ import annotations
 
 import contextlib
-import math
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from typing import Final
+from typing import Any, Final
 
 import msgspec
 from mavsdk.plugins.mavlink_direct import MavlinkMessage
 
-from dart_flight.base.geometry import Quaternion, RoomFrame, Vec3
+from dart_flight.base.geometry import Quaternion, Vec3
 from dart_flight.base.records import PoseSample
 from dart_flight.config.vehicle.mocap import MotionCapture
 from dart_flight.vehicle.clock import Clock
 from dart_flight.vehicle.motion_capture.source import PoseSource, RawPose, open_source
 
 _LOCAL_NED: Final = 1  # MAV_FRAME
-_LOCAL_FRD: Final = 12  # BODY_FRD: the frame of the velocities, which are not sent
+_BODY_FRD: Final = 12  # of the velocities, which are not sent
 _VISION: Final = 2  # MAV_ESTIMATOR_TYPE; PX4's EKF2 does not read what comes as MOCAP
-_POSITION_SD_M: Final = 0.01  # below EKF2_EVP_NOISE, which then counts
+_POSITION_SD_M: Final = 0.01  # PX4 uses EKF2_EVP_NOISE if that is larger
 _ANGLE_SD_RAD: Final = 0.01
 _EARLY: Final = 0.125  # of a period: a frame that jitter brought forward is still sent
 _DIAGONAL: Final = (0, 6, 11, 15, 18, 20)  # of the upper triangle of a 6 x 6 matrix, by rows
-
-
-def room_frame(config: MotionCapture) -> RoomFrame:
-    """Return the conversion that a configuration describes."""
-    heading, body_yaw = math.radians(config.heading_deg), math.radians(config.body_yaw_deg)
-    return RoomFrame(config.up == "y", heading, config.body_offset_m, body_yaw)
 
 
 def _covariance() -> list[float]:
@@ -43,15 +36,16 @@ _COVARIANCE: Final = _covariance()
 _UNKNOWN: Final[Sequence[float | None]] = [None] * 21
 
 
-def odometry(
-    t_us: int, position_ned: Vec3, q_frd_to_ned: Quaternion, reset_counter: int = 0
-) -> MavlinkMessage:
-    """Return the ODOMETRY message of a pose; null velocities arrive as NaN, which PX4 does not fuse."""
+def odometry(t_us: int, position_ned: Vec3, q_frd_to_ned: Quaternion) -> MavlinkMessage:
+    """Return the ODOMETRY message of a pose; null velocities arrive as NaN, which PX4 does not fuse.
+
+    The reset counter stays 0: with another one PX4's estimate would follow a jump of the poses at once.
+    """
     x, y, z = position_ned
     fields = {
         "time_usec": t_us,
         "frame_id": _LOCAL_NED,
-        "child_frame_id": _LOCAL_FRD,
+        "child_frame_id": _BODY_FRD,
         "x": x,
         "y": y,
         "z": z,
@@ -59,11 +53,26 @@ def odometry(
         **dict.fromkeys(("vx", "vy", "vz", "rollspeed", "pitchspeed", "yawspeed")),
         "pose_covariance": _COVARIANCE,
         "velocity_covariance": _UNKNOWN,
-        "reset_counter": reset_counter,
+        "reset_counter": 0,
         "estimator_type": _VISION,
         "quality": 100,
     }
     return MavlinkMessage("ODOMETRY", 0, 0, 0, 0, msgspec.json.encode(fields).decode())
+
+
+class ForwardedPose(msgspec.Struct):
+    """The pose in a message of `odometry`: position in local NED, attitude FRD to NED."""
+
+    x: float
+    y: float
+    z: float
+    q: Quaternion
+
+
+def forwarded_pose(message: Any) -> ForwardedPose:
+    """Return the pose in a message of `odometry`, for a simulated world."""
+    fields: str = message.fields_json
+    return msgspec.json.decode(fields, type=ForwardedPose)
 
 
 class Decimation:
@@ -100,7 +109,6 @@ class MotionCaptureBridge:
 
     Attributes:
         sent: number of poses forwarded.
-        reset_counter: counter that PX4 expects to change with a jump of the poses.
     """
 
     def __init__(
@@ -112,12 +120,11 @@ class MotionCaptureBridge:
         deliver: Callable[[PoseSample], None],
     ) -> None:
         self._source, self._send, self._clock, self._deliver = source, send, clock, deliver
-        self._room = room_frame(config)
+        self._room = config.room_frame()
         self._decimation = Decimation(config.rate_hz)
         self._lock = threading.Lock()
-        self._stopped = False
+        self._stopped = self._withheld = False
         self.sent = 0
-        self.reset_counter = 0
 
     @property
     def problem(self) -> str | None:
@@ -127,6 +134,11 @@ class MotionCaptureBridge:
     def start(self) -> None:
         """Start the source, and forward its poses from now on."""
         self._source.start(self.forward)
+
+    def withhold(self) -> None:
+        """Send no pose to PX4 from now on; they are still delivered."""
+        with self._lock:
+            self._withheld = True
 
     def stop(self) -> None:
         """Stop forwarding and close the source."""
@@ -142,9 +154,9 @@ class MotionCaptureBridge:
         with self._lock:
             if self._stopped:
                 return
-            if raw.tracked and self._decimation.selects(stamp):
+            if raw.tracked and not self._withheld and self._decimation.selects(stamp):
                 position, attitude = self._room.pose_to_ned(raw.position_room, raw.q_body_to_room)
-                self._send(odometry(t_us, position, attitude, self.reset_counter))
+                self._send(odometry(t_us, position, attitude))
                 self.sent += 1
         self._deliver(PoseSample(t_us, received, *raw))
 

@@ -1,10 +1,10 @@
-"""Poses from Vicon Tracker's UDP object stream, whose layout Tracker's user guide documents.
+"""Poses from Vicon Tracker's UDP object stream (Tracker: Local Vicon System, UDP Object Stream).
 
+Public readers of the stream agree on the layout below; Tracker's user guide itself was not at hand.
 A datagram is a block: frame number (u32) and number of items (u8); then for each item its id (u8, 0 for an
 object), the size of its data (u16), and the data: name (24 bytes, padded with zeros), translation (3 doubles,
 millimetres) and Euler angles XYZ (3 doubles, radians), all little-endian. A frame with many objects takes
-several datagrams, so an object that a datagram lacks is not lost. Tracker sends zeros for an object that it
-does not track.
+several datagrams, so an object that a datagram lacks is not lost. Zeros are an object that is not tracked.
 """
 
 from __future__ import annotations

@@ -114,7 +114,7 @@ def test_latency_yaw_and_scale_are_found(
     assert found.scale == pytest.approx(scale, rel=0.03)
     assert found.force_correlation > 0.97
     c, s = math.cos(body_yaw), math.sin(body_yaw)
-    np.testing.assert_allclose(found.body_to_frd, [[c, -s, 0], [s, c, 0], [0, 0, 1]], atol=0.03)
+    assert found.body_to_frd == pytest.approx(np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]), abs=0.03)
     assert found.up_room == pytest.approx((0.0, 0.0, -1.0), abs=0.03)
 
 

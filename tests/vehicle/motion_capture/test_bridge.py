@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from dart_flight.base.records import PoseSample
 from dart_flight.config.vehicle.mocap import MotionCapture
 from dart_flight.vehicle.clock import SimulatedTime
-from dart_flight.vehicle.motion_capture.bridge import Decimation, MotionCaptureBridge, room_frame
+from dart_flight.vehicle.motion_capture.bridge import Decimation, MotionCaptureBridge
 from dart_flight.vehicle.motion_capture.source import RawPose, lost_pose
 
 
@@ -47,7 +47,7 @@ def test_a_pose_leaves_as_odometry_in_local_ned() -> None:
     bridge, _, sent, delivered = make_bridge(config)
     bridge.forward(pose(0))
     fields = json.loads(sent[0].fields_json)
-    position, attitude = room_frame(config).pose_to_ned((1.0, 2.0, 3.0), (1.0, 0.0, 0.0, 0.0))
+    position, attitude = config.room_frame().pose_to_ned((1.0, 2.0, 3.0), (1.0, 0.0, 0.0, 0.0))
     assert (fields["x"], fields["y"], fields["z"]) == pytest.approx(position)
     assert fields["q"] == pytest.approx(attitude)
     assert (fields["frame_id"], fields["estimator_type"], fields["time_usec"]) == (1, 2, 5_000_000)
