@@ -22,8 +22,7 @@ class Pace(Enum):
     """How the shell should step the next inputs."""
 
     BATCHED = auto()  # what comes within `BATCH_S`, in one batch
-    IMMEDIATE = auto()  # each as it arrives, on the thread it arrives on; every step is short
-    DEFERRED = auto()  # each as it arrives; a step may take long, and nobody else should wait for it
+    IMMEDIATE = auto()  # each as it arrives, on the thread it arrives on
 
 
 def pace_near_walls(mission: Mission, state: FlightState, phase: Phase) -> Pace:

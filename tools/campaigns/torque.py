@@ -72,7 +72,6 @@ class BodyHit(msgspec.Struct, frozen=True):
     true_incidence_rad: float
     by_yaw_rad: float
     side: ContactSide
-    early_side: ContactSide
     lead_m: float
 
     def torque_is_right(self, torque_nm: float) -> bool:
@@ -151,13 +150,12 @@ class _Seen:
             self.peak = record
         elif isinstance(record, ImpactBody) and self._ended_us is None:
             self.bodies.append(record)
-            if record.final:
-                self._ended_us = record.t_us
+            self._ended_us = record.t_us
 
 
 def _judge(believed: Mission, true: Mission, seen: _Seen) -> BodyHit:
     onset, peak, attitude = seen.onset, seen.peak, seen.onset_attitude
-    if onset is None or peak is None or attitude is None or not seen.bodies or not seen.bodies[-1].final:
+    if onset is None or peak is None or attitude is None or not seen.bodies:
         raise ValueError("no contact")
     body = seen.bodies[-1]
     # A vehicle that turns may touch again with its other side before the impact is over: one impact.
@@ -183,7 +181,6 @@ def _judge(believed: Mission, true: Mission, seen: _Seen) -> BodyHit:
         true_incidence_rad=near[0].incidence_rad,
         by_yaw_rad=wrap_angle(yaw - believed.collisions[0].wall.parallel_yaw(yaw)),
         side=body.side,
-        early_side=seen.bodies[0].side,
         lead_m=near[0].lead_m,
     )
 
@@ -224,7 +221,7 @@ def page(rows: Sequence[JudgedRow]) -> str:
 _NAMES = (
     "hits", "force peak error, median, 95th", "peak read from the fitted pulse", "error over the bound, rms",
     "friction peak over 3 N, median error", "torque peak right", "... the largest sample",
-    "side right, of those with a clear lead", "... a sample after the peak", "incidence error, rms",
+    "side right, of those with a clear lead", "incidence error, rms",
     "... by yaw and planned wall", "... over the deviation it says, rms",
 )  # fmt: skip
 
@@ -243,7 +240,6 @@ def _cells(mine: Sequence[BodyHit]) -> list[str]:
         f"{sum(h.torque_is_right(h.torque_nm) for h in mine)} of {len(mine)}",
         f"{sum(h.torque_is_right(h.raw_torque_nm) for h in mine)} of {len(mine)}",
         f"{sum(h.is_first(h.side) for h in clear)} of {len(clear)}",
-        f"{sum(h.is_first(h.early_side) for h in clear)} of {len(clear)}",
         f"{math.degrees(_rms(off)):.2f}°",
         f"{math.degrees(_rms([h.by_yaw_rad - h.true_incidence_rad for h in mine])):.2f}°",
         f"{_rms([one / h.sigma_rad for one, h in zip(off, mine, strict=True)]):.2f}",

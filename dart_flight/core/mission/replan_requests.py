@@ -24,7 +24,7 @@ from dart_flight.core.mission.wall_uncertainty import late_s
 from dart_flight.core.sense.senses import Sensed
 from dart_flight.core.sense.state import FlightState
 
-_FELT_WITHIN_US = 60_000  # of a contact's end (`core.sense.wall_estimator`)
+_FELT_WITHIN_US = 150_000  # of a contact's end: five times what a fit takes (docs/felt.md)
 _AGAIN_US, _NOT_AGAIN_US = 300_000, 400_000  # along a trajectory: after the request before, before its end
 _HELD_TO_M = 0.2
 _TRIES = 6  # at a trajectory from a contact on
@@ -60,14 +60,11 @@ class ReplanRequests:
             coasts: no setpoint leads anywhere, only thrust is asked for.
         """
         replan = progress.replan
-        if sensed.wall is not None and not replan.felt:
-            replan = replan._replace(felt=True)
-        unasked = NO_CHANGE if replan is progress.replan else Change(replan=replan)
         again = self._is_time_again(replan, state.now_us)
         if not self._asks or not (replan.asked is None or again):
-            return unasked
+            return NO_CHANGE
         if sensed.estimate is None or sensed.in_contact or self._waits_for_wall(progress, replan, state):
-            return unasked
+            return NO_CHANGE
         following = progress.collision
         along = following is not None and following.trajectory is not None
         lock = progress.lock
