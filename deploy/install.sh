@@ -40,6 +40,7 @@ chmod -R g+w "$lab"
 find "$lab" -type d -exec chmod g+s {} +
 
 install -D -m 644 "$here/deploy/systemd/dart-flight@.service" /etc/systemd/system/dart-flight@.service
+install -D -m 644 "$here/deploy/systemd/dart-flight-standby.service" /etc/systemd/system/dart-flight-standby.service
 install -D -m 644 "$here/deploy/udev/99-dart-flight.rules" /etc/udev/rules.d/99-dart-flight.rules
 install -d /usr/share/bash-completion/completions
 "$venv/bin/dart-flight" completion bash >/usr/share/bash-completion/completions/dart-flight

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import configparser
+import json
 import re
 import shlex
 import shutil
@@ -17,10 +18,14 @@ from packaging.utils import canonicalize_name
 
 from dart_flight.cli import build_parser
 from dart_flight.config.vehicle.configuration import load_vehicle
+from dart_flight.run.operator_buttons import Button
+from dart_flight.vehicle.command_server import COMPONENT, USER_COMMAND
 
 ROOT = Path(__file__).parents[1]
 DEPLOY = ROOT / "deploy"
 UNIT = DEPLOY / "systemd" / "dart-flight@.service"
+STANDBY = DEPLOY / "systemd" / "dart-flight-standby.service"
+ACTIONS = DEPLOY / "qgroundcontrol" / "dart_flight.json"
 RULES = DEPLOY / "udev" / "99-dart-flight.rules"
 INSTALLER = DEPLOY / "install.sh"
 
@@ -100,6 +105,64 @@ def test_the_times_of_the_unit_fit_the_configuration() -> None:
     assert float(service["TimeoutStartSec"]) > 2.0 * vehicle.connection.timeout_s
     # `stop` lands: down from the altitude of the shipped missions, after half a minute of breaking off.
     assert float(service["TimeoutStopSec"]) > 30.0 + 2.0 / vehicle.px4.mpc_land_speed
+
+
+def test_standby_starts_with_the_computer_and_differs_from_the_flight_only_where_it_must() -> None:
+    service, flight = ini(STANDBY)["Service"], ini(UNIT)["Service"]
+    program, command, missions = service["ExecStart"].split()
+    assert (program, command, missions) == (flight["ExecStart"].split()[0], "standby", "$MISSIONS")
+    assert service["EnvironmentFile"] == f"-{service['WorkingDirectory']}/standby.env"
+    assert ini(STANDBY)["Install"]["WantedBy"] == "multi-user.target"
+    # A flight must not die with standby, and must get the time to land.
+    assert service["KillMode"] == "process"
+    assert service["TimeoutStopSec"] == flight["TimeoutStopSec"]
+    own = {"ExecStart", "ExecReload", "EnvironmentFile", "TimeoutStartSec", "WatchdogSec", "KillMode"}
+    own |= {"Restart", "RestartSec", "RestartPreventExitStatus"}
+    same = {key: value for key, value in flight.items() if key not in own}
+    assert {key: value for key, value in service.items() if key not in own} == same
+
+
+@pytest.mark.skipif(
+    shutil.which("systemd-analyze") is None, reason="no systemd-analyze here: unit not verified"
+)
+def test_systemd_takes_the_unit_of_standby(tmp_path: Path) -> None:
+    unit = tmp_path / STANDBY.name
+    unit.write_text(re.sub(r"^ExecStart=\S+", f"ExecStart={sys.executable}", STANDBY.read_text(), flags=re.M))
+    command = ["systemd-analyze", "verify", "--man=no", str(unit)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+# --- QGroundControl --------------------------------------------------------------------------------------
+
+
+def test_the_actions_have_the_documented_form() -> None:
+    """docs.qgroundcontrol.com, custom MAVLink actions: keys, required ones, kinds."""
+    found = json.loads(ACTIONS.read_text(encoding="utf-8"))
+    assert (found["version"], found["fileType"], set(found)) == (
+        1,
+        "MavlinkActions",
+        {"version", "fileType", "actions"},
+    )
+    parameters = {f"param{n}" for n in range(1, 8)}
+    labels = [action["label"] for action in found["actions"]]
+    assert len(set(labels)) == len(labels)
+    for action in found["actions"]:
+        assert {"label", "description", "mavCmd"} <= set(action) <= {
+            "label", "description", "mavCmd", "compId", *parameters,
+        }  # fmt: skip
+        assert all(isinstance(action[key], str) and action[key] for key in ("label", "description"))
+        assert all(isinstance(action[key], int | float) for key in set(action) - {"label", "description"})
+
+
+def test_every_button_of_the_program_has_an_action() -> None:
+    found = json.loads(ACTIONS.read_text(encoding="utf-8"))["actions"]
+    assert {(a["mavCmd"], a["compId"]) for a in found} == {(USER_COMMAND, COMPONENT)}
+    assert {a["param1"] for a in found} == set(Button)
+    assert [a["param2"] for a in found if a["param1"] == Button.FLY] == [1, 2, 3]
+    page = (ROOT / "docs" / "ground_station.md").read_text(encoding="utf-8")
+    for action in found:
+        assert f"*{action['label'].rstrip(' 123')}" in page, action["label"]
 
 
 # --- udev ------------------------------------------------------------------------------------------------

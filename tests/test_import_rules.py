@@ -52,6 +52,8 @@ CORE_FLOORS = {"sense": 0, "mission": 1, "guard": 2, "flight_core": 3}
 # Where a package from outside may be imported.
 DOORS = {
     "mavsdk": ("vehicle/",),
+    "natnet": ("vehicle/motion_capture/optitrack.py",),
+    "qtm_rt": ("vehicle/motion_capture/qualisys.py",),
     "serial": ("lock/drivers/", "sim/px4/"),
     "pymavlink": ("sim/",),
     "asyncio": ("vehicle/", "run/", "cli/"),

@@ -1,3 +1,3 @@
-"""Development tools: campaigns, emulated hardware, generators of documentation."""
+"""Development tools: benchmarks, campaigns, generators of documentation, test helpers."""
 
-import dart_flight  # noqa: F401  before NumPy: it sets the number of its threads
+import dart_flight  # noqa: F401  must precede NumPy, because it sets the number of NumPy's threads

@@ -1,10 +1,11 @@
-"""A UDP proxy between a vehicle and the app that loses, delays, reorders and duplicates, and keeps the times.
+"""A UDP proxy between vehicle and app that loses, delays, reorders, duplicates and records datagrams.
 
     python -m tools.lossy_proxy --listen 14540 --to 14541 --loss 5 --delay-ms 20 --record build/wire.csv
 
-The vehicle sends to `--listen`; the app listens on `--to` (`fly --connection udpin://127.0.0.1:14541`) and
-its answers go back the same way. `--record` writes one line per datagram that passes: monotonic time in
-seconds, `down` (to the app) or `up` (to the vehicle), MAVLink message id. Ends on SIGTERM or SIGINT.
+The vehicle sends to `--listen`. The app listens on `--to` (`fly --connection udpin://127.0.0.1:14541`), and
+its answers return through the proxy. `--record` writes one line per forwarded datagram: monotonic time in
+seconds, `down` (to the app) or `up` (to the vehicle), and MAVLink message id. The proxy ends on SIGTERM or
+SIGINT.
 """
 
 from __future__ import annotations
@@ -21,11 +22,11 @@ from typing import IO
 
 from dart_flight.sim.faults.impairment import Impairment, LossyLink
 
-_WAIT_S = 0.001  # so late may leave what is held back
+_WAIT_S = 0.001  # timing resolution of delayed datagrams
 
 
 def message_id(datagram: bytes) -> int:
-    """Id of the first MAVLink message in a datagram (either version); -1 for anything else."""
+    """Return the id of the first MAVLink message in a datagram (either version), or -1."""
     if len(datagram) >= 10 and datagram[0] == 0xFD:
         return int.from_bytes(datagram[7:10], "little")
     if len(datagram) >= 6 and datagram[0] == 0xFE:
@@ -34,13 +35,13 @@ def message_id(datagram: bytes) -> int:
 
 
 class Proxy:
-    """The two sockets and what happens between them."""
+    """The two sockets and the impaired links between them."""
 
     def __init__(
         self, listen: int, to: int, impairment: Impairment, seed: int, record: IO[str] | None
     ) -> None:
         self._vehicle_side = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        # A `simulate` that starts beside it listens there for a moment.
+        # A starting `simulate` briefly listens on this port.
         self._vehicle_side.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         self._vehicle_side.bind(("127.0.0.1", listen))
         self._app_side = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -58,17 +59,17 @@ class Proxy:
         sockets = [self._vehicle_side, self._app_side]
         while not self.stopped:
             readable, _, _ = select.select(sockets, [], [], _WAIT_S)
-            for one in readable:
-                self._receive(one)
+            for side in readable:
+                self._receive(side)
             self._send()
 
-    def _receive(self, one: socket.socket) -> None:
+    def _receive(self, side: socket.socket) -> None:
         try:
-            data, sender = one.recvfrom(4096)
+            data, sender = side.recvfrom(4096)
         except OSError:  # an earlier datagram found no listener
             return
         now = time.monotonic()
-        if one is self._vehicle_side:
+        if side is self._vehicle_side:
             self._vehicle = sender
             self._down.push(now, data)
         else:
@@ -82,17 +83,19 @@ class Proxy:
             if self._vehicle is not None:
                 self._forward(self._vehicle_side, data, self._vehicle, "up", now)
 
-    def _forward(self, by: socket.socket, data: bytes, to: tuple[str, int], way: str, now: float) -> None:
+    def _forward(
+        self, side: socket.socket, data: bytes, to: tuple[str, int], direction: str, now: float
+    ) -> None:
         try:
-            by.sendto(data, to)
+            side.sendto(data, to)
         except OSError:
             return
         if self._record is not None:
-            self._record.write(f"{now:.4f},{way},{message_id(data)}\n")
+            self._record.write(f"{now:.4f},{direction},{message_id(data)}\n")
 
 
 def main() -> int:
-    """Run it from the command line."""
+    """Run the proxy from the command line."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--listen", type=int, default=14540)
     parser.add_argument("--to", type=int, default=14541)

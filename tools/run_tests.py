@@ -2,8 +2,8 @@
 
     python -m tools.run_tests
 
-Tests in real time run first and alone; one that fails is skipped, and counted, if the computer was too busy.
-All others run in simulated time and pass at any load; types are checked beside them. Ctrl-C ends everything.
+Real-time tests run first and alone; one that fails is skipped and counted if the computer was too busy. All
+others run in simulated time and pass at any load. Types are checked in parallel. Ctrl-C ends everything.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ from typing import IO
 BEHIND = "--behind"
 _PATIENCE_S = 20.0
 LINT = ("ruff format --check .", "ruff check .")
-REAL_TIME = ("pytest -m 'realtime and not px4' -n 4 --dist worksteal -rs",)  # they mostly wait
+REAL_TIME = ("pytest -m 'realtime and not px4' -n 4 --dist worksteal -rs",)  # mostly waiting
 TESTS = ("pytest -m 'not realtime and not px4' -n auto --dist worksteal -rs", "pytest -m px4 -rs tests/px4")
 TYPES = ("mypy",)
 
 
 def run(commands: Sequence[str]) -> bool:
-    """Run modules one after the other, also after one that fails; whether all were good."""
+    """Run modules one after the other, also after a failure; return whether all succeeded."""
     good = True
     for command in commands:
         print(f"+ {command}", flush=True)
@@ -38,10 +38,10 @@ def run(commands: Sequence[str]) -> bool:
 
 
 def finish(process: subprocess.Popen[bytes]) -> int:
-    """The exit status of a process; it is ended and waited for when this one is."""
+    """Return the exit status of a process, which is ended if this process is interrupted."""
     try:
         return process.wait()
-    except KeyboardInterrupt:  # which it has got as well
+    except KeyboardInterrupt:  # the process received it as well
         process.wait()
         raise
     finally:
@@ -49,7 +49,7 @@ def finish(process: subprocess.Popen[bytes]) -> int:
 
 
 def end(process: subprocess.Popen[bytes], send: Callable[[int], None]) -> None:
-    """By Ctrl-C, so that it ends what it has started; where that is ignored, as behind a script, SIGTERM."""
+    """End a process by SIGINT, so that it ends its children, and by SIGTERM if it ignores that."""
     for number in (signal.SIGINT, signal.SIGTERM):
         if process.poll() is None:
             send(number)
@@ -58,37 +58,37 @@ def end(process: subprocess.Popen[bytes], send: Callable[[int], None]) -> None:
 
 
 def behind(commands: Sequence[str], output: IO[bytes]) -> subprocess.Popen[bytes]:
-    """Start to run commands in a process group of their own."""
+    """Start commands in a separate process group."""
     words = [sys.executable, "-m", "tools.run_tests", BEHIND, *commands]
     return subprocess.Popen(
         words, stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT, process_group=0
     )
 
 
-def show(said: IO[bytes], process: subprocess.Popen[bytes]) -> None:
-    """What a process has said so far and says from now on, to its end."""
+def show(output: IO[bytes], process: subprocess.Popen[bytes]) -> None:
+    """Print the output of a process until it ends."""
     ended = False
     while not ended:
-        ended = process.poll() is not None  # before the last look
-        sys.stdout.buffer.write(said.read())
+        ended = process.poll() is not None  # before the last read
+        sys.stdout.buffer.write(output.read())
         sys.stdout.flush()
         time.sleep(0.2)
 
 
 def run_both(first: Sequence[str], others: Sequence[str]) -> bool:
-    """Run `first` and `others` side by side, then show the output of `others`; whether all were good."""
-    with tempfile.NamedTemporaryFile() as output, open(output.name, "rb") as said:
-        process = behind(others, output)
+    """Run `first` and `others` in parallel, print the output of `others`, and return the overall success."""
+    with tempfile.NamedTemporaryFile() as written, open(written.name, "rb") as output:
+        process = behind(others, written)
         try:
             good = run(first)
-            show(said, process)
+            show(output, process)
             return process.wait() == 0 and good
         finally:
             end(process, functools.partial(os.killpg, process.pid))
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Run everything; 0 where all of it was good."""
+    """Run everything and return 0 if all succeeded."""
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
     try:
         if arguments[:1] == [BEHIND]:

@@ -1,4 +1,4 @@
-"""Writes synthetic trials with sensor noise: what a laboratory would record of known coefficients.
+"""Write synthetic trials with sensor noise, as a laboratory would record them, from known coefficients.
 
 python -m tools.synthetic_trials DIR --surface acrylic --mode flexible --wall 0.5 1.0 1.5
 python -m tools.synthetic_trials DIR --surface concrete --mode rigid --drop 0.05 0.05 0.05
@@ -25,11 +25,11 @@ def main() -> None:
     parser.add_argument("--surface", default="acrylic")
     parser.add_argument("--mode", choices=[m.value for m in Mode], default="flexible")
     parser.add_argument("--onset", choices=[o.value for o in Onset], default="lcp")
-    what = parser.add_mutually_exclusive_group(required=True)
-    what.add_argument("--wall", nargs="+", type=float, metavar="SPEED", help="approach speeds, m/s")
-    what.add_argument("--drop", nargs="+", type=float, metavar="HEIGHT", help="heights, m")
+    events = parser.add_mutually_exclusive_group(required=True)
+    events.add_argument("--wall", nargs="+", type=float, metavar="SPEED", help="approach speeds, m/s")
+    events.add_argument("--drop", nargs="+", type=float, metavar="HEIGHT", help="heights, m")
     parser.add_argument("--tangential", type=float, default=0.5, help="velocity along the wall, m/s")
-    parser.add_argument("--plane", type=float, default=0.0, help="where the plane lies in the recording, m")
+    parser.add_argument("--plane", type=float, default=0.0, help="position of the plane in the recording, m")
     parser.add_argument("--seed", type=int, default=1)
     given = parser.parse_args()
     vehicle = load_vehicle(packaged("configs", "dart.yaml"))

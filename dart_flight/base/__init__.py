@@ -1,1 +1,1 @@
-"""What every room stands on: rotations, frames, records, streams, errors."""
+"""Foundations used by every other room: rotations, frames, records, streams and errors."""

@@ -1,5 +1,5 @@
-"""Errors that end a command with exit status 1: the input was right, the world did not play along."""
+"""Errors that end a command with exit status 1: the input was valid, but the flight was not possible."""
 
 
 class FlightError(Exception):
-    """The flight could not begin: no vehicle, no simulator. One line for the person at the terminal."""
+    """The flight could not begin, for example without a vehicle or a simulator; its message is one line."""

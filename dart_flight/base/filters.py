@@ -1,4 +1,4 @@
-"""First-order filters of samples, and the variance of a noise that is learnt with one."""
+"""First-order filters of samples, and a running estimate of a noise variance."""
 
 from __future__ import annotations
 
@@ -7,17 +7,17 @@ from typing import Final
 
 from dart_flight.base.geometry import Vec3
 
-_MAX_STEP_S: Final = 0.05  # after a gap in the stream one sample counts for this long at most
-_OUTLIER: Final = 9.0  # a square counts at most this many times the present variance
+_MAX_STEP_S: Final = 0.05  # maximum weight of one sample after a gap in the stream
+_OUTLIER: Final = 9.0  # maximum weight of a square, relative to the present variance
 
 
 def kept_share(dt_s: float, time_s: float) -> float:
-    """What is left of a difference after `dt_s` at a time constant; 0 for one of 0."""
+    """Return the share of an old value that remains after `dt_s`, or 0 if the time constant is 0."""
     return math.exp(-dt_s / time_s) if time_s > 0.0 else 0.0
 
 
 def taken_share(dt_s: float, time_s: float) -> float:
-    """How much of a sample is taken by what is learnt slowly: at a time constant far over `dt_s`."""
+    """Return the weight of a new sample in a slow average; the time constant must be far above `dt_s`."""
     return (dt_s if dt_s < _MAX_STEP_S else _MAX_STEP_S) / time_s
 
 
@@ -25,10 +25,10 @@ class LowPass:
     """First-order low-pass of a vector.
 
     Args:
-        time_s: time constant; 0: not filtered.
+        time_s: time constant; 0 disables the filter.
 
     Attributes:
-        value: newest.
+        value: newest filtered value.
     """
 
     def __init__(self, time_s: float) -> None:
@@ -37,7 +37,7 @@ class LowPass:
         self.value: Vec3 = (0.0, 0.0, 0.0)
 
     def follow(self, x: Vec3, dt_s: float) -> Vec3:
-        """Take a sample, `dt_s` after the one before; returns the new value."""
+        """Filter a sample that follows the previous one by `dt_s`; return the new value."""
         if dt_s != self._dt_s:
             self._dt_s, self._keep = dt_s, kept_share(dt_s, self._time_s)
         keep, old = self._keep, self.value
@@ -50,15 +50,15 @@ class LowPass:
 
 
 class LearntVariance:
-    """Variance of a noise, from squares of which it is the mean; outliers count for little.
+    """Running estimate of a noise variance from squares whose mean it is; outliers have little weight.
 
-    No noise is ever known not to be there: certainty must not become absolute.
+    The variance never reaches 0, because no noise is ever known to be absent.
 
     Args:
-        value: to begin with.
+        value: initial variance.
         time_s: time constant.
-        least: it does not fall below.
-        added: with every square.
+        least: lower bound of the variance.
+        added: increment of the variance with every square.
     """
 
     def __init__(self, value: float, time_s: float, least: float = 0.0, added: float = 0.0) -> None:
@@ -66,12 +66,12 @@ class LearntVariance:
         self._time_s, self._least, self._added = time_s, least, added
 
     def learn(self, square: float, dt_s: float, least_share: float = 0.0) -> float:
-        """Take a square, `dt_s` after the one before, by this share at least; returns the new value."""
+        """Update the variance with a square, `dt_s` after the previous one; return the new variance."""
         share = (dt_s if dt_s < _MAX_STEP_S else _MAX_STEP_S) / self._time_s
         share = share if share > least_share else least_share
         value = self.value
         most = _OUTLIER * value
-        # Comparisons, where `min` and `max` would do: twelve learn from every sample, and a call costs more.
+        # Comparisons are faster than calls of `min` and `max`, and twelve variances are updated per sample.
         value += share * ((square if square < most else most) - value) + self._added
         self.value = value if value > self._least else self._least
         return self.value

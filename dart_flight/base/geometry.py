@@ -1,4 +1,4 @@
-"""Frames, rotations and walls: the only place that converts between frames.
+"""Frames and rotations: the only place that converts between frames.
 
 Frames (`docs/concepts.md`):
 
@@ -32,37 +32,37 @@ _SMALL_RAD: Final = 1e-9  # below it the sine is the angle
 
 
 def add(a: Vec3, b: Vec3) -> Vec3:
-    """Sum of two vectors of the same frame."""
+    """Return the sum of two vectors of the same frame."""
     return (a[0] + b[0], a[1] + b[1], a[2] + b[2])
 
 
 def subtract(a: Vec3, b: Vec3) -> Vec3:
-    """Difference a - b of two vectors of the same frame."""
+    """Return the difference a - b of two vectors of the same frame."""
     return (a[0] - b[0], a[1] - b[1], a[2] - b[2])
 
 
 def scale(a: Vec3, factor: float) -> Vec3:
-    """Vector times a number."""
+    """Return the vector times a number."""
     return (a[0] * factor, a[1] * factor, a[2] * factor)
 
 
 def norm(a: Vec3) -> float:
-    """Euclidean length."""
+    """Return the Euclidean length."""
     return math.sqrt(a[0] * a[0] + a[1] * a[1] + a[2] * a[2])
 
 
 def horizontal(a: Vec3) -> float:
-    """Length of the horizontal part of a mission-frame or NED vector."""
+    """Return the length of the horizontal part of a mission-frame or NED vector."""
     return math.hypot(a[0], a[1])
 
 
 def distance2(a: Vec2 | Vec3, b: Vec2 | Vec3) -> float:
-    """Horizontal distance between two points of the same frame."""
+    """Return the horizontal distance between two points of the same frame."""
     return math.hypot(a[0] - b[0], a[1] - b[1])
 
 
 def distance_to_segment(place: Vec2, a: Vec2, b: Vec2) -> float:
-    """Smallest distance of a place to the straight line from one point to another, metres."""
+    """Return the distance of a place from the segment between two points, metres."""
     (ax, ay), (bx, by), (cx, cy) = a[:2], b[:2], place
     dx, dy = bx - ax, by - ay
     square = dx * dx + dy * dy
@@ -74,12 +74,12 @@ def distance_to_segment(place: Vec2, a: Vec2, b: Vec2) -> float:
 
 
 def turn_between(a: Vec2, b: Vec2) -> float:
-    """Angle from one direction to another in the plane, rad, counter-clockwise positive, -pi to pi."""
+    """Return the plane angle from one direction to another, rad, counter-clockwise positive, -pi to pi."""
     return math.atan2(a[0] * b[1] - a[1] * b[0], a[0] * b[0] + a[1] * b[1])
 
 
 def quaternion_multiply(a: Quaternion, b: Quaternion) -> Quaternion:
-    """Hamilton product a b: rotate by b first, then by a."""
+    """Return the Hamilton product a b: rotate by b first, then by a."""
     aw, ax, ay, az = a
     bw, bx, by, bz = b
     return (
@@ -91,12 +91,12 @@ def quaternion_multiply(a: Quaternion, b: Quaternion) -> Quaternion:
 
 
 def quaternion_conjugate(q: Quaternion) -> Quaternion:
-    """Inverse rotation of a unit quaternion."""
+    """Return the inverse rotation of a unit quaternion."""
     return (q[0], -q[1], -q[2], -q[3])
 
 
 def quaternion_normalise(q: Quaternion) -> Quaternion:
-    """Unit quaternion of the same direction.
+    """Return the unit quaternion of the same direction.
 
     Raises:
         ValueError: the quaternion is zero or not finite.
@@ -123,7 +123,7 @@ def rotate(q: Quaternion, v: Vec3) -> Vec3:
 
 
 def rotate_back(q: Quaternion, v: Vec3) -> Vec3:
-    """The inverse of `rotate`: for q = body to world, world vector in, body vector out."""
+    """Rotate by the inverse of `q` (for q = body to world: world vector in, body vector out)."""
     w, x, y, z = q
     vx, vy, vz = v
     tx = 2.0 * (z * vy - y * vz)
@@ -137,14 +137,14 @@ def rotate_back(q: Quaternion, v: Vec3) -> Vec3:
 
 
 def body_up(q_frd_to_ned: Quaternion) -> Vec3:
-    """The body's upward axis in NED, `rotate(q, (0, 0, -1))` without the zeros: where the thrust points."""
+    """Return the direction of thrust in NED, the body's upward axis: `rotate(q, (0, 0, -1))`, simplified."""
     w, x, y, z = q_frd_to_ned
     x2, y2 = 2.0 * x, 2.0 * y
     return (-w * y2 - z * x2, w * x2 - z * y2, (x * x2 + y * y2) - 1.0)
 
 
 def quaternion_from_rotation_vector(v: Vec3) -> Quaternion:
-    """Unit quaternion of a rotation by |v| radians about v."""
+    """Return the unit quaternion of a rotation by |v| radians about v."""
     angle = norm(v)
     if angle < _SMALL_RAD:
         return quaternion_normalise((1.0, 0.5 * v[0], 0.5 * v[1], 0.5 * v[2]))
@@ -153,10 +153,10 @@ def quaternion_from_rotation_vector(v: Vec3) -> Quaternion:
 
 
 def advance_attitude(q_frd_to_ned: Quaternion, rate_frd_rad_s: Vec3, dt_s: float) -> Quaternion:
-    """Attitude after `dt_s` seconds (either sign) at a constant body rate.
+    """Return the attitude after `dt_s` seconds (either sign) at a constant body rate.
 
-    The Hamilton product with `quaternion_from_rotation_vector(rate * dt)`, written out: it runs for every
-    sample of the core and every millisecond of the plant.
+    This is the Hamilton product with `quaternion_from_rotation_vector(rate * dt)`, written out because it
+    runs for every sample of the core and every millisecond of the plant.
     """
     rx, ry, rz = rate_frd_rad_s
     rx, ry, rz = rx * dt_s, ry * dt_s, rz * dt_s
@@ -177,14 +177,14 @@ def advance_attitude(q_frd_to_ned: Quaternion, rate_frd_rad_s: Vec3, dt_s: float
 
 
 def gyroscopic_torque(inertia_kg_m2: Vec3, rate_rad_s: Vec3) -> Vec3:
-    """w x J w about the principal axes, N m: Euler's equation is J alpha = torque - w x J w."""
+    """Return w x J w about the principal axes, N m. Euler's equation is J alpha = torque - w x J w."""
     jx, jy, jz = inertia_kg_m2
     x, y, z = rate_rad_s
     return ((jz - jy) * y * z, (jx - jz) * z * x, (jy - jx) * x * y)
 
 
 def quaternion_from_euler(roll_rad: float, pitch_rad: float, yaw_rad: float) -> Quaternion:
-    """FRD to NED quaternion of aerospace Euler angles (yaw, then pitch, then roll)."""
+    """Return the FRD to NED quaternion of aerospace Euler angles (yaw, then pitch, then roll)."""
     cr, sr = math.cos(0.5 * roll_rad), math.sin(0.5 * roll_rad)
     cp, sp = math.cos(0.5 * pitch_rad), math.sin(0.5 * pitch_rad)
     cy, sy = math.cos(0.5 * yaw_rad), math.sin(0.5 * yaw_rad)
@@ -197,19 +197,19 @@ def quaternion_from_euler(roll_rad: float, pitch_rad: float, yaw_rad: float) -> 
 
 
 def yaw_ned_of(q_frd_to_ned: Quaternion) -> float:
-    """Heading in radians, clockwise from north, of an FRD to NED quaternion."""
+    """Return the heading of an FRD to NED quaternion, radians clockwise from north."""
     w, x, y, z = q_frd_to_ned
     return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
 
 
 def tilt_of(q_frd_to_ned: Quaternion) -> float:
-    """Angle in radians between the body's and the world's vertical."""
+    """Return the angle between the body's and the world's vertical, radians."""
     _, x, y, _ = q_frd_to_ned
     return math.acos(max(-1.0, min(1.0, 1.0 - 2.0 * (x * x + y * y))))
 
 
 def wrap_angle(angle_rad: float) -> float:
-    """The same angle in [-pi, pi)."""
+    """Return the same angle in [-pi, pi)."""
     wrapped = math.fmod(angle_rad + math.pi, 2.0 * math.pi)
     if wrapped < 0.0:
         wrapped += 2.0 * math.pi
@@ -226,13 +226,13 @@ def wrap_deg(angle_deg: float) -> float:
 
 
 class MissionFrame:
-    """Where the mission frame lies in PX4's local NED frame; not to be changed.
+    """Position and direction of the mission frame in PX4's local NED frame; immutable.
 
     Attributes:
         north_m, east_m: the mission's origin in local NED.
         down_m: local NED height of the mission's z = 0 (the ground under the take-off point).
         heading_rad: direction of the mission's x axis, clockwise from north.
-        cos, sin: of the heading: every vector that is converted needs them.
+        cos, sin: of the heading, because every conversion of a vector uses them.
     """
 
     def __init__(
@@ -242,40 +242,40 @@ class MissionFrame:
         self.cos, self.sin = math.cos(heading_rad), math.sin(heading_rad)
 
     def vector_from_ned(self, v_ned: Vec3) -> Vec3:
-        """A direction (velocity, force, acceleration) from NED to the mission frame."""
+        """Convert a direction (velocity, force, acceleration) from NED to the mission frame."""
         c, s = self.cos, self.sin
         n, e, d = v_ned
         return (n * c + e * s, n * s - e * c, -d)
 
     def vector_to_ned(self, v_mission: Vec3) -> Vec3:
-        """A direction from the mission frame to NED."""
+        """Convert a direction from the mission frame to NED."""
         c, s = self.cos, self.sin
         x, y, z = v_mission
         return (x * c + y * s, x * s - y * c, -z)
 
     def point_from_ned(self, p_ned: Vec3) -> Vec3:
-        """A position from local NED to the mission frame."""
+        """Convert a position from local NED to the mission frame."""
         c, s = self.cos, self.sin
         n, e = p_ned[0] - self.north_m, p_ned[1] - self.east_m
         return (n * c + e * s, n * s - e * c, -(p_ned[2] - self.down_m))
 
     def point_to_ned(self, p_mission: Vec3) -> Vec3:
-        """A position from the mission frame to local NED."""
+        """Convert a position from the mission frame to local NED."""
         c, s = self.cos, self.sin
         x, y, z = p_mission
         return (x * c + y * s + self.north_m, x * s - y * c + self.east_m, -z + self.down_m)
 
     def moved(self, x_m: float, y_m: float) -> MissionFrame:
-        """The frame with its origin so far away, in its own axes."""
+        """Return the frame with its origin displaced along its own axes."""
         north, east, _ = self.point_to_ned((x_m, y_m, 0.0))
         return MissionFrame(north, east, self.down_m, self.heading_rad)
 
     def yaw_from_ned(self, yaw_ned_rad: float) -> float:
-        """Heading clockwise from north to mission yaw, counter-clockwise from the mission's x axis."""
+        """Convert a heading, clockwise from north, to a mission yaw, counter-clockwise from x."""
         return wrap_angle(self.heading_rad - yaw_ned_rad)
 
     def yaw_to_ned(self, yaw_mission_rad: float) -> float:
-        """Mission yaw, counter-clockwise from x, to heading clockwise from north."""
+        """Convert a mission yaw, counter-clockwise from x, to a heading clockwise from north."""
         return wrap_angle(self.heading_rad - yaw_mission_rad)
 
 

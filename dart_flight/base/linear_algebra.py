@@ -1,6 +1,6 @@
-"""Symmetric, positive definite systems of a few unknowns, by Cholesky's factors in scalar arithmetic.
+"""Cholesky solution of symmetric, positive definite systems of a few unknowns, in scalar arithmetic.
 
-A matrix H is given by its lower triangle: row i holds at least its first i + 1 numbers.
+The lower triangle represents a matrix H: row i holds at least its first i + 1 numbers.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ Rows = list[list[float]]
 
 
 def cholesky(h: Rows, damping: float = 0.0) -> Rows:
-    """Lower triangle L of L L' = H + damping diag(H).
+    """Return the lower triangle L of L L' = H + damping diag(H).
 
     Raises:
         ValueError: H is not positive definite.
@@ -37,7 +37,7 @@ def cholesky(h: Rows, damping: float = 0.0) -> Rows:
 
 
 def solve(h: Rows, g: list[float], damping: float = 0.0) -> list[float]:
-    """(H + damping diag(H))^-1 g.
+    """Return (H + damping diag(H))^-1 g.
 
     Raises:
         ValueError: H is not positive definite.

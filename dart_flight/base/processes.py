@@ -1,4 +1,4 @@
-"""Processes beside a flight: how they give way to it, how late one runs, and how they are ended."""
+"""Processes beside a flight: their priority, their scheduling latency and how they are ended."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from typing import IO
 _WATCHING_NICE = 19
 _PIPE_BYTES = 1 << 19
 _NAP_S, _MEASURE_S = 0.005, 0.5
-LATE_S = 0.05  # from here on a flight in real time is in doubt
+LATE_S = 0.05  # beyond this, a flight in real time is at risk
 
 
 def use_idle_priority() -> None:
-    """Run only where a processor is idle, from now on, with every thread that is started from here.
+    """Run this process and its later threads only while a processor is idle.
 
-    A higher nice value alone still has a share, and once it runs a time slice of milliseconds; a process of
-    the idle class (sched(7)) gives way at once.
+    A higher nice value alone still leaves the process a share of the processor in time slices of
+    milliseconds. A process of the idle class (sched(7)) yields at once.
     """
     with contextlib.suppress(OSError):
         os.nice(_WATCHING_NICE)
@@ -32,7 +32,7 @@ def use_idle_priority() -> None:
 
 
 def measure_lateness_s() -> float:
-    """How late this program runs at worst, by half a second of short sleeps; seconds."""
+    """Return the worst scheduling latency of this program over half a second of short sleeps, seconds."""
     worst_s, end_s = 0.0, time.monotonic() + _MEASURE_S
     while (now_s := time.monotonic()) < end_s:
         time.sleep(_NAP_S)
@@ -41,16 +41,18 @@ def measure_lateness_s() -> float:
 
 
 class ChildProcess(subprocess.Popen[bytes]):
-    """A module of ours in a process and session of its own: lines in, lines out. Ctrl-C is not its business.
+    """A Python module run in a process and session of its own; the two sides exchange lines.
+
+    The new session keeps Ctrl-C at the terminal away from the module.
 
     Args:
-        module: what it runs; it must end when its standard input does.
-        first: line that it is told first, however long.
-        take: gets every line that it says, on a thread of its own; an empty one when it says no more.
-        errors: where its standard error goes; None: where this process's goes.
+        module: name of the module; it must exit when its standard input is closed.
+        first: first line sent to it, of any length.
+        take: callback for every line it prints, on a separate thread; an empty line marks the end of output.
+        errors: destination of its standard error; None inherits this process's.
 
     Raises:
-        OSError: it cannot be started.
+        OSError: the process cannot be started.
     """
 
     def __init__(
@@ -64,7 +66,7 @@ class ChildProcess(subprocess.Popen[bytes]):
             start_new_session=True,
         )
         assert self.stdin is not None
-        self._take = take
+        self._on_line = take
         self.pipe = self.stdin.fileno()
         self.send(first)
         if hasattr(fcntl, "F_SETPIPE_SZ"):
@@ -74,7 +76,7 @@ class ChildProcess(subprocess.Popen[bytes]):
         self.listener.start()
 
     def send(self, line: bytes) -> bool:
-        """Tell it a line; any thread, never blocks. False: it does not take it, or is gone."""
+        """Send a line without blocking, from any thread; return False if the pipe is full or closed."""
         assert self.stdin is not None
         try:
             self.stdin.write(line + b"\n")
@@ -84,7 +86,7 @@ class ChildProcess(subprocess.Popen[bytes]):
         return True
 
     def end(self, patience_s: float) -> None:
-        """Close its standard input, wait, kill it if it stays; never raises."""
+        """Close the standard input, wait, and kill the process if it does not exit; never raise."""
         assert self.stdin is not None
         with contextlib.suppress(OSError):
             self.stdin.close()
@@ -93,10 +95,10 @@ class ChildProcess(subprocess.Popen[bytes]):
         except subprocess.TimeoutExpired:
             self.kill()
             self.wait()
-        self.listener.join(patience_s)  # output written before the end still counts
+        self.listener.join(patience_s)  # output written before the exit still counts
 
     def _listen(self) -> None:
         assert self.stdout is not None
         for line in self.stdout:
-            self._take(line)
-        self._take(b"")
+            self._on_line(line)
+        self._on_line(b"")

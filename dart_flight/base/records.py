@@ -1,8 +1,8 @@
 """The immutable records that flow through the flight core.
 
-SI units. `t_us` is the autopilot's time in integer microseconds, `received_us` the host's monotonic time
-at receipt. What the core takes in is an `Input`, what it gives out is an `Output`: a command that a shell
-carries out, or a record of what was estimated or decided, which is only logged.
+Units are SI. `t_us` is the autopilot's time in integer microseconds; `received_us` is the host's monotonic
+time at receipt. The core receives an `Input` and returns an `Output`: a command for the shell, or an estimate
+or decision that is only logged.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from dart_flight.base.walls import Wall
 
 MIN_LEAD_M: Final = 0.002  # a smaller lead is none: both points at once
 
-# Pulse widths of the motor outputs at the commands 0 and 1: PX4's PWM_<bank>_MIN and _MAX as it ships.
+# PX4's default PWM_<bank>_MIN and _MAX: pulse widths at throttle 0 and 1.
 MOTOR_STOP_US, MOTOR_FULL_US = 1000.0, 2000.0
 
 
@@ -34,7 +34,7 @@ class Mode(StrEnum):
 
 
 class FlightMode(StrEnum):
-    """PX4's flight modes as far as the core tells them apart."""
+    """PX4's flight modes, as far as the core distinguishes them."""
 
     UNKNOWN = "unknown"
     READY = "ready"
@@ -44,11 +44,11 @@ class FlightMode(StrEnum):
     RETURN = "return"
     LAND = "land"
     OFFBOARD = "offboard"
-    MANUAL = "manual"  # any mode that a pilot's sticks fly: manual, stabilized, altitude, position, acro
+    MANUAL = "manual"  # any mode flown with sticks: manual, stabilized, altitude, position, acro
 
 
 class LandedState(StrEnum):
-    """PX4's land detector."""
+    """State of PX4's land detector."""
 
     UNKNOWN = "unknown"
     ON_GROUND = "on_ground"
@@ -73,7 +73,7 @@ class SystemStatus(StrEnum):
 
 
 class World(StrEnum):
-    """Where a flight takes place (docs/architecture.md)."""
+    """Kind of world in which a flight takes place (docs/architecture.md)."""
 
     DRONE = "drone"
     PX4 = "px4"  # a real PX4 on our plant
@@ -83,65 +83,65 @@ class World(StrEnum):
 
 
 class Outcome(StrEnum):
-    """How a flight ended."""
+    """Outcome of a flight."""
 
     COMPLETED = "completed"
     ABORTED = "aborted"
-    RELEASED = "released"  # a person took over
+    RELEASED = "released"  # a pilot took over
 
 
 class AfterImpact(StrEnum):
-    """What follows an impact."""
+    """Response to an impact."""
 
     SETPOINT = "setpoint"  # the paper's recovery setpoint
-    REPLAN = "replan"  # the same, until a trajectory planned from what was felt begins
+    REPLAN = "replan"  # the same, until a trajectory planned from the measured impact begins
 
 
 class Request(StrEnum):
-    """What an operator, or the shell itself, asks of a flight under way."""
+    """Request of an operator, or of the shell itself, during a flight."""
 
     LAND = "land"  # leave the wall, land
-    CONTINUE = "continue"  # the pause is over
+    CONTINUE = "continue"  # end the pause
     RELEASE = "release"
-    WORLD_DIED = "world_died"  # by the shell: simulated vehicle terminated
+    WORLD_DIED = "world_died"  # from the shell: the simulated vehicle has terminated
 
 
 class ModeMismatch(StrEnum):
-    """What follows where a contact indicates the other mode than the lock reports."""
+    """Response to a contact that indicates the other mode than the lock reports."""
 
-    NOTE_ONLY = "go_on"  # noted in log and verdict
+    NOTE_ONLY = "go_on"  # recorded in the log and the verdict
     LAND = "land"
 
 
 class Phase(StrEnum):
-    """Where the mission stands; `core/mission/phases.py` says what follows what."""
+    """Phase of the mission; `core/mission/phases.py` lists the transitions."""
 
     READYING = "readying"  # waiting for telemetry, lock in the transit mode
-    OFFBOARD = "offboard"  # asking PX4 for offboard mode
+    OFFBOARD = "offboard"  # requesting offboard mode from PX4
     ARMING = "arming"
     CLIMB = "climb"
-    WAYPOINT = "waypoint"  # to a waypoint, and holding there
-    PAUSE = "pause"  # holding until the operator's word
-    TRANSIT = "transit"  # to the run-up point, turning parallel to the wall
-    PREPARE = "prepare"  # lock to the collision's mode
+    WAYPOINT = "waypoint"  # flying to a waypoint and holding there
+    PAUSE = "pause"  # holding until the operator continues
+    TRANSIT = "transit"  # flying to the run-up point, yawing parallel to the wall
+    PREPARE = "prepare"  # switching the lock to the collision's mode
     APPROACH = "approach"
     CONTACT = "contact"  # from onset to the peak of the normal force
     RECOVERY = "recovery"
     GOAL = "goal"  # holding the goal
     LANDING = "landing"
     DONE = "done"
-    OVERRULED = "overruled"  # the guard flies: break off, hold, land, or silence
+    OVERRULED = "overruled"  # the guard flies: break-off, hold, landing, or silence
 
 
 class Override(StrEnum):
-    """What an override of the guard does; a later one in this list replaces an earlier one."""
+    """Action of a guard override; a later one in this list replaces an earlier one."""
 
     NONE = "none"
-    GIVE_UP = "give_up"  # on the ground: the mission ends before it has begun
-    BREAK_OFF = "break_off"  # away from the wall, hold, land
-    HOLD = "hold"  # stop here, then land
+    GIVE_UP = "give_up"  # on the ground: end the mission before take-off
+    BREAK_OFF = "break_off"  # fly away from the wall, hold, land
+    HOLD = "hold"  # stop at the current position, then land
     LAND = "land"
-    KILL = "kill"  # motors off, whatever PX4 believes
+    KILL = "kill"  # motors off, whatever state PX4 assumes
     RELEASE = "release"  # silence: the pilot or PX4 flies
 
     @property
@@ -154,11 +154,12 @@ _RANKS = {override: rank for rank, override in enumerate(Override)}
 
 
 class Record(msgspec.Struct, frozen=True, gc=False):
-    """Base of everything that flows and is logged.
+    """Base of all records that are exchanged and logged.
 
     Attributes:
-        topic: names its channel in the log.
-        frequent: it comes many times a second and decides nothing: what goes first where room is short.
+        topic: name of its channel in the log.
+        frequent: whether it arrives many times a second and decides nothing; if the log is short of space,
+            these are dropped first.
     """
 
     topic: ClassVar[str] = ""
@@ -169,7 +170,7 @@ class Record(msgspec.Struct, frozen=True, gc=False):
 
 
 class ImuSample(Record, frozen=True, gc=False):
-    """HIGHRES_IMU: specific force (bias-corrected, gravity not in it) and body rate, FRD."""
+    """HIGHRES_IMU: specific force (bias-corrected, without gravity) and body rate, FRD."""
 
     topic: ClassVar[str] = "/in/imu"
     frequent: ClassVar[bool] = True
@@ -201,14 +202,14 @@ class OdometrySample(Record, frozen=True, gc=False):
 
 
 class ActuatorSample(Record, frozen=True, gc=False):
-    """ACTUATOR_OUTPUT_STATUS: what PX4 sends to the motors, 0 (stopped) to 1."""
+    """ACTUATOR_OUTPUT_STATUS: PX4's motor outputs, 0 (stopped) to 1."""
 
     topic: ClassVar[str] = "/in/actuator"
     frequent: ClassVar[bool] = True
     t_us: int
     received_us: int
     motors: tuple[float, ...]  # in PX4's order
-    stamp_is_estimated: bool = True  # the stream has no stamp: mapped host time
+    stamp_is_estimated: bool = True  # the message has no stamp: host time, mapped
 
 
 class EscSample(Record, frozen=True, gc=False):
@@ -222,7 +223,7 @@ class EscSample(Record, frozen=True, gc=False):
 
 
 class StatusSample(Record, frozen=True, gc=False):
-    """Slow state of the autopilot, one record for every change of any part of it."""
+    """Slow state of the autopilot; one record for every change."""
 
     topic: ClassVar[str] = "/in/status"
     t_us: int
@@ -230,27 +231,27 @@ class StatusSample(Record, frozen=True, gc=False):
     armed: bool = False
     flight_mode: FlightMode = FlightMode.UNKNOWN
     landed: LandedState = LandedState.UNKNOWN
-    local_position_ok: bool = False  # a position has come, and ESTIMATOR_STATUS, where sent, has one
+    local_position_ok: bool = False  # a position has arrived, and ESTIMATOR_STATUS, if sent, reports one
     battery_v: float | None = None
     battery_remaining: float | None = None  # 0 to 1
     system_status: SystemStatus = SystemStatus.UNKNOWN  # MAV_STATE in the heartbeat
-    battery_id: int | None = None  # id in BATTERY_STATUS of the judged battery
+    battery_id: int | None = None  # id of the evaluated battery in BATTERY_STATUS
 
 
 class EstimatorSample(Record, frozen=True, gc=False):
-    """What PX4 says of its estimator: ODOMETRY's reset counter, ESTIMATOR_STATUS's flags; None: not said."""
+    """State of PX4's estimator, from ODOMETRY's reset counter and ESTIMATOR_STATUS; None if not reported."""
 
     topic: ClassVar[str] = "/in/estimator"
     frequent: ClassVar[bool] = True
     t_us: int
     received_us: int
-    reset_counter: int | None = None  # counts up to 255, then from 0
+    reset_counter: int | None = None  # wraps from 255 to 0
     healthy: bool | None = None  # attitude, horizontal velocity and a horizontal position are valid
-    position_sd_m: float | None = None  # of the horizontal position, by PX4 itself
+    position_sd_m: float | None = None  # horizontal position, as reported by PX4
 
 
 class StatusText(Record, frozen=True, gc=False):
-    """STATUSTEXT of the autopilot, an event of PX4 in words, or what this program finds on the link."""
+    """STATUSTEXT of the autopilot, a PX4 event as text, or a finding of this program about the link."""
 
     topic: ClassVar[str] = "/in/statustext"
     t_us: int
@@ -258,22 +259,22 @@ class StatusText(Record, frozen=True, gc=False):
     severity: str  # emergency, alert, critical, error, warning, notice, info or debug
     text: str
     event: str = ""  # PX4's name of the event; empty for a STATUSTEXT
-    found_here: bool = False  # by this program, not said by PX4
+    found_here: bool = False  # generated by this program, not by PX4
 
 
 class HealthReport(Record, frozen=True, gc=False):
-    """PX4's health and arming checks, one record for every change: what keeps it from arming or flying on."""
+    """PX4's health and arming checks: problems that prevent arming or flight; one record per change."""
 
     topic: ClassVar[str] = "/in/health"
     t_us: int
     received_us: int
-    can_arm: bool  # in the mode that it is in
-    blocking: tuple[str, ...]  # in that mode, warnings and worse
-    others: tuple[str, ...]  # what else is wrong, for other modes
+    can_arm: bool  # in the current flight mode
+    blocking: tuple[str, ...]  # problems in the current mode, warnings and worse
+    others: tuple[str, ...]  # problems in other modes
 
 
 class OtherVehicle(Record, frozen=True, gc=False):
-    """Another autopilot on the same link, by its system id; what it sends is told apart."""
+    """Another autopilot on the same link, identified by its system id; its messages are ignored."""
 
     topic: ClassVar[str] = "/in/other_vehicle"
     t_us: int
@@ -304,7 +305,7 @@ class PoseSample(Record, frozen=True, gc=False):
 
 
 class LockPhase(StrEnum):
-    """What the lock's state machine knows; `settled` means travel time is over, not that a sensor saw it."""
+    """Phase of the lock's state machine; `settled` means that the travel time is over, without a sensor."""
 
     UNKNOWN = "unknown"
     TRAVELLING = "travelling"
@@ -321,12 +322,12 @@ class LockState(Record, frozen=True, gc=False):
     mode: Mode | None  # commanded while travelling, reached when settled
     commanded_us: int | None = None
     settled_us: int | None = None
-    feedback: bool = False  # confirmed by a switch; otherwise "settled (no feedback)"
+    feedback: bool = False  # confirmed by a switch; if not, "settled (no feedback)"
     reason: str | None = None
 
 
 class CommandResult(Record, frozen=True, gc=False):
-    """How a vehicle command ended, by telemetry and not by its acknowledgement."""
+    """Result of a vehicle command, judged by telemetry and not by its acknowledgement."""
 
     topic: ClassVar[str] = "/in/result"
     t_us: int
@@ -336,7 +337,7 @@ class CommandResult(Record, frozen=True, gc=False):
 
 
 class OperatorRequest(Record, frozen=True, gc=False):
-    """What the person at the keyboard asked for; `detail` says what of the simulated vehicle has died."""
+    """Request of the operator; `detail` names the failed part of the simulated vehicle."""
 
     topic: ClassVar[str] = "/in/operator"
     t_us: int
@@ -353,19 +354,21 @@ class ClockOffset(Record, frozen=True, gc=False):
 
 
 class RoundTrip(Record, frozen=True, gc=False):
-    """The vehicle has answered a request: how long that takes bounds how late telemetry comes."""
+    """Timing of an answered request; the round trip bounds the delay of telemetry."""
 
     topic: ClassVar[str] = "/in/round_trip"
-    received_us: int  # the answer
-    sent_us: int  # the request, host's monotonic time
-    autopilot_us: int | None  # autopilot's time as it answered; none: not told, or its clock goes at any pace
+    received_us: int  # receipt of the answer
+    sent_us: int  # sending of the request, host's monotonic time
+    autopilot_us: (
+        int | None
+    )  # autopilot's time at its answer, or None if not reported or its clock is not real time
 
 
 class PlanAnswer(Record, frozen=True, gc=False):
-    """What the planner makes of a `PlanRequest`: a trajectory from a coming moment on, and what it leads to.
+    """The planner's answer to a `PlanRequest`: a trajectory from a future time, and the predicted contact.
 
-    It is x and y as polynomials of fifth order in the seconds since `begin_us`, constant term first,
-    then straight on at the velocity of its end.
+    x and y are polynomials of fifth order in the seconds since `begin_us`, constant term first. Beyond the
+    last polynomial the vehicle continues at its final velocity.
     """
 
     topic: ClassVar[str] = "/in/plan"
@@ -375,13 +378,13 @@ class PlanAnswer(Record, frozen=True, gc=False):
     duration_s: float = 0.0  # of the polynomials
     x_mission: tuple[float, ...] = ()  # coefficients, m, m/s, ...; six for each polynomial
     y_mission: tuple[float, ...] = ()  # coefficients, m, m/s, ...; six for each polynomial
-    collision: int | None = None  # 1-based index of the collision that it leads to; none: to the goal
-    impact_s: float | None = None  # from its beginning to the wall's plane
-    normal_m_s: float | None = None  # velocity there, collision frame
-    tangential_m_s: float | None = None  # velocity there, collision frame
-    peak_force_n: float | None = None  # of the normal force, by the coefficients felt so far
-    pieces_s: tuple[float, ...] = ()  # duration of each polynomial, where there are several
-    problem: str = ""  # why there is no way
+    collision: int | None = None  # 1-based index of the next collision, or None if it leads to the goal
+    impact_s: float | None = None  # time from its beginning to the wall's plane
+    normal_m_s: float | None = None  # velocity at impact, collision frame
+    tangential_m_s: float | None = None  # velocity at impact, collision frame
+    peak_force_n: float | None = None  # predicted normal force, from the coefficients estimated so far
+    pieces_s: tuple[float, ...] = ()  # duration of each polynomial if there are several
+    problem: str = ""  # reason why no trajectory was found
 
 
 class ContactAnswer(Record, frozen=True, gc=False):
@@ -396,7 +399,7 @@ class ContactAnswer(Record, frozen=True, gc=False):
 
 
 class Tick(Record, frozen=True, gc=False):
-    """Host time goes by, at least every 20 ms, so that silence can be judged."""
+    """Host time, at least every 20 ms, so that silent streams can be detected."""
 
     topic: ClassVar[str] = "/in/tick"
     frequent: ClassVar[bool] = True
@@ -430,27 +433,27 @@ Input = (
 
 
 class Setpoint(Record, frozen=True, gc=False):
-    """Offboard setpoint in local NED; velocity and acceleration are feed-forward where present."""
+    """Offboard setpoint in local NED; velocity and acceleration, if present, are feed-forward."""
 
     topic: ClassVar[str] = "/out/setpoint"
     frequent: ClassVar[bool] = True
     t_us: int
-    trigger_received_us: int  # receipt of the sample that led to it
+    trigger_received_us: int  # receipt of the sample that triggered it
     position_ned: Vec3
     yaw_ned_rad: float
     velocity_ned: Vec3 | None = None
     acceleration_ned: Vec3 | None = None
-    recovery: bool = False  # the setpoint of an impact: its latency is measured
+    recovery: bool = False  # recovery setpoint of an impact, whose latency is measured
 
 
 class VehicleAction(StrEnum):
-    """What the core asks of the autopilot beside setpoints."""
+    """Actions of the autopilot, other than setpoints, that the core commands."""
 
     OFFBOARD = "offboard"
     ARM = "arm"
     LAND = "land"
     DISARM = "disarm"
-    KILL = "kill"  # disarms whether or not PX4 believes itself on the ground
+    KILL = "kill"  # disarms whether or not PX4 detects the ground
 
 
 class VehicleCommand(Record, frozen=True, gc=False):
@@ -462,7 +465,7 @@ class VehicleCommand(Record, frozen=True, gc=False):
 
 
 class LockCommand(Record, frozen=True, gc=False):
-    """Move the lock; given only when the core knows that locking is permitted."""
+    """Command to move the lock; sent only while locking is permitted."""
 
     topic: ClassVar[str] = "/out/lock"
     t_us: int
@@ -470,7 +473,7 @@ class LockCommand(Record, frozen=True, gc=False):
 
 
 class LockPermission(Record, frozen=True, gc=False):
-    """Whether the arms are clear of contact and have sprung back, for the lock's state machine."""
+    """Whether the arms are clear of contact and back in place, for the lock's state machine."""
 
     topic: ClassVar[str] = "/out/lock_permission"
     t_us: int
@@ -478,21 +481,25 @@ class LockPermission(Record, frozen=True, gc=False):
 
 
 class PlanRequest(Record, frozen=True, gc=False):
-    """Plan the rest of the mission anew, after a contact; the answer is a `PlanAnswer` of the same number."""
+    """Request to replan the rest of the mission after a contact; the `PlanAnswer` has the same number."""
 
     topic: ClassVar[str] = "/out/plan_request"
     t_us: int  # of the state below
     number: int  # counts up
-    begin_us: int  # when the trajectory is to begin; an answer that comes later is not taken
-    collision: int | None  # 1-based index of the next one; none: the goal is next
+    begin_us: int  # start of the trajectory; a later answer is rejected
+    collision: int | None  # 1-based index of the next collision, or None if the goal is next
     position_mission: Vec3
     velocity_mission: Vec3
-    acceleration_mission: Vec3  # of thrust and drag
-    setpoint_mission: Vec3  # m; in force until then
-    lock_ready_us: int | None  # when the lock can be settled and the vehicle square to the wall; none: never
-    under_way: bool = False  # along a trajectory, not towards a setpoint
-    contact_height_m: float | None = None  # of the walls' force above the centre of mass; none: not known
-    coasts: bool = False  # no setpoint leads anywhere: the vehicle keeps its speed and thrust until then
+    acceleration_mission: Vec3  # from thrust and drag
+    setpoint_mission: Vec3  # m; in force until `begin_us`
+    lock_ready_us: (
+        int | None
+    )  # earliest time with the lock settled and the vehicle square to the wall; None: never
+    under_way: bool = False  # following a trajectory instead of a setpoint
+    contact_height_m: float | None = (
+        None  # height of the wall's force above the centre of mass, or None if unknown
+    )
+    coasts: bool = False  # without a setpoint ahead: the vehicle keeps its speed and thrust until `begin_us`
 
 
 class ContactRequest(Record, frozen=True, gc=False):
@@ -522,7 +529,7 @@ class ContactRequest(Record, frozen=True, gc=False):
 
 
 class Silence(Record, frozen=True, gc=False):
-    """Send nothing more: the pilot has the vehicle."""
+    """Command to send nothing more, because the pilot flies."""
 
     topic: ClassVar[str] = "/out/silence"
     t_us: int
@@ -535,7 +542,7 @@ class Silence(Record, frozen=True, gc=False):
 class ForceEstimate(Record, frozen=True, gc=False):
     """External force on the vehicle at an IMU sample, mission frame, newton (docs/force.md).
 
-    A sample stands for the mean over the IMU's tick that ends at `t_us`. Clipped samples are lower bounds.
+    A sample is the mean over the IMU's tick that ends at `t_us`. Clipped samples are lower bounds.
     """
 
     topic: ClassVar[str] = "/estimate/force"
@@ -544,45 +551,44 @@ class ForceEstimate(Record, frozen=True, gc=False):
     force_mission: Vec3
     clipped: bool
     filtered_mission: Vec3 = (0.0, 0.0, 0.0)  # first-order low-pass of the force
-    variance_n2: Vec3 = (0.0, 0.0, 0.0)  # N2, of each component's error, mission frame
-    noise_n: float = 0.0  # white part of one component's error, standard deviation
-    push_mission: Vec2 = (0.0, 0.0)  # horizontal force of thrust and drag, N: what leans on a wall
+    variance_n2: Vec3 = (0.0, 0.0, 0.0)  # variance of each component's error, mission frame, N2
+    noise_n: float = 0.0  # standard deviation of the white part of one component's error
+    push_mission: Vec2 = (0.0, 0.0)  # horizontal force of thrust and drag, N, which leans on a wall
 
 
 class TorqueEstimate(Record, frozen=True, gc=False):
     """External torque about the centre of mass at an IMU sample, body FRD (docs/torque.md).
 
-    What turns the vehicle beside its motors: inertia times the change of the gyro's rate over the tick, the
-    gyroscopic term, less the torque of the motors. A sample stands for the mean over the tick that ends at
-    `t_us`.
+    It is inertia times the change of the body rate over the tick, plus the gyroscopic term, minus the torque
+    of the motors. A sample is the mean over the tick that ends at `t_us`.
     """
 
     topic: ClassVar[str] = "/estimate/torque"
     frequent: ClassVar[bool] = True
     t_us: int
     torque_frd: Vec3
-    noise_frd_nm: Vec3 = (0.0, 0.0, 0.0)  # white part of each component's error, standard deviation
+    noise_frd_nm: Vec3 = (0.0, 0.0, 0.0)  # standard deviation of the white part of each component's error
 
 
 class ImpactOnset(Record, frozen=True, gc=False):
-    """The horizontal force crossed the threshold."""
+    """Onset of an impact: the horizontal force has crossed the threshold."""
 
     topic: ClassVar[str] = "/event/onset"
-    t_us: int  # sample that crossed
-    first_us: int  # first sample in contact, by the force rising out of the noise before it
+    t_us: int  # sample that crossed the threshold
+    first_us: int  # first sample in contact, traced back to where the force rises out of the noise
     received_us: int
     force_mission: Vec3
-    velocity_mission: Vec3  # last before contact
+    velocity_mission: Vec3  # last velocity before the contact
     position_mission: Vec3
     planned: bool = False  # a wall was expected and the force points out of it
 
 
 class ImpactPeak(Record, frozen=True, gc=False):
-    """The peaks of an impact, each component its own, as the recovery uses them."""
+    """Peaks of an impact, one for each component, as the recovery uses them."""
 
     topic: ClassVar[str] = "/event/peak"
     t_us: int  # moment of the normal peak, t_c
-    detected_us: int  # sample at which the peak was known
+    detected_us: int  # sample at which the peak was detected
     received_us: int
     normal: Vec2  # wall normal used, mission frame
     normal_force_n: float
@@ -590,11 +596,11 @@ class ImpactPeak(Record, frozen=True, gc=False):
     position_mission: Vec3  # p(t_c)
     clipped: bool
     normal_sigma_n: float = 0.0  # standard error of the normal force
-    fitted: bool = False  # from the contact model's pulse; otherwise from a parabola through the top
+    fitted: bool = False  # fitted with the contact model's pulse instead of a parabola through the top
 
 
 class ContactEnd(Record, frozen=True, gc=False):
-    """The force has gone back below the release level."""
+    """End of a contact: the force has returned below the release level."""
 
     topic: ClassVar[str] = "/event/contact_end"
     t_us: int
@@ -602,7 +608,7 @@ class ContactEnd(Record, frozen=True, gc=False):
 
 
 class ContactSide(StrEnum):
-    """Which of the two points of a side met the wall first, as seen when flying into it."""
+    """Guard that touched the wall first, as seen when flying into the wall."""
 
     LEFT = "left"
     RIGHT = "right"
@@ -617,14 +623,14 @@ class ContactSide(StrEnum):
 
 
 class ImpactBody(Record, frozen=True, gc=False):
-    """How an impact met the vehicle's body, after its end (docs/torque.md)."""
+    """Geometry and torque of an impact, sent after its end (docs/torque.md)."""
 
     topic: ClassVar[str] = "/event/impact_body"
-    t_us: int  # newest sample that it rests on
+    t_us: int  # newest sample used
     first_us: int  # of the impact's onset
-    final: bool  # always; older logs have another one after the peak
+    final: bool  # always true; older logs have another record, sent after the peak
     side: ContactSide
-    lead_m: float  # how much nearer to the wall the right point was than the left one at the first touch
+    lead_m: float  # lead of the right guard over the left one at the first touch, towards the wall
     incidence_rad: float  # leading edge against the wall at the first touch, signed: positive turned left
     incidence_sigma_rad: float
     torque_peak_frd: Vec3  # largest external torque so far
@@ -632,17 +638,17 @@ class ImpactBody(Record, frozen=True, gc=False):
 
 
 class WallEstimate(Record, frozen=True, gc=False):
-    """What a planned contact says of its wall and of the arms, at its end (docs/felt.md).
+    """Properties of the wall and the arms, estimated from a planned contact at its end (docs/felt.md).
 
-    Coefficients are posterior means of the wall in the mode felt; in the reported one where undecided.
+    Coefficients are posterior means of the wall in the estimated mode, or in the reported mode if undecided.
     """
 
     topic: ClassVar[str] = "/estimate/wall"
-    t_us: int  # newest sample that it rests on
+    t_us: int  # newest sample used
     first_us: int  # of the impact's onset
     wall: str  # its name
-    mode_reported: Mode | None  # what the lock said at the onset; none: it was not settled
-    mode_felt: Mode | None  # none: undecided
+    mode_reported: Mode | None  # reported by the lock at the onset, or None if not settled
+    mode_felt: Mode | None  # estimated from the contact, or None if undecided
     log_odds: float  # of rigid against flexible, natural logarithm, prior odds 1
     k_n_per_m: float  # stiffness
     f_ns_per_m: float  # damping
@@ -654,42 +660,50 @@ class WallEstimate(Record, frozen=True, gc=False):
     nu_sd: float  # relative standard deviation
     incidence_rad: float  # leading edge against the wall at the first touch, signed: positive turned left
     incidence_sigma_rad: float
-    plane_offset_m: float  # where the wall's plane stands along its normal, less where the mission has it
+    plane_offset_m: float  # measured plane minus the mission's plane, along the wall's normal
     plane_offset_sigma_m: float
-    # Its plane as it was felt, where the vehicle's centre is at first touch; none: too few readings.
-    plane_point_mission: Vec2 | None = None  # where it was met
+    # Measured plane of the vehicle's centre at first touch, or None if there were too few readings.
+    plane_point_mission: Vec2 | None = None  # where the vehicle touched it
     plane_normal_mission: Vec2 | None = None
     plane_normal_sigma_rad: float | None = None
-    centre_mission: Vec2 | None = None  # of the vehicle at the first touch
-    material: str | None = None  # of a wall of unknown material: the one of the table that fits best
-    problem: str = ""  # why the contact says nothing: the wall is as before
+    centre_mission: Vec2 | None = None  # vehicle's centre at the first touch
+    material: str | None = None  # best-fitting material of the table, if the wall's material is unknown
+    problem: str = ""  # reason why the contact was not evaluated
 
 
 class DetectionFloor(Record, frozen=True, gc=False):
-    """What can be felt at the start of an approach, by the noise learnt so far, newton (docs/force.md)."""
+    """Smallest detectable contact at the start of an approach, from the noise so far, N (docs/force.md)."""
 
     topic: ClassVar[str] = "/estimate/detection"
     t_us: int
-    threshold_n: float  # the lowest that is in force
-    noise_short_n: float  # deviation of a component of the short mean
+    threshold_n: float  # lowest threshold in force
+    noise_short_n: float  # standard deviation of one component of the short mean
     noise_long_n: float  # ... of the long mean
-    rigid_n: float  # peak from which on a rigid contact with this wall is found for certain
-    flexible_n: float | None = None  # ... a flexible contact; none: the vehicle has no lock
+    rigid_n: float  # peak above which a rigid contact with this wall is always detected
+    flexible_n: float | None = None  # ... a flexible contact, or None if the vehicle has no lock
 
 
 class PhaseChange(Record, frozen=True, gc=False):
-    """The mission executive went from one phase to the next."""
+    """Transition of the mission executive from one phase to the next."""
 
     topic: ClassVar[str] = "/event/phase"
     t_us: int
     before: Phase
     after: Phase
     reason: str
-    collision: int | None = None  # 1-based index of the collision it concerns
+    collision: int | None = None  # 1-based index of the collision
+
+
+class PosesWithheld(Record, frozen=True, gc=False):
+    """The end of forwarding: the poses are not the vehicle's, and PX4 flies better by its IMU."""
+
+    topic: ClassVar[str] = "/event/poses_withheld"
+    t_us: int
+    reason: str
 
 
 class GuardEvent(Record, frozen=True, gc=False):
-    """A rule of the guard fired."""
+    """Firing of a guard rule."""
 
     topic: ClassVar[str] = "/event/guard"
     t_us: int
@@ -699,26 +713,26 @@ class GuardEvent(Record, frozen=True, gc=False):
 
 
 class GoalPassed(Record, frozen=True, gc=False):
-    """The closest approach to the goal after the last contact; from here on the goal is held."""
+    """Closest approach to the goal after the last contact; the goal is held from here."""
 
     topic: ClassVar[str] = "/event/goal"
     t_us: int
     miss_m: float
-    timed_out: bool = False  # it was not passed: limits.collision_timeout_s was over
+    timed_out: bool = False  # not passed within limits.collision_timeout_s
 
 
 class PlanTaken(Record, frozen=True, gc=False):
-    """What became of a `PlanAnswer`: flown, or not, and why not."""
+    """Acceptance or rejection of a `PlanAnswer`."""
 
     topic: ClassVar[str] = "/event/plan"
     t_us: int
     number: int  # of the request
     taken: bool
-    reason: str = ""  # why it is not flown
+    reason: str = ""  # reason of the rejection
 
 
 class ProbeEnd(Record, frozen=True, gc=False):
-    """A probe is over that has met nothing, or a leg is left out that depends on one."""
+    """End of a probe without contact, or omission of a leg that depends on a probe."""
 
     topic: ClassVar[str] = "/event/probe"
     t_us: int
@@ -726,22 +740,22 @@ class ProbeEnd(Record, frozen=True, gc=False):
 
 
 class FrameAnchor(Record, frozen=True, gc=False):
-    """A contact has put the mission frame right along its wall's normal (docs/anchors.md)."""
+    """Correction of the mission frame along a wall's normal, from a contact (docs/anchors.md)."""
 
     topic: ClassVar[str] = "/event/anchor"
     t_us: int
     wall: str
-    moved_mission: Vec2  # the frame's origin, in its axes before
-    expected_sd_m: float  # of the frame along the normal, before
+    moved_mission: Vec2  # displacement of the frame's origin, in its previous axes
+    expected_sd_m: float  # standard deviation of the frame along the normal before the correction
     sd_m: float  # ... after
-    age_s: float | None  # of the anchor before, along this normal; none: there was none
-    normal: Vec2  # of the wall as it was known before the contact
-    felt_us: int  # the contact
-    start_us: int  # when the frame was laid at the start
+    age_s: float | None  # age of the previous anchor along this normal, or None if there was none
+    normal: Vec2  # of the wall as assumed before the contact
+    felt_us: int  # time of the contact
+    start_us: int  # time at which the frame was set at the start
 
 
 class MissionEnd(Record, frozen=True, gc=False):
-    """The flight is over for the core."""
+    """End of the flight for the core."""
 
     topic: ClassVar[str] = "/event/end"
     t_us: int
@@ -767,6 +781,7 @@ Output = (
     | ImpactBody
     | WallEstimate
     | PhaseChange
+    | PosesWithheld
     | GuardEvent
     | GoalPassed
     | PlanTaken
@@ -780,7 +795,7 @@ Output = (
 
 
 class TruthSample(Record, frozen=True, gc=False):
-    """What the simulated vehicle really did, mission frame."""
+    """True state of the simulated vehicle, mission frame."""
 
     topic: ClassVar[str] = "/truth/state"
     frequent: ClassVar[bool] = True
@@ -790,18 +805,18 @@ class TruthSample(Record, frozen=True, gc=False):
     contact_force_mission: Vec3
     q_frd_to_ned: Quaternion
     mode: Mode
-    contact_torque_frd: Vec3 = (0.0, 0.0, 0.0)  # of walls, about the centre of mass, N m
+    contact_torque_frd: Vec3 = (0.0, 0.0, 0.0)  # torque of the walls about the centre of mass, N m
 
 
 class ComputerSample(Record, frozen=True, gc=False):
-    """How the computer is, once a second; None: its kernel does not tell (a Raspberry Pi's does)."""
+    """State of the onboard computer, once a second; None if its kernel does not report it."""
 
     topic: ClassVar[str] = "/computer"
     t_us: int  # host's monotonic clock
     temperature_c: float | None = None  # of the hottest zone
     undervoltage: bool | None = None
-    throttled: bool | None = None  # its clock is held back
-    was_undervoltage: bool | None = None  # since it was switched on
+    throttled: bool | None = None  # clock frequency reduced
+    was_undervoltage: bool | None = None  # since power-on
     was_throttled: bool | None = None
 
 
@@ -823,21 +838,21 @@ class TruthContact(Record, frozen=True, gc=False):
     incidence_rad: float = 0.0  # leading edge against the wall at first touch, signed: positive turned left
     tilt_rad: float = 0.0  # at first touch
     rate_out_frd: Vec3 = (0.0, 0.0, 0.0)  # body rate at the end, rad/s
-    lead_m: float = 0.0  # how much nearer the right guard was than the left one at first touch
+    lead_m: float = 0.0  # lead of the right guard over the left one at first touch, towards the wall
     peak_torque_nm: float = 0.0  # largest torque of the wall about the centre of mass
 
 
 class SetpointSent(Record, frozen=True, gc=False):
-    """A recovery setpoint left the program."""
+    """Transmission of a recovery setpoint."""
 
     topic: ClassVar[str] = "/shell/setpoint_sent"
     t_us: int  # of the setpoint
-    sent_us: int  # host
-    latency_us: int  # since receipt of the sample that triggered it
+    sent_us: int  # host time
+    latency_us: int  # since receipt of the triggering sample
 
 
 class LogFailure(Record, frozen=True, gc=False):
-    """The flight's log lacks records: shown, and in the log itself where that goes on."""
+    """Loss of records in the flight's log; shown to the operator, and logged if the log continues."""
 
     topic: ClassVar[str] = "/shell/log_failure"
     t_us: int

@@ -1,7 +1,7 @@
-"""The one table of telemetry streams: what is asked of PX4, what is expected, how long silence may last.
+"""The telemetry streams: requested rates, required rates and messages.
 
-`vehicle` asks for the rates, the guard judges ages by host time, `check` compares the measured rates. Rates
-snap to PX4's ticks of 4 ms: ask for 250, not 200.
+`vehicle` requests the rates, the guard checks the age of samples in host time, and `check` compares the
+measured rates. PX4 rounds intervals to ticks of 4 ms: request 250 Hz, not 200.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ class Stream(msgspec.Struct, frozen=True):
     Attributes:
         name: as in the log's topics.
         message: MAVLink message that carries it.
-        rate_hz: rate asked for.
-        expected_hz: least rate that a mission needs.
+        rate_hz: requested rate.
+        expected_hz: lowest rate that a mission needs.
     """
 
     name: str
@@ -26,7 +26,7 @@ class Stream(msgspec.Struct, frozen=True):
 
     @property
     def watched_hz(self) -> float:
-        """Rate asked for in order to watch: all of the IMU, of others little more than needed."""
+        """Rate requested by commands that only watch: full for the IMU, reduced for other streams."""
         return self.rate_hz if self.name == "imu" else min(self.rate_hz, 62.5)
 
 

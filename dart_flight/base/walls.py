@@ -1,7 +1,7 @@
-"""Walls, and the frame of a collision with one.
+"""Walls and posts, and the collision frame of a wall.
 
-* collision frame of a wall: X outward normal, Y to the right when looking along X in a z-up frame,
-  Z = X x Y (it points down at a wall).
+Collision frame: X is the outward normal, Y points to the right when looking along X in a z-up frame, and Z =
+X x Y (it points down at a wall).
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from dart_flight.base.geometry import Vec2, Vec3, distance_to_segment, wrap_angl
 
 
 class Post(msgspec.Struct, frozen=True):
-    """An upright cylinder that stands by itself.
+    """An upright, free-standing cylinder.
 
     Attributes:
         name: as in the mission file.
-        centre: of its face's circle, mission frame, metres.
-        radius_m: of its face.
+        centre: centre of its circular face, mission frame, metres.
+        radius_m: radius of the face.
         material: key of the materials table.
     """
 
@@ -30,12 +30,12 @@ class Post(msgspec.Struct, frozen=True):
     material: str
 
     def distance_to_segment(self, a: Vec2, b: Vec2) -> float:
-        """Smallest distance in metres of the axis to the straight line from one place to another."""
+        """Return the distance of the axis from the segment between two places, metres."""
         return distance_to_segment(self.centre, a, b)
 
 
 class Wall(msgspec.Struct, frozen=True):
-    """A finite vertical wall, as the plane where the vehicle's *centre* is at first touch.
+    """A finite vertical wall, given by the plane of the vehicle's *centre* at first touch.
 
     Attributes:
         name: as in the mission file.
@@ -43,12 +43,15 @@ class Wall(msgspec.Struct, frozen=True):
         normal: outward unit normal, from the wall into free space, mission frame.
         length_m: extent along the tangent, centred on `point`.
         material: key of the materials table.
-        position_sd_m: standard deviation of the plane's place along the normal; None: not told.
-        yaw_sd_rad: of its direction, about `point`; None: not told.
-        half_vehicle_m: from the vehicle's centre to its side, which must fit on the wall, or past its end.
-        post_radius_m: of the post whose tangent plane this is, where it is to be hit; 0: it is a wall.
-        sought: nobody knows where it stands: a probe looks for it, and this is its plane at the probe's end.
-        material_known: else the material is the stiffest there is, until a contact tells.
+        position_sd_m: standard deviation of the plane's position along the normal; None if not configured.
+        yaw_sd_rad: standard deviation of the plane's direction, about `point`; None if not configured.
+        half_vehicle_m: distance from the vehicle's centre to its side, which must fit on the wall or past its
+            end.
+        post_radius_m: radius of the post whose tangent plane this is; 0 for a wall.
+        sought: whether the wall's position is unknown and a probe searches for it; the plane is then at the
+            end of the probe.
+        material_known: whether the material is given; if not, it is the stiffest one until a contact
+            identifies it.
     """
 
     name: str
@@ -65,72 +68,73 @@ class Wall(msgspec.Struct, frozen=True):
 
     @property
     def tangent(self) -> Vec2:
-        """Y of the collision frame: to the right when looking along the normal, z up."""
+        """Y axis of the collision frame: to the right when looking along the normal, z up."""
         return (self.normal[1], -self.normal[0])
 
     @property
     def ends(self) -> tuple[Vec2, Vec2]:
-        """The left and the right end, looking along the normal."""
+        """The left and the right end when looking along the normal."""
         (x, y), (tx, ty), half = self.point, self.tangent, 0.5 * self.length_m
         return (x - half * tx, y - half * ty), (x + half * tx, y + half * ty)
 
     def signed_distance(self, position: Vec2 | Vec3) -> float:
-        """Signed distance in metres of the vehicle's centre to the plane; negative is compression."""
+        """Return the distance of the vehicle's centre from the plane, metres; negative is compression."""
         return (position[0] - self.point[0]) * self.normal[0] + (position[1] - self.point[1]) * self.normal[1]
 
     def along(self, position: Vec2 | Vec3) -> float:
-        """Distance in metres along the tangent from the middle of the wall."""
+        """Return the distance from the middle of the wall along the tangent, metres."""
         tx, ty = self.tangent
         return (position[0] - self.point[0]) * tx + (position[1] - self.point[1]) * ty
 
     @property
     def is_uncertain(self) -> bool:
-        """Whether it may stand elsewhere than it is said to."""
+        """Whether the configured position or direction of the wall has a tolerance."""
         return bool(self.position_sd_m or self.yaw_sd_rad)
 
     def moved(self, away_m: float) -> Wall:
-        """The wall so far out along its normal."""
+        """Return the wall displaced along its normal."""
         (x, y), (nx, ny) = self.point, self.normal
         return msgspec.structs.replace(self, point=(x + away_m * nx, y + away_m * ny))
 
     def turned(self, angle_rad: float) -> Wall:
-        """The wall turned about its middle, counter-clockwise seen from above."""
+        """Return the wall rotated about its middle, counter-clockwise seen from above."""
         c, s = math.cos(angle_rad), math.sin(angle_rad)
         nx, ny = self.normal
         return msgspec.structs.replace(self, normal=(c * nx - s * ny, s * nx + c * ny))
 
     def plane_sd_m(self, position: tuple[Any, ...]) -> Any:
-        """Standard deviation of the plane's place before a position: the further from the middle, the more.
+        """Return the standard deviation of the plane's position before a position, metres.
 
-        Numbers, or arrays of them.
+        The deviation grows with the distance from the middle of the wall. Coordinates may be numbers or
+        arrays.
         """
         turned = self.along(position) * math.tan(self.yaw_sd_rad or 0.0)
         return ((self.position_sd_m or 0.0) ** 2 + turned * turned) ** 0.5
 
     def foot(self, position: Vec2 | Vec3) -> Vec2:
-        """The nearest point of the wall's plane within its length."""
+        """Return the nearest point of the wall's plane within its length."""
         reach = 0.5 * self.length_m
         along = max(-reach, min(reach, self.along(position)))
         return (self.point[0] + along * self.tangent[0], self.point[1] + along * self.tangent[1])
 
     def end_distance_m(self, position: tuple[Any, ...]) -> Any:
-        """How far inside the nearer end a point lies along the wall, metres; negative beyond it.
+        """Return the distance along the wall from a point to the nearer end, metres; negative beyond the end.
 
-        Numbers, or arrays of them.
+        Coordinates may be numbers or arrays.
         """
         return 0.5 * self.length_m - abs(self.along(position))
 
     def spans(self, position: Vec2 | Vec3) -> bool:
-        """Whether the point lies before the wall's finite length."""
+        """Return whether the point lies in front of the wall's finite length."""
         return abs(self.along(position)) <= 0.5 * self.length_m
 
     def to_collision(self, v_mission: Vec3) -> Vec3:
-        """A direction from the mission frame to the wall's collision frame (R dagger transposed)."""
+        """Convert a direction from the mission frame to the wall's collision frame (R dagger transposed)."""
         nx, ny = self.normal
         return (v_mission[0] * nx + v_mission[1] * ny, v_mission[0] * ny - v_mission[1] * nx, -v_mission[2])
 
     def from_collision(self, v_collision: Vec3) -> Vec3:
-        """A direction from the wall's collision frame to the mission frame (R dagger)."""
+        """Convert a direction from the wall's collision frame to the mission frame (R dagger)."""
         nx, ny = self.normal
         return (
             v_collision[0] * nx + v_collision[1] * ny,
@@ -139,15 +143,15 @@ class Wall(msgspec.Struct, frozen=True):
         )
 
     def parallel_yaw(self, yaw_mission_rad: float) -> float:
-        """The heading nearest to the given one at which the leading edge is parallel to the wall.
+        """Return the heading, nearest to the given one, at which the leading edge is parallel to the wall.
 
-        The vehicle is four-fold symmetric, so every quarter turn will do; two perpendicular walls need
-        no turn between them (`docs/concepts.md`, yaw).
+        The vehicle is four-fold symmetric, so any quarter turn is equivalent. Two perpendicular walls need no
+        rotation between them (`docs/concepts.md`, yaw).
         """
         facing = math.atan2(-self.normal[1], -self.normal[0])
         quarter = 0.5 * math.pi
         return wrap_angle(facing + quarter * round((yaw_mission_rad - facing) / quarter))
 
     def incidence(self, yaw_mission_rad: float) -> float:
-        """Angle of incidence in radians, 0 to pi/4: leading edge against the wall's plane."""
+        """Return the angle of incidence between leading edge and wall, radians, 0 to pi/4."""
         return abs(wrap_angle(yaw_mission_rad - self.parallel_yaw(yaw_mission_rad)))

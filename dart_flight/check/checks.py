@@ -33,6 +33,7 @@ from dart_flight.check.mission_check import (
     predict_flight_path,
 )
 from dart_flight.check.place_check import check_heading, judge_place
+from dart_flight.check.pose_check import judge_poses
 from dart_flight.check.probe_check import check_anchors
 from dart_flight.check.px4_parameters import judge_claim, judge_parameters, judge_position
 from dart_flight.check.stages import Check, CheckContext, Stage
@@ -150,6 +151,7 @@ CHECKS: tuple[FlightCheck, ...] = (
     Check("estimator", _VEHICLE, lambda c: judge_observation(c.vehicle.observed)),
     Check("rates", _VEHICLE, lambda c: judge_rates(c.vehicle.observed, c.vehicle.values)),
     Check("sources", _VEHICLE, lambda c: judge_sources(c.vehicle.observed)),
+    Check("pose_source", _VEHICLE, lambda c: judge_poses(c.mission.vehicle.mocap, c.vehicle.observed)),
     Check("battery", _VEHICLE, lambda c: [judge_battery(c.mission, c.vehicle.observed)]),
     Check("imu_scale", _VEHICLE, lambda c: judge_resting_force(c.vehicle.observed)),
     Check(

@@ -1,7 +1,7 @@
 """PX4's parameters that matter to a vehicle that flies into walls.
 
-Those that can hurt are explained in words and may be a no-go (`PARAMETERS`); the position gains are compared
-with the configuration; every other one of `configs/px4/` that differs is a remark with the file's reason.
+Those that can hurt are explained in words and may be a no-go (`PARAMETERS`); other position gains than the
+configuration's are a no-go; every other one that is not as wanted (`wanted_parameters`) is a remark.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 from dart_flight.check.findings import CheckFinding
+from dart_flight.check.wanted_parameters import GAINS, IMU_POSITION, POSE_DELAY, wanted_parameters
 from dart_flight.config.mission import Mission
 from dart_flight.config.parameter_file import (
     Parameter,
@@ -20,12 +21,10 @@ from dart_flight.config.parameter_file import (
 )
 from dart_flight.planning.positioning import PLAIN_GPS, frame_problem, source_for
 
-_GAIN_TOLERANCE = 0.02
 _NO_TERMINATION = 121212  # CBRK_FLIGHTTERM: PX4's magic number for "off"
 _OVERRIDE_IN_OFFBOARD = 2  # bit 1 of COM_RC_OVERRIDE
 _HORIZONTAL = 1  # bit 0 of EKF2_EV_CTRL and of EKF2_GPS_CTRL
 _RTK_FIX = "rtk_fixed"
-_POSE_DELAY = "EKF2_EV_DELAY"
 _POSE_DELAY_TOLERANCE_MS = 30.0
 
 
@@ -161,16 +160,11 @@ PARAMETERS: dict[str, Callable[[float, Mission], tuple[bool, str]]] = {
     "SYS_HITL": _hitl,
 }
 _LOCKDOWN, _LOCKDOWN_UNTIL = "COM_LKDOWN_TKO", (1, 17)  # nothing takes its place
-# The prediction of where a recovery leads rests on these.
-_GAINS = ("MPC_XY_P", "MPC_XY_VEL_P_ACC", "MPC_XY_VEL_D_ACC", "MPC_VELD_LP", "MPC_TILTMAX_AIR", "MPC_Z_P")
-# Forward, right, down of the centre of mass, as imu.position_m.
-IMU_POSITION = ("EKF2_IMU_POS_X", "EKF2_IMU_POS_Y", "EKF2_IMU_POS_Z")
-_POSITION_TOLERANCE_M = 0.005
 
 
 def names_to_read(version: Version | None = None) -> list[str]:
     """Every parameter that the judgements here look at and a version of PX4 may have."""
-    names, absent = [*PARAMETERS, *_GAINS, *IMU_POSITION], set[str]()
+    names, absent = [*PARAMETERS, *GAINS, *IMU_POSITION], set[str]()
     for source in PositionSource:
         parameters = vehicle_parameters(source)
         names += parameters
@@ -204,7 +198,7 @@ def judge_parameters(
         source: where its position comes from; None: only what every vehicle needs is compared.
         version: of PX4; None: not told, and every parameter is expected that any version has.
     """
-    wanted = vehicle_parameters(None if source is None else source_for(mission, source))
+    wanted = wanted_parameters(mission, source)
     different = {d.name: d for d in differences(wanted, values)}
     findings = []
     for name, judge in PARAMETERS.items():
@@ -221,10 +215,9 @@ def judge_parameters(
         if go and difference is not None:
             says += f"; recommended {difference.wanted:g}, not {difference.actual:g}: {difference.reason}"
         findings.append(CheckFinding(name, go, says, remark=go and difference is not None))
-    if source is PositionSource.MOCAP and _POSE_DELAY in values:
-        findings.append(_judge_pose_delay(mission, values[_POSE_DELAY], different.pop(_POSE_DELAY, None)))
-    findings += _judge_gains(mission, values)
-    findings += _judge_imu_position(mission, values)
+    if source is PositionSource.MOCAP and POSE_DELAY in values:
+        findings.append(_judge_pose_delay(mission, values[POSE_DELAY], different.pop(POSE_DELAY, None)))
+    findings += _judge_configured(different)
     findings += [CheckFinding(d.name, True, d.line(), remark=True) for d in different.values()]
     return findings
 
@@ -242,14 +235,24 @@ def _is_elsewhere(
     )
 
 
-def _judge_gains(mission: Mission, values: Mapping[str, float]) -> list[CheckFinding]:
+def _judge_configured(different: dict[str, ParameterDifference]) -> list[CheckFinding]:
+    """Judge gains and IMU position, and remove them from the differences; what was not read is not judged."""
     findings = []
-    for name in _GAINS:
-        configured = float(getattr(mission.vehicle.px4, name.lower()))
-        actual = values.get(name)
-        if actual is not None and abs(actual - configured) > _GAIN_TOLERANCE * abs(configured):
-            says = f"{actual:g} on the vehicle, {configured:g} in the configuration: recoveries go elsewhere"
-            findings.append(CheckFinding(name, False, says))
+    for name in (*GAINS, *IMU_POSITION):
+        difference = different.pop(name, None)
+        if difference is None or difference.actual is None:
+            continue
+        if name in GAINS:
+            says = (
+                f"{difference.actual:g} on the vehicle, {difference.wanted:g} in the configuration: "
+                "recoveries go elsewhere"
+            )
+        else:
+            says = (
+                f"{difference.actual:g} m on the vehicle, {difference.wanted:g} m in imu.position_m: PX4's "
+                "velocity or the force takes turning for motion; measure from the centre of mass and set both"
+            )
+        findings.append(CheckFinding(name, name not in GAINS, says, remark=name not in GAINS))
     return findings
 
 
@@ -264,29 +267,15 @@ def _judge_pose_delay(
     if measured_ms is None:
         says = f"{delay_ms:g} ms" if difference is None else difference.line()
         says += "; mocap.delay_ms is not set: measure the age of a pose on arrival at PX4 and set both"
-        return CheckFinding(_POSE_DELAY, True, says, remark=True)
+        return CheckFinding(POSE_DELAY, True, says, remark=True)
     apart_ms = abs(delay_ms - measured_ms)
     says = f"{delay_ms:g} ms on the vehicle, {measured_ms:g} ms in mocap.delay_ms"
     if apart_ms > _POSE_DELAY_TOLERANCE_MS:
         says += (
             f": {apart_ms:g} ms apart, {_POSE_DELAY_TOLERANCE_MS:g} ms allowed, the position estimate would "
-            f"oscillate; set {_POSE_DELAY} to {measured_ms:g}"
+            f"oscillate; set {POSE_DELAY} to {measured_ms:g}"
         )
-    return CheckFinding(_POSE_DELAY, apart_ms <= _POSE_DELAY_TOLERANCE_MS, says)
-
-
-def _judge_imu_position(mission: Mission, values: Mapping[str, float]) -> list[CheckFinding]:
-    """Where PX4 believes its IMU against the configuration: both take what turning adds there off."""
-    findings = []
-    for name, configured in zip(IMU_POSITION, mission.vehicle.imu.position_m, strict=True):
-        actual = values.get(name)
-        if actual is not None and abs(actual - configured) > _POSITION_TOLERANCE_M:
-            says = (
-                f"{actual:g} m on the vehicle, {configured:g} m in imu.position_m: PX4's velocity or the "
-                "force takes turning for motion; measure from the centre of mass and set both"
-            )
-            findings.append(CheckFinding(name, True, says, remark=True))
-    return findings
+    return CheckFinding(POSE_DELAY, apart_ms <= _POSE_DELAY_TOLERANCE_MS, says)
 
 
 # --- where the position comes from -----------------------------------------------------------------------

@@ -64,7 +64,7 @@ def read_vehicle(mission: Mission, url: str) -> VehicleReading:
         NoAnswerError: what answers there does not answer requests.
     """
     lock = mission.vehicle.lock
-    with GroundLink(url, mission.vehicle.connection.timeout_s) as link:
+    with GroundLink(url, mission.vehicle.connection.timeout_s, mocap=mission.vehicle.mocap) as link:
         mode = link.heartbeat_mode()
         other = judge_autopilot(mode)
         if other:

@@ -10,14 +10,16 @@ from dart_flight.check.bringup import progress
 from dart_flight.check.bringup.judgements import StepFinding, StepOutcome
 from dart_flight.check.bringup.steps import STEPS, WAIT_S, Bringup
 from dart_flight.check.stages import run_checks
-from dart_flight.cli.options import add_driver_option, link_of, number
+from dart_flight.cli.options import add_driver_option, add_mocap_option, link_of, number, refuse_unwritable
 from dart_flight.cli.terminal import emit_json, print_status
 from dart_flight.cli.vehicle_line import say_vehicle
+from dart_flight.config.document import InputError
+from dart_flight.config.edit import write_values
 from dart_flight.config.mission import load_mission
 from dart_flight.config.state_folder import state_dir
 from dart_flight.config.vehicle import packaged
 from dart_flight.config.vehicle.configuration import default_config_path
-from dart_flight.run.prepare import with_driver
+from dart_flight.run.prepare import with_driver, with_mocap
 from dart_flight.vehicle.link import LinkLease
 
 
@@ -32,6 +34,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--yes", action="store_true", help="only what needs no hands")
     add_driver_option(parser)
+    add_mocap_option(parser)
 
 
 class _Terminal:
@@ -46,11 +49,23 @@ class _Terminal:
         return sys.stdin.readline().strip().lower() in ("y", "yes")
 
 
+def _write_delay(arguments: argparse.Namespace, source: str | None, delay_ms: float) -> None:
+    """Write the measured age of the poses into the configuration, or print how to do it."""
+    path = Path(source or default_config_path())
+    try:
+        refuse_unwritable(arguments, path)
+        write_values(path, {("mocap", "delay_ms"): delay_ms})
+    except InputError as error:
+        print_status(f"  set mocap.delay_ms to {delay_ms:g} yourself: {error.one_line()}")
+    else:
+        print_status(f"  wrote mocap.delay_ms {delay_ms:g} into {path}; set EKF2_EV_DELAY to it")
+
+
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; returns 0 where no step has failed."""
     config = arguments.config or (None if arguments.mission else default_config_path())
     mission = load_mission(arguments.mission or packaged("missions", "single_wall.yaml"), config)
-    mission = with_driver(mission, arguments.driver)
+    mission = with_mocap(with_driver(mission, arguments.driver), arguments.mocap)
     url = link_of(arguments, mission.vehicle.connection)
     folder = arguments.state or state_dir() / "bringup"
     say_vehicle(mission.flown_vehicle(), arguments)
@@ -68,11 +83,15 @@ def run(arguments: argparse.Namespace) -> int:
                     finding = StepFinding(StepOutcome.NEEDS_OPERATOR, "needs somebody at the vehicle")
                 else:
                     (finding,) = run_checks([step], bringup)
+                delay_ms = finding.measured.get("delay_ms")
+                if finding.result is StepOutcome.PASS and isinstance(delay_ms, float):
+                    _write_delay(arguments, mission.flown_vehicle().source, delay_ms)
                 progress.note(record, step.name, finding)
                 written = progress.save(record, folder)
                 print_status(f"  {finding.result.value}: {finding.message}")
         finally:
             bringup.close()
+    print_status("next: `dart-flight parameters` lists what PX4 has otherwise than measured, and writes it")
     if arguments.json:
         emit_json({"steps": record.steps, "vehicle": record.vehicle, "files": [str(p) for p in written]})
     else:

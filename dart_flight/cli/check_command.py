@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import time
+from collections.abc import Callable
+from pathlib import Path
 
 from rich.console import Console
 
@@ -13,16 +16,21 @@ from dart_flight.cli.mission_picture import add_plot_option, write_picture
 from dart_flight.cli.options import (
     add_driver_option,
     add_log_dir_option,
+    add_mocap_option,
     add_overrule_option,
     add_position_option,
     add_set_option,
     link_of,
 )
-from dart_flight.cli.terminal import emit_json, messages, styled
+from dart_flight.cli.terminal import emit_json, messages, print_status, styled
 from dart_flight.cli.vehicle_line import say_vehicle
+from dart_flight.config.document import InputError, Stamp, noting_files, stamp_of
 from dart_flight.config.mission import load_mission
-from dart_flight.run.prepare import with_driver
+from dart_flight.config.parameter_file import PX4_NAME
+from dart_flight.run.prepare import with_driver, with_mocap
 from dart_flight.vehicle.link import LinkLease
+
+_LOOK_S = 0.5
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -33,14 +41,63 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add_log_dir_option(parser)
     add_position_option(parser)
     add_driver_option(parser)
+    add_mocap_option(parser)
     add_set_option(parser)
     add_plot_option(parser)
+    parser.add_argument(
+        "--watch",
+        action="store_true",
+        help="check and draw again whenever the mission or a file it uses is saved",
+    )
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; returns the exit status."""
+    if not arguments.watch:
+        return _check(arguments)
+    if arguments.json or arguments.connection is not None:
+        raise InputError("only for files: not with --json or --connection", key=("--watch",))
+    return keep_checking(lambda: _check(arguments))
+
+
+def keep_checking(check: Callable[[], int], sleep: Callable[[float], None] = time.sleep) -> int:
+    """Check whenever a file that was read is saved, until Ctrl-C; return the last exit status.
+
+    Args:
+        check: the check; returns its exit status, or raises InputError.
+        sleep: waits between two looks at the files.
+    """
+    status, watched = 2, dict[Path, Stamp]()
+    try:
+        while True:
+            with noting_files() as read:
+                try:
+                    status = check()
+                except InputError as error:
+                    print_status(error.one_line())
+                    status = 2
+            watched |= read
+            print_status(f"watching {', '.join(sorted({p.name for p in watched}))}; Ctrl-C ends")
+            _wait_for_save(watched, sleep)
+    except KeyboardInterrupt:
+        return status
+
+
+def _wait_for_save(watched: dict[Path, Stamp], sleep: Callable[[float], None]) -> None:
+    """Wait until a file has changed and no file changes any more; update the stamps."""
+    changed = False
+    while True:
+        now = {path: stamp_of(path) for path in watched}
+        if changed and now == watched:
+            return
+        changed = changed or now != watched
+        watched.update(now)
+        sleep(_LOOK_S)
+
+
+def _check(arguments: argparse.Namespace) -> int:
     mission = load_mission(arguments.mission, arguments.config, arguments.set)
-    mission = with_driver(mission, arguments.driver)
+    mission = with_mocap(with_driver(mission, arguments.driver), arguments.mocap)
     if arguments.plot is not None:
         write_picture(mission, arguments.plot)
     context = FlightContext(mission, arguments.log_dir, position_from=arguments.position_from)
@@ -69,5 +126,9 @@ def show(report: CheckReport, console: Console) -> None:
             word, style = "overruled", "yellow"
         line = styled((f"{word:9}", style), " ", (finding.item, "bold"), f": {finding.says}")
         console.print(line, soft_wrap=True)
+    if any(PX4_NAME.match(f.item) and (f.remark or not f.go) for f in report.findings):
+        console.print(
+            "parameters that differ: `dart-flight parameters` lists and writes them", soft_wrap=True
+        )
     end = styled(("go", "bold green")) if report.go else styled(("no-go", "bold red"), ": do not fly")
     console.print(end)

@@ -22,7 +22,14 @@ from dart_flight.cli.flight_output import (
 )
 from dart_flight.cli.hitl_preflight import prepare_hitl, say_how_to_end
 from dart_flight.cli.live_options import add_live_options, live_view
-from dart_flight.cli.options import add_flight_options, add_set_option, add_vary_option, number, whole_number
+from dart_flight.cli.options import (
+    add_emulated_mocap_option,
+    add_flight_options,
+    add_set_option,
+    add_vary_option,
+    number,
+    whole_number,
+)
 from dart_flight.cli.px4_options import add_px4_options, position_source_of, position_warnings
 from dart_flight.cli.terminal import emit_json, keep_status, messages, styled, tables
 from dart_flight.cli.vehicle_line import say_vehicle
@@ -35,10 +42,10 @@ from dart_flight.recording.verdict import Verdict
 from dart_flight.run.embedded import fly_embedded
 from dart_flight.run.fast import fly_fast
 from dart_flight.run.many_flights import RunsInterruptedError, fly_fast_many, fly_one_by_one, summarise
-from dart_flight.run.prepare import as_rehearsal, load_flyable, with_driver
+from dart_flight.run.prepare import as_rehearsal, load_flyable, with_driver, with_simulated_mocap
 from dart_flight.run.px4_flight import fly_px4
 from dart_flight.sim.draws import parse_vary
-from dart_flight.sim.faults.fault_table import parse_fault_of
+from dart_flight.sim.faults.fault_table import FaultSite, parse_fault_of
 from dart_flight.sim.pipe import FULL_SPEED, need_mavlink
 
 
@@ -75,6 +82,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add_live_options(parser)
     add_set_option(parser)
     add_vary_option(parser)
+    add_emulated_mocap_option(parser)
 
 
 def simulation_speed(text: str) -> float:
@@ -87,7 +95,8 @@ def flight_function(arguments: argparse.Namespace, mission: Mission) -> Callable
     position_from = source_for(mission, position_source_of(arguments))
     fault = None if arguments.fault is None else parse_fault_of(mission, arguments.fault)
     spreads = parse_vary(arguments.vary, mission.vehicle)
-    if fault is not None and (arguments.runs is not None or arguments.px4 is not None):
+    of_mocap = fault is not None and fault.kind.place is FaultSite.MOCAP
+    if fault is not None and (arguments.runs is not None or (arguments.px4 is not None and not of_mocap)):
         raise InputError("--fault is for one flight in the fast or the embedded world")
     if arguments.fast and (arguments.speed is not None or arguments.realtime):
         raise InputError("--fast always runs at full speed: omit --speed and --realtime")
@@ -120,7 +129,19 @@ def flight_function(arguments: argparse.Namespace, mission: Mission) -> Callable
         realtime=arguments.realtime,
         parameter_files=tuple(arguments.params or ()),
         spreads=spreads,
+        fault=fault,
     )
+
+
+def with_emulated_mocap(arguments: argparse.Namespace, mission: Mission) -> Mission:
+    """Return the mission as it is flown in simulation, with the motion capture of `--mocap` or without one.
+
+    Raises:
+        InputError: there is no such motion capture, or it does not fit the other options.
+    """
+    if arguments.mocap is not None and arguments.hitl is not None:
+        raise InputError("--mocap and --hitl exclude each other")
+    return with_simulated_mocap(mission, arguments.mocap, position_source_of(arguments))
 
 
 def is_realtime(arguments: argparse.Namespace, mission: Mission) -> bool:
@@ -136,6 +157,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the command; returns the exit status."""
     mission = load_flyable(arguments.mission, arguments.config, arguments.set)
     mission = as_rehearsal(with_driver(mission, arguments.driver), arguments.standoff)
+    mission = with_emulated_mocap(arguments, mission)
     fly = flight_function(arguments, mission)
     console = messages()
     say_vehicle(mission.flown_vehicle(), arguments)

@@ -5,8 +5,9 @@ from __future__ import annotations
 import argparse
 import contextlib
 import shlex
-import sys
+from pathlib import Path
 
+from dart_flight.base.errors import FlightError
 from dart_flight.check.checks import FlightContext, checks_of
 from dart_flight.check.findings import CheckFinding, decide
 from dart_flight.check.stages import Stage, run_checks
@@ -14,13 +15,26 @@ from dart_flight.cli.check_command import show
 from dart_flight.cli.flight_output import FlightLines, exit_status, live_line_for, show_end
 from dart_flight.cli.live_options import add_live_options, live_view
 from dart_flight.cli.mission_picture import add_plot_option, write_picture
-from dart_flight.cli.options import add_flight_options, add_overrule_option, add_position_option, link_of
-from dart_flight.cli.terminal import messages, print_status
+from dart_flight.cli.options import (
+    add_flight_options,
+    add_mocap_option,
+    add_overrule_option,
+    add_position_option,
+    link_of,
+)
+from dart_flight.cli.px4_log_command import download_px4_log
+from dart_flight.cli.terminal import confirm, emit_json, messages, print_status
 from dart_flight.cli.vehicle_line import say_vehicle
+from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission, Waypoint
+from dart_flight.config.provenance import display_path
+from dart_flight.recording.flight_time import armed_span
+from dart_flight.recording.reader import read_log
 from dart_flight.recording.verdict import Verdict
 from dart_flight.run.drone import fly_vehicle
-from dart_flight.run.prepare import as_rehearsal, load_flyable, with_driver
+from dart_flight.run.prepare import as_rehearsal, load_flyable, with_driver, with_mocap
+from dart_flight.run.px4_log import list_px4_logs
+from dart_flight.vehicle.downloads import Px4LogEntry
 from dart_flight.vehicle.link import LinkLease
 
 
@@ -34,15 +48,18 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     add_overrule_option(parser)
     add_position_option(parser)
+    add_mocap_option(parser)
     add_live_options(parser)
     add_plot_option(parser)
     parser.add_argument("--yes", action="store_true", help="do not ask before flying")
+    parser.add_argument("--px4-log", action="store_true", help="download PX4's own log after disarming")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; returns the exit status."""
     mission = load_flyable(arguments.mission, arguments.config)
     mission = as_rehearsal(with_driver(mission, arguments.driver), arguments.standoff)
+    mission = with_mocap(mission, arguments.mocap)
     url = link_of(arguments, mission.vehicle.connection)
     with LinkLease(url, "fly") as lease:
         return _fly(arguments, mission, url, lease)
@@ -59,11 +76,38 @@ def _fly(arguments: argparse.Namespace, mission: Mission, url: str, lease: LinkL
     console.print(_flight_summary(mission, url), soft_wrap=True)
     context = FlightContext(mission, arguments.log_dir, url, arguments.position_from)
     findings = run_checks(checks_of(Stage.FILE, Stage.COMPUTER, Stage.VEHICLE), context)
+    before = _listed(mission, url) if arguments.px4_log else None
     verdict = fly_if_go(arguments, mission, url, lease, findings)
     if verdict is None:
         return 1
+    if arguments.px4_log and verdict.log is not None:
+        lease.release()  # the flight's lease keeps a serial device to itself
+        verdict.px4_log = _downloaded(mission, url, Path(verdict.log), before)
     show_end(verdict, console, arguments.json)
     return exit_status(verdict)
+
+
+def _listed(mission: Mission, url: str) -> list[Px4LogEntry] | None:
+    """Return PX4's logs before the flight, None if they cannot be listed."""
+    try:
+        return list_px4_logs(url, mission.vehicle.connection.timeout_s)
+    except FlightError as error:
+        print_status(f"{error}; the log of this flight will be chosen by its date")
+        return None
+
+
+def _downloaded(mission: Mission, url: str, log: Path, before: list[Px4LogEntry] | None) -> str | None:
+    """Download PX4's log after a flight; a failure or Ctrl-C costs two lines, not the flight's result."""
+    try:
+        span = armed_span(read_log(log))
+        timeout_s = mission.vehicle.connection.timeout_s
+        return display_path(download_px4_log(url, timeout_s, log.parent, span, before=before))
+    except KeyboardInterrupt:
+        print_status("PX4's log skipped")
+    except (FlightError, InputError) as error:
+        print_status(error.one_line() if isinstance(error, InputError) else error)
+    print_status(f"later: dart-flight px4-log {shlex.quote(str(log.parent))}")
+    return None
 
 
 def fly_if_go(
@@ -74,8 +118,10 @@ def fly_if_go(
     report = decide(mission, findings, arguments.overrule)
     show(report, console)
     if not report.go:
+        if arguments.json:
+            emit_json(report)
         return None
-    if not arguments.yes and not confirm_flight():
+    if not arguments.yes and not confirm("Fly?"):
         console.print("cancelled, not flown")
         return None
     lines = FlightLines(console, arguments.verbose > 0, live_line_for(mission, console))
@@ -111,12 +157,3 @@ def _stop(w: Waypoint) -> str:
     x, y, z = w.position
     held = f", hold for {w.hold_s:g} s" if w.hold_s else ""
     return f"  fly to ({x:g}, {y:g}) at {z:g} m at up to {w.speed_m_s:g} m/s{held}"
-
-
-def confirm_flight() -> bool:
-    """Ask on the terminal; without one the answer is no."""
-    if not sys.stdin.isatty():
-        return False
-    sys.stderr.write("Fly? [y/N] ")
-    sys.stderr.flush()
-    return sys.stdin.readline().strip().lower() in ("y", "yes")

@@ -15,7 +15,7 @@ from rich.table import Table
 from dart_flight.base.records import Record
 from dart_flight.base.text import printable
 from dart_flight.cli.live_options import add_live_options, live_view
-from dart_flight.cli.options import link_of, number
+from dart_flight.cli.options import add_mocap_option, link_of, number
 from dart_flight.cli.terminal import emit_json, print_status, styled, tables
 from dart_flight.cli.vehicle_line import say_vehicle
 from dart_flight.config.document import InputError
@@ -24,6 +24,7 @@ from dart_flight.config.vehicle import default_config_path, packaged
 from dart_flight.recording.about import flown_mission
 from dart_flight.recording.follow import LogFollower
 from dart_flight.run.monitor import MonitorView, TelemetryMonitor, monitor_log, monitor_vehicle
+from dart_flight.run.prepare import with_mocap
 from dart_flight.vehicle.link import Holder, LinkLease, LinkTakenError, endpoint_of, held_links, holder_of
 
 _PERIOD_S = 0.2
@@ -39,6 +40,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--mission", metavar="FILE", help="show forces along this mission's axes")
     parser.add_argument("--log", type=Path, metavar="FILE", help="follow this flight's log")
+    add_mocap_option(parser)
     add_live_options(parser)
     parser.add_argument("--seconds", type=number(0.0, 1e6), metavar="S", help="stop after this many seconds")
 
@@ -75,6 +77,7 @@ def _watch(arguments: argparse.Namespace, show: Callable[[MonitorView], None]) -
         flight = _flight(arguments.log, connection.url)
         if flight is not None:
             return _follow(*flight, show, arguments)
+    mission = with_mocap(mission, arguments.mocap)
     url = link_of(arguments, connection)
     say_vehicle(mission.flown_vehicle(), arguments)
     lease = LinkLease(url, "monitor")
@@ -192,6 +195,11 @@ def _streams(view: MonitorView) -> Table:
         colour = "green" if s.rate_hz >= s.expected_hz else "red"
         age = "-" if s.age_ms is None else f"{s.age_ms:.0f}"
         table.add_row(s.name, styled((f"{s.rate_hz:.0f}", colour)), f"{s.expected_hz:.0f}", age)
+    p = view.poses
+    if p is not None:
+        colour = "green" if p.rate_hz > 0.0 else "red"
+        age = "-" if p.age_ms is None else f"{p.age_ms:.0f}"
+        table.add_row("motion capture", styled((f"{p.rate_hz:.0f}", colour)), "", age)
     table.caption = (
         f"phase {view.phase or '-'}   lock {view.lock or '-'}   "
         f"this program {view.cpu_percent:.1f} % of a core"

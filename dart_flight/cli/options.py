@@ -13,6 +13,7 @@ from dart_flight.config.parameter_file import PositionSource
 from dart_flight.config.vehicle import LockDriver, packaged
 from dart_flight.config.vehicle.autopilot import ConnectionConfig
 from dart_flight.lock.drivers import DRIVERS
+from dart_flight.sim.motion_capture import KINDS
 
 
 def add_flight_options(parser: argparse.ArgumentParser) -> None:
@@ -90,6 +91,26 @@ def add_position_option(parser: argparse.ArgumentParser) -> None:
         help="where PX4's position comes from: "
         + ", ".join(PositionSource)
         + " (default: as reported by the vehicle)",
+    )
+
+
+def add_mocap_option(parser: argparse.ArgumentParser) -> None:
+    """Add the option for the motion capture whose poses are forwarded to PX4."""
+    parser.add_argument(
+        "--mocap",
+        metavar="URL",
+        help="forward this motion capture's poses to PX4, such as optitrack://192.168.1.10/dart "
+        "(default: mocap.url; docs/motion_capture.md)",
+    )
+
+
+def add_emulated_mocap_option(parser: argparse.ArgumentParser) -> None:
+    """Add the option for the motion capture that a simulated vehicle gets its position through."""
+    parser.add_argument(
+        "--mocap",
+        metavar="KIND",
+        help="fly on the poses of an emulated motion capture, forwarded by this program: "
+        f"{', '.join(KINDS)} (docs/motion_capture.md)",
     )
 
 

@@ -16,7 +16,7 @@ from rich.table import Table
 
 from dart_flight.check.checks import FlightContext, checks_of
 from dart_flight.check.stages import Stage, run_checks
-from dart_flight.cli.dry_run_command import flight_function
+from dart_flight.cli.dry_run_command import flight_function, with_emulated_mocap
 from dart_flight.cli.flight_output import FlightLines, exit_status, figure_or_dash, live_line_for, show_end
 from dart_flight.cli.fly_command import fly_if_go
 from dart_flight.cli.options import (
@@ -42,7 +42,8 @@ from dart_flight.planning.room import RoomContact, RoomFit, plan_star, room_keys
 from dart_flight.planning.survey import plan_survey, surveyed_collisions, surveyed_walls
 from dart_flight.recording.measured_walls import MeasuredWall
 from dart_flight.recording.verdict import Verdict
-from dart_flight.run.prepare import load_flyable, refuse_unflyable, with_driver
+from dart_flight.run.prepare import load_flyable, refuse_unflyable, with_driver, with_mocap
+from dart_flight.sim.motion_capture import KINDS
 from dart_flight.vehicle.link import LinkLease
 
 _SPEED_M_S = 0.5
@@ -72,6 +73,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--plot", type=Path, metavar="FILE", help="map of a room that was looked for")
     parser.add_argument("-o", "--output", type=Path, metavar="FILE", help="the mission with measured walls")
     add_position_option(parser)
+    parser.add_argument(
+        "--mocap",
+        metavar="URL",
+        help="with --connection: forward this motion capture's poses to PX4 (default: mocap.url); else fly "
+        f"on those of an emulated one: {', '.join(KINDS)} (docs/motion_capture.md)",
+    )
     add_set_option(parser)
     add_vary_option(parser)
 
@@ -80,6 +87,10 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the command; returns the exit status."""
     document = load_document(arguments.mission, FileKind.MISSION)
     mission = with_driver(load_flyable(arguments.mission, arguments.config, arguments.set), arguments.driver)
+    if arguments.connection is not None:
+        mission = with_mocap(mission, arguments.mocap)
+    else:
+        mission = with_emulated_mocap(arguments, mission)
     output = arguments.output
     for path in (output, arguments.plot):
         if path is not None and not path.absolute().parent.is_dir():  # said before the flight

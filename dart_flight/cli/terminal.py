@@ -135,6 +135,15 @@ def print_status(*lines: object) -> None:
     _MESSAGES.flush()
 
 
+def confirm(question: str) -> bool:
+    """Ask a question on the terminal; without one the answer is no."""
+    if not sys.stdin.isatty():
+        return False
+    sys.stderr.write(f"{question} [y/N] ")
+    sys.stderr.flush()
+    return sys.stdin.readline().strip().lower() in ("y", "yes")
+
+
 def write_text(path: Path, text: str) -> None:
     """Write a file, and say so.
 

@@ -1,1 +1,1 @@
-"""YAML files in, typed, validated, frozen objects out; every error names file, line and key."""
+"""Conversion of YAML files to typed, validated, immutable objects; every error names file, line and key."""

@@ -1,8 +1,7 @@
-"""A YAML file as a tree of plain values that remembers its lines, and its conversion to a type.
+"""A YAML file as a tree of plain values with line numbers, and its conversion to a type.
 
-PyYAML parses (events only, so that depth, duplicate keys and aliases are judged here) and msgspec converts
-and validates. This module adds what a person at the keyboard needs: the line, the full key, the nearest
-known name.
+PyYAML parses the text to events, so that this module can check depth, duplicate keys and aliases. msgspec
+converts and validates. This module adds the line, the full key and the nearest known name to errors.
 """
 
 from __future__ import annotations
@@ -27,12 +26,12 @@ from dart_flight.config.units import unit_of
 T = TypeVar("T")
 Key = tuple[str | int, ...]
 
-IN_PYTHON = "<dict>"  # the source of what did not come from a file
+IN_PYTHON = "<dict>"  # source of a document that did not come from a file
 _MAX_BYTES = 1_000_000
-MAX_TABLE_BYTES = 200_000_000  # of a CSV: an hour of trials at 1 kHz
-MAX_LOG_BYTES = 2_000_000_000  # of a log: PX4 writes up to some 500 MB an hour, and pyulog reads it whole
+MAX_TABLE_BYTES = 200_000_000  # limit for CSV files: an hour of trials at 1 kHz
+MAX_LOG_BYTES = 2_000_000_000  # limit for logs: PX4 writes up to 500 MB an hour
 _MAX_DEPTH = 32
-# YAML 1.1 reads 1e-3 as a string; people who write it mean the number (as YAML 1.2 does).
+# YAML 1.1 reads 1e-3 as text; read it as a number, as YAML 1.2 does.
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?\Z")
 _INTEGER = re.compile(r"[-+]?\d+\Z")
 _SPECIAL: dict[str, Any] = {
@@ -49,10 +48,10 @@ _SPECIAL: dict[str, Any] = {
 
 
 class InputError(ValueError):
-    """Wrong input, in one line: `file:line: key: what is wrong, what is allowed`.
+    """An input error in one line: `file:line: key: problem, allowed values`.
 
-    The command line prints it and exits with status 2; nothing has moved by then. What was given in Python
-    has `<dict>` in the place of file and line.
+    The command line prints it and exits with status 2 before anything moves. For input from Python, `<dict>`
+    replaces file and line.
     """
 
     def __init__(self, message: str, *, source: str = "", line: int | None = None, key: Key = ()) -> None:
@@ -60,18 +59,18 @@ class InputError(ValueError):
         super().__init__(self.one_line())
 
     def one_line(self) -> str:
-        """The error as one line of text."""
+        """Return the error as one line of text."""
         place = self.source if self.line is None else f"{self.source}:{self.line}"
         line = ": ".join(part for part in (place, dotted(self.key), self.message) if part)
-        # A key or a value may hold anything, also what would break the line or steer the terminal.
+        # A key or value may contain characters that break the line or control the terminal.
         return "".join(c if c.isprintable() else "?" for c in printable(line))
 
 
 def utf8_path(path: str | Path) -> str:
-    """Return a path as text that can be stored in JSON and found again.
+    """Return a path as text that JSON can store and that leads to the same file.
 
     Raises:
-        InputError: it is not UTF-8.
+        InputError: the path is not UTF-8.
     """
     text = str(path)
     if printable(text) != text:
@@ -81,10 +80,10 @@ def utf8_path(path: str | Path) -> str:
 
 @contextlib.contextmanager
 def writing(path: str | Path) -> Iterator[None]:
-    """Around what writes a file or a folder.
+    """Convert write errors inside the context to `InputError`.
 
     Raises:
-        InputError: it cannot be written.
+        InputError: the file or folder cannot be written.
     """
     try:
         yield
@@ -92,15 +91,42 @@ def writing(path: str | Path) -> Iterator[None]:
         raise InputError(f"cannot write: {error.strerror or error}", source=str(path)) from None
 
 
-def open_file(path: str | Path, most_bytes: int = MAX_LOG_BYTES) -> BinaryIO:
-    """A file that a person has named, open for reading; every command opens its input here.
+Stamp = tuple[int, int, int] | None  # of a file: time of change, size, inode; None: there is no such file
+_noting: list[dict[Path, Stamp]] = []
 
-    Only regular files: a pipe may never give a byte, a device may never end.
+
+def stamp_of(path: Path) -> Stamp:
+    """Return what changes when a file is saved, also by an editor that replaces it."""
+    try:
+        about = path.stat()
+    except (OSError, ValueError):
+        return None
+    return (about.st_mtime_ns, about.st_size, about.st_ino)
+
+
+@contextlib.contextmanager
+def noting_files() -> Iterator[dict[Path, Stamp]]:
+    """Note the files that are opened, with their stamps before they are read."""
+    noted: dict[Path, Stamp] = {}
+    _noting.append(noted)
+    try:
+        yield noted
+    finally:
+        _noting.remove(noted)
+
+
+def open_file(path: str | Path, most_bytes: int = MAX_LOG_BYTES) -> BinaryIO:
+    """Open a file named by the operator for reading; every command opens its input here.
+
+    Only regular files are accepted: a pipe may never deliver data, and a device may never end.
 
     Raises:
-        InputError: it cannot be read, is no regular file, or is larger than `most_bytes`.
+        InputError: the file cannot be read, is not a regular file, or is larger than `most_bytes`.
     """
     source = str(path)
+    for noted in _noting:
+        absolute = Path(os.path.abspath(path))
+        noted.setdefault(absolute, stamp_of(absolute))
     try:
         file = os.fdopen(os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK), "rb")
     except (OSError, ValueError) as error:
@@ -120,10 +146,10 @@ def open_file(path: str | Path, most_bytes: int = MAX_LOG_BYTES) -> BinaryIO:
 
 
 def read_text(path: str | Path, most_bytes: int = MAX_TABLE_BYTES) -> str:
-    """The text of a file that a person has named; a byte order mark is left out.
+    """Return the text of a file named by the operator, without a byte order mark.
 
     Raises:
-        InputError: as `open_file`, or it is not UTF-8.
+        InputError: as in `open_file`, or the file is not UTF-8.
     """
     with open_file(path, most_bytes) as file:
         try:
@@ -135,7 +161,7 @@ def read_text(path: str | Path, most_bytes: int = MAX_TABLE_BYTES) -> str:
 
 
 def dotted(key: Key) -> str:
-    """`("walls", "wood", "normal", 0)` as `walls.wood.normal[0]`."""
+    """Return `("walls", "wood", "normal", 0)` as `walls.wood.normal[0]`."""
     text = ""
     for part in key:
         text += f"[{part}]" if isinstance(part, int) else f".{part}" if text else str(part)
@@ -143,7 +169,7 @@ def dotted(key: Key) -> str:
 
 
 def leaves_of(tree: Any, key: Key = (), *, in_lists: bool = False) -> Iterator[tuple[Key, Any]]:
-    """Yield the values of a tree with their keys; a list is one value, or is entered `in_lists`."""
+    """Yield the values of a tree with their keys; a list is one value unless `in_lists` is set."""
     inner: Iterable[tuple[str | int, Any]]
     if isinstance(tree, Mapping):
         inner = tree.items()
@@ -159,8 +185,8 @@ def leaves_of(tree: Any, key: Key = (), *, in_lists: bool = False) -> Iterator[t
 class Document:
     """A parsed YAML file: `tree` of dicts, lists and scalars, and the line of every key.
 
-    `set_by` says of keys that did not come from the file which option gave them (`config.settings`); `above`
-    is the key at which a part of a document stands.
+    `set_by` names the option that set a key that is not from the file (`config.settings`). `above` is the key
+    of the parent document that contains this part.
 
     Raises:
         InputError: the text is not YAML, not a mapping, too large or too deep, has duplicate keys, aliases,
@@ -202,11 +228,11 @@ class Document:
 
     @classmethod
     def of(cls, tree: Mapping[str, Any], source: str = IN_PYTHON) -> Document:
-        """A document built in Python: as if these keys and values had been read from a file.
+        """Return a document built in Python, as if its keys and values had been read from a file.
 
         Raises:
-            InputError: a value is none that a file can hold (numbers, also NumPy's, finite; text, truth
-                values, None, lists and mappings of them), or nested too deep.
+            InputError: a value cannot be stored in a file (allowed are finite numbers, also NumPy's, text,
+                booleans, None, lists and mappings of them), or the tree is nested too deep.
         """
         document = cls.__new__(cls)
         document.source, document.lines, document.set_by, document.above = source, {}, {}, ()
@@ -214,19 +240,19 @@ class Document:
         return document
 
     def part(self, name: str) -> Document:
-        """The mapping below a key as a document of its own; its errors name place and key in this one."""
+        """Return the mapping below a key as a document; its errors name place and key in this one."""
         part = Document.of(self.tree[name], self.source)
         part.lines = {key[1:]: line for key, line in self.lines.items() if key[:1] == (name,)}
         part.above = (*self.above, name)
         return part
 
     def error(self, key: Key, message: str) -> InputError:
-        """An error at a key of this document, with the line of the nearest key that is written in it.
+        """Return an error at a key of this document, with the line of the nearest key that is in the file.
 
-        Where `--set` gave the key, the setting stands in the place of file and line.
+        If `--set` set the key, the error names that setting instead of file and line.
         """
         for given, setting in self.set_by.items():
-            # Below what was set, at it, or about a section that only the setting has made.
+            # The error is at the setting, below it, or in a section that only the setting created.
             if key[: len(given)] == given or (key not in self.lines and given[: len(key)] == key):
                 return InputError(message, source=setting)
         for length in range(len(key), -1, -1):
@@ -236,10 +262,10 @@ class Document:
         return InputError(message, source=self.source, key=(*self.above, *key))
 
     def convert(self, type_: type[T]) -> T:
-        """The document as a `type_`.
+        """Return the document converted to `type_`.
 
         Raises:
-            InputError: a key is unknown or missing, a value is of the wrong kind or out of range.
+            InputError: a key is unknown or missing, or a value has the wrong type or is out of range.
         """
         try:
             return msgspec.convert(self.tree, type_)
@@ -328,14 +354,14 @@ class Document:
 
 
 def plain(value: Any, key: Key = (), source: str = IN_PYTHON) -> Any:
-    """A value of Python as a file holds it: dicts, lists, text, numbers, truth values, None.
+    """Return a Python value as plain data: dicts, lists, text, numbers, booleans, None.
 
     Raises:
-        InputError: it is none of these, or a number is not finite.
+        InputError: the value is none of these, or a number is not finite.
     """
     if isinstance(value, msgspec.Struct):
         value = msgspec.to_builtins(value)
-    elif hasattr(value, "tolist"):  # of NumPy
+    elif hasattr(value, "tolist"):  # a NumPy array or number
         value = value.tolist()
     if len(key) > _MAX_DEPTH:
         raise InputError(f"nested deeper than {_MAX_DEPTH} levels", source=source, key=key)
@@ -366,10 +392,10 @@ def _name(name: Any, key: Key, source: str) -> str:
 
 
 def _innermost(value: Any, type_: Any, key: Key, text: str) -> tuple[Key, str]:
-    """Follow a conversion error down to the smallest part that fails by itself.
+    """Return key and message of the smallest part of a value that fails to convert.
 
-    msgspec's own path hides the names of dictionary keys (`$.walls[...].normal`), so the parts are
-    converted again one by one.
+    msgspec's own path hides the names of dictionary keys (`$.walls[...].normal`), so each part is converted
+    again.
     """
     text = text.split(" - at `", maxsplit=1)[0]
     for part_key, part, part_type in _parts(value, type_):
@@ -400,7 +426,7 @@ def _parts(value: Any, type_: Any) -> Iterator[tuple[str | int, Any, Any]]:
 
 
 def _options(type_: Any) -> Iterator[Any]:
-    """The type itself, or what a union, an alias or an annotation is made of."""
+    """Yield the type itself, or the members of a union, an alias or an annotation."""
     if hasattr(type_, "__metadata__"):
         yield from _options(get_args(type_)[0])
     elif isinstance(type_, type) or get_origin(type_) in (dict, list, tuple):
@@ -420,7 +446,7 @@ def _field_names(type_: Any) -> list[str]:
 
 
 def _allowed(type_: Any) -> list[Any]:
-    """The values of an enum or a Literal, also in a union."""
+    """Return the values of an enum or a Literal, including those inside a union."""
     if get_origin(type_) is Literal:
         return list(get_args(type_))
     if isinstance(type_, type) and issubclass(type_, Enum):
@@ -440,7 +466,7 @@ _WORDS = {
 
 
 def _range(type_: Any, value: Any, key: Key) -> str:
-    """The whole range of a number that is not in it, with the unit, and the number itself."""
+    """Return the allowed range of a number that is outside it, with unit and value, as text."""
     limits = next(_limits(type_), None)
     if limits is None or isinstance(value, bool) or not isinstance(value, int | float):
         return ""
@@ -454,7 +480,7 @@ def _range(type_: Any, value: Any, key: Key) -> str:
 
 
 def _limits(type_: Any) -> Iterator[msgspec.Meta]:
-    """The limits of a number, also in a union."""
+    """Yield the limits of a number, including those inside a union."""
     if hasattr(type_, "__metadata__"):
         yield from (meta for meta in type_.__metadata__ if isinstance(meta, msgspec.Meta))
     elif get_origin(type_) not in (dict, list, tuple):
@@ -463,7 +489,7 @@ def _limits(type_: Any) -> Iterator[msgspec.Meta]:
 
 
 def _explain(text: str, type_: Any) -> str:
-    """Msgspec's words in the words of a YAML file."""
+    """Return an error of msgspec in the terms of a YAML file."""
     if text.startswith("Invalid enum value"):
         allowed = ", ".join(str(value) for value in _allowed(type_))
         return f"{text[len('Invalid enum value ') :]} is not allowed, only: {allowed}"
@@ -478,18 +504,18 @@ def _explain(text: str, type_: Any) -> str:
 
 
 def unknown_name(name: str, known: list[str], what: str = "") -> str:
-    """Words for a name that is not among the known ones; `what` it is the name of."""
+    """Return the message for an unknown name; `what` describes the kind of name."""
     shown = f"{what} {name!r}" if what else name
     return f"unknown {shown}{or_known(name, known)}"
 
 
 def or_known(name: str, known: Iterable[str]) -> str:
-    """Words that follow an unknown name: the nearest that is known, or all of them."""
+    """Return the continuation of a message on an unknown name: the nearest known name, or all of them."""
     names = list(known)
     return did_you_mean(name, names) or f", known: {', '.join(names)}"
 
 
 def did_you_mean(name: str, known: list[str]) -> str:
-    """ ", did you mean ...?" with the nearest known name; "" where none is near."""
+    """Return ", did you mean ...?" with the nearest known name, or "" if none is near."""
     near = difflib.get_close_matches(name, known, n=1)
     return f", did you mean {near[0]}?" if near else ""

@@ -1,4 +1,4 @@
-"""Changing single values of a YAML file and nothing else: comments, order and spacing stay as they are."""
+"""Replacement of single values in a YAML file; comments, order and spacing are preserved."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from dart_flight.config.document import Document, InputError, Key, read_text, wr
 
 
 def edit_values(text: str, values: Mapping[Key, float], source: str = "") -> str:
-    """A YAML text with the scalars at some keys replaced by numbers; keeps comments in their column.
+    """Return a YAML text with the scalars at some keys replaced by numbers; comments keep their column.
 
-    A number in a key is a place in a list, from 0.
+    An integer in a key is an index into a list, from 0.
 
     Raises:
-        InputError: not YAML, or a key is missing or has no plain value.
+        InputError: the text is not YAML, or a key is missing or has no scalar value.
     """
-    Document(text, source)  # the same rules as for reading: no aliases, no duplicate keys
+    Document(text, source)  # apply the rules for reading: no aliases, no duplicate keys
     root = yaml.compose(text, Loader=yaml.SafeLoader)
     spots = [(_scalar(root, key, source), _number(value)) for key, value in values.items()]
     for node, number in sorted(spots, key=lambda spot: -spot[0].start_mark.index):
@@ -35,12 +35,12 @@ def edit_values(text: str, values: Mapping[Key, float], source: str = "") -> str
 
 
 def write_values(path: Path, values: Mapping[Key, float]) -> None:
-    """Replace numbers in a YAML file, whole or not at all.
+    """Replace numbers in a YAML file atomically.
 
     Raises:
-        InputError: as `edit_values`; or the file cannot be written.
+        InputError: as in `edit_values`; or the file cannot be written.
     """
-    target = path.resolve()  # a link to the configuration stays a link
+    target = path.resolve()  # keep a symbolic link to the configuration
     with writing(path):
         text = edit_values(read_text(target), values, str(path))
         descriptor, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")

@@ -1,4 +1,4 @@
-"""What kind of file it is that a person has named, for the word that helps where it is the wrong one."""
+"""The kind of a named file, for error messages about a file of the wrong kind."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from dart_flight.config.document import Document, InputError, open_file
 
 
 class FileKind(Enum):
-    """The files that commands take: what it is, and what to do with it."""
+    """Kinds of input files, with a description and what to do with them."""
 
     MISSION = "a mission: fly, dry-run, simulate and check take it"
     SCENARIO = "a scenario: `dart-flight plan` makes a mission of it"
@@ -23,7 +23,7 @@ class FileKind(Enum):
     TRIAL = "a CSV file: identify takes trials, `predict --batch` wall hits"
 
 
-EXTENDS = "extends"  # of a configuration that holds only what differs from another
+EXTENDS = "extends"  # key of a configuration that contains only its differences from another one
 # Top-level keys that only one kind of file has.
 _MARKS = {
     FileKind.MISSION: ("collisions", "waypoints"),
@@ -41,13 +41,13 @@ _MAGIC = {
 
 
 def kind_of_tree(tree: Mapping[str, Any]) -> FileKind | None:
-    """The kind of a YAML file by its keys; None where they fit none or several."""
+    """Return the kind of a YAML file by its keys, or None if no kind or several match."""
     found = [kind for kind, marks in _MARKS.items() if any(mark in tree for mark in marks)]
     return found[0] if len(found) == 1 else None
 
 
 def kind_of_file(path: str | Path) -> FileKind | None:
-    """The kind of a file by its content, CSV by its name; None where it cannot be told or read."""
+    """Return the kind of a file by its content (CSV by its name), or None if it is unknown or unreadable."""
     try:
         with open_file(path) as file:
             start = file.read(8)
@@ -62,10 +62,10 @@ def kind_of_file(path: str | Path) -> FileKind | None:
 
 
 def load_document(path: str | Path | Mapping[str, Any], wanted: FileKind) -> Document:
-    """Read a YAML file that is to be of a kind, or take a mapping of what one would hold.
+    """Read a YAML file of an expected kind, or convert a mapping with the same content.
 
     Raises:
-        InputError: as `Document.load`, or the file is of another kind, which is named.
+        InputError: as in `Document.load`, or the file is of another kind, which the message names.
     """
     if isinstance(path, Mapping):
         document = Document.of(path)
@@ -81,10 +81,10 @@ def load_document(path: str | Path | Mapping[str, Any], wanted: FileKind) -> Doc
 
 
 def refuse_other_kind(path: str | Path, *wanted: FileKind) -> None:
-    """Make sure that a file is none of the other known kinds.
+    """Raise an error if a file is of another known kind.
 
     Raises:
-        InputError: it is, with what to do with it.
+        InputError: it is; the message says what to do with it.
     """
     kind = kind_of_file(path)
     if kind is not None and kind not in wanted:
@@ -92,7 +92,7 @@ def refuse_other_kind(path: str | Path, *wanted: FileKind) -> None:
 
 
 def refuse_other_keys(document: Document, wanted: FileKind) -> None:
-    """As `refuse_other_kind`, of a YAML file already read."""
+    """Check a parsed YAML file, as `refuse_other_kind`."""
     kind = kind_of_tree(document.tree)
     if kind is not None and kind is not wanted:
         raise InputError(f"this is {kind.value}", source=document.source)

@@ -1,4 +1,4 @@
-"""What missions and scenarios say of walls, places and modes, checked against each other and the vehicle."""
+"""Checks of walls, places and modes that missions and scenarios share, against each other and the vehicle."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from dart_flight.config.vehicle import VehicleConfig
 
 _AXIS_TOLERANCE = 1e-6
 _UNIT_TOLERANCE = 1e-15
-_ON_POST_M = 0.01  # an impact is where a post is touched, but for this
+_ON_POST_M = 0.01  # tolerance of an impact point on a post
 
 
 def resolve_space(
@@ -26,10 +26,10 @@ def resolve_space(
     vehicle: VehicleConfig,
     document: Document,
 ) -> dict[str, Wall]:
-    """Check start, goal, bounds and walls against each other; returns the walls by name.
+    """Check start, goal, bounds and walls against each other, and return the walls by name.
 
     Raises:
-        InputError: bounds are empty, start or goal lies outside them or in a wall, or as `resolve_walls`.
+        InputError: bounds are empty, start or goal lies outside them or in a wall, or as in `resolve_walls`.
     """
     for axis in ("x", "y", "z"):
         low, high = getattr(bounds, axis)
@@ -42,7 +42,7 @@ def resolve_space(
 
 
 def within_limits(vehicle: VehicleConfig, limits: Limits) -> VehicleConfig:
-    """The vehicle as it flies within a mission's limits, where these say how hard it may accelerate."""
+    """Return the vehicle with the mission's limits of acceleration and jerk, if it has any."""
     if limits.acceleration_m_s2 is None and limits.jerk_m_s3 is None:
         return vehicle
     flying = vehicle.flying
@@ -58,10 +58,10 @@ def within_limits(vehicle: VehicleConfig, limits: Limits) -> VehicleConfig:
 def resolve_walls(
     specs: dict[str, WallSpec], vehicle: VehicleConfig, document: Document, section: str = "walls"
 ) -> dict[str, Wall]:
-    """Walls as planes of the vehicle's centre, by name; `section` is the key that they stand under.
+    """Return the walls by name, as planes of the vehicle's centre; `section` is their key in the file.
 
     Raises:
-        InputError: a normal has no length, a material is not in the vehicle's table.
+        InputError: a normal has no length, or a material is not in the vehicle's table.
     """
     walls = {}
     for name, spec in specs.items():
@@ -70,7 +70,7 @@ def resolve_walls(
         if not length > 1e-9:
             raise document.error((*key, "normal"), "the normal has no length")
         normal = spec.normal
-        if abs(length - 1.0) > _UNIT_TOLERANCE:  # else it stays what it is, to the bit
+        if abs(length - 1.0) > _UNIT_TOLERANCE:  # a unit vector stays bit-equal
             normal = (spec.normal[0] / length, spec.normal[1] / length)
         if spec.material not in vehicle.materials:
             raise document.error((*key, "material"), unknown_name(spec.material, list(vehicle.materials)))
@@ -87,10 +87,10 @@ def resolve_walls(
 def resolve_posts(
     specs: dict[str, PostSpec], walls: dict[str, Wall], vehicle: VehicleConfig, document: Document
 ) -> dict[str, Post]:
-    """Posts by name.
+    """Return the posts by name.
 
     Raises:
-        InputError: a wall has the name, or a material is not in the vehicle's table.
+        InputError: a wall has the same name, or a material is not in the vehicle's table.
     """
     for name, spec in specs.items():
         if name in walls:
@@ -102,34 +102,35 @@ def resolve_posts(
 
 
 def tangent_wall(post: Post, impact: Vec2, vehicle: VehicleConfig, key: Key, document: Document) -> Wall:
-    """The plane in which the vehicle's centre is where it touches a post, as a wall of the post's name.
+    """Return the plane of the vehicle's centre at the touch of a post, as a wall with the post's name.
 
-    It is as long as the leading side still meets the post: further along it passes, or meets it elsewhere.
+    Its length is the range in which the leading side touches the post. Beyond it the vehicle passes the post,
+    or touches it elsewhere.
 
     Raises:
-        InputError: the vehicle's centre does not touch the post there.
+        InputError: a vehicle with its centre there does not touch the post.
     """
     reach = post.radius_m + vehicle.airframe.contact_distance_m
     dx, dy = impact[0] - post.centre[0], impact[1] - post.centre[1]
-    way = math.hypot(dx, dy)
-    if abs(way - reach) > _ON_POST_M:
-        says = f"is {way:.3f} m from the axis of post {post.name}, which is touched at {reach:.3f} m"
-        if way > 0.0:
-            x, y = post.centre[0] + dx / way * reach, post.centre[1] + dy / way * reach
-            says += f", there at [{x:.3f}, {y:.3f}]"
-        raise document.error((*key, "impact_point_m"), says)
+    distance = math.hypot(dx, dy)
+    if abs(distance - reach) > _ON_POST_M:
+        text = f"is {distance:.3f} m from the axis of post {post.name}, which is touched at {reach:.3f} m"
+        if distance > 0.0:
+            x, y = post.centre[0] + dx / distance * reach, post.centre[1] + dy / distance * reach
+            text += f", there at [{x:.3f}, {y:.3f}]"
+        raise document.error((*key, "impact_point_m"), text)
     length = 2.0 * (post.radius_m + vehicle.airframe.guard_along_m)
-    normal = (dx / way, dy / way)
+    normal = (dx / distance, dy / distance)
     return Wall(post.name, impact, normal, length, post.material, post_radius_m=post.radius_m)
 
 
 def check_clear_of_posts(
     posts: dict[str, Post], point: Vec2, vehicle: VehicleConfig, key: Key, document: Document
 ) -> None:
-    """Make sure that a place is not in a post, for a vehicle there.
+    """Check that a vehicle at a place is clear of all posts.
 
     Raises:
-        InputError: it is.
+        InputError: it is not.
     """
     for post in posts.values():
         if post.distance_to_segment(point, point) <= post.radius_m + vehicle.airframe.contact_distance_m:
@@ -137,8 +138,8 @@ def check_clear_of_posts(
 
 
 def wall_as_written(wall: Wall) -> WallSpec:
-    """A resolved wall as a file says it."""
-    # Rounded, so that the angle that was written comes back.
+    """Return a resolved wall as a file specifies it."""
+    # Rounding restores the angle as written.
     yaw_sd_deg = None if wall.yaw_sd_rad is None else round(math.degrees(wall.yaw_sd_rad), 12)
     return WallSpec(
         point_m=wall.point,
@@ -158,7 +159,7 @@ def check_place(
     key: Key,
     document: Document,
 ) -> None:
-    """Make sure that a place, and an altitude given there, is within the bounds and in front of the walls.
+    """Check that a place, with its altitude if given, is inside the bounds and in front of the walls.
 
     Raises:
         InputError: it is not.
@@ -179,7 +180,7 @@ def check_place(
 
 
 def refuse_mode(mode: Mode, vehicle: VehicleConfig, key: Key, document: Document) -> None:
-    """Make sure that the vehicle has a mode.
+    """Check that the vehicle has a mode.
 
     Raises:
         InputError: it does not.
@@ -196,7 +197,7 @@ def resolve_alphas(
     key: Key,
     document: Document,
 ) -> tuple[float, float]:
-    """Gains (A_n, A_t) in the wall's axes, m/N, from either form (`alpha_m_per_n`, `alpha_wall_m_per_n`).
+    """Return the gains (A_n, A_t) in the wall's axes, m/N, from `alpha_m_per_n` or `alpha_wall_m_per_n`.
 
     Raises:
         InputError: both or neither is given, gains per mission axis differ at an oblique wall, or the gain

@@ -1,4 +1,4 @@
-"""Values that a vehicle file inherits from another vehicle; `check` lists them and marks contradictions."""
+"""Values that a vehicle file inherits from another vehicle; `check` lists them and flags contradictions."""
 
 from __future__ import annotations
 
@@ -139,7 +139,7 @@ def _is_given(key: str, given: set[str]) -> bool:
 
 
 def _differ(a: Any, b: Any) -> bool:
-    """Return whether two values differ by more than two measurements of one quantity would."""
+    """Return whether two values differ by more than two measurements of one quantity."""
     if isinstance(a, int | float) and isinstance(b, int | float):
         return abs(a - b) > _SAME * max(abs(a), abs(b))
     if isinstance(a, Sequence) and isinstance(b, Sequence) and len(a) == len(b) and not isinstance(a, str):

@@ -1,4 +1,4 @@
-"""Connection URLs: judged before anything is opened, and a slip told in one line with what is allowed."""
+"""Connection URLs: validation before anything is opened, with one-line errors that list the allowed forms."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ FORMS = (
     "tcpout://192.168.1.2:5760, tcpin://0.0.0.0:5760"
 )
 _SERIAL = re.compile(r"serial(?:_flowcontrol)?://(?P<device>/[^:\s]+):(?P<baud>\d+)")
-# udp:// and tcp:// are MAVSDK's older names, in which the host may be left out.
+# MAVSDK's older schemes udp:// and tcp:// may omit the host.
 _NETWORK = re.compile(
     r"(?P<kind>udp|tcp|(?:udp|tcp)(?:in|out)(?!://:))://(?P<host>\[[\da-fA-F:.]+\]|[\w.-]*):(?P<port>\d+)"
 )
@@ -21,15 +21,15 @@ _MAX_SHOWN = 4
 
 
 class LinkAddress(NamedTuple):
-    """What a connection URL says."""
+    """The parts of a connection URL."""
 
-    kind: str  # its scheme
+    kind: str  # scheme
     place: str  # host, or the serial device
     number: int  # port, or baud rate
 
 
 def parse_link(url: str) -> LinkAddress | None:
-    """A connection URL in its parts; None: it is none."""
+    """Return the parts of a connection URL, or None if it is invalid."""
     serial, network = _SERIAL.fullmatch(url), _NETWORK.fullmatch(url)
     if serial is not None:
         return LinkAddress("serial", serial["device"], int(serial["baud"]))
@@ -37,7 +37,7 @@ def parse_link(url: str) -> LinkAddress | None:
 
 
 def link_problem(url: str) -> str | None:
-    """What is wrong with the form of a URL, and what is allowed; None where nothing is."""
+    """Return the problem of a URL's form and the allowed forms, or None."""
     link = parse_link(url)
     if link is None:
         return f"{url!r} is not a connection URL, allowed are: {FORMS}"
@@ -47,10 +47,10 @@ def link_problem(url: str) -> str | None:
 
 
 def usable_link(url: str, key: str = "--connection") -> str:
-    """A URL as it is, if it can be opened as far as that is known without opening it.
+    """Return a URL unchanged if it can be opened, as far as can be checked without opening it.
 
     Raises:
-        InputError: it has the wrong form, or there is no such serial port.
+        InputError: the URL has the wrong form, or the serial port does not exist.
     """
     problem = link_problem(url)
     if problem is not None:

@@ -1,7 +1,7 @@
-"""The checked mission that the flight core flies, made of a mission file and back.
+"""The checked mission that the flight core flies, and its conversion from and to a mission file.
 
-The file says what a person writes (`config.mission_file`); `Mission` is what it means: walls as planes of the
-vehicle's centre, unit normals, gains in the wall's own axes, the point of impact.
+The file contains what a person writes (`config.mission_file`). `Mission` is the resolved form: walls as
+planes of the vehicle's centre, unit normals, gains in the wall's axes, and impact points.
 """
 
 from __future__ import annotations
@@ -52,10 +52,10 @@ from dart_flight.config.settings import apply_changes
 from dart_flight.config.vehicle import VehicleConfig, load_vehicle
 
 _PAUSE_S = 60.0
-# PX4's estimator still settles after power-on: what it has moved by while the vehicle stood, up to arming, is
-# no motion, and the mission frame follows it.
+# PX4's estimator still settles after power-on: movement of the estimate before arming is no motion, and the
+# mission frame follows it.
 ESTIMATE_MOVED_M = 0.05
-# A trajectory ends at the onset of the force, which is a little before the plane, and is rounded.
+# A trajectory is rounded, and it ends at the onset of the force, slightly before the plane.
 _TRAJECTORY_OFF_M, _TRAJECTORY_OFF_M_S = 0.05, 0.05
 
 
@@ -64,12 +64,12 @@ class Collision(CollisionKeys, frozen=True, kw_only=True, forbid_unknown_fields=
 
     Attributes:
         index: 1 for the first.
-        mode: as written, or the only one that the vehicle has.
-        approach_m_s: (normal, tangential) velocity at the impact in the collision frame, or None where the
-            recovery of the collision before leads to this wall.
-        impact_point: where the vehicle's centre meets the plane, mission frame; None likewise.
+        mode: as written, or the only mode of the vehicle.
+        approach_m_s: (normal, tangential) velocity at the impact in the collision frame, or None if the
+            previous recovery leads to this wall.
+        impact_point: position of the vehicle's centre at the impact, mission frame, or None as above.
         alpha_normal_m_per_n, alpha_tangential_m_per_n: gains A_n, A_t of the recovery setpoint.
-        probe: the leg that looks for the wall; None: its place is known well enough to be flown at.
+        probe: leg that searches for the wall, or None if the position of the wall is known well enough.
     """
 
     index: int
@@ -83,18 +83,18 @@ class Collision(CollisionKeys, frozen=True, kw_only=True, forbid_unknown_fields=
 
     @property
     def is_conditional(self) -> bool:
-        """Whether it may be left out, or meet nothing, and nothing is wrong."""
+        """Whether the mission is valid without a contact at this collision."""
         unsure = self.probe is not None or self.wall.sought
         return unsure or self.if_met is not None or self.if_not_met is not None
 
     def approach_velocity(self) -> Vec3:
-        """Approach velocity in the mission frame, m/s; zero where there is no approach."""
+        """Return the approach velocity in the mission frame, m/s; zero without an approach."""
         if self.approach_m_s is None:
             return (0.0, 0.0, 0.0)
         return self.wall.from_collision((self.approach_m_s[0], self.approach_m_s[1], 0.0))
 
     def as_written(self, start: Vec2) -> CollisionSpec:
-        """As a file says it; a point of impact that follows from start and approach is left out."""
+        """Return the collision as in a file, without an impact point that follows from the approach."""
         if self.probe is not None:
             return self._probe_as_written(self.probe)
         approach: ApproachSpec | None = None
@@ -137,10 +137,10 @@ class Waypoint(WaypointKeys, frozen=True, kw_only=True, forbid_unknown_fields=Fa
 
     Attributes:
         index: 1 for the first in the list.
-        position: mission frame, metres; None: a pause, where the vehicle is. Of a place at a wall that is
-            sought, where it is if that stands at the end of its probe.
-        speed_m_s: largest on the way there.
-        hold_s: how long it is held; of a pause the longest time, after which the vehicle lands.
+        position: mission frame, metres; None for a pause, which is held in place. A place at a wall to be
+            found has its position for that wall at the end of its probe.
+        speed_m_s: largest speed of the leg to it.
+        hold_s: hold time; for a pause the longest time, after which the vehicle lands.
         wall_at: the wall of `at_wall`.
     """
 
@@ -152,20 +152,21 @@ class Waypoint(WaypointKeys, frozen=True, kw_only=True, forbid_unknown_fields=Fa
 
     @property
     def name(self) -> str:
-        """In words."""
+        """Description in messages."""
         return f"{'pause' if self.position is None else 'waypoint'} {self.index}"
 
 
 class Mission(MissionKeys, frozen=True, kw_only=True, forbid_unknown_fields=False):
-    """A checked mission and the vehicle that flies it.
+    """A checked mission with its vehicle.
 
     Attributes:
-        source: the file it came from.
-        start: [x, y], mission frame; altitude_m is that of the start.
-        walls: with the tangent planes of posts that are to be hit, without walls that probes look for.
-        simulated_walls: that stand in simulation beside those.
-        posts: as they stand.
-        vehicle_source: where the vehicle's configuration came from; None: built in Python.
+        source: the file.
+        start: [x, y], mission frame; altitude_m is the altitude at the start.
+        walls: all walls, including the tangent planes of posts to be hit, without walls that probes search
+            for.
+        simulated_walls: additional walls that exist only in simulation.
+        posts: the posts.
+        vehicle_source: origin of the vehicle's configuration, or None if built in Python.
     """
 
     source: str
@@ -187,18 +188,18 @@ class Mission(MissionKeys, frozen=True, kw_only=True, forbid_unknown_fields=Fals
 
     @property
     def standing_walls(self) -> tuple[Wall, ...]:
-        """The walls that stand in simulation, posts' tangent planes with them."""
+        """The walls that exist in simulation, including the posts' tangent planes."""
         return (*self.walls, *self.simulated_walls)
 
     def altitude_at(self, flown: int) -> float:
-        """Altitude once so many collisions are flown and the waypoints behind them, metres."""
+        """Return the altitude after `flown` collisions and their waypoints, metres."""
         reached = [w.position[2] for w in self.waypoints if w.after <= flown and w.position is not None]
         return reached[-1] if reached else self.altitude_m
 
     def place_before(self, flown: int) -> Vec2 | None:
-        """Where the vehicle is at rest once so many collisions are flown and the waypoints behind them.
+        """Return the position of the vehicle at rest after `flown` collisions and their waypoints.
 
-        None where that is where a recovery leads.
+        The result is None if the vehicle does not rest there, but flies the recovery of a collision.
         """
         reached = [w.position for w in self.waypoints if w.after == flown and w.position is not None]
         if reached:
@@ -207,7 +208,7 @@ class Mission(MissionKeys, frozen=True, kw_only=True, forbid_unknown_fields=Fals
 
     @property
     def recovers_to_goal(self) -> bool:
-        """Whether the last recovery leads to the goal; else it is flown to from rest."""
+        """Whether the last recovery leads to the goal; if not, the goal is approached from rest."""
         count = len(self.collisions)
         if count == 0 or self.collisions[-1].probe is not None:
             return False
@@ -215,11 +216,11 @@ class Mission(MissionKeys, frozen=True, kw_only=True, forbid_unknown_fields=Fals
 
     @property
     def is_anchored(self) -> bool:
-        """Whether contacts put the mission frame right."""
+        """Whether contacts correct the mission frame."""
         return self.frame.anchored_by == "touch"
 
     def flown_vehicle(self) -> VehicleSource:
-        """Which vehicle it is, for everything that is said of the mission."""
+        """Return the identification of the vehicle for reports on the mission."""
         mass_kg = self.vehicle.airframe.mass_kg
         if self.vehicle_source is None:
             return VehicleSource(None, None, mass_kg)
@@ -227,9 +228,9 @@ class Mission(MissionKeys, frozen=True, kw_only=True, forbid_unknown_fields=Fals
 
     @property
     def digest(self) -> str:
-        """Return a fingerprint of mission and vehicle, without file names, link and lock driver.
+        """Fingerprint of mission and vehicle, without file names, link and lock driver.
 
-        A key at its default does not count, so a key that a later version adds leaves it as it was.
+        Keys at their defaults do not count, so the fingerprint survives keys that a later version adds.
         """
         bare = msgspec.structs.replace(self, source="", vehicle_source=None, flown=None, standoff_m=None)
         tree = without_defaults(bare)
@@ -238,15 +239,15 @@ class Mission(MissionKeys, frozen=True, kw_only=True, forbid_unknown_fields=Fals
         return hashlib.sha256(msgspec.json.encode(tree, order="sorted")).hexdigest()[:32]
 
     def to_dict(self) -> dict[str, Any]:
-        """As a mission file says it, resolved, with its vehicle: `load_mission` makes the same mission of it.
+        """Return the resolved mission with its vehicle as in a file; `load_mission` restores the mission.
 
-        Walls are given at the vehicle's centre and gains in the wall's axes; a point of impact is left out
-        where it follows from start and approach. From which file the vehicle came is not in it.
+        Walls are given at the vehicle's centre, gains in the wall's axes. An impact point that follows from
+        start and approach is omitted. The file that the vehicle came from is not included.
         """
         return {**self._own_keys(), "vehicle": self.vehicle.to_dict()}
 
     def _own_keys(self) -> dict[str, Any]:
-        """As `to_dict`, without the vehicle."""
+        """Return the mission as `to_dict`, without the vehicle."""
         written = MissionFile(
             **keys_of(self, MissionKeys),
             version=1,
@@ -262,15 +263,15 @@ class Mission(MissionKeys, frozen=True, kw_only=True, forbid_unknown_fields=Fals
         return tree
 
     def replace(self, changes: Mapping[str, Any]) -> Mission:
-        """Another mission, with some keys changed and everything validated again.
+        """Return another mission with some keys changed, and validate everything again.
 
         Args:
-            changes: dotted key of the mission file to value, such as
-                `{"collisions[0].approach.normal_m_s": -1.2}`. `vehicle.KEY` is a key of the vehicle's
-                configuration, `vehicle` a whole one.
+            changes: value by dotted key of the mission file, such as `{"collisions[0].approach.normal_m_s":
+                -1.2}`. `vehicle.KEY` is a key of the vehicle's configuration, and `vehicle` a whole
+                configuration.
 
         Raises:
-            InputError: a key is unknown, a value is of the wrong kind or out of range, or the parts
+            InputError: a key is unknown, a value has the wrong type or is out of range, or the parts
                 contradict each other.
         """
         own = {key: value for key, value in changes.items() if key.partition(".")[0] != "vehicle"}
@@ -285,19 +286,19 @@ class Mission(MissionKeys, frozen=True, kw_only=True, forbid_unknown_fields=Fals
         if of_vehicle:
             vehicle = vehicle.replace(of_vehicle)
             if source is not None:
-                said = tuple(f"{key}={value}" for key, value in of_vehicle.items())
+                given = tuple(f"{key}={value}" for key, value in of_vehicle.items())
                 source = msgspec.structs.replace(
-                    source, mass_kg=vehicle.airframe.mass_kg, set=(*source.set, *said)
+                    source, mass_kg=vehicle.airframe.mass_kg, set=(*source.set, *given)
                 )
         document = Document.of(self._own_keys(), IN_PYTHON)
         apply_changes(own, document)
         return msgspec.structs.replace(parse_mission(document, vehicle), vehicle_source=source)
 
     def frame_at(self, takeoff_ned: Vec3) -> MissionFrame:
-        """The mission frame once the take-off point is known (local NED, metres)."""
+        """Return the mission frame for a take-off point (local NED, metres)."""
         north, east = self.frame.north_m, self.frame.east_m
         if self.frame.origin == "takeoff":
-            # The vehicle stands below `start`.
+            # The vehicle is on the ground below `start`.
             heading = math.radians(self.frame.heading_deg)
             frame = MissionFrame(heading_rad=heading)
             offset = frame.vector_to_ned((self.start[0], self.start[1], 0.0))
@@ -307,7 +308,7 @@ class Mission(MissionKeys, frozen=True, kw_only=True, forbid_unknown_fields=Fals
 
 
 def _waypoints_as_written(mission: Mission) -> Iterator[WaypointSpec]:
-    """Waypoints and pauses as a file says them, without what follows from others or the vehicle."""
+    """Yield waypoints and pauses as a file specifies them, without values that follow from others."""
     altitude_m, usual_m_s = mission.altitude_m, mission.vehicle.flying.transit_speed_m_s
     for one in mission.waypoints:
         keys = keys_of(one, WaypointKeys)
@@ -333,12 +334,12 @@ def load_mission(
     """Load, validate and resolve a mission file.
 
     Args:
-        path: the mission, or a mapping of what a file would hold.
-        config: vehicle configuration that overrides the one the mission names: a file, or already loaded.
-        settings: `KEY=VALUE`, keys of the vehicle configuration that differ from the file.
+        path: the mission, or a mapping with the same content.
+        config: vehicle configuration that overrides the mission's: a file, or a loaded configuration.
+        settings: `KEY=VALUE` pairs that override keys of the vehicle configuration.
 
     Raises:
-        InputError: in the mission or in the configuration.
+        InputError: the mission or the configuration is invalid.
     """
     return parse_mission(load_document(path, FileKind.MISSION), config, settings)
 
@@ -348,7 +349,7 @@ def parse_mission(
     config: str | Path | VehicleConfig | FoundVehicle | None = None,
     settings: Sequence[str] = (),
 ) -> Mission:
-    """As `load_mission`, from a document already read; `config` may be a configuration already loaded."""
+    """Resolve a parsed mission, as `load_mission`; `config` may be a loaded configuration."""
     refuse_other_keys(document, FileKind.MISSION)
     spec = document.convert(MissionFile)
     if isinstance(config, VehicleConfig):
@@ -362,7 +363,7 @@ def parse_mission(
 def _find_vehicle(
     spec: MissionFile, config: str | Path | None, document: Document, settings: Sequence[str]
 ) -> FoundVehicle:
-    """The vehicle of a mission: `config`, else what the mission has or names, else the default one."""
+    """Return the vehicle of a mission: `config`, the mission's vehicle or the default, in this order."""
     if config is None and isinstance(spec.vehicle, dict):
         vehicle = load_vehicle(document.part("vehicle"), settings)
         source = None if document.source == IN_PYTHON else display_path(document.source)
@@ -373,7 +374,7 @@ def _find_vehicle(
 
 
 def resolve(spec: MissionFile, vehicle: VehicleConfig, document: Document) -> Mission:
-    """What a mission file means for a vehicle.
+    """Return the mission that a mission file defines for a vehicle.
 
     Raises:
         InputError: the parts of the mission contradict each other.
@@ -414,11 +415,11 @@ def _add_tangent_walls(
     walls: dict[str, Wall],
     document: Document,
 ) -> None:
-    """Put the tangent planes of posts that are to be hit to the walls.
+    """Add the tangent planes of the posts to be hit to the walls.
 
     Raises:
-        InputError: a hit of a post does not say where, two at one post say different places, or a probe
-            looks for one.
+        InputError: an impact on a post has no place, two impacts on a post have different places, or a probe
+            searches for a post.
     """
     for i, one in enumerate(spec.collisions):
         if one.wall not in posts:
@@ -430,8 +431,8 @@ def _add_tangent_walls(
             raise document.error(key, f"a hit of post {one.wall} needs impact_point_m")
         wall = tangent_wall(posts[one.wall], one.impact_point_m, vehicle, key, document)
         if walls.setdefault(one.wall, wall) != wall:
-            says = f"post {one.wall} is hit elsewhere before; a mission hits a post in one place"
-            raise document.error((*key, "impact_point_m"), says)
+            text = f"post {one.wall} is hit elsewhere before; a mission hits a post in one place"
+            raise document.error((*key, "impact_point_m"), text)
 
 
 def _resolve_waypoints(
@@ -476,7 +477,7 @@ def _resolve_waypoints(
 def _check_place_in_order(
     one: WaypointSpec, flown: int, spec: MissionFile, key: Key, document: Document
 ) -> None:
-    """Raises InputError: keys of a waypoint and of a pause are mixed, or `after` is not to be had."""
+    """Raise InputError if a waypoint and a pause are mixed, or `after` is out of order."""
     if [one.position_m, one.at_wall, one.pause].count(None) != 2:
         raise document.error(key, "give exactly one of position_m, at_wall (waypoints) and pause")
     others = ("timeout_s",) if one.pause is None else ("altitude_m", "speed_m_s", "hold_s")
@@ -486,16 +487,16 @@ def _check_place_in_order(
             raise document.error((*key, name), f"{what} has no such key")
     count = len(spec.collisions)
     if not flown <= one.after <= count:
-        says = f"{one.after}, expected {flown} to {count}: the list is in the order of the flight"
-        raise document.error((*key, "after"), says)
+        text = f"{one.after}, expected {flown} to {count}: the list is in the order of the flight"
+        raise document.error((*key, "after"), text)
     following = spec.collisions[one.after] if one.after < count else None
     if 0 < one.after < count and following and following.approach is None and following.probe is None:
-        says = f"needs an approach: the recovery before it leads to waypoints[{key[1]}]"
-        raise document.error(("collisions", one.after), says)
+        text = f"needs an approach: the recovery before it leads to waypoints[{key[1]}]"
+        raise document.error(("collisions", one.after), text)
 
 
 def _mode_of(spec: CollisionSpec, vehicle: VehicleConfig, key: Key, document: Document) -> Mode:
-    """The mode of a collision: as given, or the only one."""
+    """Return the mode of a collision: the given one, or the only one of the vehicle."""
     if spec.mode is None:
         if vehicle.has_lock:
             raise document.error(key, "missing key mode: " + " or ".join(vehicle.modes))
@@ -577,7 +578,7 @@ def _check_trajectory(
     wall: Wall,
     document: Document,
 ) -> None:
-    """Raises InputError: a trajectory does not lead from where the vehicle is to this hit."""
+    """Raise InputError if a trajectory does not lead from the vehicle's position to this impact."""
     key: Key = ("collisions", i, "trajectory")
     if spec.predicted is None:
         raise document.error(key, "needs predicted: what the hit leads to")
@@ -603,7 +604,7 @@ def _check_replanned(mission: MissionFile, key: Key, document: Document) -> None
 
 
 def _rest_before(mission: MissionFile, flown: int) -> Vec2 | None:
-    """Where the vehicle rests once so many collisions are flown; None: where a recovery leads."""
+    """Return the resting position after `flown` collisions, or None while a recovery is flown."""
     reached = [w.position_m for w in mission.waypoints if w.after == flown and w.position_m is not None]
     return reached[-1] if reached else mission.start.position_m if flown == 0 else None
 
@@ -613,12 +614,12 @@ def _check_from_rest(written: TrajectoryPieces, place: Vec2 | None, key: Key, do
         raise document.error(key, "a trajectory from rest needs a waypoint before it")
     off_m = math.dist(written.position_m, place)
     if off_m > _TRAJECTORY_OFF_M or any((*written.velocity_m_s, *written.acceleration_m_s2)):
-        says = f"must begin at rest at ({place[0]:g}, {place[1]:g}), {off_m:.2f} m from where it does"
-        raise document.error(key, says)
+        text = f"must begin at rest at ({place[0]:g}, {place[1]:g}), {off_m:.2f} m from where it does"
+        raise document.error(key, text)
 
 
 def _check_goal_trajectory(mission: MissionFile, document: Document) -> None:
-    """Raises InputError: the trajectory to the goal is not flown, or does not end there at rest."""
+    """Raise InputError if the trajectory to the goal cannot be flown or does not end there at rest."""
     written, key = mission.goal_trajectory, ("goal_trajectory",)
     if written is None:
         return
@@ -634,29 +635,29 @@ def _check_goal_trajectory(mission: MissionFile, document: Document) -> None:
     end = written.states()[-1]
     off_m, speed_m_s = math.dist(end.position, mission.goal.position_m), math.hypot(*end.velocity)
     if off_m > _TRAJECTORY_OFF_M or speed_m_s > _TRAJECTORY_OFF_M_S:
-        says = f"ends {off_m:.2f} m from the goal at {speed_m_s:.2f} m/s, not at rest there"
-        raise document.error(key, says)
+        text = f"ends {off_m:.2f} m from the goal at {speed_m_s:.2f} m/s, not at rest there"
+        raise document.error(key, text)
 
 
 def _impact_point(
     spec: CollisionSpec, start: Vec2, wall: Wall, approach_m_s: Vec2, key: Key, document: Document
 ) -> Vec2:
-    """Where the wall is to be met, as given, or where the approach leads to from the start."""
+    """Return the impact point: as given, or where the approach from the start crosses the plane."""
     given, along = spec.impact_point_m, spec.impact_along_m
     if given is not None and along is not None:
         raise document.error((*key, "impact_along_m"), "give this or impact_point_m, not both")
     if wall.sought:
         if given is not None:
-            says = f"nobody knows where wall {wall.name} stands: give impact_along_m"
-            raise document.error((*key, "impact_point_m"), says)
+            text = f"nobody knows where wall {wall.name} stands: give impact_along_m"
+            raise document.error((*key, "impact_point_m"), text)
         along = along or 0.0
     if given is not None:
         off = abs(wall.signed_distance(given))
         if off > 0.01:
             x, y = wall.foot(given)
-            says = f"is {off:.3f} m off wall {wall.name}, whose nearest point is [{x:.3f}, {y:.3f}]; "
-            says += f"or give impact_along_m: {wall.along((x, y)):.3f}"
-            raise document.error((*key, "impact_point_m"), says)
+            text = f"is {off:.3f} m off wall {wall.name}, whose nearest point is [{x:.3f}, {y:.3f}]; "
+            text += f"or give impact_along_m: {wall.along((x, y)):.3f}"
+            raise document.error((*key, "impact_point_m"), text)
         return given
     if along is None:
         if wall.signed_distance(start) <= 0.0:
@@ -664,13 +665,13 @@ def _impact_point(
         return _ray_meets_wall(start, wall, approach_m_s)
     (x, y), (tx, ty), reach = wall.point, wall.tangent, 0.5 * wall.length_m
     if abs(along) > reach:
-        says = f"{along:g}, the wall reaches from {-reach:g} to {reach:g}"
-        raise document.error((*key, "impact_along_m"), says)
+        text = f"{along:g}, the wall reaches from {-reach:g} to {reach:g}"
+        raise document.error((*key, "impact_along_m"), text)
     return (x + along * tx, y + along * ty)
 
 
 def _impact_meant(collision: Collision, start: Vec2) -> Vec2:
-    """Where a collision that says nothing of it has its point of impact."""
+    """Return the impact point of a collision that specifies none."""
     assert collision.approach_m_s is not None
     if collision.trajectory is not None:
         return collision.wall.foot(collision.trajectory.states()[-1].position)
@@ -678,7 +679,7 @@ def _impact_meant(collision: Collision, start: Vec2) -> Vec2:
 
 
 def _ray_meets_wall(start: Vec2, wall: Wall, approach_m_s: Vec2) -> Vec2:
-    """Where the ray from `start` along the approach velocity meets the wall's plane."""
+    """Return the point where the ray from `start` along the approach velocity crosses the wall's plane."""
     v = wall.from_collision((approach_m_s[0], approach_m_s[1], 0.0))
     t = wall.signed_distance(start) / -approach_m_s[0]
     return (start[0] + v[0] * t, start[1] + v[1] * t)

@@ -1,9 +1,9 @@
-"""Mission files (version 1) as written in YAML: the types are the keys. `docs/missions.md` explains them.
+"""Mission files (version 1) as written in YAML; the types define the keys. `docs/missions.md` explains them.
 
-A key is one field of one class: type, bounds and default in the field, meaning (and unit, where the name has
-none) under `Attributes:`. What the flight reads as it is written stands in `MissionKeys`, `CollisionKeys` or
-`WaypointKeys`, which file and flight share; a key whose meaning has to be worked out stands in the file's
-class, and `config.mission` translates it in both directions (docs/extending.md).
+A key is one field of one class: the field has type, bounds and default, and `Attributes:` has the meaning
+(and the unit, if the name has none). Keys that the flight uses as written are in `MissionKeys`,
+`CollisionKeys` or `WaypointKeys`, which the file and the resolved mission share. Keys that must be resolved
+are in the class of the file, and `config.mission` converts them in both directions (docs/extending.md).
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ Acceleration = Annotated[float, Meta(ge=-50.0, le=50.0)]
 Jerk = Annotated[float, Meta(ge=-1000.0, le=1000.0)]
 PieceSeconds = Annotated[float, Meta(gt=0.0, le=60.0)]
 Direction = Annotated[float, Meta(ge=-1e6, le=1e6)]
-# Metres of setpoint per newton: the paper's largest is 0.12. At 1 a weak hit already leads across a room.
+# Metres of setpoint per newton: the paper's largest is 0.12; at 1 a weak impact leads across a room.
 Alpha = Annotated[float, Meta(ge=0.0, le=1.0)]
 Point2 = tuple[Coordinate, Coordinate]
 Range = tuple[Coordinate, Coordinate]
 _MOST_BROKEN_OFF = 0.1  # largest share of drawn flights that may fail for a plan to be offered
-# With 74 degrees in one set of twenty drawn flights, a flight of the next set tumbled.
+# In a set of twenty drawn flights with a tilt of 74 degrees, one flight of the next set tumbled.
 _MOST_TILT_DEG = 60.0
 Standoff = Annotated[float, Meta(ge=0.1, le=2.0)]
 Name = Annotated[str, Meta(pattern=r"^[A-Za-z0-9][A-Za-z0-9 _.-]{0,63}$")]
@@ -38,11 +38,11 @@ class FrameSpec(Section, frozen=True):
     """Mission frame (x along the heading, y left, z up) relative to PX4's local NED.
 
     Attributes:
-        origin: local: PX4's local origin, moved by north_m and east_m (motion capture, surveyed room);
-            takeoff: as if the vehicle had taken off below start, moved likewise.
-        anchored_by: none: PX4's position is what it is; touch: it drifts, and every contact with a wall of
-            the mission puts the frame right along that wall's normal.
-        north_m, east_m: the frame's origin from there, m.
+        origin: local: PX4's local origin, displaced by north_m and east_m (motion capture, surveyed room);
+            takeoff: the point for which the vehicle takes off below start, displaced likewise.
+        anchored_by: none: PX4's position is used as it is; touch: the position drifts, and every contact with
+            a wall of the mission corrects the frame along the wall's normal.
+        north_m, east_m: displacement of the frame's origin, m.
         heading_deg: direction of the mission's x axis, clockwise from north.
     """
 
@@ -54,11 +54,11 @@ class FrameSpec(Section, frozen=True):
 
 
 class StartSpec(Section, frozen=True):
-    """Where the mission starts, in the air.
+    """Start of the mission, in the air.
 
     Attributes:
-        position_m: [x, y], mission frame; take-off is below it in simulation.
-        altitude_m: above the take-off point; kept until a waypoint has another one.
+        position_m: [x, y], mission frame; in simulation the vehicle takes off below it.
+        altitude_m: above the take-off point; kept until a waypoint changes it.
     """
 
     position_m: Point2
@@ -66,12 +66,12 @@ class StartSpec(Section, frozen=True):
 
 
 class GoalSpec(Section, frozen=True):
-    """Where it ends.
+    """End of the mission.
 
     Attributes:
         position_m: [x, y], mission frame.
-        capture_radius_m: the goal counts as held while the vehicle is this near.
-        hold_s: how long the goal is held before landing.
+        capture_radius_m: largest distance from the goal at which it counts as held.
+        hold_s: hold time at the goal before landing.
     """
 
     position_m: Point2
@@ -83,8 +83,8 @@ class BoundsSpec(Section, frozen=True):
     """The flight space, mission frame: [low, high] per axis.
 
     Attributes:
-        x, y: judged by the measured position and by where the vehicle would stop, m.
-        z: likewise, above the take-off point, m; take-off and landing are exempt.
+        x, y: limits of the measured position and of the position where the vehicle would stop, m.
+        z: limits above the take-off point, m; take-off and landing are exempt.
     """
 
     x: Range
@@ -92,7 +92,7 @@ class BoundsSpec(Section, frozen=True):
     z: Range
 
     def excess2(self, p: Vec2 | Vec3) -> float:
-        """How far a point lies outside horizontally, metres; 0 inside."""
+        """Return the horizontal distance of a point from the bounds, metres; 0 inside."""
         return max(self.x[0] - p[0], p[0] - self.x[1], self.y[0] - p[1], p[1] - self.y[1], 0.0)
 
 
@@ -100,15 +100,15 @@ class WallSpec(Section, frozen=True):
     """A finite, upright wall.
 
     Attributes:
-        point_m: [x, y] of its middle, mission frame; what of the vehicle is there at first touch: given_at.
+        point_m: [x, y] of its middle, mission frame; given_at defines the reference point.
         normal: [x, y], points into free space; any length.
         length_m: along the wall, half of it to each side of the middle.
         material: a key of materials in the vehicle configuration.
-        given_at: centre: point_m is where the vehicle's centre is at first touch, as in the paper; surface:
-            it is on the wall itself, and airframe.contact_distance_m is added.
-        position_sd_m: how well the place along the normal is known, standard deviation; null: to a few
-            centimetres, as `guard` tolerates.
-        yaw_sd_deg: how well the direction is known, standard deviation, about the middle; null: likewise.
+        given_at: centre: point_m is the position of the vehicle's centre at first touch, as in the paper;
+            surface: point_m is on the wall itself, and airframe.contact_distance_m is added.
+        position_sd_m: standard deviation of the position along the normal; null: known to a few centimetres,
+            as `guard` tolerates.
+        yaw_sd_deg: standard deviation of the direction, about the middle; null: as for position_sd_m.
     """
 
     point_m: Point2
@@ -121,7 +121,7 @@ class WallSpec(Section, frozen=True):
 
 
 class PostSpec(Section, frozen=True):
-    """An upright cylinder that stands by itself, as an obstacle or to be hit.
+    """A free-standing upright cylinder, as an obstacle or to be hit.
 
     Attributes:
         centre_m: [x, y] of its axis, mission frame.
@@ -134,30 +134,30 @@ class PostSpec(Section, frozen=True):
     material: str
 
 
-# Acceleration (m/s2) and jerk (m/s3): MPC_ACC_HOR and MPC_JERK_AUTO, MPC_ACC_HOR_MAX and MPC_JERK_MAX by
-# default, and what replanning asks for at most.
+# Acceleration (m/s2) and jerk (m/s3): PX4's defaults of MPC_ACC_HOR and MPC_JERK_AUTO, its defaults of
+# MPC_ACC_HOR_MAX and MPC_JERK_MAX, and the largest values of replanning.
 MOTIONS = {"automatic": (3.0, 4.0), "position": (5.0, 8.0), "replanning": (5.9, 25.0)}
 
 
 class Limits(Section, frozen=True):
-    """Limits of the mission, judged before and during the flight.
+    """Limits of the mission, checked before and during the flight.
 
-    The defaults stay below the accelerometer's full scale on every surface that was flown with a real PX4
-    (docs/px4.md): 150 N of 204 N; a rigid hit on acrylic at 3 m/s, the speed limit, is 191 N.
+    The default peak force stays below the accelerometer's full scale, 204 N, on every surface that was flown
+    with a real PX4 (docs/px4.md). A rigid impact on acrylic at the default speed limit, 3 m/s, has 191 N.
 
     Attributes:
         speed_m_s: largest speed of an approach and of the flight.
-        motion: acceleration and jerk as PX4 flies in its automatic modes (3 m/s2, 4 m/s3), as in its position
-            mode (5, 8), or as a vehicle is replanned after a hit (5.9, 25); either of them written wins.
-        acceleration_m_s2: largest acceleration of transits and run-ups, which are then flown at up to
-            speed_m_s; without it flying.acceleration_m_s2 and flying.transit_speed_m_s hold.
-        jerk_m_s3: likewise, largest jerk; without it flying.jerk_m_s3.
-        closing_m_s: largest velocity along a wall's normal at a hit.
-        sliding_m_s: largest velocity along a wall at a hit.
-        friction_ratio: largest friction of a hit over its normal force: where a friction coefficient was
-            measured at low sliding speed only, more than some 0.5 is no longer that law.
+        motion: sets acceleration and jerk as in PX4's automatic modes (3 m/s2, 4 m/s3), in its position mode
+            (5, 8), or in replanning after an impact (5.9, 25); acceleration_m_s2 and jerk_m_s3 override it.
+        acceleration_m_s2: largest acceleration of transits and run-ups, which then use up to speed_m_s;
+            without it flying.acceleration_m_s2 and flying.transit_speed_m_s apply.
+        jerk_m_s3: largest jerk; without it flying.jerk_m_s3 applies.
+        closing_m_s: largest velocity along a wall's normal at an impact.
+        sliding_m_s: largest velocity along a wall at an impact.
+        friction_ratio: largest ratio of friction to normal force at an impact; a friction coefficient
+            measured at low sliding speed is valid up to about 0.5.
         peak_force_n: largest contact force, normal and friction together.
-        collision_timeout_s: longest recovery; then the goal is flown to, or the next wall given up.
+        collision_timeout_s: longest recovery; then the vehicle flies to the goal, or gives up the next wall.
     """
 
     speed_m_s: Annotated[float, Meta(gt=0.0, le=20.0)] = 3.0
@@ -179,7 +179,7 @@ class Limits(Section, frozen=True):
 
 
 class SpaceKeys(Section, frozen=True, kw_only=True):
-    """Keys that missions and scenarios share and that mean what they say.
+    """Keys that missions and scenarios share and that need no conversion.
 
     Attributes:
         transit_mode: state of the arms in take-off, transit and landing.
@@ -204,18 +204,19 @@ class ApproachSpec(Section, frozen=True):
 
 
 class ProbeSpec(Section, frozen=True):
-    """A straight leg, from rest to rest, on which a wall is looked for; a contact ends it, and nothing met is
-    no fault.
+    """A straight leg, from rest to rest, that searches for a wall; a contact ends it, and none is required.
 
     Attributes:
-        from_m: [x, y] where it begins, mission frame.
-        from_here: whether it begins where the vehicle rests by then instead, which is taken to be near
-            from_m, and goes as far in the same direction: where the frame drifts, flying there costs time.
-        direction: [x, y], any length; to be left out of a wall of the mission, which is then met head on.
-        length_m: how far the vehicle's centre goes.
-        speed_m_s: on the way; it may be more than what stops before a wall, but no more than its hit bears.
-        back_m: how far from where it was met the vehicle waits afterwards.
-        material: of a wall that is not in walls, where it is known; without it the contact tells.
+        from_m: [x, y] of its start, mission frame.
+        from_here: whether it starts at the vehicle's resting position, assumed near from_m, with the same
+            direction and length; if the frame drifts, this saves a transit.
+        direction: [x, y], any length; may be omitted for a wall of the mission, which is then approached
+            along its normal.
+        length_m: length of the leg of the vehicle's centre.
+        speed_m_s: speed of the leg; it may exceed the speed that stops before a wall, but not the one that
+            the impact permits.
+        back_m: distance from the point of contact at which the vehicle waits afterwards.
+        material: of a wall that is not in walls, if known; without it the contact identifies the material.
     """
 
     from_m: Point2
@@ -228,13 +229,13 @@ class ProbeSpec(Section, frozen=True):
 
 
 class PlaceAtWall(Section, frozen=True):
-    """A place that is known once its wall has been met.
+    """A place relative to a wall, known once the vehicle has touched the wall.
 
     Attributes:
-        wall: that a probe before it looks for, or any other of the mission.
-        away_m: distance of the vehicle's centre from where it is at first touch, along the wall's normal.
-        along_m: from the wall's middle, which of a wall that a probe has found is where it was met; positive
-            to the right when looking along the normal.
+        wall: a wall that an earlier probe searches for, or any other wall of the mission.
+        away_m: distance of the vehicle's centre from its position at first touch, along the wall's normal.
+        along_m: distance from the wall's middle, or from the point of contact if a probe has found the wall;
+            positive to the right when looking along the normal.
     """
 
     wall: str
@@ -243,14 +244,14 @@ class PlaceAtWall(Section, frozen=True):
 
 
 class CollisionPrediction(Section, frozen=True):
-    """What the planner predicted for a collision; written by `plan`, for flight and report to compare.
+    """The planner's prediction for a collision; written by `plan`, compared by flight and report.
 
     Attributes:
         t_s: onset of the contact, from the start of the run-up.
         position_m: [x, y] of the impact, mission frame.
         normal_m_s, tangential_m_s: velocity at the impact, collision frame.
         peak_force_n: largest normal force.
-        contact_time_s: how long the contact lasts.
+        contact_time_s: duration of the contact.
     """
 
     t_s: Annotated[float, Meta(ge=0.0, le=3600.0)]
@@ -262,7 +263,7 @@ class CollisionPrediction(Section, frozen=True):
 
 
 class MissPrediction(Section, frozen=True):
-    """What the planner predicted for the whole mission.
+    """The planner's prediction for the whole mission.
 
     Attributes:
         goal_miss_m: smallest distance to the goal after the last contact.
@@ -284,8 +285,8 @@ class TrajectoryPieces(Section, frozen=True):
     """A trajectory at constant altitude, mission frame; written by `plan`.
 
     Attributes:
-        position_m, velocity_m_s, acceleration_m_s2: [x, y] where it begins.
-        pieces: one after the other, [duration in s, jerk in x, jerk in y in m/s3].
+        position_m, velocity_m_s, acceleration_m_s2: [x, y] at the beginning.
+        pieces: consecutive pieces, [duration in s, jerk in x, jerk in y in m/s3].
     """
 
     position_m: Point2
@@ -295,11 +296,11 @@ class TrajectoryPieces(Section, frozen=True):
 
     @property
     def duration_s(self) -> float:
-        """Of all pieces."""
+        """Duration of all pieces."""
         return sum(piece[0] for piece in self.pieces)
 
     def states(self) -> list[MotionState]:
-        """The motion where each piece begins, and at the end."""
+        """Return the motion at the beginning of each piece and at the end."""
         found = [MotionState(0.0, self.position_m, self.velocity_m_s, self.acceleration_m_s2)]
         for t, jx, jy in self.pieces:
             begin, (x, y), (vx, vy), (ax, ay) = found[-1]
@@ -315,21 +316,22 @@ class TrajectoryPieces(Section, frozen=True):
 
 
 def _carried(p: float, v: float, a: float, j: float, t: float) -> float:
-    """Where a constant jerk leads to from a position in a time."""
+    """Return the position after a time at constant jerk."""
     return p + t * (v + t * (a / 2.0 + t * j / 6.0))
 
 
 class CollisionKeys(Section, frozen=True, kw_only=True):
-    """Keys of a collision that the flight reads as they are written.
+    """Keys of a collision that the flight uses as written.
 
     Attributes:
-        mode: state of the arms at the impact; to be left out only of a vehicle without a lock: it is rigid.
+        mode: state of the arms at the impact; optional only for a vehicle without a lock, which is rigid.
         predicted: written by plan.
-        trajectory: to this wall; with an approach from rest before it, else from the collision before, as it
-            is predicted: flown from what that hit really leads to (after_impact: replan). Without it the
-            approach is straight, with a run-up.
-        if_met: a wall that a probe before this looks for: flown only where that was met.
-        if_not_met: likewise, only where it was not.
+        trajectory: trajectory to this wall; with an approach it starts at rest, without one at the predicted
+            end of the previous collision and is replanned from the real one (after_impact: replan). Without a
+            trajectory the approach is straight, with a run-up.
+        if_met: a wall that an earlier probe searches for; the collision is flown only if that wall was
+            touched.
+        if_not_met: the same, flown only if that wall was not touched.
     """
 
     mode: Mode | None = None
@@ -343,19 +345,19 @@ class CollisionSpec(CollisionKeys, frozen=True, kw_only=True):
     """One planned collision.
 
     Attributes:
-        wall: a key of walls, or of posts; with a probe also the name of a wall that nobody knows yet.
-        approach: velocity to meet the wall with; required for the first collision. Without it the recovery of
-            the collision before leads to this wall.
-        probe: instead of an approach, and of gains: looks for the wall.
-        impact_point_m: [x, y] on the wall's plane; without it, where the ray from start along the approach
-            meets the wall. Of a post it is required: where the vehicle's centre is at first touch.
+        wall: a key of walls, or of posts; with a probe also the name of an unknown wall.
+        approach: velocity at the impact; required for the first collision. Without it the recovery of the
+            previous collision leads to this wall.
+        probe: search for the wall, instead of an approach and of gains.
+        impact_point_m: [x, y] on the wall's plane; default: where the ray from start along the approach
+            crosses the plane. For a post it is required: the position of the vehicle's centre at first touch.
         impact_along_m: the same as a distance along the wall from its middle, positive to the right when
-            looking along the normal; at most one of the two is given. At a wall that a probe has found 0 is
-            where it was met.
-        alpha_m_per_n: recovery gains along the mission's x and y axes (the paper's form), m of setpoint per
-            N of peak force; for walls along an axis, or both the same.
-        alpha_wall_m_per_n: the same as [normal, tangential] of the wall, for any wall; exactly one of the
-            two is given.
+            looking along the normal; give at most one of the two. At a wall that a probe has found, 0 is the
+            point of contact.
+        alpha_m_per_n: recovery gains along the mission's x and y axes (the paper's form), m of setpoint per N
+            of peak force; for walls along an axis, or with equal gains.
+        alpha_wall_m_per_n: the same as [normal, tangential] of the wall, for any wall; give exactly one of
+            the two.
     """
 
     wall: str
@@ -368,13 +370,13 @@ class CollisionSpec(CollisionKeys, frozen=True, kw_only=True):
 
 
 class WaypointKeys(Section, frozen=True, kw_only=True):
-    """Keys of a waypoint or a pause that the flight reads as they are written.
+    """Keys of a waypoint or a pause that the flight uses as written.
 
     Attributes:
-        after: how many collisions are flown before it; it never falls from one to the next.
-        at_wall: instead of position_m: a place that is known once a wall was met; left out where it was not.
-        if_met: a wall that a probe before this looks for: flown only where that was met.
-        if_not_met: likewise, only where it was not.
+        after: number of collisions flown before it; it never decreases along the list.
+        at_wall: instead of position_m: a place relative to a wall; skipped if the wall was not touched.
+        if_met: a wall that an earlier probe searches for; flown only if that wall was touched.
+        if_not_met: the same, flown only if that wall was not touched.
     """
 
     after: Annotated[int, Meta(ge=0, le=1000)] = 0
@@ -384,17 +386,17 @@ class WaypointKeys(Section, frozen=True, kw_only=True):
 
 
 class WaypointSpec(WaypointKeys, frozen=True, kw_only=True):
-    """A waypoint, flown to from rest to rest, or a pause where the vehicle is; exactly one of the two.
+    """A waypoint, approached from rest to rest, or a pause in place; give exactly one of the two.
 
     Attributes:
         position_m: [x, y] of a waypoint, mission frame.
-        altitude_m: of a waypoint, above the take-off point, and of what comes after it; without it the
-            altitude stays as it is.
-        speed_m_s: largest speed on the way there; by default flying.transit_speed_m_s. The vertical part of
-            the leg is flown at flying.climb_speed_m_s at most.
-        hold_s: how long a waypoint is held.
-        pause: operator: hold until the operator says to go on (Enter, or SIGUSR1).
-        timeout_s: of a pause; without a word the vehicle lands.
+        altitude_m: altitude above the take-off point, of a waypoint and of what follows; without it the
+            altitude does not change.
+        speed_m_s: largest speed of the leg to the waypoint; default: flying.transit_speed_m_s. The vertical
+            speed is limited by flying.climb_speed_m_s.
+        hold_s: hold time at a waypoint.
+        pause: operator: hold until the operator continues (Enter, or SIGUSR1).
+        timeout_s: of a pause; without a response the vehicle lands.
     """
 
     position_m: Point2 | None = None
@@ -406,12 +408,12 @@ class WaypointSpec(WaypointKeys, frozen=True, kw_only=True):
 
 
 class Tolerance(Section, frozen=True):
-    """By how much a flight may differ from the plan and still have followed it (`plan_followed`).
+    """Allowed differences between plan and flight for `plan_followed`.
 
     Attributes:
-        impact_m_s: of each component of the velocity at an impact.
-        peak_force_share: of the planned peak force.
-        place_m: from the planned place of an impact.
+        impact_m_s: of each component of the impact velocity.
+        peak_force_share: relative to the planned peak force.
+        place_m: distance from the planned impact point.
     """
 
     impact_m_s: Annotated[float, Meta(gt=0.0, le=10.0)] = 0.15
@@ -504,8 +506,8 @@ class FlownRecord(Section, frozen=True):
             )
         if self.drawn.flights - self.drawn.completed > _MOST_BROKEN_OFF * self.drawn.flights:
             causes = ", ".join(f"{rule} {count}" for rule, count in self.drawn.ended_by.items())
-            says = f"only {self.drawn.completed} of {self.drawn.flights} drawn flights complete"
-            return f"{says} ({causes})"
+            text = f"only {self.drawn.completed} of {self.drawn.flights} drawn flights complete"
+            return f"{text} ({causes})"
         return None
 
     @property
@@ -514,32 +516,33 @@ class FlownRecord(Section, frozen=True):
         drawn = self.drawn
         if drawn is None:
             return self.danger or "nominal flight completed, not flown in drawn worlds"
-        says = (
+        text = (
             f"{drawn.completed} of {drawn.flights} drawn flights complete, {drawn.uncontrolled} uncontrolled"
         )
         if drawn.median_time_s is not None:
-            says += f", {drawn.median_time_s:.1f} s from take-off to landing"
+            text += f", {drawn.median_time_s:.1f} s from take-off to landing"
         if self.saving_s is not None and self.free_time_s is not None:
             verb = "saves" if self.saving_s > 0.0 else "loses"
-            says += f" against {self.free_time_s:.1f} s free: {verb} {abs(self.saving_s):.2f} s in a flight"
-        return says
+            text += f" against {self.free_time_s:.1f} s free: {verb} {abs(self.saving_s):.2f} s in a flight"
+        return text
 
 
 class MissionKeys(SpaceKeys, frozen=True, kw_only=True):
-    """Keys of a mission that the flight reads as they are written.
+    """Keys of a mission that the flight uses as written.
 
     Attributes:
         name: letters, digits and ' _.-', at most 64; names the flight's folder.
         predicted: written by plan.
         flown: written by plan.
-        goal_trajectory: to the goal, from the last collision as it is predicted, or from rest at start.
-        after_impact: setpoint: the paper's recovery setpoint leads on; replan: a trajectory planned in
-            flight, from what was felt, takes over from it.
-        tolerance: by how much a flight may differ from the plan; for the goal that is its capture radius.
-        mode_mismatch: where a contact indicates the other mode than the lock reports; go_on: it is noted
-            in log and verdict; land: the guard lands.
-        standoff_m: a rehearsal: every contact is replaced by stopping so far before its wall, as with
-            --standoff; null: the contacts are flown.
+        goal_trajectory: trajectory to the goal, from the predicted end of the last collision, or from rest at
+            start.
+        after_impact: setpoint: fly the paper's recovery setpoint; replan: follow it until a trajectory
+            planned in flight from the measured impact begins.
+        tolerance: allowed differences between flight and plan; for the goal that is its capture radius.
+        mode_mismatch: response to a contact that indicates the other mode than the lock reports; go_on:
+            record it in log and verdict; land: the guard lands.
+        standoff_m: rehearsal: the vehicle stops this far before each wall instead of touching it, as with
+            --standoff; null: contacts are flown.
     """
 
     name: Name
@@ -558,14 +561,13 @@ class MissionFile(MissionKeys, frozen=True, kw_only=True):
     Attributes:
         version: of the format.
         walls: by name.
-        simulated_walls: by name: walls that stand in simulation and that the flight knows nothing of, for
-            probes to find.
-        posts: by name, which no wall has.
-        collisions: in the order of the hits; none: a flight without one.
-        waypoints: waypoints and pauses before, between and after the collisions, in the order in which they
-            are flown.
-        vehicle: vehicle configuration: a file, relative to this one, or its keys and values themselves;
-            without it, the default one.
+        simulated_walls: by name: walls that exist in simulation and are unknown to the flight, to be found by
+            probes.
+        posts: by name, distinct from the names of walls.
+        collisions: in the order of flight; may be empty.
+        waypoints: waypoints and pauses before, between and after the collisions, in the order of flight.
+        vehicle: vehicle configuration: a file, relative to this one, or its keys and values; default: the
+            default configuration.
     """
 
     version: Literal[1]

@@ -1,4 +1,4 @@
-"""Error message for a missing optional package, with the one command that installs it."""
+"""Error message for a missing optional package, with the command that installs it."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ IN_FULL: Final = ("sim", "identify", "report", "live", "plan")  # what `make ins
 def missing_package(what: str, extra: str, *, source: str = "", key: Key = ()) -> InputError:
     """Return the error that names a missing package and the command that installs it.
 
-    Call it where the import's error is handled: a package that is there and does not load is named with that
-    error.
+    Call it while the import error is handled. If the package is installed but does not load, the message
+    contains that error.
 
     Args:
         what: the missing package and its use, such as "a picture needs matplotlib".

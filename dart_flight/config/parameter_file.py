@@ -1,11 +1,11 @@
-"""PX4 parameter files in QGroundControl's format, and how a vehicle's parameters differ from one.
+"""PX4 parameter files in QGroundControl's format, and their comparison with a vehicle's parameters.
 
-A line is `vehicle-id component-id name value type`, separated by tabs, type 6 for INT32 and 9 for REAL32;
-lines that start with # are comments. Ours give the reason of every parameter in the comment above it, and
-where builds of PX4 differ, a line of its own there: `#? absent before v1.16` or `#? absent after v1.17` (a
-version without it goes well without it), `#? absent without gyro_fft` (likewise a build without that module),
-`#? renamed NAME after v1.17` (a PX4 without it has it under that name). What comes after a version begins
-with the line of the next one: `after v1.17` is true of a v1.18 that is not released yet.
+A line is `vehicle-id component-id name value type`, separated by tabs, with type 6 for INT32 and 9 for
+REAL32. Lines that start with # are comments. In the packaged files the comment above each parameter gives its
+reason. If builds of PX4 differ, the comment has a separate line: `#? absent before v1.16` or `#? absent after
+v1.17` (these versions do not need it), `#? absent without gyro_fft` (builds without that module do not need
+it), or `#? renamed NAME after v1.17` (these versions have it under that name). `after v1.17` includes
+development versions of v1.18.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from __future__ import annotations
 import contextlib
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from enum import StrEnum
 from pathlib import Path
 
@@ -26,7 +26,7 @@ Value = int | float
 Version = tuple[int, int]  # of PX4: major, minor
 
 _TYPES = {"6": int, "9": float}
-_NAME = re.compile(r"[A-Z][A-Z0-9_]{0,15}\Z")
+PX4_NAME = re.compile(r"[A-Z][A-Z0-9_]{0,15}\Z")
 _INT32 = 1 << 31
 _LISTED = re.compile(r"^\s*[x ] [ *+](?: [ l])? (?P<name>[A-Z][A-Z0-9_]*) \[.*\] : (?P<value>\S+)\s*$")
 _VERSIONS = re.compile(
@@ -36,12 +36,12 @@ _VERSIONS = re.compile(
 
 
 class PositionSource(StrEnum):
-    """Where PX4's position comes from."""
+    """Source of PX4's position."""
 
     MOCAP = "mocap"  # motion capture
     RTK = "rtk"  # GPS with corrections
-    PLAIN = "plain"  # GPS without
-    ANCHORED = "anchored"  # likewise, and contacts with walls put the position right
+    PLAIN = "plain"  # GPS without corrections
+    ANCHORED = "anchored"  # GPS without corrections; contacts with walls correct the position
 
 
 _PLACE_FILES = {
@@ -58,10 +58,11 @@ class Parameter(msgspec.Struct, frozen=True):
     Attributes:
         name: PX4's name, at most 16 characters.
         value: int for INT32, float for REAL32.
-        reason: the comment lines directly above it, joined; empty without.
+        reason: comment lines directly above it, joined; empty if there are none.
         absent: builds of PX4 that do not have it under this name, such as "before v1.16" or "without
-            gyro_fft"; empty: none.
-        renamed: its name there; None: they go without it.
+            gyro_fft"; empty for none.
+        renamed: its name in those builds; None if they do not need it.
+        tolerance: difference from the vehicle's value that counts as equal.
     """
 
     name: str
@@ -69,9 +70,10 @@ class Parameter(msgspec.Struct, frozen=True):
     reason: str
     absent: str = ""
     renamed: str | None = None
+    tolerance: float = 0.0
 
     def is_absent_in(self, version: Version | None) -> bool:
-        """Whether a version of PX4 is known not to have it under this name; modules are not known here."""
+        """Return whether a PX4 version does not have it under this name; modules are not checked."""
         when, _, release = self.absent.partition(" v")
         if version is None or not release:
             return False
@@ -80,7 +82,7 @@ class Parameter(msgspec.Struct, frozen=True):
 
 
 class ParameterDifference(msgspec.Struct, frozen=True):
-    """A parameter of the vehicle that is not as wanted; `actual` None: the vehicle has no such parameter."""
+    """A parameter of the vehicle that differs from the file; `actual` is None if the vehicle lacks it."""
 
     name: str
     wanted: Value
@@ -88,19 +90,19 @@ class ParameterDifference(msgspec.Struct, frozen=True):
     reason: str
 
     def line(self) -> str:
-        """The difference in one line."""
+        """Return the difference as one line."""
         shown = "not on this vehicle" if self.actual is None else f"{self.actual:g}"
         return f"{self.name} is {shown}, wanted {self.wanted:g}: {self.reason}"
 
 
 def vehicle_files(position_from: PositionSource | None) -> list[Path]:
-    """The packaged files for a vehicle, in the order in which they apply; None: those for every vehicle."""
+    """Return the packaged files for a vehicle, in order of application; with None those for every vehicle."""
     place = () if position_from is None else _PLACE_FILES[position_from]
     return [packaged("configs", "px4", f"{name}.params") for name in ("collision", *place)]
 
 
 def vehicle_parameters(position_from: PositionSource | None) -> dict[str, Parameter]:
-    """The parameters of these files by name, the later file's where two name the same one."""
+    """Return the parameters of these files by name; a later file overrides an earlier one."""
     wanted: dict[str, Parameter] = {}
     for path in vehicle_files(position_from):
         wanted |= load_parameters(path)
@@ -151,7 +153,7 @@ def load_parameters(path: str | Path) -> dict[str, Parameter]:
 
 
 def parse_listing(listing: str) -> dict[str, float]:
-    """Name and value of every parameter out of what PX4's `param show` prints."""
+    """Return name and value of every parameter in the output of PX4's `param show`."""
     found = {}
     for line in listing.splitlines():
         match = _LISTED.match(line)
@@ -161,6 +163,17 @@ def parse_listing(listing: str) -> dict[str, float]:
     return found
 
 
+def format_parameters(values: Mapping[str, Value], head: Iterable[str]) -> str:
+    """Return a parameter file of one vehicle's values, as QGroundControl loads it; an int is an INT32."""
+    lines = [
+        f"# {line}" for line in (*head, "vehicle-id\tcomponent-id\tname\tvalue\ttype (6 INT32, 9 REAL32)")
+    ]
+    for name, value in values.items():
+        text, kind = (str(value), 6) if isinstance(value, int) else (f"{value:.9g}", 9)
+        lines.append(f"1\t1\t{name}\t{text}\t{kind}")
+    return "\n".join(lines) + "\n"
+
+
 def _parse(line: str, reason: str, versions: tuple[str, str | None]) -> Parameter:
     fields = line.split("\t") if "\t" in line else line.split()
     if len(fields) != 5:
@@ -168,7 +181,7 @@ def _parse(line: str, reason: str, versions: tuple[str, str | None]) -> Paramete
             f"{len(fields)} fields, a parameter line has 5: vehicle id, component id, name, value, type"
         )
     _, _, name, text, kind = (field.strip() for field in fields)
-    if not _NAME.match(name):
+    if not PX4_NAME.match(name):
         raise ValueError(f"{name!r} is not a PX4 parameter name")
     if kind not in _TYPES:
         raise ValueError(f"{name}: type {kind!r}, allowed 6 (INT32) and 9 (REAL32)")
@@ -182,7 +195,7 @@ def _parse(line: str, reason: str, versions: tuple[str, str | None]) -> Paramete
 
 
 def differences(wanted: Mapping[str, Parameter], actual: Mapping[str, float]) -> list[ParameterDifference]:
-    """Where a vehicle's parameters differ from a file, in the file's order.
+    """Return the vehicle's differences from a parameter file, in the file's order.
 
     Args:
         wanted: from `load_parameters`.
@@ -193,11 +206,12 @@ def differences(wanted: Mapping[str, Parameter], actual: Mapping[str, float]) ->
         name = parameter.name
         if name not in actual and parameter.absent:
             if parameter.renamed is None:
-                continue  # this version goes without it
+                continue  # not needed in this build
             if parameter.renamed in actual:
                 name = parameter.renamed
         value = actual.get(name)
-        # REAL32: equal to seven digits is equal.
-        if value is None or not math.isclose(value, parameter.value, rel_tol=1e-6, abs_tol=1e-9):
+        # A REAL32 has seven significant digits.
+        near = max(1e-9, parameter.tolerance)
+        if value is None or not math.isclose(value, parameter.value, rel_tol=1e-6, abs_tol=near):
             found.append(ParameterDifference(name, parameter.value, value, parameter.reason))
     return found

@@ -1,4 +1,4 @@
-"""Probes of a mission file: legs that look for walls, and the walls that nobody knows until then."""
+"""Probes of a mission file: legs that search for walls, and the walls whose position is unknown before."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from dart_flight.config.document import Document, Key, unknown_name
 from dart_flight.config.mission_file import CollisionSpec, MissionFile, PlaceAtWall, ProbeSpec, WaypointSpec
 from dart_flight.config.vehicle import VehicleConfig
 
-# Of a wall that a probe has found this much is known to be there; of its direction hardly anything before.
+# Assumed length of a wall that a probe has found, and deviation of its direction before the contact.
 _SOUGHT_LENGTH_M, _SOUGHT_SD_RAD = 1.0, math.radians(15.0)
 _NOT_OF_PROBES = (
     "approach",
@@ -28,8 +28,11 @@ _ON_PLANE_M = 1e-6
 
 
 class Probe(msgspec.Struct, frozen=True):
-    """A leg that looks for a wall: where it begins and ends (mission frame, metres), how fast, how far from
-    the wall the vehicle waits afterwards, and whether it begins where the vehicle rests by then."""
+    """A leg that searches for a wall.
+
+    It begins and ends at `begin` and `end` (mission frame, metres), flown at `speed_m_s`. The vehicle then
+    waits `back_m` from the wall. With `from_here` it begins at the place where the vehicle rests.
+    """
 
     begin: Vec2
     end: Vec2
@@ -38,7 +41,7 @@ class Probe(msgspec.Struct, frozen=True):
     from_here: bool = False
 
     def starting_at(self, here: Vec2) -> Probe:
-        """The same leg from another start (mission frame, m): as long, in the same direction."""
+        """Return the leg from another start (mission frame, m), with the same length and direction."""
         (bx, by), (ex, ey) = self.begin, self.end
         return msgspec.structs.replace(self, begin=here, end=(here[0] + ex - bx, here[1] + ey - by))
 
@@ -46,11 +49,11 @@ class Probe(msgspec.Struct, frozen=True):
 def sought_walls(
     spec: MissionFile, vehicle: VehicleConfig, walls: dict[str, Wall], document: Document
 ) -> dict[str, Wall]:
-    """The walls that probes look for and nobody knows, each across the end of its probe, by name.
+    """Return the walls at unknown positions, each placed across the end of its probe, by name.
 
     Raises:
-        InputError: such a probe has no direction, a material that is not in the table, or a name that is
-            taken; or a collision is at such a wall before its probe, or a condition names no probe.
+        InputError: the probe has no direction, an unknown material or a name in use; a collision at such a
+            wall comes before its probe; or a condition names no probe.
     """
     stiffest = max(vehicle.materials, key=lambda name: vehicle.materials[name].of(Mode.RIGID).k)
     looked_for = {one.wall for one in spec.collisions if one.probe is not None}
@@ -76,12 +79,12 @@ def sought_walls(
             raise document.error((*key, "wall"), f"the name {one.wall} is taken by a simulated wall")
         if one.probe.direction is None:
             known = ", ".join(walls) or "none"
-            says = f"{one.wall} is no wall of the mission ({known}): a probe for it needs a direction"
-            raise document.error((*key, "probe"), says)
+            text = f"{one.wall} is no wall of the mission ({known}): a probe for it needs a direction"
+            raise document.error((*key, "probe"), text)
         material = one.probe.material
         if material is not None and material not in vehicle.materials:
-            says = unknown_name(material, list(vehicle.materials))
-            raise document.error((*key, "probe", "material"), says)
+            text = unknown_name(material, list(vehicle.materials))
+            raise document.error((*key, "probe", "material"), text)
         (dx, dy), end = _probe_direction(one.probe.direction, key, document), _probe_end(one.probe, None)
         sought[one.wall] = Wall(
             one.wall,
@@ -103,12 +106,12 @@ def sought_walls(
 def _check_conditions(
     one: CollisionSpec | WaypointSpec, probed: set[str], key: Key, document: Document
 ) -> None:
-    """Raises InputError: a condition names a wall that no probe before it looks for."""
+    """Raise InputError if a condition names a wall that no earlier probe searches for."""
     for name in ("if_met", "if_not_met"):
         wall = getattr(one, name)
         if wall is not None and wall not in probed:
-            says = unknown_name(wall, sorted(probed)) if probed else "no probe comes before this"
-            raise document.error((*key, name), says)
+            text = unknown_name(wall, sorted(probed)) if probed else "no probe comes before this"
+            raise document.error((*key, name), text)
 
 
 def _check_waypoint_wall(
@@ -116,8 +119,8 @@ def _check_waypoint_wall(
 ) -> None:
     _check_conditions(one, probed, key, document)
     if one.at_wall is not None and one.at_wall.wall not in {*probed, *walls}:
-        says = unknown_name(one.at_wall.wall, sorted({*probed, *walls}))
-        raise document.error((*key, "at_wall", "wall"), says)
+        text = unknown_name(one.at_wall.wall, sorted({*probed, *walls}))
+        raise document.error((*key, "at_wall", "wall"), text)
 
 
 def _probe_direction(direction: Vec2, key: Key, document: Document) -> Vec2:
@@ -128,7 +131,7 @@ def _probe_direction(direction: Vec2, key: Key, document: Document) -> Vec2:
 
 
 def _probe_end(probe: ProbeSpec, wall: Wall | None) -> Vec2:
-    """Where a probe ends that meets nothing; a wall of the mission is met head on without a direction."""
+    """Return the end of a probe; without a direction it leads along the normal of the mission's wall."""
     dx, dy = probe.direction or ((-wall.normal[0], -wall.normal[1]) if wall is not None else (0.0, 0.0))
     share = probe.length_m / math.hypot(dx, dy)
     return (probe.from_m[0] + share * dx, probe.from_m[1] + share * dy)
@@ -137,12 +140,13 @@ def _probe_end(probe: ProbeSpec, wall: Wall | None) -> Vec2:
 def resolve_probe(
     i: int, spec: CollisionSpec, mission: MissionFile, wall: Wall, document: Document
 ) -> tuple[Probe, Vec2, Vec2]:
-    """A probe, the velocity (normal, tangential) at which it meets its wall where that is said to stand, and
-    where (mission frame).
+    """Return a probe, its nominal impact velocity (normal, tangential), and its nominal impact point.
+
+    The nominal values hold for the assumed position of the wall; the point is in the mission frame.
 
     Raises:
-        InputError: it has keys of another collision, leads out of the bounds or away from its wall, or is
-            too fast.
+        InputError: the probe has keys of another collision, leads out of the bounds or away from its wall, or
+            is too fast.
     """
     key: Key = ("collisions", i)
     probe = spec.probe
@@ -159,18 +163,18 @@ def resolve_probe(
             where = f"({place[0]:.2f}, {place[1]:.2f})"
             raise document.error((*key, "probe", name), f"{where} is {excess_m:.2f} m outside bounds_m")
     if probe.speed_m_s > mission.limits.speed_m_s:
-        says = f"{probe.speed_m_s:g} m/s is over limits.speed_m_s {mission.limits.speed_m_s:g}"
-        raise document.error((*key, "probe", "speed_m_s"), says)
+        text = f"{probe.speed_m_s:g} m/s is over limits.speed_m_s {mission.limits.speed_m_s:g}"
+        raise document.error((*key, "probe", "speed_m_s"), text)
     share = probe.speed_m_s / probe.length_m
     vx, vy = share * (end[0] - probe.from_m[0]), share * (end[1] - probe.from_m[1])
     normal_m_s, tangential_m_s, _ = wall.to_collision((vx, vy, 0.0))
     if not normal_m_s < -0.5 * probe.speed_m_s or wall.signed_distance(probe.from_m) <= 0.0:
-        says = f"begins behind wall {wall.name}, or leads past it: it needs at most 60 degrees to its normal"
-        raise document.error((*key, "probe"), says)
+        text = f"begins behind wall {wall.name}, or leads past it: it needs at most 60 degrees to its normal"
+        raise document.error((*key, "probe"), text)
     reach_m = wall.signed_distance(probe.from_m) / -normal_m_s * probe.speed_m_s
     if reach_m > probe.length_m + _ON_PLANE_M:
-        says = f"wall {wall.name} is {reach_m:.2f} m away; longer by what its place leaves open is better"
-        raise document.error((*key, "probe", "length_m"), says)
+        text = f"wall {wall.name} is {reach_m:.2f} m away; longer by what its place leaves open is better"
+        raise document.error((*key, "probe", "length_m"), text)
     met = reach_m / probe.length_m
     impact = (
         probe.from_m[0] + met * (end[0] - probe.from_m[0]),
@@ -181,6 +185,6 @@ def resolve_probe(
 
 
 def place_at(wall: Wall, place: PlaceAtWall) -> Vec2:
-    """Where a place at a wall is if the wall stands as it is said to, mission frame."""
+    """Return the position of a place at a wall in its assumed position, mission frame."""
     (x, y), (nx, ny), (tx, ty) = wall.point, wall.normal, wall.tangent
     return (x + place.away_m * nx + place.along_m * tx, y + place.away_m * ny + place.along_m * ty)

@@ -1,4 +1,4 @@
-"""Where a vehicle's configuration came from: said by every command that computes with one."""
+"""The origin of a vehicle's configuration, which every command that uses one reports."""
 
 from __future__ import annotations
 
@@ -20,13 +20,14 @@ _MAX_LOOKED_AT = 100
 
 
 class VehicleSource(msgspec.Struct, frozen=True, omit_defaults=True):
-    """The vehicle that numbers are for, in the words of `--json`; None: built in Python.
+    """Identification of the vehicle in `--json`.
 
     Attributes:
-        source: the configuration's path, from the working directory where it lies below that.
-        packaged: whether it is the one that comes with the program, and not this folder's own.
-        mass_kg: the figure that most others hang on.
-        set: keys that `--set` changed for this call, `KEY=VALUE`; left out where there are none.
+        source: path of the configuration, relative to the working directory if below it; None if built in
+            Python.
+        packaged: whether it is the packaged configuration and not the folder's own.
+        mass_kg: mass, on which most other results depend.
+        set: keys changed by `--set` for this call, `KEY=VALUE`; omitted if there are none.
     """
 
     source: str | None
@@ -36,21 +37,21 @@ class VehicleSource(msgspec.Struct, frozen=True, omit_defaults=True):
 
 
 class FoundVehicle(NamedTuple):
-    """A configuration and where it was found."""
+    """A configuration with its origin."""
 
     config: VehicleConfig
     source: VehicleSource
 
 
 def find_vehicle(path: str | Path | None = None, settings: Sequence[str] = ()) -> FoundVehicle:
-    """Load a vehicle configuration (`load_vehicle`), and say which one it is.
+    """Load a vehicle configuration (`load_vehicle`) and identify it.
 
     Args:
-        path: the file; by default that of `default_config_path`.
-        settings: `KEY=VALUE` that differ from the file.
+        path: the file; default: `default_config_path`.
+        settings: `KEY=VALUE` pairs that override the file.
 
     Raises:
-        InputError: as `load_vehicle`, or the file is of another kind.
+        InputError: as in `load_vehicle`, or the file is of another kind.
     """
     taken = Path(path or default_config_path())
     try:
@@ -65,28 +66,28 @@ def find_vehicle(path: str | Path | None = None, settings: Sequence[str] = ()) -
 
 
 def display_path(path: str | Path) -> str:
-    """A path as people name it: below the working directory without what leads there."""
+    """Return a path for display, relative to the working directory if below it."""
     shown = path
     with contextlib.suppress(OSError):  # the working directory was removed
         whole = Path(path).resolve()
         if whole.is_relative_to(Path.cwd()):
             shown = whole.relative_to(Path.cwd())
-        elif ".." in Path(path).parts:  # written by a mission file, not by a person
+        elif ".." in Path(path).parts:  # from a mission file, not typed by the operator
             shown = whole
     return printable(str(shown))
 
 
 def _is_packaged(path: Path) -> bool:
     taken = path.resolve()
-    # In a checkout the packaged file is the folder's own as well.
+    # In a checkout the packaged file is also the folder's own.
     return taken == packaged("configs", "dart.yaml").resolve() and taken != _LOCAL.resolve()
 
 
 def passed_over(source: VehicleSource) -> list[str]:
-    """Configurations that a person may have meant where the packaged one was taken.
+    """Return configurations that the operator may have meant although the packaged one is used.
 
-    That of $DART_FLIGHT_CONFIG, and those in the working folder and its `configs/`, as paths; none where the
-    packaged one was not taken.
+    Candidates are the file in $DART_FLIGHT_CONFIG and those in the working folder and its `configs/`, as
+    paths. The result is empty unless the packaged configuration is used.
     """
     if not source.packaged:
         return []
@@ -100,7 +101,7 @@ def passed_over(source: VehicleSource) -> list[str]:
 
 
 def _is_vehicle(path: Path) -> bool:
-    """Whether a file looks like a vehicle configuration: also one with a mistake in it is meant as one."""
+    """Return whether a file looks like a vehicle configuration, even one with an error."""
     try:
         return kind_of_tree(Document.load(path).tree) is FileKind.CONFIGURATION
     except InputError:

@@ -1,10 +1,10 @@
-"""Keys of the vehicle configuration that are constants now.
+"""Retired keys of the vehicle configuration, which are now constants.
 
-A file that has one keeps loading for one release: the key is left out, with one line that says so. Then its
-row goes, and the key is unknown like any other. The constant stands with its reason in the module that uses
-it; a test holds the values to each other.
+For one release a file with such a key still loads: the key is ignored with a warning. Then its row is
+removed, and the key becomes unknown. The constant and its reason are in the module that uses it; a test
+compares the values.
 
-To retire a key, take it out of its type and of configs/dart.yaml, and add a row here.
+To retire a key, remove it from its type and from configs/dart.yaml, and add a row here.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ from dart_flight.config.document import Document
 
 
 class RetiredKeyWarning(UserWarning):
-    """A file has a key that is a constant now."""
+    """Warning that a file contains a key that is now a constant."""
 
 
 class RetiredKey(NamedTuple):
-    """A constant that was a key.
+    """The constant that replaced a key.
 
     Attributes:
         value: of the constant.
-        constant: module below `dart_flight`, and name in it.
+        constant: module below `dart_flight`, and name of the constant.
     """
 
     value: Any
@@ -92,13 +92,13 @@ RETIRED: Final[Mapping[str, RetiredKey]] = {
 
 
 def take_out_retired(tree: dict[str, Any]) -> dict[str, Any]:
-    """Take the retired keys out of a configuration.
+    """Remove the retired keys from a configuration.
 
     Args:
-        tree: as in a file; changed in place. Sections that are empty then go, too.
+        tree: content of a file; changed in place. Sections that become empty are removed as well.
 
     Returns:
-        The values that were given, by dotted key.
+        The removed values, by dotted key.
     """
     found: dict[str, Any] = {}
     for key in RETIRED:
@@ -115,24 +115,24 @@ def take_out_retired(tree: dict[str, Any]) -> dict[str, Any]:
 
 
 def leave_out_retired(document: Document) -> None:
-    """Take the retired keys out of a vehicle's document and warn of them.
+    """Remove the retired keys from a vehicle's document and warn about them.
 
-    A key with another value than its constant gets a line of its own; all others share one.
+    A key whose value differs from its constant has a separate warning; all others share one.
     """
     found = take_out_retired(document.tree)
     same = [key for key, value in found.items() if value == RETIRED[key].value]
     if len(same) > 1:
-        says = f"{len(same)} keys are ignored, they are fixed at these values now: remove {', '.join(same)}"
-        warnings.warn(document.error((), says).one_line(), RetiredKeyWarning, stacklevel=2)
+        text = f"{len(same)} keys are ignored, they are fixed at these values now: remove {', '.join(same)}"
+        warnings.warn(document.error((), text).one_line(), RetiredKeyWarning, stacklevel=2)
     for key in found:
         if len(same) > 1 and key in same:
             continue
-        says = f"is ignored, it is fixed at {json.dumps(RETIRED[key].value)} now: remove it"
-        warnings.warn(document.error(tuple(key.split(".")), says).one_line(), RetiredKeyWarning, stacklevel=2)
+        text = f"is ignored, it is fixed at {json.dumps(RETIRED[key].value)} now: remove it"
+        warnings.warn(document.error(tuple(key.split(".")), text).one_line(), RetiredKeyWarning, stacklevel=2)
 
 
 def changed_retired(tree: dict[str, Any]) -> list[str]:
-    """Return, as text, the retired keys that a configuration had at other values; it loses them all."""
+    """Remove the retired keys from a configuration, and describe those that differ from their constants."""
     found = take_out_retired(tree)
     return [
         f"{key} was {json.dumps(value)} and is {json.dumps(RETIRED[key].value)} now"

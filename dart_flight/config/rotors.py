@@ -1,4 +1,4 @@
-"""The motors of an airframe in PX4's parameters (CA_ROTOR*), both ways and compared."""
+"""The motors of an airframe as PX4 parameters (CA_ROTOR*): conversion in both directions, and comparison."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from dart_flight.config.vehicle import Motor
 COUNT = "CA_ROTOR_COUNT"
 MAV_TYPES = {4: 2, 6: 13, 8: 14}  # motors: quadrotor, hexarotor, octorotor
 _AXES = ("PX", "PY", "KM")
-_MAX = 12  # of PX4
+_MAX = 12  # PX4's maximum
 _PLACE_TOLERANCE_M = 0.03
-_KM_TOLERANCE = 0.5  # share: PX4 ships one value for every propeller
+_KM_TOLERANCE = 0.5  # relative tolerance: PX4 ships one value for all propellers
 
 
 def rotor_parameters(motors: Sequence[Motor]) -> dict[str, int | float]:
-    """PX4's parameters of these motors."""
+    """Return PX4's parameters of these motors."""
     parameters: dict[str, int | float] = {COUNT: len(motors)}
     for i, motor in enumerate(motors):
         values = (motor.x_m, motor.y_m, motor.yaw_torque_per_thrust_m)
@@ -25,15 +25,15 @@ def rotor_parameters(motors: Sequence[Motor]) -> dict[str, int | float]:
 
 
 def rotor_names(count: float) -> list[str]:
-    """Names of the parameters of so many motors, as CA_ROTOR_COUNT has it."""
+    """Return the names of the parameters of `count` motors (CA_ROTOR_COUNT)."""
     return [f"CA_ROTOR{i}_{axis}" for i in range(min(_MAX, round(count))) for axis in _AXES]
 
 
 def motors_of(parameters: Mapping[str, float], source: str) -> tuple[Motor, ...]:
-    """The motors that PX4 has, from its parameters.
+    """Return PX4's motors from its parameters.
 
     Raises:
-        InputError: they do not say how many motors there are, or where one is.
+        InputError: the parameters lack the number of motors or a position.
     """
     if not parameters.get(COUNT):
         raise InputError(f"has no {COUNT}: PX4 older than 1.13, or not a multicopter", source=source)
@@ -46,15 +46,15 @@ def motors_of(parameters: Mapping[str, float], source: str) -> tuple[Motor, ...]
 
 
 def rotor_differences(motors: Sequence[Motor], actual: Sequence[Motor]) -> tuple[list[str], list[str]]:
-    """Where PX4's airframe is not the configuration's.
+    """Compare PX4's airframe with the configuration's.
 
     Args:
-        motors: of the configuration.
-        actual: PX4's.
+        motors: motors of the configuration.
+        actual: motors of PX4.
 
     Returns:
-        In words: another vehicle (another number of motors, one on another side or turning the other way
-        round), and the same one with other sizes.
+        Two lists of messages: differences that mean another vehicle (number of motors, sides, directions of
+            rotation), and different sizes of the same vehicle.
     """
     if len(motors) != len(actual):
         return [f"PX4 has {len(actual)} motors, the configuration {len(motors)}"], []

@@ -1,12 +1,12 @@
-"""Base of everything that is read from a YAML file.
+"""Base of all sections that are read from YAML files.
 
-A key's meaning stands once: under `Attributes:` in the docstring of its section, beside the types. From
-there it goes into the JSON Schemas, the tables in docs/ and the comments of configs/dart.yaml (`make docs`).
-It says what the key's name does not: what is meant, sign and frame, what null does; the unit where the name
-has none. A key whose type is a section needs none where the section's own docstring says it.
+The meaning of a key is written once, under `Attributes:` in the docstring of its section, beside its type.
+From there it is copied to the JSON Schemas, the tables in docs/ and the comments of configs/dart.yaml (`make
+docs`). It states what the name of the key does not: meaning, sign, frame, effect of null, and the unit if the
+name has none. A key whose type is a section needs no entry if the docstring of that section explains it.
 
-A key that comes later has a default: what files and logs without it mean. Where the key changes what is
-decided, that is the value with which nothing changes, and the shipped configurations say the better one.
+A key that is added later has a default, which applies to files and logs without it. If the key changes
+decisions, the default keeps the old behaviour, and the shipped configurations set the better value.
 """
 
 from __future__ import annotations
@@ -17,8 +17,7 @@ from typing import Annotated, Any
 import msgspec
 from msgspec import Meta
 
-# Every number has two ends: what lies beyond is a slip of the unit (130 for 0.13) or of the key.
-# Where a key's own range is not known better, these hold.
+# Every number has two bounds, which catch a wrong unit (130 for 0.13). These are the default bounds.
 Seconds = Annotated[float, Meta(gt=0.0, le=600.0)]
 SecondsOrZero = Annotated[float, Meta(ge=0.0, le=600.0)]
 Metres = Annotated[float, Meta(gt=0.0, le=100.0)]
@@ -28,7 +27,7 @@ Fraction = Annotated[float, Meta(ge=0.0, le=1.0)]
 
 
 class Section(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Base of every part of a file: frozen, unknown keys refused."""
+    """Base of every section of a file: immutable, without unknown keys."""
 
 
 def without_defaults(value: Any) -> Any:
@@ -51,8 +50,9 @@ def _default_of(field: msgspec.structs.FieldInfo) -> Any:
 
 
 def keys_of(section: Section, kind: type[Section]) -> dict[str, Any]:
-    """The values of the keys that a section shares with others of its kind, by name.
+    """Return the values of the keys that a section shares with others of its kind, by name.
 
-    What a file and what is made of it share goes both ways through this, so that no key is forgotten on one.
+    Conversions in both directions between a file and its resolved form use this function, so that neither
+    loses a key.
     """
     return {name: getattr(section, name) for name in kind.__struct_fields__}

@@ -1,4 +1,4 @@
-"""Keys of a vehicle configuration or of a mission changed before they are validated: `--set`, `replace`."""
+"""Changes of keys in a vehicle configuration or a mission before validation: `--set` and `replace`."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ from dart_flight.config.document import Document, InputError, Key, plain, unknow
 
 
 def apply_settings(settings: Sequence[str], *documents: Document) -> list[Document]:
-    """Change documents in place; the first one that has the key's first part is changed.
+    """Change documents in place; a setting changes the first document that has the first part of its key.
 
     Args:
         settings: `KEY=VALUE` with a dotted key, such as `detection.force_threshold_n=8`,
             `materials.wood.rigid.k=5000` or `collisions[0].alpha_m_per_n=[0.1, 0.02]`.
-        documents: a vehicle configuration, then perhaps a mission.
+        documents: a vehicle configuration and optionally a mission.
 
     Returns:
         The documents that were changed.
 
     Raises:
-        InputError: a key is unknown, or a setting is not `KEY=VALUE`. What a key's type refuses is found by
-            `Document.convert`, and named by the setting.
+        InputError: a key is unknown, or a setting is not `KEY=VALUE`. `Document.convert` finds values of the
+            wrong type and names the setting.
     """
     changed: list[Document] = []
     for setting in settings:
@@ -41,17 +41,17 @@ def apply_changes(changes: Mapping[str, Any], document: Document) -> None:
     """Change a document in place, from Python.
 
     Args:
-        changes: dotted key, as in `--set`, to its value.
-        document: whose keys these are. A section that it leaves out is made.
+        changes: value by dotted key, as in `--set`.
+        document: the document. A missing section is created.
 
     Raises:
-        InputError: a key is unknown, or a value is none that a file can hold.
+        InputError: a key is unknown, or a file cannot store a value.
     """
     for name, value in changes.items():
-        key, said = _key(name), f"{name}={value!s:.60}"
+        key, setting = _key(name), f"{name}={value!s:.60}"
         if not key:
             raise InputError(f"{name!r} is not a key")
-        _set(document, key, plain(value, key), said)
+        _set(document, key, plain(value, key), setting)
 
 
 def _settable(document: Document) -> set[str]:
@@ -71,38 +71,38 @@ def _parse_setting(setting: str) -> tuple[Key, Any]:
 
 
 def _key(name: str) -> Key:
-    """`collisions[0].mode` in its parts."""
+    """Return the parts of a key such as `collisions[0].mode`."""
     parts = re.findall(r"[^.\[\]]+", name.strip())
     return tuple(int(part) if part.isdigit() else part for part in parts)
 
 
-def _set(document: Document, key: Key, value: Any, said: str) -> None:
-    """Put a value into a document; `said` is how errors name it."""
-    document.set_by[key] = said
+def _set(document: Document, key: Key, value: Any, setting: str) -> None:
+    """Set a value in a document; errors name the change by `setting`."""
+    document.set_by[key] = setting
     node: Any = document.tree
     for part in key[:-1]:
-        node = _child(node, part, said)
+        node = _child(node, part, setting)
     last = key[-1]
     if isinstance(node, list):
-        _child(node, last, said)
+        _child(node, last, setting)
         node[int(last)] = value
     elif isinstance(node, dict):
         node[str(last)] = value
     else:
-        raise InputError(f"{said}: there is nothing below {key[-2]}")
+        raise InputError(f"{setting}: there is nothing below {key[-2]}")
 
 
-def _child(node: Any, part: str | int, said: str) -> Any:
+def _child(node: Any, part: str | int, setting: str) -> Any:
     if isinstance(node, dict) and node.get(str(part)) is not None:
         return node[str(part)]
     if isinstance(node, dict) and (
         str(part) in node or not difflib.get_close_matches(str(part), list(map(str, node)))
     ):
-        # A section that the file leaves out, or has as null: whether there is such a one, its type knows.
+        # A missing or null section: its type checks later whether it exists.
         node[str(part)] = {}
         return node[str(part)]
     if isinstance(node, list) and isinstance(part, int) and part < len(node):
         return node[part]
     if isinstance(node, list):
-        raise InputError(f"{said}: unknown key {part}, known: 0 to {len(node) - 1}")
-    raise InputError(f"{said}: {unknown_name(str(part), list(node or ()), 'key')}")
+        raise InputError(f"{setting}: unknown key {part}, known: 0 to {len(node) - 1}")
+    raise InputError(f"{setting}: {unknown_name(str(part), list(node or ()), 'key')}")

@@ -1,9 +1,9 @@
-"""The files a new user starts from: those of `configs/`, `missions/` and `docs/schemas/`, in the same places.
+"""The files of a new project: those of `configs/`, `missions/` and `docs/schemas/`, at the same paths.
 
-The places are kept because the files name each other by relative paths: a mission its configuration, and the
-first line of each its schema for the editor. What is called as a vehicle (`configs/rigid_cage.yaml`, the
-folder `missions/rigid_cage`) is that vehicle's, and so is what its configuration extends; what is called as
-none is DART's, PX4's parameters and the schemas are everybody's.
+The paths are preserved because the files refer to each other by relative paths: a mission to its
+configuration, and the first line of each file to its schema. A file named after a vehicle
+(`configs/rigid_cage.yaml`, the folder `missions/rigid_cage`) belongs to that vehicle, with the configuration
+that it extends. Other files belong to DART; PX4's parameters and the schemas are common.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from dart_flight.config.vehicle import packaged
 from dart_flight.config.vehicle.configuration import base_of
 
 DART = "dart"
-# DART, and those that have missions of their own.
+# DART, and the vehicles with missions
 VEHICLES = (DART, "rigid_cage", "ring_guard_250g")
 
 _PARTS = (("configs", ".yaml"), ("configs", ".params"), ("missions", ".yaml"), ("docs/schemas", ".json"))
@@ -23,7 +23,7 @@ _SHARED = (".params", ".json")
 
 
 def starter_files(vehicle: str = DART) -> dict[Path, Path]:
-    """Relative path in the new folder -> packaged file, in order.
+    """Return the packaged file of each relative path in the new folder, in order.
 
     Raises:
         InputError: there is no such vehicle.
@@ -45,21 +45,21 @@ def starter_files(vehicle: str = DART) -> dict[Path, Path]:
 
 
 def _owner(relative: Path) -> str:
-    """The vehicle that a file belongs to."""
+    """Return the vehicle that a file belongs to."""
     named = {*relative.parent.parts, relative.stem}
     return next((name for name in VEHICLES if name in named), DART)
 
 
 def first_mission(vehicle: str) -> Path:
-    """The mission to begin with, relative to the new folder."""
+    """Return the path of the introductory mission, relative to the new folder."""
     return Path("missions/dual_collision.yaml" if vehicle == DART else f"missions/{vehicle}/single_wall.yaml")
 
 
 def write_starter(directory: Path, vehicle: str = DART) -> list[Path]:
-    """Copy the starter files of a vehicle into a folder, which is made if need be. Returns what was written.
+    """Copy the starter files of a vehicle into a folder, and return the written paths.
 
     Raises:
-        InputError: there is no such vehicle, a file is already there (then nothing is written), or the folder
+        InputError: there is no such vehicle, a file exists already (then nothing is written), or the folder
             cannot be written.
     """
     files = {directory / relative: source for relative, source in starter_files(vehicle).items()}

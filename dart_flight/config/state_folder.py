@@ -1,4 +1,4 @@
-"""The state folder: what outlives a process, and files in it that say which process has what.
+"""The state folder: data that outlives a process, and files that mark which process holds a resource.
 
 It is `$DART_FLIGHT_STATE_DIR`, by default in the XDG state folder.
 """
@@ -22,7 +22,7 @@ REMEDY = "set DART_FLIGHT_STATE_DIR to a local disk"
 
 
 def state_dir() -> Path:
-    """`$DART_FLIGHT_STATE_DIR`, else `$XDG_STATE_HOME/dart-flight`, else `~/.local/state/dart-flight`."""
+    """Return `$DART_FLIGHT_STATE_DIR`, `$XDG_STATE_HOME/dart-flight` or `~/.local/state/dart-flight`."""
     named = os.environ.get("DART_FLIGHT_STATE_DIR")
     if named:
         return Path(named)
@@ -31,10 +31,10 @@ def state_dir() -> Path:
 
 
 def usable(folder: Path) -> Path:
-    """The folder, made where it is missing.
+    """Return the folder; create it if it is missing.
 
     Raises:
-        InputError: it cannot be made.
+        InputError: it cannot be created.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -68,10 +68,10 @@ def lock_file(descriptor: int, path: Path, remedy: str, *, shared: bool = False)
 
 
 class HeldError(Exception):
-    """Another holder has the file.
+    """Another process or part of this one holds the file.
 
     Attributes:
-        content: what it wrote into it; empty where it wrote nothing yet.
+        content: content written by the holder; empty if it has not written yet.
     """
 
     def __init__(self, content: bytes) -> None:
@@ -80,13 +80,13 @@ class HeldError(Exception):
 
 
 class HeldFile:
-    """An advisory lock on a file, and in it what its holder says of itself.
+    """An advisory lock on a file that contains a description of its holder.
 
-    The kernel gives it back when the process ends, however it ends. Two parts of one process exclude each
-    other as well; a forked child does not keep what its parent held.
+    The kernel releases the lock when the process ends for any reason. Two parts of one process exclude each
+    other as well. A forked child does not inherit the locks of its parent.
 
     Args:
-        path: the file; made on acquiring, removed on release.
+        path: the file; created by `acquire`, removed by `release`.
     """
 
     def __init__(self, path: Path) -> None:
@@ -94,24 +94,24 @@ class HeldFile:
         self._descriptor: int | None = None
 
     def acquire(self, content: bytes) -> None:
-        """Take it and write who has it.
+        """Acquire the lock and write the description of the holder.
 
         Args:
-            content: what to write.
+            content: description to write.
 
         Raises:
-            HeldError: it is held.
-            InputError: it cannot be written.
+            HeldError: another holder has the lock.
+            InputError: the file cannot be written.
         """
         other = b""
         for attempt in range(_ATTEMPTS):
-            if attempt:  # the holder may be a program that only checks the lock
+            if attempt:  # the holder may only be checking the lock
                 time.sleep(_PAUSE_S)
             descriptor = self._open()
             try:
                 if not lock_file(descriptor, self._path, REMEDY):
                     other = os.pread(descriptor, _LONGEST, 0)
-                elif _is_at(descriptor, self._path):  # otherwise the holder has removed it meanwhile
+                elif _is_at(descriptor, self._path):  # otherwise the previous holder has removed the file
                     self._descriptor = descriptor
                     break
             finally:
@@ -140,14 +140,14 @@ class HeldFile:
             raise InputError(f"cannot write: {error.strerror}; {REMEDY}", source=str(self._path)) from None
 
     def release(self) -> None:
-        """Unlock and remove the file, if it is held. A file that cannot be removed stays, unlocked."""
+        """Unlock and remove the file, if it is held; a file that cannot be removed stays, unlocked."""
         if self._descriptor is not None:
             with contextlib.suppress(OSError):
                 self._path.unlink()
             self.drop()
 
     def drop(self) -> None:
-        """Forget it without giving it back: what a forked child does."""
+        """Close the file without releasing the lock, as in a forked child."""
         if self._descriptor is not None:
             os.close(self._descriptor)
             self._descriptor = None
@@ -162,15 +162,15 @@ class HeldFile:
 
 
 class Lease(ABC):
-    """The right to something that only one program may have, as a context: taken on entering, given back."""
+    """An exclusive right, as a context manager that acquires and releases it."""
 
     @abstractmethod
     def acquire(self) -> None:
-        """Take it."""
+        """Acquire the right."""
 
     @abstractmethod
     def release(self) -> None:
-        """Give it back; harmless when it is not held."""
+        """Release the right; has no effect if it is not held."""
 
     def __enter__(self) -> Self:
         self.acquire()
@@ -202,10 +202,10 @@ def content_of_held(path: Path) -> bytes | None:
 
 
 def _is_at(descriptor: int, path: Path) -> bool:
-    """Whether a path still leads to an open file.
+    """Return whether a path leads to an open file.
 
     Raises:
-        InputError: the path cannot be looked at.
+        InputError: the path cannot be read.
     """
     try:
         return os.path.samestat(os.fstat(descriptor), os.stat(path))
@@ -223,5 +223,5 @@ def _drop_all() -> None:
         held.drop()
 
 
-# flock belongs to the open file, which a forked child shares: it would outlive a parent that died.
+# A forked child shares the open file and its flock, which would otherwise outlive the parent.
 os.register_at_fork(after_in_child=_drop_all)

@@ -1,8 +1,8 @@
-"""The unit that a name says: of a key, of a record's field, of a figure."""
+"""Units from names: of a key, of a record's field, of a figure."""
 
 from __future__ import annotations
 
-# Endings of names; the longest that fits counts.
+# Units by the ending of a name; the longest match counts.
 _ENDINGS = {
     "_m_per_n": "m/N",
     "_n_per_rpm2": "N/rpm²",
@@ -31,16 +31,16 @@ _ENDINGS = {
     "_s": "s",
     "_v": "V",
 }
-# Coefficients go by the paper's letters.
+# Coefficients have the paper's letters.
 COEFFICIENTS = {"k": "N/m", "f": "N s/m", "mu": "s/m", "nu": "N"}
 
 
 def parted(name: str) -> tuple[str, str]:
-    """A name without the ending that says its unit, and the unit; empty where the name says none."""
+    """Return a name without its unit ending, and the unit; empty if the name has none."""
     end = max((end for end in _ENDINGS if name.endswith(end)), key=len, default="")
     return name.removesuffix(end), _ENDINGS.get(end, "")
 
 
 def unit_of(name: str) -> str:
-    """The unit of a number by the name of its key; empty where the name says none."""
+    """Return the unit of a number from the name of its key, or an empty string."""
     return COEFFICIENTS.get(name) or parted(name)[1]

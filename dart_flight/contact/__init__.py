@@ -1,1 +1,1 @@
-"""The contact model: the complementarity law, its solutions, and its coefficients from data."""
+"""The contact model: the complementarity law, its closed-form solutions, and sets of coefficients."""

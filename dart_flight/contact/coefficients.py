@@ -1,4 +1,4 @@
-"""Contact coefficients of many collisions at once."""
+"""Contact coefficients of many collisions as arrays."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ class CoefficientArrays(NamedTuple):
 
     @classmethod
     def of(cls, table: Coefficients | Sequence[Coefficients]) -> CoefficientArrays:
-        """One set as arrays without dimension, or a table of n sets (mode, material) as arrays (n,)."""
+        """Return one set as zero-dimensional arrays, or n sets (mode, material) as arrays of shape (n,)."""
         if isinstance(table, Coefficients):
             return cls(*(np.asarray(v, dtype=float) for v in (table.k, table.f, table.mu, table.nu)))
         return cls(*(np.array([getattr(row, name) for row in table], dtype=float) for name in cls._fields))
 
     @property
     def lead_s(self) -> Array:
-        """`Coefficients.lead_s`, each."""
+        """`Coefficients.lead_s` of every set."""
         return self.f / self.k
 
     def take(self, rows: Rows) -> CoefficientArrays:
-        """The sets of the given rows, one per collision."""
+        """Return the sets of the given rows, one per collision."""
         return CoefficientArrays(*(values[rows] for values in self))

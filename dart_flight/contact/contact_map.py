@@ -1,4 +1,4 @@
-"""The collision map in closed form: approach in, rebound, times, forces and impulse out, vectorised.
+"""The collision map in closed form, vectorised: from approach velocity to rebound, times, forces and impulse.
 
 In contact the law (paper, Sec. IV-B) is a damped oscillator with a one-sided force. With x the signed
 distance to the plane of first touch, a the other acceleration along the normal (gravity in a drop, the
@@ -7,20 +7,20 @@ controller's push in flight), and
     omega = sqrt(k/m),  zeta = f / (2 sqrt(k m)),  x = m a / k + (V/omega) xi(tau),  tau = omega t,
 
 the force is lx = m V omega (phi - alpha), phi = xi'', alpha = a / (V omega), and phi, xi, xi' all solve
-z'' + 2 zeta z' + z = 0. So every event (peak, deepest point, release) is a zero of such a solution.
+z'' + 2 zeta z' + z = 0. Every event (peak, deepest point, release) is therefore a zero of such a solution.
 
-Without a, V is the approach speed and the whole contact depends on zeta alone: with theta = acos(zeta),
+Without a, V is the approach speed and the contact depends on zeta alone. With theta = acos(zeta),
 w = sqrt(1 - zeta^2) and A = theta / w,
 
                        onset lcp                     onset touch
     contact time       pi / w                        2 A
     restitution        exp(-zeta pi / w)             exp(-2 zeta A)
     deepest point      exp(-zeta (pi / w - A))       exp(-zeta A)
-    peak force         exp(-zeta A)                  exp(-zeta (3 A - pi / w)), from zeta = 1/2 on 2 zeta
+    peak force         exp(-zeta A)                  exp(-zeta (3 A - pi / w)); 2 zeta if zeta >= 1/2
 
-(in units of 1/omega, 1, V/omega and m V omega). From critical damping on an `lcp` contact never lets go: its
-time is infinite, its exit speed 0. The peak of the friction force and, with a, the release have no elementary
-form; both are found by a safeguarded Newton iteration to machine precision.
+(in units of 1/omega, 1, V/omega and m V omega). At and above critical damping an `lcp` contact never ends:
+its contact time is infinite and its exit speed is 0. The peak of the friction force and, with a, the release
+have no elementary form. A safeguarded Newton iteration finds both to machine precision.
 
 All arrays are float64. Frame: the wall's collision frame (`base/walls.py`); normal < 0 approaches.
 """
@@ -52,19 +52,19 @@ from dart_flight.contact.oscillator import (
 
 T = TypeVar("T")
 
-# Collisions worked on at a time: the temporaries of one chunk stay in the processor's second-level cache.
+# Collisions per chunk: the temporaries of one chunk fit in the second-level cache.
 _CHUNK = 4096
 _NEWTON_STEPS = 60
 _NEAR_CRITICAL = 1e-8  # of 1 - zeta^2
 
 
 class WallHit(NamedTuple, Generic[T]):
-    """What comes out of a wall hit, in the collision frame; `T` is an array or a float.
+    """Result of a wall hit in the collision frame; `T` is an array or a float.
 
     Attributes:
         normal_out_m_s, tangential_out_m_s: velocity when the force returns to zero.
-        contact_time_s: how long the force is above zero; infinite where the wall is never left.
-        penetration_m: how far the vehicle's centre goes behind its plane of first touch.
+        contact_time_s: time during which the force is above zero; infinite if the vehicle stays at the wall.
+        penetration_m: largest distance of the vehicle's centre behind its plane of first touch.
         peak_normal_force_n: largest lx.
         peak_friction_force_n: largest |ly|.
         impulse_n_s: time integral of lx.
@@ -82,15 +82,15 @@ class WallHit(NamedTuple, Generic[T]):
 
 
 class Drop(NamedTuple, Generic[T]):
-    """What comes out of a drop; `T` is an array or a float.
+    """Result of a drop; `T` is an array or a float.
 
     Attributes:
-        contact_time_s: how long the force is above zero; infinite where the vehicle stays down.
-        max_rebound_speed_m_s: largest upward speed, reached in contact where lx = m g.
+        contact_time_s: time during which the force is above zero; infinite if the vehicle stays down.
+        max_rebound_speed_m_s: largest upward speed, reached in contact at lx = m g.
         peak_force_n: largest lx.
-        penetration_m: how far the vehicle's centre goes below its plane of first touch.
+        penetration_m: largest distance of the vehicle's centre below its plane of first touch.
         impulse_n_s: time integral of lx.
-        onset_s: from the release to the first force.
+        onset_s: time from the release to the first force.
         onset_speed_m_s: speed (positive) at the first force.
     """
 
@@ -103,11 +103,11 @@ class Drop(NamedTuple, Generic[T]):
     onset_speed_m_s: T
 
 
-# --- without other acceleration: everything but the friction peak is linear in the approach speed ----------
+# --- without other acceleration: every result but the friction peak is linear in the approach speed --------
 
 
 class _Shape(NamedTuple):
-    """What depends on coefficients and mass alone, one value per set."""
+    """Quantities that depend on coefficients and mass alone, one value per set."""
 
     restitution: Array
     contact_time: Array
@@ -118,10 +118,10 @@ class _Shape(NamedTuple):
     mu: Array
     nu: Array
     zeta: Array
-    w: Array  # 1 from (nearly) critical damping on, where other formulas hold
-    late_decay: Array  # exp(-zeta tau) at the force peak of the lcp course
-    scale: Array  # `touch` is the `lcp` course entered late, at a speed this many times higher
-    entry: Array  # the largest r = phi'/phi that occurs, at the onset (infinite for lcp)
+    w: Array  # 1 at and above (nearly) critical damping, where other formulas hold
+    late_decay: Array  # exp(-zeta tau) at the force peak of the lcp solution
+    scale: Array  # `touch` is the `lcp` solution entered late, at a speed higher by this factor
+    entry: Array  # the largest possible r = phi'/phi, at the onset (infinite for lcp)
 
 
 def _shape(c: CoefficientArrays, mass: Array, onset: Onset) -> _Shape:
@@ -135,7 +135,7 @@ def _shape(c: CoefficientArrays, mass: Array, onset: Onset) -> _Shape:
         peak = late_decay
         scale, entry = np.ones_like(zeta), np.full_like(zeta, math.inf)
     else:
-        light = zeta < 0.5  # else the force falls from the onset on
+        light = zeta < 0.5  # if not, the force falls from the onset
         time = 2.0 * quarter
         depth = late_decay
         scale = np.exp(zeta * np.where(light, half - time, 0.0))
@@ -161,14 +161,14 @@ def _shape(c: CoefficientArrays, mass: Array, onset: Onset) -> _Shape:
 
 
 def _friction_peak(mu_speed: Array, s: _Shape) -> Array:
-    """Largest phi exp(-mu V (1 + xi')) of a contact, to machine precision.
+    """Return the largest phi exp(-mu V (1 + xi')) of a contact, to machine precision.
 
-    The stationary point is r = c phi with r = phi'/phi and c = mu V. As r falls monotonically in time, take
-    it as the unknown: phi and xi' are elementary in it,
+    The stationary point is r = c phi with r = phi'/phi and c = mu V. r falls monotonically in time and is
+    therefore used as the unknown: phi and xi' are elementary in it,
         tau = acot((zeta + r)/w)/w,   Q = 1 + 2 zeta r + r^2,   phi = exp(-zeta tau)/sqrt(Q),
-        xi' = -phi (r + 2 zeta),
-    and Newton solves r Q = c sqrt(Q) exp(-zeta tau), at any damping. `touch` is the same course at c * scale,
-    cut off at its entry.
+        xi' = -phi (r + 2 zeta).
+    Newton's method solves r Q = c sqrt(Q) exp(-zeta tau) at any damping. `touch` is the same solution at c *
+    scale, cut off at its entry.
     """
     two_zeta = 2.0 * s.zeta
     rate = -s.zeta / s.w
@@ -181,8 +181,8 @@ def _friction_peak(mu_speed: Array, s: _Shape) -> Array:
         return np.exp(rate * np.arctan(s.w / y))
 
     c = mu_speed * s.scale
-    # Without damping the equation is quadratic; damping enters the guess by its value at c = 0, `late_decay`,
-    # fading towards large c, where the peak is early. 1e-150 keeps y above 0 where nothing damps or rubs.
+    # Without damping the equation is quadratic; `late_decay` adds the damping to the guess where c is small.
+    # 1e-150 keeps y above 0 without damping and friction.
     near = 0.5 * c
     guess = c * (s.late_decay + near) / (1.0 + near)
     r = math.sqrt(2.0) * guess / np.sqrt(1.0 + np.sqrt(1.0 + 4.0 * guess * guess)) + 1e-150
@@ -190,8 +190,7 @@ def _friction_peak(mu_speed: Array, s: _Shape) -> Array:
         q = 1.0 + r * (two_zeta + r)
         step = (r * q - c * np.sqrt(q) * decay(r)) / (q + r * r)
         r = np.maximum(r - step, 1e-150)
-        # Newton squares the error and the value is stationary in r: 1e-3 now is 1e-6 in r, 1e-12 in the value
-        # (1e-14 at the damping of any real arm).
+        # The value is stationary in r and Newton squares the error: a step of 1e-3 leaves an error of 1e-12.
         if bool((np.abs(step) <= 1e-3 * r).all()):
             break
     xi1 = two_zeta + r
@@ -202,7 +201,7 @@ def _friction_peak(mu_speed: Array, s: _Shape) -> Array:
 
 
 def _acot(y: Array, zeta: Array) -> Array:
-    """acot(y/w)/w for y >= zeta, w^2 = 1 - zeta^2 of either sign: acoth where negative, a series about 0."""
+    """Return acot(y/w)/w for y >= zeta, w^2 = 1 - zeta^2: acoth if w^2 is negative, a series near 0."""
     w2 = (1.0 - zeta) * (1.0 + zeta)
     w = np.sqrt(np.maximum(np.abs(w2), 0.1 * _NEAR_CRITICAL))
     over = 0.5 * np.log1p(2.0 * w / np.maximum(y - w, 1e-300)) / w
@@ -233,9 +232,9 @@ def _free(s: _Shape, normal: Array, tangential: Array) -> tuple[Array, ...]:
 def _pushed(
     c: CoefficientArrays, mass: Array, onset: Onset, state: tuple[Array, Array, Array]
 ) -> tuple[tuple[Array, ...], Array]:
-    """The eight arrays of `WallHit`, and the largest outward speed in contact.
+    """Return the eight arrays of `WallHit`, and the largest outward speed in contact.
 
-    `state` is normal and tangential velocity and the acceleration.
+    `state` is the normal velocity, the tangential velocity and the acceleration.
     """
     normal, tangential, acceleration = state
     course = enter(c, mass, normal, onset, acceleration)
@@ -249,7 +248,7 @@ def _pushed(
     end = np.where(stays, 0.0, events.end)
     gained = np.maximum(xi1_end + course.u - course.alpha * end, 0.0) + held
     impulse = np.where(hits, mass * v * gained, 0.0)
-    rubs = hits & (c.mu > 0.0)  # no 0 * inf
+    rubs = hits & (c.mu > 0.0)  # avoids 0 * inf
     slip_out = tangential * np.exp(-c.mu * v * np.where(rubs, gained, 0.0))
 
     deepest = np.minimum(first_zero(course, -course.u, course.phi0), events.end)
@@ -273,7 +272,7 @@ def _pushed(
 
 
 def _pushed_friction_peak(c: Oscillation, events: ContactTimes, rub: Array) -> Array:
-    """Largest l exp(-rub P) with l = phi - alpha, P its integral: stationary where l' = rub l^2."""
+    """Return the largest l exp(-rub P), l = phi - alpha, P its integral; it is stationary at l' = rub l^2."""
 
     def excess(tau: Array) -> tuple[Array, Array]:
         phi, slope, _ = motion(c, tau)
@@ -301,7 +300,7 @@ def _require(c: CoefficientArrays, mass: Array, *inputs: Array) -> None:
 
 
 class _Batch:
-    """Inputs of any shapes as flat arrays of one length, handed out in chunks."""
+    """Inputs of any shapes as flat arrays of one length, divided into chunks."""
 
     def __init__(
         self, c: CoefficientArrays, mass: Array, rows: Rows | None, inputs: tuple[Array, ...]
@@ -320,15 +319,15 @@ class _Batch:
 
     @property
     def is_table(self) -> bool:
-        """Whether what depends on coefficients alone is worth computing once per set."""
+        """Whether coefficient-only quantities are worth computing once per set."""
         return self.rows is not None or self.mass.size == 1
 
     def parts(self) -> list[slice]:
-        """Slices of the impacts, at most `_CHUNK` each."""
+        """Return slices of the impacts, at most `_CHUNK` long."""
         return [slice(i, min(i + _CHUNK, self.size)) for i in range(0, self.size, _CHUNK)]
 
     def coefficients(self, part: slice) -> tuple[CoefficientArrays, Array]:
-        """Coefficients and masses, kg, of one of the `parts`: one each, or one for all."""
+        """Return the coefficients and masses (kg) of a slice: one per impact, or one for all."""
         if self.rows is not None:
             rows = self.rows[part]
             return self.table.take(rows), self.mass[rows]
@@ -347,23 +346,23 @@ def contact_map(
     rows: Rows | None = None,
     acceleration_m_s2: ArrayLike | None = None,
 ) -> WallHit[Array]:
-    """Wall hits (paper, Sec. IV-B) in closed form.
+    """Predict wall hits (paper, Sec. IV-B) in closed form.
 
     Args:
         coefficients: one set, one set per collision (any shape that broadcasts with the velocities), or with
             `rows` a table (n,).
         mass_kg: vehicle mass; broadcasts with `coefficients`.
-        normal_m_s: velocity along the outward normal at the onset, collision frame. One that does not
-            approach does not meet the wall: it comes out as it went in, with no force and no contact time.
+        normal_m_s: velocity along the outward normal at the onset, collision frame. A vehicle that does not
+            approach does not touch the wall: its velocity is unchanged, force and contact time are 0.
         tangential_m_s: velocity along the wall at the onset.
         onset: onset rule.
         rows: for each collision the row of its (mode, material) in the table; broadcasts with the velocities.
         acceleration_m_s2: constant other acceleration along the normal during contact, negative into the wall
-            (the controller's push); None for none. A vehicle that is pushed can come to rest at the wall:
-            contact time and impulse are then infinite, the speeds 0.
+            (the controller's push); None for none. A pushed vehicle can come to rest at the wall: contact
+            time and impulse are then infinite, and the speeds 0.
 
     Returns:
-        Arrays of the broadcast shape. Nothing in them is NaN.
+        Arrays of the broadcast shape, without NaN.
 
     Raises:
         ValueError: an input is not finite, mass or k is not positive, or f, mu or nu is negative.
@@ -395,11 +394,11 @@ def contact_map(
 def friction_per_speed(
     coefficients: CoefficientArrays, mass_kg: float, onset: Onset
 ) -> Callable[[Array], Array]:
-    """One set's peak of the friction force alone, for a planner that asks for it often.
+    """Return a fast function for the peak of the friction force alone, for one set of coefficients.
 
     Returns:
-        A function of the normal velocity (m/s, any shape, < 0 approaches) that gives the peak of the friction
-        force per speed along the wall, N s/m, as `contact_map` has it.
+        A function of the normal velocity (m/s, any shape, < 0 approaches). It returns the peak friction force
+            per speed along the wall, N s/m, as in `contact_map`.
     """
     shape = _shape(coefficients, np.asarray(mass_kg), onset)
 
@@ -419,7 +418,7 @@ def collide(
     *,
     acceleration_m_s2: float = 0.0,
 ) -> WallHit[float]:
-    """One wall hit; arguments, results and errors as `contact_map`."""
+    """Predict one wall hit; arguments, results and errors as in `contact_map`."""
     push = acceleration_m_s2 or None
     table = CoefficientArrays.of(coefficients)
     result = contact_map(table, mass_kg, normal_m_s, tangential_m_s, onset, acceleration_m_s2=push)
@@ -429,9 +428,9 @@ def collide(
 def fall(
     coefficients: CoefficientArrays, mass_kg: ArrayLike, height_m: ArrayLike, onset: Onset
 ) -> tuple[Array, Array]:
-    """Time from the release at rest to the onset of contact, s, and the speed then, m/s (positive).
+    """Return the time from the release at rest to the onset of contact, s, and the speed there, m/s, > 0.
 
-    By `lcp` the force begins above the plane, where k x = f |v|.
+    With `lcp` the force begins above the plane, where k x = f |v|.
     """
     height = np.asarray(height_m, dtype=float)
     mass = np.asarray(mass_kg, dtype=float)
@@ -448,12 +447,12 @@ def fall(
 def drop_map(
     coefficients: CoefficientArrays, mass_kg: ArrayLike, height_m: ArrayLike, onset: Onset
 ) -> Drop[Array]:
-    """Drops on the ground (paper, Sec. III and IV-B) in closed form: gravity along the normal.
+    """Predict drops on the ground (paper, Sec. III and IV-B) in closed form, with gravity along the normal.
 
     Args:
         coefficients: one set, or one per drop (broadcasts with the heights).
         mass_kg: vehicle mass.
-        height_m: of the vehicle's centre above its plane of first touch, where it is released at rest; > 0.
+        height_m: height of the vehicle's centre above its plane of first touch at the release, at rest; > 0.
         onset: onset rule.
 
     Raises:
@@ -479,6 +478,6 @@ def drop_map(
 
 
 def drop(coefficients: Coefficients, mass_kg: float, height_m: float, onset: Onset) -> Drop[float]:
-    """One drop; arguments, results and errors as `drop_map`."""
+    """Predict one drop; arguments, results and errors as in `drop_map`."""
     result = drop_map(CoefficientArrays.of(coefficients), mass_kg, height_m, onset)
     return Drop(*(float(v) for v in result))

@@ -1,20 +1,19 @@
 """The contact law at upright cylinders: posts, and the edges at the ends of a wall.
 
-A wall's surface is met by the guards, each for itself; a guard whose foot lies beyond its end does not meet
-it. What is left there is an edge, a cylinder of small radius whose face is tangent to the surface at its
-end. A cylinder meets the vehicle's outline: the bars between neighbouring guards, as well as the guards.
-Force acts at the outline's nearest point to the axis, along the horizontal normal from the axis to it;
-friction along the horizontal tangent, at the guards' share of its lever.
+A wall's surface acts on each guard separately. A guard whose foot lies beyond the wall's end does not touch
+the surface. The end itself is an edge: a cylinder of small radius whose face is tangent to the surface. A
+cylinder acts on the vehicle's outline, which consists of the guards and the bars between them. The force acts
+at the outline's nearest point to the axis, along the horizontal normal from the axis. Friction acts along the
+horizontal tangent, with the guards' share of its lever.
 
-A bar lies on its two guards' springs, of k/2 and f/2 each. At the fraction s of its length that makes
-k/2 / ((1 - s)^2 + s^2): k/2 at a guard, k in the middle, as where a wall meets both guards. That share is
-settled at the touch and kept while the bar is pressed, and the depth goes on steadily where the axis comes to
-lie within the outline, so that no sliding puts energy in: what a contact has taken up is a function of depth
-alone, 1/2 share k x^2.
+A bar rests on the springs of its two guards, k/2 and f/2 each. At the fraction s of its length the stiffness
+is k/2 / ((1 - s)^2 + s^2): k/2 at a guard, and k in the middle, as at a wall that touches both guards. This
+share is fixed at the touch while the bar is pressed, and the depth stays continuous when the axis enters the
+outline. Sliding therefore adds no energy: the stored energy, 1/2 share k x^2, depends on the depth alone.
 
-For the same reason nothing is pressed that has not come from outside. A guard that went behind the surface
-beside it meets nothing before it has come out again, and so does an edge that a guard stood in for: a bar
-meets no edge while one of its guards is pressed by the surface.
+For the same reason only points that come from outside are pressed. A guard that passed behind the surface
+beside the wall touches nothing until it is outside again. The same holds for an edge whose load a guard has
+carried: a bar touches no edge while the surface presses one of its guards.
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ from dart_flight.config.vehicle import Coefficients
 from dart_flight.contact.law import Onset, normal_force
 from dart_flight.contact.propeller_guards import NEAR_M, UNTOUCHED, Plane, PropellerGuard, Touch
 
-EDGE_RADIUS_M: Final = 0.01  # a sharp edge has no normal; a board's is about as thick
+EDGE_RADIUS_M: Final = 0.01  # a sharp edge has no normal; a board is about this thick
 _DOWN: Final = (0.0, 0.0, 1.0)  # NED
 
 
@@ -40,7 +39,7 @@ class Cylinder(NamedTuple):
 
 
 class Corner(NamedTuple):
-    """A corner of the vehicle's outline: its guard, and the numbers of all guards that are there."""
+    """A corner of the vehicle's outline, with the numbers of all guards at this place."""
 
     guard: PropellerGuard
     numbers: tuple[int, ...]
@@ -50,11 +49,11 @@ class NearestPoint(NamedTuple):
     """The point of an outline that is nearest to a cylinder's axis.
 
     Attributes:
-        x_m: distance to the cylinder's face; negative: so deep in it.
+        x_m: distance to the cylinder's face; negative inside the cylinder.
         normal: NED, horizontal, from the cylinder into the vehicle.
-        guard: the point itself, as a guard there would be, body FRD.
-        share: of the whole side's k and f that bear it.
-        deflections: number of each guard that bears it, and how far that gives way per depth.
+        guard: the point itself as a guard, body FRD.
+        share: share of the whole side's k and f that carries the point.
+        deflections: number of each guard that carries the point, and its deflection per depth.
     """
 
     x_m: float
@@ -65,7 +64,7 @@ class NearestPoint(NamedTuple):
 
 
 class ContactPoint(NamedTuple):
-    """A point of the vehicle and what it may be pressed by.
+    """A point of the vehicle that a surface may press.
 
     Attributes:
         guard: the point, body FRD.
@@ -83,7 +82,7 @@ class ContactPoint(NamedTuple):
 
 
 def outline(guards: Sequence[PropellerGuard]) -> tuple[Corner, ...]:
-    """The vehicle's outline seen from above, clockwise: one corner a place, for all guards that are there."""
+    """Return the vehicle's outline seen from above, clockwise, with one corner per place."""
     places: dict[tuple[float, float], list[int]] = {}
     for number, guard in enumerate(guards):
         places.setdefault((round(guard.at[0], 9), round(guard.at[1], 9)), []).append(number)
@@ -94,17 +93,17 @@ def outline(guards: Sequence[PropellerGuard]) -> tuple[Corner, ...]:
 def nearest_point(
     corners: Sequence[Corner], q: Quaternion, position: Vec3, cylinder: Cylinder
 ) -> NearestPoint:
-    """Where an outline is nearest to a cylinder, or deepest in it.
+    """Return the point of an outline that is nearest to a cylinder, or deepest inside it.
 
     Args:
-        corners: of the outline.
+        corners: corners of the outline.
         q: attitude, body FRD to NED.
         position: of the centre of mass, NED, metres.
-        cylinder: met or not.
+        cylinder: the cylinder, in contact or not.
     """
     ax, ay = cylinder.axis[0] - position[0], cylinder.axis[1] - position[1]
     places = [rotate(q, corner.guard.at) for corner in corners]
-    turn = 1.0 if q[1] * q[1] + q[2] * q[2] < 0.5 else -1.0  # upside down the outline runs the other way
+    turn = 1.0 if q[1] * q[1] + q[2] * q[2] < 0.5 else -1.0  # the outline is reversed when upside down
     least, number, fraction, inside = math.inf, 0, 0.0, len(corners) > 2
     for i, (bx, by, _) in enumerate(places):
         cx, cy, _ = places[(i + 1) % len(places)]
@@ -125,7 +124,7 @@ def nearest_point(
         px, py = (bx, by) if fraction == 0.0 else (cx, cy)
         normal = _direction(px - ax, py - ay)
     x = (-distance if inside else distance) - cylinder.radius_m
-    share, deflections = _borne(first, second, fraction)
+    share, deflections = _bar_load(first, second, fraction)
     guard = PropellerGuard(
         _between(first.guard.at, second.guard.at, fraction),
         _between(first.guard.friction_at, second.guard.friction_at, fraction),
@@ -134,13 +133,14 @@ def nearest_point(
 
 
 class CylinderContact:
-    """A cylinder that the outline may meet, and what is kept while it is pressed.
+    """A cylinder that the outline may touch, and the state of its contact.
 
     Attributes:
-        cylinder: as it stands.
-        coefficients: of the whole side; None while nobody has said so.
-        share: of k and f, settled at the touch; None: not pressed.
-        stood_in: pressed without force, since a guard bore it first or nothing was there before.
+        cylinder: its position and radius.
+        coefficients: of the whole side; None if not set.
+        share: share of k and f, fixed at the touch; None if not pressed.
+        stood_in: whether the point is inside without a force, because a guard carried the load first or the
+            point did not come from outside.
     """
 
     def __init__(self, cylinder: Cylinder) -> None:
@@ -150,12 +150,12 @@ class CylinderContact:
         self.stood_in = False
 
     def point(self, near: NearestPoint, c: Coefficients, borne: bool) -> ContactPoint | None:
-        """What may be pressed, for the outline's nearest point.
+        """Return the contact point for the outline's nearest point, or None if nothing can press it.
 
         Args:
-            near: that point.
+            near: nearest point of the outline.
             c: coefficients of the whole side.
-            borne: whether guards bear what would press here.
+            borne: whether guards already carry the load at this point.
         """
         if near.x_m > 0.0:
             self.stood_in = False
@@ -171,7 +171,7 @@ class CylinderContact:
         return ContactPoint(near.guard, near.normal, (-ny, nx, 0.0), near.x_m, own)
 
     def settle(self, near: NearestPoint, force_n: float) -> None:
-        """Keep the share of a side's coefficients from the first force on until it is free."""
+        """Fix the share of a side's coefficients from the first force until the point is free."""
         if force_n > 0.0:
             self.share = near.share if self.share is None else self.share
         elif near.x_m > 0.0:
@@ -179,11 +179,11 @@ class CylinderContact:
 
 
 class PostContact:
-    """A cylinder that stands by itself, as the outline meets it.
+    """A free-standing cylinder in contact with the outline.
 
     Attributes:
-        contact: with its cylinder.
-        depths: how far each guard gives way, metres, as of the last touch.
+        contact: state of the contact, with its cylinder.
+        depths: deflection of each guard at the last call of `touch`, metres.
     """
 
     def __init__(self, cylinder: Cylinder, guards: Sequence[PropellerGuard]) -> None:
@@ -192,7 +192,7 @@ class PostContact:
         self._corners = outline(guards)
 
     def nearest(self, q: Quaternion, position: Vec3) -> NearestPoint:
-        """The outline's nearest point."""
+        """Return the outline's nearest point."""
         return nearest_point(self._corners, q, position, self.contact.cylinder)
 
     def touch(
@@ -206,26 +206,26 @@ class PostContact:
         vertical_sign: int,
         vertical_lever_m: float,
     ) -> Touch:
-        """Force and torque on the vehicle; as `propeller_guards.touch`, with the side's coefficients."""
+        """Return force and torque on the vehicle, as `propeller_guards.touch`; `c` is for the whole side."""
         near = self.nearest(q, position)
         point = self.contact.point(near, c, False)
         self.depths = [0.0] * len(self.depths)
         if point is None:
             return UNTOUCHED
-        one, forces = _press([point], q, onset, velocity, rate_frd, vertical_sign, vertical_lever_m)
+        total, forces = _press([point], q, onset, velocity, rate_frd, vertical_sign, vertical_lever_m)
         self.contact.settle(near, forces[0])
         _deflect(self.depths, near, forces[0])
-        return one
+        return total
 
 
 class WallWithEnds:
-    """A wall's surface near its ends: each guard for itself, and the outline at its two edges.
+    """A wall's surface near its ends: the surface acts on each guard, the two edges on the outline.
 
     Attributes:
         plane: the surface.
-        edges: at the left and the right end, looking along the normal.
-        beside: numbers of the guards that are behind the surface and did not come through it.
-        depths: how far each guard gives way, metres, as of the last touch.
+        edges: edges at the left and the right end, looking along the normal.
+        beside: numbers of the guards that are behind the surface but did not pass through it.
+        depths: deflection of each guard at the last call of `touch`, metres.
     """
 
     def __init__(self, plane: Plane, guards: Sequence[PropellerGuard]) -> None:
@@ -242,30 +242,30 @@ class WallWithEnds:
 
     @property
     def is_plain(self) -> bool:
-        """Whether nothing of it is left to remember: away from its ends it is its surface then."""
+        """Whether no contact state is stored: away from its ends the wall then equals its surface."""
         return not self.beside and all(one.share is None and not one.stood_in for one in self.edges)
 
     @property
     def coefficients(self) -> Coefficients | None:
-        """Those of the edge that is pressed, if one is."""
+        """Coefficients of the pressed edge, or None."""
         return next((edge.coefficients for edge in self.edges if edge.share is not None), None)
 
     def moved(self, away_m: float) -> WallWithEnds:
-        """The wall so far out along its normal, met anew."""
+        """Return the wall displaced along its normal, without contact state."""
         p, n = self.plane.point, self.plane.normal
         point = (p[0] + away_m * n[0], p[1] + away_m * n[1], p[2] + away_m * n[2])
         return WallWithEnds(self.plane._replace(point=point), self._guards)
 
     def arrive(self, q: Quaternion, position: Vec3) -> None:
-        """The vehicle comes near: what is behind the surface by then did not come through it."""
+        """Initialise the contact state: guards behind the surface did not pass through it."""
         self.beside = {i for i, h, _ in self._feet(q, position) if h < 0.0}
         for edge, near in self.nearest(q, position):
             edge.share, edge.stood_in = None, near.x_m < 0.0
 
     def may_touch(self, q: Quaternion, position: Vec3, within_m: float) -> bool:
-        """Whether anything can be pressed before a point of the vehicle has moved so far.
+        """Return whether any point can be pressed before a point of the vehicle has moved `within_m`.
 
-        Where nothing can, what is kept between touches is kept up as `touch` would.
+        If none can, update the stored contact state as `touch` would.
         """
         end = self.plane.half_length_m + within_m
         feet = list(self._feet(q, position))
@@ -284,7 +284,7 @@ class WallWithEnds:
         return False
 
     def nearest(self, q: Quaternion, position: Vec3) -> Iterator[tuple[CylinderContact, NearestPoint]]:
-        """Each edge with the outline's nearest point to it."""
+        """Yield each edge with the outline's nearest point to it."""
         for edge in self.edges:
             yield edge, nearest_point(self._corners, q, position, edge.cylinder)
 
@@ -299,10 +299,10 @@ class WallWithEnds:
         vertical_sign: int,
         vertical_lever_m: float,
     ) -> Touch:
-        """Force and torque on the vehicle.
+        """Return force and torque on the vehicle.
 
-        As `propeller_guards.touch`, whose value it has, but for rounding, where every guard is before the
-        surface; `c` is for the surface, an edge has its own coefficients.
+        The result equals `propeller_guards.touch`, except for rounding, if every guard is in front of the
+        surface. `c` holds for the surface; an edge has its own coefficients.
         """
         plane, n = self.plane, self.plane.normal
         half = _scaled(c, 0.5)
@@ -322,7 +322,7 @@ class WallWithEnds:
                 points.append(point)
                 pressed.add(i)
                 self.depths[i] = max(0.0, -height)
-        met = []
+        loaded = []
         for edge, near in sorted(self.nearest(q, position), key=lambda one: one[0].share is None):
             numbers = {number for number, _ in near.deflections}
             edge_point = edge.point(near, edge.coefficients or c, not pressed.isdisjoint(numbers))
@@ -332,16 +332,16 @@ class WallWithEnds:
             edge.settle(near, force)
             if force > 0.0:
                 points.append(edge_point)
-                pressed |= numbers  # one edge a bar: at a wall narrower than that the first one bears it
-                met.append((near, force))
-        for near, force in met:
+                pressed |= numbers  # one edge per bar: at a narrower wall the first edge carries it
+                loaded.append((near, force))
+        for near, force in loaded:
             _deflect(self.depths, near, force)
         if not points:
             return UNTOUCHED
         return _press(points, q, onset, velocity, rate_frd, vertical_sign, vertical_lever_m)[0]
 
     def _feet(self, q: Quaternion, position: Vec3) -> Iterator[tuple[int, float, float]]:
-        """Of every guard its number, its height over the surface, and its foot along it from the middle."""
+        """Yield number, height over the surface, and position along it from the middle of every guard."""
         o = self.plane.point
         offset = (position[0] - o[0], position[1] - o[1], position[2] - o[2])
         n, t = rotate_back(q, self.plane.normal), rotate_back(q, self.plane.tangent)
@@ -351,7 +351,7 @@ class WallWithEnds:
 
 
 def _force(point: ContactPoint, q: Quaternion, onset: Onset, velocity: Vec3, rate_frd: Vec3) -> float:
-    """Normal force on one point, newton."""
+    """Return the normal force on one point, newton."""
     n = rotate_back(q, point.normal)
     closing = _dot(point.normal, velocity) + _dot(n, _cross(rate_frd, point.guard.at))
     return normal_force(point.c, onset, point.x_m, closing)
@@ -366,7 +366,7 @@ def _press(
     vertical_sign: int,
     vertical_lever_m: float,
 ) -> tuple[Touch, list[float]]:
-    """What points feel together, and the normal force on each."""
+    """Return the sum over all points, and the normal force on each."""
     forces = [_force(point, q, onset, velocity, rate_frd) for point in points]
     total = sum(forces)
     if not total > 0.0:
@@ -401,8 +401,8 @@ def _press(
     return Touch(force, torque, total, friction, strongest.normal), forces
 
 
-def _borne(first: Corner, second: Corner, s: float) -> tuple[float, tuple[tuple[int, float], ...]]:
-    """Share of a side's k and f that bears a point of a bar, and its guards' deflections per depth."""
+def _bar_load(first: Corner, second: Corner, s: float) -> tuple[float, tuple[tuple[int, float], ...]]:
+    """Return the share of k and f that carries a point of a bar, and its guards' deflections per depth."""
     loads = [(first, 1.0 - s), (second, s)]
     share = 0.5 / sum(load * load / len(corner.numbers) for corner, load in loads)
     return share, tuple(
@@ -414,7 +414,7 @@ def _borne(first: Corner, second: Corner, s: float) -> tuple[float, tuple[tuple[
 
 
 def _deflect(depths: list[float], near: NearestPoint, force_n: float) -> None:
-    """Let the guards that bear a point give way."""
+    """Update the deflections of the guards that carry a point."""
     if force_n > 0.0 and near.x_m < 0.0:
         for number, per_depth in near.deflections:
             depths[number] = max(depths[number], -near.x_m * per_depth)

@@ -1,4 +1,4 @@
-"""The contact law (paper, Sec. IV-B) as a force: the one definition that plant and predictions share.
+"""The contact law (paper, Sec. IV-B) as a force: the only definition, shared by plant and predictions.
 
 All quantities are in the wall's collision frame (`base/walls.py`): x is the signed distance of the
 vehicle's centre to its plane of first touch, negative in compression.
@@ -18,10 +18,10 @@ from dart_flight.config.vehicle import Coefficients, VehicleConfig
 
 
 class Onset(StrEnum):
-    """When a contact begins.
+    """Rule for the beginning of a contact.
 
-    `lcp` is the complementarity condition as written: force as soon as k x + f vx < 0, slightly before the
-    plane is reached. `touch` also requires x < 0.
+    `lcp` is the complementarity condition as published: the force begins when k x + f vx < 0, slightly before
+    the vehicle reaches the plane. `touch` also requires x < 0.
     """
 
     LCP = "lcp"
@@ -29,7 +29,7 @@ class Onset(StrEnum):
 
 
 def normal_force(c: Coefficients, onset: Onset, x_m: float, vx_m_s: float) -> float:
-    """Normal force in newton, never negative: the solution of the scalar complementarity problem."""
+    """Return the normal force, newton, >= 0: the solution of the scalar complementarity problem."""
     force = -(c.k * x_m + c.f * vx_m_s)
     if force <= 0.0 or (onset is Onset.TOUCH and x_m >= 0.0):
         return 0.0
@@ -39,10 +39,10 @@ def normal_force(c: Coefficients, onset: Onset, x_m: float, vx_m_s: float) -> fl
 def coefficients_in_force(
     vehicle: VehicleConfig, material: str, mode: Mode, incidence_rad: float = 0.0
 ) -> Coefficients:
-    """Coefficients of a material for a lock state and an angle of incidence.
+    """Return the coefficients of a material for a lock state and an angle of incidence.
 
-    From `airframe.incidence_rigid_deg` on the arms cannot fold, and the rigid coefficients hold even
-    unlocked (paper, Sec. IV-B).
+    At or above `airframe.incidence_rigid_deg` the arms cannot fold, and the rigid coefficients hold even if
+    the lock is open (paper, Sec. IV-B).
 
     Raises:
         KeyError: the material is not in the vehicle's table.

@@ -1,8 +1,8 @@
-"""A contact as a damped oscillator: entered, followed in time, and searched for its events.
+"""A contact as a damped oscillator: initial state, motion in time, and times of its events.
 
-The terms are those of `dart_flight.contact.contact_map`, which this is the other half of: with V the speed
-scale, the force is lx = m V omega (phi - alpha) and the normal velocity V xi', and phi, xi, xi' all solve
-z'' + 2 zeta z' + z = 0 in tau = omega t. Every damping from none to far above critical is covered.
+The terms are those of `dart_flight.contact.contact_map`, the only user. With V the speed scale, the force is
+lx = m V omega (phi - alpha) and the normal velocity V xi'. phi, xi and xi' all solve z'' + 2 zeta z' + z = 0
+in tau = omega t. Any damping is covered, from none to far above critical.
 
 All arguments and results are float64 arrays of one shape (or shapes that broadcast).
 """
@@ -23,14 +23,14 @@ _NEWTON_STEPS = 60
 
 
 def oscillator(c: CoefficientArrays, mass: Array) -> tuple[Array, Array, Array]:
-    """omega, zeta, and w^2 = 1 - zeta^2 without cancellation."""
+    """Return omega, zeta, and w^2 = 1 - zeta^2 without cancellation."""
     omega = np.sqrt(c.k / mass)
     zeta = 0.5 * c.f / np.sqrt(c.k * mass)
     return omega, zeta, (1.0 - zeta) * (1.0 + zeta)
 
 
 def quarter_time(zeta: Array, w2: Array) -> Array:
-    """A = acos(zeta)/sqrt(1 - zeta^2), continued through critical damping: acosh(zeta)/sqrt(zeta^2 - 1)."""
+    """Return A = acos(zeta)/sqrt(1 - zeta^2), or acosh(zeta)/sqrt(zeta^2 - 1) above critical damping."""
     w = np.sqrt(np.abs(w2))
     near = w < 1e-5  # there A = 1 + w^2/6 + ... up to the sign, 1e-11 from 1 at most
     safe = np.where(near, 1.0, w)
@@ -39,9 +39,9 @@ def quarter_time(zeta: Array, w2: Array) -> Array:
 
 
 class Oscillation(NamedTuple):
-    """A contact in its own units: phi - alpha is the force, xi' the normal velocity (module docstring).
+    """A contact in its own units: phi - alpha is the force, xi' the normal velocity (see the module).
 
-    V is |v| + |a|/omega, so that neither a vehicle at rest nor one without push is special.
+    V is |v| + |a|/omega, so that a vehicle at rest or without push is no special case.
     """
 
     omega: Array
@@ -57,7 +57,7 @@ class Oscillation(NamedTuple):
 
 
 def enter(c: CoefficientArrays, mass: Array, normal: Array, onset: Onset, acceleration: Array) -> Oscillation:
-    """The contact that an approach at `normal` (m/s, < 0) begins, under a constant `acceleration` (m/s2)."""
+    """Return the contact after an approach at `normal` (m/s, < 0) under a constant `acceleration` (m/s2)."""
     omega, zeta, w2 = oscillator(c, mass)
     speed = np.maximum(-normal, 0.0) + np.abs(acceleration) / omega
     safe = np.where(speed > 0.0, speed, 1.0)
@@ -65,10 +65,10 @@ def enter(c: CoefficientArrays, mass: Array, normal: Array, onset: Onset, accele
     alpha = acceleration / (safe * omega)
     phi0 = alpha + (2.0 * zeta * u if onset is Onset.TOUCH else 0.0)
     slope0 = u - 2.0 * zeta * phi0
-    # Pulled away hard enough, an lcp approach turns around before the first force.
+    # Under a strong outward acceleration an lcp approach turns back before the first force.
     starts = (acceleration < 0.0) | (phi0 > alpha) | (slope0 > 0.0)
     hits = (normal <= 0.0) & (speed > 0.0) & starts
-    # Where nothing is hit an ordinary hit stands in, so that no event is undefined; the results drop it.
+    # Where there is no hit, use an ordinary hit so that all events are defined; the results discard it.
     rest = 2.0 * zeta if onset is Onset.TOUCH else 0.0 * zeta
     return Oscillation(
         omega,
@@ -85,7 +85,7 @@ def enter(c: CoefficientArrays, mass: Array, normal: Array, onset: Onset, accele
 
 
 def _basis(c: Oscillation, tau: Array) -> tuple[Array, Array]:
-    """exp(-zeta tau) cos(w tau) and exp(-zeta tau) sin(w tau)/w, at any damping; 0 at tau = inf."""
+    """Return exp(-zeta tau) cos(w tau) and exp(-zeta tau) sin(w tau)/w, at any damping; 0 at tau = inf."""
     finite = np.isfinite(tau)
     t = np.where(finite, tau, 0.0)
     w = np.sqrt(np.abs(c.w2))
@@ -95,7 +95,7 @@ def _basis(c: Oscillation, tau: Array) -> tuple[Array, Array]:
     even, odd = damp * np.cos(w * t), damp * np.where(near, t, np.sin(w * t) / safe)
     over = (c.w2 < 0.0) & ~near
     if np.any(over):
-        # cosh and sinh would overflow before the damping brings them down.
+        # cosh and sinh alone would overflow.
         b = np.where(over, w, 1.0)
         slow = np.exp(-t / (c.zeta + b))
         even = np.where(over, 0.5 * slow * (1.0 + np.exp(-2.0 * b * t)), even)
@@ -104,7 +104,7 @@ def _basis(c: Oscillation, tau: Array) -> tuple[Array, Array]:
 
 
 def first_zero(c: Oscillation, z0: Array, dz0: Array) -> Array:
-    """First tau > 0 at which the solution with z(0) = z0, z'(0) = dz0 is zero; inf where there is none."""
+    """Return the first zero tau > 0 of the solution with z(0) = z0, z'(0) = dz0; inf if there is none."""
     w = np.sqrt(np.abs(c.w2))
     near = w < 1e-9
     safe = np.where(near, 1.0, w)
@@ -112,7 +112,7 @@ def first_zero(c: Oscillation, z0: Array, dz0: Array) -> Array:
     angle = np.arctan2(-safe * z0, b)
     angle = np.where(angle <= 0.0, angle + math.pi, angle)
     under = np.where(angle <= 0.0, math.pi, angle) / safe
-    none = np.abs(b) < 1e-290  # a zero or so close that dividing by it overflows
+    none = np.abs(b) < 1e-290  # zero, or so small that the division overflows
     ratio = np.where(none, -1.0, -z0 / np.where(none, 1.0, b))
     reach = ratio * safe
     inside = (reach > 0.0) & (reach < 1.0)
@@ -126,7 +126,7 @@ def _solution(basis: tuple[Array, Array], zeta: Array, z0: Array, dz0: Array) ->
 
 
 def motion(c: Oscillation, tau: Array) -> tuple[Array, Array, Array]:
-    """phi, phi' and xi' at tau."""
+    """Return phi, phi' and xi' at tau."""
     basis = _basis(c, tau)
     curve0 = -(2.0 * c.zeta * c.slope0 + c.phi0)
     return (
@@ -139,22 +139,22 @@ def motion(c: Oscillation, tau: Array) -> tuple[Array, Array, Array]:
 def falling_root(
     function: Callable[[Array], tuple[Array, Array]], low: Array, high: Array, start: Array
 ) -> Array:
-    """Where a function that is >= 0 at `low` and <= 0 at `high` crosses zero: Newton kept in its bracket.
+    """Return the zero of a function that is >= 0 at `low` and <= 0 at `high`, by bracketed Newton steps.
 
     Args:
         function: value and derivative.
         low, high: the bracket.
-        start: first guess, in the bracket.
+        start: initial guess, inside the bracket.
     """
     x = start
     for _ in range(_NEWTON_STEPS):
         value, slope = function(x)
         low, high = np.where(value >= 0.0, x, low), np.where(value <= 0.0, x, high)
-        with np.errstate(over="ignore"):  # a step to infinity leaves the bracket and is not taken
+        with np.errstate(over="ignore"):  # an infinite step leaves the bracket and is rejected
             newton = x - value / np.where(slope == 0.0, -1.0, slope)
         good = (slope < 0.0) & (newton >= low) & (newton <= high)
         new = np.where(good, newton, 0.5 * (low + high))
-        # Newton squares its error: after a step of 1e-9 the new point is as exact as rounding lets it be.
+        # Newton squares its error: after a step of 1e-9 only rounding is left.
         done = bool((np.abs(new - x) <= np.where(good, 1e-9, 1e-15) * np.abs(new)).all())
         x = new
         if done:
@@ -163,20 +163,20 @@ def falling_root(
 
 
 class ContactTimes(NamedTuple):
-    """Times (in 1/omega) of what happens in a contact."""
+    """Event times of a contact, in 1/omega."""
 
     peak: Array  # largest force
     turn: Array  # lx equals -m a: the largest outward speed where a pushes in
-    end: Array  # force back to zero; inf where never
+    end: Array  # force back to zero; inf if never
 
 
 def find_contact_times(c: Oscillation) -> ContactTimes:
-    """Peak, turn and end of a contact, exact to rounding."""
+    """Return peak, turn and end of a contact, exact to rounding."""
     curve0 = -(2.0 * c.zeta * c.slope0 + c.phi0)
     falls = (c.slope0 < 0.0) | ((c.slope0 == 0.0) & (c.phi0 > 0.0))
     peak = np.where(falls, 0.0, first_zero(c, c.slope0, curve0))
     phi, slope, _ = motion(c, peak)
-    slope = np.where(falls, slope, 0.0)  # rounding must not decide on which side of the peak we are
+    slope = np.where(falls, slope, 0.0)  # rounding must not decide the side of the peak
     turn = peak + first_zero(c, phi, slope)
     half = np.where(c.w2 > 0.0, math.pi / np.sqrt(np.where(c.w2 > 0.0, c.w2, 1.0)), math.inf)
     trough = peak + np.where(falls, first_zero(c, slope, -(2.0 * c.zeta * slope + phi)), half)
@@ -187,7 +187,7 @@ def find_contact_times(c: Oscillation) -> ContactTimes:
         return ContactTimes(peak, turn, turn)
     low = np.where(pulled, peak, np.where(np.isfinite(turn), turn, 0.0))
     high = np.where(pulled, turn, np.where(np.isfinite(trough), trough, 0.0))
-    # Overdamped and pulled away: the force falls below m a somewhere, but phi has no zero to bound it.
+    # Overdamped with an outward acceleration: the force falls below m a, but phi has no zero as a bound.
     open_end = pulled & ~np.isfinite(high)
     high = np.where(open_end, peak + 1.0, high)
     while np.any(open_end):

@@ -1,19 +1,19 @@
-"""The contact law at the guards of a body: which guards touch, and what force and torque follow.
+"""The contact law at the propeller guards: which guards touch, and the resulting force and torque.
 
 A vehicle touches a wall with guard points, two on each of its four sides: `out_m` from the centre of mass,
 `along_m` to either side of the middle, `height_m` above it. Each guard is a point of the published law with
-its share of the coefficients: with both guards of a side at the same depth, k/2 and f/2 each sum to the point
-law, so the symmetric hit keeps its normal force, contact time and exit velocity. Friction is -mu lambda ydot
-with the guard's own sliding velocity; the vertical force keeps its sum -nu L/(1 + L), L the sum of the normal
-forces on the wall.
+its share of the coefficients. With both guards of a side at the same depth, k/2 and f/2 each sum to the point
+law, so a symmetric hit keeps its normal force, contact time and exit velocity. Friction is -mu lambda ydot
+with the guard's own sliding velocity. The vertical force keeps its sum -nu L/(1 + L), where L is the sum of
+the normal forces on the wall.
 
-What the paper does not tell is a parameter here (`config/vehicle/simulation.py`, `ContactBody`): the share of
-the friction's lever that turns the vehicle, and the lever of the vertical force. The friction acts, and its
-sliding velocity is taken, at the same reduced lever, so it only ever takes energy out.
+The paper does not specify the share of the friction's lever that rotates the vehicle, nor the lever of the
+vertical force. Both are parameters (`config/vehicle/simulation.py`, `ContactBody`). The friction acts at the
+reduced lever, and its sliding velocity is computed there, so friction only removes energy.
 
-Free arms fold: each turns in the horizontal plane about a bearing in the vehicle's middle, by so much that
-its guard gives way by a share of its penetration (`folds`). The law knows of that already, it is why k is
-smaller; what it adds is that the arm's motor moves.
+Unlocked arms fold: each rotates in the horizontal plane about a bearing in the vehicle's middle, so that its
+guard yields by a share of its penetration (`fold_angles`). The law already accounts for this by a smaller k;
+the angles add the displacement of the arm's motor.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ from dart_flight.base.geometry import Quaternion, Vec3, rotate_back
 from dart_flight.config.vehicle import BodyModel, Coefficients, ContactBody
 from dart_flight.contact.law import Onset, normal_force
 
-NEAR_M: Final = 0.08  # below 5 m/s no contact begins further away
+NEAR_M: Final = 0.08  # below 5 m/s no contact begins at a greater distance
 
 
 class PropellerGuard(NamedTuple):
     """One guard point, body FRD, metres from the centre of mass."""
 
     at: Vec3
-    friction_at: Vec3  # where its friction acts: the same point with the horizontal lever reduced
+    friction_at: Vec3  # point of action of its friction: the same point with a reduced horizontal lever
 
 
 class Plane(NamedTuple):
@@ -44,8 +44,8 @@ class Plane(NamedTuple):
         normal: outward.
         tangent: Y of the collision frame.
         down: Z of the collision frame.
-        half_length_m: from the point to either end, along the tangent; the guards near one ask
-            `contact/cylinders.py`, not `touch`.
+        half_length_m: from the point to either end, along the tangent; for guards near an end, use
+            `contact/cylinders.py` instead of `touch`.
     """
 
     point: Vec3
@@ -56,14 +56,14 @@ class Plane(NamedTuple):
 
 
 class Touch(NamedTuple):
-    """What the guards feel of one wall.
+    """Force and torque of one wall on the guards.
 
     Attributes:
         force: sum, world frame, newton.
         torque: about the centre of mass, body FRD, N m.
         normal_n: sum of the normal forces.
         friction_n: sum of the friction forces along the tangent, signed.
-        normal: outward, where it is pressed the most.
+        normal: outward normal at the strongest contact.
     """
 
     force: Vec3
@@ -77,9 +77,9 @@ UNTOUCHED = Touch((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0, 0.0, (0.0, 0.0, 0.0))
 
 
 def propeller_guards(body: ContactBody) -> tuple[PropellerGuard, ...]:
-    """The eight guards of a four-fold symmetric vehicle: front, right, back, left, two each.
+    """Return the eight guards of a four-fold symmetric vehicle: front, right, back, left, two each.
 
-    Of a point the two that a wall meets, in the centre of mass: the point law.
+    A point model has two guards in the centre of mass, which is the point law.
     """
     if body.body is BodyModel.POINT:
         return (PropellerGuard(_CENTRE, _CENTRE),) * 2
@@ -105,10 +105,10 @@ def touch(
     vertical_sign: int,
     vertical_lever_m: float,
 ) -> Touch:
-    """Force and torque of one wall on the guards, all of which are before it.
+    """Return force and torque of one wall on the guards, all of which are in front of it.
 
-    Worked out in the body's axes: the wall's three directions are turned into them, and not two levers of
-    every guard into the world's.
+    The computation uses body axes: rotating the wall's three directions is cheaper than rotating two levers
+    per guard.
 
     Args:
         guards: of the body.
@@ -119,7 +119,7 @@ def touch(
         position, velocity: of the centre of mass, world frame.
         rate_frd: angular velocity, rad/s.
         vertical_sign: -1 as the paper writes lz (against Z of the collision frame: up at a wall), or 1.
-        vertical_lever_m: how far outside of the centre of mass the vertical force acts.
+        vertical_lever_m: distance from the centre of mass, outwards, at which the vertical force acts.
     """
     world = plane.normal
     nx, ny, nz = rotate_back(q, world)
@@ -172,7 +172,7 @@ def touch(
 
 
 def clearance_m(guards: Sequence[PropellerGuard], q: Quaternion, plane: Plane, position: Vec3) -> float:
-    """Distance in metres of the nearest guard from a wall's surface, negative behind it.
+    """Return the distance of the nearest guard from a wall's surface, metres; negative behind the surface.
 
     Args:
         guards: of the body.
@@ -185,7 +185,7 @@ def clearance_m(guards: Sequence[PropellerGuard], q: Quaternion, plane: Plane, p
 
 
 def _height(plane: Plane, position: Vec3) -> float:
-    """Distance of the centre of mass from a surface, along its normal."""
+    """Return the distance of the centre of mass from a surface along its normal."""
     n, o = plane.normal, plane.point
     return n[0] * (position[0] - o[0]) + n[1] * (position[1] - o[1]) + n[2] * (position[2] - o[2])
 
@@ -193,30 +193,31 @@ def _height(plane: Plane, position: Vec3) -> float:
 def fold_angles(
     body: ContactBody, share: float, depths: Sequence[float]
 ) -> tuple[float, float, float, float]:
-    """Angles by which the arms have swung, radians, positive clockwise seen from above.
+    """Return the fold angles of the arms, radians, positive clockwise seen from above.
 
     Args:
-        body: where the guards are.
-        share: of a guard's penetration by which its arm gives way.
-        depths: penetration of each guard in the order of `propeller_guards`, m; 0 where it does not touch.
+        body: positions of the guards.
+        share: share of a guard's penetration by which its arm yields.
+        depths: penetration of each guard in the order of `propeller_guards`, m; 0 without contact.
 
     Returns:
-        Of the arms in the order of `arm_of`'s numbers.
+        Angles in the order of `arm_of`.
     """
     angles = [0.0, 0.0, 0.0, 0.0]
     along = max(body.guard_along_m, _MIN_ARM_M)
     for i, (guard, depth) in enumerate(zip(propeller_guards(body), depths, strict=True)):
         if depth > 0.0:
-            # Two guards a side: pushed in, the first one's arm swings clockwise, the second one's against it.
+            # A side has two guards: when pressed, the first one's arm swings clockwise, the second one's
+            # counter.
             turn = math.atan2(share * depth, along)
             angles[arm_of(guard.at[0], guard.at[1])] += turn if i % 2 == 0 else -turn
     return (angles[0], angles[1], angles[2], angles[3])
 
 
 def arm_of(x: float, y: float) -> int:
-    """Number of the arm on whose quarter a point lies, FRD: front right 0, front left 1, then behind."""
+    """Return the number of the arm in a point's quadrant, FRD: front right 0, front left 1, then behind."""
     return (0 if x >= 0.0 else 2) + (0 if y >= 0.0 else 1)
 
 
 _CENTRE = (0.0, 0.0, 0.0)
-_MIN_ARM_M: Final = 0.05  # guards nearer to the middle than this would swing an arm without end
+_MIN_ARM_M: Final = 0.05  # smaller levers would give unlimited angles

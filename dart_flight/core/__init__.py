@@ -1,4 +1,4 @@
-"""The flight core: samples in, commands and decisions out. No I/O, no clock, no asyncio.
+"""The flight core: inputs in, commands and decisions out; no I/O, no clock, no asyncio.
 
 The path of one IMU sample: `flight_core` -> `sense` (`state` -> `force` -> `detector`) -> `mission.executive`
 (which calls `recovery` at the peak) -> `guard` -> out.

@@ -1,11 +1,11 @@
-"""The flight core: one input in, what follows from it out. Synchronous, no I/O, no clock.
+"""The flight core: a synchronous step from one input to its outputs, without I/O and clock.
 
     core = FlightCore(mission)
     for output in core.step(sample): ...
 
-Data goes one way: *sense* turns the input into what is known, *mission* turns that into a proposal, *guard*
-disposes. None of them writes into another; what one has for the next is handed on here. `step` never raises:
-a fault in the mission's code becomes a decision of the guard (land), with its reason.
+Data flows in one direction: *sense* converts the input to estimates, *mission* converts these to a proposal,
+and *guard* decides. None of them writes into another; this module passes the results on. `step` never raises:
+an exception in the mission's code becomes a guard decision (land), with its reason.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class FlightCore:
 
     Args:
         mission: checked and resolved.
-        rules: of the guard; another table only in tests.
+        rules: of the guard; tests may use another table.
 
     Raises:
         NoApproachError: an approach of the mission has no room (`core.mission.approach`).
@@ -45,37 +45,37 @@ class FlightCore:
         self._senses = Senses(mission)
         self._executive = Executive(mission) if mission.standoff_m is None else Rehearsal(mission)
         self._guard = Guard(mission, rules)
-        self._expected = ExpectedContact()  # by the mission, for the detector at the next step
-        self._fault: MissionFinding | None = None  # of the guard's own code, for its next review
+        self._expected = ExpectedContact()  # from the mission, for the detector at the next step
+        self._fault: MissionFinding | None = None  # exception of the guard's own code, for its next review
         self.end: MissionEnd | None = None
 
     @property
     def state(self) -> FlightState:
-        """What is known of the vehicle; to read."""
+        """Estimated state of the vehicle; read-only."""
         return self._senses.state
 
     @property
     def phase(self) -> Phase:
-        """Where the mission stands."""
+        """Present phase of the mission."""
         return self._executive.progress.phase
 
     @property
     def override(self) -> Override:
-        """What the guard has put in the place of the mission."""
+        """Active override of the guard."""
         return self._guard.action
 
     @property
     def pace(self) -> Pace:
-        """How soon the next inputs have to be stepped."""
+        """Required pace of the next steps."""
         senses, phase = self._senses, self._executive.progress.phase
         if self._guard.telemetry_late:
-            return Pace.BATCHED  # a backlog is emptied sooner where nobody steps what is old one by one
+            return Pace.BATCHED  # old samples are not stepped one by one, so the backlog empties sooner
         if senses.detector.in_contact:
             return Pace.IMMEDIATE
         return pace_near_walls(self.mission, senses.state, phase)
 
     def step(self, item: Input) -> list[Output]:
-        """Take one input; returns commands to carry out and records to log, in order."""
+        """Process one input; return the commands to execute and the records to log, in order."""
         if self.end is not None:
             return []
         sensed, proposal, state = _NOTHING, Proposal(), self._senses.state
@@ -101,7 +101,7 @@ class FlightCore:
             known += self._dispose(item, sensed, proposal)
             return known
         except Exception:
-            # The guard itself is broken: no command of this step goes out, and it lands if it can.
+            # The guard itself has failed: suppress the commands of this step, and land if possible.
             self._fault = _fault()
             return known + [o for o in proposal.outputs if not o.topic.startswith("/out/")]
 
@@ -112,7 +112,7 @@ class FlightCore:
         kept = guard.review(item, state, sensed, executive.progress.phase, proposal)
         if guard.overrules:
             kept += executive.overruled(state.now_us, guard.reason or "")
-            # A wall met while the guard holds or backs off is an impact, the ground at the end is none.
+            # While the guard holds or backs off, a wall is an impact; the ground at the end is not.
             if guard.landing:
                 self._expected = ExpectedContact()
         if guard.end is not None:
@@ -125,5 +125,5 @@ class FlightCore:
 
 
 def _fault() -> MissionFinding:
-    """The exception under way as a finding: where it came from."""
+    """Return the active exception as a finding, with its origin."""
     return MissionFinding("mission_fault", traceback.format_exc(limit=-2).strip().replace("\n", " | "))

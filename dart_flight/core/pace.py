@@ -1,7 +1,7 @@
-"""How soon the next inputs have to be stepped: near a wall as they arrive, elsewhere several together.
+"""The pace of stepping: near a wall each input as it arrives, elsewhere several together.
 
-Waking for every sample costs more than the samples (docs/latency.md). What is decided does not depend on it,
-only when: the core sees stamps and no clock.
+Waking for every sample costs more than the samples themselves (docs/latency.md). The pace affects only the
+time of decisions, not their result, because the core uses stamps and no clock.
 """
 
 from __future__ import annotations
@@ -14,22 +14,22 @@ from dart_flight.config.mission import Mission
 from dart_flight.core.mission.wall_uncertainty import early_m, overrun_m
 from dart_flight.core.sense.state import FlightState
 
-BATCH_S: Final = 0.02  # as often as a tick; a quarter of the silence of the IMU on which the guard acts
-_LEAD_S: Final = 0.2  # so long before a wall may be met batching ends: ten times what it holds back
+BATCH_S: Final = 0.02  # the tick's period; a quarter of the IMU silence that triggers the guard
+_LEAD_S: Final = 0.2  # batching ends this long before a possible impact: ten times its delay
 
 
 class Pace(Enum):
-    """How the shell should step the next inputs."""
+    """Pace at which the shell should step the next inputs."""
 
-    BATCHED = auto()  # what comes within `BATCH_S`, in one batch
-    IMMEDIATE = auto()  # each as it arrives, on the thread it arrives on
+    BATCHED = auto()  # all inputs that arrive within `BATCH_S`, in one batch
+    IMMEDIATE = auto()  # each as it arrives, on the receiving thread
 
 
 def pace_near_walls(mission: Mission, state: FlightState, phase: Phase) -> Pace:
-    """`BATCHED` or `IMMEDIATE`, by where the vehicle is.
+    """Return `BATCHED` or `IMMEDIATE`, depending on the vehicle's position.
 
-    `IMMEDIATE` in a contact, and wherever within 0.2 s a wall of the mission may be met, by the guard's own
-    words for how early and how late that may be, whatever the phase.
+    The pace is `IMMEDIATE` in a contact, and in any phase if a wall may be met within 0.2 s, with the guard's
+    tolerances for early and late contacts.
     """
     if phase is Phase.CONTACT:
         return Pace.IMMEDIATE

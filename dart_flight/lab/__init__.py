@@ -1,1 +1,3 @@
-"""What one studies with: it imports the part that flies, and nothing that flies imports it."""
+"""Tools for study on the ground. They import the part that flies, and the part that flies imports none of
+them.
+"""

@@ -1,8 +1,8 @@
-"""What a Python script does with this package: the functions behind `import dart_flight` (docs/python.md).
+"""The functions behind `import dart_flight`, for Python scripts (docs/python.md).
 
-They are the commands without the command line: missions, vehicles and scenarios from files or from Python,
-flights in the fast world, predictions, plans, identification, flight logs as arrays. Wrong input raises
-`InputError`, a `ValueError`. Nothing here starts an event loop or minds one that runs.
+They correspond to the commands: they load missions, vehicles and scenarios, simulate flights, predict
+contacts, plan, identify and read flight logs. Invalid input raises `InputError`, which is a `ValueError`. No
+function starts an event loop, and each one works inside a running loop.
 """
 
 from __future__ import annotations
@@ -45,24 +45,24 @@ from dart_flight.run.prepare import refuse_unflyable
 from dart_flight.sim.draws import parse_vary
 from dart_flight.sim.faults.fault_table import Fault, parse_fault_of
 
-Written = str | Path | Mapping[str, Any]  # a file, or what it would hold
+Written = str | Path | Mapping[str, Any]  # a file, or its content
 Numbers = Sequence[float] | NDArray[Any]
 Array = NDArray[np.float64]
 
 
-# --- what is flown --------------------------------------------------------------------------------------
+# --- missions and vehicles ------------------------------------------------------------------------------
 
 
 def load_vehicle(path: Written | None = None, settings: Sequence[str] = ()) -> VehicleConfig:
-    """A vehicle's configuration; `replace({"airframe.mass_kg": 1.5})` gives another.
+    """Load a vehicle configuration; `replace({"airframe.mass_kg": 1.5})` returns a modified copy.
 
     Args:
-        path: of the file, or a mapping of what it would hold. Without: $DART_FLIGHT_CONFIG, else
-            ./configs/dart.yaml or the only file there, else the packaged one.
-        settings: `KEY=VALUE` that differ from it, as with `--set`.
+        path: a file or a mapping with the content of one. Default: $DART_FLIGHT_CONFIG, then
+            ./configs/dart.yaml or the only file in ./configs, then the packaged configuration.
+        settings: `KEY=VALUE` settings that override it, as with `--set`.
 
     Raises:
-        InputError: a key is unknown, or a value is of the wrong kind or out of range.
+        InputError: a key is unknown, or a value has the wrong type or is out of range.
     """
     if isinstance(path, Mapping):
         return load_vehicle_file(path, settings)
@@ -74,23 +74,23 @@ def load_mission(
     vehicle: VehicleConfig | Written | None = None,
     settings: Sequence[str] = (),
 ) -> Mission:
-    """A mission and the vehicle that flies it; `replace({"limits.speed_m_s": 2.0})` gives another.
+    """Load a mission and its vehicle; `replace({"limits.speed_m_s": 2.0})` returns a modified copy.
 
     Args:
-        mission: a file, or a mapping of what it would hold; a mission is itself.
-        vehicle: the configuration, instead of the one that the mission names.
-        settings: `KEY=VALUE` of the configuration, as with `--set`.
+        mission: a file, a mapping with the content of one, or a loaded mission.
+        vehicle: the configuration to use instead of the one that the mission names.
+        settings: `KEY=VALUE` settings of the configuration, as with `--set`.
 
     Raises:
-        InputError: in the mission or in the configuration.
+        InputError: the mission or the configuration is invalid.
     """
     if isinstance(vehicle, Mapping):
         vehicle = load_vehicle_file(vehicle)
     if isinstance(mission, Mission):
         if vehicle is None and not settings:
             return mission
-        taken = load_vehicle(vehicle) if isinstance(vehicle, str | Path) else vehicle or mission.vehicle
-        return mission.replace({"vehicle": _with_settings(taken, settings)})
+        base = load_vehicle(vehicle) if isinstance(vehicle, str | Path) else vehicle or mission.vehicle
+        return mission.replace({"vehicle": _with_settings(base, settings)})
     if isinstance(vehicle, VehicleConfig):
         return mission_files.load_mission(mission, _with_settings(vehicle, settings))
     return mission_files.load_mission(mission, vehicle, settings)
@@ -111,8 +111,8 @@ class Flight:
     """A simulated flight.
 
     Attributes:
-        mission: that was flown.
-        verdict: what it amounted to, as `dry-run --json` has it.
+        mission: the mission that was flown.
+        verdict: the result, with the fields of `dry-run --json`.
     """
 
     def __init__(self, mission: Mission, verdict: Verdict, record: FlightRecord) -> None:
@@ -120,7 +120,9 @@ class Flight:
 
     @cached_property
     def log(self) -> Log:
-        """Every record: `log["/estimate/force"].force_mission`. Some ten megabytes, unless on disk."""
+        """Every record of the flight: `log["/estimate/force"].force_mission`. Without `log_dir` it takes some
+        ten megabytes of memory.
+        """
         return self._record.log
 
     def __repr__(self) -> str:
@@ -141,16 +143,16 @@ def simulate(
     """Fly a mission in simulated time, as `dry-run --fast` does; the same seed gives the same flight.
 
     Args:
-        mission: `load_mission` makes it of a file or of a mapping.
-        seed: of the noise, and of what is drawn.
-        vary: what of the simulated world is drawn (docs/draws.md): `"all"`, `["mass", "contact=0.3"]`, or
-            standard deviations by name.
-        fault: what goes wrong, `NAME[=VALUE][@PHASE]` (docs/faults.md).
-        log_dir: the log goes into a folder of its own in this one; without, it is kept in memory.
+        mission: a mission, or a file or mapping for `load_mission`.
+        seed: seed of the sensor noise and of the draws.
+        vary: properties of the simulated world to draw (docs/draws.md): `"all"`, `["mass", "contact=0.3"]`,
+            or standard deviations by name.
+        fault: a fault to inject, `NAME[=VALUE][@PHASE]` (docs/faults.md).
+        log_dir: folder in which a folder for the log is created; by default the log is kept in memory.
 
     Raises:
-        InputError: the mission cannot be flown, the seed is no whole number, or what is to be drawn or to go
-            wrong is unknown.
+        InputError: the mission cannot be flown, the seed is not a whole number, or a draw or the fault is
+            unknown.
     """
     if not isinstance(seed, int | np.integer) or isinstance(seed, bool) or not 0 <= seed < 2**31:
         raise InputError(f"expected a whole number from 0 to {2**31 - 1}, not {seed!r}", key=("seed",))
@@ -160,8 +162,8 @@ def simulate(
     broken = parse_fault_of(mission, fault) if isinstance(fault, str) else fault
     folder = None if log_dir is None else Path(log_dir)
     records: list[FlightRecord] = []
-    take = records.append
-    verdict = fly_fast(mission, int(seed), folder, fault=broken, spreads=spreads, take_record=take)
+    keep = records.append
+    verdict = fly_fast(mission, int(seed), folder, fault=broken, spreads=spreads, take_record=keep)
     return Flight(mission, verdict, records[0])
 
 
@@ -203,16 +205,16 @@ def predict(
     onset: str | None = None,
     incidence_deg: float = 0.0,
 ) -> WallHit[float] | WallHit[Array]:
-    """What comes out of a wall hit, in closed form (paper, Sec. IV-B).
+    """Return the outcome of a wall hit in closed form (paper, Sec. IV-B).
 
     Args:
-        vehicle: its mass and materials.
-        surface: a material of the vehicle's.
+        vehicle: supplies the mass and the materials.
+        surface: one of the vehicle's materials.
         mode: `rigid` or `flexible`.
-        normal_m_s: velocity at the onset along the wall's outward normal, negative; arrays give arrays.
-        tangential_m_s: velocity along the wall; broadcasts with it.
-        onset: `lcp` or `touch`; the configuration's by default.
-        incidence_deg: leading edge against the wall, 0 to 45.
+        normal_m_s: onset velocity along the wall's outward normal, negative; arrays give arrays.
+        tangential_m_s: onset velocity along the wall; broadcasts with `normal_m_s`.
+        onset: `lcp` or `touch`; by default the configuration's.
+        incidence_deg: angle between the leading edge and the wall, 0 to 45.
 
     Returns:
         `normal_out_m_s`, `peak_normal_force_n`, `contact_time_s`, ... (`contact.contact_map.WallHit`).
@@ -220,38 +222,40 @@ def predict(
     Raises:
         InputError: the surface, the mode or the onset is unknown, or a velocity does not approach the wall.
     """
-    what = prediction.condition(vehicle, surface, mode, onset, incidence_deg)
+    condition = prediction.condition(vehicle, surface, mode, onset, incidence_deg)
     normal, tangential = np.asarray(normal_m_s, dtype=float), np.asarray(tangential_m_s, dtype=float)
     for pair in np.broadcast(normal, tangential):
         prediction.refuse_hit(*map(float, pair))
     if normal.ndim == 0 and tangential.ndim == 0:
-        return collide(what.coefficients, what.mass_kg, float(normal), float(tangential), what.onset)
-    table = CoefficientArrays.of([what.coefficients])
+        return collide(
+            condition.coefficients, condition.mass_kg, float(normal), float(tangential), condition.onset
+        )
+    table = CoefficientArrays.of([condition.coefficients])
     rows = np.zeros(np.broadcast(normal, tangential).shape, dtype=np.intp)
-    return contact_map(table, what.mass_kg, normal, tangential, what.onset, rows=rows)
+    return contact_map(table, condition.mass_kg, normal, tangential, condition.onset, rows=rows)
 
 
 def predict_drop(
     vehicle: VehicleConfig, surface: str, mode: str, height_m: float, *, onset: str | None = None
 ) -> Drop[float]:
-    """What comes out of a drop, released at rest `height_m` above the plane of first touch.
+    """Return the outcome of a drop from rest, `height_m` above the plane of first touch.
 
     Raises:
         InputError: as `predict`, or the height is not above 0 and up to 100 m.
     """
-    what = prediction.condition(vehicle, surface, mode, onset, 0.0)
-    prediction.drop_contact(what, height_m)  # refuses heights
-    return drop(what.coefficients, what.mass_kg, height_m, what.onset)
+    condition = prediction.condition(vehicle, surface, mode, onset, 0.0)
+    prediction.drop_contact(condition, height_m)  # raises for a height out of range
+    return drop(condition.coefficients, condition.mass_kg, height_m, condition.onset)
 
 
 # --- planning -------------------------------------------------------------------------------------------
 
 
 class PlanResult:
-    """What a search found.
+    """The result of a search for plans.
 
     Attributes:
-        search: the whole of it: counts, refusals, maps.
+        search: the complete result, with counts, rejections and maps.
     """
 
     def __init__(self, result: SearchResult) -> None:
@@ -259,19 +263,19 @@ class PlanResult:
 
     @property
     def plans(self) -> Sequence[Plan]:
-        """The best ones, in order."""
+        """The best plans, in order."""
         return self.search.plans
 
     @property
     def mission(self) -> Mission:
-        """The best plan as a mission, to be flown."""
+        """The best plan as a mission that can be flown."""
         return self.mission_of(1)
 
     def mission_of(self, rank: int) -> Mission:
-        """A plan as a mission; 1 is the best.
+        """Return the plan of a rank as a mission; rank 1 is the best.
 
         Raises:
-            InputError: there are not that many.
+            InputError: there are fewer plans.
         """
         scenario = self.search.scenario
         text = mission_text(scenario, self._plan(rank), Path("plan.yaml"))
@@ -279,16 +283,16 @@ class PlanResult:
         return msgspec.structs.replace(mission, vehicle_source=scenario.vehicle_source)
 
     def write(self, path: str | Path, rank: int = 1, *, verify: bool = True) -> Path:
-        """Write a plan as a mission file; what was changed in Python of its vehicle is not in it.
+        """Write a plan as a mission file; changes made to its vehicle in Python are not written.
 
         Args:
-            path: of the file.
-            rank: of the plan.
+            path: the file to write.
+            rank: rank of the plan; 1 is the best.
             verify: whether to fly the plan in simulation first (21 flights in this process, half a minute)
                 and write the results into the file (`flown`).
 
         Raises:
-            InputError: it cannot be written, or there are not that many plans.
+            InputError: the file cannot be written, or there are fewer plans.
         """
         plan, scenario = self._plan(rank), self.search.scenario
         record = fly_mission(planned_mission(scenario, plan), fly=fly_in_process).record if verify else None
@@ -304,15 +308,15 @@ class PlanResult:
 def load_scenario(
     scenario: Written, vehicle: VehicleConfig | str | Path | None = None, settings: Sequence[str] = ()
 ) -> Scenario:
-    """What the planner is asked: a scenario file, or a mapping of what it would hold.
+    """Load a scenario, the input of the planner, from a file or a mapping with the content of one.
 
     Args:
         scenario: the file or the mapping.
-        vehicle: the configuration, instead of the one that the scenario names.
-        settings: `KEY=VALUE` of the configuration, as with `--set`.
+        vehicle: the configuration to use instead of the one that the scenario names.
+        settings: `KEY=VALUE` settings of the configuration, as with `--set`.
 
     Raises:
-        InputError: in the scenario or in the configuration.
+        InputError: the scenario or the configuration is invalid.
     """
     if isinstance(vehicle, VehicleConfig):
         return scenario_files.load_scenario(scenario, vehicle=_with_settings(vehicle, settings))
@@ -330,14 +334,15 @@ def plan(
     """Choose walls, velocities and modes for a scenario.
 
     Args:
-        scenario: `load_scenario` makes it of a file or of a mapping.
-        vehicle: the configuration, instead of the one that the scenario names.
+        scenario: a scenario, or a file or mapping for `load_scenario`.
+        vehicle: the configuration to use instead of the one that the scenario names.
         objective: `nearest`, `fastest`, `gentlest` or `robust`, instead of the scenario's.
-        top: how many plans to keep.
-        seed: of the draws of `robust`.
+        top: number of plans to keep.
+        seed: seed of the draws of `robust`.
 
     Raises:
-        InputError: in the scenario, or nothing is feasible; the message says what stands in the way most.
+        InputError: the scenario is invalid or has no feasible plan; the message names the most frequent
+            obstacle.
     """
     if not isinstance(scenario, Scenario):
         scenario = load_scenario(scenario, vehicle)
@@ -368,30 +373,32 @@ def identify(
     wall: tuple[float, float, float] | None = None,
     mass_kg: float | None = None,
 ) -> Identification:
-    """Contact coefficients from recorded trials at one wall; needs SciPy (the extra `identify`).
+    """Identify contact coefficients from recorded trials at one wall; requires SciPy (extra `identify`).
 
     Args:
-        trials: files (CSV, PX4 ULog, flight log), folders of flight logs, flights, logs, or `Trial`s of your
-            own arrays.
-        vehicle: its mass and rule for the onset count; by default that of `load_vehicle()`. A flight log says
-            its own, which counts for it.
-        mode: state of the arms where the trials do not say it; of flights, their collisions in it.
-        surface: of flights, their collisions with this material.
-        drop: the trials are drops, or the height in m.
-        onset: `lcp` or `touch`; the vehicle's by default.
-        contact_distance_m: is subtracted from `normal_m` of files.
-        columns: our name -> header of CSV files.
-        wall: of PX4 logs: north, east (m) of a point of the plane, heading of its normal (degrees).
-        mass_kg: of the vehicle, instead of the configuration's.
+        trials: files (CSV, PX4 ULog, flight log), folders of flight logs, flights, logs, or `Trial`s made
+            from your own arrays.
+        vehicle: supplies the mass and the onset rule; default `load_vehicle()`. A flight log contains its own
+            configuration, which is used for its trials.
+        mode: state of the arms for trials that do not record it; for flights, only collisions in this mode
+            are used.
+        surface: for flights, only collisions with this material are used.
+        drop: whether the trials are drops, or the drop height in m.
+        onset: `lcp` or `touch`; by default the vehicle's.
+        contact_distance_m: distance to subtract from `normal_m` of files.
+        columns: header of each of our column names in the CSV files.
+        wall: for PX4 logs, north and east (m) of a point of the plane and the heading of its normal
+            (degrees).
+        mass_kg: vehicle mass to use instead of the configuration's.
 
     Raises:
-        InputError: SciPy is missing, a trial or an option cannot be used, a collision is with another wall.
+        InputError: SciPy is missing, a trial or an option is invalid, or a collision is with another wall.
     """
     given = list(trials) if isinstance(trials, Sequence) and not isinstance(trials, str) else [trials]
     vehicle = vehicle or load_vehicle()
     if mode not in (None, "rigid", "flexible"):
         raise InputError(f"{mode!r} is not allowed, only: rigid, flexible", key=("mode",))
-    how = TrialReading(
+    reading = TrialReading(
         mode=mode or UNLABELLED,
         surface=surface,
         drop=drop is not False,
@@ -401,14 +408,14 @@ def identify(
         wall=wall,
         mass_kg=mass_kg,
     )
-    own = [trial for one in given for trial in _trials_in(one, surface, how.mode)]
-    paths = [str(one) for one in given if isinstance(one, str | Path)]
+    own = [trial for source in given for trial in _trials_in(source, surface, reading.mode)]
+    paths = [str(source) for source in given if isinstance(source, str | Path)]
     rule = None if onset is None else prediction.onset_rule(vehicle, onset)
-    return identify_trials(paths, how, vehicle, onset=rule, given=own).found
+    return identify_trials(paths, reading, vehicle, onset=rule, given=own).found
 
 
 def _trials_in(source: Source, surface: str | None, mode: str) -> list[Trial]:
-    """The trials of what is no file."""
+    """Return the trials of a source that is not a file."""
     if isinstance(source, Trial):
         return [source]
     if isinstance(source, Flight):

@@ -1,7 +1,7 @@
-"""How every figure looks, and how it becomes a file.
+"""The style of every figure, and functions that save figures or convert them to SVG.
 
-Lines differ in darkness and dash as well as in colour, so that what is printed in grey can be read. Letters
-stay letters: text in SVG, embedded TrueType (type 42) in PDF.
+Lines differ in darkness and dash as well as in colour, so that a grey print stays readable. Letters stay
+text: text in SVG, embedded TrueType (type 42) in PDF.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ PREDICTED = {"color": "#e8871e", "linestyle": (0, (1, 1.2)), "linewidth": 2.2}
 REPLANNED = {"color": "#8a3fb5", "linestyle": (0, (4, 1.2, 1, 1.2)), "linewidth": 1.8}
 FORCE, GUARD, SET_POINT = "#c2261d", "#b00020", "#1b7a3d"
 GREY = "#666666"
-LINES = (TRUE, ESTIMATED, PREDICTED)  # where they are quantities of one source
+LINES = (TRUE, ESTIMATED, PREDICTED)  # for several quantities of one source
 _STYLE = {
     "svg.fonttype": "none",
     "svg.hashsalt": "dart-flight",
@@ -46,11 +46,11 @@ _BREAKS = re.compile(r"\s*\n\s*")
 
 
 class Look(NamedTuple):
-    """Size of a figure and of its letters.
+    """The size of a figure and of its text.
 
     Attributes:
-        width_in: of the whole figure, inches.
-        font_pt: of labels and ticks; the rest follows.
+        width_in: width of the whole figure, inches.
+        font_pt: size of labels and ticks, points; other sizes derive from it.
     """
 
     width_in: float
@@ -58,21 +58,21 @@ class Look(NamedTuple):
 
     @property
     def small_pt(self) -> float:
-        """Letters of legends and of labels inside a plot."""
+        """The size of legends and of labels inside a plot, points."""
         return self.font_pt - 1.0
 
 
-# 4.6 inches are a phone's width, so that letters stay legible there; 3.5 inches a column of a paper.
+# A phone is 4.6 inches wide, a column of a paper 3.5.
 PAGE, COLUMN = Look(4.6, 9.0), Look(3.5, 8.0)
 
 
 def new_figure(look: Look, height: float, rows: int = 1, columns: int = 1, **options: Any) -> tuple[Any, Any]:
-    """A figure and its axes, of `height` times what a page's figure would have of its own width.
+    """Return a figure and its axes; the height scales with the width of the look.
 
     Args:
-        look: width and letters.
-        height: inches at the width of `PAGE`.
-        rows, columns, options: of `Figure.subplots`.
+        look: width and text size.
+        height: height at the width of `PAGE`, inches.
+        rows, columns, options: arguments of `Figure.subplots`.
     """
     from matplotlib.figure import Figure  # noqa: PLC0415  (an extra, and slow)
 
@@ -81,7 +81,7 @@ def new_figure(look: Look, height: float, rows: int = 1, columns: int = 1, **opt
 
 
 def panels(look: Look, rows: int) -> tuple[Any, Any]:
-    """A figure of panels above each other that share the time axis, each with a line at zero."""
+    """Return a figure of stacked panels with a shared time axis, each with a line at zero."""
     figure, axes = new_figure(look, 1.4 * rows + 0.6, rows, 1, sharex=True, squeeze=False)
     for axis in axes[:, 0]:
         axis.axhline(0.0, color=GREY, linewidth=0.8)
@@ -89,14 +89,14 @@ def panels(look: Look, rows: int) -> tuple[Any, Any]:
 
 
 def shade(axis: Any, begin: float, end: float) -> None:
-    """Mark a stretch of time, such as a contact."""
+    """Mark a time interval, such as a contact."""
     axis.axvspan(begin, end, color=ESTIMATED["color"], alpha=0.08, linewidth=0)
 
 
 def in_style(draw: Callable[P, Any]) -> Callable[P, Any]:
-    """A drawing function whose letters and lines are those of its keyword `look` (`PAGE` where not given).
+    """Decorate a drawing function so that it draws in the style of its keyword `look` (default `PAGE`).
 
-    It raises an `InputError` where matplotlib is not installed.
+    The decorated function raises an `InputError` if matplotlib is not installed.
     """
 
     @functools.wraps(draw)
@@ -129,29 +129,34 @@ def _styled(look: Look) -> Iterator[None]:
 
 
 def as_svg(figure: Any) -> str:
-    """The figure as SVG text for a page: no background, coordinates to a tenth of a point, no idle white."""
+    """Return the figure as SVG text for a page, without background and with coordinates to a tenth of a
+    point.
+    """
     text = io.StringIO()
     with _styled(PAGE):
         figure.savefig(text, format="svg", metadata={"Date": None}, transparent=True)
     svg = text.getvalue()
     svg = _METADATA.sub("", svg[svg.index("<svg") :])
-    return _BREAKS.sub("", _COORDINATES.sub(lambda part: _short(part[0]), svg))
+    return _BREAKS.sub("", _COORDINATES.sub(lambda part: _shorten(part[0]), svg))
 
 
-def _short(coordinates: str) -> str:
+def _shorten(coordinates: str) -> str:
     return _BREAKS.sub("", _DIGITS.sub(r"\1", coordinates)).replace(".0 ", " ").replace("L ", " ")
 
 
 def save_figure(figure: Any, path: Path) -> None:
-    """Write a figure in the format of its ending: png, svg or pdf.
+    """Write a figure in the format of the file's extension: png, svg or pdf.
 
     Raises:
-        InputError: another ending, or the file cannot be written.
+        InputError: the extension is unknown, or the file cannot be written.
     """
     if path.suffix.lower() not in (".png", ".svg", ".pdf"):
         raise InputError("a picture is a file .png, .svg or .pdf", source=str(path))
-    with writing(path), _styled(PAGE):
-        figure.savefig(path, dpi=200)
+    drawn = io.BytesIO()  # a drawing that fails leaves the last picture alone
+    with _styled(PAGE):
+        figure.savefig(drawn, format=path.suffix.lower()[1:], dpi=200)
+    with writing(path):
+        path.write_bytes(drawn.getvalue())
 
 
 def save_pages(figures: Iterable[Any], path: Path) -> None:
@@ -169,7 +174,7 @@ def save_pages(figures: Iterable[Any], path: Path) -> None:
 
 
 def legend_above(axis: Any, columns: int | None = None) -> None:
-    """In one row over the plot, where it covers no line."""
+    """Put the legend in one row above the plot, where it covers no line."""
     labels = axis.get_legend_handles_labels()[1]
     if labels:
         axis.legend(

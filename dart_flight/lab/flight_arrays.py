@@ -1,8 +1,9 @@
-"""A recorded flight as arrays in the mission frame: what reports and identification work on."""
+"""A recorded flight as arrays in the mission frame, for reports and identification."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 from typing import NamedTuple, TypeVar
 
 import numpy as np
@@ -14,8 +15,10 @@ from dart_flight.base.records import (
     FrameAnchor,
     OdometrySample,
     PhaseChange,
+    PoseSample,
     Record,
     TruthSample,
+    World,
 )
 from dart_flight.config.mission import Mission
 from dart_flight.recording.anchor import MissionFrameReader
@@ -29,15 +32,29 @@ _AXES: tuple[Vec3, ...] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
 class MotionArrays(NamedTuple):
-    """Positions (m) and velocities (m/s) in the mission frame; times in s, arrays (n,), (n, 3), (n, 3)."""
+    """Times (n,) in s, positions (n, 3) in m and velocities (n, 3) in m/s, in the mission frame."""
 
     time_s: Array
     position: Array
     velocity: Array
 
 
+class PoseArrays(NamedTuple):
+    """Poses of the motion capture, before PX4's estimator.
+
+    Attributes:
+        time_s: (n,), when they were measured.
+        position: (n, 3), m, in the mission frame.
+        is_timed: whether the age of a pose is known, and taken off its time of receipt.
+    """
+
+    time_s: Array
+    position: Array
+    is_timed: bool
+
+
 class ForceArrays(NamedTuple):
-    """Force on the vehicle, newton, mission frame: times (n,) in s, force (n, 3)."""
+    """Times (n,) in s and the force on the vehicle (n, 3) in newton, in the mission frame."""
 
     time_s: Array
     force: Array
@@ -46,22 +63,22 @@ class ForceArrays(NamedTuple):
 class FlightArrays:
     """The arrays of one flight.
 
-    Times are seconds since the zero that every output has (`flight_time`); `time_of` converts autopilot
+    Times are seconds since the zero of `flight_time`, which every output shares; `time_of` converts autopilot
     stamps.
 
     Attributes:
-        log, records: where they come from.
-        start_us: the autopilot's time that is 0 s here.
-        frame: the mission frame in local NED as it was laid first; None where the flight did not get ready.
-            Contacts may move it (`frame_at`): each place is converted by the frame in force at its time.
-        estimated: by PX4's estimator; empty without a frame.
-        true: of the simulated vehicle; empty on the drone.
-        estimated_force, true_force: likewise. An estimate stands for the mean over the IMU's tick, behind
-            the accelerometer's own filter: its time here is the middle of that, not the stamp at its end.
+        log, records: the source of the arrays.
+        start_us: the autopilot's time at 0 s.
+        frame: the first mission frame in local NED, or None if the flight never became ready. Contacts may
+            move the frame (`frame_at`); each position is converted with the frame valid at its time.
+        estimated: the motion estimated by PX4; empty without a frame.
+        true: the motion of the simulated vehicle; empty on the drone.
+        estimated_force, true_force: the same for the force. An estimated force is stamped with the middle of
+            the IMU's averaging interval, behind the accelerometer's own filter, not with its end.
     """
 
     def __init__(self, log: Log, mission: Mission) -> None:
-        self.log = log
+        self.log, self._mission = log, mission
         self.records: list[Record] = [entry.record for entry in log.entries]
         self.start_us = zero_of(self.records)
         self._frames = _frames(self.records, mission)
@@ -78,51 +95,72 @@ class FlightArrays:
         middle_s = force.t_s - mission.vehicle.imu.reading_lag_s
         self.estimated_force = ForceArrays(middle_s, force["force_mission"])
 
+    @cached_property
+    def posed(self) -> PoseArrays:
+        """The poses that this program forwarded to PX4; empty without motion capture or frame."""
+        samples = self.topic_in_ned(PoseSample)
+        tracked: list[PoseSample] = [s for s in samples.records if isinstance(s, PoseSample) and s.tracked]
+        received = np.array([s.t_us for s in tracked], dtype=float)
+        stamps = [s.source_us for s in tracked if s.source_us is not None]
+        if stamps and len(stamps) == len(tracked):  # they do not jitter; the clocks differ by a constant
+            own = np.array(stamps, dtype=float)
+            received = own + (received - own).min()
+        rising = np.diff(np.maximum.accumulate(received), prepend=-np.inf) > 0.0
+        mocap = self._mission.vehicle.mocap
+        delay_s = None if mocap.delay_ms is None else 1e-3 * mocap.delay_ms
+        if delay_s is None and self.log.world not in (World.DRONE, None):
+            delay_s = self._mission.vehicle.simulation.pose_delay_s
+        time_s = (received - self.start_us) * 1e-6 - (delay_s or 0.0)
+        room = mocap.room_frame()
+        places = [room.pose_to_ned(s.position_room, s.q_body_to_room)[0] for s in tracked]
+        position = self.places_from_ned(np.array(places, dtype=float).reshape(-1, 3), time_s)
+        return PoseArrays(time_s[rising], position[rising], delay_s is not None)
+
     def topic(self, kind: type[Record]) -> Topic:
-        """The records of a kind, field by field."""
+        """Return the records of a kind, field by field."""
         return self.log[kind.topic]
 
     def all(self, kind: type[R]) -> list[R]:
-        """Every record of a kind, in the order written."""
+        """Return every record of a kind, in the order written."""
         return list(self.topic(kind).records)  # type: ignore[arg-type]
 
     def time_of(self, t_us: int) -> float:
-        """Seconds since the start."""
+        """Return the time of an autopilot stamp in seconds since the start."""
         return (t_us - self.start_us) * 1e-6
 
     def topic_in_ned(self, kind: type[Record]) -> Topic:
-        """As `topic`, of records that are of use with a frame: none without."""
+        """Return the records of a kind that is usable only with a frame; no records without a frame."""
         return self.topic(kind) if self.frame is not None else Topic(kind, [], np.empty(0))
 
     def frame_at(self, t_us: int) -> MissionFrame | None:
-        """The mission frame in force at a moment; the first one before it was laid, None without any."""
-        since = [frame for from_us, frame in self._frames if from_us <= t_us]
-        return since[-1] if since else self.frame
+        """Return the mission frame valid at a time: the first frame for earlier times, None without any."""
+        laid = [frame for from_us, frame in self._frames if from_us <= t_us]
+        return laid[-1] if laid else self.frame
 
     def from_ned(self, vectors: Array) -> Array:
-        """Directions (n, 3) from local NED, in the mission frame."""
+        """Return directions (n, 3) in local NED as directions in the mission frame."""
         frame = self.frame or MissionFrame()
         return np.asarray(vectors @ np.array([frame.vector_from_ned(axis) for axis in _AXES]))
 
     def places_from_ned(self, places: Array, time_s: Array) -> Array:
-        """Places (n, 3) at the times (n,) from local NED, in the mission frame in force then."""
+        """Return positions (n, 3) in local NED, at times (n,), in the mission frame valid at each time."""
         if not self._frames:
             return self.from_ned(places)
-        since_s = [self.time_of(t_us) for t_us, _ in self._frames]
+        begin_s = [self.time_of(t_us) for t_us, _ in self._frames]
         origins = np.array([frame.point_from_ned((0.0, 0.0, 0.0)) for _, frame in self._frames])
-        index = np.maximum(0, np.searchsorted(since_s, time_s, side="right") - 1)
+        index = np.maximum(0, np.searchsorted(begin_s, time_s, side="right") - 1)
         return np.asarray(self.from_ned(places) + origins[index])
 
 
 def turned(q_frd_to_ned: Array, body: Array) -> Array:
-    """Vectors (n, 3), or one for all, from FRD to NED by attitudes (n, 4)."""
+    """Return body vectors (n, 3), or one vector for all, rotated from FRD to NED by attitudes (n, 4)."""
     scalar, vector = q_frd_to_ned[:, :1], q_frd_to_ned[:, 1:]
     turn = 2.0 * np.cross(vector, body)
     return np.asarray(body + scalar * turn + np.cross(vector, turn))
 
 
 def _frames(records: Sequence[Record], mission: Mission) -> list[tuple[int, MissionFrame]]:
-    """The mission frames of a flight in order, each with the autopilot's time since which it was in force."""
+    """Return the mission frames of a flight in order, each with the autopilot's time at which it begins."""
     reader = MissionFrameReader(mission)
     found: list[tuple[int, MissionFrame]] = []
     for record in records:

@@ -1,6 +1,6 @@
-"""What is missing of a recording: holes in its stamps, and its end where the log was cut.
+"""Lines that describe missing parts of a recording: holes in its stamps, and the end of a log that was cut.
 
-`inspect`, `identify` and `report` use the same words.
+`inspect`, `identify` and `report` print the same lines.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from dart_flight.base.records import ImuSample
 from dart_flight.recording.reader import Log
 
-_INTERVALS, _LEAST_S = 10.0, 0.1  # shorter ones are jitter, or a sample or two that were lost
+_INTERVALS, _LEAST_S = 10.0, 0.1  # shorter ones are jitter or one or two lost samples
 _SHOWN = 3
 
 
@@ -21,7 +21,7 @@ def describe_holes(time_s: NDArray[np.float64], what: str, begin_s: float | None
     Args:
         time_s: stamps, increasing.
         what: name of the recorded data.
-        begin_s: stamp that the lines count as 0, or None for the first stamp.
+        begin_s: stamp to count times from; None: the first stamp.
     """
     if len(time_s) < 3:
         return []
@@ -38,12 +38,12 @@ def describe_holes(time_s: NDArray[np.float64], what: str, begin_s: float | None
 
 
 def describe_cut_end(at_s: float, where: str = "") -> str:
-    """Return the line on a log that was cut at a time; `where` the vehicle was then, such as "in the air"."""
+    """Return the line for a log that was cut at a time; `where` locates the vehicle, such as "in the air"."""
     return f"cut: the log ends{f' {where},' if where else ''} at {at_s:.2f} s"
 
 
 def describe_missing_parts(log: Log) -> list[str]:
-    """Return a line if a flight log was cut, and one for each hole; times count from its first IMU sample."""
+    """Return a line if a flight log was cut, and a line for each hole, timed from the first IMU sample."""
     time_s = log[ImuSample.topic].t_s
     lines = describe_holes(time_s, "the IMU samples", begin_s=0.0)
     if log.complete:

@@ -1,4 +1,4 @@
-"""Intervals of shares and of means, bins of equal counts, and whether a quantity tells two groups apart."""
+"""Statistics of campaigns and identification: confidence intervals, bins, rank tests and correlations."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ _T_FEW = (12.7062, 4.3027, 3.1824, 2.7764, 2.5706, 2.4469, 2.3646, 2.3060, 2.262
 
 
 class Share(msgspec.Struct, frozen=True):
-    """Successes among flights, with the 95 % interval of the rate (Wilson's score interval).
+    """A success rate with its 95 % interval (Wilson's score interval).
 
     Attributes:
-        count, of: successes, flights.
-        share, low, high: of 1; None where there is no flight.
+        count, of: number of successes and of flights.
+        share, low, high: the rate and its interval, 0 to 1; None without flights.
     """
 
     count: int
@@ -30,21 +30,21 @@ class Share(msgspec.Struct, frozen=True):
     high: float | None
 
     def words(self, unknown: str) -> tuple[str, str]:
-        """The rate and its interval, in percent."""
+        """Return the rate and its interval as text, in percent."""
         if self.share is None or self.low is None or self.high is None:
             return unknown, unknown
         return f"{100.0 * self.share:.1f} %", f"{100.0 * self.low:.1f} to {100.0 * self.high:.1f} %"
 
 
 def share(successes: int, flights: int) -> Share:
-    """A success rate with its interval."""
+    """Return a success rate with its interval."""
     if not flights:
         return Share(0, 0, None, None, None)
     return Share(successes, flights, successes / flights, *wilson(successes, flights))
 
 
 def wilson(successes: int, flights: int) -> tuple[float, float]:
-    """95 % interval of a success rate (Wilson's score interval)."""
+    """Return the 95 % interval of a success rate (Wilson's score interval)."""
     z, p = Z95, successes / flights
     middle = (p + z * z / (2 * flights)) / (1 + z * z / flights)
     half = z * math.sqrt(p * (1 - p) / flights + z * z / (4 * flights**2)) / (1 + z * z / flights)
@@ -52,7 +52,7 @@ def wilson(successes: int, flights: int) -> tuple[float, float]:
 
 
 def bin_edges(values: Sequence[float], most: int = 8, least_in_one: int = 25) -> list[float]:
-    """Edges of bins with about equal counts, by quantiles; one bin where there are few values."""
+    """Return the edges of bins with about equal counts, from quantiles; one bin if there are few values."""
     ordered = sorted(values)
     count = max(1, min(most, len(ordered) // least_in_one))
     edges = [ordered[round(i * (len(ordered) - 1) / count)] for i in range(count + 1)]
@@ -61,16 +61,17 @@ def bin_edges(values: Sequence[float], most: int = 8, least_in_one: int = 25) ->
 
 
 def bin_of(value: float, edges: Sequence[float]) -> int:
-    """Which bin a value is in; the last one holds its upper edge."""
+    """Return the index of the bin that contains a value; the last bin includes its upper edge."""
     return min(max(bisect.bisect_right(edges, value) - 1, 0), len(edges) - 2)
 
 
 class Separation(NamedTuple):
-    """How well a quantity tells one group from another (Mann and Whitney's U).
+    """The separation of two groups by a quantity (Mann and Whitney's U).
 
     Attributes:
-        chance: that a value of the first group is above one of the second, ties half; 0.5: it tells nothing.
-        z: of that, in standard deviations under no difference.
+        chance: probability that a value of the first group exceeds one of the second, with ties counted half;
+            0.5 is no separation.
+        z: deviation of `chance` from 0.5, in standard deviations under no difference.
     """
 
     chance: float
@@ -78,7 +79,7 @@ class Separation(NamedTuple):
 
 
 def separation(first: Sequence[float], second: Sequence[float]) -> Separation:
-    """Compare two groups of values, neither of them empty."""
+    """Compare two groups of values; neither may be empty."""
     below = sorted(second)
     wins = sum(0.5 * (bisect.bisect_left(below, v) + bisect.bisect_right(below, v)) for v in first)
     n, m = len(first), len(second)
@@ -87,7 +88,7 @@ def separation(first: Sequence[float], second: Sequence[float]) -> Separation:
 
 
 def rank_correlation(pairs: Sequence[tuple[float, float]]) -> float:
-    """Spearman's correlation: of the ranks, equal values sharing theirs; both have to vary."""
+    """Return Spearman's rank correlation; equal values share a rank, and both columns must vary."""
 
     def ranks(values: Sequence[float]) -> list[float]:
         ordered = sorted(values)
@@ -110,7 +111,9 @@ def rank_correlation_chance(correlation: float, pairs: int) -> float:
 
 
 def student_t(freedom: int) -> float:
-    """97.5 % point of Student's t: tabulated where the expansion about the normal quantile is not close."""
+    """Return the 97.5 % point of Student's t, tabulated where the expansion about the normal quantile is
+    inaccurate.
+    """
     if freedom <= len(_T_FEW):
         return _T_FEW[freedom - 1]
     z = Z95
@@ -120,7 +123,7 @@ def student_t(freedom: int) -> float:
 
 
 def mean_half_width(values: Sequence[float]) -> float | None:
-    """Half the 95 % interval of the mean by Student's t; None from fewer than two values."""
+    """Return half the 95 % interval of the mean by Student's t, or None for fewer than two values."""
     n = len(values)
     if n < 2:
         return None

@@ -1,4 +1,4 @@
-"""One flight's measurements as arrays, in local NED, from our own log or PX4's."""
+"""The measurements of one flight as arrays in local NED, read from our own log or PX4's, for calibration."""
 
 from __future__ import annotations
 
@@ -46,17 +46,17 @@ NO_MOTORS = MotorCommands(_NONE, _NO_FOURS, "")
 
 
 class Track(msgspec.Struct):
-    """Measurements of one flight over time in seconds of the autopilot's clock; empty where not recorded.
+    """Measurements of one flight over the autopilot's time in seconds. An array is empty if not recorded.
 
     Attributes:
         source: the file, for messages.
         imu_s: (n,); `specific_force` (m/s2) and `rate` (rad/s) are (n, 3), FRD.
         motor_s: (m,); `motors` are commands 0 to 1, (m, motors).
         attitude_s: (a,); `q` is FRD to NED, (a, 4).
-        position_s: (k,); `position` (m) and `velocity` (m/s) are (k, 3), NaN where PX4 had none.
+        position_s: (k,); `position` (m) and `velocity` (m/s) are (k, 3), NaN where PX4 had no estimate.
         voltage_s: (v,); `voltage` in volts.
-        ground: from, to: on the ground.
-        notes: how it was read, what was left out.
+        ground: begin and end of each interval on the ground.
+        notes: remarks on the source and on data left out.
     """
 
     source: str
@@ -76,22 +76,22 @@ class Track(msgspec.Struct):
     notes: tuple[str, ...] = ()
 
     def to_ned(self, body: Array) -> Array:
-        """Vectors (n, 3) at the IMU's stamps, from FRD; the attitude is taken between its samples."""
-        # A quaternion and its negative are the same attitude: of two neighbours those that are closer.
+        """Return vectors (n, 3) at the IMU's stamps, rotated from FRD to NED by the interpolated attitude."""
+        # A quaternion and its negative are the same attitude, so choose the sign closer to the neighbour.
         signs = np.where(np.sum(self.q[1:] * self.q[:-1], axis=1) < 0.0, -1.0, 1.0)
-        course = self.q * np.cumprod([1.0, *signs])[:, None]
-        q = np.stack([np.interp(self.imu_s, self.attitude_s, part) for part in course.T], axis=1)
+        continuous = self.q * np.cumprod([1.0, *signs])[:, None]
+        q = np.stack([np.interp(self.imu_s, self.attitude_s, part) for part in continuous.T], axis=1)
         return turned(q / np.linalg.norm(q, axis=1, keepdims=True), body)
 
 
 def read_calibration_series(path: str | Path) -> Track:
-    """One flight with its motor commands: our own log (`.mcap`) or a PX4 ULog (`.ulg`).
+    """Read one flight with its motor commands from our own log (`.mcap`) or a PX4 ULog (`.ulg`).
 
     Raises:
-        InputError: the log cannot be read, lacks IMU or motor commands, or is not from a multicopter.
+        InputError: the log cannot be read, lacks IMU data or motor commands, or is not from a multicopter.
     """
     if Path(path).suffix.lower() != ".ulg":
-        return _of_own(read_log(path))
+        return _own_track(read_log(path))
     log = open_ulog(path, _TOPICS)
     refuse_other_vehicles(log)
     if log.first("sensor_combined") is None:
@@ -99,12 +99,12 @@ def read_calibration_series(path: str | Path) -> Track:
     return calibration_series_of(log, motor_commands(log))
 
 
-def _of_own(log: Log) -> Track:
+def _own_track(log: Log) -> Track:
     kinds = (ImuSample, ActuatorSample, AttitudeSample, OdometrySample, StatusSample)
     imu, sent, attitude, moved, status = (log[kind.topic] for kind in kinds)
     if not len(imu) or not len(sent):
         raise NothingInItError("has no IMU samples or no motor commands", source=log.source)
-    # A landing may touch the ground half a second before PX4's land detector says so: leave it out whole.
+    # PX4's land detector may report a touch-down half a second late: leave out the whole landing.
     landing = status["flight_mode"] == FlightMode.LAND
     known = np.isfinite(status["battery_v"])
     return Track(
@@ -121,17 +121,17 @@ def _of_own(log: Log) -> Track:
         velocity=moved["velocity_ned"],
         voltage_s=status["t_us"][known] * 1e-6,
         voltage=status["battery_v"][known],
-        ground=_while(status["t_us"] * 1e-6, landing | (status["landed"] == LandedState.ON_GROUND)),
+        ground=_intervals(status["t_us"] * 1e-6, landing | (status["landed"] == LandedState.ON_GROUND)),
     )
 
 
 def calibration_series_of(log: ULogFile, motors: MotorCommands = NO_MOTORS) -> Track:
-    """What an opened ULog has, with motor commands that were read from it."""
+    """Return the measurements of an open ULog, with motor commands already read from it."""
     imu, attitude = log.first("sensor_combined"), log.first("vehicle_attitude")
     moved, volts = log.first("vehicle_local_position"), battery(log)
     notes = [motors.said, volts.said]
     if log.first("vehicle_land_detected") is None:
-        notes.append("no vehicle_land_detected: what is on the ground is not known")
+        notes.append("no vehicle_land_detected: time on the ground is unknown")
     track = Track(
         source=log.source,
         imu_s=_NONE,
@@ -160,15 +160,15 @@ def calibration_series_of(log: ULogFile, motors: MotorCommands = NO_MOTORS) -> T
 
 
 def _ground(log: ULogFile) -> list[tuple[float, float]]:
-    """PX4's land detector says landed, or close to it."""
+    """Return the intervals in which PX4's land detector reports the vehicle landed or close to it."""
     landed = log.first("vehicle_land_detected")
     if landed is None:
         return []
-    says = [landed[n] for n in ("landed", "maybe_landed", "ground_contact") if n in landed]
-    return _while(seconds(landed), np.any(says, axis=0))
+    states = [landed[n] for n in ("landed", "maybe_landed", "ground_contact") if n in landed]
+    return _intervals(seconds(landed), np.any(states, axis=0))
 
 
-def _while(times: Array, holds: NDArray[np.bool_]) -> list[tuple[float, float]]:
-    """From, to in seconds: one stretch per sample at which a state holds, until the next is reported."""
+def _intervals(times: Array, holds: NDArray[np.bool_]) -> list[tuple[float, float]]:
+    """Return begin and end (s) of an interval for each sample with the state, until the next sample."""
     ends = np.append(times, np.inf)[1:]
     return list(zip(times[holds].tolist(), ends[holds].tolist(), strict=True))

@@ -1,9 +1,10 @@
-"""PX4's own log (ULog), opened in one place: topics as arrays, motor commands decoded, battery plausible.
+"""Reader of PX4's own logs (ULog, PX4 1.9 and later): topics as arrays, decoded motor commands, plausible
+battery.
 
-PX4 1.9 and later. What `actuator_outputs` holds depends on version and output type: pulse widths between
-`PWM_MIN` and `PWM_MAX` (until 1.11), `PWM_MAIN_MIN` and `_MAX` (1.12) or those of each pin (from 1.13 on),
-DShot's 0 to 1999, UAVCAN's 0 to 8191, and in simulation 0 to 1. There may be several instances: motors on
-one, servos or nothing on the other.
+The content of `actuator_outputs` depends on version and output type. Pulse widths lie between `PWM_MIN` and
+`PWM_MAX` (until 1.11), `PWM_MAIN_MIN` and `_MAX` (1.12) or the values of each pin (since 1.13). DShot uses 0
+to 1999, UAVCAN 0 to 8191 and the simulation 0 to 1. A log may have several instances: motors on one, servos
+or nothing on the other.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ Array = NDArray[np.float64]
 _MIN_CELL_V = 3.0  # a flying pack has at least one cell; 0.05 V is a sensor that is not connected
 _LONGEST_COUNT = 8
 _MOTORS_OF_TYPE = {kind: motors for motors, kind in MAV_TYPES.items()}
-# Largest magnitude that a field can mean; a flipped bit makes others. 1000 m/s2 are 100 g: no IMU has that.
+# Largest plausible magnitude of a field; a flipped bit exceeds it. No IMU measures 1000 m/s2 (100 g).
 _PLAUSIBLE = {
     "sensor_combined": {"accelerometer_m_s2": 1000.0, "gyro_rad": 100.0},
     "vehicle_attitude": {"q": 1.01},
@@ -37,8 +38,8 @@ _PLAUSIBLE = {
     "actuator_motors": {"control": 1.01},
     "battery_status": {"voltage_v": 1e3},
 }
-_MAX_OUT_OF_STEP_US = 100_000  # of a stamp among its neighbours
-_MAX_SPAN_US = 86_400e6  # of a log: a day
+_MAX_OUT_OF_STEP_US = 100_000  # between a stamp and its neighbours
+_MAX_SPAN_US = 86_400e6  # duration of a log: a day
 ARMED = 2  # vehicle_status.arming_state
 _OLDEST = (1, 9, 0)
 _ROTARY_WING = 1  # vehicle_status.vehicle_type
@@ -49,19 +50,19 @@ _MAV_TYPES = {
     **{1: "plane", 4: "helicopter", 7: "airship", 8: "balloon", 10: "rover", 11: "boat", 12: "submarine"},
     **dict.fromkeys(range(19, 26), "VTOL"),
 }
-_STILL = 1e-3  # share of the range: outputs that vary less are not motors
+_STILL = 1e-3  # fraction of the range; outputs that vary less are not motors
 
 
 class ULogFile(msgspec.Struct):
-    """One log.
+    """A PX4 log.
 
     Attributes:
         source: the file, for messages.
         topics: name -> instance -> field -> array, as PX4 wrote it; only topics with samples.
         parameters: PX4's parameters at the start of the log.
-        version: PX4's version, None where the log does not say or it was built between releases.
-        gaps_s: seconds in all that the logger lost.
-        damage: what of the file is damaged and was left out, in words.
+        version: PX4's version, or None if it is not logged or PX4 was built between releases.
+        gaps_s: total duration that the logger lost, seconds.
+        damage: descriptions of damaged parts that were left out.
     """
 
     source: str
@@ -72,11 +73,11 @@ class ULogFile(msgspec.Struct):
     damage: tuple[str, ...] = ()
 
     def first(self, name: str) -> dict[str, Any] | None:
-        """Instance 0 of a topic, None where it was not logged."""
+        """Return instance 0 of a topic, or None if it was not logged."""
         return self.topics.get(name, {}).get(0)
 
     def rate_hz(self, name: str) -> float | None:
-        """Mean rate of a topic's first instance, None where it was not logged."""
+        """Return the mean rate of a topic's first instance, or None if it was not logged."""
         data = self.first(name)
         if data is None or len(data["timestamp"]) < 2:
             return None
@@ -88,9 +89,9 @@ class MotorCommands(msgspec.Struct):
     """Commands to the motors over time.
 
     Attributes:
-        time_s: stamps.
+        time_s: stamps, seconds.
         values: (samples, motors), 0 to 1.
-        said: where they come from and how they were decoded.
+        said: description of the source and of the decoding.
     """
 
     time_s: Array
@@ -99,7 +100,7 @@ class MotorCommands(msgspec.Struct):
 
 
 class Battery(msgspec.Struct):
-    """Battery voltage over time; `said` is why it was left out, empty where it was not."""
+    """Battery voltage over time; `said` is the reason for leaving it out, or empty."""
 
     time_s: Array
     volts: Array
@@ -107,7 +108,7 @@ class Battery(msgspec.Struct):
 
 
 def open_ulog(path: str | Path, topics: Sequence[str]) -> ULogFile:
-    """Open a log and take some topics out of it.
+    """Open a log and read some of its topics.
 
     Raises:
         InputError: pyulog is missing, the file cannot be read or is not a ULog.
@@ -117,14 +118,14 @@ def open_ulog(path: str | Path, topics: Sequence[str]) -> ULogFile:
         from pyulog import ULog  # noqa: PLC0415  (an extra, slow to import)
     except ImportError:
         raise missing_package("needs pyulog", "identify", source=source) from None
-    # pyulog prints what it stumbles over, to where JSON goes.
+    # pyulog prints its warnings to stdout, which may carry our JSON.
     with open_file(path) as file, contextlib.redirect_stdout(io.StringIO()) as printed:
         try:
             log = ULog(file, list(topics))
         except OSError as error:
             raise InputError(f"cannot read: {error.strerror or error}", source=source) from None
         except Exception:
-            # pyulog raises whatever its parsing stumbles over.
+            # pyulog raises arbitrary exceptions on damaged files.
             refuse_other_kind(path, FileKind.ULOG)
             raise InputError("not a readable ULog", source=source) from None
     found: dict[str, dict[int, dict[str, Any]]] = {}
@@ -148,7 +149,9 @@ def open_ulog(path: str | Path, topics: Sequence[str]) -> ULogFile:
 
 
 def _plausible(name: str, data: dict[str, Any]) -> NDArray[np.bool_]:
-    """Which samples of a topic can be: a stamp among its neighbours, values that mean something (or none)."""
+    """Return a mask of the plausible samples of a topic: stamps close to their neighbours, values within
+    range or NaN.
+    """
     stamps = np.asarray(data["timestamp"]).astype(float)
     good = np.ones(len(stamps), dtype=bool)
     if len(stamps) > 4:
@@ -159,17 +162,18 @@ def _plausible(name: str, data: dict[str, Any]) -> NDArray[np.bool_]:
     for field, most in _PLAUSIBLE.get(name, {}).items():
         for column, values in data.items():
             if column.partition("[")[0] == field:
-                good &= ~(np.abs(np.asarray(values, dtype=float)) > most)  # NaN: not known
+                good &= ~(np.abs(np.asarray(values, dtype=float)) > most)  # NaN: unknown
     return good
 
 
 def refuse_other_vehicles(log: ULogFile) -> None:
-    """Refuse a log of an unsupported PX4 version, of no multicopter, or of a vehicle that was never armed.
+    """Reject a log of an unsupported PX4 version, of another vehicle type, or of a vehicle that was never
+    armed.
 
-    Missing information is no reason for refusal.
+    A log that lacks this information is accepted.
 
     Raises:
-        InputError: the log is refused.
+        InputError: the log is rejected.
     """
     if log.version is not None and log.version < _OLDEST:
         raise InputError(
@@ -186,7 +190,7 @@ def refuse_other_vehicles(log: ULogFile) -> None:
 
 
 def _other_than_multicopter(log: ULogFile) -> str | None:
-    """Return the type of a vehicle that is no multicopter, or None."""
+    """Return the type of a vehicle that is not a multicopter, or None."""
     status, kind = log.first("vehicle_status") or {}, log.parameters.get("MAV_TYPE", 0.0)
     if "system_type" in status:
         kind = float(status["system_type"][-1])
@@ -199,7 +203,7 @@ def _other_than_multicopter(log: ULogFile) -> str | None:
 
 
 def seconds(data: dict[str, Any]) -> Array:
-    """Stamps of a topic in seconds of the autopilot's clock: of the measurement where the topic has it."""
+    """Return the stamps of a topic in seconds of the autopilot's clock, of the measurement if available."""
     name = (
         "timestamp_sample" if "timestamp_sample" in data and data["timestamp_sample"].any() else "timestamp"
     )
@@ -207,15 +211,15 @@ def seconds(data: dict[str, Any]) -> Array:
 
 
 def columns(data: dict[str, Any], name: str, count: int) -> Array:
-    """An array field as (samples, count)."""
+    """Return an array field as (samples, count)."""
     return np.stack([np.asarray(data[f"{name}[{i}]"], dtype=float) for i in range(count)], axis=1)
 
 
 def motor_commands(log: ULogFile) -> MotorCommands:
-    """What PX4 sent to the motors, 0 to 1, decoded by version and output type.
+    """Return PX4's commands to the motors, 0 to 1, decoded by version and output type.
 
     Raises:
-        InputError: no topic has commands of motors.
+        InputError: no topic has motor commands.
     """
     motors = log.first("actuator_motors")
     if motors is not None:
@@ -229,21 +233,21 @@ def motor_commands(log: ULogFile) -> MotorCommands:
     outputs = log.topics.get("actuator_outputs", {})
     found = [d for i, data in sorted(outputs.items()) if (d := _decoded(log, i, data)) is not None]
     if not found:
-        what = "actuator_outputs without a motor that moves" if outputs else "no actuator_outputs"
-        raise InputError(f"has no actuator_motors, and {what}", source=log.source)
-    # Motors move most: an instance of servos, or the copy on another port, moves less.
+        other = "actuator_outputs without a motor that moves" if outputs else "no actuator_outputs"
+        raise InputError(f"has no actuator_motors, and {other}", source=log.source)
+    # Motors vary most: servos, or a copy on another port, vary less.
     return max(found, key=lambda c: float(c.values.std(axis=0).mean()))
 
 
-def _count(log: ULogFile) -> int:
-    """How many motors the vehicle has, by its parameters; four where they do not say."""
+def _motor_count(log: ULogFile) -> int:
+    """Return the number of motors according to the parameters, or four if they do not contain it."""
     count = log.parameters.get(COUNT, 0.0) or _MOTORS_OF_TYPE.get(int(log.parameters.get("MAV_TYPE", 0.0)), 4)
     return int(min(count, _LONGEST_COUNT))
 
 
 def _decoded(log: ULogFile, instance: int, data: dict[str, Any]) -> MotorCommands | None:
     present = sum(1 for name in data if name.startswith("output["))
-    raw = np.nan_to_num(columns(data, "output", min(_count(log), present)))
+    raw = np.nan_to_num(columns(data, "output", min(_motor_count(log), present)))
     top = float(raw.max(initial=0.0))
     if top <= 0.0:
         return None
@@ -258,17 +262,19 @@ def _decoded(log: ULogFile, instance: int, data: dict[str, Any]) -> MotorCommand
     values = np.clip((raw - low) / (high - low), 0.0, 1.0)
     if float(values.std(axis=0).mean()) < _STILL:
         return None
-    said = f"actuator_outputs[{instance}], {kind}, {values.shape[1]} motors"
-    return MotorCommands(seconds(data), values, said)
+    source = f"actuator_outputs[{instance}], {kind}, {values.shape[1]} motors"
+    return MotorCommands(seconds(data), values, source)
 
 
 def _pulse_range(parameters: dict[str, float], instance: int, count: int) -> tuple[Array, Array]:
-    """Shortest and longest pulse of each output: the pin's own, else the port's, else all of them."""
+    """Return the shortest and longest pulse of each output, from the pin's parameter, the port's or the
+    common one.
+    """
     bank = "MAIN" if instance == 0 else "AUX"
     ends = []
     for end, default in (("MIN", PWM.stop), ("MAX", PWM.full)):
         names = [(f"PWM_{bank}_{end}{pin}", f"PWM_{bank}_{end}", f"PWM_{end}") for pin in range(1, count + 1)]
-        # A pin's value of -1 (and 0) means: as the port.
+        # -1 or 0 at a pin means the port's value.
         ends.append(
             np.array(
                 [next((v for n in pin if (v := parameters.get(n, -1.0)) > 0.0), default) for pin in names]
@@ -279,7 +285,7 @@ def _pulse_range(parameters: dict[str, float], instance: int, count: int) -> tup
 
 
 def battery(log: ULogFile) -> Battery:
-    """Battery voltage where it can be one; otherwise empty, with the reason."""
+    """Return the battery voltage if it is plausible, otherwise an empty one with the reason."""
     empty = np.empty(0)
     data = log.first("battery_status")
     if data is None:
@@ -287,6 +293,6 @@ def battery(log: ULogFile) -> Battery:
     volts = np.asarray(data["voltage_v"], dtype=float)
     usual = float(np.median(volts[np.isfinite(volts)])) if np.isfinite(volts).any() else 0.0
     if usual < _MIN_CELL_V:
-        return Battery(empty, empty, f"battery voltage of {usual:.2f} V is none")
+        return Battery(empty, empty, f"battery voltage {usual:.2f} V is implausible")
     good = np.isfinite(volts) & (volts >= _MIN_CELL_V)
     return Battery(seconds(data)[good], volts[good])

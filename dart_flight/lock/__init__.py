@@ -1,1 +1,1 @@
-"""The locking mechanism: cam, servo, state machine and drivers. All but the drivers and the store is pure."""
+"""The locking mechanism: servo, state machine, session, persistence and drivers."""

@@ -1,7 +1,7 @@
-"""Finding the two end stops by hand: small steps, one end after the other. Pure; the driver is a callable.
+"""Calibration of the two end stops by hand, in small steps. Pure; the driver is a callable.
 
-The cam's own ends are the angles theta_0 (flexible) and theta_0 + 90 degrees (rigid), so each end needs its
-pulse width only; the direction follows from the two.
+The cam's own end angles are theta_0 (flexible) and theta_0 + 90 degrees (rigid). Each end therefore needs
+only its pulse width, and the two widths define the direction.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ from dart_flight.base.records import Mode
 from dart_flight.config.document import Key
 from dart_flight.config.vehicle import LockConfig
 
-# A servo with a range of a full circle needs 5.5 us per degree, a common one 10.
+# A servo with a range of a full circle needs 5.5 us per degree; a common servo needs 10.
 _LEAST_US_PER_DEG = 5.0
-STEP_US = 10.0  # about one degree: a rod that jams does so gently
+STEP_US = 10.0  # about one degree, so that a jammed rod takes no damage
 HELP = (
     "+ or - moves 10 us, +25 or -40 that much, a number such as 1500 goes there; "
     "ok takes this position, quit leaves everything as it was"
@@ -25,16 +25,16 @@ HELP = (
 
 
 class CalibrationError(Exception):
-    """A line that is not understood or not allowed; nothing has moved."""
+    """The line is invalid or not allowed; nothing has moved."""
 
 
 class Calibration:
-    """Walks the horn in small steps and collects the pulse widths of the two ends.
+    """Moves the horn in small steps and stores the pulse widths of the two ends.
 
     Args:
-        config: for the servo's range and the checks of the result.
-        start_us: where the horn is now.
-        move: puts out a pulse width in us and waits until a small step is over; raises whatever it must.
+        config: servo range, and the checks of the result.
+        start_us: present pulse width.
+        move: outputs a pulse width in us and waits for a small step to finish; may raise any exception.
     """
 
     ORDER = (Mode.FLEXIBLE, Mode.RIGID)
@@ -47,26 +47,27 @@ class Calibration:
 
     @property
     def seeking(self) -> Mode | None:
-        """The end that is looked for; None: both are known."""
+        """End that is being calibrated, or None if both are stored."""
         return next((mode for mode in self.ORDER if mode not in self.found), None)
 
     def enter(self, line: str) -> None:
-        """One line of the operator's; see `HELP`, except quit.
+        """Execute one line of the operator; see `HELP`, except quit.
 
         Raises:
-            CalibrationError: not understood, out of the servo's range, or the ends are no calibration.
+            CalibrationError: the line is invalid, outside the servo's range, or the ends are no valid
+                calibration.
         """
         word = line.strip().lower()
         if word == "ok":
-            self._take()
+            self._store_end()
             return
         self._walk(self._target(word))
 
     def result(self) -> LockConfig:
-        """The configuration with the two ends.
+        """Return the configuration with the two ends.
 
         Raises:
-            CalibrationError: the two points cannot be (equal, or over the end stops).
+            CalibrationError: the two ends are not possible (equal, or beyond the end stops).
         """
         rigid, flexible = self.found[Mode.RIGID], self.found[Mode.FLEXIBLE]
         servo = self._config.servo
@@ -90,10 +91,10 @@ class Calibration:
         return config
 
     def values(self) -> dict[Key, float]:
-        """What to write into the configuration file.
+        """Return the keys and values for the configuration file.
 
         Raises:
-            CalibrationError: as `result`.
+            CalibrationError: as in `result`.
         """
         servo = self.result().servo
         return {
@@ -123,7 +124,7 @@ class Calibration:
             self._move(following)
             self.pulse_us = following
 
-    def _take(self) -> None:
+    def _store_end(self) -> None:
         mode = self.seeking
         if mode is None:
             raise CalibrationError("both ends are known")

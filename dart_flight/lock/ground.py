@@ -1,7 +1,7 @@
-"""The lock on the ground, in real time and by hand: what `dart-flight lock` does, without its printing.
+"""The lock on the ground, in real time and by hand: the functions of `dart-flight lock`, without its output.
 
-The person at the keyboard stands beside the vehicle and sees the arms; so locking is permitted here, and
-the first command replaces homing.
+The operator stands beside the vehicle and sees the arms. Locking is therefore permitted, and the first
+command replaces homing.
 """
 
 from __future__ import annotations
@@ -20,21 +20,21 @@ from dart_flight.lock.lock_session import LockSession
 from dart_flight.lock.persistence import LastCommand
 
 POLL_S = 0.02
-CALIBRATION_STEP_S = 0.04  # two frames of the servo for every small step
+CALIBRATION_STEP_S = 0.04  # two frames of the servo per small step
 
 
 def clock_us() -> int:
-    """The host's monotonic time in microseconds."""
+    """Return the host's monotonic time in microseconds."""
     return time.monotonic_ns() // 1000
 
 
 def ground_driver(
     config: LockConfig, last: LastCommand | None, set_actuator: SetActuator | None = None
 ) -> Driver:
-    """The configured driver; the mock begins where its last command left it.
+    """Return the configured driver; the mock starts at its last command.
 
     Raises:
-        DriverError: as `make_driver`.
+        DriverError: as in `make_driver`.
     """
     if config.driver is LockDriver.MOCK:
         known = last is not None and last.driver is LockDriver.MOCK
@@ -45,7 +45,7 @@ def ground_driver(
 
 
 class GroundLock:
-    """A session in real time; every call blocks until the travel is over, at most the lock's time-out."""
+    """A session in real time; every call blocks until the travel is over, at most for the lock's timeout."""
 
     def __init__(
         self,
@@ -58,12 +58,12 @@ class GroundLock:
         self.session.permit(True)
 
     def look(self) -> LockState:
-        """What can be found out without moving anything."""
+        """Determine the lock's state without moving it."""
         self.session.start()
         return self._settle()
 
     def move(self, mode: Mode, *, release: bool = False) -> LockState:
-        """Move to a mode, then switch the pulses off if asked to."""
+        """Move to a mode; with `release`, switch the pulses off afterwards."""
         self.session.command(mode)
         state = self._settle()
         if release and state.phase is LockPhase.SETTLED:
@@ -78,7 +78,7 @@ class GroundLock:
 
 
 def calibration(config: LockConfig, driver: Driver) -> Calibration:
-    """A calibration that begins where the controller holds the servo, else in the middle of its range.
+    """Return a calibration that starts at the servo's present pulse, or in the middle of its range.
 
     Raises:
         DriverError: the driver cannot be read.

@@ -1,7 +1,7 @@
-"""A driver and its state machine together, for one thread that may block: each call carries out what it asks.
+"""A driver and its state machine, for a thread that may block: each call executes the resulting actions.
 
-The flight app may use this in the lock's own thread, or step the machine itself; the lock command, the
-campaign and the tests use this.
+The lock command, the campaign and the tests use it. The flight app may use it in the lock's thread, or step
+the machine itself.
 """
 
 from __future__ import annotations
@@ -36,11 +36,11 @@ class LockSession:
 
     @property
     def state(self) -> LockState:
-        """What is known about the lock."""
+        """Present state of the lock."""
         return self.machine.state
 
     def start(self) -> CommandRefused | None:
-        """Home or adopt, as configured. Returns the refusal, if there is one."""
+        """Home or adopt, as configured; return the refusal, if any."""
         asked_us = self._clock_us()
         try:
             self.driver.open()
@@ -52,19 +52,19 @@ class LockSession:
         return self._execute(self.machine.start(asked_us, reading))
 
     def command(self, mode: Mode) -> CommandRefused | None:
-        """Move to a mode. Returns the refusal, if there is one."""
+        """Move to a mode; return the refusal, if any."""
         return self._execute(self.machine.command(self._clock_us(), mode))
 
     def permit(self, permitted: bool) -> None:
-        """Whether the arms are clear of contact and have sprung back."""
+        """Set whether the arms are clear of contact and back in place."""
         self._execute(self.machine.permit(self._clock_us(), permitted))
 
     def release(self) -> CommandRefused | None:
-        """Switch the pulses off. Returns the refusal, if there is one."""
+        """Switch the pulses off; return the refusal, if any."""
         return self._execute(self.machine.release(self._clock_us()))
 
     def poll(self) -> LockState:
-        """Read the driver and judge; call it at least every 20 to 50 ms, also when nothing travels."""
+        """Read the driver and update the state; to be called every 20 to 50 ms, even without a travel."""
         asked_us = self._clock_us()
         try:
             reading = self.driver.read()

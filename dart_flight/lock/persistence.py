@@ -1,7 +1,7 @@
-"""What outlives the process: the last command to the servo, and which process has it now.
+"""Persistent state of the lock: the last command to the servo, and the process that owns the servo.
 
-Both live in the state folder. The last command is a command: after a restart it says what was asked of the
-servo, not where the horn is.
+Both are files in the state folder. After a restart the last command is what was requested of the servo, not
+the position of the horn.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ from dart_flight.config.vehicle import LockDriver
 
 
 class LastCommand(msgspec.Struct, frozen=True):
-    """The last command to the servo, where it came from, and how far the servo was known to have got.
+    """The last command to the servo, its origin, and the last known progress.
 
     Attributes:
-        driver: through which driver.
-        mode: where to.
+        driver: driver that sent it.
+        mode: commanded mode.
         at_utc: wall-clock time of the last change, ISO 8601.
-        pid: the process.
-        phase: of the state then; `travelling` means the process ended before it was over.
-        feedback: whether a limit switch had confirmed it.
+        pid: process that sent it.
+        phase: phase at the last change; `travelling` means that the process ended during the travel.
+        feedback: whether a limit switch confirmed the position.
     """
 
     driver: LockDriver
@@ -41,7 +41,7 @@ class LastCommand(msgspec.Struct, frozen=True):
     feedback: bool = False
 
     def describe(self) -> str:
-        """In words, for people."""
+        """Return a description for people."""
         how = {
             LockPhase.SETTLED: "settled then" + ("" if self.feedback else " (no feedback)"),
             LockPhase.TRAVELLING: "arrival not confirmed",
@@ -50,17 +50,17 @@ class LastCommand(msgspec.Struct, frozen=True):
 
 
 class CommandStore:
-    """Writes down the last command at every change of the lock's state.
+    """Stores the last command at every change of the lock's state.
 
     Attributes:
-        problem: why the last state could not be written; None: it was. A full disk does not stop a lock.
+        problem: reason why the last state was not stored, or None. A full disk does not stop a lock.
     """
 
     def __init__(self, driver: LockDriver, folder: Path | None = None) -> None:
-        """Find the folder.
+        """Find or create the folder.
 
         Raises:
-            InputError: it cannot be made.
+            InputError: the folder cannot be created.
         """
         self._driver = driver
         self._folder = usable(folder or state_dir())
@@ -68,7 +68,7 @@ class CommandStore:
         self.problem: str | None = None
 
     def note(self, state: LockState) -> None:
-        """Write a state down, whole or not at all; a state that follows no command is not written."""
+        """Store a state atomically; a state that follows no command is not stored."""
         self._mode = state.mode or self._mode
         if state.commanded_us is None or self._mode is None:
             return
@@ -99,7 +99,7 @@ class CommandStore:
 
 
 def load_last(folder: Path | None = None) -> LastCommand | None:
-    """Return the last command that was written down; None if there is none or it is damaged.
+    """Return the last stored command, or None if there is none or the file is damaged.
 
     Raises:
         InputError: the file cannot be read.
@@ -114,7 +114,7 @@ def load_last(folder: Path | None = None) -> LastCommand | None:
 
 
 def forget_last(folder: Path | None = None) -> None:
-    """The servo is about to be moved past the state machine: what was written down says nothing any more."""
+    """Delete the stored command, because the servo is about to be moved without the state machine."""
     ((folder or state_dir()) / "last_command.json").unlink(missing_ok=True)
 
 
@@ -122,10 +122,10 @@ def forget_last(folder: Path | None = None) -> None:
 
 
 class ServoTakenError(Exception):
-    """Another process has the servo.
+    """Another process owns the servo.
 
     Attributes:
-        pid: of the other process; None where it cannot be told.
+        pid: of the other process, or None if unknown.
     """
 
     def __init__(self, pid: int | None) -> None:
@@ -135,16 +135,16 @@ class ServoTakenError(Exception):
 
 
 class ServoOwnership(Lease):
-    """The right to move the servo: a `HeldFile`, `lock.pid`, with the owner's process number in it."""
+    """The right to move the servo: a `HeldFile`, `lock.pid`, that contains the owner's process number."""
 
     def __init__(self, folder: Path | None = None) -> None:
         self._file = HeldFile((folder or state_dir()) / "lock.pid")
 
     def acquire(self) -> None:
-        """Take the servo.
+        """Acquire the servo.
 
         Raises:
-            ServoTakenError: another process, or another part of this one, has it.
+            ServoTakenError: another process, or another part of this one, owns it.
             InputError: the state folder cannot be used.
         """
         try:
@@ -153,7 +153,7 @@ class ServoOwnership(Lease):
             raise ServoTakenError(_pid_in(error.content)) from None
 
     def release(self) -> None:
-        """Give the servo back; harmless when it is not held."""
+        """Release the servo; has no effect if it is not owned."""
         self._file.release()
 
 

@@ -1,8 +1,9 @@
-"""The servo: calibration of horn angle against pulse width, travel time, and the horn as it really moves.
+"""The servo: pulse width against horn angle, travel time, and a model of the horn's motion.
 
-Pure: simulated time is an argument, integer microseconds. Facts of the HiTec HS-322HD (maker's catalogue)
-are configuration: 0.19 s/60 degrees at 4.8 V, 0.15 at 6 V, 50 Hz frame, 900 to 2100 us. It has no position
-feedback: software knows what it commanded and how long the travel takes, not where the horn is.
+All code here is pure: simulated time is an argument, integer microseconds. The data of the HiTec HS-322HD
+(manufacturer's catalogue) are configuration: 0.19 s/60 degrees at 4.8 V, 0.15 at 6 V, 50 Hz frame, 900 to
+2100 us. The servo has no position feedback: the software knows the command and the travel time, not the
+position of the horn.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from dart_flight.config.vehicle import Servo
 
 
 def mode_of(servo: Servo, horn_pulse_us: float) -> Mode | None:
-    """The mode whose end the horn is at, within `tolerance_us`; None in between."""
+    """Return the mode whose end is within `tolerance_us` of a horn position, or None in between."""
     for mode in Mode:
         if abs(horn_pulse_us - servo.pulse_us(mode)) <= servo.tolerance_us:
             return mode
@@ -22,13 +23,13 @@ def mode_of(servo: Servo, horn_pulse_us: float) -> Mode | None:
 
 
 class ServoFaults(msgspec.Struct, frozen=True):
-    """What can be wrong with a servo.
+    """Faults of a simulated servo.
 
     Attributes:
         stuck: the horn does not move at all.
-        slow: every travel takes this many times as long.
-        stall_fraction: the horn cannot pass this point, 0 the flexible end, 1 the rigid end; a horn that
-            is on one side of it stays on that side.
+        slow: factor on the duration of every travel.
+        stall_fraction: point that the horn cannot pass, 0 the flexible end, 1 the rigid end; the horn stays
+            on its side of the point.
     """
 
     stuck: bool = False
@@ -44,10 +45,10 @@ NO_FAULTS = ServoFaults()
 
 
 class ServoModel:
-    """The horn as it really moves in simulated time: constant speed to the commanded pulse width.
+    """The horn's true motion in simulated time: constant speed to the commanded pulse width.
 
-    Without pulses the horn stays where it is (gear friction). Time never runs backwards: an earlier `t_us`
-    than the last one is taken as the last one.
+    Without pulses the horn keeps its position by gear friction. Time never runs backwards: a `t_us` before
+    the last one counts as the last one.
     """
 
     def __init__(self, servo: Servo, pulse_us: float, faults: ServoFaults = NO_FAULTS) -> None:
@@ -61,22 +62,22 @@ class ServoModel:
 
     @property
     def commanded_us(self) -> float | None:
-        """Pulse width the servo is receiving; None without pulses."""
+        """Pulse width at the servo's input, or None without pulses."""
         return self._target_us
 
     def set_faults(self, t_us: int, faults: ServoFaults) -> None:
-        """From `t_us` on these faults are in force, instead of the ones before."""
+        """Replace the faults at `t_us`."""
         self._advance(t_us)
         self._faults = faults
         self._range_us = self._reachable()
 
     def command(self, t_us: int, pulse_us: float | None) -> None:
-        """From `t_us` on the servo receives this pulse width in us; None switches the pulses off."""
+        """Set the pulse width at the servo's input at `t_us`, us; None switches the pulses off."""
         self._advance(t_us)
         self._target_us = None if pulse_us is None else self._within_stops(pulse_us)
 
     def pulse_at(self, t_us: int) -> float:
-        """Where the horn is at `t_us`, as the pulse width in us that would hold it there."""
+        """Return the position of the horn at `t_us`, as the pulse width in us that would hold it there."""
         self._advance(t_us)
         return self._horn_us
 
@@ -89,7 +90,7 @@ class ServoModel:
             return
         self._t_us = t_us
         if before_us is None or self._target_us is None or self._target_us == self._horn_us:
-            return  # at the end of a travel a horn rests, as most of the time
+            return  # at rest, which is the usual case
         if self._faults.stuck:
             return
         elapsed_s = (t_us - before_us) * 1e-6
@@ -98,7 +99,7 @@ class ServoModel:
         self._horn_us += max(-step, min(step, goal - self._horn_us))
 
     def _reachable(self) -> tuple[float, float]:
-        """Lowest and highest pulse width the horn can get to: a stall bounds the side it is on."""
+        """Return the lowest and highest pulse width that the horn can reach; a stall bounds its own side."""
         low, high = self.servo.min_pulse_us, self.servo.max_pulse_us
         if self._faults.stall_fraction is None:
             return low, high

@@ -1,18 +1,17 @@
-"""The lock's state machine: what is known about the locking mechanism, and what may be asked of it.
+"""The lock's state machine: its known state, and the commands that it permits.
 
-Two rules for this file: no I/O and no clock (time comes in with every input, integer microseconds of the
-core's time base), and `_go` alone changes the phase, by the table `TRANSITIONS`. `docs/lock.md` shows the
-table as a diagram.
+This file performs no I/O and reads no clock: every input carries its time, integer microseconds of the core's
+time base. Only `_go` changes the phase, by the table `TRANSITIONS`. `docs/lock.md` shows the table as a
+diagram.
 
-The servo has no position feedback. `settled` means that the driver took the command, that the travel time
-with its margin is over and that a reading taken after that still shows the commanded pulse; only a limit
-switch makes it `feedback=True`. A switch that is fitted at an end has the say there: without it closing the
-lock does not settle at that end.
+The servo has no position feedback. `settled` means that the driver accepted the command, that the travel time
+with its margin is over, and that a later reading still shows the commanded pulse. Only a limit switch sets
+`feedback=True`. If an end has a switch, the lock settles at that end only when the switch closes.
 
-How a shell uses it: call `start` once, then `command`, `permit` as they come from the core; carry out the
-actions that come back in order and answer each `SetPulse` with `sent` (after `Driver.set_pulse` returned)
-or `driver_failed`; feed a `reading` at least every 20 to 50 ms, stamped with the time *before* it was
-taken; call `step` as often. `state` is a new object whenever something changed.
+A shell calls `start` once, then `command` and `permit` as the core requests. It executes the returned actions
+in order and answers each `SetPulse` with `sent` (after `Driver.set_pulse` returns) or `driver_failed`. It
+supplies a `reading` at least every 20 to 50 ms, stamped with the time *before* the reading, and calls `step`
+as often. `state` is a new object after every change.
 """
 
 from __future__ import annotations
@@ -25,18 +24,18 @@ from dart_flight.base.records import LockPhase, LockState, Mode
 from dart_flight.config.vehicle import LockConfig, LockStartup
 from dart_flight.lock.servo import mode_of
 
-# --- what goes in and out ----------------------------------------------------------------------------
+# --- inputs and outputs ------------------------------------------------------------------------------
 
 
 class DriverReading(msgspec.Struct, frozen=True):
-    """What a driver reports.
+    """State that a driver reports.
 
     Attributes:
-        pulse_us: pulse width it puts out at the moment, read back where the hardware can; None: pulses off,
-            or nothing was commanded yet and the hardware cannot be asked.
-        rigid_switch: limit switch at the rigid end closed; None: not fitted.
+        pulse_us: present output pulse width, read back if the hardware can; None if the pulses are off, or if
+            nothing was commanded yet and the hardware cannot be read.
+        rigid_switch: whether the limit switch at the rigid end is closed; None if not fitted.
         flexible_switch: the same at the flexible end.
-        errors: what the hardware complains about, in words.
+        errors: error messages of the hardware.
     """
 
     pulse_us: float | None
@@ -45,23 +44,23 @@ class DriverReading(msgspec.Struct, frozen=True):
     errors: tuple[str, ...] = ()
 
     def switch(self, mode: Mode) -> bool | None:
-        """The limit switch at a mode's end; None: not fitted."""
+        """Return the state of the limit switch at a mode's end, or None if not fitted."""
         return self.rigid_switch if mode is Mode.RIGID else self.flexible_switch
 
 
 class SetPulse(msgspec.Struct, frozen=True):
-    """For the driver: put out this pulse width."""
+    """Command to the driver: output this pulse width."""
 
     pulse_us: float
     mode: Mode
 
 
 class PulsesOff(msgspec.Struct, frozen=True):
-    """For the driver: switch the pulses off."""
+    """Command to the driver: switch the pulses off."""
 
 
 class CommandRefused(msgspec.Struct, frozen=True):
-    """Not for the driver: what was asked is not done, and why."""
+    """Notice that a command was refused, with the reason; not for the driver."""
 
     what: str
     reason: str
@@ -73,7 +72,7 @@ Action = SetPulse | PulsesOff | CommandRefused
 
 
 class LockEvent(StrEnum):
-    """What can change the phase."""
+    """Events that can change the phase."""
 
     COMMANDED = "commanded"
     FOUND = "found at start-up"
@@ -112,7 +111,7 @@ SETTLED_TEXT = {True: "settled", False: "settled (no feedback)"}
 
 
 def describe(state: LockState) -> str:
-    """A lock state in a few words, for people: `rigid: settled (no feedback)`."""
+    """Return a short description of a lock state for people: `rigid: settled (no feedback)`."""
     if state.phase is LockPhase.SETTLED:
         text = f"{state.mode}: {SETTLED_TEXT[state.feedback]}"
     elif state.phase is LockPhase.TRAVELLING:
@@ -123,12 +122,12 @@ def describe(state: LockState) -> str:
 
 
 def status_text(state: LockState) -> str:
-    """A lock state for MAVLink's STATUSTEXT, which holds 50 bytes."""
+    """Return a lock state for MAVLink's STATUSTEXT, which holds 50 bytes."""
     return f"lock {describe(state)}".encode("ascii", "replace")[:50].decode()
 
 
 def _since(before_us: int | None, t_us: int) -> int:
-    """Start of an unbroken run of readings: the one before where there is one, else now."""
+    """Return the start of an unbroken run of readings: the stored start, or now."""
     return t_us if before_us is None else before_us
 
 
@@ -136,47 +135,47 @@ def _since(before_us: int | None, t_us: int) -> int:
 
 
 class LockStateMachine:
-    """State of the locking mechanism; see the module's text for how a shell uses it."""
+    """State of the locking mechanism; the module describes how a shell uses it."""
 
     def __init__(self, config: LockConfig, t_us: int = 0) -> None:
         self.config = config
         self._state = LockState(t_us=t_us, phase=LockPhase.UNKNOWN, mode=None)
         self._permitted = False
-        self._target: Mode | None = None  # commanded or found; kept in a fault for the readings' sake
-        self._pulses_off = False  # on request: a reading without pulses is then as it should be
-        self._begun_us = t_us  # of the travel
-        self._sent_us: int | None = None  # since when the driver has been putting out the target's pulse
-        self._closed_since_us: int | None = None  # the target's switch, during a travel
-        self._wrong_since_us: int | None = None  # pulse lost, or switches that contradict
+        self._target: Mode | None = None  # commanded or found; kept in a fault to compare readings
+        self._pulses_off = False  # on request: a reading without pulses is then expected
+        self._begun_us = t_us  # of the present travel
+        self._sent_us: int | None = None  # start of the target's pulse at the driver's output
+        self._closed_since_us: int | None = None  # start of the target switch's closure during a travel
+        self._wrong_since_us: int | None = None  # start of a lost pulse or of contradicting switches
         self._last_reading_us = t_us
         self._last: DriverReading | None = None
 
     @property
     def state(self) -> LockState:
-        """What is known; a new object after every change."""
+        """Known state; a new object after every change."""
         return self._state
 
     @property
     def due_us(self) -> int | None:
-        """When a travel is over by time: a reading taken then settles it. None when nothing travels."""
+        """End of a travel by time, when a reading can settle it; None without a travel."""
         if self._state.phase is not LockPhase.TRAVELLING or self._sent_us is None:
             return None
         return self._sent_us + round(self.config.switch_time_s * 1e6)
 
-    # -- inputs: what is asked --
+    # -- inputs: commands --
 
     def start(self, t_us: int, reading: DriverReading | None) -> list[Action]:
-        """The program starts: home or adopt, as configured; `reading` is the driver's first, if it has one.
+        """Start by homing or adopting, as configured; `reading` is the driver's first reading, if any.
 
-        Adopting goes by a closed switch, else a pulse that the hardware is still putting out at one of the
-        two ends; that counts as a travel begun now, because it may have been commanded just before. Nothing
-        found stays `unknown`: a command written down by the last run is no knowledge of where the horn is.
+        Adopting uses a closed switch, or else a pulse that the hardware still outputs at one of the two ends.
+        The travel counts from now, because the command may be recent. If nothing is found, the lock stays
+        `unknown`: a command stored by the last run does not prove the position of the horn.
         """
         if self.config.startup is LockStartup.HOME:
             return self.command(t_us, self.config.home_mode)
-        found, why_not = self._found(reading)
+        found, reason = self._find_position(reading)
         if found is None:
-            self._replace(t_us, reason=why_not)
+            self._replace(t_us, reason=reason)
             return []
         self._begin(t_us, found, LockEvent.FOUND, commanded_us=None)
         self._pulses_off = reading is not None and reading.pulse_us is None
@@ -184,7 +183,7 @@ class LockStateMachine:
         return []
 
     def command(self, t_us: int, mode: Mode) -> list[Action]:
-        """Move to a mode. Comes back as `Refused` when it is not permitted now."""
+        """Move to a mode; return a `CommandRefused` if that is not permitted now."""
         phase = self._state.phase
         if phase is LockPhase.TRAVELLING and self._target is not mode:
             return self._refuse(t_us, mode, f"travelling to {self._target}")
@@ -200,7 +199,7 @@ class LockStateMachine:
         return [SetPulse(self.config.servo.pulse_us(mode), mode)]
 
     def release(self, t_us: int) -> list[Action]:
-        """Switch the pulses off; the horn then stays where it is by friction. Refused during a travel."""
+        """Switch the pulses off; friction then holds the horn. Refused during a travel."""
         if self._state.phase is LockPhase.TRAVELLING:
             return self._refuse(t_us, "release", f"travelling to {self._target}")
         before = self._state.reason if self._state.phase is LockPhase.FAULT else None
@@ -210,10 +209,10 @@ class LockStateMachine:
         return [PulsesOff()]
 
     def permit(self, t_us: int, permitted: bool) -> list[Action]:
-        """Whether the arms are clear of contact and have sprung back; not permitted until said.
+        """Set whether the arms are clear of contact and back in place; initially they are not.
 
-        Losing the permission while locking draws the rods back: they must not be on their way into the
-        slots during a contact.
+        If the permission ends while locking, the machine unlocks: the rods must not move into the slots
+        during a contact.
         """
         self._permitted = permitted
         locking = self._state.phase is LockPhase.TRAVELLING and self._target is Mode.RIGID
@@ -222,19 +221,19 @@ class LockStateMachine:
         self._begin(t_us, Mode.FLEXIBLE, LockEvent.CONTACT, commanded_us=t_us, reason=str(LockEvent.CONTACT))
         return [SetPulse(self.config.servo.pulse_us(Mode.FLEXIBLE), Mode.FLEXIBLE)]
 
-    # -- inputs: what happened --
+    # -- inputs: results and time --
 
     def sent(self, t_us: int, pulse_us: float) -> None:
-        """The driver has taken `SetPulse(pulse_us)`: the travel time runs from here."""
+        """Start the travel time: the driver has accepted `SetPulse(pulse_us)`."""
         if self._state.phase is LockPhase.TRAVELLING and self._at_target(pulse_us) and self._sent_us is None:
             self._sent_us = t_us
 
     def driver_failed(self, t_us: int, reason: str) -> None:
-        """The driver could not do what was asked, or could not be read."""
+        """Report that the driver could not execute a command or could not be read."""
         self._go(t_us, LockEvent.DRIVER_FAILED, reason=reason)
 
     def reading(self, t_us: int, reading: DriverReading) -> None:
-        """What the driver reports; `t_us` is the time before the reading was taken."""
+        """Process a driver's reading; `t_us` is the time before the reading."""
         self._last, self._last_reading_us = reading, t_us
         if self._state.phase is LockPhase.TRAVELLING:
             self._read_travelling(t_us, reading)
@@ -243,29 +242,29 @@ class LockStateMachine:
         self.step(t_us)
 
     def step(self, t_us: int) -> None:
-        """Time goes by."""
+        """Advance the time and check the timeouts."""
         phase = self._state.phase
         if phase is LockPhase.TRAVELLING and t_us - self._begun_us >= self.config.timeout_s * 1e6:
-            self._go(t_us, LockEvent.TIMED_OUT, reason=self._why_not_arrived())
+            self._go(t_us, LockEvent.TIMED_OUT, reason=self._timeout_reason())
         elif phase is LockPhase.SETTLED and self._state.feedback:
             silent_s = (t_us - self._last_reading_us) * 1e-6
             if silent_s > self.config.timeout_s:
                 self._go(t_us, LockEvent.DRIVER_FAILED, reason=f"no reading for {silent_s:.1f} s")
 
-    # -- judgement of readings --
+    # -- evaluation of readings --
 
     def _read_travelling(self, t_us: int, reading: DriverReading) -> None:
         target, due_us = self._target, self.due_us
         if target is None or self._sent_us is None or due_us is None or t_us < self._sent_us:
-            return  # taken before the driver had the command: it says nothing about this travel
+            return  # read before the driver had the command
         if self._wrong_for(t_us, not self._pulses_off and reading.pulse_us is None):
             self._go(
-                t_us, LockEvent.DISPLACED, reason=self._complaint("the controller lost the pulse", reading)
+                t_us, LockEvent.DISPLACED, reason=self._fault_reason("the controller lost the pulse", reading)
             )
             return
         own, other = reading.switch(target), reading.switch(target.other)
         self._closed_since_us = _since(self._closed_since_us, t_us) if own else None
-        if other or not self._pulse_as_it_should_be(reading):
+        if other or not self._pulse_is_expected(reading):
             return
         if own is None:
             if t_us >= due_us:
@@ -277,27 +276,27 @@ class LockStateMachine:
         target = self._target
         if target is None:
             return
-        complaint = ""
+        fault = ""
         if reading.switch(target) is False:
-            complaint = f"the {target} limit switch has opened"
+            fault = f"the {target} limit switch has opened"
         elif reading.switch(target.other):
-            complaint = f"the {target.other} limit switch has closed"
+            fault = f"the {target.other} limit switch has closed"
         elif reading.pulse_us is None and not self._pulses_off:
-            complaint = "the controller lost the pulse"
-        elif not self._pulse_as_it_should_be(reading):
-            complaint = f"the controller puts out {reading.pulse_us:.0f} us"
-        if self._wrong_for(t_us, bool(complaint)):
-            self._go(t_us, LockEvent.DISPLACED, reason=self._complaint(complaint, reading))
+            fault = "the controller lost the pulse"
+        elif not self._pulse_is_expected(reading):
+            fault = f"the controller puts out {reading.pulse_us:.0f} us"
+        if self._wrong_for(t_us, bool(fault)):
+            self._go(t_us, LockEvent.DISPLACED, reason=self._fault_reason(fault, reading))
 
     def _wrong_for(self, t_us: int, wrong: bool) -> bool:
-        """Whether something has now been wrong for the debounce time."""
+        """Return whether a fault has lasted for the debounce time."""
         self._wrong_since_us = _since(self._wrong_since_us, t_us) if wrong else None
         return self._wrong_since_us is not None and self._lasted(self._wrong_since_us, t_us)
 
     def _lasted(self, since_us: int, t_us: int) -> bool:
         return t_us - since_us >= self.config.debounce_s * 1e6
 
-    def _pulse_as_it_should_be(self, reading: DriverReading) -> bool:
+    def _pulse_is_expected(self, reading: DriverReading) -> bool:
         if reading.pulse_us is None:
             return self._pulses_off
         return self._at_target(reading.pulse_us)
@@ -308,10 +307,10 @@ class LockStateMachine:
         return abs(pulse_us - self.config.servo.pulse_us(self._target)) <= self.config.servo.tolerance_us
 
     @staticmethod
-    def _complaint(text: str, reading: DriverReading) -> str:
+    def _fault_reason(text: str, reading: DriverReading) -> str:
         return "; ".join((text, *reading.errors))
 
-    def _why_not_arrived(self) -> str:
+    def _timeout_reason(self) -> str:
         target, last = self._target, self._last
         within = f"within {self.config.timeout_s:g} s"
         if target is None or self._sent_us is None:
@@ -322,13 +321,13 @@ class LockStateMachine:
             return f"the {target.other} limit switch did not open {within}"
         if last.switch(target) is False:
             return f"the {target} limit switch did not close {within}"
-        if not self._pulse_as_it_should_be(last):
+        if not self._pulse_is_expected(last):
             shown = "no pulses" if last.pulse_us is None else f"{last.pulse_us:.0f} us"
             wanted = f"{self.config.servo.pulse_us(target):.0f} us"
-            return self._complaint(f"the controller puts out {shown} instead of {wanted}", last)
+            return self._fault_reason(f"the controller puts out {shown} instead of {wanted}", last)
         return f"no reading came after the travel time {within}"
 
-    def _found(self, reading: DriverReading | None) -> tuple[Mode | None, str]:
+    def _find_position(self, reading: DriverReading | None) -> tuple[Mode | None, str]:
         if reading is None:
             return None, "nothing to adopt: no reading"
         closed = [mode for mode in Mode if reading.switch(mode)]
@@ -366,7 +365,7 @@ class LockStateMachine:
         feedback: bool = False,
         commanded_us: int | None = None,
     ) -> None:
-        """The one place that changes the phase. An event without an entry means nothing in this phase."""
+        """Change the phase, which nothing else does; an event without an entry has no effect."""
         after = TRANSITIONS[self._state.phase].get(event)
         if after is None:
             return

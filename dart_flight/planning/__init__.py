@@ -1,1 +1,1 @@
-"""Choosing and flying collisions: approach references, the closed-loop flight model, enumeration."""
+"""Planning of collisions: approaches, the closed-loop flight model, rollouts, surveys and replanning."""

@@ -1,4 +1,4 @@
-"""Run-up and approach of every candidate at once, by the core's own rules (`core.mission.approach`)."""
+"""Run-ups and approaches of all candidates at once, by the core's rules (`core.mission.approach`)."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ class ApproachGrid(NamedTuple):
     """Approaches of the first collision; arrays that broadcast with the velocities.
 
     Attributes:
-        codes: refusals, 0 where the approach can be flown.
-        impact_x, impact_y: where the plane is met.
+        codes: refusals, 0 if the approach can be flown.
+        impact_x, impact_y: impact point on the plane.
         begin_x, begin_y: run-up point.
-        impact_s: from the start of the run-up to the plane.
-        transit_s: from `start` to the run-up point.
+        impact_s: time from the start of the run-up to the plane.
+        transit_s: time from `start` to the run-up point.
     """
 
     codes: Codes
@@ -42,7 +42,7 @@ class ApproachGrid(NamedTuple):
 def approach_grid(
     task: Task, wall: Wall, normal: Array, tangential: Array, constraints: Constraints | None
 ) -> ApproachGrid:
-    """Approaches to a wall at given velocities in its collision frame (m/s, normal < 0).
+    """Return the approaches to a wall at given velocities in its collision frame (m/s, normal < 0).
 
     Without constraints nothing is refused.
     """

@@ -1,7 +1,7 @@
-"""What a plan may not do: the reasons to refuse a candidate, and the tests behind them.
+"""Constraints of a plan: the reasons to refuse a candidate, and their tests.
 
-The rules are those of the core (`core.mission`, `core.guard`), so that a plan is not broken off by them, and
-what the mission file limits.
+The rules are those of the core (`core.mission`, `core.guard`), so that they do not abort a plan in flight,
+and the limits of the mission file.
 """
 
 from __future__ import annotations
@@ -33,14 +33,14 @@ Array = NDArray[np.float64]
 Codes = NDArray[np.int8]
 
 MIN_REBOUND_M_S = 0.05
-# A wall counts as touched when it would be reached within this time: forces begin before the plane (`lcp`).
+# A wall counts as touched if it would be reached within this time: forces begin before the plane (`lcp`).
 _TOUCH_S = 0.01
-_THICK_M = 0.5  # further behind a plane is the other side of the wall
+_THICK_M = 0.5  # beyond this distance behind the plane the vehicle is on the other side of the wall
 _LOCK_POLL_S = 0.02
 
 
 class Refusal(StrEnum):
-    """Why a candidate is refused; in the order in which the tests come."""
+    """Reasons to refuse a candidate, in the order of the tests."""
 
     APPROACH_SPEED = "approach_speed"
     BEYOND_WALL = "beyond_wall"
@@ -72,8 +72,8 @@ class Constraints:
 
     Args:
         task: limits, bounds, walls.
-        ignored: reasons that do not count, to find out which of them stand in the way.
-        posts: that stand in the flight space.
+        ignored: reasons that do not count, to find which ones prevent a plan.
+        posts: posts in the flight space.
     """
 
     def __init__(
@@ -89,21 +89,21 @@ class Constraints:
         self.most_acceleration = GRAVITY_M_S2 * math.tan(math.radians(vehicle.px4.mpc_tiltmax_air))
         lock = vehicle.lock
         self.lock_s = lock.relaxation_s + lock.switch_time_s + _LOCK_POLL_S if lock else 0.0
-        airframe = vehicle.airframe  # a post may be met by a corner of the guards
+        airframe = vehicle.airframe  # a corner of the guards may touch a post
         self._corner_m = math.hypot(airframe.contact_distance_m, airframe.guard_along_m)
         self._reach = _reach_tables(task)
 
     def mark(
         self, codes: Codes, where: NDArray[np.bool_] | NDArray[np.intp] | np.bool_, reason: Refusal
     ) -> None:
-        """Refuse some candidates."""
+        """Refuse the selected candidates."""
         if reason not in self._ignored:
             codes[where] = CODE[reason]
 
     def hit(
         self, velocity: tuple[Array, Array], normal_n: Array, tangential_n: Array, rebound_m_s: Array
     ) -> Codes:
-        """Codes (0: fine) for a hit: its velocity (normal, tangential), its peaks, its outward speed."""
+        """Return codes (0: accepted) for an impact: velocity (normal, tangential), peaks and rebound."""
         codes, limits = np.zeros(normal_n.shape, dtype=np.int8), self.limits
         normal, tangential = velocity
         if limits.closing_m_s is not None:
@@ -118,9 +118,9 @@ class Constraints:
         return codes
 
     def command(self, leg: SetpointResponse, loop: tuple[float, float, float, float, float]) -> Codes:
-        """Codes for a recovery's setpoint and its first command.
+        """Return codes for a recovery's setpoint and its first command.
 
-        The setpoint may lie outside of the bounds, but not far; the command must be within PX4's tilt limit,
+        The setpoint may lie outside the bounds, but not far. The command must be within PX4's tilt limit,
         where the model is linear.
         """
         kp, kv, _, kd, _ = loop
@@ -140,20 +140,20 @@ class Constraints:
         begins: bool,
         walls: Sequence[Wall] | None = None,
     ) -> Codes:
-        """What a piece of flight runs into before its grid index `until` (exclusive).
+        """Return codes for obstacles and limits of a flight before its grid index `until` (exclusive).
 
         Args:
             window: positions and velocities.
             until: per candidate.
-            target: the wall or post that the plan hits next, no obstacle.
+            target: the next wall or post of the plan, which is no obstacle.
             begins: whether the first grid point is the release from a wall.
-            walls: as they are known by now; None: as the mission has them.
+            walls: estimated walls; None for the mission's.
         """
         w = window
         bad = w.vx * w.vx + w.vy * w.vy > np.float32(self.limits.speed_m_s**2)
         bad |= _outside(self.bounds.x, w.x, w.vx)
         bad |= _outside(self.bounds.y, w.y, w.vy)
-        # By name: the planner's process has read the mission from a line, where equal walls are two objects.
+        # Compare by name: the planner's process has decoded the mission, so equal walls are separate objects.
         walls = self.walls if walls is None else walls
         obstacles = [wall for wall in walls if target is None or wall.name != target.name]
         for wall in obstacles:
@@ -164,7 +164,7 @@ class Constraints:
         bad &= np.arange(w.times.size) < until[:, None]
         codes = np.zeros(until.size, dtype=np.int8)
         rows = np.flatnonzero(bad.any(axis=1))
-        if rows.size:  # few: only they are looked at closely
+        if rows.size:  # few, so only these are examined closely
             part = GridWindow(w.times, *(v[rows] for v in (w.x, w.y, w.vx, w.vy)))
             codes[rows] = self._why(part, until[rows], obstacles, posts, begins)
         return codes
@@ -172,7 +172,7 @@ class Constraints:
     def _why(
         self, w: GridWindow, until: NDArray[np.intp], obstacles: list[Wall], posts: list[Post], begins: bool
     ) -> Codes:
-        """Which of the rules is broken, if any."""
+        """Return the code of the broken rule, or 0, for each candidate."""
         codes = np.zeros(until.size, dtype=np.int8)
         alive = np.arange(w.times.size) < until[:, None]
         over = w.vx * w.vx + w.vy * w.vy > self.limits.speed_m_s**2
@@ -184,7 +184,7 @@ class Constraints:
             (nx, ny), (px, py) = wall.normal, wall.point
             depth = nx * (w.x - px) + ny * (w.y - py)
             place = (w.x, w.y)
-            # Behind a wall is not in it: only passing through its front counts.
+            # A place behind a wall is not inside it: only a passage through the front counts.
             before = wall.end_distance_m(place) >= -end_margin_m(wall, place)
             touched = _touches(wall, w) & before & (depth > -_THICK_M)
             self.mark(codes, (touched & alive).any(axis=1), Refusal.OBSTACLE)
@@ -193,14 +193,14 @@ class Constraints:
         return codes
 
     def _leaves(self, w: GridWindow) -> NDArray[np.bool_]:
-        """Where the bounds are left or would be before stopping; a wall in the way stops earlier (guard)."""
+        """Return where the bounds are left, now or before stopping; a wall ahead stops earlier (guard)."""
         share = stop_share(self.walls, (w.x, w.y), (w.vx, w.vy))
         leaves = _outside(self.bounds.x, w.x, share * w.vx)
         leaves |= _outside(self.bounds.y, w.y, share * w.vy)
         return leaves
 
     def last_setpoint(self, leg: SetpointResponse, hit: Wall) -> Codes:
-        """Whether the setpoint after the last hit leads behind a wall that is not to be hit."""
+        """Return codes for setpoints after the last impact that lead behind another wall."""
         codes = np.zeros(leg.size, dtype=np.int8)
         place, target = (leg.x[0] + leg.goal_x, leg.y[0] + leg.goal_y), (leg.goal_x, leg.goal_y)
         for wall in self.walls:
@@ -209,12 +209,12 @@ class Constraints:
         return codes
 
     def to_goal(self, x: Array, y: Array, goal: Vec2) -> Codes:
-        """Whether a wall stands between the closest approaches and the goal, which is flown to straight."""
+        """Return codes for walls between the closest approaches and the goal, on a straight line."""
         codes = np.zeros(x.shape, dtype=np.int8)
         for wall in self.walls:
             (nx, ny), (px, py) = wall.normal, wall.point
             here, there = nx * (x - px) + ny * (y - py), wall.signed_distance(goal)
-            # Just released the vehicle may still be a little behind the plane: no way through the wall.
+            # Just after the release the vehicle may still be slightly behind the plane.
             crosses = (here > 0.0) if there < 0.0 else (here < -_THICK_M)
             share = np.where(crosses, here / np.where(crosses, here - there, 1.0), 0.0)
             crossing = (x + share * (goal[0] - x), y + share * (goal[1] - y))
@@ -223,7 +223,7 @@ class Constraints:
         return codes
 
     def lock_in_time(self, leg: SetpointResponse, wall: Wall) -> NDArray[np.bool_]:
-        """Whether holding still at these states still stops short of the wall (executive)."""
+        """Return whether holding at these states still stops short of the wall (executive)."""
         nx, ny = wall.normal
         distance = nx * (leg.x[0] + leg.goal_x - wall.point[0]) + ny * (leg.y[0] + leg.goal_y - wall.point[1])
         closing = -(nx * leg.x[1] + ny * leg.y[1])
@@ -241,13 +241,13 @@ class Constraints:
     def lock_too_late(
         self, ready: SetpointResponse, impact: SetpointResponse, after_s: Array, wall: Wall
     ) -> NDArray[np.bool_]:
-        """Whether the executive would break off because the lock is still on its way.
+        """Return whether the executive would break off because the lock is still moving.
 
         Args:
             ready: states when the lock settles.
             impact: states at the impact.
-            after_s: of the impact, since the release.
-            wall: that is hit.
+            after_s: time from the release to the impact.
+            wall: the wall.
         """
         late = after_s < self.lock_s
         rows = np.flatnonzero(~late & ~self.lock_in_time(ready, wall))
@@ -268,13 +268,13 @@ class Constraints:
 
 
 def leads_behind(wall: Wall, place: tuple[Number, Number], target: tuple[Number, Number]) -> Number:
-    """Whether a setpoint lies behind a wall in front of which the vehicle is; numbers, or arrays of them."""
+    """Return whether a setpoint is behind a wall and the vehicle in front; numbers, or arrays of them."""
     crosses = (wall.signed_distance(place) > 0.0) & (wall.signed_distance(target) <= 0.0)
     return crosses & (wall.end_distance_m(target) >= -end_margin_m(wall, target))
 
 
 def _outside(limits: tuple[float, float], x: NDArray[Any], v: NDArray[Any]) -> NDArray[np.bool_]:
-    """Whether a coordinate is out of its limits, now or where the vehicle would stop."""
+    """Return whether a coordinate is outside its limits, now or where the vehicle would stop."""
     stop = x + np.float32(STOP_TIME_S) * v
     outside: NDArray[np.bool_] = np.minimum(x, stop) < np.float32(limits[0])
     outside |= np.maximum(x, stop) > np.float32(limits[1])
@@ -282,7 +282,7 @@ def _outside(limits: tuple[float, float], x: NDArray[Any], v: NDArray[Any]) -> N
 
 
 def _touches(wall: Wall, w: GridWindow) -> NDArray[np.bool_]:
-    """Whether the plane of a wall is behind the vehicle, or will be within a moment."""
+    """Return whether the plane of a wall is behind the vehicle, or will be within `_TOUCH_S`."""
     (nx, ny), (px, py) = wall.normal, wall.point
     soon, offset = np.float32(_TOUCH_S), np.float32(nx * px + ny * py)
     depth: NDArray[Any]
@@ -297,9 +297,10 @@ def _touches(wall: Wall, w: GridWindow) -> NDArray[np.bool_]:
 
 
 def _meets(post: Post, corner_m: float, w: GridWindow) -> NDArray[np.bool_]:
-    """Whether the vehicle comes nearer to a post than it may, turned as it likes; leaving one is free.
+    """Return whether the vehicle approaches a post too closely, with any heading; departures are free.
 
-    Between two grid points it flies straight: they may lie a good part of the post's reach apart.
+    Between two grid points the flight is taken as straight, because they may be far apart compared with the
+    post.
     """
     x, y = w.x - np.float32(post.centre[0]), w.y - np.float32(post.centre[1])
     reach2 = np.float32((post.radius_m + corner_m) ** 2)
@@ -313,7 +314,7 @@ def _meets(post: Post, corner_m: float, w: GridWindow) -> NDArray[np.bool_]:
 
 
 def _reach_tables(task: Task) -> tuple[Array, Array, Array]:
-    """Braking way by the executive's own rule; it is homogeneous in speed and acceleration."""
+    """Return tables of the braking distance by the executive's rule, which is homogeneous in its inputs."""
     knots = np.linspace(0.0, 1.0, 41)
     far = 100.0
     tables = []

@@ -1,25 +1,24 @@
-"""A planned contact together with the controller that goes on working in it.
+"""A planned contact, including the controller that remains active during it.
 
-The contact law alone (paper, Sec. IV-B) fixes the duration T, the moment t_p of the force peak and, with
-the detector's rule, the moment t_e of the recovery setpoint: all three depend on coefficients and mass, not
-on the speed. The vehicle yields to the contact (`core/mission/contact_feedforward.py`): before t_e it has no
-reference, e = 0, and at no time PX4's D term makes anything of the wall's push. From t_e on
-e = kp (s - x) - x' with the recovery setpoint s. Along the normal, with PX4's loop
-of `core/mission/position_loop.py`,
+The contact law alone (paper, Sec. IV-B) determines the duration T, the time t_p of the force peak and, with
+the detector's rule, the time t_e of the recovery setpoint. All three depend on coefficients and mass, not on
+the speed. The vehicle yields to the contact (`core/mission/contact_feedforward.py`): before t_e it has no
+reference, e = 0, and PX4's D term never responds to the wall's force. After t_e, e = kp (s - x) - x' with the
+recovery setpoint s. Along the normal, with PX4's loop of `core/mission/position_loop.py`,
 
     x'' = -(k x + f x')/m + a - b x'
     a'  = (kv e + i - kd (a - b x') - a) / tau,      i' = ki e
 
-along the wall, where friction rules: u' = -(mu/m) lx u is the motion by the contact law, q its way, and the
-controller, which sees u (e = kp (s - q) - u), adds its push d to it:
+Along the wall, friction dominates: u' = -(mu/m) lx u is the motion by the contact law, and q its distance.
+The controller, which sees u (e = kp (s - q) - u), adds its push d to it:
 
     a' = (kv e + i - kd a - a) / tau,      i' = ki e
     d' = -(mu/m) lx d + a,                 velocity u + d
 
 lx along the wall, and so the peak of the friction force, is that of the contact law alone at the speed of the
-onset; the setpoint (`core/mission/recovery.py`) is a sum of the peaks. So the normal part is a constant
-matrix per material and mode, exact by the matrix exponential, and the part along the wall needs integrals of
-exp(-c (1 + xi')) only, by Gauss quadrature to about 1e-10.
+onset; the setpoint (`core/mission/recovery.py`) is a sum of the peaks. The normal part is therefore a
+constant matrix per material and mode, exact by the matrix exponential. The part along the wall needs only
+integrals of exp(-c (1 + xi')), by Gauss quadrature to about 1e-10.
 """
 
 from __future__ import annotations
@@ -44,14 +43,14 @@ Array = NDArray[np.float64]
 
 _NODES = 10  # Gauss nodes in each of the two phases of a contact
 _SUB = 12
-# After the force has fallen by the detector's share: one more IMU sample, and on average half a period of
-# PX4's position controller (125 Hz) until it uses the new setpoint.
+# Delay after the force has fallen by the detector's share: one more IMU sample, and on average half a period
+# of PX4's position controller (125 Hz).
 _SETPOINT_USED_S = 0.004
-_MIN_AFTER_PEAK_S = 0.008  # the detector wants two samples after the maximum
+_MIN_AFTER_PEAK_S = 0.008  # the detector needs two samples after the maximum
 
 
 class _Quadrature(NamedTuple):
-    """Gauss-Legendre on [0, 1] and integration of the interpolating polynomial up to each node and to 1."""
+    """Gauss-Legendre rule on [0, 1], with the interpolating polynomial's integral to each node and to 1."""
 
     nodes: Array  # (J,)
     weights: Array  # (J,)
@@ -68,7 +67,7 @@ def _gauss(count: int) -> tuple[Array, Array]:
 
 
 def _lagrange(nodes: Array, at: Array) -> Array:
-    """Lagrange polynomials of `nodes` at points of any shape: shape + (J,)."""
+    """Return the Lagrange polynomials of `nodes` at points of any shape: shape + (J,)."""
     others = ~np.eye(nodes.size, dtype=bool)
     away = np.where(others, (at[..., None] - nodes)[..., None, :], 1.0)
     apart = np.where(others, nodes[:, None] - nodes, 1.0)
@@ -87,7 +86,7 @@ def _quadrature() -> _Quadrature:
 
 
 def expm(matrix: Array) -> Array:
-    """Matrix exponential of (..., n, n) by scaling, Taylor series and squaring, to about 1e-15."""
+    """Return the matrix exponential of (..., n, n) by scaling, Taylor series and squaring, to about 1e-15."""
     size = float(np.abs(matrix).sum(axis=-1).max(initial=0.0))
     halvings = max(0, math.ceil(math.log2(max(size, 1e-300) / 0.5)))
     scaled = matrix * 0.5**halvings
@@ -101,7 +100,7 @@ def expm(matrix: Array) -> Array:
 
 
 class NormalOut(NamedTuple):
-    """Along the normal, x from the plane: onset, then the force at the peak, the rest at the release."""
+    """Motion along the normal, x from the plane: onset, force at the peak, and the state at the release."""
 
     onset_m: Array
     peak_force_n: Array
@@ -113,7 +112,7 @@ class NormalOut(NamedTuple):
 
 
 class TangentialOut(NamedTuple):
-    """Along the wall, relative to the place of the onset; the friction force is signed."""
+    """Motion along the wall, relative to the place of the onset; the friction force is signed."""
 
     release_m: Array
     velocity: Array
@@ -124,13 +123,14 @@ class TangentialOut(NamedTuple):
 
 
 class TangentialShape(NamedTuple):
-    """What of the motion along the wall depends on the normal speed: per unit of each input, arrays (...,).
+    """The part of the motion along the wall that depends on the normal speed, per unit of each input.
 
-    Inputs: velocity at the onset (v), acceleration a, integral i, the recovery setpoint s.
+    The inputs are the velocity at the onset (v), acceleration a, integral i and the recovery setpoint s;
+    arrays (...,).
     """
 
-    way_to_peak: Array
-    way: Array
+    distance_to_peak: Array
+    distance: Array
     velocity_v: Array
     acceleration_v: Array
     integral_v: Array
@@ -141,13 +141,13 @@ class TangentialShape(NamedTuple):
 
 
 class ContactStage:
-    """One material in one mode with one pair of gains, ready for many hits.
+    """One material in one mode with one pair of gains, prepared for many impacts.
 
     Attributes:
-        duration_s: of the contact; infinite where the wall is never left.
+        duration_s: of the contact; infinite if the vehicle stays at the wall.
         peak_s: from the onset to the peak of the normal force.
-        engaged_s: from the onset to the recovery setpoint (at the release at the latest).
-        lead_s: f/k by the onset rule `lcp`: x + lead * x' = 0 is the onset; 0 by `touch`.
+        engaged_s: from the onset to the recovery setpoint (at the latest at the release).
+        lead_s: f/k with the onset rule `lcp`, where x + lead * x' = 0 is the onset; 0 with `touch`.
     """
 
     def __init__(
@@ -160,33 +160,33 @@ class ContactStage:
         self._normal: Array = np.zeros((6, 3))
         self._depths: Array = np.zeros(0)  # 1 + xi' at the nodes
         self._depth_end = 0.0
-        # Way to the peak, way, integral, acceleration per E at the nodes.
+        # Distance to the peak, distance, integral, acceleration per E at the nodes.
         self._by_speed: Array = np.zeros((0, 0))
         self._push: Array = np.zeros((0, 0))  # weights times acceleration per input at the nodes
         self._push_speed: Array = np.zeros((0, 0))
         self._ends: Array = np.zeros((2, 3))  # acceleration and integral at T per input a, i, s
         self._friction = friction_per_speed(CoefficientArrays.of(coefficients), mass_kg, onset)
 
-    # -- hits --
+    # -- impacts --
 
     def normal(self, speed: Array, acceleration: Array, integral: Array) -> NormalOut:
-        """Motion along the normal.
+        """Return the motion along the normal.
 
         Args:
             speed: normal velocity at the onset, m/s, < 0.
-            acceleration, integral: the controller's states then, m/s2.
+            acceleration, integral: the controller's states at the onset, m/s2.
         """
         inputs = (speed, acceleration, integral)
         rows = [sum(c * v for c, v in zip(row, inputs, strict=True) if c != 0.0) for row in self._normal]
         return NormalOut(-self.lead_s * speed, *(np.asarray(row) for row in rows))
 
     def tangential_shape(self, speed_m_s: Array) -> TangentialShape:
-        """The factors of the motion along the wall for normal velocities at the onset (m/s, < 0)."""
+        """Return the factors of the motion along the wall for normal velocities at the onset (m/s, < 0)."""
         c = self.coefficients.mu * np.maximum(-speed_m_s, 0.0)
         flat = c.reshape(-1, 1)
         slip = np.exp(-flat * self._depths)  # u at the nodes per unit of u at the onset
         slip_end = np.exp(-flat * self._depth_end)
-        kept = np.exp(-flat * (self._depth_end - self._depths))  # what is left at T of a push at the nodes
+        kept = np.exp(-flat * (self._depth_end - self._depths))  # remaining share at T of a push at the nodes
         values = slip @ self._by_speed.T
         push = kept @ self._push
         push_v = np.einsum("nj,nj->n", kept, slip @ self._push_speed.T)
@@ -202,18 +202,18 @@ class ContactStage:
         )
 
     def tangential(self, s: TangentialShape, v: Array, a: Array, i: Array) -> TangentialOut:
-        """Motion along the wall.
+        """Return the motion along the wall.
 
         Args:
-            s: from `tangential_shape`; broadcasts with the rest.
+            s: from `tangential_shape`; broadcasts with the other arguments.
             v: velocity along the wall at the onset, m/s.
-            a, i: acceleration and integral of the controller then, m/s2.
+            a, i: acceleration and integral of the controller at the onset, m/s2.
         """
         friction = -s.friction_v * v
-        setpoint = s.way_to_peak * v - self.alphas[1] * friction
+        setpoint = s.distance_to_peak * v - self.alphas[1] * friction
         (aa, ai, a_s), (_, ii, i_s) = self._ends
         return TangentialOut(
-            s.way * v,
+            s.distance * v,
             s.velocity_v * v + s.push_a * a + s.push_i * i + s.push_s * setpoint,
             s.acceleration_v * v + aa * a + ai * i + a_s * setpoint,
             s.integral_v * v + ii * i + i_s * setpoint,
@@ -232,7 +232,7 @@ def build_stages(
     drags: Sequence[float],
     extra_delay_s: Sequence[float],
 ) -> list[ContactStage]:
-    """Stages for a table of (wall, mode, draw).
+    """Return the stages for a table of (wall, mode, draw).
 
     Args:
         vehicle: mass, loop, detector.
@@ -264,7 +264,7 @@ def build_stages(
 
 
 def _time_of_drop(course: Oscillation, peak: Array, end: Array, fraction: float) -> Array:
-    """When the force has fallen by a fraction of its peak, in 1/omega."""
+    """Return the time at which the force has fallen by a fraction of its peak, in 1/omega."""
     finite = np.where(np.isfinite(end), end, 2.0 * peak + 1.0)
     level = (1.0 - fraction) * motion(course, peak)[0]
 
@@ -276,7 +276,7 @@ def _time_of_drop(course: Oscillation, peak: Array, end: Array, fraction: float)
 
 
 def _prepare_normal(stage: ContactStage, loop: PositionLoop, drag: float) -> None:
-    """The matrix from (v, a, i) at the onset to the rows of `NormalOut` after the first."""
+    """Compute the matrix from (v, a, i) at the onset to the rows of `NormalOut` after the first."""
     c, m = stage.coefficients, stage.mass_kg
     kp, kv, ki, kd, tau = loop
     # States x, v, a, i, s; before the setpoint there is no e.
@@ -310,7 +310,7 @@ def _prepare_normal(stage: ContactStage, loop: PositionLoop, drag: float) -> Non
 
 
 class _Phases:
-    """Integration over the two phases of a contact, as matrices on the values at the nodes of both."""
+    """Integration over the two phases of a contact, as matrices on the values at their nodes."""
 
     def __init__(self, first_s: float, second_s: float) -> None:
         rule = _quadrature()
@@ -319,12 +319,12 @@ class _Phases:
         self.weights = np.concatenate((first_s * rule.weights, second_s * rule.weights))
 
     def integral(self, decay: float) -> Array:
-        """(2 J + 1, 2 J): the integral of exp(-decay (s - r)) f(r) up to every node and to the end."""
+        """Return (2 J + 1, 2 J): the integral of exp(-decay (s - r)) f(r) to every node and to the end."""
         rule = _quadrature()
         parts = []
         for length in self.lengths:
-            way = length * rule.upper[:, None] * (1.0 - rule.sub_nodes)
-            kernel = np.exp(-decay * way) * rule.sub_weights
+            span = length * rule.upper[:, None] * (1.0 - rule.sub_nodes)
+            kernel = np.exp(-decay * span) * rule.sub_weights
             parts.append(length * rule.upper[:, None] * np.einsum("jl,jlk->jk", kernel, rule.lagrange))
         n = _NODES
         out = np.zeros((2 * n + 1, 2 * n))
@@ -335,7 +335,7 @@ class _Phases:
         return out
 
     def to_time(self, t_s: float) -> Array:
-        """(2 J,): the plain integral up to a moment of the first phase."""
+        """Return (2 J,): the plain integral to a time in the first phase."""
         rule = _quadrature()
         share = t_s / self.lengths[0] if self.lengths[0] > 0.0 else 0.0
         values = _lagrange(rule.nodes, share * rule.sub_nodes)
@@ -353,7 +353,7 @@ def _prepare_tangential(stage: ContactStage, loop: PositionLoop, course: Oscilla
     fading = phases.integral(decay) / tau
     place = whole[:count]
     after = (np.arange(count) >= _NODES).astype(float)  # the nodes after the recovery setpoint
-    # Per unit of u at the nodes: way, integral, acceleration.
+    # Per unit of u at the nodes: distance, integral, acceleration.
     error = after[:, None] * (kp * place + np.eye(count))
     to_integral = -ki * whole @ error
     acceleration = fading @ (to_integral[:count] - kv * error)

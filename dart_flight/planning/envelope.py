@@ -1,7 +1,7 @@
-"""What impacts a mission may plan: its own force limit, and what flights have shown.
+"""Impacts that a mission may plan: its own force limit, and the range covered by flights.
 
-The sweep of docs/px4.md (acrylic and wood, both modes, 0.5 to 4 m/s) and its hits with guards set the figures
-of speed and force here, the flights of docs/results/body.md those of incidence and height.
+The limits of speed and force come from the sweep of docs/px4.md (acrylic and wood, both modes, 0.5 to 4 m/s)
+and its impacts with guards; those of incidence and height come from the flights of docs/results/body.md.
 """
 
 from __future__ import annotations
@@ -13,31 +13,31 @@ from dart_flight.config.mission import Collision, Mission
 from dart_flight.config.vehicle import BodyModel, VehicleConfig
 from dart_flight.core.mission.planned_impact import expected_hit, impact_velocity
 
-# Normal speed; at 3.5 m/s a body with guards tilts over 60 degrees (docs/px4.md).
+# Normal speed; at 3.5 m/s a body with guards tilts by more than 60 degrees (docs/px4.md).
 FLOWN_UP_TO_M_S = 3.0
-# Up to here every hit was recovered from, up to 2 m/s, and rigid at 3 m/s.
+# Every impact up to this incidence was recovered, up to 2 m/s, and rigid at 3 m/s.
 INCIDENCE_FLOWN_DEG = 30.0
-# Normal speed up to which hits were recovered from with the guards so far below and above the centre of mass,
-# m. Below is worse: the vehicle tips over the way the setpoint leans it.
+# Largest normal speed of recovered impacts, by distance of the guards below and above the centre of mass, m.
+# Below is worse: the vehicle tips in the direction in which the setpoint leans it.
 HEIGHTS_FLOWN_M = ((0.5, 0.05, 0.05), (1.0, 0.03, 0.05), (2.0, 0.0, 0.05), (3.0, 0.0, 0.03))
-CLIP_SHARE = 0.95  # of full scale: what is left for tilt, noise and friction
-# Of full scale. At 254 N (1.25) the estimate was off by 0.16 to 0.26 m, at 296 N (1.45) by 1.3 m.
+CLIP_SHARE = 0.95  # of full scale; the rest is a margin for tilt, noise and friction
+# Of full scale. At 254 N (1.25) the estimate was wrong by 0.16 to 0.26 m, at 296 N (1.45) by 1.3 m.
 LOST_SHARE = 1.3
 
 
 def full_scale_n(mission: Mission) -> float:
-    """The force in newton at which the accelerometer is at full scale."""
+    """Return the force in newton at the accelerometer's full scale."""
     return mission.vehicle.airframe.mass_kg * mission.vehicle.imu.full_scale_m_s2
 
 
 def expected_force_n(mission: Mission, collision: Collision) -> float | None:
-    """Peak of the contact force (normal and friction together) in newton that a collision will bring."""
+    """Return the expected peak contact force of a collision (normal and friction together), newton."""
     hit = expected_hit(mission, collision)
     return None if hit is None else math.hypot(hit.peak_normal_force_n, hit.peak_friction_force_n)
 
 
 def impact_problem(mission: Mission) -> str | None:
-    """Why a mission must not be flown: an impact beyond its own limit; None where there is no reason."""
+    """Return the reason why a mission must not be flown: an impact above its own limit; or None."""
     for collision in mission.collisions:
         force = expected_force_n(mission, collision)
         if force is not None and force > mission.limits.peak_force_n:
@@ -49,7 +49,7 @@ def impact_problem(mission: Mission) -> str | None:
 
 
 def clipping_warning(mission: Mission, collision: Collision) -> str | None:
-    """What to know of an impact at or beyond the accelerometer's full scale; None below it."""
+    """Return a warning about an impact at or above the accelerometer's full scale, or None."""
     force, full_n = expected_force_n(mission, collision), full_scale_n(mission)
     if force is None or force <= CLIP_SHARE * full_n:
         return None
@@ -66,7 +66,7 @@ def clipping_warning(mission: Mission, collision: Collision) -> str | None:
 
 
 def speed_warning(collision: Collision) -> str | None:
-    """What to know of an impact faster than any that a real PX4 has flown; None for a slower one."""
+    """Return a warning about an impact faster than any flown with a real PX4, or None."""
     velocity = impact_velocity(collision)
     if velocity is None or -velocity[0] <= FLOWN_UP_TO_M_S:
         return None
@@ -77,9 +77,9 @@ def speed_warning(collision: Collision) -> str | None:
 
 
 def incidence_deg(mission: Mission, collision: Collision) -> float:
-    """The angle at which a collision is planned to meet its wall, degrees, 0 to 45.
+    """Return the planned angle of incidence of a collision, degrees, 0 to 45.
 
-    An approach turns the vehicle parallel to its wall; a recovery leaves it as it is.
+    An approach turns the vehicle parallel to its wall; a recovery keeps the heading.
     """
     yaw = 0.0
     for one in mission.collisions[: collision.index]:
@@ -89,13 +89,13 @@ def incidence_deg(mission: Mission, collision: Collision) -> float:
 
 
 def max_incidence_deg(vehicle: VehicleConfig, mode: Mode) -> float:
-    """Up to which incidence a hit is what the mode promises, and was recovered from; degrees."""
+    """Return the largest incidence at which the mode holds and the impact was recovered, degrees."""
     arms = vehicle.airframe.incidence_rigid_deg if mode is Mode.FLEXIBLE else INCIDENCE_FLOWN_DEG
     return min(arms, INCIDENCE_FLOWN_DEG)
 
 
 def incidence_warning(mission: Mission, collision: Collision) -> str | None:
-    """What to know of a hit that is planned at more incidence than its mode bears; None where it is not."""
+    """Return a warning about an impact with more incidence than its mode tolerates, or None."""
     planned, most = incidence_deg(mission, collision), max_incidence_deg(mission.vehicle, collision.mode)
     if planned <= most:
         return None
@@ -107,14 +107,14 @@ def incidence_warning(mission: Mission, collision: Collision) -> str | None:
 
 
 def heights_flown_m(normal_m_s: float) -> tuple[float, float]:
-    """How far guards may be below and above the centre of mass for a hit of this normal speed (> 0), m."""
+    """Return the largest flown distances of the guards below and above the centre of mass, m."""
     fits = (heights for speed, *heights in HEIGHTS_FLOWN_M if normal_m_s <= speed)
     below, above = next(fits, HEIGHTS_FLOWN_M[-1][1:])
     return below, above
 
 
 def height_warning(mission: Mission, collision: Collision) -> str | None:
-    """What to know of a hit with guards too far from the centre of mass's height; None where they are not."""
+    """Return a warning about guards too far below or above the centre of mass, or None."""
     velocity = impact_velocity(collision)
     if velocity is None or mission.vehicle.simulation.contact.body is BodyModel.POINT:
         return None
@@ -131,7 +131,7 @@ def height_warning(mission: Mission, collision: Collision) -> str | None:
 
 
 def impact_warnings(mission: Mission) -> list[str]:
-    """What a person should know of a mission's impacts before it flies, a line each."""
+    """Return the warnings about a mission's impacts, one line each."""
     found = (
         warning
         for collision in mission.collisions

@@ -1,4 +1,4 @@
-"""Free flight under PX4's position loop, exactly, for many candidates at once.
+"""Free flight under PX4's position loop, in closed form, for many candidates at once.
 
 Per mission axis, with p the position relative to the setpoint, v, a the acceleration that the attitude has
 reached, i the velocity loop's integral, b the air drag and the gains of `core/mission/position_loop.py`:
@@ -6,10 +6,10 @@ reached, i the velocity loop's integral, b the air drag and the gains of `core/m
     p' = v,   v' = a - b v,   i' = ki (-kp p - v)
     a' = (kv (-kp p - v) + i - kd v' - a) / tau
 
-This is linear with constant coefficients, so the state at any time is exp(A t) times the state at the start.
-The positions of all candidates on a grid of times are one matrix product; an event is bracketed on that grid
+This is linear with constant coefficients, so the state at any time is exp(A t) times the initial state. One
+matrix product gives the positions of all candidates on a grid of times. An event is bracketed on that grid
 and found by Newton's method on the exact solution about its grid point: the Taylor series of the matrix
-exponential, which at half a grid step is exact to rounding. Nothing is stepped through time.
+exponential, which is exact to rounding at half a grid step. There is no stepping through time.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ Array32 = NDArray[np.float32]
 Rows = NDArray[np.intp]
 
 GRID_S = 0.05
-WINDOW = 20  # grid steps looked at together; most events come within the first second
+WINDOW = 20  # grid steps evaluated together; most events are within the first second
 _ORDER = 11  # at one grid step and the fastest mode (about 9 1/s) the next term is 1e-13 of the position
 _NEWTON_STEPS = 6
-_SINGLE_M = 1e-4  # well above what single precision rounds
+_SINGLE_M = 1e-4  # well above the rounding of single precision
 
 
 class SetpointResponse(NamedTuple):
-    """States at the start of a free flight to a constant setpoint; arrays (4, n): p, v, a, i, and (n,)."""
+    """Initial states of a flight to a constant setpoint; arrays (4, n): p, v, a, i, and (n,)."""
 
     x: Array
     y: Array
@@ -44,7 +44,7 @@ class SetpointResponse(NamedTuple):
     goal_y: Array
 
     def take(self, rows: Rows | NDArray[np.bool_]) -> SetpointResponse:
-        """The chosen candidates."""
+        """Return the selected candidates."""
         return SetpointResponse(self.x[:, rows], self.y[:, rows], self.goal_x[rows], self.goal_y[rows])
 
     @property
@@ -56,7 +56,7 @@ class SetpointResponse(NamedTuple):
 class GridWindow(NamedTuple):
     """Positions (mission frame, m) and velocities on a part of the time grid; arrays (n, times).
 
-    In single precision (1e-6 m): they bracket events and are judged against constraints, nothing more.
+    Single precision (1e-6 m) suffices, because they only bracket events and are compared with constraints.
     """
 
     times: Array
@@ -67,7 +67,7 @@ class GridWindow(NamedTuple):
 
 
 def loop_matrix(loop: PositionLoop, drag_per_s: float) -> Array:
-    """A of the module docstring for the states (p, v, a, i): (4, 4)."""
+    """Return A of the module's equations for the states (p, v, a, i): (4, 4)."""
     kp, kv, ki, kd, tau = loop
     return np.array(
         [
@@ -85,12 +85,12 @@ class _Axis:
     def __init__(self, matrix: Array, count: int) -> None:
         self.matrix = matrix
         powers = np.stack((np.eye(4), expm(matrix * GRID_S)))
-        while len(powers) <= count:  # those known, and the same again so many steps later
+        while len(powers) <= count:  # multiplying all by the last power doubles the table
             powers = np.concatenate((powers, powers[1:] @ powers[-1]))
         self.at_grid = powers[: count + 1]  # (count + 1, 4, 4)
         self.position = np.ascontiguousarray(self.at_grid[:, 0, :].T, dtype=np.float32)  # (4, count + 1)
         self.velocity = np.ascontiguousarray(self.at_grid[:, 1, :].T, dtype=np.float32)
-        # From each grid point on, the most that each state of the start still adds to the position.
+        # From each grid point, the largest remaining contribution of each initial state to the position.
         self.reach = np.maximum.accumulate(np.abs(self.at_grid[::-1, 0, :]), axis=0)[::-1]  # (count + 1, 4)
         rows = [np.eye(4)]
         for n in range(1, _ORDER + 1):
@@ -104,7 +104,7 @@ class FreeFlight:
 
     Args:
         vehicle: gains and drag.
-        horizon_s: longest flight looked at.
+        horizon_s: longest flight considered.
     """
 
     def __init__(self, vehicle: VehicleConfig, horizon_s: float) -> None:
@@ -118,18 +118,18 @@ class FreeFlight:
         )
 
     def grid(self, leg: SetpointResponse) -> Grid:
-        """The leg on the time grid."""
+        """Return the leg on the time grid."""
         x, y = (np.ascontiguousarray(z.T, dtype=np.float32) for z in (leg.x, leg.y))
         goals = (leg.goal_x[:, None].astype(np.float32), leg.goal_y[:, None].astype(np.float32))
         return Grid(self, x, y, *goals)
 
     def at(self, leg: SetpointResponse, t_s: float) -> SetpointResponse:
-        """States of every candidate at one time after the start of the leg."""
+        """Return the states of every candidate at a time after the start of the leg."""
         x, y = (expm(axis.matrix * t_s) @ z for axis, z in zip(self.axes, (leg.x, leg.y), strict=True))
         return SetpointResponse(x, y, leg.goal_x, leg.goal_y)
 
     def along(self, leg: SetpointResponse, times_s: Array) -> tuple[Array, Array]:
-        """States (n, 4) of the first candidate, along x and along y, at times (n,) after the leg's start."""
+        """Return states (n, 4) of the first candidate along x and along y, at times (n,) of the leg."""
         x, y = (
             expm(axis.matrix * times_s[:, None, None]) @ z[:, 0]
             for axis, z in zip(self.axes, (leg.x, leg.y), strict=True)
@@ -137,7 +137,7 @@ class FreeFlight:
         return x, y
 
     def near(self, leg: SetpointResponse, index: Rows) -> SeriesSolution:
-        """The exact solutions about one grid point per candidate."""
+        """Return the exact solutions about one grid point per candidate."""
         states: list[Array] = [
             np.einsum("njk,kn->jn", axis.at_grid[index], z)
             for axis, z in zip(self.axes, (leg.x, leg.y), strict=True)
@@ -146,7 +146,7 @@ class FreeFlight:
 
 
 class Grid(NamedTuple):
-    """Legs ready to be looked at on the time grid: start states (n, 4) and setpoints (n, 1)."""
+    """Legs prepared for the time grid: initial states (n, 4) and setpoints (n, 1)."""
 
     flight: FreeFlight
     x: Array32
@@ -155,11 +155,11 @@ class Grid(NamedTuple):
     goal_y: Array32
 
     def take(self, rows: Rows | NDArray[np.bool_]) -> Grid:
-        """The chosen candidates."""
+        """Return the selected candidates."""
         return Grid(self.flight, self.x[rows], self.y[rows], self.goal_x[rows], self.goal_y[rows])
 
     def window(self, first: int) -> GridWindow:
-        """One window of grid points, both ends included."""
+        """Return one window of grid points, including both ends."""
         ax, ay = self.flight.axes
         part = slice(first, first + WINDOW + 1)
         x, y = self.x @ ax.position[:, part], self.y @ ay.position[:, part]
@@ -170,7 +170,7 @@ class Grid(NamedTuple):
         )
 
     def stays_before(self, normal: tuple[float, float], offset: float, index: int) -> NDArray[np.bool_]:
-        """Which ones surely stay before a plane (normal . p = offset) from a grid point on."""
+        """Return which candidates stay in front of a plane (normal . p = offset) from a grid point on."""
         ax, ay = self.flight.axes
         nearest = normal[0] * self.goal_x[:, 0] + normal[1] * self.goal_y[:, 0] - offset
         if normal[0]:
@@ -181,7 +181,7 @@ class Grid(NamedTuple):
 
 
 class SeriesSolution:
-    """Solutions about a moment of each candidate, as power series in the time from it."""
+    """Solutions about a time of each candidate, as power series in the time from it."""
 
     def __init__(self, flight: FreeFlight, leg: SetpointResponse, times: Array, zx: Array, zy: Array) -> None:
         ax, ay = flight.axes
@@ -192,7 +192,7 @@ class SeriesSolution:
         self.y[0] += leg.goal_y
 
     def along(self, direction: tuple[float, float]) -> Array:
-        """Coefficients (order + 1, n) of the position along a direction."""
+        """Return coefficients (order + 1, n) of the position along a direction."""
         if direction[1] == 0.0:
             return direction[0] * self.x
         if direction[0] == 0.0:
@@ -200,7 +200,7 @@ class SeriesSolution:
         return direction[0] * self.x + direction[1] * self.y
 
     def leg_at(self, d: Array) -> SetpointResponse:
-        """States at a time `d` from the grid point, towards the same setpoints."""
+        """Return the states at a time `d` from the grid point, towards the same setpoints."""
         states = []
         for axis, z in zip(self._flight.axes, (self._zx, self._zy), strict=True):
             terms = (axis.series.reshape(-1, 4) @ z).reshape(_ORDER + 1, 4, -1)
@@ -209,7 +209,7 @@ class SeriesSolution:
 
 
 def _horner(coefficients: Array, d: Array) -> Array:
-    """Values (..., n) of polynomials with coefficients (order + 1, ..., n) at d (n,)."""
+    """Return values (..., n) of polynomials with coefficients (order + 1, ..., n) at d (n,)."""
     value: Array = coefficients[-1].copy()
     for row in coefficients[-2::-1]:
         value *= d
@@ -218,7 +218,7 @@ def _horner(coefficients: Array, d: Array) -> Array:
 
 
 def _with_slope(coefficients: Array, d: Array) -> tuple[Array, Array]:
-    """Values of polynomials as in `_horner`, and their first derivative."""
+    """Return values of polynomials as in `_horner`, and their first derivative."""
     value = coefficients[-1].copy()
     slope = np.zeros_like(value)
     for row in coefficients[-2::-1]:
@@ -230,7 +230,7 @@ def _with_slope(coefficients: Array, d: Array) -> tuple[Array, Array]:
 
 
 def _with_curvature(coefficients: Array, d: Array) -> tuple[Array, Array, Array]:
-    """Values of polynomials as in `_horner`, and their first and second derivative."""
+    """Return values of polynomials as in `_horner`, and their first and second derivative."""
     value = coefficients[-1].copy()
     slope = np.zeros_like(value)
     half = np.zeros_like(value)
@@ -245,7 +245,7 @@ def _with_curvature(coefficients: Array, d: Array) -> tuple[Array, Array, Array]
 
 
 def first_crossing(position: Array, lead_s: float, low: float, high: float) -> Array:
-    """Where x + lead x' falls through 0, for position series (order + 1, n), in [low, high] seconds."""
+    """Return where x + lead x' falls through 0, for position series (order + 1, n), in [low, high] s."""
     g = position
     if lead_s:
         g = position.copy()
@@ -265,13 +265,13 @@ def first_crossing(position: Array, lead_s: float, low: float, high: float) -> A
 def closest(
     x: Array, y: Array, goal: tuple[float, float], low: Array, high: Array
 ) -> tuple[Array, Array, tuple[Array, Array, Array, Array]]:
-    """Closest approach to a point near the grid point, for position series (order + 1, n).
+    """Return the closest approach to a point near the grid point, for position series (order + 1, n).
 
-    The least squared distance over [low, high], which is a grid step either way, or 0 on the side where the
-    flight begins or ends at the grid point.
+    It is the smallest distance over [low, high]: a grid step to either side, or 0 on a side where the flight
+    begins or ends.
 
     Returns:
-        Time from the grid point, distance, and there position and velocity (x, y, vx, vy), each (n,).
+        Time from the grid point, distance, and position and velocity there (x, y, vx, vy), each (n,).
     """
     both = np.stack((x, y), axis=1)
     at = np.array(goal)[:, None]
@@ -282,7 +282,7 @@ def closest(
         slope = (p * u).sum(axis=0)
         speed2 = (u * u).sum(axis=0)
         curve = speed2 + (p * b).sum(axis=0)
-        # Far off the minimum the curvature may be negative: Gauss-Newton's is not.
+        # Far from the minimum the curvature may be negative; that of Gauss-Newton is not.
         step = slope / np.where(curve > 0.1 * speed2, np.where(curve > 0.0, curve, 1.0), speed2 + 1e-12)
         new = np.clip(d - step, low, high)
         done = bool((np.abs(new - d) <= 1e-8).all())

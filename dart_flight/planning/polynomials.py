@@ -1,4 +1,4 @@
-"""The polynomial of fifth order between two states, for many at once."""
+"""The polynomial of fifth order between two states, for many pairs at once."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ Array = NDArray[np.float64]
 
 
 def quintic(begin: Array | Sequence[Array | float], end: Sequence[Array | float], duration_s: Array) -> Array:
-    """Coefficients (6, n) of the polynomials from one (position, velocity, acceleration) to another.
+    """Return coefficients (6, n) of the polynomials from one (position, velocity, acceleration) to another.
 
     Args:
         begin, end: numbers, or arrays (n,).

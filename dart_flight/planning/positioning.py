@@ -1,4 +1,4 @@
-"""Where PX4's position comes from, and what that means for a mission with walls."""
+"""The source of PX4's position, and its consequences for a mission with walls."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ PLAIN_GPS = (
 
 
 def source_for(mission: Mission, source: PositionSource) -> PositionSource:
-    """What a receiver without corrections is to a mission whose contacts put its frame right."""
+    """Return the effective position source: plain GPS counts as anchored if contacts correct the frame."""
     return PositionSource.ANCHORED if source is PositionSource.PLAIN and mission.is_anchored else source
 
 
@@ -22,10 +22,10 @@ def simulated_source(mission: Mission) -> PositionSource:
 
 
 def frame_problem(mission: Mission, source: PositionSource) -> str | None:
-    """Why a mission's frame means nothing with this source; None where it does.
+    """Return the reason why a mission's frame is not valid with a position source, or None.
 
-    With GPS, PX4's local frame begins where it was switched on: only a frame at the take-off point, or a
-    mission that begins at its own origin, has a meaning.
+    With GPS, PX4's local frame begins where PX4 was powered on. Only a frame at the take-off point, or a
+    mission that starts at its own origin, is then valid.
     """
     spec = mission.frame
     surveyed = spec.origin == "local" and (

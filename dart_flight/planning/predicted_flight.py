@@ -1,7 +1,7 @@
-"""The planned path of a mission: the planner's flight model from start to goal, for `check` and the report.
+"""The predicted path of a mission: the planner's flight model from start to goal, for `check` and the report.
 
-A mission file holds the approach and the gains, not the path; the path follows from them by the same model
-that chose them (`planning.rollout`).
+A mission file contains the approach and the gains, not the path. The path follows from them by the model that
+chose them (`planning.rollout`).
 """
 
 from __future__ import annotations
@@ -32,17 +32,17 @@ from dart_flight.planning.rollout import (
 )
 from dart_flight.planning.task import MissionTask, task_of
 
-_POINTS = 60  # of a leg
+_POINTS = 60  # per leg
 
 
 class PredictedImpact(NamedTuple):
-    """A collision as the flight model meets it.
+    """A predicted impact.
 
     Attributes:
         position: of the vehicle's centre at the onset, mission frame.
-        normal_m_s, tangential_m_s: velocity then, collision frame.
-        normal_n, tangential_n: peaks of the force, friction as a force along the wall's tangent.
-        set_point: recovery setpoint that follows, mission frame.
+        normal_m_s, tangential_m_s: velocity at the onset, collision frame.
+        normal_n, tangential_n: peaks of the force; friction as a force along the wall's tangent.
+        setpoint: recovery setpoint, mission frame.
     """
 
     position: Vec2
@@ -54,17 +54,17 @@ class PredictedImpact(NamedTuple):
 
 
 class PredictedFlight(msgspec.Struct):
-    """What the flight model says of a mission.
+    """The flight model's prediction for a mission.
 
     Attributes:
-        approaches: index of the collision led to -> straight lines, mission frame, metres: where the
-            vehicle is at rest before (where that is known and elsewhere), run-up point, impact.
-        legs: collision index (0: along a trajectory from rest at the start to the goal) -> (n, 4), x, y, vx,
-            vy from its onset over the release to the next onset, of the last to the closest approach to the
-            goal. At the onset itself the velocity is given as 0.
-        hits: collision index -> the hit; none for a wall that the model does not reach.
-        goal_miss_m: closest approach to the goal after the last contact; None where it does not come to that.
-        walls: those that the mission says may stand elsewhere, where they were drawn.
+        approaches: straight lines by the index of the next collision, mission frame, metres: previous resting
+            position (if known and different), run-up point, impact.
+        legs: arrays (n, 4) of x, y, vx, vy by collision index (0: a trajectory from rest at the start to the
+            goal), from the onset over the release to the next onset, or to the closest approach to the goal.
+            The velocity at the onset itself is given as 0.
+        hits: impacts by collision index; without those that the model does not reach.
+        goal_miss_m: closest approach to the goal after the last contact; None if not reached.
+        walls: drawn positions of the walls that the mission declares uncertain.
     """
 
     approaches: dict[int, list[Vec2]]
@@ -75,7 +75,7 @@ class PredictedFlight(msgspec.Struct):
 
 
 def impact_place(collision: Collision, hits: Mapping[int, PredictedImpact]) -> Vec2:
-    """Where a wall is to be met, mission frame: as the mission says, else by the model, else its middle."""
+    """Return the impact point, mission frame: from the mission, the model, or the wall's middle."""
     if collision.impact_point is not None:
         return collision.impact_point
     if collision.predicted is not None:
@@ -107,28 +107,28 @@ def describe_goal_miss(
     after_impact: AfterImpact = AfterImpact.SETPOINT,
     along_trajectory: bool = False,
 ) -> str:
-    """In words how near the goal is passed, and from where on that counts as reached."""
+    """Describe the miss distance at the goal, and the capture radius."""
     if along_trajectory:
         return f"flown to along a trajectory, to rest there (capture radius {goal.capture_radius_m:g} m)"
-    says = f"passes the goal at {miss_m:.2f} m (capture radius {goal.capture_radius_m:g} m)"
+    text = f"passes the goal at {miss_m:.2f} m (capture radius {goal.capture_radius_m:g} m)"
     if after_impact is AfterImpact.REPLAN:
         return (
             "replanned after every collision to pass through the goal; with recovery setpoints alone it "
-            + says
+            + text
         )
-    return says
+    return text
 
 
 def predict_mission(mission: Mission) -> PredictedFlight:
-    """The path that the mission's approaches, modes and gains lead to.
+    """Predict the path that follows from the mission's approaches, modes and gains.
 
-    Where the model does not reach the next wall, the path ends; a rehearsal has approaches only.
+    The path ends where the model does not reach the next wall. A rehearsal has approaches only.
     """
     return flights_with(mission, [None])[0]
 
 
 def flights_with(mission: Mission, draws: Sequence[UncertaintyDraw | None]) -> list[PredictedFlight]:
-    """The same with other walls; None: the nominal ones."""
+    """Predict the path for each draw of the walls; None stands for the nominal walls."""
     found = [PredictedFlight({}, {}, {}, walls=() if d is None else tuple(d.walls.values())) for d in draws]
     if mission.goal_trajectory is not None and not mission.collisions:
         rows = [(*state.position, *state.velocity) for state in _sampled(mission.goal_trajectory)]
@@ -155,7 +155,7 @@ def flights_with(mission: Mission, draws: Sequence[UncertaintyDraw | None]) -> l
 def _follow(
     planned: PredictedFlight, group: Sequence[Collision], flight: FreeFlight, arrivals: Arrivals, last: bool
 ) -> None:
-    """Add what follows from one approach; `last`: the goal comes after it."""
+    """Add the prediction that follows from one approach; `last`: the goal is next."""
     for i, (collision, hit) in enumerate(zip(group, arrivals.hits, strict=True)):
         planned.hits[collision.index] = PredictedImpact(
             position=(float(hit.x[0]), float(hit.y[0])),
@@ -173,7 +173,7 @@ def _follow(
 
 
 def _follow_written(planned: PredictedFlight, mission: Mission, group: Sequence[Collision]) -> None:
-    """Add hits and trajectories as the mission has them."""
+    """Add impacts and trajectories as the mission specifies them."""
     first = group[0]
     assert first.trajectory is not None
     planned.approaches[first.index] = [state.position for state in _sampled(first.trajectory)]
@@ -208,7 +208,7 @@ def _follow_written(planned: PredictedFlight, mission: Mission, group: Sequence[
 
 
 def _sampled(written: TrajectoryPieces) -> list[MotionState]:
-    """The motion at many times, the ends among them."""
+    """Return the motion at many times, including both ends."""
     planned = Trajectory.from_mission(written, 0.0)
     found = []
     for t in np.linspace(0.0, planned.duration_s, _POINTS):
@@ -218,7 +218,7 @@ def _sampled(written: TrajectoryPieces) -> list[MotionState]:
 
 
 def _groups(collisions: Sequence[Collision]) -> list[list[Collision]]:
-    """Collisions that follow from one approach each."""
+    """Return groups of collisions that follow from one approach each."""
     begins = [i for i, c in enumerate(collisions) if c.impact_point is not None]
     return [list(collisions[a:b]) for a, b in pairwise([*begins, len(collisions)])]
 
@@ -226,7 +226,7 @@ def _groups(collisions: Sequence[Collision]) -> list[list[Collision]]:
 def _fly(
     mission: Mission, group: Sequence[Collision], draws: Sequence[UncertaintyDraw | None]
 ) -> tuple[FreeFlight, Vec2, list[Arrivals | None]]:
-    """One approach: its run-up point, and what follows in each draw; None where it does not get through."""
+    """Return one approach's flight, run-up point and arrivals per draw; None where it fails."""
     task = task_of(mission, group)
     flight = new_flight(task)
     rollout = _rollout(task, flight)
@@ -236,16 +236,16 @@ def _fly(
     begin = (float(np.ravel(grid.begin_x)[0]), float(np.ravel(grid.begin_y)[0]))
     modes = tuple(c.mode for c in group)
     found = []
-    drawn = [_of_group(draw, group) for draw in draws]
+    drawn = [_rename_walls(draw, group) for draw in draws]
     for stages, draw in zip(stages_for(task, drawn), drawn, strict=True):
-        really = rollout if draw is None or not draw.walls else _rollout(task, flight, draw.walls)
-        arrivals = really.fly(stages, normal, tangential, grid, draw)
+        drawn_rollout = rollout if draw is None or not draw.walls else _rollout(task, flight, draw.walls)
+        arrivals = drawn_rollout.fly(stages, normal, tangential, grid, draw)
         found.append(next((a for a in arrivals if a.modes == modes and a.rows.size), None))
     return flight, begin, found
 
 
-def _of_group(draw: UncertaintyDraw | None, group: Sequence[Collision]) -> UncertaintyDraw | None:
-    """A draw with its walls by the names that a task gives them: every collision has one of its own."""
+def _rename_walls(draw: UncertaintyDraw | None, group: Sequence[Collision]) -> UncertaintyDraw | None:
+    """Return a draw with its walls renamed to the task's names, where every collision has its own wall."""
     if draw is None:
         return None
     places = {
@@ -257,7 +257,7 @@ def _of_group(draw: UncertaintyDraw | None, group: Sequence[Collision]) -> Uncer
 
 
 def _rollout(task: MissionTask, flight: FreeFlight, walls: Mapping[str, Wall] | None = None) -> Rollout:
-    """The one candidate of a task; `walls`: those that stand elsewhere than the approach takes them to."""
+    """Return the rollout of a task's only candidate; `walls` are those that differ from the approach's."""
     sequence = tuple(task.walls)
     if walls is None:
         return Rollout(task, sequence, flight, None, keep_hits=True)
@@ -266,7 +266,7 @@ def _rollout(task: MissionTask, flight: FreeFlight, walls: Mapping[str, Wall] | 
 
 
 def _path(flight: FreeFlight, hit: Hits, until_s: float) -> NDArray[np.float64]:
-    """From the onset of a hit over its release to a time, mission frame (n, 4)."""
+    """Return the path from the onset of an impact over its release to a time, mission frame (n, 4)."""
     release_s = float(hit.t_s[0] + hit.duration_s[0])
     x, y = flight.along(hit.leg, np.linspace(0.0, max(until_s - release_s, 0.0), _POINTS))
     after = np.stack([x[:, 0] + hit.leg.goal_x[0], y[:, 0] + hit.leg.goal_y[0], x[:, 1], y[:, 1]], axis=1)

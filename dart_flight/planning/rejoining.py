@@ -1,11 +1,11 @@
-"""From where a hit really led back to the trajectory that was planned before the flight.
+"""Trajectories from the state after an impact back to the trajectory that was planned before the flight.
 
-The planned trajectory, from some moment of it on and perhaps a little slower, plus a polynomial of fifth
-order per axis that begins with what the vehicle's state differs by and is gone, with its first two
-derivatives, some time before the trajectory's end. So the shape that an optimiser found is kept, and where,
-and how fast, it ends; what differs is small, and so is what it asks for beyond the planned accelerations.
-Before a wall the last tenths are those of the plan (but for the wall's place, and the lean that it wants):
-what is made up for until the very end leaves the vehicle turning as it hits.
+Each is the planned trajectory, from some time on and possibly slower, plus a polynomial of fifth order per
+axis. The polynomial starts with the deviation of the vehicle's state and vanishes, with two derivatives, some
+time before the trajectory's end. This keeps the optimised shape, end and final velocity, while the additional
+accelerations stay small. Before a wall the last tenths of a second are those of the plan, apart from the
+wall's place and the wanted lean: a correction until the very end would leave the vehicle rotating at the
+impact.
 """
 
 from __future__ import annotations
@@ -25,25 +25,26 @@ Array = NDArray[np.float64]
 Rows = NDArray[np.intp]
 
 _SAMPLES = 24
-_STEP_S = 0.03  # of the moments of the planned trajectory at which a trajectory may begin
+_STEP_S = 0.03  # between the possible starting times on the planned trajectory
 _SLOWER = (1.0, 1.05, 1.1, 1.2, 1.35, 1.6, 2.0)
-_LEAST_S = 0.2  # of a trajectory
-_SAME_S = 1e-6  # pieces that are shorter are none
-SETTLED_S = 0.2  # before a wall, in which a trajectory is the planned one again: the attitude's lag
-_SETTLED_SHARE = 0.3  # of a trajectory, at most
+_LEAST_S = 0.2  # shortest trajectory
+_SAME_S = 1e-6  # shorter pieces are dropped
+SETTLED_S = 0.2  # before a wall the trajectory equals the planned one for this time: the attitude's lag
+_SETTLED_SHARE = 0.3  # largest share of a trajectory
 
 
 class RejoiningTrajectories(NamedTuple):
-    """Trajectories back to a planned one; n of them, at k moments each.
+    """Trajectories back to a planned one; n of them, at k times each.
 
     Attributes:
         planned: the trajectory.
-        shares: (k,) the moments, of each trajectory's duration.
-        from_s, slower, duration_s: (n,) where on the planned trajectory each begins, how much slower it is
-            flown, and how long it lasts.
-        settled_s: (n,) since its beginning, from when on each is as planned again.
-        added: (2, n, 6) coefficients of the polynomials that are added until then, constant term first.
-        kept: (2, n, 6) likewise from then on, about `settled_s`: what the end is moved and pushed by.
+        shares: (k,) the times, as shares of each duration.
+        from_s, slower, duration_s: (n,) starting time on the planned trajectory, factor on its duration, and
+            duration.
+        settled_s: (n,) time from the beginning at which each equals the planned one again.
+        added: (2, n, 6) coefficients of the added polynomials until then, constant term first.
+        kept: (2, n, 6) coefficients of the added polynomials afterwards, about `settled_s`: displacement and
+            acceleration of the end.
         position, velocity, acceleration, jerk: (2, n, k), mission frame.
     """
 
@@ -61,12 +62,12 @@ class RejoiningTrajectories(NamedTuple):
     jerk: Array
 
     def take(self, rows: Rows) -> RejoiningTrajectories:
-        """The chosen trajectories."""
+        """Return the selected trajectories."""
         by_row = (v[rows] for v in self[2:6])
         return RejoiningTrajectories(self.planned, self.shares, *by_row, *(v[:, rows] for v in self[6:]))
 
     def trajectory(self, row: int) -> Trajectory:
-        """One trajectory as polynomials, one after the other."""
+        """Return one trajectory as consecutive polynomials."""
         planned, slower, begin = self.planned, float(self.slower[row]), float(self.from_s[row])
         pieces: list[float] = []
         axes: tuple[list[float], list[float]] = ([], [])
@@ -96,15 +97,15 @@ def rejoin(
     pushed: Vec2 = (0.0, 0.0),
     settled_s: float = 0.0,
 ) -> RejoiningTrajectories:
-    """The trajectories back to a planned trajectory that may be tried.
+    """Return the candidate trajectories back to a planned trajectory.
 
     Args:
         planned: with several pieces.
-        start: position, velocity and acceleration per axis, where the trajectory begins; mission frame.
-        moved: by how much the end lies elsewhere than planned, m.
-        pushed: by how much the acceleration there is another than planned, m/s2.
-        settled_s: before the end, in which it is as planned but for these two; a trajectory that is short
-            has less.
+        start: initial position, velocity and acceleration per axis; mission frame.
+        moved: displacement of the end from the plan, m.
+        pushed: difference of the final acceleration from the plan, m/s2.
+        settled_s: time before the end in which the trajectory equals the plan apart from these two; a short
+            trajectory has less.
     """
     tried = [
         (begin, slower)
@@ -135,7 +136,7 @@ def rejoin(
 
 
 def _sampled(planned: Trajectory, times: Array) -> Array:
-    """(4, 2, n, k): position, velocity, acceleration and jerk at times (n, k) of a trajectory."""
+    """Return (4, 2, n, k): position, velocity, acceleration and jerk at times (n, k) of a trajectory."""
     begins = np.cumsum([0.0, *planned.pieces_s[:-1]])
     piece = np.clip(np.searchsorted(begins, times, side="right") - 1, 0, begins.size - 1)
     since = times - begins[piece]
@@ -145,7 +146,7 @@ def _sampled(planned: Trajectory, times: Array) -> Array:
 
 
 def _derivative(coefficients: Array, times: Array, order: int, per_time: bool = False) -> Array:
-    """(2, n, k): a derivative of polynomials (2, n, 6), or (2, n, k, 6) `per_time`, at times (n, k)."""
+    """Return a derivative (2, n, k) of polynomials (2, n, 6), or (2, n, k, 6) `per_time`, at times (n, k)."""
     for _ in range(order):
         coefficients = coefficients[..., 1:] * np.arange(1, coefficients.shape[-1])
     if not per_time:
@@ -157,7 +158,7 @@ def _derivative(coefficients: Array, times: Array, order: int, per_time: bool = 
 
 
 def _moved(coefficients: tuple[float, ...], by: float) -> list[float]:
-    """A polynomial's coefficients about another time."""
+    """Return a polynomial's coefficients about another time."""
     return [
         sum(math.comb(n, k) * coefficients[n] * by ** (n - k) for n in range(k, len(coefficients)))
         for k in range(len(coefficients))

@@ -1,8 +1,8 @@
-"""The way of many candidates through one sequence of walls: approach, contact, recovery, contact, ..., goal.
+"""The flight of many candidates through one sequence of walls: approach, contact, recovery, ..., goal.
 
-All candidates of a sequence, whatever their modes, go through together, one leg after the other: few long
-arrays instead of many short ones. Those that fail leave on the way, counted by reason. Approaches and
-contacts are `approach_grid` and `contact_stage`, the flights between them `flight_model`.
+All candidates of a sequence, in any modes, are computed together, one leg after the other: few long arrays
+instead of many short ones. Candidates that fail are removed and counted by reason. Approaches and contacts
+are in `approach_grid` and `contact_stage`, the flights between them in `flight_model`.
 """
 
 from __future__ import annotations
@@ -42,8 +42,8 @@ from dart_flight.planning.flight_model import (
 )
 from dart_flight.planning.task import Task, drag_along
 
-_HORIZON_S = 6.0  # what has not come by then does not come: the loop has settled
-MIN_FACTOR = 0.1  # a drawn coefficient is never below this share of its nominal value
+_HORIZON_S = 6.0  # later events do not occur, because the loop has settled
+MIN_FACTOR = 0.1  # lower limit of a drawn coefficient relative to its nominal value
 Outcome = TypeVar("Outcome", NormalOut, TangentialOut)
 Stages = dict[tuple[str, Mode], ContactStage]
 
@@ -52,13 +52,13 @@ class Hits(NamedTuple):
     """One collision of candidates; arrays (n,).
 
     Attributes:
-        wall: which.
-        t_s: onset, since the start of the run-up.
-        x, y: position then, mission frame.
-        normal_m_s, tangential_m_s: velocity then, collision frame.
+        wall: the wall.
+        t_s: onset, from the start of the run-up.
+        x, y: position at the onset, mission frame.
+        normal_m_s, tangential_m_s: velocity at the onset, collision frame.
         normal_n, tangential_n: peaks of the force.
         duration_s: of the contact.
-        leg: at the release.
+        leg: state at the release.
     """
 
     wall: Wall
@@ -74,25 +74,25 @@ class Hits(NamedTuple):
 
     @property
     def peak_force_n(self) -> Array:
-        """Normal and friction peak together."""
+        """Peak of normal force and friction together."""
         return np.hypot(self.normal_n, self.tangential_n)
 
     def take(self, rows: Rows | NDArray[np.bool_]) -> Hits:
-        """The chosen candidates."""
+        """Return the selected candidates."""
         return Hits._make((self.wall, *(v[rows] for v in self[1:-1]), self.leg.take(rows)))
 
 
 class Arrivals(NamedTuple):
-    """Candidates that got through; arrays (n,).
+    """Candidates that completed the sequence; arrays (n,).
 
     Attributes:
         rows: index of the approach.
         modes: of each collision.
         miss_m: closest approach to the goal after the last contact.
-        t_s: of it, since the start of the run-up.
+        t_s: time of it, from the start of the run-up.
         force_n: largest peak force of all collisions.
         x, y, vx, vy: state at the closest approach.
-        hits: the collisions, where asked for.
+        hits: the collisions, if requested.
     """
 
     rows: Rows
@@ -111,7 +111,7 @@ class _Released(NamedTuple):
     """Candidates released from a wall; arrays (n,)."""
 
     rows: Rows
-    modes: Rows  # which sequence of modes so far, as in `itertools.product`
+    modes: Rows  # index of the mode sequence so far, as in `itertools.product`
     t_s: Array  # release
     since_peak_s: Array  # from the recovery setpoint to the release
     force_n: Array
@@ -119,13 +119,13 @@ class _Released(NamedTuple):
     hits: tuple[Hits, ...]
 
     def take(self, rows: Rows | NDArray[np.bool_]) -> _Released:
-        """The chosen candidates."""
+        """Return the selected candidates."""
         hits = tuple(hit.take(rows) for hit in self.hits)
         return _Released._make((*(v[rows] for v in self[:5]), self.leg.take(rows), hits))
 
 
 def _merged(fronts: list[_Released]) -> _Released:
-    """The candidates of several fronts at the same wall as one."""
+    """Merge the candidates of several fronts at the same wall."""
     if len(fronts) == 1:
         return fronts[0]
     hits = tuple(
@@ -147,24 +147,24 @@ def _joined_legs(legs: list[SetpointResponse]) -> SetpointResponse:
 
 
 class UncertaintyDraw(NamedTuple):
-    """One draw of what is uncertain: factors per (wall, mode), shifts, and where walls really stand."""
+    """One draw of the uncertain quantities: factors per (wall, mode), offsets, and true walls."""
 
     factors: dict[tuple[str, Mode], tuple[float, float, float]]  # of k, f, mu
     normal_m_s: float
     tangential_m_s: float
     delay_s: float
-    walls: dict[str, Wall] = {}  # noqa: RUF012  (never changed): of those that are not where the plan has them
+    walls: dict[str, Wall] = {}  # noqa: RUF012  (never changed): walls that differ from the plan
 
 
 def drawn_wall(wall: Wall, rng: np.random.Generator) -> Wall:
-    """Where a wall may really stand: drawn by its own standard deviations."""
+    """Draw a wall's true position and direction from its standard deviations."""
     away, angle = rng.standard_normal(2)
     moved = wall.moved(float(away) * (wall.position_sd_m or 0.0))
     return moved.turned(float(angle) * (wall.yaw_sd_rad or 0.0))
 
 
 def stages_for(task: Task, draws: Sequence[UncertaintyDraw | None]) -> list[Stages]:
-    """Contact stages of every wall with gains in every mode, for every draw (None: the nominal values)."""
+    """Return the contact stages of every wall with gains in every mode, for every draw (None: nominal)."""
     keys = [(name, mode) for name in task.alphas for mode in task.modes]
     table, alphas, drags, delays = [], [], [], []
     for draw in draws:
@@ -188,11 +188,11 @@ class Rollout:
 
     Args:
         task: walls, goal, limits.
-        sequence: names of the walls in the order of the hits.
-        flight: the loop's tables, shared between courses.
-        constraints: None lets every candidate fly on to its end, wherever that leads (for comparisons).
-        keep_hits: whether arrivals carry their collisions.
-        approached: the first wall as the approach takes it, where the task's walls stand elsewhere.
+        sequence: names of the walls in the order of the impacts.
+        flight: the loop's tables, shared between rollouts.
+        constraints: None lets every candidate fly to its end without limits (for comparisons).
+        keep_hits: whether arrivals contain their collisions.
+        approached: the first wall as assumed by the approach, if the task's walls differ.
     """
 
     def __init__(
@@ -211,7 +211,7 @@ class Rollout:
         self._goal: Vec2 = task.goal.position_m
 
     def approach(self, normal: Array, tangential: Array) -> ApproachGrid:
-        """Approaches to the first wall."""
+        """Return the approaches to the first wall."""
         return approach_grid(self.task, self.walls[0], normal, tangential, self.constraints)
 
     def fly(
@@ -222,13 +222,13 @@ class Rollout:
         grid: ApproachGrid,
         draw: UncertaintyDraw | None = None,
     ) -> list[Arrivals]:
-        """All mode sequences from the given approaches.
+        """Compute all mode sequences from the given approaches.
 
         Args:
-            stages: contact stages, of this draw.
+            stages: contact stages of this draw.
             normal, tangential: planned velocities; arrays that broadcast with each other.
             grid: from `approach` for them.
-            draw: shifts of the approach.
+            draw: offsets of the approach.
         """
         firsts = [self._first(stages, i, normal, tangential, grid, draw) for i in range(len(self.task.modes))]
         fronts = [front for front in firsts if front is not None]
@@ -238,11 +238,11 @@ class Rollout:
         return self._arrive(_merged(fronts)) if fronts else []
 
     def _weight(self, collision: int) -> int:
-        """Candidates that one approach stands for once the first `collision` modes are fixed."""
+        """Return the number of candidates per approach once the first `collision` modes are fixed."""
         return int(len(self.task.modes) ** (len(self.walls) - collision))
 
     def _refuse(self, codes: NDArray[np.int8], collision: int) -> NDArray[np.bool_]:
-        """Count refusals; returns which candidates stay."""
+        """Count refusals, and return which candidates remain."""
         if codes.any():
             self.refused[1:] += (
                 self._weight(collision) * np.bincount(codes.ravel(), minlength=self.refused.size)[1:]
@@ -251,7 +251,7 @@ class Rollout:
         return stays
 
     def _refuse_all(self, reason: Refusal, count: int, collision: int) -> None:
-        """Count candidates that physics refuses, constraints or not."""
+        """Count candidates that are physically impossible, with or without constraints."""
         self.refused[CODE[reason]] += count * self._weight(collision)
 
     # -- first collision --
@@ -276,7 +276,7 @@ class Rollout:
         vn = normal if draw is None else np.minimum(normal + shift_n, -1e-3)
         vt = tangential if draw is None else tangential + shift_t
         out = stage.normal(vn, bn * vn, np.zeros_like(vn))
-        # Few different normal speeds among many candidates: what depends on them alone is computed once.
+        # Many candidates share few normal speeds, so the speed-dependent part is computed once per speed.
         speeds, which = np.unique(vn, return_inverse=True)
         slide = TangentialShape(*(v[which.reshape(vn.shape)] for v in stage.tangential_shape(speeds)))
         along = stage.tangential(slide, vt, bt * vt, np.zeros_like(vt))
@@ -284,9 +284,9 @@ class Rollout:
         flat = _flatten(shape, out), _flatten(shape, along)
         codes = grid.codes
         if self.constraints is not None:
-            met = tuple(np.broadcast_to(v, shape).ravel() for v in (vn, vt))
+            velocity = tuple(np.broadcast_to(v, shape).ravel() for v in (vn, vt))
             hit = self.constraints.hit(
-                (met[0], met[1]), flat[0].peak_force_n, flat[1].friction_n, flat[0].velocity
+                (velocity[0], velocity[1]), flat[0].peak_force_n, flat[1].friction_n, flat[0].velocity
             )
             approach = grid.codes.ravel()
             codes = np.where(approach != 0, approach, hit)
@@ -294,7 +294,7 @@ class Rollout:
             rows = np.flatnonzero(stays)
             if rows.size == 0:
                 return None
-            flat = _take(flat[0], rows), _take(flat[1], rows)
+            flat = _select_rows(flat[0], rows), _select_rows(flat[1], rows)
         else:
             rows = np.arange(math.prod(shape))
         n = np.broadcast_to(vn, shape).ravel()[rows]
@@ -318,7 +318,7 @@ class Rollout:
         out: tuple[NormalOut, TangentialOut],
         before: tuple[Rows, Rows, Array, Array, tuple[Hits, ...]],
     ) -> _Released | None:
-        """From contact `number` into the next leg; candidates whose recovery is over the limits leave."""
+        """Continue from contact `number` into the next leg; remove recoveries that exceed the limits."""
         (n, t), (nx, ny), (tx, ty) = out, wall.normal, wall.tangent
         rows, modes, time, force, hits = before
 
@@ -355,7 +355,7 @@ class Rollout:
     # -- to the next wall --
 
     def _next(self, stages: Stages, front: _Released, wall: Wall, number: int) -> list[_Released]:
-        """Collision `number`: a front for every mode that comes out of it."""
+        """Compute collision `number`; return a front for every possible mode."""
         index, order = self._search_wall(front, wall, number - 1)
         if order.size == 0:
             return []
@@ -380,11 +380,11 @@ class Rollout:
     def _reached_codes(
         self, front: _Released, wall: Wall, mode: int, impact: SetpointResponse, after: Array
     ) -> NDArray[np.int8] | None:
-        """Whether vehicle, lock and detector are ready at the wall; `mode` is a place in the task's modes."""
+        """Return codes of vehicle, lock and detector at the wall; `mode` is an index of the task's modes."""
         if self.constraints is None:
             return None
         codes = np.zeros(after.size, dtype=np.int8)
-        # A recovery keeps the heading that the approach to the first wall has given.
+        # A recovery keeps the heading of the approach to the first wall.
         met_incidence_deg = math.degrees(wall.incidence(self.walls[0].parallel_yaw(0.0)))
         if met_incidence_deg > max_incidence_deg(self.task.vehicle, self.task.modes[mode]):
             self.constraints.mark(codes, np.ones(after.size, dtype=bool), Refusal.INCIDENCE)
@@ -397,13 +397,13 @@ class Rollout:
         return codes
 
     def _search_wall(self, front: _Released, wall: Wall, number: int) -> tuple[Rows, Rows]:
-        """Grid index just behind the plane, and which candidates get there, after collision `number`."""
+        """Return the grid index just behind the plane and the candidates that reach it, after `number`."""
         (nx, ny), (px, py) = wall.normal, wall.point
         offset = nx * px + ny * py
         live = np.arange(front.leg.size)
         grid = self.flight.grid(front.leg)
         indices, found = [], []
-        # A wall is met from its free side: a candidate behind its plane at the release does not reach it.
+        # A wall is hit from its free side: a candidate behind its plane at the release does not reach it.
         side = _along(wall.normal, front.leg.x[0] + front.leg.goal_x, front.leg.y[0] + front.leg.goal_y)
         before = np.flatnonzero(side > offset)
         if before.size < live.size:
@@ -463,7 +463,7 @@ class Rollout:
             if stays.size == 0:
                 return None
             if stays.size < codes.size:
-                front, out, slide = front.take(stays), _take(out, stays), _take(slide, stays)
+                front, out, slide = front.take(stays), _select_rows(out, stays), _select_rows(slide, stays)
                 x, y, vn, vt, time = (v[stays] for v in (x, y, vn, vt, time))
         before = (front.rows, front.modes, time, front.force_n, front.hits)
         return self._release(stage, wall, number, (x, y), (vn, vt), (out, slide), before)
@@ -471,7 +471,7 @@ class Rollout:
     # -- to the goal --
 
     def _arrive(self, front: _Released) -> list[Arrivals]:
-        """The closest approach, by the executive's rule for having passed the goal; by sequence of modes."""
+        """Return the closest approaches by the executive's rule for a passed goal, per sequence of modes."""
         index, order = self._search_goal(front)
         arrived = front.take(order)
         near = self.flight.near(arrived.leg, index)
@@ -494,7 +494,7 @@ class Rollout:
         return arrivals
 
     def _search_goal(self, front: _Released) -> tuple[Rows, Rows]:
-        """Grid index of the least distance before the executive sees it rise; which rows get there."""
+        """Return the grid index of the smallest distance before its rise is detected, and the rows."""
         live = np.arange(front.leg.size)
         grid = self.flight.grid(front.leg)
         best = np.full(live.size, math.inf, dtype=np.float32)
@@ -519,7 +519,7 @@ class Rollout:
             if self.constraints is not None:
                 codes = self.constraints.path(w, until, None, first == 0)
                 self._refuse(codes, len(self.walls))
-            # The least distance before the rise may lie in this window or in an earlier one.
+            # The smallest distance before the rise may be in this window or in an earlier one.
             bottom = least[every, until - 1]
             here = bottom < best
             at = (distance <= bottom[:, None]).argmax(axis=1)
@@ -547,10 +547,11 @@ def _actual_approach(
     tangential: Array,
     shift: tuple[float, float],
 ) -> tuple[ApproachGrid, Array, Array, float, float]:
-    """Approaches to a wall that stands elsewhere than planned: where, when and how it is met.
+    """Return the approaches to a wall that differs from the planned one: place, time and velocity of impact.
 
-    Velocities and their shifts come from the planned wall's frame into the true one's. Recovery setpoints
-    are then those of the true frame: the force is a vector, and only gains that differ per axis tell the two.
+    Velocities and their offsets are converted from the planned wall's frame to the true one's. Recovery
+    setpoints are then those of the true frame: the force is a vector, and only gains that differ per axis
+    distinguish the frames.
     """
     (nx, ny), (tx, ty) = wall.normal, wall.tangent
     (ox, oy), (sx, sy) = planned.normal, planned.tangent
@@ -562,13 +563,13 @@ def _actual_approach(
     later_s = before / -into
     x, y = grid.impact_x + vx * later_s, grid.impact_y + vy * later_s
     codes = grid.codes.copy()
-    # Where it stands is drawn: only the vehicle's own half must fit on it.
+    # The wall's position is drawn, so only the vehicle's own half must fit on it.
     beyond = wall.end_distance_m((x, y)) < wall.half_vehicle_m
     codes[(codes == 0) & beyond] = CODE[Refusal.BEYOND_WALL]
-    met = grid._replace(codes=codes, impact_x=x, impact_y=y, impact_s=grid.impact_s + later_s)
+    actual = grid._replace(codes=codes, impact_x=x, impact_y=y, impact_s=grid.impact_s + later_s)
     n, t = shift
     return (
-        met,
+        actual,
         into,
         along[0] * normal + along[1] * tangential,
         across[0] * n + across[1] * t,
@@ -577,14 +578,14 @@ def _actual_approach(
 
 
 def _along(direction: Vec2, x: NDArray[Any], y: NDArray[Any]) -> NDArray[Any]:
-    """Component along a direction, without the term that an axis has none of."""
+    """Return the component along a direction, omitting the zero term of an axis."""
     nx, ny = x.dtype.type(direction[0]), y.dtype.type(direction[1])
     along: NDArray[Any] = x * nx if ny == 0.0 else y * ny if nx == 0.0 else x * nx + y * ny
     return along
 
 
 def new_flight(task: Task) -> FreeFlight:
-    """Tables for a task."""
+    """Return the flight tables for a task."""
     return FreeFlight(task.vehicle, min(_HORIZON_S, task.limits.collision_timeout_s))
 
 
@@ -592,5 +593,5 @@ def _flatten(shape: tuple[int, ...], out: Outcome) -> Outcome:
     return type(out)(*(np.broadcast_to(v, shape).ravel() for v in out))
 
 
-def _take(out: Outcome, rows: Rows) -> Outcome:
+def _select_rows(out: Outcome, rows: Rows) -> Outcome:
     return type(out)(*(v[rows] for v in out))

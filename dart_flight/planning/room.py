@@ -1,14 +1,13 @@
-"""A room by touch: probes in a star from the start, and the outline that their contacts close.
+"""A room measured by touch: a star of probes from the start, and the outline that their contacts form.
 
-Where a probe meets something its body touches a wall: an octagon of known size at a known heading. The body's
-reach h towards the wall depends on the wall's direction, so contacts at places c_i lie on one wall with the
-normal n where
+At a contact the body touches a wall: an octagon of known size at a known heading. The body's reach h towards
+the wall depends on the wall's direction, so contacts at places c_i are on one wall with the normal n if
 
     c_i . n - h_i(n) = offset        for all of them
 
-which holds however obliquely they were met. Neighbouring contacts are put to as few walls as explain them;
-consecutive walls meet in the corners. Where one contact alone stands for a wall, or a corner does not lie
-between its walls, another probe goes there.
+This holds for any incidence. Neighbouring contacts are assigned to as few walls as explain them, and
+consecutive walls intersect in the corners. If a wall rests on a single contact, or a corner is not between
+its walls, another probe is flown there.
 """
 
 from __future__ import annotations
@@ -24,26 +23,26 @@ from dart_flight.base.geometry import Vec2, wrap_angle
 from dart_flight.config.mission import Mission
 
 _SPEED_M_S = 0.6
-_ON_WALL_M = 0.02  # deviation of a contact's place
+_ON_WALL_M = 0.02  # standard deviation of a contact's place
 _MOST_OFF_M = 0.05
 _BACK_M = 0.5
-_INSIDE_M = 0.1  # of the bounds: a probe's end
-_STEEPEST_RAD = math.radians(65.0)  # of a wall that a probe has met, against the probe
-_TOLD_RAD = math.radians(12.0)  # less oblique than this a single contact tells a wall's direction
-_STEP_RAD = math.radians(7.0)  # beside a single contact with a wall
-_GROUP_COST = 12.0  # of one wall more, in squared deviations
+_INSIDE_M = 0.1  # distance of a probe's end from the bounds, inside
+_STEEPEST_RAD = math.radians(65.0)  # largest angle of a contacted wall against the probe
+_OBLIQUE_RAD = math.radians(12.0)  # below this obliqueness a single contact measures a wall's direction
+_STEP_RAD = math.radians(7.0)  # offset of further probes beside a single contact
+_GROUP_COST = 12.0  # cost of an additional wall, in squared deviations
 
 Array = NDArray[Any]
 
 
 class RoomContact(NamedTuple):
-    """A contact: where the vehicle's centre was, at what heading, and what it told of the wall's direction.
+    """A contact: position of the vehicle's centre, heading, and measured direction of the wall.
 
     Attributes:
         place: mission frame, metres.
         heading_rad: of the body, mission frame; that of the probe.
-        normal_rad: direction of the wall's normal by the contact itself; None: not told.
-        sd_rad: of it.
+        normal_rad: direction of the wall's normal from the contact itself; None if not measured.
+        sd_rad: its standard deviation.
     """
 
     place: Vec2
@@ -58,8 +57,8 @@ class RoomWall(NamedTuple):
     Attributes:
         normal_rad: direction of n, mission frame.
         offset_m: of the surface.
-        offset_sd_m, normal_sd_rad: how well they are known.
-        touches: that tell it.
+        offset_sd_m, normal_sd_rad: standard deviations.
+        touches: contacts with the wall.
     """
 
     normal_rad: float
@@ -75,12 +74,12 @@ class RoomWall(NamedTuple):
 
 
 class Room(NamedTuple):
-    """What is known of a room.
+    """The measured outline of a room.
 
     Attributes:
         walls: counter-clockwise, as seen from the start.
-        corners: of the surfaces: of each wall with the next one; None where they do not meet between them.
-        gaps_rad: directions from the start in which more probes are needed; none: the outline is closed.
+        corners: corner of each wall's surface with the next one; None if they do not intersect between them.
+        gaps_rad: directions from the start that need more probes; empty if the outline is closed.
     """
 
     walls: list[RoomWall]
@@ -89,15 +88,15 @@ class Room(NamedTuple):
 
     @property
     def is_closed(self) -> bool:
-        """Whether every wall meets the next one in a corner."""
+        """Whether every wall intersects the next one in a corner."""
         return len(self.walls) >= 3 and None not in self.corners and not self.gaps_rad
 
 
 def plan_star(mission: Mission, directions_rad: Sequence[float], speed_m_s: float = _SPEED_M_S) -> Mission:
-    """The mission with a probe from its start in each direction, as far as its bounds reach.
+    """Return the mission with a probe from its start in each direction, up to its bounds.
 
     Raises:
-        InputError: the mission does not bear them.
+        InputError: the mission does not permit them.
     """
     probes = []
     for k, angle in enumerate(directions_rad):
@@ -124,12 +123,12 @@ def _reach_m(mission: Mission, direction: Vec2) -> float:
 
 
 class RoomFit:
-    """Walls from contacts.
+    """Estimates walls from contacts.
 
     Args:
-        start: inside of the room, mission frame, metres.
+        start: inside the room, mission frame, metres.
         touches: in any order.
-        along_m, out_m: of the guards: beside the middle of a side, and ahead (`airframe`).
+        along_m, out_m: position of the guards: beside the middle of a side, and ahead (`airframe`).
     """
 
     def __init__(self, start: Vec2, touches: Sequence[RoomContact], along_m: float, out_m: float) -> None:
@@ -140,8 +139,8 @@ class RoomFit:
         self._body = np.array(body)
         self._angles = np.radians(np.arange(0.0, 360.0, 0.5))
         normals = np.stack([np.cos(self._angles), np.sin(self._angles)])
-        # Offset of the surface for every contact and every direction of a normal; not a number where a wall
-        # of that direction could not have been met by the probe.
+        # Offset of the surface for every contact and direction of the normal; NaN where a wall of that
+        # direction could not stop the probe.
         rows = []
         for one in self._touches:
             c, s = math.cos(one.heading_rad), math.sin(one.heading_rad)
@@ -157,12 +156,12 @@ class RoomFit:
         return math.atan2(place[1] - self._start[1], place[0] - self._start[0]) % (2.0 * math.pi)
 
     def fit(self) -> Room:
-        """The fewest walls that explain the contacts, and where more contacts are needed."""
+        """Return the fewest walls that explain the contacts, and the directions that need more contacts."""
         n = len(self._touches)
         if n < 3:
             return Room([], [], [2.0 * math.pi * k / 8 for k in range(8)])
         best: tuple[float, list[list[int]]] = (math.inf, [])
-        for first in range(min(n, 6)):  # where the circle is cut open
+        for first in range(min(n, 6)):  # starting contact of the circular sequence
             order = [(first + k) % n for k in range(n)]
             found = self._partition(order)
             best = min(best, found, key=lambda one: one[0])
@@ -170,7 +169,7 @@ class RoomFit:
         return self._closed(walls)
 
     def _partition(self, order: list[int]) -> tuple[float, list[list[int]]]:
-        """Contiguous groups of least cost, by dynamic programming."""
+        """Return the contiguous groups with the lowest cost, by dynamic programming."""
         n = len(order)
         cost: list[float] = [0.0] + [math.inf] * n
         back = [0] * (n + 1)
@@ -189,19 +188,19 @@ class RoomFit:
         return cost[n], groups[::-1]
 
     def _misfit(self, group: list[int]) -> tuple[float, int, float]:
-        """(Squared deviations, index of the normal's direction, offset) of the best wall for a group."""
+        """Return squared deviations, index of the normal's direction and offset of a group's best wall."""
         offsets = self._offsets[group]
         middle = offsets.mean(axis=0)
         off = offsets - middle
         squares = (off * off).sum(axis=0) / _ON_WALL_M**2
         squares[np.isnan(squares)] = np.inf
         squares[np.abs(off).max(axis=0) > _MOST_OFF_M] = np.inf
-        for k in group:  # what single contacts say of the direction, loosely where they were oblique
+        for k in group:  # directions measured by single contacts, with less weight if oblique
             one = self._touches[k]
             if one.normal_rad is None:
                 continue
             oblique = abs(wrap_angle(one.normal_rad - one.heading_rad - math.pi))
-            sd = max(one.sd_rad, math.radians(1.5)) + (0.5 * oblique if oblique > _TOLD_RAD else 0.0)
+            sd = max(one.sd_rad, math.radians(1.5)) + (0.5 * oblique if oblique > _OBLIQUE_RAD else 0.0)
             away = (self._angles - one.normal_rad + math.pi) % (2.0 * math.pi) - math.pi
             squares = squares + np.minimum((away / sd) ** 2, 9.0)
         best = int(np.argmin(squares))
@@ -213,8 +212,8 @@ class RoomFit:
         along = np.array([-math.sin(self._angles[i]), math.cos(self._angles[i])])
         places = np.array([t.place for t in touches]) @ along
         spread = float(((places - places.mean()) ** 2).sum())
-        told = [t.sd_rad for t in touches if t.normal_rad is not None]
-        weight = spread / _ON_WALL_M**2 + sum(1.0 / max(sd, math.radians(1.5)) ** 2 for sd in told)
+        sds = [t.sd_rad for t in touches if t.normal_rad is not None]
+        weight = spread / _ON_WALL_M**2 + sum(1.0 / max(sd, math.radians(1.5)) ** 2 for sd in sds)
         sd_rad = 1.0 / math.sqrt(weight) if weight > 0.0 else math.radians(20.0)
         return RoomWall(float(self._angles[i]), offset, _ON_WALL_M / math.sqrt(len(group)), sd_rad, touches)
 
@@ -248,7 +247,7 @@ def _crossing(a: RoomWall, b: RoomWall) -> Vec2 | None:
 
 
 def touches_of(walls: Sequence[Any], directions_rad: Sequence[float]) -> list[RoomContact]:
-    """The contacts of a flight that `plan_star` has planned in these directions.
+    """Return the contacts of a flight that `plan_star` planned in these directions.
 
     Args:
         walls: `MeasuredWall`s of its verdict.
@@ -257,14 +256,14 @@ def touches_of(walls: Sequence[Any], directions_rad: Sequence[float]) -> list[Ro
     found = []
     for wall in walls:
         heading = directions_rad[int(wall.name.rpartition(" ")[2]) - 1]
-        told = None if wall.yaw_sd_deg is None else math.atan2(wall.normal[1], wall.normal[0])
+        normal_rad = None if wall.yaw_sd_deg is None else math.atan2(wall.normal[1], wall.normal[0])
         sd_rad = math.inf if wall.yaw_sd_deg is None else math.radians(wall.yaw_sd_deg)
-        found.append(RoomContact(wall.touched_m or wall.point_m, heading, told, sd_rad))
+        found.append(RoomContact(wall.touched_m or wall.point_m, heading, normal_rad, sd_rad))
     return found
 
 
 def room_keys(room: Room, material: str) -> dict[str, dict[str, Any]]:
-    """The walls of a closed room as keys of a mission file, by name."""
+    """Return the walls of a closed room as keys of a mission file, by name."""
     found = {}
     for k, wall in enumerate(room.walls):
         (ax, ay), (bx, by) = room.corners[k - 1] or (0.0, 0.0), room.corners[k] or (0.0, 0.0)

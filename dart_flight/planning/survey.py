@@ -1,8 +1,8 @@
-"""A mission that touches the walls of another one, so that they need not be surveyed.
+"""A mission that measures the walls of another mission by touching them.
 
-Every wall is met twice by probes (docs/walls.md): first rigid, straight at it where the mission has it; then
-square to it as it was felt, in the mode in which the mission hits it: one contact at a large incidence does
-not tell the direction well. The order is the nearest first, of those to which the way is clear.
+Probes touch every wall twice (docs/walls.md): first rigid, along the assumed normal; then along the measured
+normal, in the mode of the mission's impact, because a contact at large incidence does not measure the
+direction well. The nearest wall with a clear path comes first.
 """
 
 from __future__ import annotations
@@ -18,27 +18,27 @@ from dart_flight.config.mission import Mission
 from dart_flight.core.mission.approach import is_blocked, is_post_in_the_way
 from dart_flight.core.mission.wall_uncertainty import position_margin_m
 
-_SPEED_M_S = 0.5  # gentle, and well over the threshold of the detection in either mode
-_RUN_UP_M = 0.5  # before the nearest place where the wall may stand
+_SPEED_M_S = 0.5  # slow, but well above the detection threshold in either mode
+_RUN_UP_M = 0.5  # in front of the nearest possible position of the wall
 _BACK_M = 0.5
-_ALONG = (0.0, 0.2, -0.2, 0.35, -0.35)  # shares of a wall's length at which it may be touched
-_PLACE_SD_M, _YAW_SD_DEG = 0.1, 3.0  # of walls that carry no figures of their own
+_ALONG = (0.0, 0.2, -0.2, 0.35, -0.35)  # shares of a wall's length, candidates for the contact
+_PLACE_SD_M, _YAW_SD_DEG = 0.1, 3.0  # for walls without configured deviations
 
 
 class SurveyPlan(NamedTuple):
-    """A mission that touches walls, and the names of those that it cannot reach, each with the reason."""
+    """A mission that touches walls, and the names of unreachable walls, each with the reason."""
 
     mission: Mission
     unreachable: dict[str, str]
 
 
 def plan_survey(mission: Mission, speed_m_s: float = _SPEED_M_S) -> SurveyPlan:
-    """The mission that touches the walls of another one.
+    """Return the mission that touches the walls of another one.
 
     Args:
-        mission: whose flat walls are to be measured; start, bounds, limits and vehicle are kept, and the goal
-            is where it starts.
-        speed_m_s: of the touches.
+        mission: mission whose flat walls are measured; start, bounds, limits and vehicle are kept, and the
+            goal is its start.
+        speed_m_s: speed of the contacts.
 
     Raises:
         InputError: the mission has no wall, or none can be reached.
@@ -47,14 +47,14 @@ def plan_survey(mission: Mission, speed_m_s: float = _SPEED_M_S) -> SurveyPlan:
     left = list(mission.flat_walls)
     here, probes, unreachable = mission.start, list[dict[str, Any]](), dict[str, str]()
     while left:
-        ways = {wall.name: _touch(mission, wall, here) for wall in left}
-        near = [(distance2(here, way.begin), wall) for wall in left if (way := ways[wall.name]) is not None]
+        legs = {wall.name: _probe_leg(mission, wall, here) for wall in left}
+        near = [(distance2(here, leg.begin), wall) for wall in left if (leg := legs[wall.name]) is not None]
         if not near:
             unreachable |= {wall.name: "no clear way to it" for wall in left}
             break
         _, wall = min(near, key=lambda found: found[0])
-        way = ways[wall.name]
-        assert way is not None
+        leg = legs[wall.name]
+        assert leg is not None
         left.remove(wall)
         for mode in _modes(mission, wall):
             probes.append(
@@ -62,14 +62,14 @@ def plan_survey(mission: Mission, speed_m_s: float = _SPEED_M_S) -> SurveyPlan:
                     "wall": wall.name,
                     "mode": mode.value,
                     "probe": {
-                        "from_m": list(way.begin),
-                        "length_m": way.length_m,
+                        "from_m": list(leg.begin),
+                        "length_m": leg.length_m,
                         "speed_m_s": speed_m_s,
                         "back_m": _BACK_M,
                     },
                 }
             )
-        here = way.back
+        here = leg.back
     if not probes:
         raise InputError("no wall can be touched: there is no clear way to any", source=mission.source)
     changes = {
@@ -86,7 +86,7 @@ def plan_survey(mission: Mission, speed_m_s: float = _SPEED_M_S) -> SurveyPlan:
 
 
 def _figures(mission: Mission) -> dict[str, float]:
-    """What is believed of walls that carry no figure: they are surveyed because nobody knows."""
+    """Return default deviations for walls that have none, because they are being surveyed."""
     figures = {}
     for wall in mission.flat_walls:
         if wall.position_sd_m is None:
@@ -97,41 +97,44 @@ def _figures(mission: Mission) -> dict[str, float]:
 
 
 class _SurveyLeg(NamedTuple):
-    """A straight leg to a wall: where it begins, how long it may get, where the vehicle waits afterwards."""
+    """A straight leg to a wall: its beginning, largest length, and the place to wait afterwards."""
 
     begin: Vec2
     length_m: float
     back: Vec2
 
 
-def _touch(mission: Mission, wall: Wall, here: Vec2) -> _SurveyLeg | None:
-    """The leg straight at a wall whose beginning can be reached from a place; None where none can."""
+def _probe_leg(mission: Mission, wall: Wall, here: Vec2) -> _SurveyLeg | None:
+    """Return the leg along a wall's normal whose beginning can be reached, or None."""
     (px, py), (nx, ny), (tx, ty) = wall.point, wall.normal, wall.tangent
     for share in _ALONG:
         along = share * wall.length_m
-        met = (px + along * tx, py + along * ty)
-        margin = float(position_margin_m(wall, met))
-        begin = (met[0] + (margin + _RUN_UP_M) * nx, met[1] + (margin + _RUN_UP_M) * ny)
+        contact = (px + along * tx, py + along * ty)
+        margin = float(position_margin_m(wall, contact))
+        begin = (contact[0] + (margin + _RUN_UP_M) * nx, contact[1] + (margin + _RUN_UP_M) * ny)
         beyond = margin
-        while beyond > 0.0 and mission.bounds.excess2((met[0] - beyond * nx, met[1] - beyond * ny)) > 0.0:
+        while (
+            beyond > 0.0
+            and mission.bounds.excess2((contact[0] - beyond * nx, contact[1] - beyond * ny)) > 0.0
+        ):
             beyond -= 0.05
         if mission.bounds.excess2(begin) > 0.0 or not _is_clear(mission, here, begin):
             continue
-        if any(is_blocked(other, begin, met) for other in mission.walls if other.name != wall.name):
+        if any(is_blocked(other, begin, contact) for other in mission.walls if other.name != wall.name):
             continue
-        back = (met[0] + _BACK_M * nx, met[1] + _BACK_M * ny)
+        back = (contact[0] + _BACK_M * nx, contact[1] + _BACK_M * ny)
         return _SurveyLeg(begin, round(margin + _RUN_UP_M + max(0.0, beyond), 3), back)
     return None
 
 
 def _is_clear(mission: Mission, a: Vec2, b: Vec2) -> bool:
-    """Whether the straight way from one place to another keeps clear of walls and posts."""
+    """Return whether the segment between two places is clear of walls and posts."""
     walls = any(is_blocked(wall, a, b) for wall in mission.walls)
     return not walls and not any(is_post_in_the_way(mission, post, a, b) for post in mission.posts)
 
 
 def _modes(mission: Mission, wall: Wall) -> Sequence[Mode]:
-    """Rigid first, then the mode in which the mission hits the wall."""
+    """Return the modes of the two contacts: rigid, then the mode of the mission's impact on the wall."""
     modes = mission.vehicle.modes
     used = [c.mode for c in mission.collisions if c.wall.name == wall.name]
     first = Mode.RIGID if Mode.RIGID in modes else modes[0]
@@ -139,10 +142,10 @@ def _modes(mission: Mission, wall: Wall) -> Sequence[Mode]:
 
 
 def surveyed_walls(mission: Mission, measured: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
-    """The keys of a mission's walls as they were measured, for those that were.
+    """Return the keys of a mission's measured walls.
 
     Args:
-        mission: whose walls they are.
+        mission: mission with these walls.
         measured: `MeasuredWall` by name.
     """
     found = {}
@@ -166,13 +169,13 @@ def surveyed_walls(mission: Mission, measured: Mapping[str, Any]) -> dict[str, d
 def surveyed_collisions(
     mission: Mission, written: Sequence[Mapping[str, Any]], measured: Mapping[str, Any]
 ) -> list[dict[str, Any]]:
-    """The keys of a mission's collisions, said relative to the walls that were measured.
+    """Return the keys of a mission's collisions, expressed relative to the measured walls.
 
-    Gains along the mission's axes, and places in it, would no longer fit walls that stand elsewhere.
+    Gains along the mission's axes, and places in its frame, would not fit walls that have moved.
 
     Args:
-        mission: as it was read.
-        written: its collisions as the file says them.
+        mission: as loaded.
+        written: its collisions as in the file.
         measured: as `surveyed_walls`.
     """
     found = []

@@ -1,6 +1,6 @@
-"""What a rollout needs to know: vehicle, room, and what may be tried at which wall.
+"""The inputs of a rollout: vehicle, room, and the options at each wall.
 
-A part of a mission is made one by `task_of`; a scenario of the planner is one.
+`task_of` makes one from a part of a mission; a scenario of the planner is one.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from dart_flight.core.mission.approach import run_up
 
 
 class MissionTask(NamedTuple):
-    """Collisions of a mission that follow from one approach; every one has a wall of its own name."""
+    """Collisions of a mission that follow from one approach; each has its own wall name."""
 
     vehicle: VehicleConfig
     start: Vec2
@@ -33,35 +33,35 @@ class MissionTask(NamedTuple):
 
 
 class Task(Protocol):
-    """What a rollout needs to know of what is asked: a part of a mission, or a scenario; as `MissionTask`."""
+    """The inputs of a rollout, from part of a mission or from a scenario; as in `MissionTask`."""
 
     @property
     def vehicle(self) -> VehicleConfig:
-        """What flies."""
+        """The vehicle."""
 
     @property
     def start(self) -> Vec2:
-        """Where the run-up begins, mission frame, metres."""
+        """Start of the run-up, mission frame, metres."""
 
     @property
     def goal(self) -> GoalSpec:
-        """Where it leads."""
+        """The goal."""
 
     @property
     def bounds(self) -> BoundsSpec:
-        """Of the room."""
+        """Bounds of the room."""
 
     @property
     def walls(self) -> dict[str, Wall]:
-        """By name; each is hit once at most."""
+        """Walls by name; each is hit at most once."""
 
     @property
     def limits(self) -> Limits:
-        """That no candidate may exceed."""
+        """Limits of all candidates."""
 
     @property
     def modes(self) -> tuple[Mode, ...]:
-        """That may be tried."""
+        """Modes that may be used."""
 
     @property
     def alphas(self) -> dict[str, tuple[float, float]]:
@@ -69,11 +69,11 @@ class Task(Protocol):
 
 
 def task_of(mission: Mission, group: Sequence[Collision]) -> MissionTask:
-    """The task whose only candidate is the approach of the group's first collision."""
+    """Return the task whose only candidate is the approach of the group's first collision."""
     first = group[0]
     assert first.approach_m_s is not None
     assert first.impact_point is not None
-    # A rollout meets the wall on the ray from the start: from where the flight begins its run-up.
+    # A rollout's wall is on the ray from its start, which is therefore the beginning of the run-up.
     vx, vy, _ = first.approach_velocity()
     flying = mission.vehicle.flying
     start = run_up(mission.start, first.impact_point, (vx, vy), flying, first.wall).begin
@@ -90,7 +90,7 @@ def task_of(mission: Mission, group: Sequence[Collision]) -> MissionTask:
 
 
 def drag_along(wall: Wall, drag_per_s: Sequence[float]) -> tuple[float, float]:
-    """Air drag along a wall's normal and tangent, 1/s, of that along the mission's axes."""
+    """Return the air drag along a wall's normal and tangent, 1/s, from the drag along the mission's axes."""
     n2 = wall.normal[0] ** 2
     bx, by = drag_per_s[:2]
     return n2 * bx + (1.0 - n2) * by, n2 * by + (1.0 - n2) * bx

@@ -1,1 +1,1 @@
-"""The record of a flight: MCAP files, written as it goes, readable up to where they were cut."""
+"""The record of a flight: MCAP files, written during the flight and readable up to a cut-off end."""

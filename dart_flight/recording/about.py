@@ -1,7 +1,7 @@
-"""What describes a flight in its log, and the mission that comes back out of it.
+"""The description of a flight in its log, and the mission reconstructed from it.
 
-Everything a replay needs is embedded: the mission as written, the mission as it was flown (with the vehicle's
-configuration, after every option of the command line), the software and the machine.
+The log contains everything that a replay needs: the mission as written, the mission as flown (with the
+vehicle's configuration and all command-line options), the software and the machine.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from dart_flight.recording.reader import NothingInItError
 
 
 def describe_flight(mission: Mission, world: World, seed: int | None) -> dict[str, str]:
-    """The description of a flight that is about to begin.
+    """Return the description of a flight that is about to begin.
 
     Keys: `mission` (name), `mission_source`, `mission_text` (as written), `flown` (the resolved mission with
     its vehicle, JSON), `vehicle` (configuration, JSON), `world`, `seed`, `software`, `host`, `machine`,
@@ -47,7 +47,7 @@ def describe_flight(mission: Mission, world: World, seed: int | None) -> dict[st
     }
     try:
         about["mission_text"] = Path(mission.source).read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError):  # built in Python, or the file has gone since
+    except (OSError, UnicodeDecodeError):  # built in Python, or the file no longer exists
         tree = msgspec.json.encode(mission.to_dict())
         about["mission_text"] = msgspec.json.format(tree, indent=2).decode()
     return about
@@ -55,13 +55,13 @@ def describe_flight(mission: Mission, world: World, seed: int | None) -> dict[st
 
 @lru_cache(maxsize=1)
 def machine() -> str:
-    """Processor and mathematics library: where both are the same, arithmetic is, bit for bit."""
+    """Return processor and mathematics library; where both agree, floating-point results are bit-equal."""
     return " ".join((platform.machine(), *platform.libc_ver()))
 
 
 @lru_cache(maxsize=1)
 def software_version() -> str:
-    """The package's version, with the commit where it runs from a checkout."""
+    """Return the package's version, with the commit if it runs from a checkout."""
     root = Path(__file__).resolve().parents[2]
     if not (root / ".git").exists():
         return __version__
@@ -78,12 +78,12 @@ def software_version() -> str:
 
 
 def flown_mission(about: dict[str, str], source: str) -> Mission:
-    """The mission as it was flown, from a log's description.
+    """Return the mission as flown, from a log's description.
 
-    A younger key has the default of its type; a retired one is left out (`changed_keys`).
+    A key that the log lacks has its default; a retired key is ignored (`changed_keys`).
 
     Raises:
-        InputError: it is not there, or does not fit this version of the program.
+        InputError: the mission is missing, or does not fit this version of the program.
     """
     text = about.get("flown")
     if text is None:
@@ -98,10 +98,10 @@ def flown_mission(about: dict[str, str], source: str) -> Mission:
 
 
 def written_mission(about: dict[str, str], source: str) -> tuple[Document, Document]:
-    """The mission's text and the vehicle's configuration of a log, as documents that can be changed.
+    """Return a log's mission text and vehicle configuration as documents that can be edited.
 
     Raises:
-        InputError: they are not there.
+        InputError: they are missing.
     """
     if "mission_text" not in about or "vehicle" not in about:
         raise InputError("the log does not hold its mission's text", source=source)
@@ -112,15 +112,15 @@ def written_mission(about: dict[str, str], source: str) -> tuple[Document, Docum
 
 
 def changed_keys(about: dict[str, str]) -> list[str]:
-    """Return, as text, the keys of the flown vehicle that are constants of another value now."""
+    """Return, as text, the keys of the flown vehicle that are now constants with another value."""
     return changed_retired(msgspec.json.decode(about["vehicle"])) if "vehicle" in about else []
 
 
 def parse_written(mission: Document, vehicle: Document) -> Mission:
-    """What the two documents of `written_mission` mean.
+    """Return the mission that the two documents of `written_mission` define.
 
     Raises:
-        InputError: a key is unknown, a value is of the wrong kind or out of range.
+        InputError: a key is unknown, or a value has the wrong type or is out of range.
     """
     leave_out_retired(vehicle)
     return parse_mission(mission, vehicle.convert(VehicleConfig))

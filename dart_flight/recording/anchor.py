@@ -1,4 +1,4 @@
-"""Where the mission frame of a recorded flight lies: found in its records as the core anchored it."""
+"""The mission frame of a recorded flight, reconstructed from its records as the core anchored it."""
 
 from __future__ import annotations
 
@@ -10,23 +10,23 @@ from dart_flight.config.mission import ESTIMATE_MOVED_M, Mission
 
 
 class MissionFrameReader:
-    """Takes the records of a flight in order.
+    """Tracks the mission frame over a flight's records, which it receives in order.
 
     Attributes:
-        frame: the mission frame in local NED, once the mission has left `READYING`: the vehicle then stood at
-            its take-off point. Anchored once more at arming where the estimate had moved meanwhile, and moved
-            by contacts where the mission says so.
+        frame: the mission frame in local NED, or None before the mission leaves `READYING` at its take-off
+            point. It is anchored again at arming if the estimate has moved, and moved by contacts if the
+            mission says so.
     """
 
     def __init__(self, mission: Mission) -> None:
         self._mission = mission
         self._odometry: OdometrySample | None = None
-        self._stood_at: OdometrySample | None = None
+        self._anchored_at: OdometrySample | None = None
         self._climbs = False
         self.frame: MissionFrame | None = None
 
     def take(self, record: Record) -> None:
-        """Take the next record; most kinds do not matter here."""
+        """Process the next record; most kinds are ignored."""
         if isinstance(record, FrameAnchor) and self.frame is not None:
             self.frame = self.frame.moved(*record.moved_mission)
         if self._climbs:
@@ -34,16 +34,19 @@ class MissionFrameReader:
         if isinstance(record, OdometrySample):
             self._odometry = record
         elif isinstance(record, PhaseChange) and self._odometry is not None:
-            self._see_phase(record, self._odometry)
+            self._handle_phase(record, self._odometry)
 
-    def _see_phase(self, change: PhaseChange, odometry: OdometrySample) -> None:
+    def _handle_phase(self, change: PhaseChange, odometry: OdometrySample) -> None:
         if change.before is Phase.READYING:
             self._anchor(odometry)
         self._climbs = change.after is Phase.CLIMB
-        stood = self._stood_at
-        moved = stood is not None and math.dist(odometry.position_ned, stood.position_ned) > ESTIMATE_MOVED_M
+        anchored = self._anchored_at
+        moved = (
+            anchored is not None
+            and math.dist(odometry.position_ned, anchored.position_ned) > ESTIMATE_MOVED_M
+        )
         if self._climbs and moved:
             self._anchor(odometry)
 
     def _anchor(self, odometry: OdometrySample) -> None:
-        self._stood_at, self.frame = odometry, self._mission.frame_at(odometry.position_ned)
+        self._anchored_at, self.frame = odometry, self._mission.frame_at(odometry.position_ned)

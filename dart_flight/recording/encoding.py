@@ -1,7 +1,7 @@
-"""Records to JSON and back without losing a bit, also where a number is not finite.
+"""Lossless conversion of records to JSON and back, including numbers that are not finite.
 
-JSON has no word for NaN: such numbers are written as the strings "nan", "inf", "-inf". Every other
-float comes back as it was, because its shortest decimal form is written.
+JSON has no NaN and no infinity: such numbers become the strings "nan", "inf" and "-inf". Every other float is
+written in its shortest decimal form and therefore restored exactly.
 """
 
 from __future__ import annotations
@@ -20,20 +20,20 @@ _WORDS = {"nan": math.nan, "inf": math.inf, "-inf": -math.inf}
 
 
 def encode(record: Record) -> bytes:
-    """A record as JSON; two records are equal bit for bit where their encodings are."""
+    """Return a record as JSON; records are bit-equal exactly if their encodings are equal."""
     data = _ENCODER.encode(record)
     nulls = data.count(b"null")
-    # Either a value that may be missing or a number that is not finite: the fast encoder writes both alike.
+    # The fast encoder writes null for a missing value and for a number that is not finite.
     if not nulls or nulls == sum(getattr(record, field) is None for field in record.__struct_fields__):
         return data
     return _ENCODER.encode(_spell(msgspec.structs.asdict(record)))
 
 
 def decode(data: bytes, decoder: msgspec.json.Decoder[R]) -> R:
-    """A record from `encode`.
+    """Return the record of an encoding.
 
     Raises:
-        msgspec.MsgspecError: it is none of the decoder's type.
+        msgspec.MsgspecError: the data are no record of the decoder's type.
     """
     try:
         return decoder.decode(data)

@@ -1,4 +1,4 @@
-"""What happened in a flight, in words: one line per decision, the same on the terminal and in a viewer."""
+"""The events of a flight as text: one line per decision, the same in the terminal and in a viewer."""
 
 from __future__ import annotations
 
@@ -19,13 +19,14 @@ from dart_flight.base.records import (
     Override,
     PhaseChange,
     PlanTaken,
+    PosesWithheld,
     Record,
     StatusText,
 )
 
 
 class Level(IntEnum):
-    """How much an event matters, in the order of foxglove.Log's levels."""
+    """Severity of an event, in the order of foxglove.Log's levels."""
 
     DEBUG = 1
     INFO = 2
@@ -38,10 +39,10 @@ class Event(NamedTuple):
     """One event.
 
     Attributes:
-        level: how much it matters.
-        source: which part says it: mission, contact, guard, lock, px4, link or log.
+        level: severity.
+        source: part that reports it: mission, contact, guard, lock, px4, link or log.
         head: what happened.
-        detail: why, or how much; may be empty.
+        detail: reason or amount; may be empty.
     """
 
     level: Level
@@ -51,7 +52,7 @@ class Event(NamedTuple):
 
     @property
     def text(self) -> str:
-        """Both in one line."""
+        """Head and detail in one line."""
         return f"{self.head} ({self.detail})" if self.detail else self.head
 
 
@@ -65,10 +66,10 @@ _SEVERITIES = {
 
 
 class EventFormatter:
-    """Takes the records of a flight in order.
+    """Converts the records of a flight, in order, to events.
 
     Args:
-        every_problem: also what PX4's checks hold against modes other than the present one.
+        every_problem: whether to report problems that PX4's checks list for other modes than the present one.
     """
 
     def __init__(self, every_problem: bool = False) -> None:
@@ -76,8 +77,8 @@ class EventFormatter:
         self._problems: tuple[str, ...] = ()
 
     def event_of(self, record: Record) -> Event | None:
-        """The event that a record is, or None."""
-        if record.frequent:  # as most are
+        """Return the event of a record, or None if it has none."""
+        if record.frequent:  # the usual case
             return None
         if isinstance(record, PhaseChange):
             which = f" {record.collision}" if record.collision else ""
@@ -95,6 +96,8 @@ class EventFormatter:
         if isinstance(record, GuardEvent):
             level = Level.WARNING if record.action is Override.NONE else Level.ERROR
             return Event(level, "guard", f"guard: {record.rule} → {record.action}", record.detail)
+        if isinstance(record, PosesWithheld):
+            return Event(Level.ERROR, "guard", f"poses withheld from PX4: {record.reason}")
         if isinstance(record, GoalPassed):
             words = "goal timed out, closest approach" if record.timed_out else "goal passed, miss distance"
             return Event(Level.INFO, "mission", f"{words} {record.miss_m:.2f} m")
@@ -118,7 +121,7 @@ class EventFormatter:
         return None
 
     def _health(self, record: HealthReport) -> Event | None:
-        """What PX4's checks hold against arming; nothing where that has not changed."""
+        """Return the problems that PX4's checks report against arming, or None if unchanged."""
         problems = record.blocking or (record.others if self._every_problem else ())
         changed, self._problems = problems != self._problems, problems
         if not changed or not problems:

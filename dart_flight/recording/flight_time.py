@@ -1,40 +1,42 @@
-"""The zero of a flight's time, the same in terminal, CSV, replay and report: its first IMU sample.
+"""The zero of a flight's time, common to terminal, CSV, replay and report: the first IMU sample.
 
-Autopilots count from their own start. The first sample that reaches the program is known from the beginning
-on, whatever comes later and however little of the rest is shown or was written.
+Autopilots count time from their own start. The first IMU sample is known early and does not depend on which
+records are shown or were written.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable
+from datetime import datetime, timedelta
 
-from dart_flight.base.records import ImuSample, Record
+from dart_flight.base.records import ImuSample, Record, StatusSample, World
+from dart_flight.recording.reader import Log
 
 
 class FlightTime:
-    """Takes the records of a flight in order, and gives seconds since its zero.
+    """Converts autopilot times to seconds since the flight's zero; receives the records in order.
 
     Attributes:
-        zero_us: the autopilot's time that is 0 s; None until it is known.
+        zero_us: autopilot time of 0 s, or None before it is known.
     """
 
     def __init__(self) -> None:
         self.zero_us: int | None = None
 
     def take(self, record: Record) -> None:
-        """Take the next record; only the first IMU sample matters."""
+        """Process the next record; only the first IMU sample matters."""
         if self.zero_us is None and isinstance(record, ImuSample):
             self.zero_us = record.t_us
 
     def seconds(self, t_us: int) -> float | None:
-        """Seconds since the zero; None before it is known."""
+        """Return the seconds since the zero, or None before the zero is known."""
         return None if self.zero_us is None else (t_us - self.zero_us) * 1e-6
 
 
 def zero_of(records: Iterable[Record]) -> int:
-    """The autopilot's time that is 0 s of a recorded flight, microseconds.
+    """Return the autopilot time of 0 s of a recorded flight, microseconds.
 
-    A log without any IMU sample counts from its first record that has a time.
+    Without an IMU sample the first record with a time is the zero.
     """
     time = FlightTime()
     first_us = 0
@@ -44,3 +46,18 @@ def zero_of(records: Iterable[Record]) -> int:
             return time.zero_us
         first_us = first_us or getattr(record, "t_us", 0)
     return first_us
+
+
+def armed_span(log: Log) -> tuple[datetime, datetime] | None:
+    """Return when a recorded flight was armed, and when last, by the host's calendar; None if not known."""
+    started, monotonic = log.about.get("started_utc"), log.about.get("started_monotonic_us", "")
+    armed = [
+        e.record.received_us for e in log.entries if isinstance(e.record, StatusSample) and e.record.armed
+    ]
+    if started is None or not armed or not monotonic.isdigit() or log.world is World.FAST:
+        return None
+    try:
+        begin = datetime.fromisoformat(started) - timedelta(microseconds=int(monotonic))
+        return begin + timedelta(microseconds=armed[0]), begin + timedelta(microseconds=armed[-1])
+    except (ValueError, OverflowError):
+        return None

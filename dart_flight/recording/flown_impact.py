@@ -1,6 +1,6 @@
-"""The planned collisions of a flight as they were flown: `FlownImpact`, put together by `ImpactCollector`.
+"""The planned collisions of a flight as flown: `FlownImpact`, built by `ImpactCollector`.
 
-Verdict, deviations, report, figures and animation read a flight's impacts here and nowhere else.
+It is the only source of a flight's impacts for verdict, deviations, report, figures and animation.
 """
 
 from __future__ import annotations
@@ -32,19 +32,19 @@ from dart_flight.base.records import (
 from dart_flight.config.mission import Collision, Mission
 from dart_flight.recording.anchor import MissionFrameReader
 
-_TRUTH_MATCH_US = 60_000  # an impact and its truth lie this near in time
+_TRUTH_MATCH_US = 60_000  # largest time between an impact and its truth
 
 
 class Velocities(msgspec.Struct):
-    """Velocity before and after the contact in the collision frame, peaks, and how the body met the wall.
+    """Velocities before and after a contact in the collision frame, peaks, and the geometry of the contact.
 
     Attributes:
-        normal_m_s, tangential_m_s: the last before the contact.
+        normal_m_s, tangential_m_s: last velocity before the contact.
         peak_force_n: of the normal force.
-        contact_side: which point of the side came first, seen when flying into the wall: left, right, both.
+        contact_side: guard that touched first, seen when flying into the wall: left, right, both.
         incidence_deg: leading edge against the wall at the first touch, positive turned left.
         peak_torque_nm: largest external torque about the centre of mass.
-        normal_out_m_s, tangential_out_m_s: the first after the contact; if measured, from odometry.
+        normal_out_m_s, tangential_out_m_s: first velocity after the contact; if measured, from odometry.
     """
 
     normal_m_s: float | None = None
@@ -58,7 +58,7 @@ class Velocities(msgspec.Struct):
 
 
 class LockTimes(msgspec.Struct):
-    """The lock's switch that follows a collision, autopilot time."""
+    """Times of the lock switch that follows a collision, autopilot time."""
 
     contact_end_us: int | None = None
     relaxed_us: int | None = None
@@ -67,7 +67,7 @@ class LockTimes(msgspec.Struct):
 
 
 class CollisionVerdict(msgspec.Struct):
-    """One collision, planned against measured against true."""
+    """Planned, measured and true values of one collision."""
 
     index: int
     wall: str
@@ -81,24 +81,24 @@ class CollisionVerdict(msgspec.Struct):
     detection_latency_ms: float | None = None
     setpoint_latency_ms: float | None = None
     contact_time_ms: float | None = None
-    mode_felt: Mode | None = None  # what the whole contact says (docs/felt.md); None: undecided, or not told
-    mode_log_odds: float | None = None  # of rigid against flexible; None: not told
+    mode_felt: Mode | None = None  # estimated (docs/felt.md); None if undecided
+    mode_log_odds: float | None = None  # of rigid against flexible; None if not reported
     mode_true: Mode | None = None  # of the simulated arms
 
     @property
     def force_error(self) -> float | None:
-        """Measured over true peak normal force, minus one; None where one is unknown."""
+        """Measured peak normal force over the true one, minus one; None if either is unknown."""
         measured, true = self.measured.peak_force_n, self.truth and self.truth.peak_force_n
         return None if measured is None or not true else measured / true - 1.0
 
 
 class FlownImpact(CollisionVerdict, kw_only=True):
-    """A planned collision as it was flown: the verdict on it, and what only figures of the flight show.
+    """A planned collision as flown: its verdict, and further data for figures.
 
     Attributes:
         collision: the collision that was planned.
-        onset, peak: records of the flight core; peak is None if none was measured.
-        contact: the simulated contact; None on the drone.
+        onset, peak: records of the flight core; peak is None if not measured.
+        contact: simulated contact, or None on the drone.
         lock_mode: mode in which the lock was settled at the onset; rigid without a lock.
         recovery: recovery setpoint, mission frame, metres.
     """
@@ -120,48 +120,48 @@ class FlownImpact(CollisionVerdict, kw_only=True):
         return x, y
 
     def verdict(self) -> CollisionVerdict:
-        """Return the part that the verdict shows."""
+        """Return the part that belongs to the verdict."""
         return CollisionVerdict(*(getattr(self, name) for name in CollisionVerdict.__struct_fields__))
 
 
 class ImpactCollector:
-    """Puts the impacts of one flight together from its records, in order.
+    """Assembles the impacts of one flight from its records, in order.
 
     Attributes:
-        impacts: so far, in the order flown.
-        takers: functions that take a record, by its kind.
+        impacts: impacts so far, in the order flown.
+        takers: handlers of the records, by kind.
 
     Args:
         mission: the mission flown.
-        anchor: reader of the mission frame; takes each record before the collector does.
+        anchor: reader of the mission frame; it must process each record before the collector.
     """
 
     def __init__(self, mission: Mission, anchor: MissionFrameReader) -> None:
         self._mission, self._anchor = mission, anchor
         lock = mission.vehicle.lock
         self._relaxation_us = None if lock is None else round(lock.relaxation_s * 1e6)
-        self._sought = {c.wall.name for c in mission.collisions if c.wall.sought}  # by names of their own
+        self._sought = {c.wall.name for c in mission.collisions if c.wall.sought}  # walls with unique names
         self.impacts: list[FlownImpact] = []
         self._truths: list[TruthContact] = []
         self._onset: ImpactOnset | None = None
         self._lock_mode: Mode | None = Mode.RIGID if lock is None else None
         self._left_us: int | None = None  # end of the last contact, until the velocity after it is known
         self.takers: dict[type, Callable[[Any], None]] = {
-            ImpactOnset: self._take_onset,
-            PhaseChange: self._take_phase,
-            ImpactPeak: self._take_peak,
-            ImpactBody: self._take_body,
-            ContactEnd: self._take_end,
-            WallEstimate: self._take_wall_estimate,
-            OdometrySample: self._take_odometry,
-            Setpoint: self._take_setpoint,
-            SetpointSent: self._take_sent,
-            LockState: self._take_lock,
+            ImpactOnset: self._handle_onset,
+            PhaseChange: self._handle_phase,
+            ImpactPeak: self._handle_peak,
+            ImpactBody: self._handle_body,
+            ContactEnd: self._handle_end,
+            WallEstimate: self._handle_wall_estimate,
+            OdometrySample: self._handle_odometry,
+            Setpoint: self._handle_setpoint,
+            SetpointSent: self._handle_sent,
+            LockState: self._handle_lock,
             TruthContact: self._truths.append,
         }
 
     def match_truth(self) -> None:
-        """Give every impact the simulated contact at its wall that lies nearest in time, if there is one."""
+        """Assign to every impact the simulated contact at its wall that is nearest in time, if any."""
         for impact in self.impacts:
             near = [
                 t
@@ -186,13 +186,13 @@ class ImpactCollector:
             )
 
     def _newest(self) -> FlownImpact | None:
-        """Return the impact of the last onset, or None if that was no planned collision."""
+        """Return the impact of the last onset, or None if that was not a planned collision."""
         return self.impacts[-1] if self.impacts and self.impacts[-1].onset is self._onset else None
 
-    def _take_onset(self, record: ImpactOnset) -> None:
+    def _handle_onset(self, record: ImpactOnset) -> None:
         self._onset = record
 
-    def _take_phase(self, record: PhaseChange) -> None:
+    def _handle_phase(self, record: PhaseChange) -> None:
         if record.after is Phase.CONTACT and record.collision is not None and self._onset is not None:
             self._open(self._mission.collisions[record.collision - 1], self._onset)
 
@@ -213,20 +213,20 @@ class ImpactCollector:
             )
         )
 
-    def _take_peak(self, record: ImpactPeak) -> None:
+    def _handle_peak(self, record: ImpactPeak) -> None:
         impact = self._newest()
         if impact is not None:
             impact.peak, impact.clipped = record, record.clipped
             impact.measured.peak_force_n = record.normal_force_n
 
-    def _take_body(self, record: ImpactBody) -> None:
+    def _handle_body(self, record: ImpactBody) -> None:
         impact = self._newest()
         if impact is not None:
             impact.measured.contact_side = record.side
             impact.measured.incidence_deg = math.degrees(record.incidence_rad)
             impact.measured.peak_torque_nm = record.peak_torque_nm
 
-    def _take_end(self, record: ContactEnd) -> None:
+    def _handle_end(self, record: ContactEnd) -> None:
         if not self.impacts or self.impacts[-1].contact_time_ms is not None:
             return
         impact, self._left_us = self.impacts[-1], record.t_us
@@ -235,12 +235,12 @@ class ImpactCollector:
             impact.lock.contact_end_us = record.t_us
             impact.lock.relaxed_us = record.t_us + self._relaxation_us
 
-    def _take_wall_estimate(self, record: WallEstimate) -> None:
+    def _handle_wall_estimate(self, record: WallEstimate) -> None:
         impact = self._newest()
         if impact is not None and impact.lock is not None and impact.onset.first_us == record.first_us:
             impact.mode_felt, impact.mode_log_odds = record.mode_felt, record.log_odds
 
-    def _take_odometry(self, record: OdometrySample) -> None:
+    def _handle_odometry(self, record: OdometrySample) -> None:
         frame = self._anchor.frame
         if frame is not None and self._left_us is not None and record.t_us >= self._left_us:
             self._left_us, impact = None, self.impacts[-1]
@@ -248,16 +248,16 @@ class ImpactCollector:
             normal, tangential, _ = impact.collision.wall.to_collision(velocity)
             impact.measured.normal_out_m_s, impact.measured.tangential_out_m_s = normal, tangential
 
-    def _take_setpoint(self, record: Setpoint) -> None:
+    def _handle_setpoint(self, record: Setpoint) -> None:
         impact = self._newest() if record.recovery else None
         if impact is not None and impact.recovery is None and self._anchor.frame is not None:
             impact.recovery = self._anchor.frame.point_from_ned(record.position_ned)
 
-    def _take_sent(self, record: SetpointSent) -> None:
+    def _handle_sent(self, record: SetpointSent) -> None:
         if self.impacts and self.impacts[-1].setpoint_latency_ms is None:
             self.impacts[-1].setpoint_latency_ms = record.latency_us * 1e-3
 
-    def _take_lock(self, record: LockState) -> None:
+    def _handle_lock(self, record: LockState) -> None:
         self._lock_mode = record.mode if record.phase is LockPhase.SETTLED else None
         times = self.impacts[-1].lock if self.impacts else None
         if times is None or times.contact_end_us is None or (record.commanded_us or 0) < times.contact_end_us:

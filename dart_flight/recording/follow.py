@@ -1,4 +1,4 @@
-"""A flight log read while it is being written."""
+"""Reading a flight log while it is being written."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from dart_flight.recording.reader import MAGIC, MAX_BYTES, DamagedLogError, LogE
 from dart_flight.recording.writer import part_path
 
 _HEAD = struct.Struct("<BQ")  # MCAP: kind and length of a record
-_READ_BYTES = 8 * 1024 * 1024  # at once
+_READ_BYTES = 8 * 1024 * 1024  # per read
 
 
 class LogFollower:
-    """Reads what has been added to a growing log; touches nothing but the file.
+    """Reads the new records of a growing log; only reads the file.
 
     Args:
-        path: its first part.
+        path: the first part.
 
     Attributes:
-        about: what describes the flight, once that was read.
-        ended: the writer has finished the log.
+        about: description of the flight, once read.
+        ended: whether the writer has finished the log.
     """
 
     def __init__(self, path: Path) -> None:
@@ -42,7 +42,7 @@ class LogFollower:
         self._continued = False
 
     def read(self) -> list[LogEntry]:
-        """The records that have come since the last call, in the order written; empty where none have.
+        """Return the records added since the last call, in the order written; empty if there are none.
 
         Raises:
             InputError: the file cannot be read, is damaged, or was written by a newer version.
@@ -63,7 +63,7 @@ class LogFollower:
         return entries
 
     def _whole_records(self) -> bytes:
-        """Bytes from where the last call ended to the end of the last whole record."""
+        """Return the bytes from the end of the last call to the end of the last whole record."""
         if self._continued and part_path(self._path, self._part + 1).exists():
             self._next_part()
         with open(part_path(self._path, self._part), "rb") as file:

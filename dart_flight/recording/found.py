@@ -1,4 +1,4 @@
-"""Flight logs that a person names: files, or folders of flights."""
+"""Finding flight logs among files and folders named on the command line."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from dart_flight.config.document import InputError
 from dart_flight.recording.reader import NothingInItError
 
 LOG_NAME = "flight.mcap"
-PX4_LOG = "px4.ulg"  # beside it, where PX4 flew: its own log
+PX4_LOG = "px4.ulg"  # PX4's own log, in the same folder, if PX4 flew
 T = TypeVar("T")
 
 
 def logs_in(paths: Iterable[str | Path]) -> list[Path]:
-    """Every file as it is; of every folder the flight logs below it, by name.
+    """Return every file unchanged, and the flight logs below every folder, sorted by name.
 
     Raises:
         InputError: there is no flight log below a folder.
@@ -32,16 +32,37 @@ def logs_in(paths: Iterable[str | Path]) -> list[Path]:
     return list(dict.fromkeys(found))
 
 
+def px4_logs_in(paths: Iterable[str | Path]) -> list[Path]:
+    """Return PX4's logs: files as they are, and those beside a flight log or below a folder of flights.
+
+    Raises:
+        InputError: there is no PX4 log beside a flight log or below a folder.
+    """
+    found: list[Path] = []
+    for path in map(Path, paths):
+        flight = path.name == LOG_NAME
+        if not flight and not path.is_dir():
+            found.append(path)
+            continue
+        below = sorted((path.parent if flight else path).rglob(PX4_LOG))
+        if not below:
+            raise InputError(
+                f"no PX4 log ({PX4_LOG}) there; `dart-flight px4-log` fetches it", source=str(path)
+            )
+        found += below
+    return list(dict.fromkeys(found))
+
+
 def from_each(paths: Iterable[Path], read: Callable[[Path], T], left_out: Callable[[str], None]) -> list[T]:
-    """What `read` makes of every log; of several those without what is wanted are left out.
+    """Return the result of `read` for every log; omit logs without the wanted data if others have it.
 
     Args:
         paths: the logs.
-        read: raises `NothingInItError` for a log of a flight that ended before what is wanted.
-        left_out: takes a line for each that is left out.
+        read: raises `NothingInItError` for a log that lacks the wanted data.
+        left_out: receives one line for each omitted log.
 
     Raises:
-        InputError: as `read`; `NothingInItError` where nothing remains.
+        InputError: as `read`; `NothingInItError` if no log has the data.
     """
     results: list[T] = []
     empty: list[NothingInItError] = []

@@ -1,4 +1,4 @@
-"""The walls of a flight as its contacts have measured them, for verdict, report and survey."""
+"""The walls of a flight as measured by its contacts, for verdict, report and survey."""
 
 from __future__ import annotations
 
@@ -13,23 +13,24 @@ from dart_flight.base.walls import Wall
 from dart_flight.config.mission import Mission
 from dart_flight.core.mission.wall_uncertainty import EstimatedWalls
 
-_SAME_US = 60_000  # a contact and its truth lie this near in time
+_SAME_US = 60_000  # largest time between a contact and its truth
 
 
 class MeasuredWall(msgspec.Struct):
-    """A wall that was met at least once, as its last contact has it; mission frame.
+    """A wall that was touched at least once, as estimated at its last contact; mission frame.
 
     Attributes:
         name: as in the mission.
-        point_m: [x, y] of its middle (`given_at: centre`); of one that was sought, where it was met.
+        point_m: [x, y] of its middle (`given_at: centre`); for a wall that a probe found, of the contact.
         normal: [x, y], unit vector into free space.
-        position_sd_m, yaw_sd_deg: of the plane at `point_m`, and of its direction; null: taken as known.
+        position_sd_m, yaw_sd_deg: standard deviations of the plane at `point_m` and of its direction; null if
+            assumed exact.
         touched_m: [x, y] of the vehicle's centre at the first touch of the last contact.
-        material: of the table; null: of none that is known.
-        coefficients: by mode, k, f, mu and nu as felt, each with its relative standard deviation.
-        age_s: of the contact at the flight's end.
-        truth_error_m: measured plane less the true one where it was met, along the normal; simulation only.
-        truth_error_deg: likewise, direction.
+        material: of the table; null if unknown.
+        coefficients: estimates of k, f, mu and nu by mode, each with its relative standard deviation.
+        age_s: time from the contact to the flight's end.
+        truth_error_m: measured minus true plane at the contact, along the normal; simulation only.
+        truth_error_deg: measured minus true direction; simulation only.
     """
 
     name: str
@@ -46,21 +47,21 @@ class MeasuredWall(msgspec.Struct):
 
 
 class WallMeasurements:
-    """Takes the records of one flight in order."""
+    """Collects the measured walls of one flight from its records, in order."""
 
     def __init__(self, mission: Mission) -> None:
         self._walls = {c.wall.name: c.wall for c in mission.collisions}
         self._standing = {wall.name: wall for wall in mission.standing_walls}
         self._found = EstimatedWalls()
-        self._met: dict[str, WallEstimate] = {}
+        self._estimates: dict[str, WallEstimate] = {}
         self._coefficients: dict[str, dict[str, dict[str, tuple[float, float]]]] = {}
         self._truths: list[TruthContact] = []
 
     def take(self, record: Record) -> None:
-        """The next record; most kinds do not matter here."""
+        """Process the next record; most kinds are ignored."""
         if isinstance(record, WallEstimate) and record.wall in self._walls:
             self._found.add_estimate(record, self._walls[record.wall])
-            self._met[record.wall] = record
+            self._estimates[record.wall] = record
             mode = record.mode_felt or record.mode_reported
             if mode is not None:
                 self._coefficients.setdefault(record.wall, {})[mode.value] = {
@@ -75,44 +76,44 @@ class WallMeasurements:
             self._truths.append(record)
 
     def wall(self, name: str) -> Wall | None:
-        """A wall as its last contact has it; None: it was not met."""
+        """Return a wall as estimated at its last contact, or None if it was not touched."""
         return self._found.wall_now(self._walls[name]) if self._found.is_met(name) else None
 
     def build(self, end_us: int, drawn: Mapping[str, float | str]) -> list[MeasuredWall]:
-        """The walls that were met, in the order of their first contact.
+        """Return the touched walls, in the order of their first contact.
 
         Args:
-            end_us: of the flight, autopilot time.
-            drawn: of the simulated world: where walls really stand.
+            end_us: end of the flight, autopilot time.
+            drawn: values drawn for the simulated world, which contain the true wall offsets.
         """
-        return [self._measured(name, end_us, drawn) for name in self._met]
+        return [self._measured(name, end_us, drawn) for name in self._estimates]
 
     def _measured(self, name: str, end_us: int, drawn: Mapping[str, float | str]) -> MeasuredWall:
-        wall, felt = self._found.wall_now(self._walls[name]), self._met[name]
-        sure = wall.yaw_sd_rad
+        wall, estimate = self._found.wall_now(self._walls[name]), self._estimates[name]
+        yaw_sd_rad = wall.yaw_sd_rad
         found = MeasuredWall(
             name,
             wall.point,
             wall.normal,
-            felt.plane_offset_sigma_m if wall.position_sd_m is None else wall.position_sd_m,
-            None if sure is None else math.degrees(sure),
+            estimate.plane_offset_sigma_m if wall.position_sd_m is None else wall.position_sd_m,
+            None if yaw_sd_rad is None else math.degrees(yaw_sd_rad),
             wall.material if wall.material_known else None,
-            felt.centre_mission,
+            estimate.centre_mission,
             self._coefficients.get(name, {}),
-            (end_us - felt.first_us) * 1e-6,
+            (end_us - estimate.first_us) * 1e-6,
         )
-        true = self._true_wall(name, felt, drawn)
+        true = self._true_wall(name, estimate, drawn)
         if true is not None:
-            # Where it was met: elsewhere along it an error of the direction has its share.
-            met = felt.plane_point_mission
-            at = wall.foot(met) if met is not None else wall.point
+            # Compare at the contact: elsewhere along the wall the direction's error adds to it.
+            point = estimate.plane_point_mission
+            at = wall.foot(point) if point is not None else wall.point
             found.truth_error_m = true.signed_distance(at)
             found.truth_error_deg = math.degrees(turn_between(true.normal, wall.normal))
         return found
 
-    def _true_wall(self, name: str, felt: WallEstimate, drawn: Mapping[str, float | str]) -> Wall | None:
-        """The wall that was really met, by the simulation."""
-        near = [t for t in self._truths if abs(t.t_us - felt.first_us) < _SAME_US]
+    def _true_wall(self, name: str, estimate: WallEstimate, drawn: Mapping[str, float | str]) -> Wall | None:
+        """Return the true wall of a contact, from the simulation."""
+        near = [t for t in self._truths if abs(t.t_us - estimate.first_us) < _SAME_US]
         if not near or near[0].wall not in self._standing:
             return None
         wall = self._standing[near[0].wall]

@@ -1,6 +1,7 @@
-"""What became of the plan: every planned figure beside the flown one, with the tolerance of the mission.
+"""Comparison of plan and flight: every planned figure with the flown one and the mission's tolerance.
 
-`completed` says that a mission went through its phases to its end, this whether it flew what was planned.
+The outcome `completed` only states that a mission passed its phases; the deviations state whether it followed
+the plan.
 """
 
 from __future__ import annotations
@@ -23,9 +24,9 @@ class Deviation(msgspec.Struct, frozen=True):
     """One planned figure.
 
     Attributes:
-        what: in words, with its unit.
-        planned, flown: None where it was not flown.
-        tolerance: by which they may differ; None where they must be the same.
+        what: description with its unit.
+        planned, flown: values; None if not flown.
+        tolerance: largest allowed difference, or None if the values must be equal.
     """
 
     what: str
@@ -35,20 +36,20 @@ class Deviation(msgspec.Struct, frozen=True):
 
     @property
     def within(self) -> bool:
-        """Whether it was flown, and near enough."""
+        """Whether the figure was flown, within its tolerance."""
         if isinstance(self.planned, float) and isinstance(self.flown, float):
             return abs(self.flown - self.planned) <= (self.tolerance or 0.0)
         return self.flown == self.planned
 
 
 class Prediction(NamedTuple):
-    """What a mission leads to.
+    """Predicted course of a mission.
 
     Attributes:
-        velocities: velocities and peak force, by index of the collision; None in them if nothing says it.
-        places: impact points, by index of the collision, mission frame, as far as they are known.
-        goal_miss_m: how near to the goal the last recovery passes; None where that is not known, or the goal
-            is flown to from rest.
+        velocities: velocities and peak force, by index of the collision; fields are None if not predicted.
+        places: predicted impact points, by index of the collision, mission frame.
+        goal_miss_m: predicted miss distance of the last recovery at the goal; None if unknown, or if the goal
+            is approached from rest.
     """
 
     velocities: dict[int, Velocities]
@@ -57,8 +58,11 @@ class Prediction(NamedTuple):
 
 
 def predict_flight(mission: Mission) -> Prediction:
-    """The planner's prediction in the mission, else the approach and the contact law, else where the flight
-    model leads. What is planned again after every hit is planned to pass through the goal."""
+    """Return the prediction of a mission.
+
+    Sources are, in this order, the planner's prediction in the mission, the approach with the contact law,
+    and the flight model. A mission that replans after every impact is planned to pass through the goal.
+    """
     velocities, places, miss_m = dict[int, Velocities](), dict[int, Vec2](), None
     for collision in mission.collisions:
         velocities[collision.index], place = _as_written(mission, collision)
@@ -92,13 +96,13 @@ def _as_written(mission: Mission, collision: Collision) -> tuple[Velocities, Vec
 def deviations(
     mission: Mission, planned: Prediction, flown: Sequence[FlownImpact], goal_miss_m: float | None
 ) -> list[Deviation]:
-    """Everything that was planned, in the order of the mission; nothing of a rehearsal.
+    """Return a deviation for every planned figure, in the order of the mission; none for a rehearsal.
 
     Args:
-        mission: with its tolerances.
-        planned: what it leads to (`predict_flight`).
+        mission: the mission with its tolerances.
+        planned: its prediction (`predict_flight`).
         flown: the impacts of the flight.
-        goal_miss_m: None if the goal was not passed.
+        goal_miss_m: miss distance, or None if the goal was not passed.
     """
     if mission.standoff_m is not None:
         return []
@@ -106,14 +110,14 @@ def deviations(
     found: list[Deviation] = []
     for collision in mission.collisions:
         if collision.index in by_index or not collision.is_conditional:
-            found += _of_collision(mission, collision, planned, by_index.get(collision.index))
+            found += _compare_collision(mission, collision, planned, by_index.get(collision.index))
     if planned.goal_miss_m is not None:
         allowed = mission.goal.capture_radius_m
         found.append(Deviation("goal miss, m", planned.goal_miss_m, goal_miss_m, allowed))
     return found
 
 
-def _of_collision(
+def _compare_collision(
     mission: Mission, collision: Collision, planned: Prediction, flown: FlownImpact | None
 ) -> Iterator[Deviation]:
     name, tolerance, wall = f"collision {collision.index}", mission.tolerance, collision.wall
@@ -139,13 +143,13 @@ def _of_collision(
 
 
 def out_of_tolerance(found: Sequence[Deviation]) -> list[Deviation]:
-    """Those that are not within their tolerance, what was not flown at all first."""
+    """Return the deviations outside their tolerance, figures that were not flown first."""
     outside = [one for one in found if not one.within]
-    return sorted(outside, key=lambda one: -_times_over(one))
+    return sorted(outside, key=lambda one: -_excess_ratio(one))
 
 
 def format_departures(found: Sequence[Deviation], most: int = 3) -> str:
-    """In words where the plan was left, the worst first and at most so many; "" where it was not."""
+    """Describe the largest deviations, at most `most` of them; return "" if all are within tolerance."""
     outside = out_of_tolerance(found)
     more = len(outside) - most
     return "; ".join(map(_format_deviation, outside[:most])) + (f"; {more} more" if more > 0 else "")
@@ -161,7 +165,7 @@ def _figure(value: float | str | None) -> str:
     return "none" if value is None else value if isinstance(value, str) else f"{value:.2f}"
 
 
-def _times_over(one: Deviation) -> float:
+def _excess_ratio(one: Deviation) -> float:
     if isinstance(one.planned, float) and isinstance(one.flown, float) and one.tolerance:
         return abs(one.flown - one.planned) / one.tolerance
     return math.inf

@@ -1,4 +1,4 @@
-"""Reads a flight log back into records, also one that was cut off."""
+"""Reading flight logs into records, including logs that were cut off."""
 
 from __future__ import annotations
 
@@ -25,42 +25,42 @@ from dart_flight.recording.writer import ABOUT, END, FORMAT_VERSION, part_path
 if TYPE_CHECKING:
     from dart_flight.recording.topics import Topic, Topics
 
-IN_MEMORY = "<memory>"  # the source of a log without a file
-# The writer's chunks are of a megabyte: a damaged length must not make the reader ask for gigabytes.
+IN_MEMORY = "<memory>"  # source of a log without a file
+# The writer's chunks have one megabyte; the limit keeps damaged lengths from allocating gigabytes.
 MAX_BYTES = 64 * 1024 * 1024
 MAGIC = b"\x89MCAP0\r\n"
-# What the libraries raise for bytes that are none of a log's.
+# Exceptions of the libraries for damaged bytes.
 _DAMAGES = (McapError, ZstdError, struct.error, msgspec.MsgspecError, ValueError, OverflowError)
 DECODERS = {kind.topic: msgspec.json.Decoder(kind) for kind in RECORD_TYPES}
 
 
 class NothingInItError(InputError):
-    """A flight log, but without what is wanted of it: a flight that ended early, or a log cut near its start.
+    """A flight log without the wanted data: the flight ended early, or the log was cut near its start.
 
-    Where many logs are given it is left out, with a word.
+    If several logs are given, such a log is omitted with a message.
     """
 
 
 class DamagedLogError(Exception):
-    """A log that is damaged at some place; what was read before it is good."""
+    """A damaged log; the records before the damage are valid."""
 
 
 class LogEntry(msgspec.Struct, frozen=True, gc=False):
-    """One record of a log and the number of the input it is or follows from."""
+    """One record of a log, with the number of the input that it is or follows from."""
 
     number: int
     record: Record
 
 
 class Log(msgspec.Struct, dict=True):
-    """A log read whole. `log["/estimate/force"]` has the records of a channel as arrays (`recording.topics`).
+    """A complete log in memory; `log["/estimate/force"]` returns a channel as arrays (`recording.topics`).
 
     Attributes:
-        source: the file; `IN_MEMORY` where there is none.
-        about: what describes the flight (`recording.about`).
-        end: what was known only at the end; `lost` is the number of records that could not be written.
+        source: the file, or `IN_MEMORY`.
+        about: description of the flight (`recording.about`).
+        end: data known only at the end; `lost` is the number of records that could not be written.
         entries: records in the order written.
-        complete: False where the file was cut off or a part of it is missing.
+        complete: whether the file has its end and all its parts.
     """
 
     source: str
@@ -71,33 +71,33 @@ class Log(msgspec.Struct, dict=True):
 
     @property
     def seed(self) -> int | None:
-        """The seed of a simulated flight."""
+        """Seed of a simulated flight."""
         text = self.about.get("seed", "")
         return int(text) if text.isdigit() else None
 
     @property
     def world(self) -> World | None:
-        """Where it was flown; None where the log was cut before it says."""
+        """World of the flight, or None if the log was cut before it."""
         name = self.about.get("world", "")
         return World(name) if name in set(World) else None
 
     @cached_property
     def arrays(self) -> Topics:
-        """The records as arrays, by channel; made once."""
-        from dart_flight.recording.topics import Topics  # noqa: PLC0415  NumPy, which logging does without
+        """The records as arrays, by channel; built once."""
+        from dart_flight.recording.topics import Topics  # noqa: PLC0415  logging needs no NumPy
 
         return Topics(entry.record for entry in self.entries)
 
     @property
     def topics(self) -> tuple[str, ...]:
-        """The channels that have records, by name."""
+        """Names of the channels that have records."""
         return self.arrays.names
 
     def __getitem__(self, topic: str) -> Topic:
-        """The records of a channel as arrays; of length 0 where it has none.
+        """Return the records of a channel as arrays; arrays of length 0 if it has none.
 
         Raises:
-            KeyError: there is no such channel; the nearest name is told.
+            KeyError: there is no such channel; the message suggests the nearest name.
         """
         return self.arrays[topic]
 
@@ -109,7 +109,7 @@ class Log(msgspec.Struct, dict=True):
 
 
 def read_log(path: str | Path) -> Log:
-    """Read a flight log and its further parts, up to where it was cut.
+    """Read a flight log and its further parts, up to its end or a cut.
 
     Raises:
         InputError: not a flight log, or written by a newer version.
@@ -158,10 +158,10 @@ def read_entries(
     source: str,
     begun: bool = False,
 ) -> Iterator[LogEntry]:
-    """The records of one part of a log, or, where it is `begun`, of what has been added to it.
+    """Yield the records of one part of a log or, with `begun`, of the data added to it.
 
-    `about` takes what describes the flight, `end` what was known only at its end, `topics` the channels by
-    number.
+    `about` receives the description of the flight, `end` the data known only at its end, `topics` the
+    channels by number.
 
     Raises:
         InputError: written by a newer version.
@@ -174,7 +174,7 @@ def read_entries(
 
 @contextlib.contextmanager
 def _as_damage() -> Iterator[None]:
-    """Raise one kind of error for the many that the libraries raise for damaged bytes."""
+    """Convert the libraries' exceptions for damaged bytes to `DamagedLogError`."""
     try:
         yield
     except (EndOfFile, InputError):

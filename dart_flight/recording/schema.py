@@ -1,7 +1,7 @@
-"""What the log says about itself: a JSON Schema per kind of record, with the unit and frame of every number.
+"""Self-description of the log: a JSON Schema per kind of record, with the unit and frame of every number.
 
-The one source is `base/records.py`: a record's docstring describes it, the comment on its line describes a
-field, the end of its name gives unit and frame (`NAMES`). Foxglove and PlotJuggler show the description.
+The only source is `base/records.py`: a record's docstring describes it, the comment on a line describes the
+field, and the end of a name gives unit and frame (`FRAMES`). Foxglove and PlotJuggler show the description.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ OUTPUTS: tuple[type[Record], ...] = get_args(Output)
 NOTES: tuple[type[Record], ...] = get_args(Note)
 RECORD_TYPES: tuple[type[Record], ...] = (*INPUTS, *OUTPUTS, *NOTES)
 
-# Endings of names that say the frame; the longest that fits counts.
+# Frames by the ending of a name; the longest match counts.
 FRAMES = {
     "_frd_to_ned": "rotation body FRD to world NED, (w, x, y, z)",
     "_body_to_room": "rotation marker body to room, (w, x, y, z)",
@@ -33,7 +33,7 @@ FRAMES = {
     "_mission": "mission frame: x along its heading, y left, z up",
     "_ned_rad": "heading, clockwise from north",
 }
-# First words that say the unit where the name says none.
+# Units by the beginning of a name that has no unit ending.
 QUANTITIES = {
     "position_": "m",
     "velocity_": "m/s",
@@ -60,7 +60,7 @@ CLOCKS = {
 
 
 def describe(name: str, comment: str = "") -> str:
-    """Unit, frame or clock of a field by its name, and the comment on it, in one line."""
+    """Return a field's unit, frame or clock, from its name, and its comment, in one line."""
     parts = [_unit(name), _frame(name), comment]
     return "; ".join(part for part in parts if part)
 
@@ -82,7 +82,7 @@ def _frame(name: str) -> str:
 
 @cache
 def _comments(kind: type[Record]) -> dict[str, str]:
-    """The comments on the fields' lines; none where the source is not installed."""
+    """Return the comments on the fields' lines, or nothing if the source is not installed."""
     try:
         source = inspect.getsource(kind)
     except OSError:
@@ -91,7 +91,7 @@ def _comments(kind: type[Record]) -> dict[str, str]:
 
 
 def schema(kind: type[Record]) -> dict[str, Any]:
-    """JSON Schema of a record, without references and unions: Foxglove follows neither."""
+    """Return the JSON Schema of a record, without references and unions, which Foxglove does not follow."""
     properties = {}
     for name, type_ in get_type_hints(kind).items():
         if name not in kind.__struct_fields__:

@@ -1,4 +1,4 @@
-"""The records of a log as arrays, one `Topic` per channel, with the fields' own names."""
+"""The records of a log as arrays: one `Topic` per channel, with the names of the fields."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ _BY_TOPIC = {kind.topic: kind for kind in RECORD_TYPES}
 
 
 class Topic:
-    """The records of one channel: every field of the record by its name, as an array over the records.
+    """The records of one channel: every field by its name, as an array over the records.
 
-    A number has shape (n,), a vector (n, k), also a list of one length such as the motors; what may be
-    missing is NaN there (so that integers and truth values that may be missing are floats). Text and names
-    are arrays of text, of objects where they may be None or are lists of any length. Units and frames are
-    those of the names (docs/log.md).
+    A number has shape (n,); a vector or a list of constant length, such as the motors, has shape (n, k). A
+    missing value is NaN, so integers and booleans that may be missing are floats. Text and names are arrays
+    of text; they are arrays of objects if they may be None or are lists of varying length. Units and frames
+    are those of the names (docs/log.md).
 
     Attributes:
         kind: the type of the records.
-        records: themselves.
-        t_s: (n,), seconds since the flight's zero (`recording.flight_time`), by the autopilot's clock; of
-            records without a stamp that of the last one before.
+        records: the records.
+        t_s: (n,), seconds since the flight's zero (`recording.flight_time`), by the autopilot's clock; a
+            record without a stamp has the time of the previous record.
     """
 
     def __init__(self, kind: type[Record], records: list[Record], t_s: NDArray[np.float64]) -> None:
@@ -70,10 +70,10 @@ class Topics:
     """The channels of a log.
 
     Args:
-        records: of the log, in the order written.
+        records: records of the log, in the order written.
 
-    Attributes:
-        names: of the channels that have records.
+        Attributes:
+            names: names of the channels that have records.
     """
 
     def __init__(self, records: Iterable[Record]) -> None:
@@ -106,7 +106,7 @@ class Topics:
 
 
 class _Kind(NamedTuple):
-    """What a field holds: its type, of a vector that of its parts and their number; may it be missing?"""
+    """Content of a field: type of the value or of its elements, length, and whether it may be missing."""
 
     type: Any
     length: int | None

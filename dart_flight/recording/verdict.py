@@ -1,7 +1,8 @@
-"""What a flight amounted to: pure, from the records of the flight (decisions, samples, truth).
+"""The verdict on a flight: a pure function of its records (decisions, samples, truth).
 
-The one source for every world, for `--json`, for the terminal and for the report. A recorded flight has
-`verdict_of`; while one is flown, feed every record to `VerdictBuilder.take`, in order, then `build`.
+It is the only source for every world, for `--json`, for the terminal and for the report. For a recorded
+flight use `verdict_of`. During a flight, pass every record to `VerdictBuilder.take`, in order, and then call
+`build`.
 """
 
 from __future__ import annotations
@@ -51,7 +52,7 @@ from dart_flight.recording.reader import IN_MEMORY, Log
 from dart_flight.recording.uncontrolled import TruthExtremes, find_uncontrolled
 
 _TICK_US = 20_000
-_KEPT = 1024  # samples of estimate and truth until they have met: 8 s at 125 Hz
+_KEPT = 1024  # samples of estimate and truth that wait for each other: 8 s at 125 Hz
 
 
 class ResetFigures(msgspec.Struct):
@@ -69,14 +70,14 @@ class ResetFigures(msgspec.Struct):
 
 
 class Px4Figures(msgspec.Struct):
-    """A flight by PX4's log, while armed.
+    """Figures from PX4's log, while armed.
 
     Attributes:
-        version: of PX4, as it told; None where it did not.
+        version: of PX4, or None if not reported.
         ekf_resets: of position and velocity.
         clipped_samples: accelerometer samples at full scale, sum of the three axes.
         failsafe: whether PX4 was in a failsafe.
-        attitude_failure: whether its failure detector saw one.
+        attitude_failure: whether its failure detector reported one.
     """
 
     version: str | None = None
@@ -95,7 +96,7 @@ class TimeKind(StrEnum):
 
 
 class Verdict(msgspec.Struct):
-    """A flight in one object (`docs/interfaces.md`); what is unknown is null."""
+    """The result of a flight in one object (`docs/interfaces.md`); unknown values are null."""
 
     mission: str
     world: World | None
@@ -109,35 +110,39 @@ class Verdict(msgspec.Struct):
     max_tilt_deg: float | None = None
     flight_time_s: float | None = None
     log: str | None = None
-    log_failure: str | None = None  # what is missing in the log, and why
-    own_lateness_ms: float | None = None  # how late the program itself ran at worst; none: not told
+    log_failure: str | None = None  # missing part of the log, with the reason
+    own_lateness_ms: float | None = None  # worst scheduling latency of the program; None if not measured
     px4_log: str | None = None
     ekf_error_m: float | None = (
         None  # largest distance of the estimated position from the true one, in the air
     )
     px4: Px4Figures | None = None
-    drawn: dict[str, float | str] = msgspec.field(default_factory=dict)  # of the simulated world (`--vary`)
+    drawn: dict[str, float | str] = msgspec.field(
+        default_factory=dict
+    )  # values of the simulated world (`--vary`)
     vehicle: VehicleSource | None = None
-    plan_followed: bool | None = None  # it did what was predicted; None: nothing was, as of a rehearsal
-    goal_reached: bool | None = None  # within the capture radius; None: the flight has no end
-    goal_miss_planned_m: float | None = None  # as predicted; None: not known, or flown to from rest
+    plan_followed: bool | None = None  # as predicted; None without a prediction, as in a rehearsal
+    goal_reached: bool | None = None  # within the capture radius; None if the log lacks the flight's end
+    goal_miss_planned_m: float | None = None  # as predicted; None if unknown, or approached from rest
     deviations: list[Deviation] = msgspec.field(default_factory=list)
-    walls: list[MeasuredWall] = msgspec.field(default_factory=list)  # as the contacts have measured them
+    walls: list[MeasuredWall] = msgspec.field(default_factory=list)  # as measured by the contacts
     estimator_resets: list[ResetFigures] = msgspec.field(default_factory=list)  # in the air
-    arms_moved: bool | None = None  # whether simulated arms ever followed the lock; None: it never moved
+    arms_moved: bool | None = (
+        None  # whether simulated arms ever followed the lock; None if the lock never moved
+    )
     time: TimeKind | None = None  # None for a real vehicle
-    speed: float | None = None  # simulated seconds per second of the computer, achieved
+    speed: float | None = None  # achieved simulated seconds per second
     uncontrolled: list[str] = msgspec.field(default_factory=list)  # reasons, from a simulation's truth
 
 
 class PositionError:
-    """Largest distance between estimate and truth at the same stamp, truth interpolated.
+    """Largest distance between estimate and truth at the same stamp, with interpolated truth.
 
-    The two come on threads of their own, either of them first: what has not met yet waits, and all else is
-    forgotten, however long the flight.
+    Estimate and truth arrive on separate threads, in either order. Samples wait until their counterpart
+    arrives; all others are dropped, so memory is bounded.
 
     Attributes:
-        worst_m: so far, metres; None: the two have not met.
+        worst_m: largest distance so far, metres, or None without a pair.
     """
 
     def __init__(self) -> None:
@@ -146,14 +151,14 @@ class PositionError:
         self._truths: deque[tuple[int, Vec3]] = deque(maxlen=_KEPT)
 
     def take_estimate(self, t_us: int, position: Vec3) -> None:
-        """An estimated position, mission frame."""
+        """Add an estimated position, mission frame."""
         self._estimates.append((t_us, position))
 
     def take_truth(self, t_us: int, position: Vec3) -> None:
-        """The true position, mission frame; compares it with what has been estimated meanwhile."""
+        """Add a true position, mission frame, and compare it with the waiting estimates."""
         truths, estimates = self._truths, self._estimates
         if truths and t_us <= truths[-1][0]:
-            truths.clear()  # the clock went back
+            truths.clear()  # the clock jumped back
         truths.append((t_us, position))
         while estimates and estimates[0][0] <= t_us:
             self._compare(*estimates.popleft())
@@ -172,11 +177,11 @@ class PositionError:
 
 
 class VerdictBuilder:
-    """Takes the records of one flight in order.
+    """Builds the verdict of one flight from its records, in order.
 
     Attributes:
-        takers: functions that take a record, by its kind; other kinds do not matter here.
-        end: how the flight ended; None as long as it flies.
+        takers: handlers of the records, by kind; other kinds are irrelevant.
+        end: end of the flight, or None while it flies.
     """
 
     def __init__(self, mission: Mission) -> None:
@@ -197,66 +202,66 @@ class VerdictBuilder:
         self._extremes = TruthExtremes(mission.bounds)
         self._tilt_rad: float | None = None
         self._ticked_us: int | None = None
-        self._late_us: int | None = None  # at worst, between ticks
+        self._late_us: int | None = None  # largest delay between ticks
         self._settled: set[Mode] = set()
         self._true_modes: set[Mode] = set()
         anchor, walls = self._anchor.take, self._walls.take
-        # By kind: most records matter to nothing here, and are skipped by one look-up.
+        # By kind: most records are irrelevant here, and one look-up skips them.
         self.takers = _joined(
             {OdometrySample: anchor, PhaseChange: anchor, FrameAnchor: anchor},
             {WallEstimate: walls, TruthContact: walls, FrameAnchor: walls},
             self._impacts.takers,
             {
                 ImuSample: self._estimator.take_imu,
-                EstimatorSample: self._take_estimator,
-                AttitudeSample: self._take_attitude,
-                OdometrySample: self._take_odometry,
-                TruthSample: self._take_truth,
-                PhaseChange: self._take_phase,
-                LockState: self._take_lock,
+                EstimatorSample: self._handle_estimator,
+                AttitudeSample: self._handle_attitude,
+                OdometrySample: self._handle_odometry,
+                TruthSample: self._handle_truth,
+                PhaseChange: self._handle_phase,
+                LockState: self._handle_lock,
                 GuardEvent: self._so_far.guard.append,
-                GoalPassed: self._take_passed,
-                MissionEnd: self._take_end,
-                Tick: self._take_tick,
+                GoalPassed: self._handle_passed,
+                MissionEnd: self._handle_end,
+                Tick: self._handle_tick,
             },
         )
 
     def take(self, record: Any) -> None:
-        """Take the next record; kinds that do not matter here are skipped."""
-        take = self.takers.get(type(record))
-        if take is not None:
-            take(record)
+        """Process the next record; irrelevant kinds are skipped."""
+        handler = self.takers.get(type(record))
+        if handler is not None:
+            handler(record)
 
     @property
     def _is_airborne(self) -> bool:
         return self._airborne_us is not None and self._landed_us is None
 
-    def _take_estimator(self, record: EstimatorSample) -> None:
+    def _handle_estimator(self, record: EstimatorSample) -> None:
         counter, flies = record.reset_counter, self._is_airborne
         if counter is not None and self._estimator.take_counter(counter, record.t_us) and flies:
             assert self._estimator.newest is not None
             self._resets.append(self._estimator.newest)
 
-    def _take_attitude(self, record: AttitudeSample) -> None:
+    def _handle_attitude(self, record: AttitudeSample) -> None:
         self._estimator.take_attitude(record)
         if self._is_airborne:
             self._tilt_rad = max(self._tilt_rad or 0.0, tilt_of(record.q_frd_to_ned))
 
-    def _take_tick(self, record: Tick) -> None:
+    def _handle_tick(self, record: Tick) -> None:
         if self._ticked_us is not None and self.end is None:
             late_us = max(0, record.host_us - self._ticked_us - _TICK_US)
             self._late_us = max(self._late_us or 0, late_us)
         self._ticked_us = record.host_us
 
-    def _take_truth(self, record: TruthSample) -> None:
+    def _handle_truth(self, record: TruthSample) -> None:
         self._position_error.take_truth(record.t_us, record.position_mission)
         self._true_modes.add(record.mode)
         self._extremes.update(record)
 
-    def _take_passed(self, record: GoalPassed) -> None:
+    def _handle_passed(self, record: GoalPassed) -> None:
         self._so_far.goal_miss_m = record.miss_m
 
-    def _take_end(self, record: MissionEnd) -> None:
+    def _handle_end(self, record: MissionEnd) -> None:
         so_far, self.end = self._so_far, record
         so_far.outcome, so_far.reason, so_far.final_error_m = (
             record.outcome,
@@ -267,18 +272,18 @@ class VerdictBuilder:
             self._landed_us = record.t_us
             so_far.flight_time_s = (record.t_us - self._airborne_us) * 1e-6
 
-    def _take_odometry(self, record: OdometrySample) -> None:
+    def _handle_odometry(self, record: OdometrySample) -> None:
         self._estimator.take_odometry(record)
         frame = self._anchor.frame
         if frame is not None and self._is_airborne:
             self._position_error.take_estimate(record.t_us, frame.point_from_ned(record.position_ned))
 
-    def _take_phase(self, record: PhaseChange) -> None:
+    def _handle_phase(self, record: PhaseChange) -> None:
         if self._phase in ON_GROUND and record.after is Phase.CLIMB:
             self._airborne_us = record.t_us
         self._phase = record.after
 
-    def _take_lock(self, record: LockState) -> None:
+    def _handle_lock(self, record: LockState) -> None:
         if record.phase is LockPhase.SETTLED and record.mode is not None:
             self._settled.add(record.mode)
 
@@ -295,12 +300,12 @@ class VerdictBuilder:
         px4_log: str | None = None,
         drawn: Mapping[str, float | str] | None = None,
     ) -> Verdict:
-        """The verdict of what has been taken so far; without an end the flight counts as aborted.
+        """Return the verdict on the records so far; without an end the flight counts as aborted.
 
         Args:
-            world, seed: that were flown.
-            log, px4_log: where they are.
-            drawn: what the simulated world was drawn as.
+            world, seed: of the flight.
+            log, px4_log: paths of the logs.
+            drawn: values drawn for the simulated world.
         """
         planned, impacts, so_far = predict_flight(self._mission), self.impacts(), self._so_far
         for impact in impacts:
@@ -333,7 +338,7 @@ class VerdictBuilder:
         )
 
     def _goal_reached(self) -> bool | None:
-        """Whether the goal was passed, or arrived at from rest, within its capture radius."""
+        """Return whether the goal was passed, or approached from rest, within its capture radius."""
         if self.end is None:
             return None
         nearest_m = self._so_far.goal_miss_m
@@ -355,27 +360,29 @@ class VerdictBuilder:
 
 
 def _joined(*parts: Mapping[type, Callable[[Any], None]]) -> dict[type, Callable[[Any], None]]:
-    """Return for each kind of record one function that calls those of all parts, in their order."""
+    """Return for each kind of record one function that calls the handlers of all parts, in order."""
     by_kind: dict[type, list[Callable[[Any], None]]] = {}
     for part in parts:
-        for kind, take in part.items():
-            by_kind.setdefault(kind, []).append(take)
-    return {kind: takes[0] if len(takes) == 1 else _each(takes) for kind, takes in by_kind.items()}
+        for kind, handler in part.items():
+            by_kind.setdefault(kind, []).append(handler)
+    return {
+        kind: handlers[0] if len(handlers) == 1 else _chain(handlers) for kind, handlers in by_kind.items()
+    }
 
 
-def _each(takes: Sequence[Callable[[Any], None]]) -> Callable[[Any], None]:
-    def take_all(record: Any) -> None:
-        for take in takes:
-            take(record)
+def _chain(handlers: Sequence[Callable[[Any], None]]) -> Callable[[Any], None]:
+    def handle(record: Any) -> None:
+        for handler in handlers:
+            handler(record)
 
-    return take_all
+    return handle
 
 
 def judge(log: Log) -> tuple[Verdict, list[FlownImpact]]:
-    """Return the verdict on a recorded flight, and the impacts that it rests on.
+    """Return the verdict on a recorded flight, and its impacts.
 
-    The verdict is the flight's own, except for what is known only beside the log: `px4`, and why records are
-    missing.
+    The verdict equals that of the flight itself, except for data that are not in the log: `px4`, and the
+    reason for missing records.
 
     Raises:
         InputError: the log does not hold its mission.

@@ -1,13 +1,14 @@
-"""The flight log: MCAP with JSON messages and their JSON Schemas, so that Foxglove opens it as it is.
+"""The flight log: MCAP with JSON messages and their JSON Schemas, which Foxglove opens directly.
 
-One channel per record type (`topic` in `samples`). A message's sequence number is the number of the input
-it is or follows from: a replay feeds inputs in that order. Log time is the autopilot's clock; `ClockOffset`
-relates it to the host's monotonic clock, the description of the flight that to the calendar.
+Each record type has a channel (`topic` in `base.records`). A message's sequence number is the number of the
+input that it is or follows from; a replay feeds the inputs in that order. Log time is the autopilot's clock.
+`ClockOffset` relates it to the host's monotonic clock, and the description of the flight relates that to the
+calendar.
 
-Records are encoded and written by a thread of their own in small chunks, so that a killed process loses at
-most 0.2 s; once a second they are forced to the disk, for the battery that comes off in the crash. A file
-that has grown to `part_bytes` is finished and followed by `flight.part2.mcap`, ...; after `most_parts` only
-decisions are recorded, no telemetry.
+A separate thread encodes and writes the records in small chunks, so a killed process loses at most 0.2 s.
+Once a second it syncs them to the disk, in case the battery comes off in a crash. A file that reaches
+`part_bytes` is finished and followed by `flight.part2.mcap`, ...; after `most_parts` files only decisions are
+recorded, no telemetry.
 """
 
 from __future__ import annotations
@@ -32,15 +33,15 @@ PROFILE = "dart-flight"
 ABOUT, END = "dart_flight", "dart_flight_end"  # names of the metadata records
 PART_BYTES = 64 * 1024 * 1024  # about ten minutes of a flight (docs/log.md)
 MAX_PARTS = 16
-BYTES_PER_S = 150_000  # of flight, rounded up: 8.7 MB a minute were measured (docs/log.md)
+BYTES_PER_S = 150_000  # per second of flight, rounded up from a measured 8.7 MB per minute (docs/log.md)
 
-_FLUSH_S = 0.15  # every turn costs a chunk with its index and a cold start; a killed process loses it
+_FLUSH_S = 0.15  # each flush costs a chunk with its index; a killed process loses at most this time
 _SYNC_S = 1.0
-_MAX_WAITING = 200_000  # records; about two minutes of a flight while the disk does not answer
+_MAX_WAITING = 200_000  # records; about two minutes of flight without an answer of the disk
 
 
 class LogPart:
-    """One MCAP file; every part describes the flight and its own channels again."""
+    """One MCAP file; every part repeats the description of the flight and its channels."""
 
     def __init__(self, path: Path, about: dict[str, str], number: int) -> None:
         self._file = open(path, "xb")  # noqa: SIM115
@@ -59,24 +60,23 @@ class LogPart:
 
     @property
     def size_bytes(self) -> int:
-        """Bytes handed to the file so far."""
+        """Bytes written to the file so far."""
         return self._file.tell()
 
     def write(self, record: Record, time_us: int, number: int) -> None:
-        """Add a record at an autopilot time; `number` is that of the input it is or follows from."""
-        time_ns = time_us * 1000 if time_us > 0 else 0  # MCAP has no time before 0; a broken clock has
+        """Add a record at an autopilot time; `number` is that of the input that it is or follows from."""
+        time_ns = time_us * 1000 if time_us > 0 else 0  # MCAP has no negative times; a broken clock does
         channel = self._channels[type(record)]
         self._writer.add_message(channel, time_ns, encode(record), time_ns, number & 0xFFFFFFFF)
 
     def flush(self) -> None:
-        """End the chunk and hand it to the operating system."""
-        # The library ends a chunk only by its size; waiting for a megabyte would cost a killed flight many
-        # seconds.
+        """End the chunk and pass it to the operating system."""
+        # The library ends a chunk only at a megabyte, which would cost a killed flight many seconds.
         self._writer.flush()  # type: ignore[no-untyped-call]
         self._file.flush()
 
     def sync(self) -> None:
-        """Force what was flushed to the disk."""
+        """Sync the flushed data to the disk."""
         os.fsync(self._file.fileno())
 
     def finish(self, end: dict[str, str]) -> None:
@@ -92,20 +92,21 @@ class LogPart:
 
 
 class FlightLog:
-    """Writes one flight.
+    """Writer of one flight's log.
 
-    `put` never blocks and never raises; what the disk refuses is counted in `lost`, the flight goes on.
+    `put` never blocks and never raises. Records that the disk rejects are counted in `lost`, and the flight
+    continues.
 
     Args:
         path: the first file, which must not exist.
-        about: what describes the flight (`recording.about.describe_flight`).
+        about: description of the flight (`recording.about.describe_flight`).
         part_bytes: size after which the next file begins.
         most_parts: number of files after which telemetry is no longer recorded.
 
     Attributes:
-        lost: records that were not written.
-        failure: why the log ended before the flight; None: it did not.
-        patience_s: half of how long `close` waits for the disk.
+        lost: number of records that were not written.
+        failure: reason why the log ended before the flight, or None.
+        patience_s: half of the time that `close` waits for the disk.
 
     Raises:
         OSError: the file cannot be created.
@@ -135,27 +136,27 @@ class FlightLog:
 
     @property
     def shortfall(self) -> str | None:
-        """What is missing in the log and why, in words; None: nothing so far."""
+        """Description of the missing part of the log, or None."""
         if self.failure is not None:
             return f"{self.failure}, {self.lost} records lost"
         return f"{self.lost} records lost" if self.lost else None
 
     def put(self, record: Record, number: int) -> None:
-        """Queue a record; `number` is that of the input it is or follows from."""
+        """Queue a record; `number` is that of the input that it is or follows from."""
         if len(self._waiting) >= _MAX_WAITING:
             self.lost += 1
             return
         self._waiting.append((record, number))
 
     def close(self) -> None:
-        """Write what is queued, finish the file with its index.
+        """Write the queued records and finish the file with its index.
 
-        Where the disk does not answer the file stays as it is: cut, and opened up to there.
+        If the disk does not respond, the file stays cut off and can be read up to there.
         """
         self._closing.set()
-        for _ in range(2):  # a process that was stopped finds the first wait over at once
+        for _ in range(2):  # the first wait may end at once in a process that was stopped
             self._thread.join(self.patience_s)
-        if self._thread.is_alive():  # what it is writing must not meet the index in the middle of a record
+        if self._thread.is_alive():  # the index must not be written into the middle of a record
             self.failure = "the disk does not answer"
             return
         if self.failure is None:
@@ -192,7 +193,7 @@ class FlightLog:
         except OSError as error:
             self._fail(error.strerror or str(error))
         except Exception as error:
-            # A record that cannot be written stops the log, not the flight.
+            # An unwritable record stops the log, not the flight.
             self._fail(f"a record cannot be written: {type(error).__name__}: {error}")
 
     def _fail(self, why: str) -> None:
@@ -205,7 +206,7 @@ class FlightLog:
             return
         t_us = getattr(record, "t_us", 0)
         if t_us:
-            self._time_us = t_us  # records without autopilot time are logged at that of the one before
+            self._time_us = t_us  # a record without autopilot time is logged at the time of the previous one
         self._part.write(record, self._time_us, number)
 
     def _rotate(self) -> None:
@@ -218,15 +219,15 @@ class FlightLog:
 
 
 def part_path(first: Path, number: int) -> Path:
-    """The file of a part: flight.mcap, flight.part2.mcap, ..."""
+    """Return the file of a part: flight.mcap, flight.part2.mcap, ..."""
     return first if number == 1 else first.with_suffix(f".part{number}{first.suffix}")
 
 
 def new_flight_folder(root: Path, name: str) -> Path:
-    """A fresh folder for one flight: root/<date>T<time>-<name>, with a number where that exists.
+    """Create and return a new folder for one flight: root/<date>T<time>-<name>, numbered if that exists.
 
     Raises:
-        OSError: it cannot be made.
+        OSError: the folder cannot be created.
     """
     stamp = time.strftime("%Y%m%dT%H%M%S")
     slug = "".join(c if c.isalnum() else "-" for c in name)

@@ -20,7 +20,7 @@ import threading
 from collections import deque
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import msgspec
 
@@ -37,9 +37,12 @@ from dart_flight.base.records import (
     MissionEnd,
     OperatorRequest,
     Output,
+    Phase,
     PhaseChange,
     PlanAnswer,
     PlanRequest,
+    PoseSample,
+    PosesWithheld,
     Record,
     Request,
     Setpoint,
@@ -60,10 +63,14 @@ from dart_flight.lock.state_machine import status_text
 from dart_flight.planning.contact_fit import FIT_US
 from dart_flight.run.core_thread import CoreThread
 from dart_flight.run.deadman import CORE, FEED_PERIOD_S, LOOP, Deadman, SystemdNotice
+from dart_flight.run.operator_buttons import reply_in_flight
 from dart_flight.run.planner_process import PlannerProcess
 from dart_flight.run.runner import CoreRunner, Observe
 from dart_flight.run.step_reporter import StepReporter
 from dart_flight.vehicle.clock import Clock, host_us
+from dart_flight.vehicle.command_server import Press, Result
+from dart_flight.vehicle.motion_capture.bridge import MotionCaptureBridge, forwarded_pose
+from dart_flight.vehicle.motion_capture.source import PoseSource, open_source
 from dart_flight.vehicle.vehicle_session import NoAnswerError, VehicleSession, connect
 
 _SHOW_PERIOD_S = 0.2  # as often as the live line changes
@@ -194,6 +201,7 @@ class FlightApp:
         opened: called once the link is open.
         unwanted: numbers of MAVLink messages that the vehicle is asked not to send on this link.
         lockstep: whether the world waits for this program, whose clock is then simulated time.
+        mocap_url: pose source to forward from; None: the vehicle's `mocap.url`.
 
     Attributes:
         loop: the event loop, while it flies.
@@ -213,11 +221,15 @@ class FlightApp:
         opened: Callable[[], None] = lambda: None,
         unwanted: Sequence[int] = (),
         lockstep: bool = False,
+        mocap_url: str | None = None,
     ) -> None:
         self._mission, self._url, self._observe = mission, url, observe
         self._world, self._progress = world, progress
         assert world is not None or not lockstep
-        self._lockstep = StepReporter(world.send_line) if world is not None and lockstep else None
+        self._mocap_url = mocap_url or mission.vehicle.mocap.url
+        self._lockstep: StepReporter | None = None
+        if world is not None and lockstep:
+            self._lockstep = StepReporter(world.send_line, batches=self._mocap_url is None)
         self._clock: Clock | None = clock if self._lockstep is None else self._lockstep.clock
         self._host_us = host_us if self._clock is None else self._clock.host_us
         self._shown: deque[Record] = deque()
@@ -226,12 +238,15 @@ class FlightApp:
         self._deadman: Deadman | None = None
         self.mock: MockDriver | None = None
         self._session: VehicleSession | None = None
+        self._bridge: MotionCaptureBridge | None = None
         self._unsent: set[str] = set()  # causes of setpoints not sent that were reported
         self._done = asyncio.Event()
         self._ended = threading.Event()
         self.loop: asyncio.AbstractEventLoop | None = None
         self._tasks: set[asyncio.Task[None]] = set()
         self._stops = 0
+        self._phase, self._lock_text = Phase.READYING, ""  # for the buttons of the ground station
+        self._stopped = asyncio.Event()
         self._core = CoreThread(
             CoreRunner(FlightCore(mission), self, self._see, self._host_us),
             lambda: self._feed(CORE),
@@ -247,7 +262,16 @@ class FlightApp:
         Raises:
             VehicleError: no autopilot at the URL.
             NoAnswerError: it does not answer what it is asked.
+            InputError: the motion capture does not answer, or has no such body.
         """
+        source = None if self._mocap_url is None else open_source(self._mocap_url)
+        try:
+            await self._fly(source)
+        finally:
+            if source is not None and self._bridge is None:  # which would have stopped it
+                source.stop()
+
+    async def _fly(self, source: PoseSource | None) -> None:
         self.loop = asyncio.get_running_loop()
         timeout_s = self._mission.vehicle.connection.timeout_s
         async with connect(
@@ -279,7 +303,10 @@ class FlightApp:
             vehicle = self._mission.vehicle
             motors, lowest_v = len(vehicle.airframe.motors), vehicle.guard.battery_v
             session.subscribe(vehicle.estimation, motors, lowest_battery_v=lowest_v)
+            session.serve_operator(vehicle.ground_station.system_id, self._answer_button)
             self._listen_for_signals()
+            if source is not None:
+                self._bridge = self._open_bridge(session, source)
             keeper = asyncio.create_task(self._keep_alive())
             # In lockstep a round trip takes no time.
             measuring = None if self._lockstep else asyncio.create_task(session.keep_measuring())
@@ -289,7 +316,11 @@ class FlightApp:
                 if self._lockstep is not None:
                     self._lockstep.begin()
                 await self._watch(session)
+                if self._bridge is not None and self._world is None:
+                    await self._forward_until_disarmed(session)
             finally:
+                if self._bridge is not None:
+                    self._bridge.stop()
                 keeper.cancel()
                 if measuring is not None:
                     measuring.cancel()
@@ -312,12 +343,20 @@ class FlightApp:
     def stop(self) -> None:
         """The operator wants out: the first time leave the wall and land, the second time release."""
         self._stops += 1
+        self._stopped.set()
         request = Request.LAND if self._stops == 1 else Request.RELEASE
         self._core.put(OperatorRequest(self._host_us(), request))
 
     def resume(self) -> None:
         """The operator's word that ends a pause; at any other time it means nothing."""
         self._core.put(OperatorRequest(self._host_us(), Request.CONTINUE))
+
+    def _answer_button(self, press: Press) -> tuple[Result, str]:
+        """Answer a button of the ground station, and do what it asks."""
+        reply = reply_in_flight(press, self._phase, self._lock_text)
+        if isinstance(reply.effect, Request):
+            self._core.put(OperatorRequest(self._host_us(), reply.effect))
+        return reply.result, reply.text
 
     # -- deadman and terminal --
 
@@ -392,6 +431,35 @@ class FlightApp:
         elif b"\n" in typed:
             self.resume()
 
+    # -- motion capture --
+
+    def _open_bridge(self, session: VehicleSession, source: PoseSource) -> MotionCaptureBridge:
+        def send(message: Any) -> None:
+            if self._lockstep is not None:
+                pose = forwarded_pose(message)
+                self._lockstep.sent_pose((pose.x, pose.y, pose.z))
+            session.send_message(message)
+
+        def deliver(pose: PoseSample) -> None:
+            if session.clock.offset_us is not None:  # until then the pose has no autopilot's time
+                self._core.arrive(pose)
+
+        bridge = MotionCaptureBridge(self._mission.vehicle.mocap, source, send, session.clock, deliver)
+        bridge.start()
+        return bridge
+
+    async def _forward_until_disarmed(self, session: VehicleSession) -> None:
+        """Go on forwarding for a pilot who has taken over: PX4 has no other position."""
+        if not session.armed:
+            return
+        now_us = self._host_us()
+        text = "poses are forwarded until the vehicle is disarmed; Ctrl-C ends that"
+        self.show(StatusText(session.clock.to_autopilot(now_us), now_us, "warning", text, found_here=True))
+        self._stopped.clear()
+        while session.armed and not self._stopped.is_set():
+            with contextlib.suppress(TimeoutError):
+                await asyncio.wait_for(self._stopped.wait(), _LOOK_PERIOD_S)
+
     # -- lock --
 
     def _make_lock(self, session: VehicleSession, config: LockConfig) -> LockThread:
@@ -449,8 +517,9 @@ class FlightApp:
 
     def _take_lock_state(self, state: LockState) -> None:
         self._core.put(state)
+        self._lock_text = status_text(state)
         if state.phase is not LockPhase.TRAVELLING and self._session is not None:
-            self._session.tell_ground(status_text(state))
+            self._session.tell_ground(self._lock_text)
 
     # -- what the core wants, on the core thread (`runner.CommandSink`) --
 
@@ -493,7 +562,11 @@ class FlightApp:
                     plan_s = self._mission.vehicle.simulation.replan_latency_s
                     self._lockstep.open_request(output, FIT_US if fits else round(1e6 * plan_s))
                 planner.send(output)
+        elif isinstance(output, PosesWithheld):
+            if self._bridge is not None:
+                self._bridge.withhold()
         elif isinstance(output, PhaseChange):
+            self._phase = output.after
             # For `monitor`; not on this thread, whose setpoints must not wait for it.
             self.loop.call_soon_threadsafe(self._session.tell_ground, f"phase {output.after}")
         elif isinstance(output, Silence):

@@ -11,6 +11,7 @@ from dart_flight.config.mission import Mission
 from dart_flight.recording.verdict import TimeKind, Verdict
 from dart_flight.run.app import FlightApp
 from dart_flight.run.flight_record import FlightRecord, Onlooker
+from dart_flight.run.prepare import emulated_kind
 from dart_flight.run.program_fault import ProgramFault
 from dart_flight.run.simulator_process import SimulatorProcess, fly_simulated
 from dart_flight.sim.draws import draw_world
@@ -57,7 +58,13 @@ def fly_embedded(
     realtime = realtime or (fault is not None and fault.kind.of_real_time)
     record.time = TimeKind.REALTIME if realtime else TimeKind.LOCKSTEP
     spec = SimulatorSpec(
-        mission, seed, [port], spreads=dict(spreads or {}), speed=speed, lockstep=not realtime
+        mission,
+        seed,
+        [port],
+        spreads=dict(spreads or {}),
+        speed=speed,
+        lockstep=not realtime,
+        mocap=emulated_kind(mission),
     )
 
     def make_app(world: SimulatorProcess) -> FlightApp:
@@ -66,7 +73,16 @@ def fly_embedded(
         url = f"udpin://127.0.0.1:{port}"
         clock = LockstepClock(speed) if realtime and speed != 1.0 else None
         app = FlightApp(
-            mission, url, record, world, progress, clock, note, drawn.lock_faults, lockstep=not realtime
+            mission,
+            url,
+            record,
+            world,
+            progress,
+            clock,
+            note,
+            drawn.lock_faults,
+            lockstep=not realtime,
+            mocap_url=world.mocap_url,
         )
         if fault is not None:
             record.onlookers.append(ProgramFault(fault, app, world, record.path))

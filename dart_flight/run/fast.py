@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from dart_flight.base.records import (
     ActuatorSample,
@@ -33,6 +33,7 @@ from dart_flight.base.records import (
     PhaseChange,
     PlanAnswer,
     PlanRequest,
+    PosesWithheld,
     Record,
     Request,
     RoundTrip,
@@ -63,6 +64,10 @@ from dart_flight.sim.cascade import TrajectorySetpoint
 from dart_flight.sim.draws import DrawnWorld, draw_world
 from dart_flight.sim.faults.fault_table import Fault
 from dart_flight.sim.simulated_vehicle import SimulatedVehicle
+from dart_flight.vehicle.clock import SimulatedTime
+
+if TYPE_CHECKING:
+    from dart_flight.run.fast_poses import FastPoses
 
 # The host reads its own clock; and a message takes 1 ms, the median of MAVSDK's callback over UDP.
 _HOST_OFFSET_US: Final = 7_001_000
@@ -115,6 +120,22 @@ class TelemetrySender:
             self._status = status
             volts = a.vehicle.simulation.battery_v
             yield StatusSample(t_us, received, *status[:4], volts, a.battery_remaining, a.system_status)
+
+
+class _FastClock(SimulatedTime):
+    """The two clocks of a fast flight."""
+
+    def __init__(self, flight: FastFlight) -> None:
+        super().__init__()
+        self._flight = flight
+
+    def host_us(self) -> int:
+        """Return the host's time."""
+        return self._flight.host_us
+
+    def to_autopilot(self, host_time_us: int) -> int:
+        """Return the autopilot's present time."""
+        return self._flight.autopilot.time_us
 
 
 class FastFlight:
@@ -171,7 +192,15 @@ class FastFlight:
         self.lock: LockSession | None = None
         if mission.vehicle.lock is not None:
             self.lock = self._make_lock(mission.vehicle.lock, driver, faults)
+        self.poses: FastPoses | None = None
+        if mission.vehicle.mocap.url is not None:
+            self.poses = self._make_poses()
         self.faulted = None if fault is None else FlightWithFault(self, fault, seed)
+
+    def _make_poses(self) -> FastPoses:
+        from dart_flight.run.fast_poses import FastPoses  # noqa: PLC0415  (MAVSDK takes long to load)
+
+        return FastPoses(self.mission, self.autopilot, _FastClock(self), self._arrive)
 
     def _make_lock(self, lock: LockConfig, driver: LockDriver, faults: MockFaults | None) -> LockSession:
         def clock_us() -> int:
@@ -236,6 +265,8 @@ class FastFlight:
             self._word_us = None
             self.take(OperatorRequest(self.host_us, Request.CONTINUE))
         self._telemetry()
+        if self.poses is not None:
+            self.poses.tick()
         if self.faulted is not None:
             for item in self.faulted.arrived():
                 self._arrive(item)
@@ -318,6 +349,8 @@ class FastFlight:
             self._replanner.update_wall(output)
         elif isinstance(output, FrameAnchor) and self._replanner is not None:
             self._replanner.move_frame(output)
+        elif isinstance(output, PosesWithheld) and self.poses is not None:
+            self.poses.withhold()
         elif isinstance(output, Silence):
             self._last_setpoint = None
 

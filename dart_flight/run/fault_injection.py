@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import msgspec
 
@@ -28,6 +28,9 @@ from dart_flight.sim.faults.impairment import Impairment, LossyLink
 from dart_flight.sim.faults.twin import make_second_vehicle
 from dart_flight.sim.simulated_vehicle import SimulatedVehicle
 
+if TYPE_CHECKING:
+    from dart_flight.run.fast_poses import FastPoses
+
 
 class TimeRequest(NamedTuple):
     """TIMESYNC on its way to the autopilot; sent at a host time."""
@@ -45,6 +48,7 @@ class FaultyFlight(Protocol):
     vehicle: SimulatedVehicle
     autopilot: Autopilot
     mock: MockDriver | None
+    poses: FastPoses | None
     deadman_s: float
 
     @property
@@ -124,6 +128,9 @@ class FlightWithFault:
         elif place is FaultSite.LOCK:
             if flight.mock is not None:
                 flight.mock.inject(mock_faults_of(fault))
+        elif place is FaultSite.MOCAP:
+            if flight.poses is not None:
+                flight.poses.begin_fault(fault)
         elif place is not FaultSite.APP:
             self._vehicle = VehicleFault(flight.vehicle, fault)
 

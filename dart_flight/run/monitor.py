@@ -2,8 +2,8 @@
 
 `TelemetryMonitor` is handed every record by MAVSDK's thread; estimator and detector work through them a few
 times a second on another, which takes a third of what it takes one by one as they come. `view` is what a
-screen shows of it. Nothing is ever sent to the vehicle beside requests for streams that come too slowly: on
-a link shared with a flying `dart-flight` none is slowed.
+screen shows of it. Nothing is sent to the vehicle beside requests for streams that come too slowly, and the
+poses of a motion capture: on a link shared with a flying `dart-flight` none is slowed.
 """
 
 from __future__ import annotations
@@ -31,6 +31,7 @@ from dart_flight.base.records import (
     OdometrySample,
     PhaseChange,
     PlanTaken,
+    PoseSample,
     Record,
     StatusText,
     WallEstimate,
@@ -42,6 +43,8 @@ from dart_flight.core.sense.senses import Senses
 from dart_flight.lock.state_machine import status_text
 from dart_flight.recording.follow import LogFollower
 from dart_flight.vehicle.clock import host_us
+from dart_flight.vehicle.motion_capture.bridge import forwarding
+from dart_flight.vehicle.motion_capture.pose_statistics import PoseFigures, PoseStatistics
 from dart_flight.vehicle.vehicle_session import VehicleSession, connect
 
 _STREAM_OF = {
@@ -100,6 +103,7 @@ class MonitorView(msgspec.Struct):
     cpu_percent: float
     walls: list[WallView] = msgspec.field(default_factory=list)  # only of a flight of ours
     plan: str | None = None  # what became of the newest plan made in flight
+    poses: PoseFigures | None = None  # of the motion capture, once a pose has arrived
 
 
 class TelemetryMonitor:
@@ -129,6 +133,8 @@ class TelemetryMonitor:
         self._materials = {w.name: mission.vehicle.materials[w.material] for w in mission.walls}
         self._walls: dict[str, WallView] = {}
         self._plan: str | None = None
+        self.mocap = mission.vehicle.mocap
+        self._poses: PoseStatistics | None = None
         self._began_us = host_us()
         self._cpu = (time.monotonic(), time.process_time())
 
@@ -172,6 +178,10 @@ class TelemetryMonitor:
 
     def _take(self, item: Input) -> list[Record]:
         """What the senses make of it: an estimate, and the impacts found in it."""
+        if isinstance(item, PoseSample) and self._poses is None:
+            self._poses = PoseStatistics(self.mocap.room_frame(), self.mocap.delay_ms)
+        if self._poses is not None:
+            self._poses.update(item)
         name = _STREAM_OF.get(type(item))
         if name is not None:
             # The host's clock is the machine's: for a log that a flight here is writing, too.
@@ -234,6 +244,7 @@ class TelemetryMonitor:
             cpu_percent=self._cpu_percent(),
             walls=list(self._walls.values()),
             plan=self._plan,
+            poses=self._poses.figures(now) if self._poses is not None else None,
         )
 
     def _stream(self, name: str, expected_hz: float, now: int) -> StreamView:
@@ -273,6 +284,7 @@ async def monitor_vehicle(
 
     Raises:
         VehicleError: no autopilot at the URL.
+        InputError: the motion capture cannot be opened.
     """
     wait_s = timeout_s if seconds is None else min(timeout_s, seconds)
     async with connect(url, wait_s, watcher.take, ground=True, opened=opened) as session:
@@ -280,7 +292,9 @@ async def monitor_vehicle(
         rates = asyncio.create_task(_raise_rates(watcher, session))
         end = None if seconds is None else time.monotonic() + seconds
         shown_s = time.monotonic()
+        poses = contextlib.ExitStack()
         try:
+            poses.enter_context(forwarding(watcher.mocap, session.send_message, session.clock, watcher.take))
             while end is None or time.monotonic() < end:
                 await asyncio.sleep(_WORK_S)
                 watcher.work()
@@ -288,6 +302,7 @@ async def monitor_vehicle(
                     shown_s = time.monotonic()
                     show(watcher.view())
         finally:
+            poses.close()
             rates.cancel()
             with contextlib.suppress(asyncio.CancelledError):
                 await rates

@@ -9,10 +9,14 @@ import msgspec
 
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission, load_mission
+from dart_flight.config.parameter_file import PositionSource
 from dart_flight.config.vehicle import LockDriver
 from dart_flight.core.flight_core import FlightCore
 from dart_flight.core.mission.approach import NoApproachError
 from dart_flight.planning.envelope import impact_problem
+from dart_flight.planning.positioning import simulated_source
+from dart_flight.sim.motion_capture import BODY, KINDS
+from dart_flight.vehicle.motion_capture.source import parse_url
 
 # Measured on v1.18 SITL (docs/results/faster_hits.md): from an odometry sample's stamp to the attitude
 # setpoint that its answer makes, and the part of the attitude's lag that is its rate loop's.
@@ -67,6 +71,52 @@ def with_driver(mission: Mission, driver: LockDriver | None) -> Mission:
     lock = msgspec.structs.replace(mission.vehicle.lock, driver=driver)
     vehicle = msgspec.structs.replace(mission.vehicle, lock=lock)
     return msgspec.structs.replace(mission, vehicle=vehicle)
+
+
+def with_mocap(mission: Mission, url: str | None) -> Mission:
+    """Return the mission with another source of poses; None: the configuration's.
+
+    Raises:
+        InputError: the URL is not one of a pose source.
+    """
+    url = url if url is not None else mission.vehicle.mocap.url
+    if url is None:
+        return mission
+    parse_url(url)
+    mocap = msgspec.structs.replace(mission.vehicle.mocap, url=url)
+    vehicle = msgspec.structs.replace(mission.vehicle, mocap=mocap)
+    return msgspec.structs.replace(mission, vehicle=vehicle)
+
+
+def with_simulated_mocap(
+    mission: Mission, kind: str | None, source: PositionSource = PositionSource.MOCAP
+) -> Mission:
+    """Return the mission for a simulated vehicle whose position comes through an emulated motion capture.
+
+    Args:
+        mission: what to fly.
+        kind: of `sim.motion_capture.KINDS`; None: the simulated autopilot has its position by itself.
+        source: where the simulated autopilot's position comes from.
+
+    Raises:
+        InputError: there is no such kind, or the position comes from GPS.
+    """
+    if kind is not None and kind not in KINDS:
+        known = ", ".join(KINDS)
+        says = f"{kind!r}: a simulated vehicle's motion capture is emulated, give one of {known}"
+        raise InputError(says, key=("--mocap",))
+    if kind is not None and not simulated_source(mission) is source is PositionSource.MOCAP:
+        raise InputError("this vehicle's position comes from GPS", key=("--mocap",))
+    url = None if kind is None else f"{kind}://127.0.0.1/{BODY}"  # the emulated server has a port of its own
+    mocap = msgspec.structs.replace(mission.vehicle.mocap, url=url)
+    vehicle = msgspec.structs.replace(mission.vehicle, mocap=mocap)
+    return msgspec.structs.replace(mission, vehicle=vehicle)
+
+
+def emulated_kind(mission: Mission) -> str | None:
+    """Return which motion capture a simulated world emulates for a mission, or None."""
+    url = mission.vehicle.mocap.url
+    return None if url is None else url.partition(":")[0]
 
 
 def with_px4_delays(mission: Mission) -> Mission:

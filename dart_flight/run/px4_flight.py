@@ -18,9 +18,11 @@ from dart_flight.recording.found import PX4_LOG
 from dart_flight.recording.verdict import Px4Figures, TimeKind, Verdict
 from dart_flight.run.app import FlightApp
 from dart_flight.run.flight_record import FlightRecord, Onlooker
-from dart_flight.run.prepare import with_px4_delays
+from dart_flight.run.prepare import emulated_kind, with_px4_delays
+from dart_flight.run.program_fault import ProgramFault
 from dart_flight.run.simulator_process import Px4SimulatorProcess, SimulatorProcess, fly_simulated
 from dart_flight.sim.draws import draw_world
+from dart_flight.sim.faults.fault_table import Fault
 from dart_flight.sim.pipe import Px4SimulatorSpec, SimulatorSpec, need_mavlink
 from dart_flight.vehicle.clock import LockstepClock
 from dart_flight.vehicle.link import LinkLease, free_link
@@ -40,6 +42,7 @@ def fly_px4(
     realtime: bool = False,
     parameter_files: tuple[Path, ...] = (),
     spreads: Mapping[str, float] | None = None,
+    fault: Fault | None = None,
     viewer: Onlooker | None = None,
 ) -> Verdict:
     """Fly through MAVSDK over UDP against a real PX4 SITL on our plant, in lockstep.
@@ -55,6 +58,7 @@ def fly_px4(
         realtime: whether simulated time does not wait for this program.
         parameter_files: PX4 parameters on top of `configs/px4/`.
         spreads: what is drawn anew by the seed (`sim.draws`).
+        fault: what goes wrong with the motion capture.
         viewer: sees every record, on the thread that took it.
 
     Raises:
@@ -77,7 +81,14 @@ def fly_px4(
     px4 = Px4SimulatorSpec(str(install.program.parents[1]), str(folder.resolve()), parameters, position_from)
     record.time = TimeKind.REALTIME if realtime else TimeKind.LOCKSTEP
     spec = SimulatorSpec(
-        mission, seed, [], px4=px4, spreads=dict(spreads or {}), speed=speed, lockstep=not realtime
+        mission,
+        seed,
+        [],
+        px4=px4,
+        spreads=dict(spreads or {}),
+        speed=speed,
+        lockstep=not realtime,
+        mocap=emulated_kind(mission),
     )
 
     with contextlib.ExitStack() as leases:
@@ -90,7 +101,7 @@ def fly_px4(
             url = f"udpin://127.0.0.1:{world.port}"
             if realtime:  # PX4 derives the port from its instance
                 leases.enter_context(LinkLease(url, "dry-run --px4", record.path))
-            return FlightApp(
+            app = FlightApp(
                 mission,
                 url,
                 record,
@@ -99,7 +110,11 @@ def fly_px4(
                 LockstepClock(speed) if realtime else None,
                 lock_faults=drawn.lock_faults,
                 lockstep=not realtime,
+                mocap_url=world.mocap_url,
             )
+            if fault is not None:
+                record.onlookers.append(ProgramFault(fault, app, world, record.path))
+            return app
 
         world = fly_simulated(record, spec, make_app, Px4SimulatorProcess)
     ulog = folder / PX4_LOG

@@ -74,6 +74,11 @@ class SimulatorProcess:
         return self.ready.port
 
     @property
+    def mocap_url(self) -> str | None:
+        """URL of the emulated motion capture, or None without one."""
+        return self.ready.mocap_url if self.ready is not None else None
+
+    @property
     def version(self) -> str | None:
         """The autopilot's version, where it told."""
         return self.ready.version if self.ready is not None else None

@@ -14,6 +14,7 @@ from typing import Final
 
 import msgspec
 
+from dart_flight.base.geometry import Vec3
 from dart_flight.base.records import (
     ActuatorSample,
     AttitudeSample,
@@ -25,6 +26,7 @@ from dart_flight.base.records import (
     OdometrySample,
     PlanAnswer,
     PlanRequest,
+    PoseSample,
     Setpoint,
 )
 from dart_flight.core.pace import BATCH_S
@@ -48,13 +50,16 @@ class StepReporter:
 
     Args:
         send: function that writes one line to the world; must not block.
+        batches: whether the world may advance by batches; poses between the samples of a batch would be
+            stepped in an order that the computer's load decides.
 
     Attributes:
         clock: clock of simulated time.
     """
 
-    def __init__(self, send: Callable[[bytes], object]) -> None:
+    def __init__(self, send: Callable[[bytes], object], batches: bool = True) -> None:
         self.clock = SimulatedTime()
+        self._batches = batches
         self._send = send
         self._guard = threading.Lock()
         self._open = 0
@@ -65,7 +70,7 @@ class StepReporter:
         self._batched = False
         self._hold_us = 0  # IMU samples stamped earlier wait for the rest of their batch
         self._streams: dict[str, int] = {}
-        self._setpoint: tuple[float | None, ...] | None = None
+        self._sent: dict[str, tuple[float | None, ...]] = {}
         self._begun, self._flies = False, True
 
     def begin(self) -> None:
@@ -103,11 +108,13 @@ class StepReporter:
         """
         with self._guard:
             if batched is not None:
-                self._batched = batched
+                self._batched = batched and self._batches
             for item in items:
                 stream = _STREAMS.get(type(item))
                 if stream is not None:
                     self._streams[stream] = max(item.t_us, self._streams.get(stream, 0))  # type: ignore[union-attr]
+                elif isinstance(item, PoseSample):
+                    self._streams["pose"] = item.frame_number or 0
                 elif isinstance(item, CommandResult):
                     self._commands -= 1
                 elif isinstance(item, PlanAnswer | ContactAnswer):
@@ -158,11 +165,16 @@ class StepReporter:
     def sent(self, setpoint: Setpoint) -> None:
         """Note the setpoint that was passed to MAVSDK."""
         with self._guard:
-            self._setpoint = (
+            self._sent["setpoint"] = (
                 *setpoint.position_ned,
                 *(setpoint.velocity_ned or _UNUSED),
                 *(setpoint.acceleration_ned or _UNUSED),
             )
+
+    def sent_pose(self, position_ned: Vec3) -> None:
+        """Note the pose that was passed to MAVSDK."""
+        with self._guard:
+            self._sent["pose"] = position_ned
 
     def _report(self) -> None:
         if not self._begun:
@@ -172,5 +184,5 @@ class StepReporter:
         waits = bool(self._commands or self._due)
         batch_us = _BATCH_US if self._batched and imu_us is not None and not waits else 0
         self._hold_us = 0 if imu_us is None or not batch_us else imu_us + batch_us
-        report = Stepped(self._streams, self._setpoint, self._commands, due_us, batch_us, self._flies)
+        report = Stepped(self._streams, self._sent, self._commands, due_us, batch_us, self._flies)
         self._send(msgspec.json.encode(report))

@@ -1,1 +1,1 @@
-"""Simulated worlds: one plant, an embedded autopilot on it, and the ways to fly them."""
+"""Simulated worlds: the plant, the embedded autopilot, and their processes."""

@@ -1,4 +1,4 @@
-"""Control allocation: how much of roll, pitch, yaw and lift each motor gives, by PX4's pseudo-inverse."""
+"""Control allocation by PX4's pseudo-inverse: the thrust of each motor for roll, pitch, yaw and lift."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ class Allocation:
     """Shares of the thrust of each motor.
 
     Args:
-        motors: of the airframe, which can be turned about every axis (`config.vehicle.configuration`).
+        motors: of the airframe, which can be controlled about every axis (`config.vehicle.configuration`).
     """
 
     def __init__(self, motors: Sequence[Motor]) -> None:
@@ -20,14 +20,14 @@ class Allocation:
         self._lift = [row[3] for row in self._rows]
 
     def shares(self, roll: float, pitch: float, yaw: float, up: float) -> list[float]:
-        """Share of its full thrust that each motor is to give; where one saturates, lift gives way.
+        """Return the share of full thrust of each motor; if one saturates, the lift is reduced or raised.
 
         Args:
             roll, pitch, yaw: normalised torques, FRD.
             up: normalised collective thrust.
 
         Returns:
-            In the motors' order; below 0 or above 1 only where the torques alone ask for more than the range.
+            In the motors' order; outside 0 to 1 only if the torques alone exceed the range.
         """
         largest = self._largest
         wanted = [up * u + largest * (r * roll + p * pitch) + y * yaw for r, p, y, u in self._rows]

@@ -1,9 +1,9 @@
 """PX4's multicopter control cascade (P-PID), with PX4's parameter names: position, velocity, attitude, rate.
 
-Written from PX4's documentation of the controller diagrams: P on position gives velocity, PID on velocity
-gives acceleration, acceleration gives a thrust vector and with the yaw an attitude, P on the attitude error
-(tilt before heading) gives body rates, PID on rates gives torques, which the allocation turns into motor
-commands.
+It follows PX4's documentation of the controller diagrams. P on position gives a velocity, and PID on velocity
+gives an acceleration. The acceleration gives a thrust vector and, with the yaw, an attitude. P on the
+attitude error (tilt before heading) gives body rates. PID on the rates gives torques, which the allocation
+converts to motor commands.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ from dart_flight.sim.allocation import Allocation
 
 _FREE = (math.nan, math.nan, math.nan)
 _MAX_RATE = (math.radians(220.0), math.radians(220.0), math.radians(200.0))  # MC_*RATE_MAX defaults
-_NOT_SUMMED = math.radians(400.0)  # the larger a rate error, the less of it goes into the integral
+_NOT_SUMMED = math.radians(400.0)  # weight of the integral decreases with the rate error
 _MAX_YAW: Final = 0.15  # of the normalised torque
 _YAW_WEIGHT: Final = 0.4  # MC_YAW_WEIGHT default
 _HORIZONTAL_MARGIN: Final = 0.3  # MPC_THR_XY_MARG default: thrust kept for horizontal control when saturated
 
 
 class TrajectorySetpoint:
-    """What the position controller follows, NED; NaN components are not controlled."""
+    """Setpoint of the position controller, NED; NaN components are not controlled."""
 
     def __init__(
         self,
@@ -47,11 +47,11 @@ class TrajectorySetpoint:
 
 
 class Cascade:
-    """The controllers and their memory.
+    """The controllers with their states.
 
     Args:
         parameters: PX4 parameters by name; read at every step, so that a PARAM_SET takes effect.
-        hover_thrust: MPC_THR_HOVER, as PX4's hover thrust estimator would find it.
+        hover_thrust: MPC_THR_HOVER, as found by PX4's hover thrust estimator.
         thrust: the motors' curve (THR_MDL_FAC), which is inverted.
         motors: the airframe's (CA_ROTOR*).
     """
@@ -70,7 +70,7 @@ class Cascade:
         self.thrust_setpoint = 0.0
 
     def reset(self) -> None:
-        """Forget integrals, as PX4 does while landed."""
+        """Reset the integrals, as PX4 does while landed."""
         self._velocity_integral = [0.0, 0.0, 0.0]
         self._rate_integral = [0.0, 0.0, 0.0]
         self._velocity_last = None
@@ -101,7 +101,7 @@ class Cascade:
         thrust = self._thrust_vector(acceleration)
         achieved = (thrust[0] * GRAVITY_M_S2 / self.hover, thrust[1] * GRAVITY_M_S2 / self.hover)
         for i in range(2):
-            # Anti-windup: what the tilt and thrust limits took away does not integrate.
+            # Anti-windup: the part removed by tilt and thrust limits is not integrated.
             excess = acceleration[i] - achieved[i]
             if abs(excess) > 1e-6 and excess * error[i] > 0.0:
                 error[i] -= 2.0 / gains[i][0] * excess
@@ -139,7 +139,7 @@ class Cascade:
         return (wanted[0], wanted[1], wanted[2])
 
     def _thrust_vector(self, acceleration: list[float]) -> Vec3:
-        """Normalised thrust vector (NED) for an acceleration, tilt and size limited, height first."""
+        """Return the normalised thrust vector (NED) for an acceleration; limits keep the height first."""
         g = self.parameters
         limit = math.tan(math.radians(g["MPC_TILTMAX_AIR"])) * GRAVITY_M_S2
         ax, ay = acceleration[0], acceleration[1]
@@ -151,7 +151,7 @@ class Cascade:
         vertical = min(-g["MPC_THR_MIN"], vertical)
         top = g["MPC_THR_MAX"]
         vertical = max(vertical, -math.sqrt(top * top - _HORIZONTAL_MARGIN * _HORIZONTAL_MARGIN))
-        # The lateral acceleration follows from the tilt, whatever the vertical thrust is.
+        # The lateral acceleration follows from the tilt, independently of the vertical thrust.
         tx, ty = ax * per_g, ay * per_g
         room = math.sqrt(max(0.0, top * top - vertical * vertical))
         lateral = math.hypot(tx, ty)
@@ -172,7 +172,7 @@ class Cascade:
     # -- attitude, rate, allocation --
 
     def update_attitude(self, q: Quaternion, rate: Vec3, dt_s: float) -> tuple[float, ...]:
-        """Motor commands 0..1 for the attitude and thrust setpoints."""
+        """Return motor commands, 0 to 1, for the attitude and thrust setpoints."""
         g = self.parameters
         error = _attitude_error(q, self.attitude_setpoint)
         sign = 2.0 if error[0] >= 0.0 else -2.0
@@ -199,15 +199,15 @@ class Cascade:
 
 
 def _attitude_error(q: Quaternion, wanted: Quaternion) -> Quaternion:
-    """Rotation from an attitude to the wanted one, body axes, tilt before heading.
+    """Return the rotation from an attitude to the wanted one, body axes, tilt before heading.
 
-    Thrust is brought to where it should point by the shortest way; of the turn about it that is then left,
-    only a share is asked for (MC_YAW_WEIGHT). The whole rotation would mix the two: half a turn off in
-    heading, it tilts the vehicle across the direction in which it must be righted.
+    The thrust direction is corrected by the shortest rotation. Of the remaining rotation about it, only a
+    share is commanded (MC_YAW_WEIGHT). The complete rotation would mix the two: with half a turn of heading
+    error, it would tilt the vehicle across the direction in which it must be righted.
     """
     up, up_wanted = body_up(q), body_up(wanted)
     cosine = up[0] * up_wanted[0] + up[1] * up_wanted[1] + up[2] * up_wanted[2]
-    if cosine < -0.9999:  # upside down: every way is as short
+    if cosine < -0.9999:  # upside down: every rotation is equally short
         return quaternion_multiply(quaternion_conjugate(q), wanted)
     w = math.sqrt(0.5 * (1.0 + cosine))
     x, y, z = _cross(up, up_wanted)
@@ -229,9 +229,9 @@ def _unit(a: Vec3) -> Vec3:
 
 
 def _quaternion_from_axes(x: Vec3, y: Vec3, z: Vec3) -> Quaternion:
-    """Rotation whose columns are the body axes in the world."""
+    """Return the rotation whose columns are the body axes in the world."""
     trace = x[0] + y[1] + z[2]
-    # The best conditioned of the four forms.
+    # Use the best conditioned of the four forms.
     if trace > 0.0:
         s = 2.0 * math.sqrt(1.0 + trace)
         q = (0.25 * s, (y[2] - z[1]) / s, (z[0] - x[2]) / s, (x[1] - y[0]) / s)

@@ -1,4 +1,4 @@
-"""Datagrams between a simulated vehicle and peers that may not listen yet, or no longer."""
+"""Datagrams between a simulated vehicle and peers that may not be listening."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def receive_datagram(link: socket.socket) -> tuple[bytes, Address] | None:
             return link.recvfrom(4096)
         except BlockingIOError:
             return None
-        except ConnectionRefusedError:  # of an earlier datagram, because no peer listened
+        except ConnectionRefusedError:  # from an earlier datagram, because no peer listened
             continue
         except OSError as error:
             raise FlightError(f"cannot receive: {error.strerror or error}") from None

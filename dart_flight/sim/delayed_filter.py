@@ -1,6 +1,6 @@
-"""A small model of PX4's EKF2 with a wrong EKF2_EV_DELAY, the assumed age of motion-capture poses.
+"""A small model of PX4's EKF2, which takes every motion-capture pose to be EKF2_EV_DELAY old on arrival.
 
-`Estimator` uses the true age of every pose, so it cannot model this error. This filter works like EKF2. A
+`Estimator` uses the true age of every pose, so it cannot model a wrong delay. This filter works like EKF2. A
 Kalman filter runs about 0.15 s behind the present and fuses the pose with that configured time. An output
 predictor propagates its state to the present by the IMU. The filter attributes a pose of the wrong time to
 velocity, tilt and accelerometer bias, and rejects poses beyond its gate, so the estimate oscillates. Gains,
@@ -44,6 +44,7 @@ _ACCELERATION_M_S2, _RATE_RAD_S, _BIAS_M_S3 = 0.35, 0.015, 0.003  # EKF2_ACC_NOI
 _POSITION_M, _YAW_RAD = 0.01, 0.02  # EKF2_EVP_NOISE, EKF2_EVA_NOISE
 _POSITION_GATE, _YAW_GATE = 5.0, 2.6  # EKF2_EVP_GATE, EKF2_HDG_GATE, standard deviations
 _RESET_AFTER_S: Final = 1.0  # without a pose within the gate
+_INVALID_AFTER_S: Final = 5.0  # EKF2_NOAID_TOUT: without a pose
 _BIAS_MOST_M_S2: Final = 0.4  # EKF2_ABL_LIM
 _BIAS_LEARNT_BELOW_M_S2, _BIAS_MEMORY_S = 25.0, 0.5  # EKF2_ABL_ACCLIM, EKF2_ABL_TAU
 _OUTPUT_S: Final = 0.25  # EKF2_TAU_POS, EKF2_TAU_VEL
@@ -96,6 +97,8 @@ class DelayedFilter:
         self._now_s = t_s
         if not self._updates:
             return
+        if t_s - self._fused_s > _INVALID_AFTER_S:
+            self._of.ok = False
         self._of.rate = rate_frd
         f = subtract(specific_force_frd, self._accelerometer_bias)
         self._of.position, self._of.velocity, self._of.q = _moved(
@@ -119,7 +122,7 @@ class DelayedFilter:
             self._of.position, self._of.q = position_ned, q
             self._at_p, self._at_q = position_ned, q
         self._poses.append((self._now_s - self._delay_s - 0.5 * _STEP_S, position_ned, q))
-        self._of.ok = self._of.ok or self._updates > 50
+        self._of.ok = self._of.ok or (self._updates > 50 and self._now_s - self._fused_s < _INVALID_AFTER_S)
 
     def shift(self, by_ned: Vec3) -> None:
         """Jump, as EKF2 does at a reset."""

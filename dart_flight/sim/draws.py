@@ -1,7 +1,7 @@
-"""The world as it really is in one flight: what `--vary` draws from a seed, and what it changes.
+"""The true world of one flight: quantities that `--vary` draws from a seed, and their effects.
 
-The flight core believes the mission; the simulated vehicle flies in the drawn one. Every quantity has its own
-stream of random numbers, so that varying one more leaves the others as they were.
+The flight core uses the mission; the simulated vehicle flies in the drawn world. Every quantity has its own
+random sequence, so drawing one more does not change the others.
 """
 
 from __future__ import annotations
@@ -24,35 +24,35 @@ from dart_flight.lock.servo import ServoFaults
 Drawn = dict[str, float | str]
 
 _RINGING_M_S2 = (2.0, 3.0)  # of one sample in hover, per axis, in recordings (docs/results/real_data.md)
-_RINGING_WHITE_M_S2 = 0.8  # of that without colour: what a mean over 32 ms of those recordings leaves
-_MIN_FACTOR = 0.1  # no quantity shrinks below this share of its nominal value
-# Default spreads: standard deviations, relative where there is no unit.
+_RINGING_WHITE_M_S2 = 0.8  # white part, from means over 32 ms of those recordings
+_MIN_FACTOR = 0.1  # lower limit of a factor on a nominal value
+# Default spreads: standard deviations, relative if there is no unit.
 SPREADS: Final[Mapping[str, float]] = {
     "contact": 0.2,  # friction on wood varied in 2 of 5 flights of the paper
-    "contact_scatter": 0.05,  # from one hit to the next at the same wall
-    "lock_true_mode": 0.01,  # probability that the lock is stuck or half engaged, whatever it reports
+    "contact_scatter": 0.05,  # between impacts on the same wall
+    "lock_true_mode": 0.01,  # probability that the lock is stuck or half engaged, regardless of its report
     "wall_offset_m": 0.03,  # a tape measure and a moved panel
     "wall_yaw_deg": 4.0,
     "guard_height_m": 0.02,  # battery and payload move the centre of mass
     "mass": 0.03,
-    "wind_m_s": 0.5,  # a room with an open door, the vehicle's own wash; gusts of half of it
-    "servo": 0.2,  # 0.15 to 0.19 s over 60 degrees without load, longer under it (maker)
+    "wind_m_s": 0.5,  # a room with an open door, and the vehicle's own wash; gusts have half of it
+    "servo": 0.2,  # 0.15 to 0.19 s over 60 degrees without load, longer with load (manufacturer)
     "battery": 0.05,
     "imu": 0.02,  # metres: a flight controller beside the battery
     "replan_latency_s": 0.02,  # 15 to 25 ms on one core (docs/replanning.md)
 }
 NAMES = tuple(SPREADS)
-LOCK_TRUE_MODE, AS_COMMANDED = "lock_true_mode", "as commanded"  # in `drawn`, of a lock without a fault
+LOCK_TRUE_MODE, AS_COMMANDED = "lock_true_mode", "as commanded"  # value in `drawn` of a lock without a fault
 _OF_LOCK = (LOCK_TRUE_MODE, "servo")
 
 
 class DrawnWorld(NamedTuple):
-    """One draw.
+    """The result of a draw.
 
     Attributes:
         mission: with the true vehicle and the true walls; for the simulated vehicle only.
         lock_faults: of the mock servo.
-        drawn: name -> value, for log and verdict.
+        drawn: values by name, for log and verdict.
     """
 
     mission: Mission
@@ -61,10 +61,10 @@ class DrawnWorld(NamedTuple):
 
 
 def parse_vary(settings: Iterable[str], vehicle: VehicleConfig) -> dict[str, float]:
-    """Spreads by name from `NAME[=SD]`; `all` stands for every name that the vehicle has, at its default.
+    """Return the spreads by name from `NAME[=SD]`; `all` selects every name of the vehicle, at its default.
 
     Raises:
-        InputError: unknown name, of a part that the vehicle does not have, or not a number of at least 0.
+        InputError: an unknown name, a name for a part that the vehicle lacks, or a number below 0.
     """
     names = [n for n in NAMES if vehicle.has_lock or n not in _OF_LOCK]
     wanted: dict[str, float] = {}
@@ -90,15 +90,15 @@ def parse_vary(settings: Iterable[str], vehicle: VehicleConfig) -> dict[str, flo
 
 
 def draw_world(mission: Mission, seed: int, spreads: Mapping[str, float]) -> DrawnWorld:
-    """The world of one flight.
+    """Draw the world of one flight.
 
     Args:
-        mission: as believed.
+        mission: the mission, as assumed by the core.
         seed: the same seed and spreads give the same world.
         spreads: standard deviations by name (`parse_vary`).
     """
     world = DrawnWorld(mission, None, {})
-    for name in NAMES:  # in the table's order, whatever order they were asked in
+    for name in NAMES:  # in the table's order, independent of the requested order
         if spreads.get(name):
             world = _DRAWS[name](world, random.Random(f"{seed} {name}"), spreads[name])
     return world
@@ -125,7 +125,7 @@ def _with_contact(world: DrawnWorld, drawn: Drawn, **changes: object) -> DrawnWo
 
 
 def _contact(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
-    """k, f, mu and nu of every wall and mode, constant over the flight."""
+    """Draw k, f, mu and nu of every wall and mode, constant over the flight."""
     mission = world.mission
     materials, drawn = dict(mission.vehicle.materials), Drawn()
     renamed: dict[str, Wall] = {}
@@ -146,7 +146,7 @@ def _contact(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
 
 
 def with_walls(world: DrawnWorld, walls: Mapping[str, Wall]) -> DrawnWorld:
-    """The world with these walls, by name, all that stand; a post goes with its tangent plane."""
+    """Return the world with these walls (all that exist), by name; a post moves with its tangent plane."""
     mission = world.mission
     collisions = tuple(
         msgspec.structs.replace(c, wall=walls.get(c.wall.name, c.wall)) for c in mission.collisions
@@ -171,7 +171,7 @@ def with_walls(world: DrawnWorld, walls: Mapping[str, Wall]) -> DrawnWorld:
 
 
 def _wall_offset(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
-    """Every wall moved along its normal; its own standard deviation comes before the general one."""
+    """Move every wall along its normal; its own standard deviation overrides the general one."""
     walls, drawn = {}, Drawn()
     for wall in world.mission.standing_walls:
         own = wall.position_sd_m
@@ -182,7 +182,7 @@ def _wall_offset(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld
 
 
 def _wall_yaw(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
-    """Every wall turned about its middle, counter-clockwise seen from above; as `_wall_offset`."""
+    """Rotate every wall about its middle, counter-clockwise seen from above; as `_wall_offset`."""
     walls, drawn = {}, Drawn()
     for wall in world.mission.standing_walls:
         own = wall.yaw_sd_rad
@@ -193,7 +193,7 @@ def _wall_yaw(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
 
 
 def _contact_scatter(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
-    """k, f and mu anew for every hit; the plant draws them."""
+    """Draw k, f and mu again for every contact; the plant does this."""
     return _with_contact(world, {"contact_scatter": sd}, scatter=sd)
 
 
@@ -203,7 +203,7 @@ def _guard_height(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorl
 
 
 def _mass(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
-    """Mass, and inertia with it."""
+    """Draw the mass, and scale the inertia with it."""
     factor = _factor(rng, sd)
     vehicle = world.mission.vehicle
     ix, iy, iz = vehicle.airframe.inertia_kg_m2
@@ -216,7 +216,7 @@ def _mass(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
 
 
 def _wind(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
-    """Steady wind from anywhere, gusts of half its spread."""
+    """Draw a steady wind from any direction, with gusts of half its spread."""
     north, east = world.mission.vehicle.simulation.wind_north_east_m_s
     north, east = north + sd * rng.gauss(0.0, 1.0), east + sd * rng.gauss(0.0, 1.0)
     drawn: Drawn = {"wind_north_m_s": north, "wind_east_m_s": east}
@@ -224,7 +224,7 @@ def _wind(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
 
 
 def _servo(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
-    """Travel time under load."""
+    """Draw the travel time under load."""
     factor = _factor(rng, sd)
     faults = world.lock_faults or MockFaults()
     servo = msgspec.structs.replace(faults.servo, slow=factor)
@@ -234,7 +234,7 @@ def _servo(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
 
 
 def _lock_true_mode(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
-    """With this probability the servo does not do what it is told: stuck from the start, or half engaged."""
+    """With this probability make the servo ignore commands: stuck from the start, or half engaged."""
     if rng.random() >= sd:
         return world._replace(drawn=world.drawn | {LOCK_TRUE_MODE: AS_COMMANDED})
     if rng.random() < 0.5:
@@ -245,7 +245,7 @@ def _lock_true_mode(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWo
 
 
 def _battery(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
-    """Thrust of all motors, as by a battery fuller or emptier than believed."""
+    """Scale the thrust of all motors, as with a battery that is fuller or emptier than assumed."""
     factor = _factor(rng, sd)
     vehicle = world.mission.vehicle
     vehicle = msgspec.structs.replace(vehicle, thrust=vehicle.thrust.scaled(factor))
@@ -253,7 +253,7 @@ def _battery(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
 
 
 def _imu(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
-    """The IMU off the centre of mass, and a frame that rings as real ones do in hover."""
+    """Draw the IMU's offset from the centre of mass, and a vibration of the frame as in real hover."""
     x, y, z = world.mission.vehicle.simulation.imu_position_m
     position = (x + sd * rng.gauss(0.0, 1.0), y + sd * rng.gauss(0.0, 1.0), z + sd * rng.gauss(0.0, 1.0))
     shaking = rng.uniform(*_RINGING_M_S2)
@@ -264,7 +264,7 @@ def _imu(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
 
 
 def _replan_latency(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
-    """Longer, never shorter than the configured time."""
+    """Draw a latency that is not shorter than the configured one."""
     latency_s = world.mission.vehicle.simulation.replan_latency_s + sd * abs(rng.gauss(0.0, 1.0))
     return _with_simulation(world, {"replan_latency_s": latency_s}, replan_latency_s=latency_s)
 

@@ -84,6 +84,8 @@ class Autopilot:
         self.motors: tuple[float, ...] = self._stopped
         self._killed_at_s: float | None = None
         self.actuator_set: list[float] = [math.nan] * 6
+        self.pose: tuple[float, Vec3, Quaternion] | None = None  # that motion capture reports at this tick
+        self.fuses_own_pose = True  # else poses arrive by `take_pose`
         self.imu = ImuReading(0, (0.0, 0.0, -GRAVITY_M_S2), (0.0, 0.0, 0.0))
         self.failsafe: str | None = None
         self.imu_stuck = False  # faults: the reported IMU hangs, the flying one does not
@@ -188,6 +190,16 @@ class Autopilot:
         self._offboard = setpoint
         self._offboard_at_s = self.now_s
 
+    def expect_poses(self) -> None:
+        """From now on fuse the poses of `take_pose`, and not those of the simulated motion capture itself."""
+        self.fuses_own_pose = False
+        self.estimator.assume_delay(self.now_s, 1e-3 * float(self.parameters["EKF2_EV_DELAY"]))
+
+    def take_pose(self, position_ned: Vec3, q_frd_to_ned: Quaternion) -> None:
+        """Fuse a pose that arrives from outside, if the vehicle has no other."""
+        if not self.fuses_own_pose:
+            self.estimator.correct(self.now_s, position_ned, q_frd_to_ned)
+
     def set_actuator(self, index: int, value: float) -> None:
         """DO_SET_ACTUATOR: a peripheral's output, -1 to 1; it moves only when armed."""
         if 1 <= index <= 6:
@@ -215,10 +227,10 @@ class Autopilot:
         else:
             self.imu = ImuReading(self.time_us, measured, rate)
         self.estimator.predict(self.now_s, measured, rate, TICK_S)
-        pose = self.pose_sensor.measure(self.plant)
+        pose = self.pose = self.pose_sensor.measure(self.plant)
         if self.gps is not None:
             self._take_gps(self.gps, pose)
-        elif pose is not None:
+        elif pose is not None and self.fuses_own_pose:
             self.estimator.correct(*pose)
         self._tick += 1
         self._detect_landing()
@@ -348,6 +360,7 @@ def default_parameters(
     # It has the GPS's parameters as well: one that does not answer is asked for again and again.
     for source in (PositionSource.RTK, PositionSource.MOCAP, position_from):
         parameters |= {p.name: p.value for p in vehicle_parameters(source).values()}
+    parameters |= vehicle.mocap.measured_parameters()
     parameters |= {
         "COM_OBL_RC_ACT": 5,
         "COM_FAIL_ACT_T": _FAILSAFE_HOLD_S,

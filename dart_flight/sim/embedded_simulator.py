@@ -1,7 +1,7 @@
-"""The world of the embedded autopilot: plant, autopilot and MAVLink, in lockstep or not.
+"""The world of the embedded autopilot: plant, autopilot and MAVLink, with or without lockstep.
 
-When the app dies (end of input) the vehicle flies on to its failsafe, which goes to
-its text log, and the process ends once it has landed, 30 s later at the latest; after 3 s in a pilot's hands.
+If the app ends (end of input), the vehicle flies on to its failsafe and reports to its text log. The process
+ends once the vehicle has landed, after 30 s at the latest, or after 3 s in a pilot's mode.
 """
 
 from __future__ import annotations
@@ -23,15 +23,16 @@ from dart_flight.sim.pipe import (
     SimulatorSpec,
 )
 from dart_flight.sim.plant import Plant
+from dart_flight.sim.pose_feed import EmulatedMotionCapture
 from dart_flight.sim.served_world import WorldLog, serve
 from dart_flight.sim.simulated_vehicle import SimulatedVehicle
 
-_ORPHAN_S = 28.0  # after the app's death; with start and end it stays within 30 s
-_PILOT_S = 3.0  # likewise in a pilot's hands, where it only has to hold still
+_ORPHAN_S = 28.0  # after the end of the app; with start and stop it stays within 30 s
+_PILOT_S = 3.0  # the same in a pilot's mode, where the vehicle only has to hold still
 
 
 class EmbeddedSimulator:
-    """The simulated vehicle with the embedded autopilot, between the app's pipe and its sockets."""
+    """The simulated vehicle with the embedded autopilot, connected to the app's pipe and sockets."""
 
     def __init__(self, spec: SimulatorSpec) -> None:
         self._spec = spec
@@ -42,38 +43,44 @@ class EmbeddedSimulator:
         self._endpoint = MavlinkEndpoint(self._autopilot, tuple(spec.ports))
         self._log = WorldLog(spec.log)
         self._to_link = self._autopilot.say
-        self._autopilot.say = self._say
+        self._autopilot.say = self._report
         self._fault: VehicleFault | None = None
         self._link_back_s: float | None = None
         self._twin: tuple[SimulatedVehicle, MavlinkEndpoint] | None = None
+        self._mocap: EmulatedMotionCapture | None = None
+        if spec.mocap is not None:
+            self._autopilot.expect_poses()
+            self._mocap = EmulatedMotionCapture(spec.mocap, spec.mission, self._autopilot.plant)
 
     def run(self, commands: IO[bytes], truth: IO[bytes]) -> None:
-        """Fly at the wanted pace until the app is gone and the vehicle is down."""
+        """Fly at the requested pace until the app has ended and the vehicle is down."""
         writer = LineWriter(truth)
-        writer.put(Ready(self._autopilot.time_us))
+        writer.put(Ready(self._autopilot.time_us, mocap_url=self._mocap.url if self._mocap else None))
         lockstep = None
         if self._spec.lockstep:
             lockstep = Lockstep(self._endpoint, answers_at_rest=True, waits_at_first=True)
         try:
             serve(self, writer, commands, self._spec.speed, lockstep, self._endpoint.sockets)
         except FlightError as error:
-            self._say("critical", str(error))
+            self._report("critical", str(error))
             writer.put(SimulatorDied(str(error)))
             writer.finish()
-        self._say("info", "simulated vehicle stops")
+        self._report("info", "simulated vehicle stops")
+        if self._mocap is not None:
+            self._mocap.close()
         self._endpoint.close()
 
     @property
     def time_us(self) -> int:
-        """As `ServedWorld`."""
+        """Implement `ServedWorld`."""
         return self._autopilot.time_us
 
-    def _say(self, severity: str, text: str) -> None:
+    def _report(self, severity: str, text: str) -> None:
         self._to_link(severity, text)
         self._log.write(self._autopilot.now_s, f"{severity}: {text}")
 
     def advance(self) -> Plant:
-        """As `ServedWorld`."""
+        """Implement `ServedWorld`."""
         if self._fault is not None:
             self._fault.tick()
         if self._link_back_s is not None and self._autopilot.now_s >= self._link_back_s:
@@ -88,9 +95,11 @@ class EmbeddedSimulator:
         return self._autopilot.plant
 
     def begin_fault(self, fault: Fault) -> None:
-        """As `ServedWorld`."""
-        self._say("warning", f"fault {fault.name} {fault.value:g}")
-        if fault.kind.place is not FaultSite.LINK:
+        """Implement `ServedWorld`."""
+        self._report("warning", f"fault {fault.name} {fault.value:g}")
+        if self._mocap is not None and fault.kind.place is FaultSite.MOCAP:
+            self._mocap.feed.begin_fault(fault, self._autopilot.now_s)
+        elif fault.kind.place is not FaultSite.LINK:
             self._fault = VehicleFault(self._vehicle, fault)
         elif fault.name == "imu-dropout":
             self._endpoint.stop_imu()
@@ -103,9 +112,15 @@ class EmbeddedSimulator:
             if fault.name == "link-loss" and fault.value > 0.0:
                 self._link_back_s = self._autopilot.now_s + fault.value
 
+    def publish_pose(self) -> int | None:
+        """Implement `ServedWorld`."""
+        if self._mocap is None:
+            return None
+        return self._mocap.publish(self._autopilot.now_s, self._autopilot.pose)
+
     def is_over(self, alone_s: float) -> bool:
-        """As `ServedWorld`: it flies on to its failsafe, and ends when it has landed."""
+        """Implement `ServedWorld`: the vehicle flies on to its failsafe, and the world ends when landed."""
         if not alone_s and self._autopilot.armed:
-            self._say("warning", "app disconnected; continuing to the failsafe")
+            self._report("warning", "app disconnected; continuing to the failsafe")
         most_s = _PILOT_S if self._autopilot.mode is FlightMode.MANUAL else _ORPHAN_S
         return not self._autopilot.armed or alone_s > most_s

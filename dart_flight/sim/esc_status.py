@@ -1,4 +1,4 @@
-"""ESC_STATUS for the embedded autopilot: PX4 and MAVSDK have it, pymavlink's dialects leave it out."""
+"""ESC_STATUS for the embedded autopilot: PX4 and MAVSDK support it, but pymavlink's dialects omit it."""
 
 from __future__ import annotations
 
@@ -8,16 +8,17 @@ from typing import Any
 from pymavlink.dialects.v20 import common as mavlink
 
 MESSAGE_ID = 291
-# Of the name and the fields below in MAVLink's wire order (MAVLink's guide, "CRC_EXTRA calculation").
+# Checksum of the name and the fields below in MAVLink's wire order (MAVLink's guide, "CRC_EXTRA
+# calculation").
 _CRC_EXTRA = 10
 _FIELDS = struct.Struct("<Q4i4f4fB")
 
 
-_MOTORS = 4  # in one message
+_MOTORS = 4  # per message
 
 
 class EscStatuses:
-    """Speeds of all motors in the autopilot's order, four a message as PX4 sends them.
+    """Speeds of all motors in the autopilot's order, four per message as in PX4.
 
     Args:
         time_us: autopilot's time, microseconds.
@@ -28,7 +29,7 @@ class EscStatuses:
         self._time_us, self._rpm = time_us, rpm
 
     def pack(self, mav: Any) -> bytes:
-        """The messages on the wire."""
+        """Return the encoded messages."""
         first, *others = range(0, len(self._rpm), _MOTORS)
         data = self._part(first).pack(mav)
         for index in others:
@@ -42,12 +43,12 @@ class EscStatuses:
 
 
 class _EscStatusMessage(mavlink.MAVLink_message):  # type: ignore[misc]
-    """Speeds of four motors, the first of which has the number `index`."""
+    """Speeds of four motors, starting with number `index`."""
 
     def __init__(self, time_us: int, index: int, rpm: list[int]) -> None:
         super().__init__(MESSAGE_ID, "ESC_STATUS")
         self._payload = _FIELDS.pack(time_us, *rpm, *(0.0,) * 8, index)
 
     def pack(self, mav: Any, force_mavlink1: bool = False) -> bytes:
-        """The message on the wire."""
+        """Return the encoded message."""
         return bytes(self._pack(mav, _CRC_EXTRA, self._payload, force_mavlink1=force_mavlink1))

@@ -96,8 +96,8 @@ class Estimator:
         self.q = quaternion_multiply(turn, self.q)
         self._history = deque((t, p, v, quaternion_multiply(turn, q)) for t, p, v, q in self._history)
 
-    def mistake_delay(self, now_s: float, delay_s: float) -> None:
-        """From now on take every pose for `delay_s` old when it arrives, as a wrong EKF2_EV_DELAY does."""
+    def assume_delay(self, now_s: float, delay_s: float) -> None:
+        """From now on take every pose for `delay_s` old when it arrives, as PX4 does with EKF2_EV_DELAY."""
         self._delayed = DelayedFilter(self, self._updates > 0, now_s, delay_s)
 
     def correct(self, t_s: float, position_ned: Vec3, q: Quaternion) -> None:

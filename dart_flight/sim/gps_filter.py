@@ -1,4 +1,4 @@
-"""The gains of the embedded autopilot's estimator where GPS tells the position: a small Kalman filter."""
+"""Gains of the embedded autopilot's estimator with GPS: a small Kalman filter."""
 
 from __future__ import annotations
 
@@ -10,8 +10,12 @@ from dart_flight.base.geometry import Vec3
 
 
 class GpsWeights(NamedTuple):
-    """What the filter believes: EKF2_GPS_P_NOISE (m), EKF2_GPS_V_NOISE (m/s), and the accelerometer's bias
-    that it has learnt standing (NED, m/s2)."""
+    """Weights of the filter.
+
+    Attributes:
+        position_m, velocity_m_s: EKF2_GPS_P_NOISE and EKF2_GPS_V_NOISE.
+        standing_bias_ned: accelerometer bias estimated before take-off, m/s2.
+    """
 
     position_m: float
     velocity_m_s: float
@@ -19,7 +23,7 @@ class GpsWeights(NamedTuple):
 
 
 class GpsFilter:
-    """Covariance and gains of position, velocity and accelerometer bias of one axis, all axes alike."""
+    """Covariance and gains of position, velocity and accelerometer bias of one axis; all axes are equal."""
 
     _ACCELERATION_M_S2: Final = 0.35  # PX4's EKF2_ACC_NOISE, of samples at 100 Hz
     _BIAS_M_S3: Final = 0.003  # EKF2_ACC_B_NOISE
@@ -32,15 +36,15 @@ class GpsFilter:
 
     @property
     def position_sd_m(self) -> float:
-        """Of the horizontal position."""
+        """Standard deviation of the horizontal position, metres."""
         return float(np.sqrt(2.0 * self._p[0, 0]))
 
     def predict(self, dt_s: float) -> None:
-        """Time goes by."""
+        """Advance the time."""
         self._since_s += dt_s
 
     def correct(self) -> tuple[tuple[float, float], ...]:
-        """The gains of position, velocity and bias by a fix's position and velocity."""
+        """Return the gains of position, velocity and bias for a fix's position and velocity."""
         h, self._since_s = self._since_s, 0.0
         step = np.array([[1.0, h, 0.5 * h * h], [0.0, 1.0, h], [0.0, 0.0, 1.0]])
         q = (self._ACCELERATION_M_S2**2) * self._SAMPLE_S * h

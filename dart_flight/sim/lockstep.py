@@ -1,9 +1,9 @@
 """Lockstep with the application: simulated time does not advance until the application has answered.
 
-The world counts the messages that it has sent. The application reports which of them it has stepped, and the
-resulting setpoint (`Stepped`). Time does not advance while the core has telemetry to step, a setpoint is on
-its way to the autopilot, a lock order is not carried out, or a plan is due. A busy computer therefore makes a
-simulated flight slower and never different.
+The world counts the messages that it has sent. The application reports which of them it has stepped, and
+what it has sent itself (`Stepped`). Time does not advance while the core has telemetry or a pose to step, a
+setpoint or a pose is on its way to the autopilot, a lock order is not carried out, or a plan is due. A busy
+computer therefore makes a simulated flight slower and never different.
 
 A message also counts as stepped when a newer one of its stream has been stepped. A lost datagram therefore
 delays the world by `_LOST_S` only: then time advances by one tick, and the next message replaces it.
@@ -43,8 +43,8 @@ class LinkEnd(Protocol):
         """Newest stamp that was sent on each telemetry stream, microseconds."""
 
     @property
-    def setpoint(self) -> Sequence[float]:
-        """The last setpoint that has arrived: position, velocity, acceleration; NaN for unused numbers."""
+    def arrived(self) -> Mapping[str, Sequence[float]]:
+        """Last message of each kind that has arrived from the application, as in `Stepped.sent`."""
 
     def rest(self) -> None:
         """Answer requests that have arrived while time stands still."""
@@ -70,6 +70,7 @@ class Lockstep:
         self._report: Stepped | None = None
         self._unanswered_s = 0.0  # host time waited since the last report
         self._from_us: dict[str, int] = {}
+        self._published: dict[str, int] = {}  # newest number on each stream that is not the autopilot's
 
     @property
     def engaged(self) -> bool:
@@ -86,8 +87,15 @@ class Lockstep:
         """Process a report of the application."""
         if self._report is None:
             # Do not wait for messages that were sent before the application listened.
-            self._from_us = dict(self._autopilot.sent_us)
+            self._from_us = self._sent()
         self._report, self._unanswered_s = report, 0.0
+
+    def publish(self, stream: str, number: int) -> None:
+        """Count a message that the world has sent beside the autopilot's; `number` increases."""
+        self._published[stream] = number
+
+    def _sent(self) -> dict[str, int]:
+        return {**self._autopilot.sent_us, **self._published}
 
     def outstanding(self, next_us: int) -> str | None:
         """Return what must happen before simulated time `next_us`, as text, or None if time may advance."""
@@ -102,8 +110,10 @@ class Lockstep:
         if report.plan_due_us is not None and next_us > report.plan_due_us + TICK_US + self._sender_lag_us:
             return "the planner"
         # MAVSDK may hold a setpoint back until a command has its result.
-        if not report.commands and report.setpoint is not None and not self._has_arrived(report.setpoint):
-            return "a setpoint of the application"
+        if not report.commands:
+            for kind, values in report.sent.items():
+                if not self._has_arrived(kind, values):
+                    return f"a {kind} of the application"
         if (
             self._sender_lag_us
             and self._autopilot.sent_us.get("imu", next_us) < next_us - self._sender_lag_us
@@ -112,7 +122,7 @@ class Lockstep:
         batch_end_us = report.streams.get("imu", 0) + report.batch_us + self._sender_lag_us
         if report.batch_us and next_us <= batch_end_us:
             return None
-        for stream, sent_us in dict(self._autopilot.sent_us).items():  # a relay adds streams meanwhile
+        for stream, sent_us in self._sent().items():
             if sent_us > max(report.streams.get(stream, 0), self._from_us.get(stream, 0)):
                 return _TELEMETRY
         return None
@@ -149,9 +159,9 @@ class Lockstep:
                     return
             select.select(wake, [], [], _LOOK_S)
 
-    def _has_arrived(self, wanted: Sequence[float | None]) -> bool:
-        arrived = self._autopilot.setpoint
-        return all(
+    def _has_arrived(self, kind: str, wanted: Sequence[float | None]) -> bool:
+        arrived = self._autopilot.arrived.get(kind, ())
+        return len(arrived) == len(wanted) and all(
             value is None
             or math.isclose(value, here, rel_tol=_SETPOINT_TOLERANCE, abs_tol=_SETPOINT_TOLERANCE)
             for value, here in zip(wanted, arrived, strict=True)

@@ -27,6 +27,7 @@ from dart_flight.sim.embedded_autopilot import TICK_US, Autopilot
 from dart_flight.sim.faults.impairment import Impairment, LossyLink
 
 _PX4 = 12  # MAV_AUTOPILOT_PX4
+_AUTOPILOT = 1  # its component
 _VERSION = (1 << 24) | (16 << 16) | (0 << 8) | 255  # says v1.16.0, the version whose behaviour this imitates
 _HOME_LAT, _HOME_LON, _HOME_ALT = 33.4242, -111.9281, 360.0
 _EARTH_M_PER_DEG = 111_320.0
@@ -78,6 +79,7 @@ class Link:
         self.period_ticks: dict[int, int] = {}
         for message, (rate, _) in MESSAGES.items():
             self.set_rate(message, rate)
+        self.seen: set[tuple[int, int]] = set()  # systems and components that send on it
         self.parser = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
         self.parser.robust_parsing = True
         # Faults of the link: what leaves and what arrives goes through these.
@@ -118,7 +120,8 @@ class MavlinkEndpoint:
         self._heartbeat_s = -math.inf  # host time of the last one
         # What lockstep looks at (`sim.lockstep.LinkEnd`), of the first link.
         self.sent_us: dict[str, int] = {}
-        self.setpoint: tuple[float, ...] = (math.nan,) * 9
+        self.arrived: dict[str, tuple[float, ...]] = {}
+        self._rc_us = [1500] * 8  # channels of the transmitter, which is on; a ground station overrides them
         self._type = MAV_TYPES.get(len(autopilot.motors), MAV_TYPES[4])
         self._builders: dict[int, Callable[[], Any]] = {
             message: getattr(self, build.__name__)  # a subclass may say it otherwise
@@ -230,17 +233,32 @@ class MavlinkEndpoint:
                 for message in link.parser.parse_buffer(data) or []:
                     self._take(link, message)
 
+    def _forward(self, link: Link, message: Any, system: int, component: int) -> None:
+        """Pass a message to the other links as PX4 does with MAV_x_FORWARD: where its target was heard."""
+        link.seen.add((message.get_srcSystem(), message.get_srcComponent()))
+        for other in self.links:
+            known = any(system in (0, s) and component in (0, c) for s, c in other.seen)
+            if other is not link and known:
+                self._send_bytes(other, bytes(message.get_msgbuf()))
+
     def _take(self, link: Link, message: Any) -> None:
-        if getattr(message, "target_system", 0) not in (0, self._system):
-            return
+        system, component = getattr(message, "target_system", 0), getattr(message, "target_component", 0)
         kind = message.get_type()
+        if kind != "BAD_DATA" and (system, component) != (self._system, _AUTOPILOT):
+            self._forward(link, message, system, component)
+        if system not in (0, self._system) or (kind == "COMMAND_LONG" and component not in (0, _AUTOPILOT)):
+            return
         if kind == "COMMAND_LONG":
             self._command(link, message)
         elif kind == "SET_POSITION_TARGET_LOCAL_NED":
             self._position_target(message)
             if link is self.links[0]:
                 m = message
-                self.setpoint = (m.x, m.y, m.z, m.vx, m.vy, m.vz, m.afx, m.afy, m.afz)
+                self.arrived["setpoint"] = (m.x, m.y, m.z, m.vx, m.vy, m.vz, m.afx, m.afy, m.afz)
+        elif kind == "ODOMETRY":
+            self._external_pose(message)
+            if link is self.links[0]:
+                self.arrived["pose"] = (message.x, message.y, message.z)
         elif kind == "PARAM_REQUEST_READ":
             self._param_read(link, message)
         elif kind == "PARAM_REQUEST_LIST":
@@ -252,6 +270,8 @@ class MavlinkEndpoint:
             self._send(
                 link, mavlink.MAVLink_timesync_message(self.autopilot.time_us * 1000 or 1, message.ts1)
             )
+        elif kind == "RC_CHANNELS_OVERRIDE":
+            self._rc_us = [getattr(message, f"chan{n}_raw") for n in range(1, 9)]
         elif kind == "MISSION_REQUEST_LIST":
             reply = mavlink.MAVLink_mission_count_message(
                 message.get_srcSystem(), message.get_srcComponent(), 0, message.mission_type
@@ -349,6 +369,13 @@ class MavlinkEndpoint:
             )
         )
 
+    def _external_pose(self, message: Any) -> None:
+        """Fuse a pose; like PX4, ignore one in a frame or of an estimator that it does not read."""
+        local = message.frame_id in (mavlink.MAV_FRAME_LOCAL_NED, mavlink.MAV_FRAME_LOCAL_FRD)
+        if local and message.estimator_type == mavlink.MAV_ESTIMATOR_TYPE_VISION:
+            w, x, y, z = message.q
+            self.autopilot.take_pose((message.x, message.y, message.z), (w, x, y, z))
+
     # -- parameters --
 
     def _param_value(self, name: str, index: int) -> Any:
@@ -410,6 +437,7 @@ class MavlinkEndpoint:
             | mavlink.MAV_SYS_STATUS_SENSOR_VISION_POSITION
             | mavlink.MAV_SYS_STATUS_SENSOR_GPS
             | mavlink.MAV_SYS_STATUS_PREARM_CHECK
+            | mavlink.MAV_SYS_STATUS_SENSOR_RC_RECEIVER
         )
         ok = present
         if not a.estimator.ok:
@@ -508,6 +536,12 @@ class MavlinkEndpoint:
             self.autopilot.time_us, 6, lat, lon, round(alt * 1000), 60, 80, min(speed, 65534), 65535, 14
         )
 
+    def _rc_channels(self) -> Any:
+        unused = [65535] * (18 - len(self._rc_us))
+        return mavlink.MAVLink_rc_channels_message(
+            self._boot_ms, len(self._rc_us), *self._rc_us, *unused, 254
+        )
+
     def _home_position(self) -> Any:
         return mavlink.MAVLink_home_position_message(
             round(_HOME_LAT * 1e7),
@@ -558,6 +592,7 @@ MESSAGES: dict[int, tuple[float, Callable[[MavlinkEndpoint], Any]]] = {
     mavlink.MAVLINK_MSG_ID_ODOMETRY: (30.0, MavlinkEndpoint._odometry),
     mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: (10.0, MavlinkEndpoint._global_position),
     mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: (5.0, MavlinkEndpoint._gps_raw),
+    mavlink.MAVLINK_MSG_ID_RC_CHANNELS: (5.0, MavlinkEndpoint._rc_channels),
     mavlink.MAVLINK_MSG_ID_HOME_POSITION: (0.5, MavlinkEndpoint._home_position),
     mavlink.MAVLINK_MSG_ID_ACTUATOR_OUTPUT_STATUS: (0.0, MavlinkEndpoint._actuator_output_status),
     esc_status.MESSAGE_ID: (0.0, MavlinkEndpoint._esc_status),

@@ -67,6 +67,7 @@ class SimulatorSpec(msgspec.Struct):
     spreads: dict[str, float] = msgspec.field(default_factory=dict)  # what differs from the mission (`draws`)
     speed: float = 1.0  # highest number of simulated seconds per second
     lockstep: bool = False  # whether simulated time waits for the application (`sim.lockstep`)
+    mocap: str | None = None  # kind of the emulated motion capture that provides the autopilot's position
 
 
 class Horn(msgspec.Struct, tag="horn"):
@@ -89,9 +90,10 @@ class Stepped(msgspec.Struct, tag="stepped"):
     """Progress of the application; sent whenever it has no work left (`sim.lockstep`).
 
     Attributes:
-        streams: newest stamp that the core has stepped on each telemetry stream, microseconds.
-        setpoint: last setpoint passed to MAVSDK: position, velocity and acceleration, local NED; None for
-            unused numbers.
+        streams: newest stamp that the core has stepped on each telemetry stream, microseconds; of poses the
+            number of the newest frame.
+        sent: last message of each kind passed to MAVSDK, None for unused numbers: `setpoint` with position,
+            velocity and acceleration, `pose` with the position of a forwarded pose, local NED.
         commands: number of requests to the autopilot without a result.
         plan_due_us: due time of the planner's answer, or None without an open request.
         batch_us: span of samples that the core steps together; the world does not wait within it.
@@ -99,7 +101,7 @@ class Stepped(msgspec.Struct, tag="stepped"):
     """
 
     streams: dict[str, int]
-    setpoint: tuple[float | None, ...] | None = None
+    sent: dict[str, tuple[float | None, ...]] = msgspec.field(default_factory=dict)
     commands: int = 0
     plan_due_us: int | None = None
     batch_us: int = 0
@@ -110,12 +112,16 @@ WorldInput = Horn | Ping | FaultLine | Stepped
 
 
 class Ready(msgspec.Struct, tag="ready"):
-    """The autopilot sends from now on; `port` is the UDP port it sends to where it chose that itself."""
+    """The autopilot sends from now on; `port` is the UDP port it sends to where it chose that itself.
+
+    `mocap_url` is where an emulated motion-capture server sends its poses.
+    """
 
     time_us: int
     port: int | None = None
     version: str | None = None
     pid: int | None = None  # of the autopilot's own process, where it has one
+    mocap_url: str | None = None
 
 
 class Truth(msgspec.Struct, tag="truth"):

@@ -1,11 +1,11 @@
 """The simulated vehicle as a body: six degrees of freedom, motors, drag, walls, ground, arms.
 
-State in NED and FRD, as the autopilot sees it; walls are given in the mission frame, converted once.
-Contact acts at guards (`contact/propeller_guards.py`), or through the centre of mass as in the paper's
-equations (`simulation.contact.body: point`), by the law of `dart_flight.contact.law`, integrated in steps
-of 0.1 ms, the rest in steps of 1 ms; posts and walls' ends are met as `contact/cylinders.py` says.
-`tests/sim/test_plant.py` holds the point to the reference solutions, `tests/sim/test_body.py` and
-`tests/sim/test_ends_and_posts.py` the guards to independent rigid bodies.
+The state is in NED and FRD, as in the autopilot. Walls are given in the mission frame and converted once.
+Contacts act at guards (`contact/propeller_guards.py`), or through the centre of mass as in the paper's
+equations (`simulation.contact.body: point`), by the law of `dart_flight.contact.law`. They are integrated in
+steps of 0.1 ms, everything else in steps of 1 ms. `contact/cylinders.py` handles posts and the ends of walls.
+`tests/sim/test_plant.py` compares the point with reference solutions; `tests/sim/test_body.py` and
+`tests/sim/test_ends_and_posts.py` compare the guards with independent rigid bodies.
 """
 
 from __future__ import annotations
@@ -63,21 +63,21 @@ from dart_flight.contact.propeller_guards import (
 )
 
 STEP_S: Final = 0.001
-CONTACT_STEPS: Final = 10  # of 0.1 ms in one step of 1 ms
-_END_STEPS: Final = 40  # likewise near a wall's end, where a force may jump as a guard comes off or stands in
-_NEAR_WALL_M: Final = 0.08  # below 5 m/s no contact begins further away
-_NEAR_END_M: Final = 0.03  # ... and no guard comes to an edge (1 cm) from further away in one step
-_BEHIND_M: Final = -0.6  # a vehicle this far behind a plane is on the wall's other side
-_REBOUND_S: Final = 0.01  # a guard that comes back within this time belongs to the same contact
-_HALF_ENGAGED: Final = 0.5  # how free arms are with half-engaged rods
+CONTACT_STEPS: Final = 10  # steps of 0.1 ms in one step of 1 ms
+_END_STEPS: Final = 40  # the same near a wall's end, where a force may jump as a guard leaves the surface
+_NEAR_WALL_M: Final = 0.08  # below 5 m/s no contact begins at a greater distance
+_NEAR_END_M: Final = 0.03  # ... and no guard reaches an edge (1 cm) from a greater distance in one step
+_BEHIND_M: Final = -0.6  # a vehicle further behind a plane is on the wall's other side
+_REBOUND_S: Final = 0.01  # a guard that returns within this time belongs to the same contact
+_HALF_ENGAGED: Final = 0.5  # freedom of the arms with half-engaged rods, relative to unlocked arms
 _GROUND_M: Final = 0.01  # above it the landing gear touches nothing
 _UNTOUCHED: Final = UNTOUCHED
 _NO_FORCE = (0.0, 0.0, 0.0)
-_AT_REST = (0.0, 0.0, 0.0, 0.0)  # arms: displacement north, east in m; its speed in m/s
-_GAIN_M_S: Final = 0.5  # more than this no thrust adds to the speed within a tick
+_AT_REST = (0.0, 0.0, 0.0, 0.0)  # arms: displacement north, east in m; its rate in m/s
+_GAIN_M_S: Final = 0.5  # upper limit of the speed gained by thrust within a tick
 _QUARTER = 0.5 * math.pi  # the vehicle is four-fold symmetric
-GROUND_FRICTION: Final = 0.6  # rubber feet on a hall's floor
-_GROUND_STEPS: Final = 2  # a millisecond, where only the landing gear touches: nothing is measured there
+GROUND_FRICTION: Final = 0.6  # rubber feet on a hall floor
+_GROUND_STEPS: Final = 2  # per millisecond if only the landing gear touches; no measurement needs more
 _GROUND_SPEED_M_S: Final = 0.05  # regularisation of the ground's friction
 
 
@@ -85,8 +85,8 @@ class _WallPlane:
     """A wall in NED with the axes of its collision frame; `ends.plane` is its surface, for the guards.
 
     Attributes:
-        near_end: whether a guard may be near an end, or something is left of that.
-        away: whether the vehicle was too far off to touch it when that was last asked.
+        near_end: whether a guard may be near an end, or contact state is left there.
+        away: whether the vehicle was too far away to touch it at the last check.
     """
 
     def __init__(self, wall: Wall, point: Vec3, normal: Vec3, tangent: Vec3, ends: WallWithEnds) -> None:
@@ -105,11 +105,11 @@ class _WallPlane:
 
     @property
     def depths(self) -> list[float] | None:
-        """How far each guard gives way; None: as far as it is behind the surface."""
+        """Deflection of each guard; None: the depth behind the surface."""
         return self.ends.depths if self.near_end else None
 
     def move(self, away_m: float) -> None:
-        """Stand elsewhere: so far out along the normal."""
+        """Move the wall along its normal."""
         self.wall = self.wall.moved(away_m)
         self.point = add(self.point, scale(self.normal, away_m))
         self.ends = self.ends.moved(away_m)
@@ -118,8 +118,8 @@ class _WallPlane:
 class _StandingPost:
     """A post in NED."""
 
-    def __init__(self, post: Post, met: PostContact) -> None:
-        self.post, self.met = post, met
+    def __init__(self, post: Post, contact: PostContact) -> None:
+        self.post, self.contact = post, contact
 
     @property
     def name(self) -> str:
@@ -131,15 +131,15 @@ class _StandingPost:
 
     @property
     def depths(self) -> list[float] | None:
-        """How far each guard gives way."""
-        return self.met.depths
+        """Deflection of each guard."""
+        return self.contact.depths
 
 
 _Obstacle = _WallPlane | _StandingPost
 
 
 class _OpenContact:
-    """Book-keeping of a contact in progress."""
+    """Record of a contact in progress."""
 
     def __init__(
         self,
@@ -160,7 +160,7 @@ class _OpenContact:
         self.normal_in, self.tangential_in, self.position = vx, vy, position
         self.incidence, self.tilt, self.fold_share = incidence, tilt, fold_share
         self.peak_normal = self.peak_friction = self.peak_torque = 0.0
-        self.last_s = t_s  # of the newest force
+        self.last_s = t_s  # time of the newest force
         self.velocity_out: Vec3 = (0.0, 0.0, 0.0)
         self.rate_out: Vec3 = (0.0, 0.0, 0.0)
 
@@ -172,10 +172,10 @@ class Plant:
         vehicle: mass, motors, materials and so on.
         walls: mission frame, planes of the vehicle's centre.
         frame: the mission frame in local NED.
-        start_ned: where it stands, metres.
-        yaw_ned_rad: heading it stands at.
+        start_ned: initial position, metres.
+        yaw_ned_rad: initial heading.
         motors: the airframe's motors in the autopilot's order; the configuration's by default.
-        scatter_seed: of the coefficients' scatter from hit to hit.
+        scatter_seed: of the coefficients' scatter between contacts.
         posts: mission frame.
     """
 
@@ -201,10 +201,10 @@ class Plant:
         self.rate: Vec3 = (0.0, 0.0, 0.0)
         self.motor: list[float] = [0.0] * len(self.motors)
         self.ground_down = start_ned[2]
-        self.mode = vehicle.modes[-1]  # arms that can be locked are free at first
+        self.mode = vehicle.modes[-1]  # arms with a lock are initially unlocked
         self.wind_ned: Vec3 = (0.0, 0.0, 0.0)
-        self.contact_force_ned: Vec3 = (0.0, 0.0, 0.0)  # of walls, at the end of the last step
-        self.contact_torque_frd: Vec3 = (0.0, 0.0, 0.0)  # likewise, about the centre of mass
+        self.contact_force_ned: Vec3 = (0.0, 0.0, 0.0)  # from walls, at the end of the last step
+        self.contact_torque_frd: Vec3 = (0.0, 0.0, 0.0)  # from walls, about the centre of mass
         self.body = vehicle.simulation.contact
         if self.body.body is BodyModel.POINT:
             self.body = msgspec.structs.replace(
@@ -216,7 +216,7 @@ class Plant:
         self._guards = propeller_guards(self.body)
         self._reach_m = max(norm(guard.at) for guard in self._guards)
         self.planes = [_plane(wall, frame, self.body.guard_out_m, self._guards) for wall in walls]
-        # A point stands for the vehicle's side, at a wall and at a post.
+        # The point represents the vehicle's side, at a wall and at a post.
         out_m = vehicle.airframe.contact_distance_m - self.body.guard_out_m
         self.posts = [_standing_post(post, frame, out_m, self._guards) for post in posts]
         self.on_ground = True
@@ -225,7 +225,7 @@ class Plant:
         self._open: dict[str, _OpenContact] = {}
         vibration = vehicle.simulation.arm_vibration
         self._arm = _AT_REST
-        # Constants of every step are looked up once: an attribute of an attribute costs as much as a product.
+        # Cache the constants of every step: a nested attribute costs as much as a product.
         self._arm_spring = self._arm_damper = self._arm_share = 0.0
         if vibration is not None:
             omega = 2.0 * math.pi * vibration.frequency_hz
@@ -237,7 +237,7 @@ class Plant:
         self._sensed: Vec3 = (0.0, 0.0, -GRAVITY_M_S2)
         lever = vehicle.simulation.imu_position_m
         self._imu_lever: Vec3 | None = lever if any(lever) else None
-        # First-order low-pass: what is left of a difference after a step, and its mean over the step.
+        # First-order low-pass: remaining share of a difference after a step, and its mean over the step.
         steps_per_lag = 2.0 * math.pi * vehicle.imu.antialias_hz * STEP_S
         self._antialias_decay = math.exp(-steps_per_lag)
         self._antialias_mean = (1.0 - self._antialias_decay) / steps_per_lag
@@ -252,9 +252,9 @@ class Plant:
         """Advance by `steps` milliseconds.
 
         Returns:
-            The mean specific force over that time, body FRD, m/s2: what an IMU without noise would report
-            where it sits, with the arms' vibration, through its anti-alias filter, each millisecond saturated
-            at the sensor's full scale.
+            The mean specific force over that time, body FRD, m/s2: the reading of a noiseless IMU at its
+            position, with the arms' vibration, through its anti-alias filter, saturated at full scale in each
+            millisecond.
         """
         fx = fy = fz = 0.0
         most = self._full_scale
@@ -314,7 +314,7 @@ class Plant:
         return thrust, (roll, pitch, yaw)
 
     def _folded_levers(self, folded: tuple[float, float, float, float]) -> list[Vec3]:
-        """Where the motors are, and their yaw torque per thrust, with each arm turned by so much."""
+        """Return the positions of the motors and their yaw torque per thrust, with each arm folded."""
         levers = []
         for (x, y, yaw_m), arm in zip(self._straight, self._arm_of_motor, strict=True):
             c, s = math.cos(folded[arm]), math.sin(folded[arm])
@@ -337,9 +337,9 @@ class Plant:
         self.q = quaternion_normalise(advance_attitude(self.q, self.rate, STEP_S))
 
     def _legs(self, torque: Vec3) -> Vec3:
-        """Landing gear: while the vehicle rests on it, it is levelled and does not turn."""
+        """Add the torque of the landing gear, which levels a resting vehicle and stops its rotation."""
         down = rotate_back(self.q, (0.0, 0.0, 1.0))
-        k, c = 3.0, 0.3  # N m/rad and N m s/rad: stiff and well damped against 0.0125 kg m2
+        k, c = 3.0, 0.3  # N m/rad and N m s/rad: stiff and well damped for 0.0125 kg m2
         return (
             torque[0] - k * down[1] - c * self.rate[0],
             torque[1] + k * down[0] - c * self.rate[1],
@@ -349,7 +349,7 @@ class Plant:
     # -- translation and contact --
 
     def _wall_in_reach(self, seconds: float) -> bool:
-        """Whether a wall is near or may come near within this time; asked once for several steps."""
+        """Return whether a wall is near or may come near within this time; called once for several steps."""
         (px, py, _), (vx, vy, _) = self.position, self.velocity
         slack = seconds * (abs(vx) + abs(vy) + _GAIN_M_S)
         for plane in self.planes:
@@ -360,10 +360,10 @@ class Plant:
         return any(self._clear_of_post_m(post) < _NEAR_WALL_M + slack for post in self.posts)
 
     def _clear_of_post_m(self, post: _StandingPost) -> float:
-        """Distance in metres that the vehicle keeps from a post however it is turned, or more than that."""
-        cylinder, p = post.met.contact.cylinder, self.position
-        way = math.hypot(p[0] - cylinder.axis[0], p[1] - cylinder.axis[1])
-        return way - cylinder.radius_m - self._reach_m
+        """Return a lower bound of the distance between the vehicle and a post, at any attitude, metres."""
+        cylinder, p = post.contact.contact.cylinder, self.position
+        distance = math.hypot(p[0] - cylinder.axis[0], p[1] - cylinder.axis[1])
+        return distance - cylinder.radius_m - self._reach_m
 
     def _obstacles_near(self) -> list[tuple[_Obstacle, Coefficients]]:
         found: list[tuple[_Obstacle, Coefficients]] = []
@@ -373,12 +373,12 @@ class Plant:
                 found.append((plane, coefficients))
         for post in self.posts:
             if self._clear_of_post_m(post) < _NEAR_WALL_M:
-                near = post.met.nearest(self.q, self.position)
-                found.append((post, self._coefficients_of_cylinder(post, post.met.contact, near)))
+                near = post.contact.nearest(self.q, self.position)
+                found.append((post, self._coefficients_of_cylinder(post, post.contact.contact, near)))
         return found
 
     def _may_touch(self, obstacle: _Obstacle, c: Coefficients) -> bool:
-        """Whether guards can be pressed within the next step: the law's onset is at k x + f vx = 0."""
+        """Return whether guards can be pressed within the next step: the law's onset is at k x + f vx = 0."""
         if obstacle.name in self._open:
             return True
         v = self.velocity
@@ -392,7 +392,7 @@ class Plant:
             n = obstacle.normal
             x = clearance_m(self._guards, self.q, obstacle.ends.plane, self.position)
         else:
-            near = obstacle.met.nearest(self.q, self.position)
+            near = obstacle.contact.nearest(self.q, self.position)
             n, x = near.normal, near.x_m
         closing = max(0.0, -(n[0] * v[0] + n[1] * v[1])) + turning + _GAIN_M_S
         return x < within_s * closing
@@ -404,10 +404,10 @@ class Plant:
         obstacles: list[tuple[_Obstacle, Coefficients]],
         near_ground: bool,
     ) -> Vec3:
-        """Move and turn the body near walls and posts; returns the mean acceleration by contact, NED.
+        """Move and rotate the body near walls and posts; return the mean acceleration by contact, NED.
 
-        Midpoint rule over position, velocity, attitude and rate, in steps of 0.1 ms, shorter near a wall's
-        end; thrust and drag are constant over the millisecond.
+        The integration uses the midpoint rule over position, velocity, attitude and rate, in steps of 0.1 ms,
+        shorter near a wall's end. Thrust and drag are constant over the millisecond.
         """
         free = (pushed[0], pushed[1], pushed[2] + GRAVITY_M_S2)
         ends = any(isinstance(obstacle, _WallPlane) and obstacle.near_end for obstacle, _ in obstacles)
@@ -419,7 +419,7 @@ class Plant:
             torque = self._legs(torque)
         self.on_ground = False
         p, v, q, w = self.position, self.velocity, self.q, self.rate
-        a, b, felt = self._touching(p, v, q, w, free, torque, obstacles, near_ground)
+        a, b, touches = self._touching(p, v, q, w, free, torque, obstacles, near_ground)
         for i in range(steps):
             mid_p = (p[0] + g * v[0], p[1] + g * v[1], p[2] + g * v[2])
             mid_v = (v[0] + g * a[0], v[1] + g * a[1], v[2] + g * a[2])
@@ -432,9 +432,9 @@ class Plant:
             self.velocity = v = (v[0] + h * a[0], v[1] + h * a[1], v[2] + h * a[2])
             self.rate = w = (w[0] + h * b[0], w[1] + h * b[1], w[2] + h * b[2])
             self.q = q = quaternion_normalise(advance_attitude(q, mid_w, h))
-            # Felt at the end of this step, and at the beginning of the next.
-            a, b, felt = self._touching(p, v, q, w, free, torque, obstacles, near_ground)
-            for (obstacle, c), one in zip(obstacles, felt, strict=True):
+            # Forces at the end of this step and the beginning of the next.
+            a, b, touches = self._touching(p, v, q, w, free, torque, obstacles, near_ground)
+            for (obstacle, c), one in zip(obstacles, touches, strict=True):
                 self._note_contact(obstacle, c, one, self.time_s + i * h, v_before)
         return (
             (v[0] - before[0]) / STEP_S - free[0],
@@ -443,7 +443,7 @@ class Plant:
         )
 
     def _fold(self) -> tuple[float, float, float, float] | None:
-        """How far each arm has swung (`contact.body.folds`), None where all are straight."""
+        """Return the fold angle of each arm (`propeller_guards.fold_angles`), or None if all are straight."""
         touched = [current for current in self._open.values() if current.fold_share > 0.0]
         if not touched:
             return None
@@ -460,14 +460,14 @@ class Plant:
             angles = [a + b for a, b in zip(angles, swung, strict=True)]
         return (angles[0], angles[1], angles[2], angles[3])
 
-    def _yields_at(self, incidence: float) -> float:
-        """Share of a guard's penetration that its arm takes up, at an angle of incidence in radians."""
+    def _fold_share(self, incidence: float) -> float:
+        """Return the share of a guard's penetration by which its arm yields at an incidence in radians."""
         if abs(incidence) >= math.radians(self.vehicle.airframe.incidence_rigid_deg):
             return 0.0
         return self.body.fold_share * self._freedom()
 
     def _freedom(self) -> float:
-        """1 with free arms, 0 with locked ones; half-engaged rods are neither."""
+        """Return 1 for unlocked arms, 0 for locked ones, and a value between for half-engaged rods."""
         if self.mode is Mode.FLEXIBLE:
             return 1.0
         return _HALF_ENGAGED if self._half_engaged else 0.0
@@ -483,18 +483,18 @@ class Plant:
         obstacles: list[tuple[_Obstacle, Coefficients]],
         near_ground: bool,
     ) -> tuple[Vec3, Vec3, list[Touch]]:
-        """Acceleration (NED), angular acceleration (FRD), and what the guards feel of each obstacle."""
+        """Return acceleration (NED), angular acceleration (FRD), and the touch of each obstacle."""
         sign, lever = self.vehicle.vertical_force_sign, self.body.vertical_lever_m
         force = turned = _NO_FORCE
-        felt = []
+        touches = []
         for obstacle, c in obstacles:
             if not isinstance(obstacle, _WallPlane):
-                one = obstacle.met.touch(q, c, self.onset, p, v, w, sign, lever)
+                one = obstacle.contact.touch(q, c, self.onset, p, v, w, sign, lever)
             elif obstacle.near_end:
                 one = obstacle.ends.touch(q, c, self.onset, p, v, w, sign, lever)
             else:
                 one = touch(self._guards, q, c, self.onset, obstacle.ends.plane, p, v, w, sign, lever)
-            felt.append(one)
+            touches.append(one)
             if one is not _UNTOUCHED:
                 force, turned = add(force, one.force), add(turned, one.torque)
         self.contact_force_ned, self.contact_torque_frd = force, turned
@@ -503,10 +503,10 @@ class Plant:
         m, (ix, iy, iz) = self.mass, self._inertia
         acceleration = (free[0] + force[0] / m, free[1] + force[1] / m, free[2] + force[2] / m)
         roll, pitch, yaw = subtract(add(torque, turned), gyroscopic_torque(self._inertia, w))
-        return acceleration, (roll / ix, pitch / iy, yaw / iz), felt
+        return acceleration, (roll / ix, pitch / iy, yaw / iz), touches
 
     def _stand(self, pushed: Vec3) -> Vec3:
-        """Move the centre of mass where only the ground is near; returns the mean acceleration by it, NED."""
+        """Move the centre of mass near the ground only; return the mean acceleration by the ground, NED."""
         self.contact_force_ned = self.contact_torque_frd = _NO_FORCE
         free = (pushed[0], pushed[1], pushed[2] + GRAVITY_M_S2)
         h = STEP_S / _GROUND_STEPS
@@ -533,7 +533,7 @@ class Plant:
         return (free[0] + x / m, free[1] + y / m, free[2] + z / m)
 
     def _fly(self, pushed: Vec3) -> Vec3:
-        """Move the centre of mass where nothing touches; no acceleration by contact."""
+        """Move the centre of mass without contact; return no acceleration by contact."""
         self.on_ground = False
         self.contact_force_ned = self.contact_torque_frd = _NO_FORCE
         if self._open:
@@ -546,7 +546,7 @@ class Plant:
         return _NO_FORCE
 
     def _coefficients_near(self, plane: _WallPlane) -> Coefficients | None:
-        """Of a wall's surface; None where the vehicle is too far off to touch any of the wall."""
+        """Return the coefficients of a wall's surface, or None if the vehicle cannot touch the wall."""
         position = self.frame.point_from_ned(self.position)
         wall, reach_m = plane.wall, self._reach_m + _NEAR_END_M
         near = _BEHIND_M < wall.signed_distance(position) < _NEAR_WALL_M
@@ -568,23 +568,23 @@ class Plant:
     def _coefficients_of_cylinder(
         self, obstacle: _Obstacle, contact: CylinderContact, near: NearestPoint
     ) -> Coefficients:
-        """Of a cylinder where the vehicle is nearest to it; as they are while it is pressed."""
+        """Return the coefficients of a cylinder at the nearest point, kept while it is pressed."""
         c = contact.coefficients
         if c is None or contact.share is None:
             c = contact.coefficients = self._coefficients(obstacle, abs(self._incidence(near.normal)))
         return c
 
     def _incidence(self, normal: Vec3) -> float:
-        """Signed angle in radians from the nearest side's direction to a surface with this normal (NED)."""
+        """Return the signed angle from the nearest side to a surface with this normal (NED), radians."""
         x, y, _ = self.frame.vector_from_ned(normal)
         turn = self.frame.yaw_from_ned(yaw_ned_of(self.q)) - math.atan2(-y, -x)
         return wrap_angle(turn - _QUARTER * round(turn / _QUARTER))
 
     def _coefficients(self, obstacle: _Obstacle, incidence: float) -> Coefficients:
-        """Of a side that meets an obstacle at an angle of incidence."""
+        """Return the coefficients of a side at an angle of incidence with an obstacle."""
         open_contact = self._open.get(obstacle.name)
         if open_contact is not None:
-            # Neither rods nor arms change what they are while they are loaded: as at the contact's start.
+            # Rods and arms do not change while they are loaded: keep the initial values.
             return open_contact.coefficients
         c = coefficients_in_force(self.vehicle, obstacle.material, self.mode, incidence)
         if self._half_engaged and self.mode is Mode.RIGID:
@@ -596,12 +596,12 @@ class Plant:
         return c
 
     def _scatter(self) -> tuple[float, float, float]:
-        """Factors of k, f and mu for the next hit of a wall."""
+        """Draw factors of k, f and mu for the next contact with a wall."""
         factors = [max(0.1, 1.0 + self.body.scatter * self._rng.gauss(0.0, 1.0)) for _ in range(3)]
         return (factors[0], factors[1], factors[2])
 
     def _ground_force(self, p: Vec3, v: Vec3) -> Vec3:
-        """Ground under the landing gear: normal law without lz, regularised Coulomb friction."""
+        """Return the force of the ground: normal law without lz, regularised Coulomb friction."""
         s = self.vehicle.simulation
         depth = p[2] - self.ground_down
         normal = s.ground_stiffness_n_m * depth + s.ground_damping_n_s_m * v[2]
@@ -613,16 +613,16 @@ class Plant:
         return (-grip * v[0], -grip * v[1], -normal)
 
     def _note_contact(
-        self, obstacle: _Obstacle, c: Coefficients, felt: Touch, t_s: float, velocity_before: Vec3
+        self, obstacle: _Obstacle, c: Coefficients, reaction: Touch, t_s: float, velocity_before: Vec3
     ) -> None:
-        """Follow one obstacle's contact from its first force to its last."""
+        """Track one obstacle's contact from its first force to its last."""
         current = self._open.get(obstacle.name)
-        if felt.normal_n > 0.0:
+        if reaction.normal_n > 0.0:
             if current is None:
-                current = self._begin_contact(obstacle, c, felt.normal, t_s, velocity_before)
-            current.peak_normal = max(current.peak_normal, felt.normal_n)
-            current.peak_friction = max(current.peak_friction, abs(felt.friction_n))
-            current.peak_torque = max(current.peak_torque, norm(felt.torque))
+                current = self._begin_contact(obstacle, c, reaction.normal, t_s, velocity_before)
+            current.peak_normal = max(current.peak_normal, reaction.normal_n)
+            current.peak_friction = max(current.peak_friction, abs(reaction.friction_n))
+            current.peak_torque = max(current.peak_torque, norm(reaction.torque))
             current.last_s, current.velocity_out, current.rate_out = t_s, self.velocity, self.rate
         elif current is not None and t_s - current.last_s > _REBOUND_S:
             self._end_contact(current)
@@ -651,13 +651,13 @@ class Plant:
             position,
             incidence,
             tilt_of(self.q),
-            self._yields_at(incidence),
+            self._fold_share(incidence),
         )
         self._open[obstacle.name] = current
         return current
 
     def _end_open_contacts(self) -> None:
-        """Away from every obstacle: what is still open has ended with its last force."""
+        """End all open contacts at their last forces, because no obstacle is near."""
         for current in list(self._open.values()):
             self._end_contact(current)
 
@@ -689,11 +689,12 @@ class Plant:
         )
 
     def _shake(self, contact: Vec3) -> Vec2:
-        """Acceleration of the body about the common centre of mass by the flexible arms' vibration, NED.
+        """Return the acceleration of the body about the common centre of mass by the arms' vibration, NED.
 
-        An internal motion: it moves the IMU, not the centre of mass, so truth keeps to the contact law. With
-        q the arms' displacement against the body and s their share of the mass, the body is at -s q from
-        the centre of mass; a contact drives q'' = -w^2 q - 2 zeta w q' - a, and the IMU feels -s q''.
+        The vibration is an internal motion: it moves the IMU, not the centre of mass, so the truth follows
+        the contact law. With q the arms' displacement against the body and s their share of the mass, the
+        body is at -s q from the centre of mass. A contact drives q'' = -w^2 q - 2 zeta w q' - a, and the IMU
+        measures -s q''.
         """
         freedom = self._freedom() if self._arm_share else 0.0
         if freedom == 0.0:
@@ -715,17 +716,17 @@ class Plant:
 
     @property
     def in_contact(self) -> bool:
-        """Whether a wall or a post is being touched."""
+        """Whether the vehicle touches a wall or a post."""
         return bool(self._open)
 
     def set_mode(self, mode: Mode) -> None:
-        """Lock or unlock the arms; while they are folded a rod cannot enter its slot."""
+        """Lock or unlock the arms; a rod cannot enter its slot while an arm is folded."""
         if mode is Mode.RIGID and self._open:
             return
         self.mode = mode
 
     def truth(self) -> TruthSample:
-        """The state as it really is, mission frame."""
+        """Return the true state, mission frame."""
         return TruthSample(
             t_us=self._stamp(self.time_s),
             position_mission=self.frame.point_from_ned(self.position),
@@ -738,7 +739,7 @@ class Plant:
 
 
 def make_plant(mission: Mission, motors: tuple[Motor, ...] | None = None, seed: int = 0) -> Plant:
-    """The vehicle standing on the ground below a mission's start; arms that can be locked are free."""
+    """Return the vehicle on the ground below a mission's start, with arms unlocked if it has a lock."""
     flat = mission.frame_at((0.0, 0.0, 0.0))
     x, y = mission.start
     start_ned = flat.point_to_ned((x, y, 0.0))
@@ -754,7 +755,7 @@ def make_plant(mission: Mission, motors: tuple[Motor, ...] | None = None, seed: 
 
 
 def _acceleration_at(lever: Vec3, before: Vec3, after: Vec3) -> Vec3:
-    """What a point off the centre of mass feels beside it, FRD: alpha x r + w x (w x r), mean of one step."""
+    """Return the acceleration of a point relative to the centre of mass, FRD: alpha x r + w x (w x r)."""
     rx, ry, rz = lever
     ax, ay, az = ((b - a) / STEP_S for a, b in zip(before, after, strict=True))
     wx, wy, wz = (0.5 * (a + b) for a, b in zip(before, after, strict=True))
@@ -767,14 +768,14 @@ def _acceleration_at(lever: Vec3, before: Vec3, after: Vec3) -> Vec3:
 
 
 def _between(a: Coefficients, b: Coefficients) -> Coefficients:
-    """Half-engaged rods: the geometric mean of both modes."""
+    """Return the coefficients for half-engaged rods: the geometric mean of both modes."""
     return Coefficients(
         math.sqrt(a.k * b.k), math.sqrt(a.f * b.f), math.sqrt(a.mu * b.mu), math.sqrt(a.nu * b.nu)
     )
 
 
 def _plane(wall: Wall, frame: MissionFrame, out_m: float, guards: Sequence[PropellerGuard]) -> _WallPlane:
-    """A wall in NED; its surface lies `out_m` behind the plane of the vehicle's centre."""
+    """Return a wall in NED; its surface is `out_m` behind the plane of the vehicle's centre."""
     point = frame.point_to_ned((wall.point[0], wall.point[1], 0.0))
     normal = frame.vector_to_ned(wall.from_collision((1.0, 0.0, 0.0)))
     tangent = frame.vector_to_ned(wall.from_collision((0.0, 1.0, 0.0)))
@@ -791,6 +792,6 @@ def _plane(wall: Wall, frame: MissionFrame, out_m: float, guards: Sequence[Prope
 def _standing_post(
     post: Post, frame: MissionFrame, out_m: float, guards: Sequence[PropellerGuard]
 ) -> _StandingPost:
-    """A post in NED, by `out_m` thicker than it is."""
+    """Return a post in NED, with its radius increased by `out_m`."""
     axis = frame.point_to_ned((post.centre[0], post.centre[1], 0.0))
     return _StandingPost(post, PostContact(Cylinder(axis, max(0.0, post.radius_m + out_m)), guards))

@@ -1,8 +1,8 @@
-"""The pseudo-inverse that PX4 allocates with: computed once per airframe, with NumPy (`allocation` uses it).
+"""PX4's allocation pseudo-inverse, computed once per airframe with NumPy (`allocation` uses it).
 
-PX4 builds the effectiveness of the motors from their places and yaw torques (CA_ROTOR*), takes the
+PX4 builds the effectiveness of the motors from their positions and yaw torques (CA_ROTOR*). It computes the
 pseudo-inverse and scales its columns: roll and pitch by the larger of both (the root of twice the mean
-square), yaw by its largest entry, lift to a mean of one (`ControlAllocationPseudoInverse`).
+square), yaw by its largest entry, and lift to a mean of one (`ControlAllocationPseudoInverse`).
 """
 
 from __future__ import annotations
@@ -13,12 +13,12 @@ import numpy as np
 
 from dart_flight.config.vehicle import Motor, effectiveness
 
-_SCALE_DIGITS = 4  # a quadrotor's 0.7071, with which every recorded flight has flown
-_SHAPE_DIGITS = 9  # what is beyond is rounding of the inverse
+_SCALE_DIGITS = 4  # a quadrotor's 0.7071, as in every recorded flight
+_SHAPE_DIGITS = 9  # further digits are rounding errors of the inverse
 
 
 def scaled_mix(motors: Sequence[Motor]) -> tuple[float, list[tuple[float, float, float, float]]]:
-    """The largest entry of roll and pitch; each motor's (roll, pitch, yaw, lift), the first two over it."""
+    """Return the largest entry of roll and pitch, and each motor's (roll, pitch, yaw, lift), scaled."""
     mix = np.linalg.pinv(np.array(effectiveness(motors)))
     size = np.abs(mix) > 1e-6
     scale = [float(np.sqrt(2.0 * (mix[:, i] ** 2).sum() / size[:, i].sum())) for i in (0, 1)]

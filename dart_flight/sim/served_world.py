@@ -1,6 +1,6 @@
-"""What every simulated world's process does: serve the app over a pipe, keep a pace, end with the app.
+"""The process of every simulated world: it serves the app over a pipe, keeps a pace, and ends with the app.
 
-Commands of the app come on standard input, truth goes to standard output, one JSON object a line.
+The app's commands arrive on standard input. The truth leaves on standard output, one JSON object per line.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from dart_flight.sim.pipe import (
 from dart_flight.sim.plant import Plant
 
 _TRUTH_EVERY = 2  # ticks
-STALL_S = 0.25  # a stall longer than this is not caught up with: the world pauses instead
+STALL_S = 0.25  # after a longer stall the world pauses and does not catch up
 
 
 class Pacer:
@@ -55,24 +55,27 @@ def ticks_in_real_time(period_s: float = TICK_S) -> Iterator[int]:
 
 
 class ServedWorld(Protocol):
-    """What is served to the app, whichever autopilot flies in it."""
+    """Interface of a world that is served to the app, with any autopilot."""
 
     @property
     def time_us(self) -> int:
         """The autopilot's time, microseconds."""
 
     def set_horn(self, pulse_us: float) -> None:
-        """Where the mock servo's horn is."""
+        """Set the position of the mock servo's horn."""
 
     def begin_fault(self, fault: Fault) -> None:
-        """A fault begins."""
+        """Begin a fault."""
 
     def advance(self) -> Plant:
-        """Go on by one tick; returns the plant."""
+        """Advance by one tick; return the plant."""
         ...
 
+    def publish_pose(self) -> int | None:
+        """Send the pose that is due at this time; return its frame's number if a program listens."""
+
     def is_over(self, alone_s: float) -> bool:
-        """Whether it may end, without the app for so long; 0: the app has gone this moment."""
+        """Return whether the world may end, `alone_s` after the app; 0 means that the app has just ended."""
         ...
 
 
@@ -102,7 +105,7 @@ def serve(
     """
     reader, gone_s = LineReader(commands), math.inf
 
-    def take_lines() -> bool:
+    def process_lines() -> bool:
         """Process the app's lines; return whether the app is still connected."""
         reader.clear()
         while reader.items:
@@ -120,8 +123,13 @@ def serve(
     pace = Pacer()
     for tick in itertools.count():
         if lockstep is not None and not reader.closed:
-            lockstep.wait(world.time_us + TICK_US, (reader.wake, *wake), take_lines)
-        take_lines()
+            lockstep.wait(world.time_us + TICK_US, (reader.wake, *wake), process_lines)
+        process_lines()
+        # After the telemetry of the same time, so that the order does not depend on the computer.
+        frame = world.publish_pose()
+        if frame is not None and lockstep is not None and not reader.closed:
+            lockstep.publish("pose", frame)
+            lockstep.wait(world.time_us + TICK_US, (reader.wake, *wake), process_lines)
         # Run without a limit only while lockstep holds the world back.
         waits = lockstep is not None and lockstep.holds and not reader.closed
         pace.wait(TICK_S / (1.0 if speed == FULL_SPEED and not waits else speed))
@@ -139,16 +147,16 @@ def serve(
 
 
 class TerminatedError(Exception):
-    """The process was told to end (SIGTERM)."""
+    """The process has received SIGTERM."""
 
 
 def raise_terminated(_signum: int, _frame: object) -> None:
-    """Handler of SIGTERM for a world that has something to put away first."""
+    """Handle SIGTERM by an exception, for a world that must clean up."""
     raise TerminatedError
 
 
 class WorldLog:
-    """The world's text log: times in its own seconds; nothing where the app wants none."""
+    """The world's text log with times in its own seconds; without a path nothing is written."""
 
     def __init__(self, path: str | None) -> None:
         self._file = None if path is None else open(path, "a", encoding="utf-8", buffering=1)  # noqa: SIM115

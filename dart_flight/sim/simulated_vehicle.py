@@ -1,4 +1,4 @@
-"""The simulated vehicle as a whole: body, autopilot and lock servo, stepped in ticks of 4 ms."""
+"""The simulated vehicle: body, autopilot and lock servo, stepped in ticks of 4 ms."""
 
 from __future__ import annotations
 
@@ -14,26 +14,26 @@ from dart_flight.sim.wind import Wind
 
 
 class LockServo:
-    """The lock's servo on the plant: a pulse moves the horn, the horn locks or frees the arms."""
+    """The lock's servo on the plant: a pulse moves the horn, which locks or unlocks the arms."""
 
     def __init__(self, plant: Plant, config: Servo) -> None:
         self._plant, self._config = plant, config
-        # Without pulses the arms are free: the servo rests at the flexible end.
+        # Without pulses the arms are unlocked: the servo rests at the flexible end.
         self._model = ServoModel(config, config.flexible_pulse_us)
-        self._horn_us = math.nan  # where it was last
+        self._horn_us = math.nan  # last position
         self._wanted = Mode.FLEXIBLE
 
     def set_horn(self, pulse_us: float) -> None:
-        """Where the horn is, as a pulse width."""
-        if pulse_us != self._horn_us:  # it rests most of the time
+        """Set the horn's position, as a pulse width."""
+        if pulse_us != self._horn_us:  # the horn is usually at rest
             self._horn_us = pulse_us
-            # Between the ends no rod holds all four arms: not rigid means flexible.
+            # Between the ends the rods do not hold all four arms: not rigid means flexible.
             rigid = mode_of(self._config, pulse_us) is Mode.RIGID
             self._wanted = Mode.RIGID if rigid else Mode.FLEXIBLE
         self._plant.set_mode(self._wanted)
 
     def follow(self, t_us: int, pulse_us: float | None) -> None:
-        """Travel towards a commanded pulse (None: no new command) up to a moment, and move the arms."""
+        """Move towards a commanded pulse (None: no new command) until `t_us`, and set the arms' mode."""
         if pulse_us is not None:
             self._model.command(t_us, pulse_us)
         self.set_horn(self._model.pulse_at(t_us))
@@ -45,8 +45,8 @@ class SimulatedVehicle:
     Args:
         mission: walls and start.
         seed: of the sensors' noise.
-        driver: `px4` moves the servo by the autopilot's own output; with any other the horn is told. A
-            vehicle without a lock has no servo, whatever it is.
+        driver: with `px4` the autopilot's own output moves the servo; with any other driver `set_horn` does.
+            A vehicle without a lock has no servo.
     """
 
     def __init__(self, mission: Mission, seed: int, driver: LockDriver | None) -> None:
@@ -57,12 +57,12 @@ class SimulatedVehicle:
         self._servo = None if lock is None else LockServo(self.autopilot.plant, lock.servo)
 
     def set_horn(self, pulse_us: float) -> None:
-        """Where the mock servo's horn is, as a pulse width."""
+        """Set the position of the mock servo's horn, as a pulse width."""
         if self._servo is not None:
             self._servo.set_horn(pulse_us)
 
     def advance(self) -> None:
-        """One tick: servo, wind, plant, autopilot."""
+        """Advance servo, wind, plant and autopilot by one tick."""
         self._wind.step(self.autopilot.plant)
         if self._by_autopilot and self._servo is not None:
             self._servo.follow(self.autopilot.time_us, self.autopilot.lock_pulse_us())

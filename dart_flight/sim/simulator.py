@@ -1,4 +1,4 @@
-"""The process of a simulated vehicle; its first line of input, from `dry-run`, says which world to fly."""
+"""The process of a simulated vehicle; its first input line, from `dry-run`, selects the world."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from dart_flight.sim.pipe import SimulatorSpec
 
 
 def main() -> int:
-    """Body of the process; returns its exit status."""
-    # The app's terminal must not take the vehicle down: Ctrl-C is the app's business.
+    """Run the process; return its exit status."""
+    # Ctrl-C in the app's terminal must not end the vehicle: the app handles it.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     spec = msgspec.json.decode(sys.stdin.buffer.readline(), type=SimulatorSpec)
     if spec.px4 is not None:
@@ -30,5 +30,5 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    # Not sys.exit: the interpreter aborts where a thread still waits in stdin for the app's next line.
+    # Not sys.exit: the interpreter aborts while a thread waits for the next line of stdin.
     os._exit(main())

@@ -21,22 +21,22 @@ from dart_flight.sim.served_world import ticks_in_real_time
 from dart_flight.sim.simulated_vehicle import SimulatedVehicle
 from dart_flight.vehicle.link import LinkLease, LinkTakenError, feed_of, owner_of_udp_port, udp_port_is_free
 
-_OWN_PORT = 40  # of PX4's own, 14580, from the one that it sends to, 14540
-_LISTEN_S = 0.4  # a vehicle sends dozens of messages a second
+_OWN_PORT = 40  # offset of PX4's own port, 14580, from the port that it sends to, 14540
+_LISTEN_S = 0.4  # a vehicle sends dozens of messages per second
 
 
 class VehiclePortLease:
-    """The right to be the vehicle on a UDP port: nobody else sends there, as far as can be known.
+    """The right to be the vehicle on a UDP port: as far as detectable, nothing else sends there.
 
-    Another `simulate` or `dry-run --px4` is known by its lease; PX4's own simulator by the port that it has
-    of its own, which is bound here, too, so that the later one of the two gives up; any other sender by
-    listening, where no program receives on the port yet.
+    Another `simulate` or `dry-run --px4` is detected by its lease. PX4's own simulator is detected by its own
+    port, which is bound here as well, so that the later of the two gives up. Any other sender is detected by
+    listening, unless a program already receives on the port.
 
     Args:
-        port: to send to.
+        port: port to send to.
 
     Raises:
-        LinkTakenError: something sends there already; names it where that is known.
+        LinkTakenError: something already sends there; the message names it if known.
         InputError: the state folder cannot be used.
     """
 
@@ -46,45 +46,45 @@ class VehiclePortLease:
         try:
             self._lease.acquire()
         except LinkTakenError as error:
-            raise self._taken(f": {error.message}") from None
+            raise self._taken_error(f": {error.message}") from None
         try:
             if not udp_port_is_free(self.own_port):
                 owner = owner_of_udp_port(self.own_port)
-                raise self._taken(f", {owner}, from UDP port {self.own_port}; choose another --port")
-            heard = _listen(port)
-            if heard is not None:
-                raise self._taken(f", {heard}; choose another --port")
+                raise self._taken_error(f", {owner}, from UDP port {self.own_port}; choose another --port")
+            traffic = _listen(port)
+            if traffic is not None:
+                raise self._taken_error(f", {traffic}; choose another --port")
         except InputError:
             self._lease.release()
             raise
 
-    def _taken(self, by: str) -> LinkTakenError:
+    def _taken_error(self, by: str) -> LinkTakenError:
         where = f"UDP port {self.port}"
         return LinkTakenError(f"another vehicle already sends to this port{by}", source=where)
 
     def release(self) -> None:
-        """Give it back."""
+        """Release the port."""
         self._lease.release()
 
 
 def _listen(port: int) -> str | None:
-    """Which MAVLink arrives at a port that no program has; None: none, or somebody has the port."""
+    """Describe the MAVLink traffic at a port without a receiver; None if silent or the port is in use."""
     parser = mavlink.MAVLink(None)
     parser.robust_parsing = True
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as ear:
-        # MAVSDK, too, lets others open its port: a program that starts in this moment is not kept out.
-        ear.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as listener:
+        # MAVSDK also shares its port, so a program that starts now is not blocked.
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         if not udp_port_is_free(port, "127.0.0.1"):
             return None
         try:
-            ear.bind(("127.0.0.1", port))
+            listener.bind(("127.0.0.1", port))
         except OSError:
             return None
         end = time.monotonic() + _LISTEN_S
         while (left := end - time.monotonic()) > 0.0:
-            ear.settimeout(left)
+            listener.settimeout(left)
             try:
-                data, sender = ear.recvfrom(65536)
+                data, sender = listener.recvfrom(65536)
             except TimeoutError:
                 break
             with contextlib.suppress(mavlink.MAVError, struct.error):
@@ -102,17 +102,17 @@ def run_vehicle(
     own_port: int = 0,
     viewer: Callable[[Record], None] = lambda record: None,
 ) -> None:
-    """Simulate in real time until SIGINT or SIGTERM; `say` takes lines for the terminal.
+    """Simulate in real time until SIGINT or SIGTERM; `say` prints a line in the terminal.
 
-    `own_port` is the UDP port that it sends to the first of the ports from; 0: any. `viewer` sees what the
-    vehicle really does.
+    `own_port` is the UDP port used for sending to the first of the ports; 0 selects any. `viewer` receives
+    the true motion of the vehicle.
     """
     vehicle = SimulatedVehicle(mission, seed, LockDriver.PX4)
     endpoint = MavlinkEndpoint(vehicle.autopilot, ports, own_port)
     to_link = vehicle.autopilot.say
     stopped: list[int] = []
 
-    def tell(severity: str, text: str) -> None:
+    def report(severity: str, text: str) -> None:
         to_link(severity, text)
         say(f"{vehicle.autopilot.now_s:8.2f} s  {text}")
 
@@ -130,7 +130,7 @@ def run_vehicle(
                 f"{hit.peak_normal_force_n:.1f} N"
             )
 
-    vehicle.autopilot.say = tell
+    vehicle.autopilot.say = report
     for number in (signal.SIGINT, signal.SIGTERM):
         with contextlib.suppress(ValueError):  # not the main thread
             signal.signal(number, lambda signum, _frame: stopped.append(signum))

@@ -10,11 +10,11 @@ from dart_flight.config.vehicle import Simulation
 from dart_flight.sim.noise import GaussianNoise
 from dart_flight.sim.plant import Plant
 
-GUST_TIME_S: Final = 2.0  # correlation time: gusts of a room, slower than a contact
+GUST_TIME_S: Final = 2.0  # correlation time: gusts in a room, slower than a contact
 
 
 class Wind:
-    """Sets the plant's wind at every tick; still air leaves the plant as it is.
+    """Sets the plant's wind at every tick; in still air the plant is unchanged.
 
     Args:
         simulation: steady wind, gusts.
@@ -30,7 +30,7 @@ class Wind:
         self._gust = [self._noise.one(self._sigma), self._noise.one(self._sigma)]
 
     def step(self, plant: Plant) -> None:
-        """The wind of the next tick."""
+        """Set the wind of the next tick."""
         if self._sigma > 0.0:
             for i in range(2):
                 self._gust[i] = self._decay * self._gust[i] + self._kick * self._noise.one(self._sigma)

@@ -26,11 +26,15 @@ from dart_flight.base.records import (
     ImuSample,
     Input,
     OdometrySample,
+    PoseSample,
     RoundTrip,
     StatusSample,
     StatusText,
 )
+from dart_flight.config.document import InputError
+from dart_flight.config.parameter_file import Value
 from dart_flight.config.vehicle import VehicleConfig
+from dart_flight.config.vehicle.mocap import MotionCapture
 from dart_flight.core.guard.second_vehicle import (
     POSITION_JUMP_M,
     SecondClockDetector,
@@ -39,7 +43,10 @@ from dart_flight.core.guard.second_vehicle import (
 from dart_flight.core.guard.stream_watch import STAMP_TOLERANCE_S
 from dart_flight.vehicle import arming_problems as reasons
 from dart_flight.vehicle import messages, sdk_log
+from dart_flight.vehicle.downloads import Px4Logs, download_file
 from dart_flight.vehicle.messages import AUTOPILOT, BatteryReading, MessageEntry
+from dart_flight.vehicle.motion_capture.bridge import MotionCaptureBridge, forwarding
+from dart_flight.vehicle.motion_capture.pose_statistics import PoseFigures, PoseStatistics
 from dart_flight.vehicle.vehicle_session import NoAnswerError, Sender, VehicleError, VehicleSession
 
 
@@ -89,6 +96,8 @@ class Observation(msgspec.Struct):
     specific_force_m_s2: float | None = None  # mean magnitude
     position_ned: Vec3 | None = None  # local, metres, the newest
     q_frd_to_ned: Quaternion | None = None  # attitude, the newest
+    poses: PoseFigures | None = None  # of the motion capture that this program forwards
+    pose_problem: str | None = None  # why no poses arrive
 
 
 class HeartbeatMode(msgspec.Struct, frozen=True):
@@ -110,22 +119,27 @@ _REPORT_S = 5.0  # on top, where something is amiss: until MAVSDK has fetched th
 _ROUND_TRIPS_S, _ROUND_TRIP_MAX_S = 1.0, 5.0
 _MAX_UNANSWERED = 2  # requests, where none has been answered; MAVSDK asks for each of them for seconds
 _PARAMETERS_S = 90.0  # for all parameters; a few that a build does not have take 3 s each
+_FUSION_S = 10.0  # until PX4 has a position from the poses that this program forwards
 _RATED = ("imu", "attitude", "odometry", "actuator")  # streams whose rates are reported
 
 
 class _Listener:
     """Takes the records of a session, as the core does in flight, and keeps what tells about the vehicle."""
 
-    def __init__(self) -> None:
+    def __init__(self, mocap: MotionCapture) -> None:
         self.seen = Observation()
+        self.poses = PoseStatistics(mocap.room_frame(), mocap.delay_ms)
         self.round_trips_us: list[int] = []
         self._clocks = SecondClockDetector(1e6 * STAMP_TOLERANCE_S)
         self._places = SecondPositionDetector(POSITION_JUMP_M)
         self._forces_m_s2, self._imu_samples = 0.0, 0
 
     def take(self, record: Input) -> None:
-        """Take a record; on MAVSDK's thread."""
+        """Take a record; on MAVSDK's thread, or that of the motion capture."""
         seen = self.seen
+        self.poses.update(record)
+        if isinstance(record, PoseSample):
+            return
         if isinstance(record, ImuSample):
             self._forces_m_s2 += norm(record.specific_force_frd)
             self._imu_samples += 1
@@ -159,17 +173,26 @@ class _Listener:
 class GroundLink:
     """`with GroundLink(url, timeout_s) as link: link.set_actuator(1, 0.5)`.
 
-    `viewer` sees every record once `observe` has asked for them, on MAVSDK's thread.
+    `viewer` sees every record once `observe` has asked for them, on MAVSDK's thread. While the link is open,
+    the poses of `mocap.url` are forwarded to PX4.
 
     Raises:
         VehicleError: on entering, when the URL cannot be opened or no autopilot answers.
+        InputError: on entering, when the motion capture cannot be opened.
         NoAnswerError: on a request, when the vehicle has answered none, or has fallen silent.
     """
 
     def __init__(
-        self, url: str, timeout_s: float, viewer: Callable[[Input], None] = lambda record: None
+        self,
+        url: str,
+        timeout_s: float,
+        viewer: Callable[[Input], None] = lambda record: None,
+        mocap: MotionCapture | None = None,
     ) -> None:
         self._url, self._timeout_s, self._viewer = url, timeout_s, viewer
+        self._mocap = mocap or MotionCapture()
+        self._forwarding = contextlib.ExitStack()
+        self._bridge: MotionCaptureBridge | None = None
         self._mavsdk: Any = None
         self._answered = False  # whether any request was
         self._unanswered: list[str] = []  # requests, while none was
@@ -188,8 +211,15 @@ class GroundLink:
             raise VehicleError(f"no autopilot on {self._url} within {self._timeout_s:g} s")
         self._system, self._system_id = system, system.get_system_id()
         self._param, self._info = Param(system), Info(system)
-        self._heard = _Listener()
-        self._session = VehicleSession(self._mavsdk, system, self._take)
+        self._heard = _Listener(self._mocap)
+        self._session = session = VehicleSession(self._mavsdk, system, self._take)
+        try:
+            self._bridge = self._forwarding.enter_context(
+                forwarding(self._mocap, session.send_message, session.clock, self._take)
+            )
+        except InputError:
+            self._close()
+            raise
         return self
 
     def __exit__(
@@ -198,12 +228,18 @@ class GroundLink:
         self._close()
 
     def _close(self) -> None:
+        self._forwarding.close()
         with sdk_log.closing():
             self._mavsdk.destroy()
 
     def _take(self, record: Input) -> None:
         self._heard.take(record)
         self._viewer(record)
+
+    @property
+    def pose_problem(self) -> str | None:
+        """Why no poses arrive from the motion capture; None while they do, or without one."""
+        return self._bridge.problem if self._bridge is not None else None
 
     def newest(self, entry: MessageEntry, seconds: float) -> Any:
         """Return the newest usable value of a message within `seconds`, or None."""
@@ -261,6 +297,18 @@ class GroundLink:
         other = self._session.refused_because(messages.HEARTBEAT)
         return HeartbeatMode(armed=False, hil=False, not_px4=other) if other else None
 
+    def require_disarmed(self) -> None:
+        """Raise VehicleError if the vehicle is armed, or does not report that it is not."""
+        mode = self.heartbeat_mode()
+        if mode is None or mode.armed:
+            raise VehicleError(
+                f"the vehicle {'sends no heartbeat' if mode is None else 'is armed: disarm it first'}"
+            )
+
+    def px4_logs(self) -> Px4Logs:
+        """Return PX4's logs; the caller closes them before the link."""
+        return Px4Logs(self._system)
+
     def kill(self) -> None:
         """Disarm at once, in the air, too; raises what MAVSDK raises where that is refused."""
         Action(self._system).kill()
@@ -269,17 +317,23 @@ class GroundLink:
         """Command a peripheral output, -1 to 1; an acknowledgement says nothing about movement."""
         self._session.set_actuator(index, value)
 
-    def read_parameters(self, names: Iterable[str]) -> dict[str, float]:
-        """Values of the parameters that the vehicle has, whole numbers or not; others are left out."""
-        values = {}
+    def read_parameters(
+        self, names: Iterable[str], progress: Callable[[int], None] = lambda done: None
+    ) -> dict[str, Value]:
+        """Return the parameters that the vehicle has, an INT32 as an int; others are left out.
+
+        `progress` takes the number of parameters that were asked for.
+        """
+        values: dict[str, Value] = {}
         end_s = time.monotonic() + _PARAMETERS_S
-        for name in names:
+        for done, name in enumerate(names):
+            progress(done)
             if time.monotonic() > end_s:
                 says = f"parameter {name} and others not received within {_PARAMETERS_S:g} s"
                 raise NoAnswerError(says, source=self._url)
             for read in (self._param.get_param_int, self._param.get_param_float):
                 try:
-                    values[name] = float(self._ask(f"parameter {name}", partial(read, name)))
+                    values[name] = self._ask(f"parameter {name}", partial(read, name))
                 except NoAnswerError:
                     raise
                 except MavsdkError as error:
@@ -288,6 +342,35 @@ class GroundLink:
                     break  # not there: MAVSDK has asked for it for seconds
                 break
         return values
+
+    def write_parameter(self, name: str, value: Value) -> None:
+        """Set a parameter, an INT32 by an int.
+
+        Raises:
+            NoAnswerError: no use in asking on.
+            VehicleError: the vehicle refuses it.
+        """
+        write = self._param.set_param_int if isinstance(value, int) else self._param.set_param_float
+        try:
+            self._ask(f"parameter {name}", partial(write, name, value))
+        except MavsdkError as error:
+            refusal = getattr(getattr(error, "result", None), "name", str(error)).lower().replace("_", " ")
+            raise VehicleError(f"{name} was not set to {value:g}: {refusal}") from None
+
+    def read_file(self, path: str) -> bytes:
+        """Return the content of a small file of the flight controller.
+
+        Raises:
+            DownloadError: there is no such file, or the flight controller has no FTP.
+        """
+        return download_file(self._system, path)
+
+    def version(self) -> str:
+        """Return PX4's version, or an empty string if it is not reported."""
+        with contextlib.suppress(MavsdkError):
+            v = self._info.get_version()
+            return f"{v.flight_sw_major}.{v.flight_sw_minor}.{v.flight_sw_patch}"
+        return ""
 
     def observe(self, vehicle: VehicleConfig, seconds: float) -> Observation:
         """Ask for the rates of the stream table and listen, as in a flight; blocks for that long.
@@ -303,10 +386,15 @@ class GroundLink:
         motors, lowest_v = len(vehicle.airframe.motors), vehicle.guard.battery_v
         session.subscribe(vehicle.estimation, motors, lowest_battery_v=lowest_v)
         session.listen(messages.GPS_RAW_INT, take_fix)
+        if self._bridge is not None:
+            self._wait_for_position()
         began = time.monotonic()
         before = {sender: (n.messages, n.usable) for sender, n in list(session.senders.items())}
         time.sleep(seconds)
         seen.sources = self._sources(before, time.monotonic() - began)
+        if self._bridge is not None:
+            seen.poses = self._heard.poses.figures(session.clock.host_us())
+            seen.pose_problem = self.pose_problem
         seen.rates_hz = {
             name: sum(
                 s.usable_hz
@@ -324,10 +412,14 @@ class GroundLink:
         amiss = not seen.local_position_ok or seen.blocking
         while amiss and not self._session.checked and time.monotonic() - began < seconds + _REPORT_S:
             time.sleep(0.1)
-        with contextlib.suppress(MavsdkError):  # a vehicle that does not tell its version
-            v = self._info.get_version()
-            seen.version = f"{v.flight_sw_major}.{v.flight_sw_minor}.{v.flight_sw_patch}"
+        seen.version = self.version()
         return seen
+
+    def _wait_for_position(self) -> None:
+        """Block until PX4 has a position from the forwarded poses, or 10 s."""
+        end_s = time.monotonic() + _FUSION_S
+        while self._heard.seen.position_ned is None and time.monotonic() < end_s:
+            time.sleep(0.05)
 
     def _sources(self, before: dict[Any, tuple[int, int]], elapsed_s: float) -> tuple[Source, ...]:
         """Return the senders observed, with their rates, by message."""

@@ -107,7 +107,7 @@ class EstimatorState(NamedTuple):
 
 
 class Sensors(NamedTuple):
-    """Sensors in use and healthy, bits of MAV_SYS_STATUS_SENSOR; errors of the autopilot's links.
+    """Sensors in use, healthy and present, bits of MAV_SYS_STATUS_SENSOR; errors of the autopilot's links.
 
     `drop_rate_comm` is in 0.01 %.
     """
@@ -116,6 +116,7 @@ class Sensors(NamedTuple):
     healthy: int
     drop_rate_comm: int = 0
     errors_comm: int = 0
+    present: int = 0
 
 
 class TextChunk(NamedTuple):
@@ -233,9 +234,11 @@ class _GpsRawIntFields(msgspec.Struct):
     fix_type: int
 
 
-class _RcChannelsFields(msgspec.Struct):
-    chancount: int
-    rssi: int
+_RC_CHANNELS: Final = 18  # in a message; those that the receiver lacks are 65535
+_RcChannelsFields = msgspec.defstruct(
+    "_RcChannelsFields",
+    [("chancount", int), ("rssi", int), *((f"chan{n}_raw", int, 65535) for n in range(1, _RC_CHANNELS + 1))],
+)
 
 
 # --- decoders ----------------------------------------------------------------------------------------------
@@ -403,7 +406,8 @@ def _sys_status(m: _SysStatusFields) -> Sensors | Unusable:
     if not m.onboard_control_sensors_present:
         return Unusable("with sensors")
     enabled, healthy = m.onboard_control_sensors_enabled, m.onboard_control_sensors_health
-    return Sensors(enabled, healthy, m.drop_rate_comm, m.errors_comm)
+    present = m.onboard_control_sensors_present
+    return Sensors(enabled, healthy, m.drop_rate_comm, m.errors_comm, present)
 
 
 def _status_text(m: _StatusTextFields) -> TextChunk | Unusable:
@@ -428,8 +432,10 @@ def _gps(m: _GpsRawIntFields) -> str | Unusable:
     return _FIXES[m.fix_type] if m.fix_type < len(_FIXES) else Unusable("with a known type of fix")
 
 
-def _radio(m: _RcChannelsFields) -> bool | Unusable:
-    return True if m.chancount > 0 and m.rssi != 0 else Unusable("of a receiver with a signal")
+def _radio(m: Any) -> tuple[int, ...] | Unusable:
+    if m.chancount <= 0 or m.rssi == 0:
+        return Unusable("of a receiver with a signal")
+    return tuple(getattr(m, f"chan{n}_raw") for n in range(1, min(m.chancount, _RC_CHANNELS) + 1))
 
 
 # --- the table ---------------------------------------------------------------------------------------------
@@ -629,7 +635,7 @@ RC_CHANNELS = MessageEntry(
     _RcChannelsFields,
     _radio,
     "-",
-    "number of channels, signal",
+    "pulses in µs",
     "no channels, signal 0",
 )
 

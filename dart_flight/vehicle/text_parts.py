@@ -1,10 +1,28 @@
-"""Assembly of STATUSTEXT parts: a text longer than 50 bytes arrives as several messages with one id."""
+"""Parts of a STATUSTEXT: a text longer than 50 bytes is several messages with one id."""
 
 from __future__ import annotations
+
+from typing import Any
 
 from dart_flight.vehicle.messages import TextChunk
 
 _CUT = "..."  # replaces a lost part
+_PART = 50  # bytes
+_LONGEST = 199  # four parts: PX4 forwards from a small buffer
+_INFO = 6  # MAV_SEVERITY
+
+
+def split_text(text: str, number: int) -> list[dict[str, Any]]:
+    """Return the fields of the messages that carry a text; `number` is its id if it needs several."""
+    plain = text.encode("ascii", "replace").decode()[:_LONGEST]
+    if len(plain) <= _PART:
+        return [{"severity": _INFO, "text": plain, "id": 0, "chunk_seq": 0}]
+    # A part of fewer than 50 bytes ends the text, if need be an empty one.
+    starts = range(0, len(plain) + 1, _PART)
+    return [
+        {"severity": _INFO, "text": plain[start : start + _PART], "id": number, "chunk_seq": i}
+        for i, start in enumerate(starts)
+    ]
 
 
 class TextAssembler:

@@ -24,8 +24,6 @@ from mavsdk.plugins.action import Action
 from mavsdk.plugins.events import Events
 from mavsdk.plugins.mavlink_direct import MavlinkDirect, MavlinkMessage
 from mavsdk.plugins.offboard import AccelerationNed, Offboard, PositionNedYaw, VelocityNedYaw
-from mavsdk.plugins.server_utility import ServerUtility
-from mavsdk.plugins.server_utility import StatusTextType as OwnStatusTextType
 from mavsdk.plugins.telemetry import Telemetry
 
 from dart_flight.base.errors import FlightError
@@ -56,8 +54,9 @@ from dart_flight.vehicle import messages, sdk_log
 from dart_flight.vehicle.batteries import Batteries
 from dart_flight.vehicle.callback_thread import pin_thread_state
 from dart_flight.vehicle.clock import Clock, ClockEstimate, host_us
+from dart_flight.vehicle.command_server import CommandServer, Press, Result
 from dart_flight.vehicle.messages import AUTOPILOT, MessageEntry, Unusable
-from dart_flight.vehicle.text_parts import TextAssembler
+from dart_flight.vehicle.text_parts import TextAssembler, split_text
 from dart_flight.vehicle.timesync import request
 
 _ACTION_TIMEOUT_S = 5.0
@@ -67,6 +66,7 @@ _SET_MESSAGE_INTERVAL = 511  # MAV_CMD
 _REPEATED_US = 100_000  # a setpoint that stays the same leaves as often
 _ASK_PERIOD_S = 0.1  # the round trip
 _MAX_ASKED = 256  # requests remembered; their answers may come seconds later
+_MAX_TEXT_ID = 65535
 _AIRBORNE = (LandedState.IN_AIR, LandedState.TAKING_OFF)
 _REPORTED_US = 3_000_000  # between reports that a stream is unusable
 _ENOUGH_MESSAGES = 10  # consecutive unusable messages before a report
@@ -126,7 +126,6 @@ class VehicleSession:
         self._telemetry = Telemetry(self._raw)
         self._offboard = Offboard(self._raw)
         self._action = Action(self._raw)
-        self._utility = ServerUtility(self._raw)
         self._direct = MavlinkDirect(self._raw)
         self._extra: list[Stream] = []  # beside the table, as the configuration asks
         self._motors = 0
@@ -149,6 +148,8 @@ class VehicleSession:
         self._sent_us = 0
         self._events = Events(self._raw)
         self._asked: deque[int] = deque(maxlen=_MAX_ASKED)  # host time of TIMESYNC requests, microseconds
+        self._text_id = 0
+        self._server: CommandServer | None = None
         self._other: int | None = None  # system id of another autopilot on the link
         self.checked = False  # whether PX4 has sent a report of its checks
         self._health: tuple[bool, tuple[str, ...], tuple[str, ...]] | None = None
@@ -313,7 +314,7 @@ class VehicleSession:
 
         def handle(answer: messages.Timesync, received: int) -> Unusable | None:
             refused = self._take_answer(answer, received)
-            if refused is None:
+            if refused is None and not heard.is_set():  # later answers may outlive the loop
                 loop.call_soon_threadsafe(heard.set)
             return refused
 
@@ -567,6 +568,16 @@ class VehicleSession:
             return "no answer"
         return "" if name == "SUCCESS" else name
 
+    def send_message(self, message: MavlinkMessage) -> None:
+        """Send a raw message from any thread; a link that refuses it shows by its silence."""
+        with contextlib.suppress(MavsdkError):
+            self._direct.send_message(message)
+
+    @property
+    def armed(self) -> bool:
+        """Whether the vehicle is armed, by its newest heartbeat."""
+        return self._status.armed
+
     def silence(self) -> None:
         """Send nothing more. MAVSDK stops repeating by itself once it sees another mode than offboard."""
         self._silent = True
@@ -583,9 +594,27 @@ class VehicleSession:
             raise VehicleError(str(error)) from error
 
     def tell_ground(self, text: str) -> None:
-        """A STATUSTEXT for the ground station, where the link allows."""
+        """Send a STATUSTEXT for the ground station, where the link allows; a long one in parts."""
+        self._text_id = self._text_id % _MAX_TEXT_ID + 1
         with contextlib.suppress(Exception):
-            self._utility.send_status_text(OwnStatusTextType.INFO, text[:50])
+            for fields in split_text(text, self._text_id):
+                self._direct.send_message(
+                    MavlinkMessage("STATUSTEXT", 0, 0, 0, 0, msgspec.json.encode(fields).decode())
+                )
+
+    def serve_operator(self, system_id: int, answer: Callable[[Press], tuple[Result, str]]) -> None:
+        """Answer the buttons of a ground station, on MAVSDK's thread (`CommandServer`).
+
+        Each answer becomes a text on the ground station and a record.
+        """
+
+        def note(text: str) -> None:
+            self.tell_ground(text)
+            received = self._host_us()
+            t_us = self.clock.to_autopilot(received)
+            self._deliver(StatusText(t_us, received, "info", f"ground station: {text}", found_here=True))
+
+        self._server = CommandServer(self._mavsdk, system_id, answer, note)
 
 
 class Connection:

@@ -17,7 +17,6 @@ from dart_flight.base.motor_outputs import DSHOT, PWM, OutputScale
 from dart_flight.base.records import Record, TruthContact, TruthSample
 from dart_flight.check.findings import CheckFinding, decide
 from dart_flight.check.px4_parameters import (
-    IMU_POSITION,
     PARAMETERS,
     judge_claim,
     judge_parameters,
@@ -34,6 +33,7 @@ from dart_flight.check.telemetry_check import (
     motor_output_names,
 )
 from dart_flight.check.vehicle_check import judge_lock, judge_mode, judge_observation
+from dart_flight.check.wanted_parameters import IMU_POSITION
 from dart_flight.cli import main
 from dart_flight.config.document import Document, InputError
 from dart_flight.config.mission import Mission, parse_mission

@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from dart_flight.cli.fly_command import confirm_flight
+from dart_flight.cli.terminal import confirm
 
 
 class Terminal(io.StringIO):
@@ -20,9 +20,9 @@ class Terminal(io.StringIO):
 @pytest.mark.parametrize(("answer", "flies"), [("y\n", True), ("Yes\n", True), ("\n", False), ("", False)])
 def test_only_a_yes_flies(answer: str, flies: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "stdin", Terminal(answer))
-    assert confirm_flight() is flies
+    assert confirm("Fly?") is flies
 
 
 def test_without_a_terminal_the_answer_is_no(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "stdin", io.StringIO("y\n"))
-    assert not confirm_flight()
+    assert not confirm("Fly?")

@@ -128,4 +128,4 @@ def test_a_section_that_the_file_leaves_out_can_be_set(capsys: pytest.CaptureFix
 def test_ratios_have_no_vehicle_to_set(capsys: pytest.CaptureFixture[str]) -> None:
     command = ["predict", "--restitution", "0.5", "--velocity", "-1", "0", "--set", "airframe.mass_kg=2"]
     assert main(command) == 2
-    assert "--restitution stands without --set" in capsys.readouterr().err
+    assert "--restitution cannot be combined with --set" in capsys.readouterr().err

@@ -173,5 +173,5 @@ def test_a_key_takes_its_own_meaning_before_that_of_its_section() -> None:
         schema["$defs"][section]["properties"]["arm_vibration"]["description"]
         for section in ("Estimation", "Simulation")
     )
-    assert estimated.endswith("null: not taken out.")
+    assert estimated.endswith("null: not removed.")
     assert "simulated IMU" in simulated

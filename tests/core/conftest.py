@@ -180,7 +180,7 @@ class HandFedCore:
     def judge_by(self, rules: tuple[Rule, ...]) -> None:
         """From now on the guard has these rules; what it has seen stays."""
         guard, whole = self.core._guard, Guard(self.core.mission, rules)
-        guard._rules, guard._judged = whole._rules, whole._judged
+        guard._rules, guard._rules_by_phase = whole._rules, whole._rules_by_phase
 
 
 @pytest.fixture

@@ -36,6 +36,7 @@ from dart_flight.base.records import (
     Override,
     Phase,
     PhaseChange,
+    PoseSample,
     Request,
     RoundTrip,
     Setpoint,
@@ -516,6 +517,35 @@ def no_approach(c: HandFedCore) -> None:
     c.pulse((-20.0, 0.0))
     c.position_ned, c.velocity_ned = (0.1, 0.0, -1.0), (0.0, 0.0, 0.0)
     c.run(2.0)
+
+
+def lost_body(c: HandFedCore, seconds: float) -> None:
+    """A pose, and then frames without the body."""
+    for tracked in (True, *(False,) * round(seconds / 0.02)):
+        c.give(PoseSample(c.t_us, c.t_us, "dart", tracked, c.position_ned, c.q))
+        c.run(0.02)
+
+
+@cause
+def pose_source_ground(c: HandFedCore) -> None:
+    c.run(0.1)
+    lost_body(c, 2.1)
+
+
+@cause
+def pose_source(c: HandFedCore) -> None:
+    c.to_flight()
+    lost_body(c, 0.4)
+
+
+@cause
+def pose_source_blind(c: HandFedCore) -> None:
+    c.to_flight()
+    lost_body(c, 1.7)
+
+
+for _name in ("pose_source_ground", "pose_source", "pose_source_blind"):
+    SETTINGS[_name] = {"vehicle.mocap.url": "udp://127.0.0.1:9763/dart"}
 
 
 CAUSES |= {
@@ -1232,6 +1262,7 @@ def test_thresholds_named_in_the_table_exist() -> None:
         "bounds_m": mission.bounds,
         "goal": mission.goal,
         "mode_mismatch": mission,
+        "mocap": vehicle.mocap,
     }
     for rule in RULES:
         for key in filter(None, rule.judge.threshold.split(", ")):

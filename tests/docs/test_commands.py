@@ -32,7 +32,7 @@ NOT_RUN: list[tuple[str, str]] = [
     (r"--px4", "needs a PX4 build"),
     (r"--scheduler tcp://host|^dask ", "needs a Dask scheduler"),
     (
-        r"--connection serial:|^dart-flight (calibrate airframe --connection|monitor)|"
+        r"--connection serial:|^dart-flight (calibrate airframe --connection|monitor|mocap)|"
         r"^dart-flight fly missions/\S+( --standoff \S+)?$",
         "needs the vehicle",
     ),

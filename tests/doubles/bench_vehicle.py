@@ -16,12 +16,20 @@ import termios
 import threading
 import time
 import tty
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from types import TracebackType
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from dart_flight.base.geometry import GRAVITY_M_S2, Vec3, quaternion_from_euler, rotate_back
+from dart_flight.base.geometry import (
+    GRAVITY_M_S2,
+    Quaternion,
+    Vec3,
+    quaternion_conjugate,
+    quaternion_from_euler,
+    quaternion_multiply,
+    rotate_back,
+)
 from dart_flight.base.records import FlightMode
 from dart_flight.config.mission import Mission
 from dart_flight.sim.embedded_autopilot import TICK_S, ImuReading, make_autopilot
@@ -33,7 +41,11 @@ _PUSH_M_S2, _PUSH_S = 6.0, 0.15
 _CARRY_M, _CARRY_S = 0.6, 1.0
 _BUFFER = 65536
 _RADIO_EVERY = 20  # ticks
+_POSE_EVERY = 4  # ticks
 YAW_RAD = math.radians(35.0)  # it stands as it happens to stand
+
+
+Motion = Callable[[float], tuple[Vec3, Quaternion]]
 
 
 class BenchVehicle:
@@ -43,10 +55,20 @@ class BenchVehicle:
         mission: whose vehicle it is.
         wrong: `axes` (IMU turned by 90 degrees), `frame` (motion capture in east, north, up), `radio` (remote
             control off).
+        motion: position (NED) and attitude at a time since `move`, for a motion by hand.
+        publish: takes time (microseconds), position and attitude of every fourth tick of a motion.
     """
 
-    def __init__(self, mission: Mission, wrong: Collection[str] = ()) -> None:
+    def __init__(
+        self,
+        mission: Mission,
+        wrong: Collection[str] = (),
+        motion: Motion | None = None,
+        publish: Callable[[int, Vec3, Quaternion], None] = lambda t_us, position, q: None,
+    ) -> None:
         self._wrong = set(wrong)
+        self._motion, self._publish = motion, publish
+        self._move_s: float | None = None
         self._autopilot = make_autopilot(mission, 1)
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.bind(("127.0.0.1", 0))
@@ -101,6 +123,10 @@ class BenchVehicle:
         way = (_CARRY_M * math.cos(heading), _CARRY_M * math.sin(heading))
         self._carry = (self._autopilot.now_s, (self._position[0], self._position[1]), way)
 
+    def move(self) -> None:
+        """Turn and carry it by hand, as `motion` does, from now on."""
+        self._move_s = self._autopilot.now_s
+
     def flip_switch(self) -> None:
         """The mode switch of the remote control."""
         manual = self._autopilot.mode is FlightMode.MANUAL
@@ -133,12 +159,29 @@ class BenchVehicle:
         x, y, z = (f + self._noise.gauss(0.0, _NOISE_M_S2) for f in force)
         a.imu = ImuReading(a.time_us, (x, y, z), (0.0, 0.0, 0.0))
         e = a.estimator
+        if self._motion is not None:
+            e.ok = True
+            since_s = 0.0 if self._move_s is None else a.now_s - self._move_s
+            e.position, e.q, force, rate = self._by_hand(self._motion, since_s)
+            a.imu = ImuReading(a.time_us, force, rate)
+            if ticks % _POSE_EVERY == 0:
+                self._publish(a.time_us, e.position, e.q)
+            return
         n, east = self._position
         vn, ve = velocity
         e.q, e.ok = q, True
         swapped = "frame" in self._wrong
         e.position = (east, n, 0.0) if swapped else (n, east, 0.0)
         e.velocity = (ve, vn, 0.0) if swapped else (vn, ve, 0.0)
+
+    def _by_hand(self, motion: Motion, t: float) -> tuple[Vec3, Quaternion, Vec3, Vec3]:
+        """Return position, attitude, specific force and rate, the last two by central differences."""
+        h = 1e-3
+        (p0, q0), (p1, q1), (p2, q2) = (motion(t + k * h) for k in (-1.0, 0.0, 1.0))
+        ax, ay, az = ((a - 2.0 * b + c) / h**2 for a, b, c in zip(p0, p1, p2, strict=True))
+        force = rotate_back(q1, (ax, ay, az - GRAVITY_M_S2))
+        _, x, y, z = quaternion_multiply(quaternion_conjugate(q0), q2)
+        return p1, q1, force, (x / h, y / h, z / h)
 
     def _pushed_m_s2(self) -> float:
         if self._push_s is None:

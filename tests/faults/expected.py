@@ -14,4 +14,5 @@ def expected() -> dict[tuple[str, str], frozenset[str]]:
         (row[0], phase): frozenset(cell.split("|"))
         for row in rows[1:]
         for phase, cell in zip(rows[0][1:], row[1:], strict=True)
+        if cell
     }

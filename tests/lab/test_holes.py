@@ -129,18 +129,18 @@ def test_report_says_at_its_top_where_a_log_is_cut_or_has_a_hole(flown: SharedFl
     whole = flown("single_wall", 1).log
     log = read_log(whole)
     assert describe_missing_parts(log) == []
-    assert "does not hold the whole flight" not in flight_page(RecordedFlight(log))
+    assert "does not contain the whole flight" not in flight_page(RecordedFlight(log))
     cut = _edited(log, cut_s=8.0)
     (line,) = describe_missing_parts(cut)
     assert line == "cut: the log ends at 8.00 s"
     page = flight_page(RecordedFlight(cut))
-    assert f"The log does not hold the whole flight: {line}." in page
+    assert f"The log does not contain the whole flight: {line}." in page
     assert page.index(line) < page.index("class=sentence")
     holed = _edited(log, hole_s=(2.0, 3.5))
     (line,) = describe_missing_parts(holed)
     assert line == "hole of 1.50 s in the IMU samples, at 2.00 s"
     both = comparison_page([RecordedFlight(holed), RecordedFlight(log)])
-    assert both.count(f"does not hold the whole flight: {line}.") == 1
+    assert both.count(f"does not contain the whole flight: {line}.") == 1
 
 
 def test_a_log_cut_before_its_first_imu_sample_is_reported(flown: SharedFlights) -> None:

@@ -53,7 +53,7 @@ def ticks_of(rows: Sequence[Row]) -> Ticks:
     h, normal, along, up, push, drive, turned, turning, torque = np.array([r[:9] for r in rows]).T
     both = [np.stack([read, read], axis=1) for read in (normal, along)]
     bound = np.array([r[9] for r in rows])
-    return Ticks(h, *both, up, push, drive, turned, turning, torque, np.ones(len(rows)), bound)
+    return Ticks._make([h, *both, up, push, drive, turned, turning, torque, np.ones(len(rows)), bound])
 
 
 def scaled(c: Coefficients, k: float = 1.0, f: float = 1.0, mu: float = 1.0) -> Coefficients:

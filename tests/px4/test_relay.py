@@ -102,10 +102,23 @@ def test_a_setpoint_is_seen_once_it_has_been_forwarded(ends: Ends) -> None:
     )
     ends.app.sendto(packed(message, component=191), relay)
     assert ends.px4.recv(4096) == packed(message, component=191)
-    until(lambda: ends.relay.setpoint[0] == 1.0)
-    assert ends.relay.setpoint == pytest.approx(
+    until(lambda: ends.relay.arrived.get("setpoint", (0.0,))[0] == 1.0)
+    assert ends.relay.arrived["setpoint"] == pytest.approx(
         (1.0, 2.0, -1.0, 0.5, math.nan, 0.0, 0.0, 0.0, 0.25), nan_ok=True
     )
+
+
+def test_a_forwarded_pose_is_seen_by_its_position(ends: Ends) -> None:
+    ends.px4.send(packed(imu(4_000)))
+    _, relay = ends.app.recvfrom(4096)
+    unknown = [math.nan] * 21
+    message = mavlink.MAVLink_odometry_message(
+        1_000_000, 1, 12, 1.5, -2.0, -1.0, [1.0, 0.0, 0.0, 0.0], *(math.nan,) * 6, unknown, unknown, 0, 2
+    )
+    ends.app.sendto(packed(message, component=195), relay)
+    until(lambda: "pose" in ends.relay.arrived)
+    assert ends.relay.arrived["pose"] == (1.5, -2.0, -1.0)
+    assert "odometry" not in ends.relay.sent_us
 
 
 def test_px4s_heartbeat_is_repeated_while_simulated_time_stands_still(

@@ -50,8 +50,10 @@ from dart_flight.config.vehicle import LockDriver
 from dart_flight.lock.state_machine import status_text
 from dart_flight.run import app as module
 from dart_flight.run.app import FlightApp, LockThread
+from dart_flight.run.operator_buttons import Button
 from dart_flight.run.prepare import load_flyable
 from dart_flight.vehicle.clock import ClockEstimate, host_us
+from dart_flight.vehicle.command_server import Press, Result
 from dart_flight.vehicle.vehicle_session import NoAnswerError
 
 ROOT = Path(__file__).parents[2]
@@ -102,6 +104,18 @@ def test_the_first_stop_lands_and_only_the_next_one_releases(monkeypatch: pytest
     for _ in range(3):
         app.stop()
     assert requests(told) == [Request.LAND, Request.RELEASE, Request.RELEASE]
+
+
+def test_the_button_lands_and_leaves_ctrl_c_its_first_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    app, told = app_with(monkeypatch, Session())
+    assert app._answer_button(Press(Button.LAND)) == (Result.ACCEPTED, "landing")
+    app._answer_button(Press(Button.LAND))
+    app.stop()
+    assert requests(told) == [Request.LAND] * 3
+    assert app._answer_button(Press(Button.CONTINUE))[0] is Result.DENIED
+    carry_out(app, monkeypatch, PhaseChange(1, Phase.WAYPOINT, Phase.PAUSE, ""))
+    assert app._answer_button(Press(Button.CONTINUE))[0] is Result.ACCEPTED
+    assert requests(told)[3:] == [Request.CONTINUE]
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
@@ -290,6 +304,9 @@ class Flight(Session):
 
     async def keep_measuring(self) -> None:
         await asyncio.sleep(60.0)
+
+    def serve_operator(self, system_id: int, answer: object) -> None:
+        self.asked.append(("serve", system_id))
 
     def subscribe(self, estimation: object, motors: int, *, lowest_battery_v: float) -> None:
         self.motors = motors

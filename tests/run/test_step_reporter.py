@@ -19,6 +19,7 @@ from dart_flight.base.records import (
     Output,
     PlanAnswer,
     PlanRequest,
+    PoseSample,
     Request,
     Setpoint,
     StatusSample,
@@ -171,7 +172,21 @@ def test_a_setpoint_is_reported_with_what_it_leaves_out() -> None:
     told = Reports()
     told.reporter.sent(Setpoint(1, 1, (1.0, 2.0, -1.0), 0.0, (0.1, 0.0, 0.0)))
     told.reporter.close([imu(4_000)], 0, False)
-    assert told.last.setpoint == (1.0, 2.0, -1.0, 0.1, 0.0, 0.0, None, None, None)
+    assert told.last.sent["setpoint"] == (1.0, 2.0, -1.0, 0.1, 0.0, 0.0, None, None, None)
+
+
+def test_poses_are_reported_by_frame_and_by_what_was_forwarded_and_samples_not_in_batches() -> None:
+    lines: list[bytes] = []
+    reporter = StepReporter(lines.append, batches=False)
+    reporter.begin()
+    pose = PoseSample(8_000, 8_000, "dart", True, (1.0, 2.0, 3.0), (1.0, 0.0, 0.0, 0.0), frame_number=7)
+    reporter.sent_pose((2.0, 1.0, -3.0))
+    reporter.close([imu(8_000), pose], 0, True)
+    last = msgspec.json.decode(lines[-1], type=Stepped)
+    assert last.streams == {"imu": 8_000, "pose": 7}
+    assert last.sent == {"pose": (2.0, 1.0, -3.0)}
+    assert last.batch_us == 0
+    assert reporter.completes_batch(OdometrySample(9_000, 1, ORIGIN, ORIGIN))
 
 
 def test_the_end_is_reported_at_once() -> None:

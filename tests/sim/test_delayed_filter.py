@@ -28,7 +28,7 @@ class Level:
 
     def __init__(self, delay_s: float) -> None:
         self.filter = Estimator()
-        self.filter.mistake_delay(0.0, delay_s)
+        self.filter.assume_delay(0.0, delay_s)
         self.north = self.speed = self.time_s = 0.0
         self._rng = random.Random(1)
         self._poses: deque[tuple[float, Vec3]] = deque()

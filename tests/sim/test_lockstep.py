@@ -26,7 +26,7 @@ class Sender:
 
     def __init__(self) -> None:
         self.sent_us: dict[str, int] = {}
-        self.setpoint: tuple[float, ...] = (math.nan,) * 9
+        self.arrived: dict[str, tuple[float, ...]] = {}
         self.rests = 0
 
     def rest(self) -> None:
@@ -87,9 +87,22 @@ def test_what_was_sent_before_the_application_listened_is_not_waited_for() -> No
 def test_a_setpoint_counts_once_it_has_arrived_in_single_precision() -> None:
     sender = Sender()
     world = lockstep(sender)
-    world.update(Stepped({}, SETPOINT))
+    world.update(Stepped({}, {"setpoint": SETPOINT}))
     assert world.outstanding(4_000) == "a setpoint of the application"
-    sender.setpoint = (1.0000001, 2.0, -1.0, 0.5, *(math.nan,) * 5)
+    sender.arrived["setpoint"] = (1.0000001, 2.0, -1.0, 0.5, *(math.nan,) * 5)
+    assert world.outstanding(4_000) is None
+
+
+def test_a_published_pose_is_waited_for_until_it_is_stepped_and_has_come_back() -> None:
+    sender = Sender()
+    world = lockstep(sender)
+    world.update(Stepped({}))
+    world.publish("pose", 7)
+    assert world.outstanding(4_000) == "the application to step its telemetry"
+    pose = (1.0, 2.0, -3.0)
+    world.update(Stepped({"pose": 7}, {"pose": pose}))
+    assert world.outstanding(4_000) == "a pose of the application"
+    sender.arrived["pose"] = pose
     assert world.outstanding(4_000) is None
 
 
@@ -113,7 +126,7 @@ def test_the_planner_is_waited_for_when_its_answer_is_due() -> None:
 def test_time_goes_on_for_an_autopilot_that_answers_commands_only_then(answers_at_rest: bool) -> None:
     sender = Sender()
     world = lockstep(sender, answers_at_rest=answers_at_rest)
-    world.update(Stepped({"imu": 4_000}, SETPOINT, commands=1))
+    world.update(Stepped({"imu": 4_000}, {"setpoint": SETPOINT}, commands=1))
     sender.sent_us = {"imu": 4_000}
     assert (world.outstanding(8_000) is None) != answers_at_rest, "a setpoint waits for the result"
     assert world.holds is answers_at_rest, "else a world at full speed would run away"
@@ -124,7 +137,7 @@ def test_time_goes_on_for_an_autopilot_that_answers_commands_only_then(answers_a
 def test_once_the_application_is_silent_nothing_holds_the_world() -> None:
     sender = Sender()
     world = lockstep(sender)
-    world.update(Stepped({}, SETPOINT, commands=1, flies=False))
+    world.update(Stepped({}, {"setpoint": SETPOINT}, commands=1, flies=False))
     sender.sent_us = {"imu": 4_000}
     assert world.outstanding(8_000) is None
     assert not world.engaged
@@ -135,11 +148,11 @@ def test_a_setpoint_that_arrives_between_two_looks_does_not_wait_for_the_next_da
 ) -> None:
     class Arriving(Sender):
         def rest(self) -> None:
-            self.setpoint = tuple(math.nan if value is None else value for value in SETPOINT)
+            self.arrived["setpoint"] = tuple(math.nan if value is None else value for value in SETPOINT)
 
     host = Host(monkeypatch)
     world = lockstep(Arriving())
-    world.update(Stepped({}, SETPOINT))
+    world.update(Stepped({}, {"setpoint": SETPOINT}))
     began_s = host.now_s
     world.wait(4_000, [wake], lambda: True)
     assert host.now_s == began_s
@@ -161,7 +174,7 @@ def test_a_lost_datagram_holds_the_world_for_a_second_only(
 @pytest.mark.parametrize(
     ("report", "missing"),
     [
-        (Stepped({"imu": 4_000}, SETPOINT), "a setpoint of the application"),
+        (Stepped({"imu": 4_000}, {"setpoint": SETPOINT}), "a setpoint of the application"),
         (Stepped({"imu": 4_000}, plan_due_us=3_000), "the planner"),
         (Stepped({"imu": 4_000}, commands=1), "the result of a command"),
     ],

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from dart_flight.base.records import ImuSample, OdometrySample
+from dart_flight.config.vehicle.mocap import MotionCapture
 from dart_flight.vehicle.ground_link import _Listener
 
 ORIGIN = (0.0, 0.0, 0.0)
@@ -13,7 +14,7 @@ _TICK_US = 8_000
 
 def listened(ahead_us: int, north_m: float, both: bool = True) -> _Listener:
     """Two vehicles that send in turn, or one after the other."""
-    listener = _Listener()
+    listener = _Listener(MotionCapture())
     for tick in range(400):
         second = tick % 2 == 1 if both else tick > 200
         t_us = tick * _TICK_US

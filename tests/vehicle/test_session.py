@@ -73,7 +73,7 @@ class Rig:
         self, monkeypatch: pytest.MonkeyPatch, answers: dict[str, Callable[..., Any]], *systems: int
     ) -> None:
         self.plugins: dict[str, Plugin] = {}
-        for name in ("Telemetry", "Offboard", "Action", "ServerUtility", "MavlinkDirect", "Events"):
+        for name in ("Telemetry", "Offboard", "Action", "MavlinkDirect", "Events"):
             plugin = self.plugins[name] = Plugin(answers)
             monkeypatch.setattr(module, name, lambda _, plugin=plugin: plugin)
         self.seen: list[Input] = []
@@ -348,11 +348,13 @@ def test_a_setpoint_carries_what_it_has(monkeypatch: pytest.MonkeyPatch) -> None
 def test_the_ground_and_the_servo_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
     rig = Rig(monkeypatch, {})
     rig.session.tell_ground("x" * 60)
+    rig.session.tell_ground("short")
     rig.session.set_actuator(2, 0.5)
-    ((name, (_, text)),) = rig.plugins["ServerUtility"].calls
-    assert (name, text) == ("send_status_text", "x" * 50)
+    sent = [json.loads(m.fields_json) for _, (m,) in rig.plugins["MavlinkDirect"].calls]
+    assert [(s["text"], s["chunk_seq"]) for s in sent] == [("x" * 50, 0), ("x" * 10, 1), ("short", 0)]
+    assert sent[0]["id"] == sent[1]["id"] != 0 == sent[2]["id"]
     assert rig.plugins["Action"].calls == [("set_actuator", (2, 0.5))]
-    deaf = Rig(monkeypatch, {"send_status_text": refuse})
+    deaf = Rig(monkeypatch, {"send_message": refuse})
     deaf.session.tell_ground("where the link allows")
 
 

@@ -1,7 +1,7 @@
 """`make bench`: speed and memory as a table and as build/bench.json.
 
-Every row's ratio is against a baseline measured in the same run. The measurements stand beside what they
-measure (`tools/bench/`); each module has `rows() -> list[Row]`.
+Every ratio refers to a baseline measured in the same run. Each module in `tools/bench/` measures one part and
+has `rows() -> list[Row]`.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ OUTPUT = Path("build/bench.json")
 
 
 def cli_help() -> list[Row]:
-    """Time of `dart-flight --help` against a bare interpreter."""
+    """Measure the time of `dart-flight --help` against a bare interpreter."""
 
     def seconds(*arguments: str) -> float:
         times = []
@@ -40,7 +40,7 @@ def cli_help() -> list[Row]:
 
 
 def main() -> int:
-    """Run everything that is there, print the table, write the file."""
+    """Run all benchmarks, print the table and write the file."""
     console = Console(stderr=True)
     found: list[Row] = []
     for name in MODULES:

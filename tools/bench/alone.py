@@ -1,7 +1,7 @@
-"""MAVSDK alone, for the benchmarks: the link at a flight's rates, with callbacks that do nothing.
+"""MAVSDK alone, for the benchmarks: the link at a flight's rates, with empty callbacks.
 
-What it costs of a core is the least that an app over MAVSDK can do; `tools.bench.share` measures what
-`dart_flight` adds.
+Its processor time is the minimum of any app over MAVSDK; `tools.bench.share` measures what `dart_flight`
+adds.
 """
 
 from __future__ import annotations
@@ -15,25 +15,25 @@ from dart_flight.vehicle.vehicle_session import connect
 
 
 async def stay(mission: Mission, url: str, ended: asyncio.Event) -> None:
-    """Connect, subscribe as a flight does, but to callbacks that do nothing; stay until it has ended.
+    """Connect and subscribe as a flight does, but with empty callbacks, until `ended` is set.
 
     Args:
-        mission: whose vehicle it is.
+        mission: mission with the vehicle.
         url: MAVSDK connection URL.
-        ended: when to leave.
+        ended: event that ends the connection.
     """
-    async with connect(url, mission.vehicle.connection.timeout_s, _nothing) as session:
+    async with connect(url, mission.vehicle.connection.timeout_s, _do_nothing) as session:
 
         def listen_idly(entry: MessageEntry, *_: object) -> None:
-            session._direct.subscribe_message(entry.message, _nothing)
+            session._direct.subscribe_message(entry.message, _do_nothing)
 
         session.listen = listen_idly  # type: ignore[method-assign, assignment]
-        session._on_event = session._on_checks = _nothing  # type: ignore[method-assign]
+        session._on_event = session._on_checks = _do_nothing  # type: ignore[method-assign]
         motors = len(mission.vehicle.airframe.motors)
         session.subscribe(mission.vehicle.estimation, motors)
         await session.set_rates()
         await ended.wait()
 
 
-def _nothing(*_: Any, **__: Any) -> None:
-    """An empty callback."""
+def _do_nothing(*_: Any, **__: Any) -> None:
+    """Do nothing."""

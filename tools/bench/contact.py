@@ -1,4 +1,4 @@
-"""Benchmark of the contact model: the closed form against time stepping, side by side in one run."""
+"""Benchmark of the contact model: the closed form against time stepping in the same run."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ BATCH = 100_000
 
 
 def _best_s(run: Callable[[], object], repeats: int) -> float:
-    """Shortest of several runs: what the code takes when nothing else disturbs it."""
+    """Return the shortest of several runs, which is the least disturbed one."""
     times = []
     for _ in range(repeats):
         begin = time.perf_counter()
@@ -31,7 +31,9 @@ def _best_s(run: Callable[[], object], repeats: int) -> float:
 def step_through(
     c: CoefficientArrays, mass_kg: float, normal_m_s: Array, tangential_m_s: Array, step_s: float
 ) -> tuple[Array, Array]:
-    """Return the exit velocities of a batch by implicit Euler, as in the paper; ended contacts leave it."""
+    """Return the exit velocities of a batch by implicit Euler, as in the paper; finished contacts are
+    removed.
+    """
     out_n, out_t = normal_m_s.copy(), tangential_m_s.copy()
     index = np.arange(out_n.size)
     x, v, slip = -c.f * out_n / c.k, out_n.copy(), out_t.copy()
@@ -51,10 +53,10 @@ def step_through(
 
 
 def rows(batch: int = BATCH) -> list[dict[str, Any]]:
-    """Rows for the benchmark table: collisions per second, one core.
+    """Return rows for the benchmark table: collisions per second on one core.
 
-    The batch mixes all materials and modes of the configuration; `baseline` is the implicit Euler model at
-    the step that the name gives, `ratio` how many times faster the closed form is.
+    The batch mixes all materials and modes of the configuration. `baseline` is the implicit Euler model with
+    the step in the name, and `ratio` the speed of the closed form over it.
     """
     vehicle = load_vehicle(packaged("configs", "dart.yaml"))
     table = CoefficientArrays.of([m.of(mode) for m in vehicle.materials.values() for mode in Mode])

@@ -2,8 +2,8 @@
 
     python -m tools.bench.core
 
-Measured in processes of their own: with the source tree, and with the compiled package where `make compiled`
-has built it (docs/speed.md).
+The measurement runs in separate processes, with the source tree and, after `make compiled`, with the compiled
+package (docs/speed.md).
 """
 
 from __future__ import annotations
@@ -51,15 +51,15 @@ _KINDS = get_args(Input)
 
 
 class Figures(msgspec.Struct):
-    """What one process has measured; processor time, seconds.
+    """The figures of one process: processor time, seconds.
 
     Attributes:
-        compiled: whether the core was.
-        flight_s: of a flight with its verdict, without a log, by mission.
-        flown_s: simulated, by mission.
-        step_s: of the core, one input.
-        imu_step_s: likewise, one IMU sample.
-        vehicle_s: of plant and autopilot, one dual collision.
+        compiled: whether the core was compiled.
+        flight_s: time of a flight with its verdict, without a log, by mission.
+        flown_s: simulated duration, by mission.
+        step_s: time of one step of the core.
+        imu_step_s: time of one step with an IMU sample.
+        vehicle_s: time of plant and autopilot in one dual collision.
     """
 
     compiled: bool
@@ -71,7 +71,7 @@ class Figures(msgspec.Struct):
 
 
 class _Recorded(NamedTuple):
-    """A flight as core and vehicle saw it; `orders` by tick, after which they arrived."""
+    """The inputs of core and vehicle in a flight; `orders` lists the orders that arrived after each tick."""
 
     inputs: list[Input]
     orders: dict[int, list[Setpoint | VehicleCommand | Mode]]
@@ -79,7 +79,7 @@ class _Recorded(NamedTuple):
 
 
 def measure() -> Figures:
-    """In this process, with whichever package it imports."""
+    """Measure in this process, with the package that it imports."""
     missions = {name: load_mission(ROOT / "missions" / f"{name}.yaml") for name in MISSIONS}
     dual = missions[MISSIONS[0]]
     recorded = _record(dual)
@@ -95,9 +95,9 @@ def measure() -> Figures:
 
 
 def _least(times_of: Callable[[], list[float]]) -> float:
-    """The same work several times, in pieces: the sum of each piece's shortest time.
+    """Run the same work several times and return the sum of each piece's shortest time.
 
-    What else runs on the machine lengthens a piece now and then, and hardly ever the same one every time.
+    Other load on the machine rarely delays the same piece in every run.
     """
     runs = [times_of() for _ in range(_REPEATS)]
     return float(sum(min(pieces) for pieces in zip(*runs, strict=True)))
@@ -132,7 +132,7 @@ def _record(mission: Mission) -> _Recorded:
     inputs: list[Input] = []
     orders: dict[int, list[Setpoint | VehicleCommand | Mode]] = {}
 
-    def see(record: Any, number: int) -> None:
+    def observe(record: Any, number: int) -> None:
         tick = round(flight.autopilot.now_s / 0.004)
         if isinstance(record, _KINDS):
             inputs.append(record)
@@ -141,7 +141,7 @@ def _record(mission: Mission) -> _Recorded:
         elif isinstance(record, TruthSample):
             orders.setdefault(tick, []).append(record.mode)
 
-    flight = FastFlight(mission, 1, observe=see)
+    flight = FastFlight(mission, 1, observe=observe)
     flight.run()
     return _Recorded(inputs, orders, round(flight.autopilot.now_s / 0.004))
 
@@ -158,7 +158,7 @@ def _step(mission: Mission, inputs: list[Input]) -> list[float]:
 
 
 def _imu_step_s(mission: Mission, inputs: list[Input]) -> float:
-    """Of IMU samples alone, which carry the estimate, the detector and the pulse fit."""
+    """Return the time of a step with an IMU sample, which includes estimate, detector and pulse fit."""
 
     def times_of() -> list[float]:
         clock, times, step = time.process_time, [], FlightCore(mission).step
@@ -175,7 +175,7 @@ def _imu_step_s(mission: Mission, inputs: list[Input]) -> float:
 
 
 def _drive(mission: Mission, recorded: _Recorded) -> list[float]:
-    """The recorded orders, given to a vehicle without a core."""
+    """Drive a vehicle without a core by the recorded orders."""
     clock, times = time.process_time, []
     vehicle = SimulatedVehicle(mission, 1, simulated_driver(mission))
     autopilot, advance = vehicle.autopilot, vehicle.advance
@@ -204,26 +204,26 @@ def _drive(mission: Mission, recorded: _Recorded) -> list[float]:
 
 
 def measured(package: Path) -> Figures:
-    """What a process measures that imports the package from this folder."""
+    """Return the figures of a process that imports the package from this folder."""
     environment = os.environ | {"PYTHONPATH": os.pathsep.join((str(package), str(ROOT)))}
-    command = [sys.executable, "-P", "-c", "from tools.bench.core import tell; tell()"]
+    command = [sys.executable, "-P", "-c", "from tools.bench.core import print_figures; print_figures()"]
     done = subprocess.run(command, env=environment, cwd=ROOT, stdout=subprocess.PIPE, check=True)
     return msgspec.json.decode(done.stdout, type=Figures)
 
 
-def tell() -> None:
-    """Measure in this process, and print it as JSON."""
+def print_figures() -> None:
+    """Measure in this process and print the figures as JSON."""
     print(msgspec.json.encode(measure()).decode())
 
 
 def rows() -> list[dict[str, Any]]:
-    """Rows for the benchmark table.
+    """Return rows for the benchmark table.
 
-    `core step`: processor time of one step, mean over a whole flight's inputs, microseconds; `core step
-    imu`: over its IMU samples alone. `plant and autopilot`: processor time of one dual collision, seconds.
-    `fast flight` of a mission: of one flight with its verdict, without a log, seconds; the baseline is its
-    simulated time, so that the ratio says how many times real time that is. Of the compiled package likewise,
-    the baseline of its parts being the interpreted ones.
+    `core step` is the processor time of one step, averaged over a whole flight's inputs, in microseconds;
+    `core step imu` is the same for IMU samples alone. `plant and autopilot` is the processor time of one dual
+    collision in seconds. `fast flight` is the processor time of one flight with its verdict, without a log.
+    Its baseline is the simulated time, so the ratio is a multiple of real time. For the compiled package, the
+    baseline of the parts is the interpreted package.
     """
     pure = measured(ROOT)
     found = _rows_of(pure, None)
@@ -234,7 +234,7 @@ def rows() -> list[dict[str, Any]]:
 
 def _rows_of(figures: Figures, pure: Figures | None) -> list[dict[str, Any]]:
     if figures.compiled is (pure is None):
-        raise RuntimeError("pure Python was to be measured beside compiled code, but both were the same")
+        raise RuntimeError("expected one interpreted and one compiled package, but got the same kind twice")
     suffix = "" if pure is None else ", compiled"
     parts = [
         ("core step", figures.step_s, 1e6, "us", pure and pure.step_s),

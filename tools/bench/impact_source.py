@@ -1,10 +1,11 @@
-"""A MAVLink source that hovers and is hit, for `tools.bench.latency`: a process of its own, in real time.
+"""A hovering MAVLink source with simulated impacts, for `tools.bench.latency`; a separate process in real
+time.
 
     python -m tools.bench.impact_source PORT IMPACTS PERIOD_S
 
-Sends what the embedded autopilot would send, armed and in offboard mode, with the contact model's rigid
-pulse on the IMU every PERIOD_S seconds. When done it prints one JSON object: when every IMU sample went to
-the wire and when every setpoint came from it, host's monotonic nanoseconds.
+It sends what the embedded autopilot would send, armed and in offboard mode, with the contact model's rigid
+pulse on the IMU every PERIOD_S seconds. At the end it prints one JSON object with the sending time of every
+IMU sample and the receiving time of every setpoint, in nanoseconds of the host's monotonic clock.
 """
 
 from __future__ import annotations
@@ -27,13 +28,13 @@ from dart_flight.sim.embedded_autopilot import TICK_S, TICK_US, ImuReading, make
 from dart_flight.sim.mavlink_endpoint import MavlinkEndpoint
 
 MISSION = Path(__file__).parents[2] / "missions" / "paper_single_wall.yaml"
-POSITION_NED = (1.6, 0.0, -1.0)  # just before the acrylic wall of that mission
+POSITION_NED = (1.6, 0.0, -1.0)  # just in front of the acrylic wall of that mission
 SPEED_M_S = 1.0
-_SETTLE_S = 6.0  # connection, rates, the app's start
+_SETTLE_S = 6.0  # for connection, rates and start of the app
 
 
 def free_udp_port() -> int:
-    """Return a UDP port on the loopback that is free at the moment."""
+    """Return a UDP port on the loopback interface that is currently free."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])
@@ -47,7 +48,7 @@ class Record(msgspec.Struct):
 
 
 class _Endpoint(MavlinkEndpoint):
-    """Notes when IMU samples leave and setpoints arrive."""
+    """An endpoint that records when IMU samples leave and setpoints arrive."""
 
     def __init__(self, *arguments: Any) -> None:
         super().__init__(*arguments)
@@ -61,7 +62,7 @@ class _Endpoint(MavlinkEndpoint):
         self.record.setpoints.append((time.monotonic_ns(), message.x, message.y, message.z))
 
     def read_until(self, due: float) -> None:
-        """Take what arrives, as it arrives, until a moment of the monotonic clock."""
+        """Receive messages as they arrive until a time of the monotonic clock."""
         sockets = [link.socket for link in self.links]
         while (left := due - time.monotonic()) > 0.0:
             if select.select(sockets, [], [], left)[0]:
@@ -79,7 +80,7 @@ def pulse_n(t_s: float, k: float, f: float, mass_kg: float) -> float:
 
 
 def main(port: int, impacts: int, period_s: float) -> int:
-    """Body of the process."""
+    """Run the source and print its record."""
     mission = load_mission(MISSION)
     rng = random.Random(1)
     autopilot = make_autopilot(mission, 1)
@@ -97,7 +98,7 @@ def main(port: int, impacts: int, period_s: float) -> int:
         autopilot.plant.time_s += TICK_S
         t_s = (autopilot.time_us - start_us) * 1e-6
         while done < impacts and t_s > next_s + period_s:
-            next_s += period_s + rng.uniform(0.0, TICK_S)  # never in step with the ticks
+            next_s += period_s + rng.uniform(0.0, TICK_S)  # not synchronised with the ticks
             done += 1
         hit = done < impacts
         force = pulse_n(max(0.0, t_s - next_s), rigid.k, rigid.f, mass) if hit else 0.0

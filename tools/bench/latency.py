@@ -1,8 +1,9 @@
-"""Benchmark: from the IMU sample on the wire to the recovery setpoint on the wire, through MAVSDK and UDP.
+"""Benchmark of the latency from an IMU sample to the recovery setpoint, both on the wire, through MAVSDK and
+UDP.
 
 The whole app runs (MAVSDK, core thread, lock thread, log) at the rates of the stream table against
-`impact_source`, a process of its own. Latency is from the source's sending of the IMU sample at which
-the peak was known to its receiving of the setpoint that followed from it.
+`impact_source`, which is a separate process. The latency begins when the source sends the IMU sample at which
+the peak is known, and ends when it receives the resulting setpoint.
 
     python -m tools.bench.latency [IMPACTS]
 """
@@ -45,27 +46,27 @@ from tools.bench.impact_source import MISSION, Record, free_udp_port
 
 IMPACTS = 500
 PERIOD_S = 0.3  # a contact of 46 ms, its end, the refractory time
-_SAME_M = 1e-3  # a setpoint on the wire is this near to the one that the core gave
+_SAME_M = 1e-3  # tolerance between a setpoint on the wire and the core's
 _LATEST_NS = 100_000_000
 
 
 class RepeatingCore:
-    """A core that is on its approach again 0.2 s after every impact."""
+    """A core that returns to its approach 0.2 s after every impact."""
 
     def __init__(self, mission: Mission) -> None:
-        self._mission, self._core = mission, FlightCore(mission)  # beside it: a compiled one has no heirs
+        self._mission, self._core = mission, FlightCore(mission)  # a compiled class cannot be subclassed
         self.recoveries: list[Setpoint] = []
-        self.overruled: list[str] = []  # why the guard took over, as when the machine stalls
+        self.overruled: list[str] = []  # reasons of the guard, such as a stall of the machine
         self._again_us = 0
         self._begun = False
 
     @property
     def pace(self) -> Pace:
-        """As the core's."""
+        """The pace of the core."""
         return self._core.pace
 
     def step(self, item: Input) -> list[Output]:
-        """As the core's."""
+        """Step the core, and restart its approach after a recovery."""
         core = self._core
         if isinstance(item, LockState):
             item = LockState(item.t_us, LockPhase.SETTLED, Mode.RIGID)
@@ -89,19 +90,19 @@ class RepeatingCore:
             if isinstance(output, Setpoint) and output.recovery:
                 self.recoveries.append(output)
                 self._again_us = output.t_us + 200_000
-        # What the guard would have the vehicle do is reset above: the source stays in offboard mode.
+        # The guard is reset above, so drop its commands: the source stays in offboard mode.
         return [output for output in outputs if not isinstance(output, VehicleCommand)]
 
     def _begin(self, now_us: int) -> None:
         state, executive, self._begun = self._core.state, self._core._executive, True
-        state.anchor(self._mission.frame_at((0.0, 0.0, 0.0)))  # the ground is not where it is first seen
+        state.anchor(self._mission.frame_at((0.0, 0.0, 0.0)))  # the source starts in the air
         progress = executive.progress
         progress.phase, progress.index, progress.entered_us = Phase.APPROACH, 0, now_us
         executive._begin_approach(self._mission.collisions[0])
 
 
 class Result(msgspec.Struct):
-    """What was measured: per impact the latency on the wire and inside the program, milliseconds."""
+    """The latencies per impact on the wire and inside the program, milliseconds."""
 
     wire_ms: list[float]
     inside_ms: list[float]
@@ -111,14 +112,14 @@ class Result(msgspec.Struct):
 
 
 def rigid_mission() -> Mission:
-    """The single wall, met with locked arms."""
+    """Return the single-wall mission in rigid mode."""
     mission = load_mission(MISSION)
     first = msgspec.structs.replace(mission.collisions[0], mode=Mode.RIGID)
     return msgspec.structs.replace(mission, collisions=(first,))
 
 
 def measure(impacts: int = IMPACTS) -> Result:
-    """Run source and app; takes about 0.3 s an impact."""
+    """Run source and app, about 0.3 s per impact, and return the result."""
     port = free_udp_port()
     command = [sys.executable, "-m", "tools.bench.impact_source", str(port), str(impacts), str(PERIOD_S)]
     with subprocess.Popen(command, stdout=subprocess.PIPE) as source, tempfile.TemporaryDirectory() as folder:
@@ -143,11 +144,11 @@ async def _run_app(
     core = RepeatingCore(mission)
     app._core = CoreThread(CoreRunner(core, app, app._see, host_us))
     flying = asyncio.create_task(app.run())
-    # Polled: the core is stepped on another thread.
+    # The core is stepped on another thread, so poll it.
     while not core.recoveries and not flying.done():  # noqa: ASYNC110
         await asyncio.sleep(0.1)
     wall, busy = time.monotonic(), time.process_time()
-    # The source writes its record at the end; a full pipe does not stop it before that.
+    # The source writes only at its end, so waiting for output cannot block it.
     await asyncio.to_thread(_wait_for_output, source)
     cpu = 100.0 * (time.process_time() - busy) / (time.monotonic() - wall)
     app._done.set()
@@ -179,13 +180,13 @@ def _match(recoveries: list[Setpoint], record: Record) -> list[float]:
 
 
 def percentile(values: list[float], share: float) -> float:
-    """The value below which a share of them lies."""
+    """Return a percentile; `share` is from 0 to 1."""
     ordered = sorted(values)
     return ordered[min(len(ordered) - 1, round(share * (len(ordered) - 1)))]
 
 
 def histogram(values: list[float]) -> str:
-    """Counts per class of latency, as text."""
+    """Return the counts per latency class as text."""
     edges = [0.25, 0.5, 0.75, 1.0, 1.25, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 16.0, 100.0]
     lines, low = [], 0.0
     for edge in edges:
@@ -196,7 +197,7 @@ def histogram(values: list[float]) -> str:
 
 
 def rows(impacts: int = IMPACTS) -> list[dict[str, Any]]:
-    """Rows for the benchmark table.
+    """Return rows for the benchmark table.
 
     Raises:
         RuntimeError: no impact was answered.

@@ -1,4 +1,4 @@
-"""Cost of the flight log: a simulated flight's records, put at the pace at which they came.
+"""Benchmark of the flight log with a simulated flight's records at their original pace.
 
 python -m tools.bench.log
 """
@@ -25,7 +25,7 @@ _WRITTEN_S = 0.5  # after the last record
 
 
 def recorded() -> list[list[tuple[Record, int]]]:
-    """The records of a dual collision but for the simulator's truth, by slots of 4 ms."""
+    """Return the records of a dual collision, without the simulator's truth, in slots of 4 ms."""
     slots: list[list[tuple[Record, int]]] = [[]]
     begin: list[int] = []
 
@@ -44,7 +44,7 @@ def recorded() -> list[list[tuple[Record, int]]]:
 
 
 class _Cost(NamedTuple):
-    """Processor seconds of putting records, of the log's own thread, and the number of records."""
+    """Processor seconds for putting the records and of the log's own thread, and the number of records."""
 
     putting_s: float
     writing_s: float
@@ -52,7 +52,7 @@ class _Cost(NamedTuple):
 
 
 def _thread_of(name: str) -> int:
-    """The newest thread of this name, as the operating system knows it."""
+    """Return the operating system's id of the newest thread with this name."""
     return [t.native_id or 0 for t in threading.enumerate() if t.name == name][-1]
 
 
@@ -73,12 +73,12 @@ def _put(slots: list[list[tuple[Record, int]]], log: FlightLog, paced: bool) -> 
 
 
 def rows() -> list[dict[str, Any]]:
-    """Rows for the benchmark table.
+    """Return rows for the benchmark table.
 
-    `log record`: processor time per record at the pace of a flight, encoding, compression and writing
-    included, microseconds; the baseline is the same records at once, when nothing has to be fetched into the
-    caches again. `log put`: of it on the core's thread. `log share`: of one core at 250 IMU samples a
-    second, per cent. `log size`: megabytes per minute.
+    `log record` is the processor time per record at the pace of a flight, in microseconds, including
+    encoding, compression and writing. Its baseline puts the same records at once, with warm caches. `log put`
+    is the part on the core's thread. `log share` is the share of one core at 250 IMU samples a second, in per
+    cent. `log size` is in megabytes per minute.
     """
     paced = recorded()[: round(_PACED_S * 1e6 / _SLOT_US)]
     about = describe_flight(load_mission(_MISSION), World.FAST, 1)

@@ -1,4 +1,4 @@
-"""Benchmarks of the planner; `rows()` gives them to `make bench`.
+"""Benchmarks of the planner for `make bench`.
 
 python -m tools.bench.plan
 """
@@ -32,7 +32,7 @@ class Row(TypedDict):
 
 
 class _Case:
-    """The full enumeration of the dual collision, every candidate flown to its end."""
+    """The full enumeration of the dual collision, with every candidate rolled out to its end."""
 
     def __init__(self) -> None:
         self.scenario: Scenario = load_scenario(SCENARIO)
@@ -41,7 +41,6 @@ class _Case:
         self.count = self.normal.size * self.tangential.size * len(self.scenario.modes) ** 2
 
     def enumerate(self) -> list[Arrivals]:
-        """Preparation included: nothing is kept between calls."""
         stages = stages_for(self.scenario, [None])[0]
         rollout = Rollout(self.scenario, self.scenario.sequences[0], new_flight(self.scenario), None)
         grid = rollout.approach(self.normal, self.tangential)
@@ -54,12 +53,11 @@ class _Case:
         return step_everything(self.scenario, stages, self.normal, self.tangential, grid)
 
     def stages(self) -> Stages:
-        """At nominal values."""
         return stages_for(self.scenario, [None])[0]
 
 
 def _best(function: Callable[[], object], repeats: int) -> float:
-    """Least processor time of several runs, s: one process, one thread, whatever else the machine does."""
+    """Return the smallest processor time of several runs, s."""
     times = []
     for _ in range(repeats):
         began = time.process_time()
@@ -69,7 +67,7 @@ def _best(function: Callable[[], object], repeats: int) -> float:
 
 
 def enumeration() -> Row:
-    """The full enumeration against time stepping."""
+    """Measure the full enumeration against time stepping."""
     case = _Case()
     fast = _best(case.enumerate, 15)
     slow = _best(case.step, 2)
@@ -79,7 +77,7 @@ def enumeration() -> Row:
 
 
 def robust() -> Row:
-    """A million trajectories: the grid with 64 draws, constraints judged in every draw."""
+    """Measure a million trajectories: the grid with draws, and constraints checked in every draw."""
     scenario = load_scenario(SCENARIO)
     uncertainty = msgspec.structs.replace(scenario.uncertainty, samples=68)
     scenario = msgspec.structs.replace(scenario, uncertainty=uncertainty)
@@ -100,12 +98,12 @@ def robust() -> Row:
             rollout.fly(stages, normal, tangential, grid, draw)
             count += normal.size * tangential.size * len(scenario.modes) ** 2
 
-    taken = _best(run, 2)
-    return Row(name="plan robust 1e6", value=taken * 1e6 / count, unit="s", baseline=None, ratio=None)
+    spent_s = _best(run, 2)
+    return Row(name="plan robust 1e6", value=spent_s * 1e6 / count, unit="s", baseline=None, ratio=None)
 
 
 def rows() -> list[Row]:
-    """Rows for `make bench`."""
+    """Return rows for `make bench`."""
     return [enumeration(), robust()]
 
 

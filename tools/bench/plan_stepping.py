@@ -1,7 +1,8 @@
-"""The planner's flight model in plain NumPy time stepping, all candidates at once: the baseline of the bench.
+"""The planner's flight model in plain NumPy time stepping over all candidates, as the baseline of the
+benchmark.
 
-The same equations as `contact_stage` and `flight_model`, by semi-implicit Euler in steps of 1 ms, which is
-what one would write first. Candidates that have ended leave the arrays.
+The equations are those of `contact_stage` and `flight_model`, integrated by semi-implicit Euler in steps of 1
+ms. Finished candidates are removed from the arrays.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ class Flying(NamedTuple):
     t: Array
 
     def take(self, rows: Rows | NDArray[np.bool_]) -> Flying:
-        """The chosen candidates."""
+        """Return the selected candidates."""
         return Flying(self.rows[rows], *(value[..., rows] for value in self[1:]))
 
 
@@ -54,7 +55,7 @@ class Ends(NamedTuple):
 def step_everything(
     scenario: Scenario, stages: Stages, normal: Array, tangential: Array, grid: ApproachGrid, h: float = 1e-3
 ) -> list[Ends]:
-    """All mode sequences of a scenario's first sequence without constraints."""
+    """Return all mode sequences of a scenario's first sequence, without constraints."""
     walls = [scenario.walls[name] for name in scenario.sequences[0]]
     shape = np.broadcast_shapes(normal.shape, tangential.shape)
     vn, vt = (np.broadcast_to(v, shape).ravel() for v in (normal, tangential))
@@ -99,7 +100,7 @@ def _first(
 
 
 def _contact(scenario: Scenario, stage: ContactStage, wall: Wall, on: Flying, h: float) -> Flying:
-    """A contact of all candidates at once: it takes the same time for all."""
+    """Return the states after a contact, which has the same duration for all candidates."""
     kp, kv, ki, kd, tau = PositionLoop.of(scenario.vehicle.px4)
     c, m = stage.coefficients, stage.mass_kg
     n, t = _axes(wall)
@@ -173,10 +174,10 @@ def _later(scenario: Scenario, stage: ContactStage, wall: Wall, flying: Flying, 
     flying = flying.take((n * (flying.p - point)).sum(axis=0) > 0.0)
     for _ in range(round(_HORIZON_S / h)):
         flying = _free_step(loop, b, flying, h)
-        met = (n * (flying.p - point + stage.lead_s * flying.v)).sum(axis=0) < 0.0
-        if met.any():
-            reached.append(flying.take(met))
-            flying = flying.take(~met)
+        hits = (n * (flying.p - point + stage.lead_s * flying.v)).sum(axis=0) < 0.0
+        if hits.any():
+            reached.append(flying.take(hits))
+            flying = flying.take(~hits)
         if flying.rows.size == 0:
             break
     if not reached:

@@ -1,4 +1,4 @@
-"""Processor time as Linux counts it, to the nanosecond: of threads and of other processes."""
+"""Processor time of threads and processes as counted by Linux, in nanoseconds."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ from pathlib import Path
 
 
 def thread_seconds() -> dict[int, float]:
-    """Processor seconds of every thread of this process, by its native id."""
+    """Return the processor seconds of every thread of this process, by native id."""
     return {int(task.name): _seconds(task) for task in Path("/proc/self/task").iterdir()}
 
 
 def process_seconds(pid: int) -> float:
-    """Processor seconds of all threads of a process that are there."""
+    """Return the processor seconds of all existing threads of a process."""
     return sum(_seconds(task) for task in Path(f"/proc/{pid}/task").iterdir())
 
 

@@ -1,11 +1,11 @@
-"""Benchmark: what a flight takes of a core at 250 Hz, by part, above MAVSDK alone at the same rates.
+"""Benchmark of a flight's share of a core at 250 Hz, by part, compared with MAVSDK alone at the same rates.
 
     python -m tools.bench.share [--seconds S] [--rounds N]
 
-Each client is a process of its own against `impact_source` (a contact every three seconds); clients take
-turns. Parts are threads, by the processor time that Linux counts for each: what is neither Python's nor the
-app's own is MAVSDK's, whose callbacks build the records. The deadman is a process.
-Figures: docs/results/latency.md.
+Each client is a separate process against `impact_source` (a contact every three seconds), and the clients
+take turns. The parts are threads, with the processor time that Linux counts for each. Threads that are
+neither Python's nor the app's own belong to MAVSDK, whose callbacks build the records. The deadman is a
+process. The figures are in docs/results/latency.md.
 """
 
 from __future__ import annotations
@@ -39,18 +39,18 @@ from tools.bench.processor import process_seconds, thread_seconds
 
 SECONDS, ROUNDS = 20.0, 3
 _PERIOD_S = 3.0
-_LEAD_S = 8.0  # connection, rates, the app's start
+_LEAD_S = 8.0  # for connection, rates and start of the app
 MAVSDK = "MAVSDK and its callbacks"
 Shares = dict[str, float]  # part -> per cent of a core
 
 
-def _named() -> dict[int, str]:
+def _thread_names() -> dict[int, str]:
     return {thread.native_id or 0: thread.name for thread in threading.enumerate()}
 
 
 async def _measure(seconds: float, extra: Callable[[], Shares] = dict) -> Shares:
-    """Shares of this process's threads from now on; `extra` adds other processes' seconds."""
-    names, before, began, others = _named(), thread_seconds(), time.monotonic(), extra()
+    """Return the shares of this process's threads from now on; `extra` adds seconds of other processes."""
+    names, before, began, others = _thread_names(), thread_seconds(), time.monotonic(), extra()
     await asyncio.sleep(seconds)
     wall = time.monotonic() - began
     shares: Shares = {MAVSDK: 0.0}
@@ -66,7 +66,7 @@ async def _measure(seconds: float, extra: Callable[[], Shares] = dict) -> Shares
 
 
 async def mavsdk_alone(mission: Mission, url: str, seconds: float) -> Shares:
-    """The floor: the same subscriptions and rates, empty callbacks."""
+    """Measure MAVSDK with the same subscriptions and rates, but empty callbacks."""
     ended = asyncio.Event()
     staying = asyncio.create_task(alone.stay(mission, url, ended))
     await asyncio.sleep(_LEAD_S)
@@ -77,20 +77,20 @@ async def mavsdk_alone(mission: Mission, url: str, seconds: float) -> Shares:
 
 
 async def samples_only(mission: Mission, url: str, seconds: float) -> Shares:
-    """The app's own callbacks, whose records nobody takes."""
-    async with connect(url, mission.vehicle.connection.timeout_s, _nobody) as session:
+    """Measure the app's own callbacks, with their records dropped."""
+    async with connect(url, mission.vehicle.connection.timeout_s, _drop) as session:
         session.subscribe(mission.vehicle.estimation, len(mission.vehicle.airframe.motors))
         await session.set_rates()
         await asyncio.sleep(_LEAD_S)
         return await _measure(seconds)
 
 
-def _nobody(_: object) -> None:
-    """Takes a record."""
+def _drop(_: object) -> None:
+    """Drop a record."""
 
 
 async def whole_app(mission: Mission, url: str, seconds: float) -> Shares:
-    """Link, core, lock, log, deadman, terminal, as `fly` has them."""
+    """Measure link, core, lock, log, deadman and terminal, as in `fly`."""
     with tempfile.TemporaryDirectory() as folder:
         record = FlightRecord(mission, World.EMBEDDED, None, Path(folder))
         app = FlightApp(mission, url, record, deadman_note=Path(folder) / "deadman.txt")
@@ -117,8 +117,8 @@ CLIENTS = {"MAVSDK alone": mavsdk_alone, "samples": samples_only, "app": whole_a
 # --- taking turns ------------------------------------------------------------------------------------------
 
 
-def _one(client: str, seconds: float) -> Shares:
-    """Run source and client, each a process."""
+def _run_client(client: str, seconds: float) -> Shares:
+    """Run source and client in one process each."""
     port = str(free_udp_port())
     impacts = round((seconds + 4.0) / _PERIOD_S)
     source = [sys.executable, "-m", "tools.bench.impact_source", port, str(impacts), str(_PERIOD_S)]
@@ -132,11 +132,11 @@ def _one(client: str, seconds: float) -> Shares:
 
 
 def measure(seconds: float, rounds: int) -> dict[str, Shares]:
-    """Medians over the rounds: client -> part -> per cent of a core."""
+    """Return medians over the rounds: client -> part -> per cent of a core."""
     found: dict[str, list[Shares]] = {client: [] for client in CLIENTS}
     for _ in range(rounds):
         for client, shares in found.items():
-            shares.append(_one(client, seconds))
+            shares.append(_run_client(client, seconds))
     return {
         client: {part: median(s.get(part, 0.0) for s in shares) for part in shares[0]}
         for client, shares in found.items()
@@ -144,7 +144,7 @@ def measure(seconds: float, rounds: int) -> dict[str, Shares]:
 
 
 def rows(seconds: float = SECONDS, rounds: int = 1) -> list[dict[str, Any]]:
-    """Rows for the benchmark table: share of a core above MAVSDK alone, and of it each part."""
+    """Return rows for the benchmark table: the share of a core above MAVSDK alone, and its parts."""
     found = measure(seconds, rounds)
     floor = sum(found["MAVSDK alone"].values())
     whole = found["app"]
@@ -163,7 +163,7 @@ def _row(name: str, value: float, baseline: float | None) -> dict[str, Any]:
 
 
 def main() -> int:
-    """Measure and print; `--client` is the process of one client."""
+    """Measure and print; `--client` runs one client in this process."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--seconds", type=float, default=SECONDS)
     parser.add_argument("--rounds", type=int, default=ROUNDS)

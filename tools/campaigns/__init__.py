@@ -1,1 +1,1 @@
-"""What `make campaign` runs in bulk, with a report each."""
+"""The measurements behind the manual's results, one specification and one page each."""

@@ -1,10 +1,10 @@
-"""Measurements of the manual: a specification NAME.yaml each, flown by the engine of `dart-flight campaign`.
+"""Measurements of the manual: specifications NAME.yaml, flown by the engine of `dart-flight campaign`.
 
     python -m tools.campaigns NAME [--runs N] [--only KEY=VALUE] [--resume]
-    python -m tools.campaigns                   # all that need no more (`make campaign`)
+    python -m tools.campaigns                   # all that need no extra software (`make campaign`)
 
-The table goes to build/campaigns/NAME, and beside it the page that NAME.py makes of it. An interrupted
-campaign continues with --resume.
+The table is written to build/campaigns/NAME, with the page that NAME.py makes of it. An interrupted campaign
+continues with --resume.
 """
 
 from __future__ import annotations
@@ -28,20 +28,20 @@ from tools.campaigns.results import ROOT
 
 HERE = Path(__file__).parent
 NAMES = sorted(path.stem for path in HERE.glob("*.yaml"))
-# All but those that need a PX4, or the extra `mutants` and hours.
+# Without those that need PX4, or the extra `mutants` and hours.
 USUAL = [name for name in NAMES if not name.startswith(("px4", "mutants"))]
 
 
 def specification(given: argparse.Namespace, name: str) -> CampaignSpec:
-    """Return the specification of a name, with what the command line changes.
+    """Return the specification of a name, with the changes from the command line.
 
     Raises:
-        InputError: in the file, or no case is left.
+        InputError: the file is invalid, or no case is left.
     """
     asked = load_specification(HERE / f"{name}.yaml")
     changes = {key: value for key in ("runs", "seed") if (value := getattr(given, key)) is not None}
     if given.only:
-        wanted = dict(one.split("=", 1) for one in given.only)
+        wanted = dict(pair.split("=", 1) for pair in given.only)
         left = [case for case in cases_of(asked) if wanted.items() <= case.items()]
         if not left:
             raise InputError(f"--only {' '.join(given.only)}: no such case in {name}.yaml")
@@ -50,7 +50,7 @@ def specification(given: argparse.Namespace, name: str) -> CampaignSpec:
 
 
 def measure(given: argparse.Namespace, name: str) -> int:
-    """Fly a campaign, write its page; 1 if a row is an error of the program, 130 if interrupted.
+    """Fly a campaign and write its page; return 1 if a row has a program error, 130 if interrupted.
 
     Raises:
         InputError, FlightError: as `campaigns.open_campaign` and `campaigns.fly`.
@@ -83,21 +83,23 @@ def measure(given: argparse.Namespace, name: str) -> int:
 
 
 def main() -> int:
-    """Measure what the command line names; returns the exit status."""
+    """Run the campaigns named on the command line and return the exit status."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("name", nargs="?", choices=NAMES)
     parser.add_argument("--runs", type=int, help="seeds of every case")
-    parser.add_argument("--seed", type=int, help="the first one")
-    parser.add_argument("--only", action="append", default=[], metavar="KEY=VALUE", help="cases with this")
+    parser.add_argument("--seed", type=int, help="first seed")
+    parser.add_argument(
+        "--only", action="append", default=[], metavar="KEY=VALUE", help="only matching cases"
+    )
     parser.add_argument("--jobs", type=int, default=usable_cores())
-    parser.add_argument("--scheduler", metavar="URL", help="of Dask")
-    parser.add_argument("--px4", metavar="DIR", help="a build of PX4 SITL")
+    parser.add_argument("--scheduler", metavar="URL", help="Dask scheduler")
+    parser.add_argument("--px4", metavar="DIR", help="build of PX4 SITL")
     parser.add_argument("--out", type=lambda text: Path(text).resolve(), metavar="DIR")
     parser.add_argument("--resume", action="store_true")
     given = parser.parse_args()
     if given.px4 is not None:
         os.environ[ENVIRONMENT] = str(Path(given.px4).resolve())
-        given.jobs = 1  # PX4 needs its computer for itself
+        given.jobs = 1  # PX4 needs the whole computer
     os.chdir(ROOT)
     status = 0
     try:

@@ -1,4 +1,4 @@
-"""The missions that use collisions, and the quickest free flights of their scenarios."""
+"""The missions that use collisions, and the fastest free flights of their scenarios."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from dart_flight.lab.search.scenario import Scenario, load_scenario
 
 COLLIDING, FREE = "colliding", "free"
 USING_COLLISIONS = ("shuttle", "touch_and_return", "hairpin", "limited_sight")
-BESIDE_M = 0.03  # allowed beside a place's tolerance: a wall drawn elsewhere takes it along
+BESIDE_M = 0.03  # added to a place's tolerance, because a drawn wall moves the place with it
 
 
 class BothWays(NamedTuple):
-    """A mission as shipped, and the quickest flight of its scenario without a collision.
+    """A mission as shipped, and the fastest flight of its scenario without a collision.
 
     Attributes:
-        missions, plans: by way.
+        missions, plans: missions and plans, by `COLLIDING` and `FREE`.
     """
 
     scenario: Scenario
@@ -31,16 +31,16 @@ class BothWays(NamedTuple):
 
     @property
     def visits(self) -> list[tuple[Vec2, float]]:
-        """Places and how near they are passed."""
+        """The places with their tolerances."""
         return [(visit.position_m, visit.within_m + BESIDE_M) for visit in self.scenario.visits]
 
     def planned_s(self, way: str) -> float:
-        """When the plan arrives, by the rule of `arrival_of`."""
+        """Return the planned arrival time, by the rule of `arrival_of`."""
         return planned_there_s(self.plans[way].trajectory, self.scenario.goal.position_m)
 
 
 def both_ways(name: str) -> BothWays:
-    """One of the missions that use collisions; the free flight is planned now."""
+    """Return one of the missions that use collisions, and plan its free flight."""
     scenario = load_scenario(packaged("missions", "scenarios", f"{name}.yaml"))
     result = plan_quickest(scenario) if scenario.sight is None else plan_limited_sight(scenario)
     assert result.free is not None

@@ -1,6 +1,6 @@
-"""Hits of a body at oblique walls: tilt, rate and the next hit (docs/results/body.md).
+"""Campaign: hits of a body at oblique walls, with tilt, rate and the next hit (docs/results/body.md).
 
-Another body than the configured one: `settings` in body.yaml; everything drawn: `vary: [all]`.
+For another body than the configured one, edit `settings` in body.yaml; `vary: [all]` draws everything.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from dart_flight.lab.campaign.watched_flight import WatchedFlight, place_walls, 
 from dart_flight.sim.draws import draw_world
 from tools.campaigns.results import markdown
 
-_AFTER_US = 600_000  # the effect of a hit on tilt and rate shows within this time
+_AFTER_US = 600_000  # interval for the effect of a hit on tilt and rate
 
 
 class TurnedHit(msgspec.Struct, frozen=True):
-    """One true contact, and the largest tilt and rate in the 0.6 s from its beginning, or until the next."""
+    """One true contact, and the largest tilt and rate within 0.6 s of its begin, or until the next."""
 
     wall: str
     normal_m_s: float
@@ -36,7 +36,7 @@ class TurnedHit(msgspec.Struct, frozen=True):
 
 
 class BodyFlight(msgspec.Struct, frozen=True):
-    """One flight and its contacts."""
+    """One flight with its contacts."""
 
     outcome: str
     rule: str
@@ -45,7 +45,7 @@ class BodyFlight(msgspec.Struct, frozen=True):
 
 
 def fly(point: Point, seed: int) -> BodyFlight:
-    """Fly among turned walls, on to the ground."""
+    """Fly among turned walls until landing."""
     mission = point.mission
     turned = dict.fromkeys((w.name for w in mission.walls), float(point.case["yaw_deg"]))
     watched = WatchedFlight(mission, seed, place_walls(draw_world(mission, seed, point.spreads), {}, turned))
@@ -89,7 +89,7 @@ _HEADS = ("mission", "wall yaw", "completed", "broken off", "uncontrolled", "til
 
 
 def page(rows: Sequence[JudgedRow]) -> str:
-    """Return a row for every mission and yaw; figures are median and worst."""
+    """Return a row for every mission and yaw, with median and worst figures."""
     groups: dict[tuple[str, str], list[BodyFlight]] = {}
     for r in rows:
         groups.setdefault((r.mission, r.values["yaw_deg"]), []).append(r.row)
@@ -104,15 +104,15 @@ def _cells(mine: Sequence[BodyFlight]) -> list[str]:
         f"{sum(f.outcome == 'completed' for f in mine)} of {len(mine)}",
         ", ".join(f"`{rule}` {count}" for rule, count in broken.most_common()) or "-",
         str(sum(bool(f.problems) for f in mine)),
-        _middle_and_worst(h.tilt_deg for h in first),
-        _middle_and_worst(h.rate_deg_s for h in first),
-        _middle_and_worst((h.normal_m_s for h in second), 2),
-        _middle_and_worst(h.peak_n for h in second),
-        _middle_and_worst(h.tilt_deg for h in second),
+        _median_and_worst(h.tilt_deg for h in first),
+        _median_and_worst(h.rate_deg_s for h in first),
+        _median_and_worst((h.normal_m_s for h in second), 2),
+        _median_and_worst(h.peak_n for h in second),
+        _median_and_worst(h.tilt_deg for h in second),
     ]
 
 
-def _middle_and_worst(values: Iterable[float], digits: int = 0) -> str:
+def _median_and_worst(values: Iterable[float], digits: int = 0) -> str:
     known = list(values)
     if not known:
         return "-"

@@ -1,10 +1,10 @@
-"""Flights with the compiled package and with the source tree: whether every record is the same, bit for bit.
+"""Comparison of flights with the compiled package and with the source tree, bit for bit.
 
     make compiled && python -m tools.campaigns.compiled [--seeds N]
 
-All shipped missions with the seeds 1 to N (default 5), and as many drawn worlds of the dual collision. Each
-package flies them in a process of its own; every record with its number and the verdict count. Prints a line
-per flight, exit status 1 where one differs.
+It flies all shipped missions with the seeds 1 to N (default 5), and as many drawn worlds of the dual
+collision. Each package runs in a separate process, and every record with its number and the verdict is
+compared. It prints a line per flight, and exits with 1 if one differs.
 """
 
 from __future__ import annotations
@@ -31,31 +31,31 @@ MISSIONS = ("paper_dual_collision", "dual_collision_replan", "dual_collision_sti
 
 
 class Flown(msgspec.Struct, frozen=True):
-    """What one package has flown: by name of the flight a digest of its records and of its verdict."""
+    """The flights of one package: digests of records and verdict, by name of the flight."""
 
     compiled: bool
     digests: dict[str, str]
 
 
 def digest(mission_name: str, seed: int, vary: tuple[str, ...] = ()) -> str:
-    """Of every record of a fast flight, in order, and of its verdict."""
+    """Return a digest of every record of a fast flight, in order, and of its verdict."""
     mission = load_flyable(ROOT / "missions" / f"{mission_name}.yaml", None, [])
     world = draw_world(mission, seed, parse_vary(vary, mission.vehicle))
     kept = FlightRecord(mission, World.FAST, seed, None, world.drawn)
     found = hashlib.sha256()
 
-    def see(record: Record, number: int) -> None:
+    def observe(record: Record, number: int) -> None:
         found.update(f"{number} {type(record).__name__} ".encode() + msgspec.json.encode(record))
         kept(record, number)
 
     driver = simulated_driver(mission)
-    FastFlight(mission, seed, driver, faults=world.lock_faults, observe=see, world=world).run()
+    FastFlight(mission, seed, driver, faults=world.lock_faults, observe=observe, world=world).run()
     found.update(msgspec.json.encode(kept.build()))
     return found.hexdigest()
 
 
 def fly(seeds: int) -> Flown:
-    """In this process, with whichever package it imports."""
+    """Fly in this process, with the package that it imports."""
     digests = {f"{name} {seed}": digest(name, seed) for name in MISSIONS for seed in range(1, seeds + 1)}
     for seed in range(1, seeds + 1):
         digests[f"{MISSIONS[0]} {seed}, drawn"] = digest(MISSIONS[0], seed, ("all",))
@@ -63,22 +63,22 @@ def fly(seeds: int) -> Flown:
 
 
 def flown_with(package: Path, seeds: int) -> Flown:
-    """What a process has flown that imports the package from this folder."""
+    """Return the flights of a process that imports the package from this folder."""
     environment = os.environ | {"PYTHONPATH": os.pathsep.join((str(package), str(ROOT)))}
-    program = f"from tools.campaigns.compiled import tell; tell({seeds})"
+    program = f"from tools.campaigns.compiled import print_digests; print_digests({seeds})"
     done = subprocess.run(
         [sys.executable, "-P", "-c", program], env=environment, cwd=ROOT, stdout=subprocess.PIPE, check=True
     )
     return msgspec.json.decode(done.stdout, type=Flown)
 
 
-def tell(seeds: int) -> None:
-    """Fly in this process, and print what came of it as JSON."""
+def print_digests(seeds: int) -> None:
+    """Fly in this process and print the digests as JSON."""
     print(msgspec.json.encode(fly(seeds)).decode())
 
 
 def main() -> int:
-    """Fly with both and compare."""
+    """Fly with both packages and compare."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--seeds", type=int, default=5)
     seeds = parser.parse_args().seeds

@@ -1,8 +1,8 @@
-"""How hard may a wall be hit, and what ends it? Single hits along planned trajectories.
+"""Campaign: single hits along planned trajectories at increasing speed, and the causes that end them.
 
-A flight (docs/results/faster_hits.md) goes from rest into a wall at a given velocity, comes off it and rests
-2 m before the wall. The mission's limits are raised so that force and speed end nothing.
-*Recovered* is a flight that completed and lay still at the goal by the truth.
+A flight (docs/results/faster_hits.md) starts from rest, hits a wall at a given velocity, rebounds and rests 2
+m in front of the wall. The mission's limits are raised so that force and speed end no flight. A flight is
+*recovered* if it completed and was truly at rest at the goal.
 """
 
 from __future__ import annotations
@@ -46,15 +46,15 @@ from dart_flight.sim.draws import draw_world
 from dart_flight.sim.px4.launch import ENVIRONMENT
 from tools.campaigns.results import markdown
 
-_FRICTION_RATIO = 0.5  # friction over normal force, to which the law of friction is taken to hold
+_FRICTION_RATIO = 0.5  # friction over normal force up to which the law of friction is assumed valid
 _WALL_M, _BACK_M = 3.0, 2.0
 _MOTION = (5.0, 8.0, 30.0)  # acceleration m/s2, jerk m/s3, tilt degrees
-_JUDGED_US = 1_000_000  # after the hit, for the tilt
+_JUDGED_US = 1_000_000  # interval after the hit for the tilt
 _NEAR_M, _STILL_M_S = 0.25, 0.3
 
 
 class FastHit(msgspec.Struct, frozen=True):
-    """One flight; `closing_m_s` and `exit_m_s` are true, along the true wall's normal; None without a hit."""
+    """One flight; `closing_m_s` and `exit_m_s` are true, along the true wall's normal, None without a hit."""
 
     outcome: str
     rule: str
@@ -78,7 +78,7 @@ def mission_of(mode: str, normal_m_s: float, tangential_m_s: float, touch_m_s: f
     """Return a flight from rest into a wall at given speeds, and back to rest.
 
     Raises:
-        ValueError: the planner finds none.
+        ValueError: the planner finds no trajectory.
     """
     vehicle = vehicle_of()
     wall = Wall("wall", (_WALL_M, 0.0), (-1.0, 0.0), 8.0, "acrylic", half_vehicle_m=0.2)
@@ -133,14 +133,14 @@ def mission_of(mode: str, normal_m_s: float, tangential_m_s: float, touch_m_s: f
     return load_mission(msgspec.to_builtins(tree | keys), vehicle)
 
 
-def _of_case(case: Mapping[str, str]) -> Mission:
+def _case_mission(case: Mapping[str, str]) -> Mission:
     touch = float(case["touch_m_s"]) if case["touch_m_s"] else None
     return mission_of(case["mode"], float(case["normal_m_s"]), float(case["tangential_m_s"]), touch)
 
 
 def fly(point: Point, seed: int) -> FastHit:
-    """Fly in the fast world, on to the ground."""
-    mission, turned = _of_case(point.case), point.case["incidence_deg"]
+    """Fly in the fast world until landing."""
+    mission, turned = _case_mission(point.case), point.case["incidence_deg"]
     spreads = point.spreads if turned == "drawn" else {**point.spreads, "wall_yaw_deg": 0.0}
     world = draw_world(mission, seed, spreads)
     if turned != "drawn":
@@ -149,12 +149,12 @@ def fly(point: Point, seed: int) -> FastHit:
     records: list[Record] = []
     watched.onlookers.append(lambda record, number: records.append(record))
     verdict = watched.run()
-    return _judge(mission, verdict, records, watched.problems)
+    return _summarise(mission, verdict, records, watched.problems)
 
 
 def fly_on_px4(point: Point, seed: int) -> FastHit:
-    """Fly under a real PX4; the truth is that of the flight's log."""
-    mission = _of_case(point.case)
+    """Fly with a real PX4; the truth comes from the flight's log."""
+    mission = _case_mission(point.case)
     with tempfile.TemporaryDirectory() as folder:
         verdict = fly_px4(mission, os.environ[ENVIRONMENT], seed, Path(folder), spreads=point.spreads)
         assert verdict.log is not None
@@ -165,10 +165,10 @@ def fly_on_px4(point: Point, seed: int) -> FastHit:
             truth.update(record)
     completed = verdict.outcome is Outcome.COMPLETED
     problems = list(find_uncontrolled(truth, completed, bool(verdict.reason)))
-    return _judge(mission, verdict, records, problems)
+    return _summarise(mission, verdict, records, problems)
 
 
-def _judge(mission: Mission, verdict: Verdict, records: Iterable[Any], problems: list[str]) -> FastHit:
+def _summarise(mission: Mission, verdict: Verdict, records: Iterable[Any], problems: list[str]) -> FastHit:
     kept = [r for r in records if isinstance(r, TruthContact | TruthSample | PhaseChange)]
     hit_us = next(
         (

@@ -1,20 +1,21 @@
-"""The fault matrix as a table: what came of each cell, and when something was first decided."""
+"""Campaign: the fault matrix as a table, with the end of each cell and the time of the first decision."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
-from dart_flight.lab.campaign.fault_flights import PHASES, FaultFlight
+from dart_flight.lab.campaign.fault_flights import FaultFlight
 from dart_flight.lab.campaign.flight_job import JudgedRow
 from tools.campaigns.results import markdown
 
 
 def page(rows: Sequence[JudgedRow]) -> str:
-    """Return the matrix, a row for each fault, and what is uncontrolled."""
+    """Return the matrix, one row per fault, followed by the uncontrolled cells."""
     cells = {(r.values["fault"], r.values["phase"]): _cell(r.row) for r in rows}
     faults = dict.fromkeys(fault for fault, _ in cells)
+    phases = tuple(dict.fromkeys(phase for _, phase in cells))
     table = markdown(
-        ("fault", *PHASES), [[fault, *(cells.get((fault, p), "") for p in PHASES)] for fault in faults]
+        ("fault", *phases), [[fault, *(cells.get((fault, p), "") for p in phases)] for fault in faults]
     )
     wrong = [f"- {r.values['fault']} @ {r.values['phase']}: {r.row.problems}" for r in rows if r.row.problems]
     return "\n".join([table, f"{len(rows)} cells, {len(wrong)} uncontrolled.", *wrong])

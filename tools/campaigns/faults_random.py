@@ -1,4 +1,4 @@
-"""Flights with random faults: what came of each kind, and what is uncontrolled."""
+"""Campaign: flights with random faults, with the ends of each kind and the uncontrolled flights."""
 
 from __future__ import annotations
 

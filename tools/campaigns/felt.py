@@ -1,7 +1,8 @@
-"""Mode and coefficients that one contact tells, against the world that was drawn (docs/results/felt.md).
+"""Campaign: mode and coefficients estimated from one contact, compared with the drawn world
+(docs/results/felt.md).
 
-A flight ends when its contact has been judged. The seed draws approach velocity, mode and whether the lock
-obeys, the wall's coefficients (30 %) and those of each hit (5 %).
+A flight ends when its contact has been evaluated. The seed draws approach velocity, mode, and whether the
+lock obeys. It also draws the wall's coefficients (30 %) and those of each hit (5 %).
 """
 
 from __future__ import annotations
@@ -44,7 +45,7 @@ _OTHER_ARMS = tuple(
 
 
 class Set(NamedTuple):
-    """What the flights of a set have in common; `settings` are of the simulated vehicle alone."""
+    """The common properties of the flights of a set; `settings` apply to the simulated vehicle alone."""
 
     material: str
     slides: bool
@@ -66,12 +67,12 @@ SETS = {
 
 
 class FeltContact(msgspec.Struct, frozen=True):
-    """One contact: what was felt, and the truth.
+    """One contact: the estimate and the truth.
 
     Attributes:
-        by_time: mode whose contact with this material lasts nearest to what was measured.
-        after_ms: from the true end of the contact to the judgement.
-        coefficients: by name the estimate, its relative deviation, and the truth.
+        by_time: mode whose contact duration with this material is nearest to the measured one.
+        after_ms: time from the true end of the contact to the evaluation.
+        coefficients: name -> estimate, its relative standard deviation, and truth.
     """
 
     true_mode: Mode
@@ -84,7 +85,7 @@ class FeltContact(msgspec.Struct, frozen=True):
 
     @property
     def is_wrong(self) -> bool:
-        """Whether the other mode was felt."""
+        """Whether the estimated mode is the wrong one."""
         return self.mode_felt not in (None, self.true_mode)
 
 
@@ -94,14 +95,14 @@ def cases() -> list[dict[str, str]]:
 
 
 def plan_of(case: dict[str, str], seed: int) -> tuple[Mission, bool]:
-    """Return the single wall with approach and mode of a seed, and whether the lock does not obey."""
+    """Return the single-wall mission with approach and mode of a seed, and whether the lock disobeys."""
     chosen, rng = SETS[case["set"]], random.Random(f"{case['set']} {seed}")
     half = _HALF in chosen.settings
     normal = -rng.uniform(0.5, 1.2)
     along = (0.2, 0.6) if chosen.slides else (0.0, 0.0)
     tangential = rng.choice((-1.0, 1.0)) * rng.uniform(*along)
     mode = Mode.RIGID if half else rng.choice(list(Mode))
-    lies = not half and rng.random() < 0.5
+    disobeys = not half and rng.random() < 0.5
     document = load_document("missions/paper_single_wall.yaml", FileKind.MISSION)
     tree = document.tree
     tree["start"]["position_m"] = [0.0, 0.5]
@@ -111,54 +112,54 @@ def plan_of(case: dict[str, str], seed: int) -> tuple[Mission, bool]:
     tree["collisions"][0] |= {"mode": mode.value, "approach": approach}
     tree["limits"] = {"speed_m_s": 4.0, "peak_force_n": 300.0}
     settings = [f"simulation.contact.body={case['body']}", *chosen.settings]
-    return parse_mission(document, None, settings), lies
+    return parse_mission(document, None, settings), disobeys
 
 
 def fly(point: Point, seed: int) -> FeltContact:
-    """Fly up to the judgement of the first contact.
+    """Fly until the first contact is evaluated.
 
     Raises:
-        ValueError: there was no contact to judge.
+        ValueError: there was no contact.
     """
     case = dict(point.case)
-    mission, lies = plan_of(case, seed)
+    mission, disobeys = plan_of(case, seed)
     commanded = mission.collisions[0].mode
     world = draw_world(mission, seed, SETS[case["set"]].spreads)
     builder = VerdictBuilder(mission)
-    felt: list[tuple[int, WallEstimate]] = []
+    estimates: list[tuple[int, WallEstimate]] = []
     contacts: list[TruthContact] = []
 
     def observe(record: Record, number: int) -> None:
         builder.take(record)
         if isinstance(record, WallEstimate):
-            felt.append((flight.autopilot.time_us, record))
+            estimates.append((flight.autopilot.time_us, record))
         elif isinstance(record, TruthContact):
             contacts.append(record)
         elif isinstance(record, PhaseChange) and record.after is Phase.PREPARE and sticks_rigid:
             assert flight.mock is not None
-            flight.mock.inject(_STUCK)  # the rods are in, and stay there whatever the servo is told
+            flight.mock.inject(_STUCK)  # the rods are in and stay there
 
-    sticks_rigid = lies and commanded is Mode.FLEXIBLE
-    faults = _STUCK if lies and commanded is Mode.RIGID else None
+    sticks_rigid = disobeys and commanded is Mode.FLEXIBLE
+    faults = _STUCK if disobeys and commanded is Mode.RIGID else None
     flight = FastFlight(mission, seed, faults=faults, observe=observe, world=world)
-    while flight.core.end is None and flight.autopilot.now_s < _LONGEST_S and not (felt and contacts):
+    while flight.core.end is None and flight.autopilot.now_s < _LONGEST_S and not (estimates and contacts):
         flight.tick()
-    if not felt or not contacts:
+    if not estimates or not contacts:
         raise ValueError(f"no contact: {flight.core.end}")
-    (judged_us, estimate), contact = felt[0], contacts[0]
-    true, believed = world.mission.walls[0], mission.walls[0]
+    (estimated_us, estimate), contact = estimates[0], contacts[0]
+    true, planned = world.mission.walls[0], mission.walls[0]
     x, y, _ = contact.position_mission
     away = true.signed_distance((x, y))
-    met = (x - away * true.normal[0], y - away * true.normal[1])
+    touched = (x - away * true.normal[0], y - away * true.normal[1])
     wall = world.mission.vehicle.materials[true.material].of(contact.mode)
     hits = builder.build(World.FAST, seed).collisions
     return FeltContact(
         contact.mode,
         estimate.mode_felt,
         estimate.mode_reported,
-        _mode_by_time(believed.material, mission, hits[0].contact_time_ms if hits else None),
-        (judged_us - contact.end_us) * 1e-3,
-        estimate.plane_offset_m - believed.signed_distance(met),
+        _mode_by_time(planned.material, mission, hits[0].contact_time_ms if hits else None),
+        (estimated_us - contact.end_us) * 1e-3,
+        estimate.plane_offset_m - planned.signed_distance(touched),
         {
             "k": (estimate.k_n_per_m, estimate.k_sd, wall.k),
             "f": (estimate.f_ns_per_m, estimate.f_sd, wall.f),

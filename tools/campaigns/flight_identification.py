@@ -1,4 +1,4 @@
-"""How well coefficients come out of flight logs, against walls that are known (flight_identification.md)."""
+"""Campaign: coefficients identified from flight logs (docs/results/flight_identification.md)."""
 
 from __future__ import annotations
 
@@ -23,7 +23,9 @@ _FLIGHTS = 3
 
 
 class Identified(msgspec.Struct, frozen=True):
-    """Coefficients by `material, mode, name`: estimate, its interval, truth; None if the logs do not tell."""
+    """Coefficients by `material, mode, name`: estimate, interval and truth; None if the logs do not determine
+    it.
+    """
 
     coefficients: dict[str, tuple[float | None, float | None, float | None, float]]
 
@@ -46,9 +48,9 @@ def with_factor(mission: Mission, factor: str) -> Mission:
 
 
 def identify_flights(point: Point, seed: int) -> Identified:
-    """Fly three times against other walls than the mission's, and identify from the logs alone."""
+    """Fly three times with other walls than the mission's, and identify from the logs alone."""
     mission, real = point.mission, with_factor(point.mission, point.case["walls"])
-    logs = [_log_of(mission, real, one) for one in range(_FLIGHTS * (seed - 1) + 1, _FLIGHTS * seed + 1)]
+    logs = [_log_of(mission, real, k) for k in range(_FLIGHTS * (seed - 1) + 1, _FLIGHTS * seed + 1)]
     found: dict[str, tuple[float | None, float | None, float | None, float]] = {}
     for material in dict.fromkeys(c.wall.material for c in mission.collisions):
         trials = [trial for log in logs for trial in trials_of(log, material).get(material, [])]
@@ -69,7 +71,7 @@ def _log_of(mission: Mission, real: Mission, seed: int) -> Log:
 
 
 def page(rows: Sequence[JudgedRow]) -> str:
-    """Return a row for every coefficient, bold where the interval does not hold the truth."""
+    """Return a row for every coefficient, bold if the interval does not contain the truth."""
     table = []
     for r in rows:
         for what, (value, low, high, true) in r.row.coefficients.items():

@@ -1,8 +1,9 @@
-"""Malformed files and MAVLink frames: a refusal in one line, no traceback, no hang (docs/results/fuzz.md).
+"""Campaign: malformed files and MAVLink frames must be rejected in one line, without traceback or hang.
 
-Each input is a good one made bad (bytes or lines lost, doubled, swapped, replaced, values exchanged), by its
-number. An input counts as wrong if anything but `InputError` (for frames: anything at all) is raised, if the
-error is more than one line, or if it takes more than a second of processor time.
+Each input (docs/results/fuzz.md) is a valid one damaged according to its number: bytes or lines are removed,
+doubled, swapped or replaced, or values are exchanged. An input fails if it raises anything but `InputError`
+(for frames: anything at all). It also fails if the error has several lines, or if it takes more than a second
+of processor time.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ from dart_flight.sim.mavlink_endpoint import MavlinkEndpoint
 from dart_flight.sim.simulated_vehicle import SimulatedVehicle
 from tools.campaigns.results import markdown
 
-_BLOCK = 100  # inputs in a row
+_BLOCK = 100  # inputs per row
 _SLOW_S = 1.0
 _PIECES = "{}[]:,-#&*!|>'\"%@`\t\n\\0é"
 _VALUES = (
@@ -56,7 +57,7 @@ _VALUES = (
 
 
 class Tally(msgspec.Struct, frozen=True):
-    """What came of a hundred inputs of one kind."""
+    """The results of a hundred inputs of one kind."""
 
     refused: int
     taken: int
@@ -65,7 +66,7 @@ class Tally(msgspec.Struct, frozen=True):
 
 
 def spoil_text(text: str, chance: random.Random) -> str:
-    """A good file made bad."""
+    """Return a damaged copy of a valid file."""
     for _ in range(chance.randint(1, 4)):
         i = chance.randrange(len(text) + 1)
         j = min(len(text), i + chance.randint(1, 12))
@@ -89,7 +90,7 @@ def spoil_text(text: str, chance: random.Random) -> str:
 
 
 def _exchange_value(text: str, chance: random.Random) -> str:
-    """The value of one key replaced by something else."""
+    """Replace the value of one key."""
     lines = text.splitlines()
     keyed = [i for i, line in enumerate(lines) if ": " in line]
     if not keyed:
@@ -101,7 +102,7 @@ def _exchange_value(text: str, chance: random.Random) -> str:
 
 
 def spoil_bytes(data: bytes, chance: random.Random) -> bytes:
-    """Bytes flipped, lost, doubled or cut off."""
+    """Flip, remove, insert or cut off bytes."""
     body = bytearray(data)
     for _ in range(chance.randint(1, 6)):
         i = chance.randrange(len(body)) if body else 0
@@ -117,7 +118,7 @@ def spoil_bytes(data: bytes, chance: random.Random) -> bytes:
     return bytes(body)
 
 
-# --- what is fed -------------------------------------------------------------------------------------------
+# --- inputs -------------------------------------------------------------------------------------------
 
 
 class _Mission:
@@ -143,7 +144,7 @@ class _Scenario:
 class _Configuration:
     def __init__(self) -> None:
         text = packaged("configs", "dart.yaml").read_text()
-        # Without its comments: what is spoiled should be values.
+        # Without comments, so that the damage affects keys and values.
         self._text = yaml.safe_dump(yaml.safe_load(text), sort_keys=False)
         self._folder = tempfile.TemporaryDirectory()
 
@@ -154,7 +155,7 @@ class _Configuration:
 
 
 class _Log:
-    """Short logs, because a spoiled one is read up to its damage."""
+    """Damaged logs, kept short because a reader stops at the damage."""
 
     def __init__(self) -> None:
         self._folder = tempfile.TemporaryDirectory()
@@ -171,7 +172,7 @@ class _Log:
 
 
 class _Frame:
-    """Frames that arrive at the autopilot's endpoint, valid, spoiled and invented."""
+    """Frames that arrive at the autopilot's endpoint: valid, damaged and invented ones."""
 
     def __init__(self) -> None:
         mission = load_flyable(packaged("missions", "paper_single_wall.yaml"))
@@ -259,13 +260,13 @@ def page(rows: Sequence[JudgedRow]) -> str:
         [
             kind,
             str(_BLOCK * len(mine)),
-            str(sum(one.refused for one in mine)),
-            str(sum(one.taken for one in mine)),
-            str(sum(len(one.failures) for one in mine)),
-            f"{1e3 * max(one.slowest_s for one in mine):.0f}",
+            str(sum(tally.refused for tally in mine)),
+            str(sum(tally.taken for tally in mine)),
+            str(sum(len(tally.failures) for tally in mine)),
+            f"{1e3 * max(tally.slowest_s for tally in mine):.0f}",
         ]
         for kind, mine in kinds.items()
     ]
-    failures = [f"- {failure}" for mine in kinds.values() for one in mine for failure in one.failures]
+    failures = [f"- {failure}" for mine in kinds.values() for tally in mine for failure in tally.failures]
     heads = ("kind", "inputs", "refused", "taken", "wrong", "slowest ms")
     return "\n".join([markdown(heads, table), *failures])

@@ -1,7 +1,7 @@
-"""How well coefficients are identified from synthetic trials (docs/results/identification.md).
+"""Campaign: coefficients identified from synthetic trials (docs/results/identification.md).
 
-Drops are recorded at 1000 Hz with 0.5 mm noise, wall hits at 240 Hz with 1 mm. In every set the plane is off
-by 10 mm, speeds vary by 3 %, heights by 2 % (standard deviations), and sampling starts at any phase.
+Drops are recorded at 1000 Hz with 0.5 mm noise, wall hits at 240 Hz with 1 mm. In every set the plane has an
+error of 10 mm, speeds vary by 3 % and heights by 2 % (standard deviations), and sampling has a random phase.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _FULL = "hits with track and height"
 
 
 class Identified(msgspec.Struct, frozen=True):
-    """Coefficients of one set: name to the estimate, its 95 % interval and the truth."""
+    """Coefficients of one set: name -> estimate, its 95 % interval and the truth."""
 
     coefficients: dict[str, tuple[float, float, float, float]]
 
@@ -52,20 +52,20 @@ def identify_set(point: Point, seed: int) -> Identified:
     """Identify one set.
 
     Raises:
-        ValueError: a coefficient is not told.
+        ValueError: a coefficient is not determined.
     """
     kind, mode = point.case["trials"], point.case["mode"]
     surface = "concrete" if "drops" in kind else "acrylic"
     truth = point.mission.vehicle.materials[surface].of(Mode(mode))
     trials = trials_of(truth, kind, mode, np.random.default_rng((1, seed - 1)))
     found = identify(trials, MASS_KG, Onset.LCP).coefficients[mode]
-    told = {}
+    identified = {}
     for name in ("k", "f", "mu", "nu") if kind == _FULL else ("k", "f"):
         estimate = found[name]
         if estimate is None:
-            raise ValueError(f"{name} is not told")
-        told[name] = (estimate.value, estimate.low, estimate.high, float(getattr(truth, name)))
-    return Identified(told)
+            raise ValueError(f"{name} is not determined")
+        identified[name] = (estimate.value, estimate.low, estimate.high, float(getattr(truth, name)))
+    return Identified(identified)
 
 
 _HEADS = (
@@ -85,14 +85,14 @@ def page(rows: Sequence[JudgedRow]) -> str:
     """Return a row for every kind of trials and coefficient."""
     groups: dict[tuple[str, str, str], list[tuple[float, float, float, float]]] = {}
     for r in rows:
-        for name, told in r.row.coefficients.items():
-            groups.setdefault((r.values["trials"], r.values["mode"], name), []).append(told)
+        for name, estimate in r.row.coefficients.items():
+            groups.setdefault((r.values["trials"], r.values["mode"], name), []).append(estimate)
     table = []
-    for (trials, mode, name), told in groups.items():
-        value, low, high, true = np.array(told).T
+    for (trials, mode, name), estimates in groups.items():
+        value, low, high, true = np.array(estimates).T
         off = value / true - 1.0
         covered = np.mean((low <= true) & (true <= high))
         figures = [np.median(np.abs(off)), np.sqrt(np.mean(off**2)), np.median(0.5 * (high - low) / true)]
         cells = [f"{figure:.2%}" for figure in figures]
-        table.append([trials, mode, str(len(told)), name, f"{true[0]:g}", *cells, f"{covered:.1%}"])
+        table.append([trials, mode, str(len(estimates)), name, f"{true[0]:g}", *cells, f"{covered:.1%}"])
     return markdown(_HEADS, table)

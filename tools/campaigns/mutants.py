@@ -1,8 +1,8 @@
-"""Whether a test notices a change of the core: mutants by cosmic-ray, drawn by a seed.
+"""Campaign: mutants of the core by cosmic-ray, drawn by a seed, and the tests that detect them.
 
-Of a file, every kind of change is drawn as often as the others. The mutant is written into a copy of the
-tree, and there the tests of the core run until the first failure. If none fails the mutant has survived;
-then a test is written for it, or docs/results/mutants.md says why none is needed.
+Within a file, every kind of change is drawn with the same probability. The mutant is written into a copy of
+the tree, where the core's tests run until the first failure. If none fails, the mutant has survived. Then a
+test is written for it, or docs/results/mutants.md explains why none is needed.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from dart_flight.lab.campaign.flight_job import JudgedRow
 from tools.campaigns.results import ROOT, markdown
 
 _MUTATED = ("dart_flight/core/*/*.py", "dart_flight/core/*.py", "dart_flight/run/core_thread.py")
-# Kinds of changes by operators; others of cosmic-ray, such as a shift for a sum, fail wherever they run.
+# Operators by kind of change; cosmic-ray's others, such as a shift for a sum, always fail.
 _KINDS = {
     "comparison": [
         f"ReplaceComparisonOperator_{a}_{b}"
@@ -40,7 +40,7 @@ _KINDS = {
     "constant": ["NumberReplacer", "ReplaceTrueWithFalse", "ReplaceFalseWithTrue"],
     "loop": ["ZeroIterationForLoop", "ReplaceBreakWithContinue", "ReplaceContinueWithBreak"],
 }
-# What notices most in the shortest time comes first.
+# The tests that detect most mutants in the shortest time come first.
 _TESTS = """tests/recording/test_recorded_flights.py::test_a_recorded_flight_is_decided_again tests/core
     tests/run tests/flights/test_fast_flights.py tests/flights/test_lock_in_flight.py
     tests/flights/test_waypoints.py tests/flights/test_no_lock.py tests/flights/test_replanned_flights.py
@@ -50,7 +50,7 @@ _LONGEST_S = 3600.0
 
 
 class Mutant(msgspec.Struct, frozen=True):
-    """One mutant: its place, the line before and after, and the test that noticed it; empty if none did."""
+    """One mutant: place, line before and after, and the test that detected it, or empty."""
 
     place: str
     kind: str
@@ -71,27 +71,27 @@ def mutations(file: Path) -> Iterator[tuple[str, str, int, int]]:
 
 
 def try_mutant(_: Point, seed: int) -> Mutant:
-    """Draw the mutant of a seed and run the tests against it; with seed 0 against the code as it is."""
+    """Draw the mutant of a seed and run the tests against it; seed 0 runs them against the original code."""
     chance = random.Random(seed)
     files = sorted(file for pattern in _MUTATED for file in ROOT.glob(pattern) if file.name != "__init__.py")
     file = chance.choices(files, [file.stat().st_size for file in files])[0]
     found = list(mutations(file))
-    kind = chance.choice(sorted({one[0] for one in found}))
-    drawn = chance.choice([one for one in found if one[0] == kind])
+    kind = chance.choice(sorted({mutation[0] for mutation in found}))
+    drawn = chance.choice([mutation for mutation in found if mutation[0] == kind])
     path, before = file.relative_to(ROOT), file.read_text("utf-8")
     after = mutate_code(before, get_operator(f"core/{drawn[1]}")(), drawn[2]) if seed else before
     with tempfile.TemporaryDirectory(prefix="mutant-") as tree:
-        for one in _COPIED:  # links as links: some of the tests' data lead nowhere
-            if (ROOT / one).is_dir():
-                shutil.copytree(ROOT / one, Path(tree) / one, symlinks=True)
+        for name in _COPIED:  # keep symbolic links, because some test data are broken links
+            if (ROOT / name).is_dir():
+                shutil.copytree(ROOT / name, Path(tree) / name, symlinks=True)
             else:
-                shutil.copy(ROOT / one, tree)
+                shutil.copy(ROOT / name, tree)
         (Path(tree) / path).write_text(after, "utf-8")
         options = "-x -q -p no:cacheprovider --no-header --tb=no -n 0 -m 'not mavlink and not px4'"
         command = f"env --chdir={tree} PYTHONPATH={tree} {sys.executable} -m pytest {options} {_TESTS}"
-        outcome, said = run_tests(command, _LONGEST_S)
-    failed = [text.split()[1] for text in said.splitlines() if text.startswith(("FAILED", "ERROR"))]
-    noticed_by = "" if outcome is TestOutcome.SURVIVED else (failed or [said.strip()[-80:]])[0]
+        outcome, output = run_tests(command, _LONGEST_S)
+    failed = [text.split()[1] for text in output.splitlines() if text.startswith(("FAILED", "ERROR"))]
+    noticed_by = "" if outcome is TestOutcome.SURVIVED else (failed or [output.strip()[-80:]])[0]
     pairs = zip(before.splitlines(), after.splitlines(), strict=False)
     was, now = next(((a.strip(), b.strip()) for a, b in pairs if a != b), ("", ""))
     return (
@@ -102,7 +102,7 @@ def try_mutant(_: Point, seed: int) -> Mutant:
 
 
 def page(rows: Sequence[JudgedRow]) -> str:
-    """Return how many were noticed, the survivors, and which tests noticed."""
+    """Return the number of detected mutants, the survivors, and the detecting tests."""
     mutants = [r.row for r in rows if r.row.kind]
     alive = [m for m in mutants if not m.noticed_by]
     broken = [
@@ -115,7 +115,7 @@ def page(rows: Sequence[JudgedRow]) -> str:
     return "\n".join(
         [
             *broken,
-            f"{len(mutants) - len(alive)} of {len(mutants)} noticed.\n",
+            f"{len(mutants) - len(alive)} of {len(mutants)} detected.\n",
             markdown(("survivor", "kind", "before", "after"), survivors),
             markdown(("test", "mutants"), [(name, str(count)) for name, count in by.most_common()]),
         ]

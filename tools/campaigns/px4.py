@@ -1,4 +1,4 @@
-"""Missions on a real PX4: hits, estimate and goal by the truth (docs/results/px4.md, px4_versions.md)."""
+"""Campaign: missions on a real PX4, with true hits, estimate and goal (docs/results/px4.md)."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from tools.campaigns.results import markdown
 
 
 class Px4Hit(msgspec.Struct, frozen=True):
-    """One collision: true velocity and peak, measured peak over the true one, latency of the detection."""
+    """One collision: true velocity and peak, measured over true peak, latency of the detection."""
 
     normal_m_s: float | None
     peak_n: float | None
@@ -30,7 +30,7 @@ class Px4Hit(msgspec.Struct, frozen=True):
 
 
 class Px4Flight(msgspec.Struct, frozen=True):
-    """One flight; `version` as PX4 reports it."""
+    """One flight; `version` is PX4's own report."""
 
     version: str | None
     outcome: str
@@ -45,7 +45,7 @@ class Px4Flight(msgspec.Struct, frozen=True):
 
 
 def hit_of(c: Any) -> Px4Hit:
-    """Return the figures of a collision of a verdict."""
+    """Return the figures of a collision in a verdict."""
     normal_m_s, peak_n = (c.truth.normal_m_s, c.truth.peak_force_n) if c.truth else (None, None)
     measured_n = c.measured.peak_force_n
     ratio = measured_n / peak_n if peak_n and measured_n else None
@@ -87,7 +87,7 @@ _OF_HIT: dict[str, tuple[Callable[[Px4Hit], float | None], int]] = {
 
 
 def page(rows: Sequence[JudgedRow]) -> str:
-    """Return a column for every mission and source of the position; median (least to most)."""
+    """Return a column for every mission and source of the position, with median (minimum to maximum)."""
     groups: dict[str, list[Px4Flight]] = {}
     for r in rows:
         mission = Path(r.mission).stem
@@ -114,7 +114,7 @@ def _column(mine: Sequence[Px4Flight], hits: int) -> list[str]:
 
 
 def spread(values: Sequence[float | None], digits: int) -> str:
-    """Return median, least and most of what is known."""
+    """Return median, minimum and maximum of the known values."""
     known = sorted(v for v in values if v is not None)
     if not known:
         return "-"

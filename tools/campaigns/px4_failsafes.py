@@ -1,6 +1,7 @@
-"""PX4's own failsafes, terminations and estimator resets in flight: what the guard makes of each.
+"""Campaign: PX4's failsafes, terminations and estimator resets in flight, and the guard's reactions.
 
-Each (docs/results/px4_failsafes.md) begins when the mission reaches a phase, by a second MAVLink link.
+Each disturbance (docs/results/px4_failsafes.md) begins when the mission reaches a phase, through a second
+MAVLink link.
 """
 
 from __future__ import annotations
@@ -39,15 +40,15 @@ from dart_flight.run.px4_flight import fly_px4
 from dart_flight.sim.px4.bridge import geodetic
 from tools.campaigns.results import markdown
 
-PHASES = {Phase.TRANSIT: 0.3, Phase.APPROACH: 0.2, Phase.RECOVERY: 0.1}  # seconds after which it begins
-_PORT = 18570  # PX4's link to a ground station, of the first instance
+PHASES = {Phase.TRANSIT: 0.3, Phase.APPROACH: 0.2, Phase.RECOVERY: 0.1}  # delay of the disturbance, s
+_PORT = 18570  # ground-station port of PX4's first instance
 _INSTANCE = re.compile(r"PX4 instance (\d+)")
 _JUMP_M = 1.0
-_TRIES = 4  # on a busy computer a flight may end for another reason before it begins
+_TRIES = 4  # on a busy computer a flight may end before the disturbance begins
 
 
 class Second:
-    """A second link to PX4, and the vehicle's pose to disturb."""
+    """A second link to PX4, with the vehicle's pose for disturbances."""
 
     def __init__(self) -> None:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -57,18 +58,18 @@ class Second:
         self.instance: int | None = None
 
     def find(self, folder: Path) -> None:
-        """Read which instance of PX4 flies, from the log of its world."""
+        """Read PX4's instance number from the log of its world."""
         for log in folder.glob("*/autopilot.log"):
             found = _INSTANCE.search(log.read_text())
             self.instance = int(found[1]) if found else None
 
     def send(self, message: Any) -> None:
-        """Send one message, once the instance is known."""
+        """Send one message if the instance is known."""
         if self.instance is not None:
             self._socket.sendto(message.pack(self._pack), ("127.0.0.1", _PORT + self.instance))
 
     def command(self, number: int, **parameters: float) -> None:
-        """Send COMMAND_LONG; parameters that are not given are NaN."""
+        """Send COMMAND_LONG; missing parameters are NaN."""
         values = [parameters.get(f"p{i}", math.nan) for i in range(1, 8)]
         self.send(mavlink.MAVLink_command_long_message(1, 1, number, 0, *values))
 
@@ -81,16 +82,16 @@ class Second:
             self.send(mavlink.MAVLink_param_set_message(1, 1, name.encode(), sent, kind))
 
     def hold_sticks(self) -> None:
-        """Send centred sticks until they are lost."""
+        """Send centred sticks until `sticks_lost` is set."""
         while not self.sticks_lost.wait(0.05):
             self.send(mavlink.MAVLink_manual_control_message(1, 0, 0, 500, 0, 0))
 
     def turn(self, degrees: float) -> None:
-        """Tell PX4 a heading that is this far off."""
+        """Send PX4 a heading with an error in degrees."""
         self.command(620, p3=math.degrees(self.yaw_rad) + degrees, p7=0.5)
 
     def move(self) -> None:
-        """Tell PX4 a position that is a metre north of its own."""
+        """Send PX4 a position one metre north of its own."""
         north, east, down = self.position_ned
         place = [round(degrees * 1e7) for degrees in geodetic((north + _JUMP_M, east, down))]
         values = (math.nan, 0.0, 0.05, math.nan, *place, math.nan)
@@ -98,11 +99,11 @@ class Second:
 
 
 class Row(NamedTuple):
-    """One disturbance; `falls`: PX4 stops the motors; `off_m`: how far off the position may be."""
+    """One disturbance; `falls` if PX4 stops the motors, `off_m` is the allowed position error."""
 
     begin: Callable[[Second], None]
     position_from: PositionSource = PositionSource.MOCAP
-    parameters: str = ""  # from the start on
+    parameters: str = ""  # set from the start
     falls: bool = False
     off_m: float = 0.0
 
@@ -122,7 +123,7 @@ ROWS = {
 
 
 class Disturbed(msgspec.Struct, frozen=True):
-    """One disturbed flight: rules, s after the disturbance (None: before it began), words; and the truth."""
+    """One disturbed flight: rules, seconds after the disturbance (None: before it), details; the truth."""
 
     rules: list[tuple[str, float | None, str]]
     outcome: str
@@ -138,7 +139,7 @@ def cases() -> list[dict[str, str]]:
 
 
 def fly(point: Point, seed: int) -> Disturbed:
-    """Fly until the disturbance began while nothing else had ended the flight, a few times at most."""
+    """Fly until the disturbance began before any rule fired, at most four times."""
     for _ in range(_TRIES):
         flown = _fly_once(point.case["disturbance"], Phase(point.case["phase"]), seed)
         if all(after_s is not None for _, after_s, _ in flown.rules):
@@ -153,7 +154,7 @@ def _fly_once(name: str, phase: Phase, seed: int) -> Disturbed:
     truth, begun_us = TruthExtremes(mission.bounds), [0]
     rules: list[tuple[str, float | None, str]] = []
 
-    def see(record: Record) -> None:
+    def observe(record: Record) -> None:
         if isinstance(record, TruthSample):
             truth.update(record)
         if second.instance is None:
@@ -176,7 +177,7 @@ def _fly_once(name: str, phase: Phase, seed: int) -> Disturbed:
             threading.Thread(target=second.hold_sticks, daemon=True).start()
         source, files = row.position_from, (file,)
         flown = fly_px4(
-            mission, None, seed, Path(folder), position_from=source, parameter_files=files, viewer=see
+            mission, None, seed, Path(folder), position_from=source, parameter_files=files, viewer=observe
         )
     second.sticks_lost.set()
     completed = flown.outcome is Outcome.COMPLETED

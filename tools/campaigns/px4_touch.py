@@ -1,4 +1,4 @@
-"""Survey and anchors on a real PX4, in the tables of touch.py."""
+"""Campaign: survey and anchors on a real PX4, in the tables of touch.py."""
 
 from tools.campaigns.touch import page
 

@@ -1,4 +1,4 @@
-"""Missions that use collisions on a real PX4, beside the free flights of their scenarios."""
+"""Campaign: missions that use collisions on a real PX4, and the free flights of their scenarios."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from tools.campaigns.results import markdown
 
 
 class WayFlown(msgspec.Struct, frozen=True):
-    """One flight of a mission that uses collisions, or of its free flight; velocities of its hits."""
+    """One flight of a mission that uses collisions, or of its free flight, with the speeds of its hits."""
 
     outcome: str
     followed: bool | None
@@ -39,14 +39,14 @@ _both_ways = functools.cache(both_ways)
 
 
 def cases() -> list[dict[str, str]]:
-    """Return every mission both ways."""
+    """Return every mission with and without collisions."""
     return [
         {"flown": name, "way": way} for name, way in itertools.product(USING_COLLISIONS, (COLLIDING, FREE))
     ]
 
 
 def fly(point: Point, seed: int) -> WayFlown:
-    """Fly one way on the PX4 of `--px4`."""
+    """Fly one variant on the PX4 of `--px4`."""
     both, way = _both_ways(point.case["flown"]), point.case["way"]
     mission = both.missions[way]
     with tempfile.TemporaryDirectory() as folder:
@@ -71,7 +71,7 @@ _HEADS = ("mission", "way", "completed", "plan followed", "places passed", "plan
 
 
 def page(rows: Sequence[JudgedRow]) -> str:
-    """Return a row for every mission and way."""
+    """Return a row for every mission and variant."""
     groups: dict[tuple[str, str], list[WayFlown]] = {}
     for r in rows:
         groups.setdefault((r.values["flown"], r.values["way"]), []).append(r.row)

@@ -1,4 +1,4 @@
-"""Rooms of the objective `quickest`: does what `plan` says of its flights hold in other drawn worlds?"""
+"""Campaign: whether flights reported by `plan` for the objective `quickest` hold in other drawn worlds."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ OTHER_SEED = 800_001
 
 
 class Room(NamedTuple):
-    """Places to visit and walls by their letters, half the room's width, tolerance, and what differs."""
+    """A room: places to visit and walls by their letters, half the room's width, tolerance, and options."""
 
     vehicle: str
     visits: str
@@ -64,7 +64,7 @@ def scenario_of(room: Room) -> dict[str, Any]:
 
 
 class RoomFlown(msgspec.Struct, frozen=True):
-    """What was planned and offered, and both records; None if nothing was offered."""
+    """The planned saving, the offered plan and both records; None if nothing was offered."""
 
     planned_saving_s: float | None
     offered: str
@@ -78,20 +78,20 @@ def cases() -> list[dict[str, str]]:
 
 
 def fly(point: Point, _: int) -> RoomFlown:
-    """Plan a room, fly the plan as `plan` does, and twenty times more."""
+    """Plan a room, fly the plan as `plan` does, and fly it in twenty other worlds."""
     room, alone = ROOMS[int(point.case["room"]) - 1], flown_plan.fly_in_process
     result = plan_quickest(load_scenario(scenario_of(room)), 60.0)
     offered = flown_plan.choose_flown(result, False, fly=alone)
     if offered.plan is None:
         return RoomFlown(result.saving_s, "none", None, None)
-    name = next(name for name, one in offered.flown.items() if one == offered.record)
-    said_seed, flown_plan.FIRST_SEED = flown_plan.FIRST_SEED, OTHER_SEED
+    name = next(name for name, flown in offered.flown.items() if flown == offered.record)
+    first_seed, flown_plan.FIRST_SEED = flown_plan.FIRST_SEED, OTHER_SEED
     other = flown_plan.fly_mission(planned_mission(offered.scenario, offered.plan), fly=alone)
     record = other.record
     if result.free is not None and name != "free":
         free = flown_plan.fly_mission(planned_mission(result.scenario, result.free), fly=alone)
         record = flown_plan.compare(other, free)
-    flown_plan.FIRST_SEED = said_seed
+    flown_plan.FIRST_SEED = first_seed
     return RoomFlown(result.saving_s, name, offered.record, record)
 
 
@@ -100,19 +100,19 @@ _HEADS = ("vehicle", "visits", "walls", "within m", "planned s", "offered", "com
 
 
 def page(rows: Sequence[JudgedRow]) -> str:
-    """Return a row for every room; two figures are those of `plan` and those of the other worlds."""
+    """Return a row for every room; pairs of figures are those of `plan` and those of the other worlds."""
     table = []
     for r in rows:
         room, found = ROOMS[int(r.values["room"]) - 1], r.row
         planned = "-" if found.planned_saving_s is None else f"{found.planned_saving_s:+.2f}"
         where = [room.vehicle, str(len(room.visits)), str(len(room.walls)), str(room.within_m), planned]
-        records = [one for one in (found.said, found.other) if one is not None]
-        drawn = [one.drawn for one in records if one.drawn is not None]
+        records = [record for record in (found.said, found.other) if record is not None]
+        drawn = [record.drawn for record in records if record.drawn is not None]
         columns = (
-            [str(one.completed) for one in drawn],
-            [str(one.uncontrolled) for one in drawn],
-            ["-" if one.saving_s is None else f"{one.saving_s:+.2f}" for one in records],
-            [f"{one.max_tilt_deg or 0.0:.0f}" for one in drawn],
+            [str(flights.completed) for flights in drawn],
+            [str(flights.uncontrolled) for flights in drawn],
+            ["-" if record.saving_s is None else f"{record.saving_s:+.2f}" for record in records],
+            [f"{flights.max_tilt_deg or 0.0:.0f}" for flights in drawn],
         )
         table.append([*where, found.offered, *("/".join(column) or "-" for column in columns)])
     return markdown(_HEADS, table)

@@ -1,4 +1,4 @@
-"""The second impact and the goal by the truth, by the setpoint and planned again (results/replanning.md)."""
+"""Campaign: true second impact and goal, with and without replanning (docs/results/replanning.md)."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ from dart_flight.planning.predicted_flight import predict_mission
 from dart_flight.sim.draws import draw_world
 from tools.campaigns.results import markdown
 
-_RISE_M = 0.03  # by which the distance to the goal has risen after a closest approach
+_RISE_M = 0.03  # increase of the distance to the goal that confirms a closest approach
 
 
 class Replanned(msgspec.Struct, frozen=True):
-    """One flight; the second impact's error is infinite if the second wall was not met.
+    """One flight; the second impact's error is infinite if the second wall was not hit.
 
     Attributes:
-        off_m_s: true normal velocity at the second wall, off the planned one.
+        off_m_s: error of the true normal velocity at the second wall against the planned one.
         miss_m: distance to the goal at the first closest approach after the last contact.
-        capture_s: from the end of the last contact until the goal is held.
+        capture_s: time from the end of the last contact until the goal is held.
     """
 
     outcome: str
@@ -41,7 +41,7 @@ class Replanned(msgspec.Struct, frozen=True):
 
 
 def fly(point: Point, seed: int) -> Replanned:
-    """Fly the mission with one way to continue after an impact, on to the ground."""
+    """Fly the mission with one setting of `after_impact` until landing."""
     mission = msgspec.structs.replace(point.mission, after_impact=AfterImpact(point.case["after_impact"]))
     watched = WatchedFlight(mission, seed, draw_world(mission, seed, point.spreads))
     contacts: list[TruthContact] = []
@@ -66,7 +66,7 @@ def fly(point: Point, seed: int) -> Replanned:
 def _goal_figures(
     mission: Mission, end_us: int, track: Sequence[tuple[int, float]]
 ) -> tuple[float, float | None]:
-    """Return the first closest approach to the goal after a moment, m, and after how long it is held, s."""
+    """Return the first closest approach to the goal after a time, m, and the time until it is held, s."""
     after = [(t, d) for t, d in track if t >= end_us]
     least = math.inf
     for _, distance in after:
@@ -86,7 +86,7 @@ _HEADS = ("after an impact", "completed (95 %)", "uncontrolled", "second impact 
 
 
 def page(rows: Sequence[JudgedRow]) -> str:
-    """Return a row for each way to continue."""
+    """Return a row for each setting of `after_impact`."""
     ways: dict[str, list[Replanned]] = {}
     for r in rows:
         ways.setdefault(r.values["after_impact"], []).append(r.row)
@@ -94,15 +94,15 @@ def page(rows: Sequence[JudgedRow]) -> str:
 
 
 def _cells(mine: Sequence[Replanned]) -> list[str]:
-    completed = sum(one.outcome == "completed" for one in mine)
+    completed = sum(flight.outcome == "completed" for flight in mine)
     low, high = wilson(completed, len(mine))
-    errors = [math.inf if one.off_m_s is None else one.off_m_s for one in mine]
-    misses = [math.inf if one.miss_m is None else one.miss_m for one in mine]
-    captures = [one.capture_s for one in mine if one.capture_s is not None]
-    broken = Counter(one.rule for one in mine if one.outcome != "completed")
+    errors = [math.inf if flight.off_m_s is None else flight.off_m_s for flight in mine]
+    misses = [math.inf if flight.miss_m is None else flight.miss_m for flight in mine]
+    captures = [flight.capture_s for flight in mine if flight.capture_s is not None]
+    broken = Counter(flight.rule for flight in mine if flight.outcome != "completed")
     return [
         f"{completed} of {len(mine)} ({100 * low:.0f} to {100 * high:.0f} %)",
-        str(sum(bool(one.problems) for one in mine)),
+        str(sum(bool(flight.problems) for flight in mine)),
         f"{np.median(errors):.3f}, {np.quantile(errors, 0.95, method='lower'):.3f}",
         f"{100 * np.mean([e <= 0.1 for e in errors]):.0f} %",
         f"{np.median(misses):.3f}, {np.quantile(misses, 0.95, method='lower'):.3f}",

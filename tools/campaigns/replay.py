@@ -1,4 +1,4 @@
-"""Whether a recorded flight is decided again as it was, bit for bit (docs/results/replay.md)."""
+"""Campaign: whether recorded flights are replayed bit-equal (docs/results/replay.md)."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from tools.campaigns.results import markdown
 
 
 class Replayed(msgspec.Struct, frozen=True):
-    """One flight and its replay; `missing` are records that the replay did not give."""
+    """One flight and its replay; `missing` counts records that the replay lacks."""
 
     outcome: str
     inputs: int

@@ -1,4 +1,4 @@
-"""The checkout that campaigns run in, and tables of their pages."""
+"""The checkout in which campaigns run, and Markdown tables for their pages."""
 
 from __future__ import annotations
 
@@ -9,6 +9,6 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 def markdown(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """A table in Markdown."""
+    """Return a table in Markdown."""
     lines = (heads, ["---"] * len(heads), *rows)
     return "".join(f"| {' | '.join(cells)} |\n" for cells in lines)

@@ -1,4 +1,5 @@
-"""Force, torque, contact side and incidence of a body's hits, against the truth (docs/results/torque.md).
+"""Campaign: force, torque, contact side and incidence of a body's hits against the truth
+(docs/results/torque.md).
 
 Mode and approach are drawn for every seed; a flight ends with its contact.
 """
@@ -35,7 +36,7 @@ from tools.campaigns.results import markdown
 
 _AFTER_US = 60_000
 _LONGEST_S = 30.0
-_CLEAR_LEAD_M = 0.005  # from this lead on the side has to be right
+_CLEAR_LEAD_M = 0.005  # lead from which the side must be right
 SETS: dict[str, dict[str, float]] = {
     "nothing": {},
     "off": {"wall_yaw_deg": 4.0},
@@ -48,15 +49,15 @@ SETS: dict[str, dict[str, float]] = {
 
 
 class BodyHit(msgspec.Struct, frozen=True):
-    """One hit: what was estimated, and the truth.
+    """One hit: the estimate and the truth.
 
     Attributes:
-        force_error: relative, of the peak, as force over mass.
-        over_bound: error of the peak force over its Cramér-Rao bound for white noise as learnt.
-        friction_error: relative; None if the true peak is below 3 N.
-        raw_torque_nm: largest of the samples.
-        by_yaw_rad: incidence by attitude and planned wall.
-        lead_m: by which the right point led.
+        force_error: relative error of the peak, as force over mass.
+        over_bound: error of the peak force over its Cramér-Rao bound for white noise of the learnt level.
+        friction_error: relative error; None if the true peak is below 3 N.
+        raw_torque_nm: largest sample.
+        by_yaw_rad: incidence from attitude and planned wall.
+        lead_m: lead of the right contact point.
     """
 
     mode: Mode
@@ -75,16 +76,16 @@ class BodyHit(msgspec.Struct, frozen=True):
     lead_m: float
 
     def torque_is_right(self, torque_nm: float) -> bool:
-        """Whether a torque is within 10 % or 0.15 N m of the truth."""
+        """Return whether a torque is within 10 % or 0.15 N m of the truth."""
         return abs(torque_nm - self.true_torque_nm) <= max(0.15, 0.1 * self.true_torque_nm)
 
     def is_first(self, side: ContactSide) -> bool:
-        """Whether a side touched first."""
+        """Return whether a side touched first."""
         return side is (ContactSide.RIGHT if self.lead_m > 0.0 else ContactSide.LEFT)
 
 
 def drawn_mission(mission: Mission, seed: int) -> Mission:
-    """Return the single wall with mode and approach of a seed."""
+    """Return the single-wall mission with mode and approach of a seed."""
     rng = random.Random(f"torque {seed}")
     approach = (-rng.uniform(0.4, 1.5), rng.uniform(-0.6, 0.6))
     mode = rng.choice(list(Mode))
@@ -93,24 +94,24 @@ def drawn_mission(mission: Mission, seed: int) -> Mission:
 
 
 def fly(point: Point, seed: int) -> BodyHit:
-    """Fly up to the end of the first contact.
+    """Fly until the end of the first contact.
 
     Raises:
-        ValueError: there was none.
+        ValueError: there was no contact.
     """
     mission = drawn_mission(point.mission, seed)
     world = draw_world(mission, seed, SETS[point.case["set"]])
-    seen = _Seen()
-    flight = FastFlight(mission, seed, observe=seen, world=world)
+    records = _ContactRecords()
+    flight = FastFlight(mission, seed, observe=records, world=world)
     plant = flight.autopilot.plant
-    seen.contact_n = lambda: plant.frame.vector_from_ned(plant.contact_force_ned)
-    seen.touching = lambda: plant.in_contact
-    while flight.core.end is None and not seen.done and flight.autopilot.now_s < _LONGEST_S:
+    records.contact_n = lambda: plant.frame.vector_from_ned(plant.contact_force_ned)
+    records.touching = lambda: plant.in_contact
+    while flight.core.end is None and not records.done and flight.autopilot.now_s < _LONGEST_S:
         flight.tick()
-    return _judge(mission, world.mission, seen)
+    return _evaluate(mission, world.mission, records)
 
 
-class _Seen:
+class _ContactRecords:
     """The records of one contact, and the true force at every IMU sample."""
 
     def __init__(self) -> None:
@@ -132,7 +133,7 @@ class _Seen:
     def __call__(self, record: object, number: int) -> None:
         if isinstance(record, ImuSample):
             self.true_n.append((record.t_us, self.contact_n()))
-            if self.touching():  # while a point touches, the truth of the contact is not complete
+            if self.touching():  # the truth of a contact is complete only after its end
                 self._touched_us = record.t_us
             if self._ended_us is not None:
                 self.done = record.t_us > max(self._ended_us, self._touched_us) + _AFTER_US
@@ -153,24 +154,24 @@ class _Seen:
             self._ended_us = record.t_us
 
 
-def _judge(believed: Mission, true: Mission, seen: _Seen) -> BodyHit:
-    onset, peak, attitude = seen.onset, seen.peak, seen.onset_attitude
-    if onset is None or peak is None or attitude is None or not seen.bodies:
+def _evaluate(planned: Mission, true: Mission, records: _ContactRecords) -> BodyHit:
+    onset, peak, attitude = records.onset, records.peak, records.onset_attitude
+    if onset is None or peak is None or attitude is None or not records.bodies:
         raise ValueError("no contact")
-    body = seen.bodies[-1]
-    # A vehicle that turns may touch again with its other side before the impact is over: one impact.
-    near = [c for c in seen.contacts if c.t_us <= body.t_us and c.end_us >= onset.first_us - 20_000]
+    body = records.bodies[-1]
+    # A rotating vehicle may touch again with its other side within one impact.
+    near = [c for c in records.contacts if c.t_us <= body.t_us and c.end_us >= onset.first_us - 20_000]
     if not near:
         raise ValueError("no true contact")
-    yaw = believed.frame_at((0.0, 0.0, 0.0)).yaw_from_ned(yaw_ned_of(attitude.q_frd_to_ned))
-    inside = [t for t in seen.torques if onset.first_us <= t.t_us <= body.t_us]
-    factor = true.vehicle.airframe.mass_kg / believed.vehicle.airframe.mass_kg
+    yaw = planned.frame_at((0.0, 0.0, 0.0)).yaw_from_ned(yaw_ned_of(attitude.q_frd_to_ned))
+    inside = [t for t in records.torques if onset.first_us <= t.t_us <= body.t_us]
+    factor = true.vehicle.airframe.mass_kg / planned.vehicle.airframe.mass_kg
     force, true_force = peak.normal_force_n * factor, near[0].peak_normal_force_n
     friction, true_friction = abs(peak.tangential_force_n) * factor, near[0].peak_friction_force_n
     return BodyHit(
-        mode=believed.collisions[0].mode,
+        mode=planned.collisions[0].mode,
         force_error=force / true_force - 1.0,
-        over_bound=(force - true_force) / _bound_n(seen, peak, onset),
+        over_bound=(force - true_force) / _bound_n(records, peak, onset),
         fitted=peak.fitted,
         friction_error=friction / true_friction - 1.0 if true_friction > 3.0 else None,
         torque_nm=body.peak_torque_nm,
@@ -179,32 +180,34 @@ def _judge(believed: Mission, true: Mission, seen: _Seen) -> BodyHit:
         incidence_rad=body.incidence_rad,
         sigma_rad=body.incidence_sigma_rad,
         true_incidence_rad=near[0].incidence_rad,
-        by_yaw_rad=wrap_angle(yaw - believed.collisions[0].wall.parallel_yaw(yaw)),
+        by_yaw_rad=wrap_angle(yaw - planned.collisions[0].wall.parallel_yaw(yaw)),
         side=body.side,
         lead_m=near[0].lead_m,
     )
 
 
-def _bound_n(seen: _Seen, peak: ImpactPeak, onset: ImpactOnset) -> float:
+def _bound_n(records: _ContactRecords, peak: ImpactPeak, onset: ImpactOnset) -> float:
     nx, ny = peak.normal
     until = [
-        (t, f[0] * nx + f[1] * ny) for t, f in seen.true_n if onset.first_us - 40_000 < t <= peak.detected_us
+        (t, f[0] * nx + f[1] * ny)
+        for t, f in records.true_n
+        if onset.first_us - 40_000 < t <= peak.detected_us
     ]
-    noise = next(f.noise_n for f in seen.forces if f.t_us >= onset.first_us)
+    noise = next(f.noise_n for f in records.forces if f.t_us >= onset.first_us)
     return cramer_rao_n(np.array([t * 1e-6 for t, _ in until]), np.array([f for _, f in until]), noise)
 
 
 def cramer_rao_n(time_s: NDArray[np.float64], pulse_n: NDArray[np.float64], noise_n: float) -> float:
-    """Return the least deviation of a pulse's height whose moment and duration are unknown, newton.
+    """Return the smallest standard deviation of a pulse's height with unknown time and duration, newton.
 
     Args:
-        time_s: of the readings that are there when the peak is judged, shape (n,).
-        pulse_n: the true force at them.
-        noise_n: deviation of one reading, white.
+        time_s: times of the readings available when the peak is estimated, shape (n,).
+        pulse_n: true force at these times.
+        noise_n: standard deviation of one reading, white.
     """
     slope = np.gradient(pulse_n, time_s)
     top = int(np.argmax(pulse_n))
-    # Changes of the readings by height (relative), moment and duration (relative).
+    # Derivatives of the readings by relative height, time and relative duration.
     changes = np.stack([pulse_n, -slope, -(time_s - time_s[top]) * slope], axis=1)
     information = changes.T @ changes / noise_n**2
     return float(pulse_n[top] * math.sqrt(np.linalg.pinv(information)[0, 0]))
@@ -242,7 +245,7 @@ def _cells(mine: Sequence[BodyHit]) -> list[str]:
         f"{sum(h.is_first(h.side) for h in clear)} of {len(clear)}",
         f"{math.degrees(_rms(off)):.2f}°",
         f"{math.degrees(_rms([h.by_yaw_rad - h.true_incidence_rad for h in mine])):.2f}°",
-        f"{_rms([one / h.sigma_rad for one, h in zip(off, mine, strict=True)]):.2f}",
+        f"{_rms([error / h.sigma_rad for error, h in zip(off, mine, strict=True)]):.2f}",
     ]
 
 

@@ -1,7 +1,7 @@
-"""Walls felt instead of surveyed: direction from one contact, survey, hits on plain GPS, and rooms by touch.
+"""Campaign: walls measured by touch: direction from one contact, survey, hits on plain GPS, and rooms.
 
-Every row (docs/results/touch.md) is a flight with everything drawn, or the flights in one room. An error is
-against the simulation's truth.
+Every row (docs/results/touch.md) is a flight with everything drawn, or the flights in one room. Errors refer
+to the simulation's truth.
 """
 
 from __future__ import annotations
@@ -33,13 +33,13 @@ from dart_flight.run.px4_flight import fly_px4
 from dart_flight.sim.px4.launch import ENVIRONMENT
 from tools.campaigns.results import markdown
 
-_YOUNG_S = 8.0  # an anchor
+_YOUNG_S = 8.0  # largest age of a recent anchor
 _UNCONTROLLED_DEG = 60.0
 _MATERIALS = ("wood", "acrylic", "concrete")
 
 
 class FeltWall(msgspec.Struct, frozen=True):
-    """One wall of a flight: errors against the truth, stated deviations; k relative to the drawn."""
+    """One wall of a flight: errors against the truth, standard deviations; k relative to the drawn one."""
 
     mode: str
     incidence_deg: float | None
@@ -51,7 +51,7 @@ class FeltWall(msgspec.Struct, frozen=True):
 
 
 class HitOnGps(msgspec.Struct, frozen=True):
-    """A hit of a wall after a contact with it: by how much the frame had drifted, and what was expected."""
+    """A hit of a wall after an earlier contact with it: actual and expected drift of the frame."""
 
     age_s: float
     moved_m: float
@@ -59,7 +59,7 @@ class HitOnGps(msgspec.Struct, frozen=True):
 
 
 class FoundRoom(msgspec.Struct, frozen=True):
-    """A room: walls there and found, whether the outline is closed, its share within 5 cm, and the effort."""
+    """A room: true and found walls, whether the outline is closed, its share within 5 cm, and the effort."""
 
     walls: int
     found: int
@@ -82,7 +82,7 @@ class Touched(msgspec.Struct, frozen=True):
 
 
 def directions_mission(seed: int) -> Mission:
-    """Return four unknown walls around the start, each turned by up to 15 degrees, and a probe for each."""
+    """Return four unknown walls around the start, each rotated by up to 15 degrees, and a probe for each."""
     rng = np.random.default_rng(seed)
     walls, probes = {}, []
     for k in range(4):
@@ -130,10 +130,10 @@ def survey_mission(case: str) -> Mission:
 
 
 def gps_mission(case: str) -> Mission:
-    """Return the dual collision on GPS with its touches, or the same without anchors."""
+    """Return the dual collision on GPS, with touches or without anchors."""
     mission = load_mission(packaged("missions", "dual_collision_gps.yaml"))
     changes: dict[str, Any] = {"vehicle.simulation.position_from": "plain"}
-    if case == "no anchors":  # PX4's own estimate says that it must not be flown
+    if case == "no anchors":  # PX4's own uncertainty would prevent the flight
         changes |= {"frame.anchored_by": "none", "vehicle.guard.position_sd_m": 100.0}
     return mission.replace(changes)
 
@@ -178,9 +178,9 @@ def room_of(seed: int) -> tuple[Mission, np.ndarray]:
 
 
 def find_room(seed: int, spreads: Mapping[str, float]) -> Touched:
-    """Fly in one room until its outline is closed, four times at most."""
+    """Fly in one room until its outline is closed, at most four times."""
     mission, corners = room_of(seed)
-    # The walls stand where the room has them: everything else is drawn.
+    # The walls are those of the room; everything else is drawn.
     spreads = {name: sd for name, sd in spreads.items() if not name.startswith("wall_")}
     directions = [2.0 * math.pi * k / 16 for k in range(16)]
     airframe, touches, flights = mission.vehicle.airframe, list[RoomContact](), list[Verdict]()
@@ -206,7 +206,7 @@ def find_room(seed: int, spreads: Mapping[str, float]) -> Touched:
 
 
 def share_of_outline(corners: np.ndarray, found: Sequence[tuple[float, float]]) -> float:
-    """Return the share of the true outline that lies within 5 cm of the one that was found."""
+    """Return the share of the true outline that lies within 5 cm of the found one."""
     if len(found) < 3:
         return 0.0
     steps = np.linspace(0.0, 1.0, 400)[:, None]
@@ -217,28 +217,28 @@ def share_of_outline(corners: np.ndarray, found: Sequence[tuple[float, float]]) 
     nearest = np.full(len(points), np.inf)
     polygon = np.array(found)
     for a, b in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):
-        way = b - a
-        along = np.clip(((points - a) @ way) / max(float(way @ way), 1e-12), 0.0, 1.0)
-        nearest = np.minimum(nearest, np.linalg.norm(points - a - along[:, None] * way, axis=1))
+        edge = b - a
+        along = np.clip(((points - a) @ edge) / max(float(edge @ edge), 1e-12), 0.0, 1.0)
+        nearest = np.minimum(nearest, np.linalg.norm(points - a - along[:, None] * edge, axis=1))
     return float(lengths[nearest <= 0.05].sum() / lengths.sum())
 
 
-def felt_walls(mission: Mission, verdict: Verdict, records: Iterable[Any]) -> list[FeltWall]:
-    """Return what the last contact with each wall told of it."""
+def estimated_walls(mission: Mission, verdict: Verdict, records: Iterable[Any]) -> list[FeltWall]:
+    """Return the last estimate of each wall by a contact."""
     last = {record.wall: record for record in records if isinstance(record, WallEstimate)}
     found = []
     for wall in verdict.walls:
         hits = [c for c in verdict.collisions if c.wall == wall.name]
         truth = hits[-1].truth if hits else None
-        felt = last[wall.name]
-        sd_rad = felt.plane_normal_sigma_rad
-        mode = (felt.mode_felt or felt.mode_reported or hits[-1].mode) if hits else ""
+        estimate = last[wall.name]
+        sd_rad = estimate.plane_normal_sigma_rad
+        mode = (estimate.mode_felt or estimate.mode_reported or hits[-1].mode) if hits else ""
         drawn = verdict.drawn.get(f"contact.{wall.name}.{mode}.k")
         k_error = None
         if drawn is not None:
             planned = next(c.wall for c in mission.collisions if c.wall.name == wall.name)
             true_k = float(drawn) * mission.vehicle.materials[planned.material].of(Mode(mode)).k
-            k_error = felt.k_n_per_m / true_k - 1.0
+            k_error = estimate.k_n_per_m / true_k - 1.0
         found.append(
             FeltWall(
                 str(mode),
@@ -247,14 +247,14 @@ def felt_walls(mission: Mission, verdict: Verdict, records: Iterable[Any]) -> li
                 wall.truth_error_deg,
                 None if sd_rad is None else math.degrees(sd_rad),
                 k_error,
-                felt.k_sd,
+                estimate.k_sd,
             )
         )
     return found
 
 
 def mission_of(case: Mapping[str, str], seed: int) -> Mission:
-    """Return the mission of a case that is no room."""
+    """Return the mission of a case that is not a room."""
     if case["part"] == "directions":
         return directions_mission(seed)
     return survey_mission(case["flown"]) if case["part"] == "survey" else gps_mission(case["flown"])
@@ -289,7 +289,7 @@ def _touched(mission: Mission, verdict: Verdict, records: Sequence[Any]) -> Touc
         for r in records
         if isinstance(r, FrameAnchor) and r.age_s is not None
     ]
-    walls = felt_walls(mission, verdict, records)
+    walls = estimated_walls(mission, verdict, records)
     tilt = verdict.max_tilt_deg or 0.0
     return Touched(verdict.outcome.value, verdict.reason or "", tilt, walls, hits)
 
@@ -383,5 +383,5 @@ def _rooms(rooms: Sequence[tuple[int, FoundRoom]]) -> str:
 
 
 def rms(values: Sequence[float]) -> float:
-    """Return the root of the mean square, or not a number without values."""
+    """Return the root mean square, or NaN without values."""
     return math.sqrt(sum(v * v for v in values) / len(values)) if values else math.nan

@@ -1,4 +1,4 @@
-"""Walls that stand elsewhere than the mission says: met there, or broken off (docs/results/walls.md)."""
+"""Campaign: walls that differ from the mission's, hit or aborted (docs/results/walls.md)."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from dart_flight.sim.draws import DrawnWorld
 from tools.campaigns.results import markdown
 
 _WALL = "acrylic"
-# A wall is turned about its middle: here the hit is 1.3 m beside it, and not near the wall's end.
+# A wall is rotated about its centre; here the hit is 1.3 m from it, but not near the wall's end.
 _SHIPPED = "point_m: [1.65, 0.5], normal: [-1.0, 0.0], length_m: 3.0"
 _BESIDE = "point_m: [1.65, -0.5], normal: [-1.0, 0.0], length_m: 4.0"
 
 
 class MovedWall(msgspec.Struct, frozen=True):
-    """One flight: how it ended, and how far its impact with the moved wall was off."""
+    """One flight: its end, and the error of the impact with the moved wall."""
 
     outcome: str
     rule: str
@@ -32,7 +32,7 @@ class MovedWall(msgspec.Struct, frozen=True):
 
 
 def mission_of(case: Mapping[str, str]) -> Mission:
-    """Return the mission as it believes its walls."""
+    """Return the mission with its assumed walls."""
     name, _, beside = case["flown"].partition(" ")
     path = f"missions/{name}.yaml"
     with open(path, encoding="utf-8") as file:
@@ -46,7 +46,7 @@ def mission_of(case: Mapping[str, str]) -> Mission:
 
 
 def fly(point: Point, seed: int) -> MovedWall:
-    """Fly among the walls as they really stand."""
+    """Fly among the true walls."""
     mission, case = mission_of(point.case), point.case
     world = DrawnWorld(mission, None, {})
     world = place_walls(world, {_WALL: float(case["away_m"])}, {_WALL: float(case["turned_deg"])})
@@ -75,10 +75,10 @@ def page(rows: Sequence[JudgedRow]) -> str:
 
 
 def _cells(mine: Sequence[MovedWall]) -> list[str]:
-    good = [one for one in mine if one.outcome == "completed"]
-    off = [one.off_m_s for one in good if one.off_m_s is not None]
-    miss = [one.miss_m for one in good if one.miss_m is not None]
-    rules = Counter(one.rule for one in mine if one not in good)
+    good = [flight for flight in mine if flight.outcome == "completed"]
+    off = [flight.off_m_s for flight in good if flight.off_m_s is not None]
+    miss = [flight.miss_m for flight in good if flight.miss_m is not None]
+    rules = Counter(flight.rule for flight in mine if flight not in good)
     return [
         f"{len(good)} of {len(mine)}",
         f"{statistics.median(off):.3f}" if off else "-",

@@ -1,4 +1,4 @@
-"""Is a flight with collisions quicker than the quickest without, planned and flown?
+"""Campaign: whether a flight with collisions is faster than the fastest one without, planned and flown.
 
 Places, walls and tolerances of a map (docs/results/walls_pay.md) follow from its number, before anything is
 planned. Both plans are flown by the same app in the same drawn world.
@@ -39,11 +39,12 @@ _PLAN_WITHIN_S = 20.0
 
 
 class BothFlown(msgspec.Struct, frozen=True):
-    """A map flown free and, if the planner returns the hit, colliding; times None if not flown or not there.
+    """A map flown free and, if the planner returns the hit, colliding; a time is None if not flown or not
+    arrived.
 
     Attributes:
-        planned_free_s, planned_hit_s: until at the goal, by the rule of the flown times.
-        problems: why a flight did not complete, or is uncontrolled.
+        planned_free_s, planned_hit_s: planned arrival times, by the rule of the flown times.
+        problems: reasons of flights that did not complete or are uncontrolled.
     """
 
     returned: str
@@ -68,7 +69,7 @@ class MapPlan(NamedTuple):
 
     @property
     def there_s(self) -> float:
-        """When the plan is at its goal, as a flight is measured."""
+        """The planned arrival time, measured as for a flight."""
         return planned_there_s(self.plan.trajectory, self.scenario.goal.position_m)
 
 
@@ -91,13 +92,13 @@ def plan_map(kind: str, number: int, limits: str) -> dict[str, MapPlan]:
 
 
 def fly(point: Point, seed: int) -> BothFlown:
-    """Fly a map both ways."""
+    """Fly a map with and without hits."""
     plans = plan_map(point.case["kind"], int(point.case["map"]), _FLOWN)
     problems: list[str] = []
     times: dict[str, float | None] = {"free": None, "hit": None}
-    for way, one in plans.items():
-        if way == "free" or one.is_best:
-            times[way] = _fly_one(one, seed, point, problems)
+    for way, plan in plans.items():
+        if way == "free" or plan.is_best:
+            times[way] = _fly_plan(plan, seed, point, problems)
     free, hit = plans.get("free"), plans.get("hit")
     return BothFlown(
         "hit" if hit and hit.is_best else "free",
@@ -109,12 +110,12 @@ def fly(point: Point, seed: int) -> BothFlown:
     )
 
 
-def _fly_one(one: MapPlan, seed: int, point: Point, problems: list[str]) -> float | None:
-    mission = one.mission
+def _fly_plan(plan: MapPlan, seed: int, point: Point, problems: list[str]) -> float | None:
+    mission = plan.mission
     kept: list[FlightRecord] = []
     verdict = fly_fast(mission, seed, None, spreads=point.spreads, take_record=kept.append)
     problems += verdict.uncontrolled
-    visits = [(visit.position_m, visit.within_m + BESIDE_M) for visit in one.scenario.visits]
+    visits = [(visit.position_m, visit.within_m + BESIDE_M) for visit in plan.scenario.visits]
     arrival = arrival_of(kept[0].log, mission, visits)
     if verdict.outcome != "completed":
         problems.append(verdict.reason or verdict.outcome.value)
@@ -150,13 +151,13 @@ def scenario_of(kind: str, seed: int, limits: str) -> dict[str, Any]:
 def _wall(
     x: float, y: float, normal: tuple[float, float], length_m: float, surveyed: bool = False
 ) -> dict[str, Any]:
-    """A wall; `surveyed`: of which no more than a centimetre is drawn, as it is passed at 0.15 m."""
+    """Return a wall; a `surveyed` one is drawn with at most a centimetre, because it is passed at 0.15 m."""
     wall = {"point_m": [x, y], "normal": list(normal), "length_m": length_m, "material": "acrylic"}
     return wall | ({"position_sd_m": 0.01, "yaw_sd_deg": 0.2} if surveyed else {})
 
 
 def _shuttle(tree: dict[str, Any], rng: np.random.Generator, seed: int) -> None:
-    """One to four places at two walls that face each other, there and back."""
+    """Place one to four visits at two walls that face each other."""
     east, west = rng.uniform(1.0, 3.0, 2)
     within = float(np.exp(rng.uniform(math.log(0.05), math.log(0.5))))
     tree["walls"] = {"east": _wall(east, 0.0, (-1.0, 0.0), 4.0), "west": _wall(-west, 0.0, (1.0, 0.0), 4.0)}
@@ -168,10 +169,10 @@ def _shuttle(tree: dict[str, Any], rng: np.random.Generator, seed: int) -> None:
 
 
 def _hairpin(tree: dict[str, Any], rng: np.random.Generator, seed: int) -> None:
-    """Round the end of a partition before a wall."""
-    gap, lane, way = rng.uniform(0.4, 1.5), rng.uniform(0.36, 0.5), rng.uniform(2.5, 3.5)
-    tree["start"]["position_m"], tree["goal"]["position_m"] = [-way, lane], [-way, -lane]
-    # The partition reaches to where the vehicle's side passes its end at x = 0.
+    """Lead around the end of a partition in front of a wall."""
+    gap, lane, length = rng.uniform(0.4, 1.5), rng.uniform(0.36, 0.5), rng.uniform(2.5, 3.5)
+    tree["start"]["position_m"], tree["goal"]["position_m"] = [-length, lane], [-length, -lane]
+    # The partition ends where the vehicle's side passes at x = 0.
     tree["walls"] = {
         "north": _wall(-3.2, 0.2, (0.0, 1.0), 6.0, True),
         "south": _wall(-3.2, -0.2, (0.0, -1.0), 6.0, True),
@@ -180,7 +181,7 @@ def _hairpin(tree: dict[str, Any], rng: np.random.Generator, seed: int) -> None:
 
 
 def _corner(tree: dict[str, Any], rng: np.random.Generator, seed: int) -> None:
-    """Round a corner of ninety degrees, its outer side flat or cut off at forty-five degrees."""
+    """Lead around a corner of ninety degrees, whose outer side is flat or chamfered."""
     half, into, out = rng.uniform(0.5, 0.8), rng.uniform(1.5, 3.0), rng.uniform(1.5, 3.0)
     tree["start"]["position_m"], tree["goal"]["position_m"] = [-into - half, 0.0], [0.0, out + half]
     tree["walls"] = {
@@ -193,16 +194,16 @@ def _corner(tree: dict[str, Any], rng: np.random.Generator, seed: int) -> None:
 
 
 def _stop(tree: dict[str, Any], rng: np.random.Generator, seed: int) -> None:
-    """To rest shortly before a wall."""
-    way = rng.uniform(1.5, 4.0)
-    tree["goal"]["position_m"] = [float(way), 0.0]
-    tree["walls"] = {"east": _wall(float(way + rng.uniform(0.2, 0.6)), 0.0, (-1.0, 0.0), 4.0)}
+    """Lead to rest close in front of a wall."""
+    length = rng.uniform(1.5, 4.0)
+    tree["goal"]["position_m"] = [float(length), 0.0]
+    tree["walls"] = {"east": _wall(float(length + rng.uniform(0.2, 0.6)), 0.0, (-1.0, 0.0), 4.0)}
 
 
 def _free(tree: dict[str, Any], rng: np.random.Generator, seed: int) -> None:
-    """Straight on between walls."""
-    way, left, right = rng.uniform(2.0, 4.0), *rng.uniform(0.4, 1.2, 2)
-    tree["goal"]["position_m"] = [float(way), float(rng.uniform(-0.2, 0.2))]
+    """Lead straight between walls."""
+    length, left, right = rng.uniform(2.0, 4.0), *rng.uniform(0.4, 1.2, 2)
+    tree["goal"]["position_m"] = [float(length), float(rng.uniform(-0.2, 0.2))]
     tree["walls"] = {
         "left": _wall(1.5, float(left), (0.0, -1.0), 5.0, True),
         "right": _wall(1.5, float(-right), (0.0, 1.0), 5.0, True),
@@ -210,10 +211,10 @@ def _free(tree: dict[str, Any], rng: np.random.Generator, seed: int) -> None:
 
 
 def _sight(tree: dict[str, Any], rng: np.random.Generator, seed: int) -> None:
-    """Towards a wall that is seen when it is near; back to rest before it."""
-    way = rng.uniform(4.0, 5.5)
-    tree["walls"] = {"east": _wall(float(way), 0.0, (-1.0, 0.0), 4.0)}
-    tree["goal"]["position_m"] = [float(way - 1.2), 0.0]
+    """Lead towards a wall that is detected late, and back to rest in front of it."""
+    length = rng.uniform(4.0, 5.5)
+    tree["walls"] = {"east": _wall(float(length), 0.0, (-1.0, 0.0), 4.0)}
+    tree["goal"]["position_m"] = [float(length - 1.2), 0.0]
     tree["sight"] = {"distance_m": 1.0}
     tree["limits"] |= {"speed_m_s": 3.69, "closing_m_s": 3.0}
 
@@ -254,7 +255,7 @@ def page(rows: Sequence[JudgedRow]) -> str:
         [
             f"{kind} {number}",
             found[0].returned,
-            *(_middle([getattr(f, name) for f in found]) for name in _TIMES),
+            *(_median([getattr(f, name) for f in found]) for name in _TIMES),
             *("; ".join(sorted({p.partition(":")[0] for f in found for p in f.problems})) or "-",),
         ]
         for (kind, number), found in maps.items()
@@ -275,6 +276,6 @@ def _gain(found: Sequence[BothFlown]) -> tuple[float, float] | None:
     return 1.0 - planned_hit_s / planned_free_s, 1.0 - statistics.median(hit) / statistics.median(free)
 
 
-def _middle(values: Sequence[float | None]) -> str:
+def _median(values: Sequence[float | None]) -> str:
     known = [value for value in values if value is not None]
     return f"{statistics.median(known):.2f}" if known else "-"

@@ -1,4 +1,4 @@
-"""The optimum with and without hits of every generated map, under each set of limits."""
+"""Campaign: the optimum with and without hits of every generated map, under each set of limits."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from tools.campaigns.walls_pay import flown_cases, plan_map
 
 
 class PlannedMap(msgspec.Struct, frozen=True):
-    """Times of both plans, None without such a plan, and the share of the free time that hits save.
+    """Times of both plans, None without a plan, and the share of the free time that hits save.
 
     Attributes:
-        cruise_ratio: with limited sight, how much faster the colliding plan approaches the wall.
+        cruise_ratio: with limited sight, approach speed of the colliding plan over that of the free plan.
     """
 
     free_s: float | None
@@ -38,7 +38,7 @@ def plan(point: Point, _: int) -> PlannedMap:
     plans = plan_map(point.case["kind"], int(point.case["map"]), point.case["limits"])
     free, hit = plans.get("free"), plans.get("hit")
     gain = None if free is None or hit is None else 1.0 - hit.plan.time_s / free.plan.time_s
-    cruises = [one and one.plan.cruise_m_s for one in (free, hit)]
+    cruises = [way and way.plan.cruise_m_s for way in (free, hit)]
     ratio = cruises[1] / cruises[0] if cruises[0] and cruises[1] else None
     hits = len(hit.plan.trajectory.hits) if hit else 0
     return PlannedMap(free and free.plan.time_s, hit and hit.plan.time_s, hits, gain, ratio)
@@ -51,10 +51,10 @@ def page(rows: Sequence[JudgedRow]) -> str:
         groups.setdefault((r.values["kind"], r.values["limits"]), []).append(r.row)
     table = []
     for key, mine in groups.items():
-        gains = [one.gain for one in mine if one.gain is not None]
+        gains = [planned.gain for planned in mine if planned.gain is not None]
         median = f"{statistics.median(gains):+.1%} ({min(gains):+.1%} to {max(gains):+.1%})" if gains else "-"
         quicker = f"{sum(gain > 0.0 for gain in gains)} of {len(gains)}"
-        ratios = [one.cruise_ratio for one in mine if one.cruise_ratio is not None]
+        ratios = [planned.cruise_ratio for planned in mine if planned.cruise_ratio is not None]
         faster = f"{statistics.median(ratios):.2f}" if ratios else "-"
         table.append([*key, str(len(mine)), quicker, median, faster])
     heads = ("kind", "limits", "maps", "hit quicker", "gain of the optimum: median (least to most)", "cruise")

@@ -1,1 +1,1 @@
-"""What the software writes of its own documentation (`make docs`)."""
+"""Generators of the manual's tables, diagrams, schemas and figures (`make docs`)."""

@@ -1,4 +1,4 @@
-"""Draws the moving picture at the top of the README: the dual collision, flown in simulation.
+"""Draw the animation at the top of the README: the dual collision, flown in simulation.
 
 python -m tools.docs.animation [FILE]
 
@@ -26,16 +26,16 @@ ROOT = Path(__file__).resolve().parents[2]
 FILE = ROOT / "docs" / "img" / "dual_collision.gif"
 _LOOK = Look(6.6, 9.0)
 _FRAMES_PER_S = 14
-_FAST, _SLOW = 1.0, 0.09  # of the flight's time
+_FAST, _SLOW = 1.0, 0.09  # speed relative to real time
 _SLOW_BEFORE_S, _SLOW_AFTER_S = 0.04, 0.16
-_BEFORE_S, _AFTER_S = 1.4, 3.2  # the first hit, the last
+_BEFORE_S, _AFTER_S = 1.4, 3.2  # before the first hit, after the last
 _HOLD = 14  # frames at the end
 _ARROW_M_PER_N = 0.0075
 _WINDOW_S = 0.3
 
 
 def flown() -> RecordedFlight:
-    """The dual collision with the shipped configuration."""
+    """Fly the dual collision with the shipped configuration and return the flight."""
     mission = load_mission(ROOT / "missions" / "dual_collision.yaml", ROOT / "configs" / "dart.yaml")
     with tempfile.TemporaryDirectory() as logs:
         verdict = fly_fast(mission, 1, Path(logs))
@@ -45,7 +45,7 @@ def flown() -> RecordedFlight:
 
 
 def moments(flight: RecordedFlight) -> list[float]:
-    """When the frames are, s: evenly, and close together at the hits."""
+    """Return the times of the frames, s: even, and dense at the hits."""
     at = [impact.at_s for impact in flight.impacts]
     t, end = at[0] - _BEFORE_S, min(at[-1] + _AFTER_S, flight.shown_span[1])
     found = []
@@ -57,7 +57,7 @@ def moments(flight: RecordedFlight) -> list[float]:
 
 
 class Scene:
-    """Draws one moment after the other into the same figure."""
+    """A figure in which successive times of a flight are drawn."""
 
     def __init__(self, flight: RecordedFlight) -> None:
         self.flight = flight
@@ -73,7 +73,7 @@ class Scene:
 
     @in_style
     def draw(self, at_s: float) -> None:
-        """The figure at a moment of the flight."""
+        """Draw the figure at a time of the flight."""
         self._draw_plan(at_s)
         self._draw_strip(at_s)
 
@@ -118,8 +118,8 @@ class Scene:
         mode = lock_mode(self.flight.course, self.flight.course.start_us + round(1e6 * at_s))
         lock = "arms switching" if mode is None else f"arms {mode.value}"
         hits = [hit for hit in self.flight.impacts if hit.at_s - 0.02 <= at_s < hit.at_s + 0.8]
-        said = f"hit {hits[-1].verdict.index}: {hits[-1].verdict.wall}" if hits else "in flight"
-        return f"{at_s:.2f} s   {lock}\n{said}"
+        event = f"hit {hits[-1].verdict.index}: {hits[-1].verdict.wall}" if hits else "in flight"
+        return f"{at_s:.2f} s   {lock}\n{event}"
 
     def _place(self, at_s: float) -> Array:
         true = self.flight.course.true
@@ -127,7 +127,7 @@ class Scene:
 
 
 def write(path: Path, flight: RecordedFlight, times: list[float]) -> None:
-    """The frames of these moments as a GIF that begins again."""
+    """Write the frames of these times as a looping GIF."""
     from matplotlib.animation import PillowWriter  # noqa: PLC0415  (slow)
 
     scene = Scene(flight)
@@ -140,7 +140,7 @@ def write(path: Path, flight: RecordedFlight, times: list[float]) -> None:
 
 
 def shrink(path: Path) -> None:
-    """Store a GIF with one palette of 48 colours for all of its frames."""
+    """Store a GIF with one palette of 48 colours for all frames."""
     from PIL import Image, ImageSequence  # noqa: PLC0415  (comes with matplotlib)
 
     with Image.open(path) as image:

@@ -1,9 +1,9 @@
-"""Draws the missions that use collisions beside the quickest flights without, both flown in simulation.
+"""Draw the missions that use collisions beside the fastest flights without, both flown in simulation.
 
 python -m tools.docs.both_ways [FOLDER]
 
-Of each mission a picture and a moving one, on which two clocks run; and one figure of when each of the two
-flights passes the same places. Takes minutes: the free flights are planned first.
+Each mission gets a picture and an animation with two clocks. One figure compares when both flights of every
+mission pass the same places. The free flights are planned first, which takes minutes.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _LINES = {COLLIDING: TRUE, FREE: ESTIMATED}
 
 
 class FlownWay:
-    """One flight and its clock, which begins with the first trajectory."""
+    """One flight with its clock, which starts with the first trajectory."""
 
     def __init__(self, name: str, mission: Mission, visits: list[tuple[Vec2, float]]) -> None:
         self.name, self.mission = name, mission
@@ -54,21 +54,21 @@ class FlownWay:
         self.begin_s, self.rest_s = course.time_of(round(found.begin_us)), found.there_s
         self.visits_s = [course.time_of(round(t)) - self.begin_s for t in found.visits_us]
         hits_s = (impact.at_s - self.begin_s for impact in self.flight.impacts)
-        self.hits_s = [t for t in hits_s if t > 0.0]  # without the touches before
+        self.hits_s = [t for t in hits_s if t > 0.0]  # without earlier touches
         self.time_s = course.true.time_s - self.begin_s
 
     @cached_property
     def flown(self) -> NDArray[np.bool_]:
-        """(n,) where the clock runs."""
+        """A mask (n,) of the samples while the clock runs."""
         return np.asarray((self.time_s >= 0.0) & (self.time_s <= self.rest_s), dtype=np.bool_)
 
     def place(self, at_s: float) -> Array:
-        """From above, mission frame."""
+        """Return the position from above, mission frame."""
         position = self.flight.course.true.position
         return np.array([np.interp(at_s, self.time_s, position[:, i]) for i in (0, 1)])
 
     def draw(self, axis: Any, at_s: float) -> None:
-        """The vehicle at a moment."""
+        """Draw the vehicle at a time."""
         heading = angles(self.flight.course, true=True)
         yaw = float(np.interp(at_s + self.begin_s, heading.time_s, heading.yaw))
         stamp = self.flight.course.start_us + round(1e6 * (at_s + self.begin_s))
@@ -87,12 +87,12 @@ class FlownBothWays:
 
     @property
     def view(self) -> Array:
-        """What the maps show."""
+        """The area that the maps show."""
         tracks = [way.flight.course.true.position[way.flown, :2] for way in self.ways]
         return view_of(self.ways[0].mission, np.vstack(tracks))
 
     def map(self, axis: Any, way: FlownWay, until_s: float) -> None:
-        """The room and the way flown so far."""
+        """Draw the room and the path flown so far."""
         draw_room(axis, way.mission)
         for visit in self.scenario.visits:
             axis.plot(*visit.position_m, "D", color=GREY, markersize=4, zorder=2.2)
@@ -103,7 +103,7 @@ class FlownBothWays:
 
     @in_style
     def picture(self, *, look: Look = _LOOK) -> Any:
-        """Both ways from above, and the place along x over elapsed time."""
+        """Draw both flights from above, and their positions along x over elapsed time."""
         figure, axes = new_figure(look, 3.1, 2, 2, height_ratios=[1.0, 1.15])
         for axis, way in zip(axes[0], self.ways, strict=True):
             self.map(axis, way, way.rest_s)
@@ -128,19 +128,19 @@ class FlownBothWays:
         return figure
 
     def turn_s(self, way: FlownWay) -> float:
-        """When the free flight is farthest out."""
+        """Return the time at which the free flight is farthest out."""
         x = np.where(way.flown, way.flight.course.true.position[:, 0], -np.inf)
         return float(way.time_s[int(np.argmax(x))])
 
     @property
     def moments(self) -> list[float]:
-        """Of the frames, by the clocks; the last stands for a while."""
+        """The times of the frames by the clocks; the last one is held."""
         last = max(way.rest_s for way in self.ways)
         times = np.arange(-_BEFORE_S, last + 1.0 / _FRAMES_PER_S, 1.0 / _FRAMES_PER_S)
         return [*map(float, times), *[float(times[-1])] * _HOLD]
 
     def animation(self, path: Path, moments: list[float]) -> None:
-        """Both flights by their clocks, as a GIF that begins again."""
+        """Write both flights with their clocks as a looping GIF."""
         from matplotlib.animation import PillowWriter  # noqa: PLC0415  (slow)
 
         figure, axes = self._stage()
@@ -169,7 +169,7 @@ class FlownBothWays:
 
 @in_style
 def two_clocks(missions: list[FlownBothWays], *, look: Look = _LOOK) -> Any:
-    """When both flights of every mission pass the same places: visits, the wall, the goal."""
+    """Draw when both flights of every mission pass the same places: visits, the wall, the goal."""
     figure, axes = new_figure(look, 0.75 * len(missions) + 0.4, len(missions), 1, sharex=True)
     for axis, both in zip(axes, missions, strict=True):
         moments = [_moments(both, way) for way in both.ways]
@@ -200,7 +200,7 @@ def two_clocks(missions: list[FlownBothWays], *, look: Look = _LOOK) -> Any:
 
 
 def _moments(both: FlownBothWays, way: FlownWay) -> list[tuple[str, float]]:
-    """Names and times of the places that both flights pass."""
+    """Return names and times of the places that both flights pass."""
     if both.scenario.visits:
         named = [(f"place {k}", t) for k, t in enumerate(way.visits_s, start=1)]
     else:
@@ -209,7 +209,7 @@ def _moments(both: FlownBothWays, way: FlownWay) -> list[tuple[str, float]]:
 
 
 def main() -> None:
-    """Fly and draw all of them."""
+    """Fly and draw all missions."""
     folder = Path(sys.argv[1]) if len(sys.argv) > 1 else FOLDER
     missions = [FlownBothWays(name) for name in USING_COLLISIONS]
     for both in missions:

@@ -2,8 +2,8 @@
 
     l = R_cam - r cos(theta),    theta_0 <= theta <= theta_0 + 90 degrees
 
-l is the translation of the rods: with theta_0 = 0 they are drawn back at theta_0 (arms flexible) and out in
-the arms' slots at theta_0 + 90 degrees (arms rigid). The paper gives the law and not the sizes, so these are
+l is the translation of the rods. With theta_0 = 0 they are retracted at theta_0 (arms flexible) and inserted
+into the arms' slots at theta_0 + 90 degrees (arms rigid). The paper gives the law without sizes, so these are
 configuration. Angles are degrees, lengths millimetres, as in the configuration.
 """
 
@@ -14,16 +14,16 @@ import math
 from dart_flight.config.vehicle import Cam
 
 RANGE_DEG = 90.0
-_SLACK_DEG = 1e-9  # rounding of an angle that was computed, not given
+_SLACK_DEG = 1e-9  # tolerance for rounding of computed angles
 
 
 def limits_deg(cam: Cam) -> tuple[float, float]:
-    """The cam's lowest and highest angle, theta_0 and theta_0 + 90 degrees."""
+    """Return the cam's lowest and highest angle, theta_0 and theta_0 + 90 degrees."""
     return cam.theta0_deg, cam.theta0_deg + RANGE_DEG
 
 
 def rod_mm(cam: Cam, theta_deg: float) -> float:
-    """Rod translation l in mm at a cam angle.
+    """Return the rod translation l in mm at a cam angle.
 
     Raises:
         ValueError: the angle is outside the cam's range.

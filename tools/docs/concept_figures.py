@@ -1,4 +1,4 @@
-"""Draws the figures of `docs/concepts.md` with the software's own functions.
+"""Draw the figures of `docs/concepts.md` with the software's own functions.
 
 python -m tools.docs.concept_figures [FOLDER]
 """
@@ -32,10 +32,10 @@ from tools.docs.cam import limits_deg, rod_mm
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "docs" / "img"
-# Lines differ in darkness and dash, so that they are told apart in grey.
+# Lines differ in darkness and dash, so that they remain distinct in grey.
 DARK, MIDDLE, LIGHT = "#000000", "#0072B2", "#999999"
 SOLID, DASHED, DOTTED = "-", (0, (5, 2)), (0, (1, 1.5))
-# Where there is room in the figure of the dual collision.
+# Free places in the figure of the dual collision.
 _WALL_LABELS = {"wood": (-0.5, -1.52), "acrylic": (2.2, 0.5)}
 _IMPACT_LABELS = ((-0.75, -0.12), (0.4, 0.37))
 _STYLE = {
@@ -67,7 +67,7 @@ def _plain(axis: Any) -> None:
 
 
 def frames(folder: Path) -> None:
-    """Local NED, the mission frame, the collision frame of a wall, and the angle of incidence."""
+    """Draw local NED, the mission frame, the collision frame of a wall, and the angle of incidence."""
     figure, (left, right) = _figure(8.2, 3.9, columns=2)
     frame = MissionFrame(north_m=0.9, east_m=0.7, heading_rad=math.radians(60.0))
 
@@ -100,7 +100,7 @@ def frames(folder: Path) -> None:
     impact = (-0.5, 0.0)
     for name, axis_vector in (("X†", (1.0, 0.0, 0.0)), ("Y†", (0.0, 1.0, 0.0))):
         way = wall.from_collision(axis_vector)
-        lifted = (impact[0], impact[1] + 0.04)  # beside the line of the wall, not on it
+        lifted = (impact[0], impact[1] + 0.04)  # slightly off the line of the wall
         _arrow(right, lifted, (0.65 * way[0], 0.65 * way[1]), "", DARK)
         right.text(lifted[0] + 0.65 * way[0] + 0.06, lifted[1] + 0.65 * way[1] + 0.1, name)
     right.text(impact[0] - 0.1, -0.42, "Z† into the page", ha="left", va="center")
@@ -121,7 +121,7 @@ def frames(folder: Path) -> None:
 
 
 def vehicle_to_scale(folder: Path) -> None:
-    """The vehicle from above with its sizes, its arms in both modes, and the cam with its rods, to scale."""
+    """Draw the vehicle from above with its sizes, its arms in both modes, and the cam with its rods."""
     vehicle = _mission("paper_single_wall.yaml").vehicle
     figure, (left, right) = _figure(8.2, 3.9, columns=2)
     _draw_sizes(left, vehicle.airframe)
@@ -157,7 +157,6 @@ def _draw_sizes(axis: Any, airframe: Airframe) -> None:
 
 
 def _size(axis: Any, begin: Vec2, end: Vec2, text: str) -> None:
-    """A dimension between two points."""
     axis.annotate("", end, begin, arrowprops={"arrowstyle": "<->", "color": "#555555", "linewidth": 0.9,
                                               "shrinkA": 0, "shrinkB": 0})  # fmt: skip
     upright = abs(end[0] - begin[0]) < abs(end[1] - begin[1])
@@ -170,7 +169,7 @@ def _size(axis: Any, begin: Vec2, end: Vec2, text: str) -> None:
 
 
 def _draw_cam(axis: Any, cam: Cam | None) -> None:
-    """The law l = R_cam - r cos theta at both ends: how far each of the four rods reaches from the axis."""
+    """Draw the law l = R_cam - r cos theta at both ends, with the extension of each rod."""
     if cam is None:
         raise ValueError("the shipped vehicle has a lock")
     low, high = limits_deg(cam)
@@ -184,7 +183,7 @@ def _draw_cam(axis: Any, cam: Cam | None) -> None:
             tip = reach * d
             rod = np.stack([0.45 * tip, tip]) + np.array([x, 0.0])
             axis.plot(*rod.T, color=DARK, linewidth=5.0, solid_capstyle="butt")
-            # The slot in the arm, which the rod enters.
+            # The slot in the arm for the rod.
             slot = np.array([rod_mm(cam, high) - 0.5 * (rod_mm(cam, high) - rod_mm(cam, low)), 30.0])
             side = np.array([-d[1], d[0]])
             for s in (-2.6, 2.6):
@@ -198,7 +197,7 @@ def _draw_cam(axis: Any, cam: Cam | None) -> None:
 
 
 def modes(folder: Path) -> None:
-    """What the cam does with the rods, and what the mode does with the same hit."""
+    """Draw the cam's effect on the rods, and the same hit in both modes."""
     vehicle = _mission("paper_single_wall.yaml").vehicle
     figure, (left, right) = _figure(8.2, 3.2, columns=2)
     assert vehicle.lock is not None
@@ -218,8 +217,8 @@ def modes(folder: Path) -> None:
     left.margins(y=0.15)
     time_s = np.linspace(-0.01, 0.14, 601)
     for mode, colour, style in ((Mode.RIGID, DARK, SOLID), (Mode.FLEXIBLE, MIDDLE, DASHED)):
-        what = condition(vehicle, "acrylic", mode.value, None, 0.0)
-        path = trajectory(wall_contact(what, -1.0, 0.5), time_s, 0.5)
+        hit = wall_contact(condition(vehicle, "acrylic", mode.value, None, 0.0), -1.0, 0.5)
+        path = trajectory(hit, time_s, 0.5)
         force = path.normal_force_n
         right.plot(1e3 * time_s, force, color=colour, linestyle=style)
         top = int(np.argmax(force))
@@ -229,13 +228,13 @@ def modes(folder: Path) -> None:
 
 
 def contact(folder: Path) -> None:
-    """One hit by both onset rules: depth, velocity and force."""
+    """Draw one hit by both onset rules: depth, velocity and force."""
     vehicle = _mission("paper_single_wall.yaml").vehicle
     figure, axes = _figure(8.2, 2.9, columns=3)
     time_s = np.linspace(-0.02, 0.12, 1401)
     for onset, colour, style in ((Onset.LCP, DARK, SOLID), (Onset.TOUCH, MIDDLE, DASHED)):
         hit = wall_contact(condition(vehicle, "acrylic", "flexible", onset.value, 0.0), -1.0, 0.5)
-        # Time counts from the moment the vehicle's centre is in the plane, where both rules agree.
+        # Time starts when the vehicle's centre is in the plane, where both rules agree.
         inward_s = np.linspace(time_s[0], hit.turn_s, 2001)
         to_plane_s = float(np.interp(0.0, -hit.normal(inward_s)[0], inward_s))
         path = trajectory(hit, time_s + to_plane_s, 0.5)
@@ -253,7 +252,7 @@ def contact(folder: Path) -> None:
 
 
 def recovery(folder: Path) -> None:
-    """A flown dual collision from above: path, peak forces and the setpoints that follow from them."""
+    """Draw a flown dual collision from above: path, peak forces and the resulting setpoints."""
     mission = _mission("paper_dual_collision.yaml")
     with tempfile.TemporaryDirectory() as logs:
         verdict = fly_fast(mission, 1, Path(logs))

@@ -1,7 +1,7 @@
-"""The comments of `configs/dart.yaml`: what every key means, and its source.
+"""The comments of `configs/dart.yaml`: meaning of every key and source of its value.
 
-A comment is `MEANING [tag] source`: the meaning is written by `make docs`; what begins with the tag is
-written by hand and stays. Names that the user chooses (materials) and keys below them have no comment.
+A comment is `MEANING [tag] source`. `make docs` writes the meaning; the part from the tag on is written by
+hand and stays. Names that the user chooses (materials) and keys below them have no comment.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ _COLUMN, _WIDTH = 40, 110
 
 
 class _Line(NamedTuple):
-    """A key's line: index of its first row and of the row after its comment, text before it, its words."""
+    """A key's line: index of its first row and of the row after its comment, code, and comment."""
 
     first: int
     end: int
@@ -28,21 +28,21 @@ class _Line(NamedTuple):
 
     @property
     def source(self) -> str:
-        """The part that is written by hand."""
+        """The handwritten part of the comment."""
         found = _SOURCE.search(self.comment)
         return found[0] if found else ""
 
 
 def sources(text: str) -> dict[Key, str]:
-    """Key -> tag and source of its value."""
+    """Return key -> tag and source of its value."""
     return {key: line.source for key, line in _lines(text).items() if line.source}
 
 
 def current(text: str) -> str:
-    """The configuration with its comments as they should be."""
+    """Return the configuration with up-to-date comments."""
     schema = schemas()["configuration.json"]
     rows = text.splitlines()
-    # From the last one, so that the rows before stay where they are.
+    # Start with the last line, so that earlier row numbers stay valid.
     for key, line in reversed(_lines(text).items()):
         words = "" if _is_below_a_name(schema, key) else meaning(schema, key).removesuffix(".")
         rows[line.first : line.end] = _written(line.code, words, line.source)
@@ -55,12 +55,12 @@ def write() -> None:
 
 
 def _lines(text: str) -> dict[Key, _Line]:
-    """Every key that begins a line; its comment may go on in the lines below that are nothing else."""
+    """Return every key that begins a line, with a comment that may continue on the following lines."""
     rows = text.splitlines()
     found: dict[Key, _Line] = {}
     for key, number in Document(text, CONFIGURATION.name).lines.items():
         row = rows[number - 1]
-        # Of a flow mapping on one line only the key that begins the line owns the comment.
+        # In a flow mapping on one line, the comment belongs to the key that begins the line.
         if not key or not row.lstrip().startswith(f"{key[-1]}:"):
             continue
         code, _, comment = row.partition(" #")

@@ -6,7 +6,7 @@ from dart_flight.sim.faults.fault_table import KINDS
 
 
 def table() -> str:
-    """The faults as a Markdown table, one row each."""
+    """Return the faults as a Markdown table, one row each."""
     rows = ["| fault | what goes wrong | where | value | default |", "|---|---|---|---|---|"]
     for kind in KINDS:
         value = f"{kind.low:g} to {kind.high:g} {kind.unit}" if kind.unit else "-"

@@ -1,8 +1,8 @@
-"""What the software writes of its own documentation: `make docs` brings it up to date.
+"""Generator of the manual's tables, diagrams, schemas and configuration comments: `make docs` updates them.
 
-A generated part stands in a page of docs/ between `<!-- begin: NAME -->` and `<!-- end -->`; the JSON Schemas
-in docs/schemas are whole files; of the comments in configs/dart.yaml it is the part before the source. A test
-runs `python -m tools.docs.generated --check`.
+A generated part is in a page of docs/ between `<!-- begin: NAME -->` and `<!-- end -->`. The JSON Schemas in
+docs/schemas are whole files. In configs/dart.yaml the part of each comment before the source is generated. A
+test runs `python -m tools.docs.generated --check`.
 """
 
 from __future__ import annotations
@@ -39,32 +39,32 @@ _MARKED = re.compile(r"(<!-- begin: ([a-z ]+) -->\n).*?(<!-- end -->)", re.DOTAL
 
 
 def pages() -> dict[Path, list[str]]:
-    """The pages with generated parts, and the names of those."""
+    """Return the pages with generated parts, and the names of the parts."""
     found = {page: [m[2] for m in _MARKED.finditer(page.read_text("utf-8"))] for page in DOCS.glob("*.md")}
     return {page: names for page, names in sorted(found.items()) if names}
 
 
 def current(text: str) -> str:
-    """A page with its generated parts as they should be.
+    """Return a page with up-to-date generated parts.
 
     Raises:
-        KeyError: a part has a name that nothing writes.
+        KeyError: a part has an unknown name.
     """
     return _MARKED.sub(lambda mark: mark[1] + PARTS[mark[2]]() + mark[3], text)
 
 
 def stale() -> Iterator[str]:
-    """Yield what differs from what the code says: files, and parts without a place or a writer."""
+    """Yield what is out of date: files, and parts without a place or a generator."""
     for page, names in pages().items():
         text = page.read_text("utf-8")
         unknown = [name for name in names if name not in PARTS]
         if unknown:
-            yield f"{page.name}: nothing writes {unknown[0]}"
+            yield f"{page.name}: no generator for {unknown[0]}"
         elif current(text) != text:
             yield page.name
     places = sorted(name for names in pages().values() for name in names)
     if places != sorted(PARTS):
-        yield f"parts without a place, or with two: {sorted(set(PARTS) ^ set(places)) or places}"
+        yield f"parts with no place or with two: {sorted(set(PARTS) ^ set(places)) or places}"
     wanted = {name: schemas.text_of(schema) for name, schema in schemas.schemas().items()}
     if {path.name: path.read_text("utf-8") for path in schemas.FOLDER.iterdir()} != wanted:
         yield "docs/schemas"
@@ -74,7 +74,7 @@ def stale() -> Iterator[str]:
 
 
 def main() -> int:
-    """Write everything, or with --check only say what is stale; returns the exit status."""
+    """Write everything, or with --check list what is stale; return the exit status."""
     if sys.argv[1:] == ["--check"]:
         found = list(stale())
         print("\n".join(found))

@@ -1,7 +1,8 @@
-"""The tables of keys for `docs/missions.md` and `docs/configuration.md`, from the schemas.
+"""The tables of keys for `docs/missions.md`, `docs/planning.md` and `docs/configuration.md`, from the
+schemas.
 
-Mission and scenario: one table per section. Configuration: one row per key of `configs/dart.yaml`, with its
-value there and the source that its comment names.
+Missions and scenarios have one table per section. The configuration has one row per key of
+`configs/dart.yaml`, with its value and the source from its comment.
 """
 
 from __future__ import annotations
@@ -20,17 +21,17 @@ from tools.docs.schemas import Schema, lookup, meaning, schemas, target
 
 
 def mission_tables() -> str:
-    """Every section of a mission file."""
+    """Return the tables of every section of a mission file."""
     return "".join(_sections(schemas()["mission.json"], known=set()))
 
 
 def scenario_tables() -> str:
-    """The sections of a scenario file that a mission does not have."""
+    """Return the tables of a scenario's sections that a mission lacks."""
     return "".join(_sections(schemas()["scenario.json"], known=set(schemas()["mission.json"]["$defs"])))
 
 
 def _sections(schema: Schema, known: set[str]) -> Iterator[str]:
-    """A table per section, in the order in which they are first named."""
+    """Yield a table per section, in the order of first mention."""
     places = {target(schema): ""}
     waiting = list(places)
     while waiting:
@@ -73,7 +74,6 @@ def _default(value: Schema) -> str:
 
 
 def _kind(value: Schema) -> str:
-    """What may be written, in words."""
     if "anyOf" in value:
         return " or ".join(_kind(option) for option in value["anyOf"] if option.get("type") != "null")
     if "enum" in value:
@@ -104,7 +104,7 @@ def _limits(value: Schema) -> str:
 
 
 def _definitions() -> dict[str, Schema]:
-    return {name: one for schema in schemas().values() for name, one in schema["$defs"].items()}
+    return {name: definition for schema in schemas().values() for name, definition in schema["$defs"].items()}
 
 
 def _cell(text: str) -> str:
@@ -115,7 +115,7 @@ def _cell(text: str) -> str:
 
 
 def configuration_table() -> str:
-    """A row per key of the configuration that is shipped."""
+    """Return a row per key of the shipped configuration."""
     text = CONFIGURATION.read_text(encoding="utf-8")
     document, named = Document(text, CONFIGURATION.name), sources(text)
     schema = schemas()["configuration.json"]

@@ -1,4 +1,4 @@
-"""The tables of channels for `docs/log.md`, from the schemas that every log carries."""
+"""The tables of channels for `docs/log.md`, from the schemas in every log."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _GROUPS = (
 
 
 def tables() -> str:
-    """Every channel with its fields, their types, units and frames, as Markdown."""
+    """Return every channel with its fields, their types, units and frames, as Markdown."""
     lines: list[str] = []
     for title, kinds in _GROUPS:
         lines += ["", f"### {title}", ""]

@@ -8,7 +8,7 @@ from dart_flight.lock import state_machine
 
 
 def diagram() -> str:
-    """The table as a Mermaid state diagram; what nearly every phase has, the guard, as a line below it."""
+    """Return the mission's table as a Mermaid state diagram, with the guard's transitions below it."""
     lines = ["stateDiagram-v2", f"    [*] --> {next(iter(Phase))}"]
     lines += [
         f"    {before} --> {after}: {event}"
@@ -22,17 +22,17 @@ def diagram() -> str:
         before: after for (before, event), after in TRANSITIONS.items() if event is PhaseTrigger.OVERRULE
     }
     targets = sorted(set(overruled.values()))
-    ways = [
+    exits = [
         f"`{PhaseTrigger.OVERRULE}` leads to `{target}` from: "
         + ", ".join(f"`{before}`" for before, after in overruled.items() if after is target)
         + "."
         for target in targets
     ]
-    return "```mermaid\n" + "\n".join(lines) + "\n```\n\n" + "\n".join(ways) + "\n"
+    return "```mermaid\n" + "\n".join(lines) + "\n```\n\n" + "\n".join(exits) + "\n"
 
 
 def lock_diagram() -> str:
-    """The lock's table as a Mermaid state diagram."""
+    """Return the lock's table as a Mermaid state diagram."""
     lines = ["stateDiagram-v2", f"    [*] --> {LockPhase.UNKNOWN}"]
     for before, row in state_machine.TRANSITIONS.items():
         lines += [f"    {before} --> {after}: {event}" for event, after in row.items()]

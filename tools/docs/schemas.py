@@ -1,7 +1,7 @@
 """The JSON Schemas of mission, scenario and configuration, from the types that the loader uses.
 
-JSON Schema draft 7, because that is what editors' YAML support understands fully. Descriptions are the
-types' docstrings: the summary for a section, its `Attributes:` for the keys.
+They use JSON Schema draft 7, which editors' YAML support understands fully. Descriptions come from the types'
+docstrings: the summary describes a section, its `Attributes:` the keys.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ Schema = dict[str, Any]
 
 
 def schemas() -> dict[str, Schema]:
-    """File name -> schema."""
+    """Return file name -> schema."""
     return {
         "mission.json": _schema(MissionFile, "DART mission"),
         "scenario.json": _schema(ScenarioFile, "DART scenario"),
@@ -37,12 +37,12 @@ def schemas() -> dict[str, Schema]:
 
 
 def text_of(schema: Schema) -> str:
-    """The file's text."""
+    """Return the text of a schema's file."""
     return json.dumps(schema, indent=2, ensure_ascii=False) + "\n"
 
 
 def meaning(schema: Schema, key: Key) -> str:
-    """What a key of a document means: its own description, else that of its section; one line."""
+    """Return the description of a key, or that of its section, on one line."""
     found = lookup(schema, key)
     for option in (found, *found.get("anyOf", [])):
         if "description" in option:
@@ -53,7 +53,7 @@ def meaning(schema: Schema, key: Key) -> str:
 
 
 def lookup(schema: Schema, key: Key) -> Schema:
-    """The schema of a key of a document."""
+    """Return the schema of a key of a document."""
     here: Schema = schema
     for part in key:
         options = [here, *here.get("anyOf", [])]
@@ -65,7 +65,7 @@ def lookup(schema: Schema, key: Key) -> Schema:
 
 
 def target(value: Schema) -> str:
-    """The name that a reference leads to."""
+    """Return the name to which a reference points."""
     return str(value["$ref"]).rpartition("/")[2]
 
 
@@ -75,7 +75,7 @@ def _schema(type_: type[msgspec.Struct], title: str) -> Schema:
         definition = schema["$defs"][struct.__name__]
         definition["description"] = _docstring(struct)[0]
         attributes: dict[str, str] = {}
-        for base in reversed(struct.__mro__):  # keys that sections share stand in a class above them
+        for base in reversed(struct.__mro__):  # shared keys are in a base class
             attributes |= _docstring(base)[1]
         keys = {field.name: field.encode_name for field in msgspec.structs.fields(struct)}
         for name, text in attributes.items():
@@ -84,7 +84,7 @@ def _schema(type_: type[msgspec.Struct], title: str) -> Schema:
 
 
 def _with_no_lock(schema: Schema) -> Schema:
-    """The loader takes a lock with this driver for none at all, whatever else is in it."""
+    """Allow a lock with driver `none` and any other keys, which the loader treats as no lock."""
     no_lock = {
         "type": "object",
         "properties": {"driver": {"const": NO_LOCK, "description": "the vehicle has no lock"}},
@@ -95,7 +95,7 @@ def _with_no_lock(schema: Schema) -> Schema:
 
 
 def _draft_7(node: Any) -> Any:
-    """Fixed-length lists as draft 7 writes them; all else is the same there."""
+    """Convert fixed-length lists to draft 7; everything else is equal there."""
     if isinstance(node, list):
         return [_draft_7(item) for item in node]
     if not isinstance(node, dict):
@@ -108,7 +108,7 @@ def _draft_7(node: Any) -> Any:
 
 
 def _structs(type_: type[msgspec.Struct]) -> Iterator[type[msgspec.Struct]]:
-    """A struct and all that it is made of, each once."""
+    """Yield a struct and all structs it contains, each once."""
     waiting, seen = [msgspec.inspect.type_info(type_)], set()
     while waiting:
         info = waiting.pop()
@@ -129,7 +129,7 @@ def _structs(type_: type[msgspec.Struct]) -> Iterator[type[msgspec.Struct]]:
 
 
 def _docstring(struct: type) -> tuple[str, dict[str, str]]:
-    """What is said before `Attributes:`, and the text of every attribute in it."""
+    """Return the text before `Attributes:`, and the text of every attribute."""
     summary, _, listed = inspect.cleandoc(struct.__doc__ or "").partition("\nAttributes:\n")
     attributes: dict[str, str] = {}
     names: list[str] = []

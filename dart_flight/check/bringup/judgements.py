@@ -14,7 +14,9 @@ import msgspec
 
 from dart_flight.base.geometry import (
     GRAVITY_M_S2,
+    IDENTITY,
     Quaternion,
+    RoomFrame,
     Vec2,
     Vec3,
     norm,
@@ -23,8 +25,10 @@ from dart_flight.base.geometry import (
     yaw_ned_of,
 )
 from dart_flight.base.records import ImuSample, LockPhase, LockState, Mode, OdometrySample
+from dart_flight.check.bringup.pose_motion import MotionEstimate
 from dart_flight.check.telemetry_check import StreamRate
 from dart_flight.config.vehicle import LockConfig
+from dart_flight.config.vehicle.mocap import MotionCapture
 
 _WINDOW_US = 500_000  # held still for so long
 _STILL_M_S2 = 0.6  # standard deviation of a hand's steadiness
@@ -35,6 +39,11 @@ _PUSH_M_S2 = 3.0
 _PUSH_US = 30_000  # averaged: less than a push takes, more than a bump
 _CARRIED_M = 0.4
 _RESTING_M_S = 0.15
+_TURNED_RAD_S, _TILTING_RAD_S, _CARRIED_M_S2 = 0.3, 0.15, 0.5  # least motion that shows all axes
+_SAME_RATES, _SAME_FORCES = 0.9, 0.7  # correlations; other motions by hand reached 0.8 in rates
+_POSE_AXIS_DEG = 10.0
+_SCALE = 0.1
+_OLDEST_POSE_MS = 100.0
 
 
 class StepOutcome(StrEnum):
@@ -305,6 +314,89 @@ def judge_position(forward: Vec2, right: Vec2) -> StepFinding:
         return failed(says, **measured)
     says = "left and right are exchanged: the source's frame is not north, east, down (ENU or y to the left)"
     return failed(says, **measured)
+
+
+def is_moved_enough(motion: MotionEstimate) -> bool:
+    """Return whether a motion by hand shows every axis."""
+    x, y, z = motion.turned_rad_s
+    return z > _TURNED_RAD_S and min(x, y) > _TILTING_RAD_S and motion.carried_m_s2 > _CARRIED_M_S2
+
+
+def judge_motion(
+    motion: MotionEstimate, config: MotionCapture, round_trip_s: float | None, heading_off_deg: float | None
+) -> StepFinding:
+    """Judge the poses of a motion by hand.
+
+    Args:
+        motion: estimated from poses, gyro and accelerometer.
+        config: with which the poses were converted.
+        round_trip_s: of the link, None if unknown; the pose's way to PX4 and the IMU's way here.
+        heading_off_deg: PX4's heading minus that of the poses, None if unknown.
+    """
+    delay_ms = 1e3 * max(0.0, motion.latency_s + (round_trip_s or 0.0))
+    body_yaw_deg = math.degrees(math.atan2(motion.body_to_frd[1, 0], motion.body_to_frd[0, 0]))
+    body_tilt_deg = math.degrees(math.acos(max(-1.0, min(1.0, float(motion.body_to_frd[2, 2])))))
+    measured: Measured = {
+        "delay_ms": round(delay_ms, 1),
+        "rate_agreement": round(motion.rate_correlation, 3),
+        "force_agreement": round(motion.force_correlation, 3),
+        "scale": round(motion.scale, 3),
+        "body_yaw_error_deg": round(body_yaw_deg, 1),
+        "heading_error_deg": None if heading_off_deg is None else round(heading_off_deg, 1),
+    }
+    wrong = None
+    if motion.rate_correlation < _SAME_RATES:
+        wrong = (
+            f"the body {config.url} does not turn as this vehicle does (agreement "
+            f"{motion.rate_correlation:.2f}): another vehicle's body, or swapped markers"
+        )
+    elif motion.force_correlation < -_SAME_FORCES:
+        wrong = "the room is mirrored: its axes are left-handed; exchange the sign of one axis at the source"
+    elif _apart_deg(motion.up_room, (0.0, 0.0, -1.0)) > _POSE_AXIS_DEG:
+        axis = _axis_of_room(motion.up_room, config)
+        wrong = f"wrong axis: the room's {axis} axis points up, mocap.up is {config.up}"
+    elif body_tilt_deg > _POSE_AXIS_DEG:
+        wrong = (
+            f"wrong axis: the body is tilted by {body_tilt_deg:.0f} degrees against the vehicle; define it "
+            "again with the vehicle level"
+        )
+    elif abs(body_yaw_deg) > _POSE_AXIS_DEG:
+        nose_deg = wrap_deg(config.body_yaw_deg + body_yaw_deg)
+        wrong = f"the nose points elsewhere: set mocap.body_yaw_deg to {nose_deg:.0f}"
+    elif motion.force_correlation < _SAME_FORCES:
+        wrong = (
+            f"the body does not move as the accelerometer feels (agreement {motion.force_correlation:.2f}): "
+            "carry it more; if it stays, see mocap.body_offset_m"
+        )
+    elif abs(motion.scale - 1.0) > _SCALE:
+        wrong = (
+            f"lengths are {motion.scale:.2f} of what they should be: another unit, or calibrate the cameras"
+        )
+    elif delay_ms > _OLDEST_POSE_MS:
+        wrong = (
+            f"poses are {delay_ms:.0f} ms old when they reach PX4, allowed are {_OLDEST_POSE_MS:g} ms: use a "
+            "cable, or less processing in the motion capture"
+        )
+    elif heading_off_deg is not None and abs(heading_off_deg) > _POSE_AXIS_DEG:
+        wrong = (
+            f"PX4's heading is {heading_off_deg:.0f} degrees off the poses: it does not use their heading "
+            "(EKF2_EV_CTRL, 8), or mocap.heading_deg is wrong"
+        )
+    if wrong is not None:
+        return failed(wrong, **measured)
+    return passed(f"poses are {delay_ms:.0f} ms old when they reach PX4", **measured)
+
+
+def _apart_deg(a: Vec3, b: Vec3) -> float:
+    return math.degrees(math.acos(max(-1.0, min(1.0, sum(x * y for x, y in zip(a, b, strict=True))))))
+
+
+def _axis_of_room(direction_ned: Vec3, config: MotionCapture) -> str:
+    """Return the room's axis that is next to a direction, such as -y."""
+    room = RoomFrame(config.up == "y", math.radians(config.heading_deg))
+    parts = room.pose_from_ned(direction_ned, IDENTITY)[0]
+    k = max(range(3), key=lambda i: abs(parts[i]))
+    return ("-" if parts[k] < 0.0 else "") + "xyz"[k]
 
 
 # --- remote control ------------------------------------------------------------------------------------

@@ -13,6 +13,8 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Protocol, TypeVar
 
+import numpy as np
+
 from dart_flight.base.geometry import Quaternion, Vec2, Vec3, rotate_back
 from dart_flight.base.records import (
     AttitudeSample,
@@ -22,10 +24,18 @@ from dart_flight.base.records import (
     LockState,
     Mode,
     OdometrySample,
+    PoseSample,
     StatusSample,
 )
 from dart_flight.check.bringup import judgements
 from dart_flight.check.bringup.judgements import StepFinding, StepOutcome, failed
+from dart_flight.check.bringup.pose_motion import (
+    Array,
+    MotionEstimate,
+    NotEnoughMotionError,
+    estimate_motion,
+    heading_offset_deg,
+)
 from dart_flight.check.stages import Check, CheckContext, Stage
 from dart_flight.check.telemetry_check import StreamRate, stream_rates
 from dart_flight.check.vehicle_check import round_trip_limit_s
@@ -50,6 +60,8 @@ _STATUS_S = 1.5  # SYS_STATUS comes once a second at least
 _RADIO_S = 2.0
 _POLL_S = 0.05
 _KEPT = 4000  # samples of a stream
+_MOTION_S = 12.0  # by hand, to be compared with the poses
+_NEW_MOTION_S = 2.0  # between two attempts to compare
 
 Found = TypeVar("Found")
 
@@ -76,11 +88,15 @@ class Telemetry:
         self.imu: deque[ImuSample] = deque(maxlen=_KEPT)
         self.attitude: deque[AttitudeSample] = deque(maxlen=_KEPT)
         self.odometry: deque[OdometrySample] = deque(maxlen=_KEPT)
+        self.poses: deque[PoseSample] = deque(maxlen=_KEPT)
         self.modes: dict[str, None] = {}
         self._all: deque[Input] = deque(maxlen=4 * _KEPT)
 
     def take(self, record: Input) -> None:
-        """A record of the telemetry; on MAVSDK's thread."""
+        """A record of the telemetry, on MAVSDK's thread, or a pose, on that of the motion capture."""
+        if isinstance(record, PoseSample):
+            self.poses.append(record)
+            return
         self._all.append(record)
         if isinstance(record, ImuSample):
             self.imu.append(record)
@@ -93,7 +109,7 @@ class Telemetry:
 
     def clear(self) -> None:
         """Forget the samples; the mode last seen stays."""
-        for kept in (self.imu, self.attitude, self.odometry):
+        for kept in (self.imu, self.attitude, self.odometry, self.poses):
             kept.clear()
         self.modes = dict.fromkeys(list(self.modes)[-1:])
 
@@ -163,7 +179,8 @@ class Bringup(CheckContext[StepFinding]):
     def _connect(self) -> GroundLink:
         """The link, opened and its streams asked for at the first call."""
         if self._ground is None:
-            link = GroundLink(self._url, min(self._wait_s, _CONNECT_S), self._telemetry.take)
+            timeout_s, mocap = min(self._wait_s, _CONNECT_S), self._mission.vehicle.mocap
+            link = GroundLink(self._url, timeout_s, self._telemetry.take, mocap)
             self._ground = link.__enter__()
             self._opened()
             observed = link.observe(self._mission.vehicle, _OBSERVE_S)
@@ -264,11 +281,75 @@ class Bringup(CheckContext[StepFinding]):
         return mode, state, self._operator.confirm(f"Told to be {mode}. Are the arms {how}?")
 
     def judge_position(self) -> StepFinding:
-        """Judge where the position goes when the vehicle is carried."""
-        self._connect()
+        """Judge the poses if there are any, and where the position goes when the vehicle is carried."""
+        link = self._connect()
+        poses = None
+        if self._mission.vehicle.mocap.url is not None:
+            poses = self._measure_poses(link)
+            if poses.result is not StepOutcome.PASS:
+                return poses
         forward = self._carry("Hold it level, walk half a metre straight ahead of its nose, and stand still.")
         right = self._carry("Now half a metre to its right, without turning it, and stand still.")
-        return judgements.judge_position(forward, right)
+        position = judgements.judge_position(forward, right)
+        if poses is None:
+            return position
+        measured = {**poses.measured, **position.measured}
+        return StepFinding(position.result, f"{poses.message}; {position.message}", measured)
+
+    def _measure_poses(self, link: GroundLink) -> StepFinding:
+        """Judge the poses by the gyro and the accelerometer while the operator moves the vehicle."""
+        t, config = self._telemetry, self._mission.vehicle.mocap
+        t.clear()
+        with contextlib.suppress(NotDoneError):
+            self._wait(f"Receiving poses from {config.url}.", lambda: any(p.tracked for p in t.poses) or None)
+        if not any(p.tracked for p in list(t.poses)):
+            return failed(f"no poses from {config.url}: {link.pose_problem or 'the body is not tracked'}")
+        t.clear()
+        tried_s = 0.0
+
+        def find() -> MotionEstimate | None:
+            nonlocal tried_s
+            moved_s = 1e-6 * (t.imu[-1].t_us - t.imu[0].t_us) if t.imu else 0.0
+            now_s = time.monotonic()
+            if moved_s < _MOTION_S or now_s - tried_s < _NEW_MOTION_S:
+                return None
+            tried_s = now_s
+            with contextlib.suppress(NotEnoughMotionError):
+                found = self._estimate_motion()
+                return found if judgements.is_moved_enough(found) else None
+            return None
+
+        motion = self._wait(
+            "For 12 s: turn it left and right by 90 degrees, tilt its nose and its side, and carry it forth "
+            "and back by half a metre, briskly.",
+            find,
+        )
+        return judgements.judge_motion(motion, config, link.round_trip_s(), self._heading_offset(motion))
+
+    def _shown_poses(self) -> tuple[Array, Array, Array]:
+        """Return the tracked poses' receipt in seconds, and their positions and attitudes in local NED."""
+        room = self._mission.vehicle.mocap.room_frame()
+        poses = [p for p in list(self._telemetry.poses) if p.tracked]
+        shown = [room.pose_to_ned(p.position_room, p.q_body_to_room) for p in poses]
+        times_s = np.array([1e-6 * p.t_us for p in poses])
+        return times_s, np.array([p for p, _ in shown]), np.array([q for _, q in shown])
+
+    def _estimate_motion(self) -> MotionEstimate:
+        imu = list(self._telemetry.imu)
+        return estimate_motion(
+            *self._shown_poses(),
+            np.array([1e-6 * s.t_us for s in imu]),
+            np.array([s.rate_frd for s in imu]),
+            np.array([s.specific_force_frd for s in imu]),
+        )
+
+    def _heading_offset(self, motion: MotionEstimate) -> float | None:
+        times_s, _, shown = self._shown_poses()
+        own = list(self._telemetry.attitude)
+        own_s = np.array([1e-6 * s.t_us for s in own])
+        return heading_offset_deg(
+            times_s - motion.latency_s, shown, own_s, np.array([s.q_frd_to_ned for s in own])
+        )
 
     def judge_remote(self) -> StepFinding:
         """Judge the remote control and its mode switch."""

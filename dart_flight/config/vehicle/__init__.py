@@ -1,7 +1,7 @@
-"""`configs/dart.yaml`: the vehicle, its sensors, its materials, the lock and every threshold.
+"""Types of `configs/dart.yaml`: the vehicle, its sensors, its materials, the lock and all thresholds.
 
-The types here are the schema (`docs/schemas/`) and say what every key means; the numbers and their sources
-are in the file.
+The types define the schema (`docs/schemas/`) and document every key. The file contains the values and their
+sources.
 """
 
 from dart_flight.config.vehicle.airframe import (

@@ -1,4 +1,4 @@
-"""The vehicle as a body, its motors and its IMU, and the materials that it meets."""
+"""The vehicle as a body, its motors and its IMU, and the materials of the walls."""
 
 from __future__ import annotations
 
@@ -45,18 +45,18 @@ class Airframe(Section, frozen=True, kw_only=True):
     """The vehicle as a body.
 
     Attributes:
-        mass_kg: of the vehicle as it flies, battery included.
+        mass_kg: take-off mass, battery included.
         contact_distance_m: from the centre of mass to the wall's plane at the first contact.
-        incidence_rigid_deg: from this angle of incidence on the arms cannot fold: rigid values in both modes;
-            without a lock it means nothing.
+        incidence_rigid_deg: angle of incidence from which the arms cannot fold, so that both modes have the
+            rigid values; unused without a lock.
         drag_per_s: [b_x, b_y, b_z] along the mission's axes: acceleration by air drag = -b * air speed.
         inertia_kg_m2: about [forward, right, down]; `calibrate inertia` fits it.
         arm_x_m: motor to centre of mass, forward.
         arm_y_m: motor to centre of mass, sideways.
         yaw_torque_per_thrust_m: drag torque of a propeller over its thrust, N m per N.
-        guard_along_m: from the middle of a side to either of the two points that touch a wall first.
-        listed: 4 to 8 in PX4's order, of an airframe that is no quadrotor in X (arm_x_m and arm_y_m are null
-            then); `calibrate airframe` prints them.
+        guard_along_m: from the middle of a side to either of its two points that touch a wall first.
+        listed: 4 to 8 motors in PX4's order, for an airframe other than a quadrotor in X (arm_x_m and arm_y_m
+            are then null); `calibrate airframe` prints them.
     """
 
     mass_kg: Annotated[float, Meta(ge=0.05, le=50.0)]
@@ -73,7 +73,7 @@ class Airframe(Section, frozen=True, kw_only=True):
     )
 
     def __post_init__(self) -> None:
-        """Refuse an airframe that is not said once."""
+        """Check that the motor positions are defined exactly once."""
         arms = [name for name in ("arm_x_m", "arm_y_m") if getattr(self, name) is not None]
         if self.listed is not None and arms:
             raise ValueError(
@@ -89,7 +89,7 @@ class Airframe(Section, frozen=True, kw_only=True):
         """The motors in PX4's order."""
         if self.listed is not None:
             return self.listed
-        arm_x_m, arm_y_m = self.arm_x_m or 0.0, self.arm_y_m or 0.0  # __post_init__ has seen to it
+        arm_x_m, arm_y_m = self.arm_x_m or 0.0, self.arm_y_m or 0.0  # checked in __post_init__
         return tuple(
             Motor(sx * arm_x_m, sy * arm_y_m, spin * self.yaw_torque_per_thrust_m)
             for sx, sy, spin in _QUADROTOR_X
@@ -97,7 +97,7 @@ class Airframe(Section, frozen=True, kw_only=True):
 
     @property
     def outline_m(self) -> list[Vec2]:
-        """Corners of the guards seen from above, (forward, left), m, around from the front's left one.
+        """Corners of the guards seen from above, (forward, left), m, counter-clockwise from the front left.
 
         Each side has two points that touch a wall first, `guard_along_m` from its middle and
         `contact_distance_m` from the centre of mass.
@@ -107,12 +107,12 @@ class Airframe(Section, frozen=True, kw_only=True):
         return half + [(-x, -y) for x, y in half]
 
     def surface_of(self, wall: Wall) -> Wall:
-        """A wall's own surface: the plane of the vehicle's centre at contact, less the way to its side."""
+        """Return a wall's surface: the plane of the vehicle's centre, moved by the contact distance."""
         return wall.moved(-self.contact_distance_m)
 
 
 def effectiveness(motors: Sequence[Motor]) -> list[list[float]]:
-    """Roll, pitch and yaw torque (FRD) and lift of one newton of each motor: four rows."""
+    """Return four rows: roll, pitch and yaw torque (FRD) and lift per newton of each motor."""
     return [
         [-motor.y_m for motor in motors],
         [motor.x_m for motor in motors],
@@ -130,10 +130,10 @@ class Thrust(Section, frozen=True):
 
     Attributes:
         motor_lag_s: time constant of motor and propeller.
-        full_n: at full command, at the voltage estimation.battery.reference_v.
+        full_n: thrust at full command, at the voltage estimation.battery.reference_v.
         model_factor: share of the square term, PX4's THR_MDL_FAC.
-        table: [[command, newton], ...] as measured, both rising, up to the command 1, straight lines between
-            (full_n and model_factor are null then).
+        table: measured [[command, newton], ...], both increasing, up to the command 1, interpolated linearly
+            (full_n and model_factor are then null).
     """
 
     motor_lag_s: Annotated[float, Meta(ge=0.0, le=1.0)]
@@ -142,7 +142,7 @@ class Thrust(Section, frozen=True):
     table: Annotated[tuple[tuple[Command, Newton], ...], Meta(min_length=2, max_length=200)] | None = None
 
     def __post_init__(self) -> None:
-        """Refuse a curve that is not said once, and a table that is not one."""
+        """Check that the curve is defined exactly once, and that a table is valid."""
         given = [name for name in ("full_n", "model_factor") if getattr(self, name) is not None]
         if self.table is None:
             if len(given) < 2:
@@ -163,7 +163,7 @@ class Thrust(Section, frozen=True):
             raise ValueError(f"table: ends at the command {points[-1][0]:g}, the thrust at 1 is needed")
 
     def _points(self) -> tuple[tuple[float, float], ...]:
-        """The table with its beginning: a motor without a command gives nothing."""
+        """Return the table, starting at zero thrust without a command."""
         table = self.table or ()
         return table if table and table[0] == (0.0, 0.0) else ((0.0, 0.0), *table)
 
@@ -174,7 +174,7 @@ class Thrust(Section, frozen=True):
 
     @property
     def square_share(self) -> float:
-        """PX4's THR_MDL_FAC: the model factor, or that which is nearest to the table (least squares)."""
+        """PX4's THR_MDL_FAC: the model factor, or the best fit to the table (least squares)."""
         if self.model_factor is not None:
             return self.model_factor
         # n / most - u = factor (u^2 - u)
@@ -183,7 +183,7 @@ class Thrust(Section, frozen=True):
         return max(0.0, min(1.0, sum(x * y for x, y in bent) / square)) if square > 0.0 else 0.0
 
     def scaled(self, factor: float) -> Thrust:
-        """The curve of motors that give so many times the thrust."""
+        """Return the curve multiplied by a factor."""
         if self.table is not None:
             table = tuple((u, n * factor) for u, n in self.table)
             return Thrust(self.motor_lag_s, table=table)
@@ -191,17 +191,17 @@ class Thrust(Section, frozen=True):
 
     @property
     def curve(self) -> MotorCurve | None:
-        """The curve of two numbers; None: there is a table."""
+        """The curve of two numbers, or None if there is a table."""
         if self.full_n is None or self.model_factor is None:
             return None
         return MotorCurve(self.full_n, self.model_factor)
 
     def force_n(self, command: float) -> float:
-        """Steady thrust in newton of one motor at a command from 0 to 1."""
+        """Return the steady thrust of one motor at a command from 0 to 1, newton."""
         return self.forces_n((command,))[0]
 
     def forces_n(self, commands: Iterable[float]) -> list[float]:
-        """Steady thrust in newton of each motor."""
+        """Return the steady thrust of each motor, newton."""
         curve = self.curve
         if curve is not None:
             return [curve.force_n(command) for command in commands]
@@ -209,11 +209,11 @@ class Thrust(Section, frozen=True):
         return [_between(points, max(0.0, min(1.0, command)), 0) for command in commands]
 
     def command_for(self, force_n: float) -> float:
-        """The command from 0 to 1 that gives a steady thrust; saturates."""
+        """Return the command, 0 to 1, for a steady thrust; it saturates."""
         return self.commands_for((force_n,))[0]
 
     def commands_for(self, forces_n: Iterable[float]) -> list[float]:
-        """The command of each motor for a steady thrust in newton."""
+        """Return the command of each motor for a steady thrust in newton."""
         curve = self.curve
         if curve is not None:
             return [curve.command_for(force) for force in forces_n]
@@ -222,7 +222,7 @@ class Thrust(Section, frozen=True):
 
 
 def _between(points: tuple[tuple[float, float], ...], x: float, given: int) -> float:
-    """The other coordinate of the point of a rising line of points where the `given` one is `x`."""
+    """Interpolate a rising polyline: return the other coordinate where the coordinate `given` is `x`."""
     i = max(1, bisect_left(points, x, key=itemgetter(given)))
     before, after = points[i - 1], points[i]
     share = (x - before[given]) / (after[given] - before[given])
@@ -230,14 +230,14 @@ def _between(points: tuple[tuple[float, float], ...], x: float, given: int) -> f
 
 
 class Imu(Section, frozen=True):
-    """What the IMU can read.
+    """Properties of the IMU.
 
     Attributes:
         full_scale_m_s2: largest reading of the accelerometer on each axis, either sign.
-        rate_hz: of the samples that PX4 sends.
+        rate_hz: rate of the samples that PX4 sends.
         tick_s: time over which one sample is averaged.
         antialias_hz: -3 dB frequency of the accelerometer's own low-pass, first order.
-        position_m: [forward, right, down] of the centre of mass; what turning adds there is taken off.
+        position_m: [forward, right, down] of the centre of mass; accelerations from rotation are removed.
     """
 
     full_scale_m_s2: Annotated[float, Meta(ge=10.0, le=5000.0)]
@@ -248,12 +248,12 @@ class Imu(Section, frozen=True):
 
     @property
     def filter_lag_s(self) -> float:
-        """How far the accelerometer's own low-pass is behind: the delay of a first-order filter."""
+        """Delay of the accelerometer's first-order low-pass."""
         return 0.5 / (math.pi * self.antialias_hz)
 
     @property
     def reading_lag_s(self) -> float:
-        """How far before its stamp the middle of a reading lies: half a tick and the filter's lag."""
+        """Time from the middle of a reading to its stamp: half a tick and the filter's delay."""
         return 0.5 * self.tick_s + self.filter_lag_s
 
 
@@ -274,11 +274,11 @@ class Coefficients(Section, frozen=True):
 
     @property
     def lead_s(self) -> float:
-        """How long before the plane the force of an undisturbed approach begins: k x + f vx = 0."""
+        """Time before the plane at which the force of an undisturbed approach begins: k x + f vx = 0."""
         return self.f / self.k
 
     def scaled(self, k: float, f: float, mu: float, nu: float = 1.0) -> Coefficients:
-        """Each coefficient times a factor of its own: a wall that is not quite as it was measured."""
+        """Return each coefficient multiplied by its factor, for a wall that differs from its table."""
         return Coefficients(self.k * k, self.f * f, self.mu * mu, self.nu * nu)
 
 
@@ -286,9 +286,9 @@ class Material(Section, frozen=True):
     """Contact coefficients of one material.
 
     Attributes:
-        rigid: with the arms locked; of a vehicle without a lock: as it is.
-        flexible: with the arms free; only a vehicle with a lock needs them.
-        source: where the numbers come from, and whether they are measured or assumed.
+        rigid: with the arms locked; for a vehicle without a lock, in its only state.
+        flexible: with the arms unlocked; required for a vehicle with a lock.
+        source: source of the numbers, measured or assumed.
     """
 
     rigid: Coefficients
@@ -296,7 +296,7 @@ class Material(Section, frozen=True):
     source: str = ""
 
     def of(self, mode: Mode) -> Coefficients:
-        """The coefficients of a mode that the vehicle has; the loader has seen to it that they are there."""
+        """Return the coefficients of a mode that the vehicle has; the loader has checked that they exist."""
         if mode is Mode.RIGID:
             return self.rigid
         assert self.flexible is not None

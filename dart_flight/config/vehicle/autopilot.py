@@ -1,4 +1,4 @@
-"""How to reach the autopilot, and its parameters."""
+"""Connection to the autopilot, and its parameters."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ GainOrZero = Annotated[float, Meta(ge=0.0, le=1000.0)]
 
 
 class ConnectionConfig(Section, frozen=True):
-    """How to reach the autopilot.
+    """Connection to the autopilot.
 
     Attributes:
         url: of MAVSDK, such as serial:///dev/ttyAMA0:921600 or udpin://0.0.0.0:14540.
@@ -28,6 +28,16 @@ class ConnectionConfig(Section, frozen=True):
         problem = link_problem(self.url)
         if problem is not None:
             raise ValueError(f"url {problem}")
+
+
+class GroundStation(Section, frozen=True):
+    """The ground station whose buttons the program obeys (docs/ground_station.md).
+
+    Attributes:
+        system_id: MAVLink system id of the ground station; commands of any other are denied.
+    """
+
+    system_id: Annotated[int, Meta(ge=1, le=255)] = 255
 
 
 class Px4Parameters(Section, frozen=True, rename="upper"):

@@ -1,4 +1,4 @@
-"""The whole configuration of a vehicle: type, places where it is looked for, loading."""
+"""The configuration of a vehicle: its type, its search path and its loading."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from dart_flight.config.retired_keys import leave_out_retired
 from dart_flight.config.section import Section
 from dart_flight.config.settings import apply_changes, apply_settings
 from dart_flight.config.vehicle.airframe import Airframe, Imu, Material, Thrust, effectiveness
-from dart_flight.config.vehicle.autopilot import ConnectionConfig, Px4Parameters
+from dart_flight.config.vehicle.autopilot import ConnectionConfig, GroundStation, Px4Parameters
 from dart_flight.config.vehicle.estimation import Detection, Estimation
 from dart_flight.config.vehicle.flying import Flying, GuardThresholds
 from dart_flight.config.vehicle.lock_config import NO_LOCK, LockConfig, LockDriver
@@ -33,11 +33,11 @@ class VehicleConfig(Section, frozen=True, kw_only=True):
 
     Attributes:
         version: of the format.
-        materials: by name, the contact coefficients in every mode that the vehicle has: k N/m, f N s/m,
-            mu s/m, nu N.
-        onset: lcp: the contact begins by the complementarity condition, as in the paper; touch: not before
-            the wall's plane is reached.
-        vertical_force_sign: of the vertical contact force along Z of the collision frame; -1: up at a wall.
+        materials: contact coefficients by name, for every mode of the vehicle: k N/m, f N s/m, mu s/m, nu N.
+        onset: lcp: the contact begins by the complementarity condition, as in the paper; touch: it begins at
+            the wall's plane.
+        vertical_force_sign: sign of the vertical contact force along Z of the collision frame; -1: up at a
+            wall.
     """
 
     version: Literal[1]
@@ -53,6 +53,7 @@ class VehicleConfig(Section, frozen=True, kw_only=True):
     flying: Flying
     lock: LockConfig | None = None
     connection: ConnectionConfig
+    ground_station: GroundStation = GroundStation()
     mocap: MotionCapture = MotionCapture()
     px4: Px4Parameters
     simulation: Simulation
@@ -64,16 +65,16 @@ class VehicleConfig(Section, frozen=True, kw_only=True):
 
     @property
     def modes(self) -> tuple[Mode, ...]:
-        """The modes that the vehicle has; one of its own is called rigid."""
+        """Modes of the vehicle; the only mode without a lock is called rigid."""
         return tuple(Mode) if self.has_lock else (Mode.RIGID,)
 
     @property
     def lock_driver(self) -> LockDriver | None:
-        """What moves the lock; None: there is none."""
+        """Driver of the lock, or None without a lock."""
         return None if self.lock is None else self.lock.driver
 
     def mode_problem(self, mode: Mode) -> str | None:
-        """Why the vehicle cannot be in a mode, in words; None where it can."""
+        """Return the reason why the vehicle cannot be in a mode, or None if it can."""
         return (
             None
             if mode in self.modes
@@ -81,22 +82,22 @@ class VehicleConfig(Section, frozen=True, kw_only=True):
         )
 
     def hover_thrust_fraction(self) -> float:
-        """Thrust at hover as a fraction of full thrust (what PX4 calls MPC_THR_HOVER)."""
+        """Return the thrust at hover as a fraction of full thrust (PX4's MPC_THR_HOVER)."""
         return self.airframe.mass_kg * GRAVITY_M_S2 / (len(self.airframe.motors) * self.thrust.max_thrust_n)
 
     def to_dict(self) -> dict[str, Any]:
-        """As a configuration file says it: `load_vehicle` makes the same configuration of it."""
+        """Return the configuration as a file; `load_vehicle` restores it."""
         tree: dict[str, Any] = msgspec.to_builtins(self)
         return tree
 
     def replace(self, changes: Mapping[str, Any]) -> VehicleConfig:
-        """Another configuration, with some keys changed and everything validated again.
+        """Return another configuration with some keys changed, and validate everything again.
 
         Args:
-            changes: dotted key to value, such as `{"materials.acrylic.rigid.k": 5000.0}`.
+            changes: value by dotted key, such as `{"materials.acrylic.rigid.k": 5000.0}`.
 
         Raises:
-            InputError: a key is unknown, or a value is of the wrong kind or out of range.
+            InputError: a key is unknown, or a value has the wrong type or is out of range.
         """
         document = Document.of(self.to_dict())
         apply_changes(changes, document)
@@ -104,17 +105,17 @@ class VehicleConfig(Section, frozen=True, kw_only=True):
 
 
 def packaged(*parts: str) -> Path:
-    """A file of `configs/` or `missions/`: from the checkout, else the copy in the installed package.
+    """Return a file of `configs/` or `missions/`, from the checkout or else from the installed package.
 
     Raises:
-        InputError: there is none of that name.
+        InputError: there is no such file.
     """
     copies = Path(str(resources.files("dart_flight").joinpath("data")))
     for root in (Path(__file__).resolve().parents[3], copies):
         path = root.joinpath(*parts)
         if path.exists():
             return path
-        if len(parts) > 1 and path.parent.is_dir():  # beside the installed package is no folder of ours
+        if len(parts) > 1 and path.parent.is_dir():  # an installed package has no such folder beside it
             known = sorted(other.name for other in path.parent.iterdir())
             raise InputError(
                 f"is not a packaged file: {unknown_name(path.name, known)}", source="/".join(parts)
@@ -143,8 +144,8 @@ def default_config_path() -> Path:
         return last[0]
     if any(not _is_as_packaged(path) for path in last):
         names = ", ".join(path.name for path in last)
-        says = f"contains several vehicles ({names}): choose one by --config or $DART_FLIGHT_CONFIG"
-        raise InputError(says, source=str(local.parent))
+        text = f"contains several vehicles ({names}): choose one by --config or $DART_FLIGHT_CONFIG"
+        raise InputError(text, source=str(local.parent))
     return local if local.exists() else packaged("configs", "dart.yaml")
 
 
@@ -160,7 +161,7 @@ def _is_as_packaged(path: Path) -> bool:
 
 
 def base_of(path: Path) -> str | None:
-    """What a configuration extends, as it says it; None: nothing, or it cannot be read."""
+    """Return the name of the configuration that a file extends, or None if none or unreadable."""
     try:
         found = re.search(rf"^{EXTENDS}:\s*([^\s#]+)", read_text(path), re.MULTILINE)
     except InputError:
@@ -174,14 +175,14 @@ def load_vehicle(
     """Load and validate a vehicle configuration.
 
     Args:
-        path: of the file; the default configuration without. Or a mapping of what a file would hold, or a
-            document already read.
+        path: the file, a mapping with the same content, or a parsed document; default: the default
+            configuration.
         settings: `KEY=VALUE` with a dotted key, set before the validation (`config.settings`).
 
-    A file with `extends: FILE` holds only what differs from that one, which lies relative to it.
+    A file with `extends: FILE` contains only its differences from that file, relative to its own folder.
 
     Raises:
-        InputError: as `Document` and `vehicle_of`.
+        InputError: as in `Document` and `vehicle_of`.
     """
     if isinstance(path, Mapping):
         document = Document.of(path)
@@ -195,12 +196,11 @@ def load_vehicle(
 
 
 def vehicle_of(document: Document) -> VehicleConfig:
-    """The configuration that a document holds; a retired key is left out with a warning.
+    """Return the configuration in a document; a retired key is ignored with a warning.
 
     Raises:
-        InputError: a key is unknown or missing, a value is of the wrong kind or out of range; a material
-            lacks a mode that the vehicle has; or the motors cannot carry the mass or turn the vehicle about
-            every axis.
+        InputError: a key is unknown or missing; a value has the wrong type or is out of range; a material
+        lacks a mode of the vehicle; or the motors cannot carry the mass or control every axis.
     """
     leave_out_retired(document)
     lock = document.tree.get("lock")
@@ -209,13 +209,13 @@ def vehicle_of(document: Document) -> VehicleConfig:
     elif isinstance(lock, dict) and "driver" in lock and lock["driver"] not in list(LockDriver):
         given = lock["driver"] if isinstance(lock["driver"], str) else json.dumps(lock["driver"])
         known = ", ".join(driver.value for driver in LockDriver)
-        says = f"{given!r} is not allowed, only: {known}, or {NO_LOCK} for a vehicle without a lock"
-        raise document.error(("lock", "driver"), says)
+        text = f"{given!r} is not allowed, only: {known}, or {NO_LOCK} for a vehicle without a lock"
+        raise document.error(("lock", "driver"), text)
     config = document.convert(VehicleConfig)
     for name, material in config.materials.items():
         if config.has_lock and material.flexible is None:
-            says = "missing key flexible: the vehicle has a lock (lock.driver: none: it has none)"
-            raise document.error(("materials", name), says)
+            text = "missing key flexible: the vehicle has a lock (lock.driver: none: it has none)"
+            raise document.error(("materials", name), text)
     _refuse_unflyable(config, document)
     return config
 
@@ -234,28 +234,28 @@ def _refuse_unflyable(config: VehicleConfig, document: Document) -> None:
         )
     if config.airframe.listed is None:
         return
-    import numpy as np  # noqa: PLC0415  (slow to import, and seldom needed here)
+    import numpy as np  # noqa: PLC0415  slow to import and rarely needed here
 
     turning = np.array(effectiveness(config.airframe.motors))
     if np.linalg.matrix_rank(turning, tol=1e-4) < len(turning):
-        says = "motors are not independent in roll, pitch, yaw and lift: check positions and directions"
-        raise document.error(("airframe", "motors"), says)
+        text = "motors are not independent in roll, pitch, yaw and lift: check positions and directions"
+        raise document.error(("airframe", "motors"), text)
     lift = np.linalg.pinv(turning)[:, 3]
     if lift.min() <= 0.0:
-        says = (
+        text = (
             f"level hover leaves nothing to motor {lift.argmin() + 1}: the centre of mass is not between them"
         )
-        raise document.error(("airframe", "motors"), says)
+        raise document.error(("airframe", "motors"), text)
 
 
 def _with_base(document: Document, seen: tuple[Path, ...] = ()) -> Document:
-    """A configuration's document, what it extends put below it."""
+    """Return a configuration's document, merged over the file that it extends."""
     if EXTENDS not in document.tree:
         return document
     base = document.tree.pop(EXTENDS)
     if not isinstance(base, str):
         raise document.error((EXTENDS,), "expected the name of a configuration file")
-    path = Path(document.source)  # of what is built in Python: in the working folder
+    path = Path(document.source)  # for a document built in Python: the working folder
     seen = (*seen, path.resolve())
     below = path.parent / base
     if below.resolve() in seen:

@@ -1,4 +1,4 @@
-"""The estimate of the external force and the detection of impacts in it."""
+"""Settings of the external-force estimate and of the impact detection."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from dart_flight.config.section import Fraction, Section, Volts
 
 
 class ThrustSource(StrEnum):
-    """What the thrust is computed from; `auto` takes the motors' speed where it comes often enough."""
+    """Source of the thrust; `auto` uses the motor speeds if they arrive often enough."""
 
     AUTO = "auto"
     ESC = "esc"
@@ -23,7 +23,7 @@ class BatteryModel(Section, frozen=True):
 
     Attributes:
         reference_v: battery voltage at which thrust.full_n was calibrated.
-        exponent: 0: the voltage does not matter; `calibrate thrust` fits it.
+        exponent: 0: thrust is independent of the voltage; `calibrate thrust` fits it.
     """
 
     reference_v: Volts
@@ -31,7 +31,7 @@ class BatteryModel(Section, frozen=True):
 
 
 class ArmVibration(Section, frozen=True):
-    """The damped in-plane vibration of the unlocked arms, as the IMU feels it.
+    """Damped in-plane vibration of the unlocked arms, as measured by the IMU.
 
     Attributes:
         frequency_hz: undamped natural frequency.
@@ -45,10 +45,10 @@ class ArmVibration(Section, frozen=True):
 
 
 class WallPrior(Section, frozen=True):
-    """What is believed of a wall before it is met, and when a mode counts as felt (docs/felt.md).
+    """Prior of a wall's coefficients, before a contact (docs/felt.md).
 
     Attributes:
-        spread: standard deviation of k, f, mu and nu of a wall from the table's, relative.
+        spread: relative standard deviation of a wall's k, f, mu and nu from the table.
     """
 
     spread: Annotated[float, Meta(gt=0.0, le=2.0)] = 0.3
@@ -58,16 +58,17 @@ class Estimation(Section, frozen=True, kw_only=True):
     """The estimate of the external force (docs/force.md).
 
     Attributes:
-        thrust_source: where the thrust comes from; auto: esc where it comes often enough, else actuator.
-        thrust_error_n: standard deviation of the whole thrust after calibration.
+        thrust_source: source of the thrust; auto: esc if it arrives often enough, otherwise actuator.
+        thrust_error_n: standard deviation of the total thrust after calibration.
         esc_thrust_n_per_rpm2: one motor's thrust over its speed squared, m g / (sum of rpm^2) at hover; null:
             motor speeds are not used.
-        imu_noise_m_s2: standard deviation of one sample, until it has been measured in flight.
-        baseline_limit_n: largest force that the baseline takes off.
-        arm_vibration: what the IMU feels of the unlocked arms; null: not taken out.
-        walls: what is believed of a wall before it is met.
-        position_drift_m_s: standard deviation of the velocity with which PX4's position drifts where GPS's
-            velocity carries it: what is known of the mission frame between two contacts (docs/anchors.md).
+        imu_noise_m_s2: initial standard deviation of one sample, until it is measured in flight.
+        baseline_limit_n: largest force that the baseline removes.
+        arm_vibration: vibration of the unlocked arms in the IMU; null: not removed.
+        walls: prior of a wall's coefficients.
+        position_drift_m_s: standard deviation of the drift velocity of PX4's position when it relies on GPS
+            velocity; it determines how well the mission frame is known between two contacts
+            (docs/anchors.md).
     """
 
     thrust_source: ThrustSource
@@ -94,21 +95,21 @@ class Estimation(Section, frozen=True, kw_only=True):
 
 
 class ThresholdTest(StrEnum):
-    """How the horizontal force is compared with the threshold."""
+    """Comparison of the horizontal force with the threshold."""
 
     MAGNITUDE = "magnitude"
     PER_AXIS = "per_axis"
 
 
 class Detection(Section, frozen=True):
-    """When a force is an impact.
+    """Criteria for an impact.
 
     Attributes:
-        force_threshold_n: horizontal force, less the baseline, from which on it is an impact.
+        force_threshold_n: horizontal force minus baseline above which an impact is detected.
         threshold_test: magnitude: of the horizontal force; per_axis: the larger of its mission components.
         peak_wait_s: longest wait for the peak after the onset.
         refractory_s: time after a contact in which no new impact is registered.
-        noise_sigma: the threshold is at least this many times the learnt noise of what is compared with it.
+        noise_sigma: the threshold is at least this multiple of the measured noise of the compared force.
     """
 
     force_threshold_n: Annotated[float, Meta(gt=0.0, le=1000.0)]

@@ -1,4 +1,4 @@
-"""How the mission is flown between the contacts, and from where on the guard overrules it."""
+"""Motion between the contacts, and the thresholds at which the guard overrides it."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ class GuardThresholds(Section, frozen=True):
 
     Attributes:
         stream_timeout_s: IMU, attitude or odometry silent for longer: land.
-        tilt_deg: tilted further: land.
+        tilt_deg: tilt above this: land.
         wall_overrun_m: this far behind the wall's plane without a contact: break off.
         retreat_m: distance from the wall that is kept after breaking off.
-        imu_timeout_s: IMU silent for longer while other streams are not: land.
-        battery_remaining: less charge than this share: land.
-        battery_v: lower voltage of the battery: land.
+        imu_timeout_s: only the IMU silent for longer: land.
+        battery_remaining: remaining charge below this share: land.
+        battery_v: battery voltage below this: land.
         kill_after_s: in PX4's land mode and still armed for longer: motors off; null: never.
-        wall_late_s: wall not met this long after the planned impact: break off.
-        wall_early_m: a contact further before the wall's plane is not the planned wall: break off.
-        deadman_s: core thread or event loop hang for longer: the program is killed.
-        telemetry_late_s: samples older than this when they come: do not take off, or land.
-        position_sd_m: standard deviation of the horizontal position by PX4's own estimator: with more a
-            mission with walls does not take off, or lands.
-        position_delay_s: position estimate ahead of the IMU, or behind it, by more: break off; null: not
-            judged.
+        wall_late_s: no contact this long after the planned impact: break off.
+        wall_early_m: a contact more than this before the wall's plane is not the planned wall: break off.
+        deadman_s: core thread or event loop blocked for longer: the program is killed.
+        telemetry_late_s: delay of samples above this: do not take off, or land.
+        position_sd_m: standard deviation of the horizontal position reported by PX4; above this a mission
+            with walls does not take off, or lands.
+        position_delay_s: time by which the position estimate leads or lags the IMU; above this: break off;
+            null: not checked.
     """
 
     stream_timeout_s: Seconds
@@ -48,23 +48,23 @@ class GuardThresholds(Section, frozen=True):
 
 
 class Flying(Section, frozen=True):
-    """How the vehicle flies between the collisions.
+    """Motion of the vehicle between the collisions.
 
     Attributes:
         climb_speed_m_s: largest speed of the climb.
         transit_speed_m_s: largest speed to the run-up point and to the goal.
         acceleration_m_s2: largest acceleration of the reference.
-        jerk_m_s3: largest jerk of the reference; null: it follows from speed and acceleration.
-        yaw_rate_deg_s: largest turning rate of the reference.
-        steady_run_s: constant speed before the wall, so that the velocity is met.
-        setpoint_delay_s: from the stamp of an odometry sample to when the autopilot flies the setpoint that
-            answers it; the reference is taken so much later. null: 0.024 with PX4, none in the embedded
-            simulator.
-        attitude_delay_s: of the time by which thrust is asked for ahead, as much as the attitude's rate loop
-            takes before anything happens. null: 0.05 with PX4, none in the embedded simulator.
+        jerk_m_s3: largest jerk of the reference; null: derived from speed and acceleration.
+        yaw_rate_deg_s: largest yaw rate of the reference.
+        steady_run_s: time at constant speed before the wall, so that the impact velocity is reached.
+        setpoint_delay_s: delay from the stamp of an odometry sample until the autopilot executes the setpoint
+            computed from it; the reference is evaluated this much later. null: 0.024 with PX4, none in the
+            embedded simulator.
+        attitude_delay_s: share of the thrust's lead time that the attitude's rate loop needs before it
+            responds. null: 0.05 with PX4, none in the embedded simulator.
         ready_timeout_s: longest wait for telemetry, offboard mode, arming, the end of climb or transit.
-        replan_within_s: from the end of a contact to the beginning of a trajectory planned in flight; the
-            planner has so long to answer.
+        replan_within_s: time from the end of a contact to the start of a trajectory planned in flight,
+            available to the planner.
     """
 
     climb_speed_m_s: Speed

@@ -1,4 +1,4 @@
-"""The lock: cam, servo, drivers."""
+"""Configuration of the lock: cam, servo and drivers."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ class Cam(Section, frozen=True):
     """Cam of the locking mechanism: l = r_cam - r cos(theta), theta_0 to theta_0 + 90° (paper, eq. 1).
 
     Attributes:
-        r_cam_mm: r_cam of the law, whose l is the translation of the rods.
-        r_mm: r of the law, at most r_cam_mm.
-        theta0_deg: theta_0 of the law: the cam angle where the rods are drawn back.
+        r_cam_mm: r_cam of the equation; its l is the translation of the rods.
+        r_mm: r of the equation, at most r_cam_mm.
+        theta0_deg: theta_0 of the equation: the cam angle with retracted rods.
     """
 
     r_cam_mm: Annotated[float, Meta(gt=0.0, le=200.0)]
     r_mm: Annotated[float, Meta(gt=0.0, le=200.0)]
-    # From 0 to 180° the law has one inverse.
+    # From 0 to 180° the equation has one inverse.
     theta0_deg: Annotated[float, Meta(ge=0.0, le=90.0)]
 
     def __post_init__(self) -> None:
@@ -34,19 +34,19 @@ class Servo(Section, frozen=True):
     """The servo and its calibration: pulse width and cam angle of the two ends, speed, end stops.
 
     Attributes:
-        rigid_pulse_us: at which the arms are locked; `dart-flight lock calibrate` writes it.
-        flexible_pulse_us: at which the arms are free; `dart-flight lock calibrate` writes it.
+        rigid_pulse_us: pulse width with locked arms; `dart-flight lock calibrate` writes it.
+        flexible_pulse_us: pulse width with unlocked arms; `dart-flight lock calibrate` writes it.
         rigid_deg: cam angle at rigid_pulse_us, within the cam's range.
         flexible_deg: cam angle at flexible_pulse_us, within the cam's range.
-        direction: 1: the cam angle grows with the pulse width; -1: it falls.
-        min_pulse_us: shortest pulse that the servo may be given.
-        max_pulse_us: longest pulse that the servo may be given.
-        tolerance_us: a pulse this near to that of an end counts as there.
-        supply_v: of the servo, 4.8 to 6.0 V.
+        direction: 1: the cam angle increases with the pulse width; -1: it decreases.
+        min_pulse_us: shortest allowed pulse.
+        max_pulse_us: longest allowed pulse.
+        tolerance_us: largest difference from an end's pulse that counts as at the end.
+        supply_v: supply voltage of the servo, 4.8 to 6.0 V.
         s_per_60deg_at_4v8: time for 60 degrees at 4.8 V, s.
         s_per_60deg_at_6v0: time for 60 degrees at 6.0 V, s.
         settle_margin_s: added to the travel time before the lock counts as settled.
-        travel_s: measured time of the full travel, instead of the two above; null: not measured.
+        travel_s: measured time of the full travel, which replaces the two above; null: not measured.
     """
 
     rigid_pulse_us: Annotated[float, Meta(gt=0.0, le=5000.0)]
@@ -86,17 +86,17 @@ class Servo(Section, frozen=True):
             )
 
     def pulse_us(self, mode: Mode) -> float:
-        """Calibrated pulse width of a mode's end."""
+        """Return the calibrated pulse width of a mode's end."""
         return self.rigid_pulse_us if mode is Mode.RIGID else self.flexible_pulse_us
 
     @property
     def us_per_deg(self) -> float:
-        """Pulse width per degree of cam angle, positive; from the two points."""
+        """Pulse width per degree of cam angle, positive; from the two ends."""
         return abs(self.rigid_pulse_us - self.flexible_pulse_us) / abs(self.rigid_deg - self.flexible_deg)
 
     @property
     def s_per_deg(self) -> float:
-        """Seconds per degree: the measured full travel, else the catalogue interpolated by supply voltage."""
+        """Seconds per degree: from the measured travel, or from the catalogue by supply voltage."""
         if self.travel_s is not None:
             return self.travel_s / abs(self.rigid_deg - self.flexible_deg)
         share = (self.supply_v - 4.8) / (6.0 - 4.8)
@@ -104,20 +104,20 @@ class Servo(Section, frozen=True):
 
     @property
     def full_travel_s(self) -> float:
-        """Seconds from one mode's end to the other's, without margin."""
+        """Travel time between the two ends, seconds, without margin."""
         return self.s_per_deg * abs(self.rigid_deg - self.flexible_deg)
 
 
 class DriverSection(Section, frozen=True):
-    """Base of the section that has a driver's name and is judged where that driver is chosen."""
+    """Base of a driver's section, which is checked where the driver is chosen."""
 
     @property
     def ramp_us_s(self) -> float | None:
-        """Speed limit of the pulse width itself in us/s, where the driver has one."""
+        """Speed limit of the pulse width, us/s, or None if the driver has none."""
         return None
 
     def refuse_servo(self, servo: Servo) -> None:
-        """Raises ValueError: the driver cannot move the servo to both ends."""
+        """Raise ValueError if the driver cannot move the servo to both ends."""
 
 
 class Maestro(DriverSection, frozen=True):
@@ -125,9 +125,9 @@ class Maestro(DriverSection, frozen=True):
 
     Attributes:
         port: serial port, such as /dev/ttyACM0.
-        channel: of the controller, to which the servo is connected.
-        baud: of the serial line.
-        speed_limit_us_s: limit of the pulse's change, a multiple of 25; 0: none.
+        channel: channel of the controller that the servo is connected to.
+        baud: baud rate of the serial line.
+        speed_limit_us_s: speed limit of the pulse width, a multiple of 25; 0: none.
         reply_timeout_s: longest wait for a reply of the controller.
     """
 
@@ -145,7 +145,7 @@ class Maestro(DriverSection, frozen=True):
 
     @property
     def ramp_us_s(self) -> float | None:
-        """Speed limit of the pulse width in us/s, where there is one."""
+        """Speed limit of the pulse width, us/s, or None."""
         return self.speed_limit_us_s or None
 
 
@@ -153,10 +153,10 @@ class Pwm(DriverSection, frozen=True):
     """Hardware PWM of the Raspberry Pi through sysfs, for the driver pwm.
 
     Attributes:
-        sysfs_dir: where the kernel shows its PWM chips.
+        sysfs_dir: folder of the kernel's PWM chips.
         chip: number N of pwmchipN; null: the Raspberry Pi's own chip, whose number depends on the kernel.
         channel: channel of the servo on the chip; null: the channel of GPIO 18.
-        period_us: of the pulses.
+        period_us: period of the pulses.
     """
 
     sysfs_dir: str
@@ -165,7 +165,7 @@ class Pwm(DriverSection, frozen=True):
     period_us: Annotated[float, Meta(ge=2_500.0, le=50_000.0)]
 
     def refuse_servo(self, servo: Servo) -> None:
-        """Raises ValueError: the longest pulse is longer than the servo's frame."""
+        """Raise ValueError if the longest pulse exceeds the servo's frame."""
         if servo.max_pulse_us >= self.period_us:
             raise ValueError(
                 f"servo.max_pulse_us must be below pwm.period_us {self.period_us:g}, the servo's frame"
@@ -176,9 +176,9 @@ class Px4Output(DriverSection, frozen=True):
     """PX4's own servo output through `set_actuator`, for the driver px4.
 
     Attributes:
-        actuator_index: of PX4's output function "Peripheral via Actuator Set", 1 to 6.
-        bank: of the pin to which the servo is connected.
-        pin: number in its bank.
+        actuator_index: index of PX4's output function "Peripheral via Actuator Set", 1 to 6.
+        bank: bank of the pin that the servo is connected to.
+        pin: number of the pin in its bank.
         timer: number of the pin's timer group, which must run at 50 Hz (`PWM_<bank>_TIM<timer>`).
         min_pulse_us: pulse of the actuator value -1, `PWM_<bank>_MIN<pin>`.
         max_pulse_us: pulse of the actuator value 1, `PWM_<bank>_MAX<pin>`.
@@ -188,12 +188,12 @@ class Px4Output(DriverSection, frozen=True):
     bank: Literal["MAIN", "AUX"]
     pin: Annotated[int, Meta(ge=1, le=16)]
     timer: Annotated[int, Meta(ge=0, le=7)]
-    # The ranges are what PX4 allows for the two parameters.
+    # PX4's allowed ranges of the two parameters.
     min_pulse_us: Annotated[float, Meta(ge=800.0, le=1400.0)]
     max_pulse_us: Annotated[float, Meta(ge=1600.0, le=2200.0)]
 
     def refuse_servo(self, servo: Servo) -> None:
-        """Raises ValueError: an end is outside PX4's output range."""
+        """Raise ValueError if an end is outside PX4's output range."""
         for name in ("rigid_pulse_us", "flexible_pulse_us"):
             if not self.min_pulse_us <= getattr(servo, name) <= self.max_pulse_us:
                 raise ValueError(
@@ -207,8 +207,8 @@ class LimitSwitch(Section, frozen=True):
 
     Attributes:
         chip: GPIO chip, such as /dev/gpiochip0.
-        rigid_line: of the switch at the rigid end; null: none.
-        flexible_line: of the switch at the flexible end; null: none.
+        rigid_line: line of the switch at the rigid end; null: none.
+        flexible_line: line of the switch at the flexible end; null: none.
         active_low: whether a closed switch pulls its line to ground.
     """
 
@@ -225,7 +225,7 @@ class LimitSwitch(Section, frozen=True):
 
 
 class LockDriver(StrEnum):
-    """What moves the servo."""
+    """Drivers of the servo."""
 
     MAESTRO = "maestro"
     PWM = "pwm"
@@ -234,27 +234,30 @@ class LockDriver(StrEnum):
 
 
 class LockStartup(StrEnum):
-    """What the lock does when the program starts: move to a known end, or go by what it finds."""
+    """Action of the lock at program start: home to a known end, or adopt the present one."""
 
     HOME = "home"
     ADOPT = "adopt"
 
 
-NO_LOCK = "none"  # as the driver: the vehicle has no lock, and the section's other keys mean nothing
+NO_LOCK = "none"  # value of the driver for a vehicle without a lock; the other keys are then ignored
 
 
 class LockConfig(Section, frozen=True):
-    """The locking mechanism (docs/lock.md); without the section, or with driver none, there is none.
+    """The locking mechanism (docs/lock.md); without this section, or with driver none, there is no lock.
 
     Attributes:
-        driver: what moves the servo; mock: a modelled servo; none: there is no lock, other keys are ignored.
-        startup: home: move to home_mode; adopt: go by what is found.
+        driver: driver of the servo; mock: a modelled servo; none: there is no lock, and other keys are
+            ignored.
+        startup: home: move to home_mode; adopt: use the present position.
         home_mode: end to which `home` moves.
-        relaxation_s: time after a contact before the lock may move: the arms spring back first.
-        timeout_s: a travel that takes longer is a fault, and so is a limit switch not read for longer.
-        debounce_s: a switch or a lost pulse counts after this long.
+        relaxation_s: time after a contact before the lock may move, in which the arms spring back.
+        timeout_s: limit of a travel, and of the time without a reading of a limit switch; beyond it the lock
+            is in fault.
+        debounce_s: time after which a switch or a lost pulse counts.
         limit_switch: {chip: /dev/gpiochip0, rigid_line: 23, flexible_line: 24, active_low: true}, or one of
-            the two lines; null: none, a travel is over after its time.
+            the two lines; null: none, and a travel ends by time.
+        rc_channel: RC channel of a switch that moves the lock in standby, high is rigid; null: none.
     """
 
     driver: LockDriver
@@ -269,6 +272,7 @@ class LockConfig(Section, frozen=True):
     pwm: Pwm
     px4: Px4Output
     limit_switch: LimitSwitch | None = None
+    rc_channel: Annotated[int, Meta(ge=1, le=18)] | None = None
 
     def __post_init__(self) -> None:
         servo, theta0 = self.servo, self.cam.theta0_deg
@@ -298,18 +302,18 @@ class LockConfig(Section, frozen=True):
 
     @property
     def driver_section(self) -> DriverSection | None:
-        """The section of the chosen driver, where it has one."""
+        """Section of the chosen driver, or None."""
         section: DriverSection | None = getattr(self, self.driver.value, None)
         return section
 
     @property
     def ramp_us_s(self) -> float | None:
-        """Speed limit of the pulse width itself in us/s, where the driver has one."""
+        """Speed limit of the pulse width, us/s, or None if the driver has none."""
         return None if self.driver_section is None else self.driver_section.ramp_us_s
 
     @property
     def switch_time_s(self) -> float:
-        """Seconds from the driver's taking the command to `settled`: travel, speed limit and margin."""
+        """Seconds from the driver's acceptance of a command to `settled`: travel, speed limit and margin."""
         travel, servo = self.servo.full_travel_s, self.servo
         if self.ramp_us_s is not None:
             travel = max(travel, abs(servo.rigid_pulse_us - servo.flexible_pulse_us) / self.ramp_us_s)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Literal
 
 from msgspec import Meta
 
+from dart_flight.base.geometry import RoomFrame
 from dart_flight.config.section import Section
 
 _Offset = Annotated[float, Meta(ge=-1.0, le=1.0)]
@@ -31,3 +33,12 @@ class MotionCapture(Section, frozen=True):
     body_offset_m: tuple[_Offset, _Offset, _Offset] = (0.0, 0.0, 0.0)
     body_yaw_deg: Annotated[float, Meta(ge=-360.0, le=360.0)] = 0.0
     delay_ms: Annotated[float, Meta(ge=0.0, le=300.0)] | None = None
+
+    def measured_parameters(self) -> dict[str, float]:
+        """Return the PX4 parameters that have been measured, by name."""
+        return {} if self.delay_ms is None else {"EKF2_EV_DELAY": self.delay_ms}
+
+    def room_frame(self) -> RoomFrame:
+        """Return the conversion between the room's axes and PX4's local NED."""
+        heading, body_yaw = math.radians(self.heading_deg), math.radians(self.body_yaw_deg)
+        return RoomFrame(self.up == "y", heading, self.body_offset_m, body_yaw)

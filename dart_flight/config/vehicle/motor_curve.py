@@ -1,18 +1,18 @@
-"""Steady thrust of one motor over its command, and back: the curve of `thrust:` that has two numbers.
+"""The thrust curve of one motor with two numbers: thrust over command, and its inverse.
 
-In a module of its own because it is compiled (docs/speed.md): the simulated vehicle asks for every motor,
-every millisecond.
+It is a separate module because it is compiled (docs/speed.md): the simulated vehicle evaluates it for every
+motor, every millisecond.
 """
 
 from __future__ import annotations
 
 from typing import Final
 
-_LINEAR: Final = 1e-6  # a smaller share of the square term is none
+_LINEAR: Final = 1e-6  # smaller shares of the square term count as none
 
 
 class MotorCurve:
-    """full_n * (square u^2 + (1 - square) u), u the command from 0 to 1.
+    """The curve full_n * (square u^2 + (1 - square) u) with the command u from 0 to 1.
 
     Args:
         full_n: thrust at full command.
@@ -23,12 +23,12 @@ class MotorCurve:
         self._full_n, self._square, self._linear = full_n, square, 1.0 - square
 
     def force_n(self, command: float) -> float:
-        """Steady thrust in newton; commands beyond the range count as its ends."""
+        """Return the steady thrust in newton; commands outside the range are clipped."""
         u = 0.0 if command < 0.0 else 1.0 if command > 1.0 else command
         return self._full_n * (self._square * u * u + self._linear * u)
 
     def command_for(self, force_n: float) -> float:
-        """The command that gives a steady thrust; saturates."""
+        """Return the command for a steady thrust; it saturates."""
         share = max(0.0, min(1.0, force_n / self._full_n))
         a, b = self._square, self._linear
         if a < _LINEAR:

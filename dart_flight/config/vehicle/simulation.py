@@ -1,4 +1,4 @@
-"""What only the simulated vehicle needs."""
+"""Settings of the simulated vehicle."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Lever = Annotated[float, Meta(ge=-1.0, le=1.0)]
 
 
 class BodyModel(StrEnum):
-    """What of the simulated vehicle touches a wall."""
+    """Part of the simulated vehicle that touches a wall."""
 
     POINT = "point"
     GUARDS = "guards"
@@ -25,17 +25,17 @@ class ContactBody(Section, frozen=True):
     """The simulated vehicle as a body that touches walls.
 
     Attributes:
-        body: point: the centre of mass, as in the paper's equations; guards: two guard points a side.
+        body: point: the centre of mass, as in the paper's equations; guards: two guard points per side.
         guard_out_m: from the centre of mass to the guards' plane.
         guard_along_m: from the middle of a side to either of its guards.
-        guard_height_m: of the guards above the centre of mass.
+        guard_height_m: height of the guards above the centre of mass.
         friction_lever_share: share of the guards' lever at which friction acts; 0: through the centre of
             mass, 1: at the guards.
-        vertical_lever_m: how far outside of the centre of mass the vertical force acts.
-        fold_share: share of a guard's penetration by which its free arm swings back, its motor with it; 0:
-            motors stay where they are.
-        scatter: standard deviation of the coefficients from hit to hit, relative.
-        half_engaged: the rods stop half-way: the arms are neither locked nor free.
+        vertical_lever_m: distance from the centre of mass, outwards, at which the vertical force acts.
+        fold_share: share of a guard's penetration by which its unlocked arm swings back with its motor; 0:
+            motors do not move.
+        scatter: relative standard deviation of the coefficients between impacts.
+        half_engaged: whether the rods stop half-way, so that the arms are neither locked nor unlocked.
     """
 
     body: BodyModel = BodyModel.GUARDS
@@ -50,13 +50,13 @@ class ContactBody(Section, frozen=True):
 
 
 class ImuRinging(Section, frozen=True):
-    """What turning motors and the frame shake into the accelerometer, per axis of the reported sample, RMS.
+    """Vibration of motors and frame in the accelerometer, per axis of the reported sample, RMS.
 
     Attributes:
-        white_m_s2: without any colour, beside imu_noise_m_s2.
-        tone_m_s2: of one tone.
-        tone_hz_low: the tone wanders from here ...
-        tone_hz_high: ... to here, over seconds.
+        white_m_s2: white noise, in addition to imu_noise_m_s2.
+        tone_m_s2: amplitude of one tone.
+        tone_hz_low: lower end of the range in which the tone drifts, over seconds.
+        tone_hz_high: upper end of that range.
     """
 
     white_m_s2: Annotated[float, Meta(ge=0.0, le=50.0)] = 0.0
@@ -70,26 +70,26 @@ class ImuRinging(Section, frozen=True):
 
 
 class Simulation(Section, frozen=True, kw_only=True):
-    """What only the simulated vehicle needs.
+    """Settings of the simulated vehicle.
 
     Attributes:
         imu_noise_m_s2: standard deviation of one accelerometer sample, per axis.
-        pose_rate_hz: of the motion capture.
-        pose_delay_s: of the motion capture.
-        arm_vibration: of the unlocked arms, as the simulated IMU feels it; null: none.
+        pose_rate_hz: rate of the motion capture.
+        pose_delay_s: delay of the motion capture.
+        arm_vibration: vibration of the unlocked arms in the simulated IMU; null: none.
         ground_stiffness_n_m: of the ground under a resting vehicle.
         ground_damping_n_s_m: of the ground under a resting vehicle.
-        battery_v: voltage that is reported.
-        wind_north_east_m_s: [north, east], steady; where the air goes to.
-        gust_m_s: standard deviation of gusts beside the steady wind, per axis.
+        battery_v: reported voltage.
+        wind_north_east_m_s: [north, east], steady; direction in which the air moves.
+        gust_m_s: standard deviation of gusts in addition to the steady wind, per axis.
         contact: the vehicle as a body that touches walls.
-        imu_ringing: what motors and frame shake into the accelerometer while the motors turn; null: nothing.
-        imu_position_m: [forward, right, down] of the centre of mass, where the IMU really is.
-        replan_latency_s: from a request to plan anew to its answer, where time is simulated.
-        position_from: where the embedded autopilot has its position from: mocap: motion capture; rtk, plain:
-            a GPS receiver with or without corrections. A real PX4 has options for it.
-        operator_s: from the beginning of a pause to the operator's word, where time is simulated; null: there
-            is none, the pause runs out.
+        imu_ringing: vibration in the accelerometer while the motors turn; null: none.
+        imu_position_m: [forward, right, down] of the centre of mass, true position of the IMU.
+        replan_latency_s: time from a replanning request to its answer, in simulated time.
+        position_from: position source of the embedded autopilot: mocap: motion capture; rtk, plain: a GPS
+            receiver with or without corrections. A real PX4 has options for it.
+        operator_s: time from the beginning of a pause until the operator continues, in simulated time; null:
+            no response, the pause times out.
     """
 
     imu_noise_m_s2: Annotated[float, Meta(ge=0.0, le=50.0)]

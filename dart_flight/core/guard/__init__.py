@@ -1,1 +1,1 @@
-"""What is allowed: the rules, and the flying once one has fired."""
+"""The guard: rules that limit the mission, and the flight after one has fired."""

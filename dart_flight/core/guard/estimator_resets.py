@@ -1,6 +1,6 @@
 """Resets of PX4's estimator, from ODOMETRY's counter and the steps of position, velocity and heading.
 
-The guard judges the newest reset; the verdict lists all resets.
+The guard evaluates the newest reset; the verdict lists all resets.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from dart_flight.base.records import AttitudeSample, ImuSample, OdometrySample
 from dart_flight.core.guard.heading_step import HeadingStep
 
 REACH_US: Final = 100_000  # a step this close to the counter's step belongs to the reset
-_JUMP_REACH_US: Final = 100_000  # a longer gap between odometry samples shows no jump
+_JUMP_REACH_US: Final = 100_000  # no jump is detected across a longer gap between odometry samples
 _STEPS: Final = 16  # odometry samples, covering more than `REACH_US`
 
 

@@ -1,6 +1,6 @@
-"""PX4's estimator as the guard judges it: jumps, resets, steps of the heading, and its own flags.
+"""The guard's monitoring of PX4's estimator: jumps, resets, heading steps, and its own flags.
 
-A contact disturbs the estimator; for a while after an impact only the heading is judged.
+A contact disturbs the estimator. For a while after an impact only the heading is evaluated.
 """
 
 from __future__ import annotations
@@ -21,20 +21,20 @@ from dart_flight.core.guard.rule import Judge, Rule, Scope
 from dart_flight.core.guard.second_vehicle import POSITION_JUMP_M
 from dart_flight.core.mission.phases import ON_GROUND
 
-VELOCITY_JUMP_M_S: Final = 1.5  # between two samples: no manoeuvre is so quick, only a contact
-# A reset with a smaller step is of the heading alone, as when PX4 aligns it in flight.
+VELOCITY_JUMP_M_S: Final = 1.5  # between two samples: only a contact is that fast
+# A reset with smaller steps concerns the heading alone, as when PX4 aligns it in flight.
 RESET_POSITION_M: Final = 0.05
 RESET_VELOCITY_M_S: Final = 0.2
-ESTIMATOR_BAD_S: Final = 0.3  # PX4 calls its position invalid for a moment when a source is switched
+ESTIMATOR_BAD_S: Final = 0.3  # PX4's position is invalid for a moment when it switches sources
 # PX4 may align its heading in the climb if it had none on the ground.
 _ALIGNING: Final = frozenset((*ON_GROUND, Phase.CLIMB))
 
 
 class EstimatorWatch:
-    """What PX4's estimator has done in one flight.
+    """Behaviour of PX4's estimator in one flight.
 
     Attributes:
-        jump: what was wrong with this step's odometry, as text; empty if nothing was.
+        jump: problem of this step's odometry, as text; empty if none.
         resets: detector of the resets.
     """
 
@@ -48,11 +48,11 @@ class EstimatorWatch:
         self._invalid_since_us: int | None = None
 
     def begin(self, now_us: int, excused: bool) -> None:
-        """Begin a step; `excused` says whether an impact explains what the estimator does."""
+        """Begin a step; `excused` states whether an impact explains the estimator's behaviour."""
         self.jump, self._now_us, self._excused = "", now_us, excused
 
     def take_odometry(self, item: OdometrySample) -> None:
-        """Take a position that the flight state has accepted."""
+        """Process a position that the flight state has accepted."""
         away_m, faster_m_s = self.resets.take_odometry(item)
         if self._excused:
             return
@@ -62,12 +62,12 @@ class EstimatorWatch:
             self.jump = f"velocity by {faster_m_s:.2f} m/s"
 
     def refuse_odometry(self, item: OdometrySample) -> None:
-        """Take a position that cannot be."""
+        """Process an implausible position."""
         away_m, fast_m_s = norm(item.position_ned), norm(item.velocity_ned)
         self.jump = f"implausible: {away_m:.3g} m from the origin at {fast_m_s:.3g} m/s"
 
     def take_report(self, item: EstimatorSample, phase: Phase) -> None:
-        """Take the reset counter and the estimator's own judgement."""
+        """Process the reset counter and the estimator's own flags."""
         if item.reset_counter is not None and self.resets.take_counter(item.reset_counter, self._now_us):
             self._reset_phase = phase
         if item.healthy is not None:
@@ -77,7 +77,7 @@ class EstimatorWatch:
         """Finish a step; `position_ok` is PX4's flag in the slow state."""
         if (position_ok and not self._unhealthy) or self._excused:
             self._invalid_since_us = None
-        elif self._invalid_since_us is None and self._now_us:  # 0: nothing with a stamp has come yet
+        elif self._invalid_since_us is None and self._now_us:  # 0: no stamped sample has arrived yet
             self._invalid_since_us = self._now_us
 
     def _reset_within(self, reach_us: int) -> EstimatorReset | None:
@@ -102,7 +102,7 @@ class EstimatorWatch:
         return f"by {step_deg:.1f} deg, {limit:.0f} deg allowed" if abs(step_deg) > limit else None
 
     def invalid_estimate(self) -> str | None:
-        """Return how long the estimator has called its position invalid, as text."""
+        """Return for how long the estimator has reported an invalid position, as text."""
         since_us = self._invalid_since_us
         lasting_s = 0.0 if since_us is None else (self._now_us - since_us) * 1e-6
         return f"no valid estimate for {lasting_s:.1f} s" if lasting_s > ESTIMATOR_BAD_S else None

@@ -27,7 +27,7 @@ class FailsafeEvidence:
     """PX4's announcements of the last 3 s; all times are autopilot time in microseconds."""
 
     def __init__(self) -> None:
-        self._rank, self._words, self._said_us = 0, "", 0
+        self._rank, self._words, self._text_us = 0, "", 0
         self._termination, self._terminated_us = "", 0
 
     def take_text(self, item: StatusText, now_us: int) -> None:
@@ -41,7 +41,7 @@ class FailsafeEvidence:
             self._termination, self._terminated_us = words, now_us
         rank = _rank_of(text, item.event)
         if rank and rank >= self._rank_at(now_us):
-            self._rank, self._words, self._said_us = rank, words, now_us
+            self._rank, self._words, self._text_us = rank, words, now_us
 
     def is_mentioned(self, now_us: int) -> bool:
         """Return whether PX4 has mentioned a failsafe, so that PX4 itself has changed the mode."""
@@ -65,7 +65,7 @@ class FailsafeEvidence:
         return self._words if self._rank_at(now_us) else ""
 
     def _rank_at(self, now_us: int) -> int:
-        return self._rank if now_us - self._said_us < _MEMORY_US else 0
+        return self._rank if now_us - self._text_us < _MEMORY_US else 0
 
 
 def in_failsafe(status: SystemStatus) -> bool:

@@ -1,8 +1,8 @@
-"""What the guard's rules look at: the flight state, and the little that has to be remembered between samples.
+"""The conditions that the guard's rules evaluate: the flight state, and the history that they need.
 
-`observe` is called once per step, before the rules. Memories are kept in the autopilot's stamps where a
-stream has them, so that a simulator at several times real time is judged as real time is; silence alone is
-judged by host time.
+`observe` is called once per step, before the rules. Durations use the autopilot's stamps where a stream has
+them, so a simulator at several times real time is treated like real time. Only silence is measured in host
+time.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from dart_flight.base.records import (
     OperatorRequest,
     OtherVehicle,
     Phase,
+    PoseSample,
     Request,
     RoundTrip,
     StatusSample,
@@ -32,96 +33,103 @@ from dart_flight.base.records import (
 from dart_flight.config.mission import Mission
 from dart_flight.core.guard.estimator_watch import EstimatorWatch
 from dart_flight.core.guard.failsafe import FailsafeEvidence, in_failsafe
+from dart_flight.core.guard.pose_watch import PoseWatch
 from dart_flight.core.guard.second_vehicle import OtherVehicles
 from dart_flight.core.guard.stream_watch import Stamped, StreamWatch
 from dart_flight.core.mission.position_loop import STOP_TIME_S, stop_share
 from dart_flight.core.sense.senses import IMPACT_WINDOW_S, Sensed
 from dart_flight.core.sense.state import FlightState
 
-_DOUBT_US: Final = 100_000  # host time; another vehicle's samples come within this of its mode
+_DOUBT_US: Final = 100_000  # host time; the first sample of another vehicle follows its mode within this time
 _CLIP_SHARE: Final = 0.99
-_FALLING_M_S2: Final = 4.9  # half of what carries the vehicle
-_SURELY_DOWN: Final = 3.0  # times the way down from the top of the flight space
-_PAUSE_US: Final = 40_000  # host time goes on by 20 ms at most, by ticks: after more this program did not run
+_FALLING_M_S2: Final = 4.9  # half of hover
+_SURELY_DOWN: Final = 3.0  # factor on the time of descent from the top of the flight space
+_PAUSE_US: Final = 40_000  # a longer gap between the ticks, 20 ms of host time, is a pause of this program
 _PAUSE_MEMORY_US: Final = 3_000_000
 
 
 class FlightConditions:
-    """One flight as the rules see it."""
+    """The conditions of one flight that the rules evaluate."""
 
     def __init__(self, mission: Mission) -> None:
         self.mission = mission
         self.config = mission.vehicle.guard
         self.phase = Phase.READYING
-        self.state = FlightState()  # replaced by the core's at the first step
+        self.state = FlightState()  # replaced by the core's state at the first step
         self.force: ForceEstimate | None = None  # of this step
         self.request: OperatorRequest | None = None  # of this step
         self.thrust_ratio: float | None = None  # over the last seconds of free flight
         self.land_asked = False
         self.was_offboard = False
         self.was_armed = False
-        self.was_inside = False  # has been above the floor of the flight space
+        self.was_inside = False  # whether the vehicle has been above the floor of the flight space
         self.impact: ImpactOnset | None = None  # the newest
         self.stuck_since_us: int | None = None
         self.clipped_since_us: int | None = None
         self.battery_low_since_us: int | None = None
-        self.falling_since_us: int | None = None  # motors stopped, and next to nothing carries the vehicle
-        # In land mode and armed: autopilot's and host's time.
+        self.falling_since_us: int | None = None  # motors stopped and close to free fall
+        # In land mode and armed: autopilot time and host time.
         self._landing_since_us: tuple[int, int] | None = None
         self.streams = StreamWatch(self.config)
         self.estimator = EstimatorWatch()
         self.others = OtherVehicles()
-        self._left_since_us: int | None = None  # host time since when the mode says that offboard was left
+        mocap = mission.vehicle.mocap
+        self.poses = None if mocap.url is None else PoseWatch(mocap)
+        self._left_since_us: int | None = None  # host time since which the mode is not offboard
         self._failsafe = FailsafeEvidence()
-        self._seen_us = 0  # host time at the step before
-        self._pause_us = self._paused_us = 0  # longest pause of this program lately, and its end
+        self._stepped_us = 0  # host time at the previous step
+        self._pause_us = self._paused_us = 0  # longest recent pause of this program, and its end
         self.surely_down_s = self._surely_down_s()
         self._full_scale = _CLIP_SHARE * mission.vehicle.imu.full_scale_m_s2
         self._imu: ImuSample | None = None
 
     def observe(self, item: Input, state: FlightState, sensed: Sensed, phase: Phase) -> None:
-        """Take the step's input, which has gone into `state`, and what it has taught."""
+        """Process the step's input, which has updated `state`, and its results."""
         self.state, self.phase, self.force = state, phase, sensed.estimate
         self.request = item if isinstance(item, OperatorRequest) else None
         self.thrust_ratio = sensed.thrust_ratio or self.thrust_ratio
         for event in sensed.impacts:
             if isinstance(event, ImpactOnset):
-                # For a while the contact explains what estimator and altitude do.
+                # for a while the contact explains the behaviour of estimator and altitude
                 self.impact = event
         self.streams.state = state
         self.estimator.begin(state.now_us, self.just_after_impact)
         host_us = state.host_us
-        if host_us - self._seen_us > _PAUSE_US and self._seen_us:
-            self._see_pause(host_us)
-        self._seen_us = host_us
+        if host_us - self._stepped_us > _PAUSE_US and self._stepped_us:
+            self._record_pause(host_us)
+        self._stepped_us = host_us
+        if self.poses is not None:
+            self.poses.tick(host_us)
         if isinstance(item, ImuSample):
-            self._take_stamp("imu", item, state.imu)
+            self._handle_stamp("imu", item, state.imu)
             if item is state.imu:
                 self.estimator.resets.take_imu(item)
-                self._take_imu(item)
+                self._handle_imu(item)
             self.streams.delay.take_sample(item.t_us, item.received_us)
         elif isinstance(item, AttitudeSample):
-            self._take_stamp("attitude", item, state.attitude)
+            self._handle_stamp("attitude", item, state.attitude)
             if item is state.attitude:
                 self.estimator.resets.take_attitude(item)
         elif isinstance(item, OdometrySample):
-            self._take_odometry(item)
+            self._handle_odometry(item)
         elif isinstance(item, ActuatorSample):
-            self._take_stamp("actuator", item, state.actuator)
-            self._take_motors(item)
+            self._handle_stamp("actuator", item, state.actuator)
+            self._handle_motors(item)
         elif isinstance(item, EstimatorSample):
             self.estimator.take_report(item, phase)
         elif isinstance(item, StatusSample):
-            self._take_status(item)
+            self._handle_status(item)
         elif isinstance(item, RoundTrip):
             self.streams.delay.take_round_trip(item)
         elif isinstance(item, OtherVehicle):
             self.others.take_system(item.system)
+        elif isinstance(item, PoseSample) and self.poses is not None:
+            self.poses.take(item, state, phase)
         elif isinstance(item, StatusText) and not item.found_here:
             self._failsafe.take_text(item, state.now_us)
         self.estimator.finish(state.status.local_position_ok)
 
-    # -- what rules ask --
+    # -- conditions for the rules --
 
     def is_asked(self, request: Request) -> bool:
         """Return whether the operator requests this in this step."""
@@ -129,7 +137,7 @@ class FlightConditions:
 
     @property
     def circumstances(self) -> str:
-        """What else is known where a stream fails, to be appended; empty where nothing is."""
+        """Further findings to append when a stream fails, or an empty string."""
         other = self.others.other_system
         known = f"; {other}" if other is not None else ""
         if self._pause_us and self.state.host_us - self._paused_us < _PAUSE_MEMORY_US:
@@ -140,7 +148,7 @@ class FlightConditions:
 
     @property
     def just_after_impact(self) -> bool:
-        """Shortly after an impact: what the contact does to estimator and altitude is no fault."""
+        """Whether an impact is recent, so that its effects on estimator and altitude are no fault."""
         return self.impact is not None and self.state.now_us - self.impact.t_us < IMPACT_WINDOW_S * 1e6
 
     @property
@@ -183,7 +191,7 @@ class FlightConditions:
     def unrequested_mode(self) -> FlightMode | None:
         """The flight mode, once PX4 has left offboard without being asked to."""
         mode = self._mode_left_to
-        # The modes of two vehicles come in turn; sticks are a pilot's, and from then on nothing is sent.
+        # Another vehicle's mode may alternate with this one's; after sticks, nothing is sent in any case.
         if (
             mode is not None
             and mode is not FlightMode.MANUAL
@@ -196,8 +204,8 @@ class FlightConditions:
     def mode_change_unexplained(self) -> bool:
         """Whether PX4 seems to have left offboard a moment ago, by itself or by a pilot's switch.
 
-        It may be the mode of another vehicle, whose first sample is still to come: until then nothing is
-        decided, and nothing is sent. What PX4 has announced, or a gap explains, is in no doubt.
+        The mode may belong to another vehicle whose first sample has not arrived. Until then nothing is
+        decided and nothing is sent. A mode change that PX4 has announced, or that a gap explains, is certain.
         """
         if self._left_since_us is None or self.failsafe_said or self.streams.was_cut_off:
             return False
@@ -215,27 +223,28 @@ class FlightConditions:
 
     @property
     def status_unreliable(self) -> bool:
-        """Whether the slow state may be another vehicle's: there is one, or the last moments look like it."""
+        """Whether the slow state may be another vehicle's, because one is detected or suspected."""
         return self.others.is_suspected(self.streams.host_us)
 
     def lasting_s(self, since_us: int | None) -> float:
-        """How long something has been going on, autopilot time, seconds; 0 where it is not."""
+        """Return how long a condition has lasted, autopilot time, seconds; 0 if it does not hold."""
         return 0.0 if since_us is None else (self.state.now_us - since_us) * 1e-6
 
     def stop_excess_m(self) -> float:
-        """How far outside of the bounds the vehicle would stop if told so now; a wall stops it earlier."""
+        """Return the distance outside the bounds at which the vehicle would stop now, metres."""
         (x, y, _), (vx, vy, _) = self.state.position, self.state.velocity
         bounds = self.mission.bounds
         if bounds.excess2((x + STOP_TIME_S * vx, y + STOP_TIME_S * vy)) <= 0.0:
-            return 0.0  # the bounds are convex: then no earlier point lies outside either
+            return 0.0  # the bounds are convex, so no earlier point lies outside
         stop_s = STOP_TIME_S * stop_share(self.mission.walls, (x, y), (vx, vy))
         return bounds.excess2((x + stop_s * vx, y + stop_s * vy))
 
     @property
     def landing_s(self) -> float:
-        """How long the vehicle has been in land mode and armed, seconds.
+        """Time in land mode while armed, seconds.
 
-        By the autopilot's time and by the host's: stamps that jump must not stop motors in the air.
+        It is the smaller of autopilot time and host time, because jumping stamps must not stop motors in the
+        air.
         """
         if self._landing_since_us is None:
             return 0.0
@@ -243,23 +252,23 @@ class FlightConditions:
         return min(self.state.now_us - autopilot_us, self.state.host_us - host_us) * 1e-6
 
     def _surely_down_s(self) -> float | None:
-        """After this long in land mode a vehicle is down, whatever its estimator says; None: never so."""
+        """Return the time in land mode after which any vehicle is down, or None for never."""
         if self.config.kill_after_s is None:
             return None
         way_down_s = self.mission.bounds.z[1] / self.mission.vehicle.px4.mpc_land_speed
         return max(self.config.kill_after_s, _SURELY_DOWN * way_down_s)
 
-    def _take_stamp(self, name: str, item: Stamped, newest: Stamped | None) -> None:
+    def _handle_stamp(self, name: str, item: Stamped, newest: Stamped | None) -> None:
         self.streams.take(name, item, newest)
         self.others.take(name, item)
 
-    def _see_pause(self, host_us: int) -> None:
-        """This program has not run since the step before: no tick has come, either."""
-        pause_us = host_us - self._seen_us
+    def _record_pause(self, host_us: int) -> None:
+        """Record that this program has not run since the previous step, because no tick arrived."""
+        pause_us = host_us - self._stepped_us
         if pause_us > self._pause_us or host_us - self._paused_us > _PAUSE_MEMORY_US:
             self._pause_us, self._paused_us = pause_us, host_us
 
-    def _take_imu(self, item: ImuSample) -> None:
+    def _handle_imu(self, item: ImuSample) -> None:
         before, self._imu = self._imu, item
         same = before is not None and before.specific_force_frd == item.specific_force_frd
         self.stuck_since_us = (self.stuck_since_us or item.t_us) if same else None
@@ -267,22 +276,22 @@ class FlightConditions:
         clipped = abs(x) >= full or abs(y) >= full or abs(z) >= full
         self.clipped_since_us = (self.clipped_since_us or item.t_us) if clipped else None
 
-    def _take_motors(self, item: ActuatorSample) -> None:
+    def _handle_motors(self, item: ActuatorSample) -> None:
         imu = self._imu
         falls = imu is not None and not any(item.motors) and norm(imu.specific_force_frd) < _FALLING_M_S2
         self.falling_since_us = (self.falling_since_us or item.t_us) if falls else None
 
-    def _take_odometry(self, item: OdometrySample) -> None:
+    def _handle_odometry(self, item: OdometrySample) -> None:
         state = self.state
-        if not state.is_plausible(item):  # then no difference to it means anything
+        if not state.is_plausible(item):  # differences to it would be meaningless
             self.estimator.refuse_odometry(item)
             return
-        self._take_stamp("odometry", item, state.odometry)
+        self._handle_stamp("odometry", item, state.odometry)
         if item is state.odometry:
             self.estimator.take_odometry(item)
         self.was_inside = self.was_inside or state.position[2] >= self.mission.bounds.z[0]
 
-    def _take_status(self, item: StatusSample) -> None:
+    def _handle_status(self, item: StatusSample) -> None:
         if item.flight_mode is FlightMode.OFFBOARD:
             self.was_offboard = True
             self._left_since_us = None

@@ -1,9 +1,9 @@
-"""The guard: sees the same state as the mission and disposes of what it proposes.
+"""The guard: it observes the same state as the mission and can overrule the mission's proposal.
 
-`review` is the last stage of every step. It judges the rules of `rules`, all of them every 20 ms and those
-that name an input after it at once, and takes what the mission has found that only the mission can know. An
-override latches, in the order release > kill > land > hold > break off; from then on the mission's setpoints
-and commands go nowhere and the guard flies: it needs nothing of the mission.
+`review` is the last stage of every step. It evaluates the rules of `rules`, all of them every 20 ms, and some
+immediately after the inputs that they name. It also receives the findings of the mission. An override
+latches, in the order release > kill > land > hold > break off. From then on the mission's setpoints and
+commands are dropped and the guard flies without the mission.
 """
 
 from __future__ import annotations
@@ -24,6 +24,8 @@ from dart_flight.base.records import (
     Output,
     Override,
     Phase,
+    PoseSample,
+    PosesWithheld,
     Setpoint,
     Silence,
     Tick,
@@ -41,57 +43,57 @@ from dart_flight.core.mission.wall_uncertainty import early_m, position_margin_m
 from dart_flight.core.sense.senses import Sensed
 from dart_flight.core.sense.state import FlightState
 
-Causes = list[tuple[Rule, int, Cause]]  # with the rank of its action
+Causes = list[tuple[Rule, int, Cause]]  # with the rank of the rule's action
 
 _COMMANDS: Final = (Setpoint, VehicleCommand)
 _COMMANDS_AND_LOCK: Final = (Setpoint, VehicleCommand, LockCommand)
-_JUDGED_EVERY_US: Final = 20_000  # host time: at every tick, and where none comes in time
+_EVALUATION_US: Final = 20_000  # host time: at every tick, or by itself if ticks are missing
 _HOLD_US: Final = 3_000_000
 _RETRY_US: Final = 1_000_000
 _STOPPED_M_S: Final = 0.3
 _ELSEWHERE_M: Final = 0.3
-# PX4 disarms by itself after landing; the command is for when it does not
+# PX4 disarms by itself after landing; this command is the fallback
 _DISARM_AFTER_US: Final = 15_000_000
 _UNSURE_US: Final = 15_000_000
 _LANDING_US: Final = 60_000_000  # from 2 m at 0.7 m/s a landing takes 5 s
 
 
-class _Judged(NamedTuple):
-    """The rules that are judged in a phase: `all` of them at a tick, some `at_once` after another input."""
+class _PhaseRules(NamedTuple):
+    """The rules of a phase: `all` are evaluated at a tick, some `at_once` after another input."""
 
     all: Causes
     at_once: dict[type, Causes]
 
 
 class Guard:
-    """Rules and, once one has fired, the flying.
+    """Evaluates the rules and, once one has fired, flies the vehicle.
 
     Args:
         mission: bounds, limits, thresholds.
-        rules: the table; another one only in tests.
+        rules: the table; tests may use another one.
     """
 
     def __init__(self, mission: Mission, rules: tuple[Rule, ...] = RULES) -> None:
         self._mission = mission
         self._config = mission.vehicle.guard
         self._rules = {rule.name: rule for rule in rules}
-        self._judged = {phase: _judged_in(phase, rules) for phase in Phase}
-        self._judged_us = 0  # when all were, host time
+        self._rules_by_phase = {phase: _rules_in(phase, rules) for phase in Phase}
+        self._evaluated_us = 0  # host time of the last complete evaluation
         self._watch = FlightConditions(mission)
-        # A landing is waited for until the motors would have been stopped.
+        # The wait for a landing lasts until the motors would have been stopped.
         self._landing_us = max(_LANDING_US, round(2e6 * (self._watch.surely_down_s or 0.0)))
         self.action = Override.NONE
-        self.overrules = False  # a rule has fired: the mission is not heard any more
+        self.overrules = False  # whether a rule has fired, so that the mission is ignored
         self._rank = self.action.rank
         self.reason: str | None = None
         self._rule: Rule | None = None
-        self._noted: set[str] = set()  # rules noted while an action as strong was in force
+        self._noted: set[str] = set()  # rules recorded while an equally strong action was active
         self.end: MissionEnd | None = None
         self._since_us = 0
-        self._asked_us: int | None = None
-        self._down_us: int | None = None  # since when landed and disarmed
+        self._sent_us: int | None = None
+        self._down_us: int | None = None  # time since which it is landed and disarmed
         self._hold: Vec3 | None = None
-        self._held_impact: ImpactOnset | None = None  # that it keeps away from
+        self._held_impact: ImpactOnset | None = None  # the impact from which it keeps its distance
         self._yaw_ned = 0.0
         self._altitude_m = mission.altitude_m
 
@@ -100,30 +102,34 @@ class Guard:
     def review(
         self, item: Input, state: FlightState, sensed: Sensed, phase: Phase, proposal: Proposal
     ) -> list[Output]:
-        """Judge a step's proposal.
+        """Review a step's proposal.
 
         Args:
-            item: the step's input, which has gone into `state`.
-            state, sensed: what is known.
+            item: the step's input, which has updated `state`.
+            state, sensed: estimates of the step.
             phase: of the mission, after its proposal.
-            proposal: what the mission wants.
+            proposal: the mission's proposal.
 
         Returns:
-            What really goes out. Once a rule has fired these are the guard's own commands.
+            The actual outputs of the step. Once a rule has fired, the commands are the guard's own.
         """
         self._watch.observe(item, state, sensed, phase)
         events: list[Output] = []
+        if isinstance(item, PoseSample) and self._watch.poses is not None:
+            wrong = self._watch.poses.withhold(phase)
+            if wrong is not None:
+                events.append(PosesWithheld(state.now_us, wrong))
         for finding in proposal.findings:
             self._fire(finding.rule, finding.detail, state, events, finding.note_only)
         if self.end is None:
-            self._judge(item, state, phase, events)
+            self._evaluate(item, state, phase, events)
         if not self.overrules:
             if proposal.altitude_m is not None:
                 self._altitude_m = proposal.altitude_m
             outputs = proposal.outputs
-            if not outputs:  # as of most inputs
+            if not outputs:  # the usual case
                 return events
-            if self._watch.mode_change_unexplained:  # the vehicle may be a pilot's already
+            if self._watch.mode_change_unexplained:  # a pilot may already fly
                 outputs = [o for o in outputs if not isinstance(o, _COMMANDS)]
             self._remember(outputs)
             return outputs + events
@@ -135,43 +141,43 @@ class Guard:
 
     @property
     def telemetry_late(self) -> bool:
-        """Whether samples are old when they come."""
+        """Whether samples arrive late."""
         return self._watch.streams.delay.late
 
     @property
     def landing(self) -> bool:
-        """Whether a landing has been asked for, by the mission or by the guard."""
+        """Whether the mission or the guard has requested a landing."""
         return self._watch.land_asked
 
-    def _judge(self, item: Input, state: FlightState, phase: Phase, events: list[Output]) -> None:
-        judged = self._judged[phase]
-        if isinstance(item, Tick) or state.host_us - self._judged_us > _JUDGED_EVERY_US:
-            self._judged_us, due = state.host_us, judged.all
+    def _evaluate(self, item: Input, state: FlightState, phase: Phase, events: list[Output]) -> None:
+        phase_rules = self._rules_by_phase[phase]
+        if isinstance(item, Tick) or state.host_us - self._evaluated_us > _EVALUATION_US:
+            self._evaluated_us, due = state.host_us, phase_rules.all
         else:
-            due = judged.at_once.get(type(item), [])
+            due = phase_rules.at_once.get(type(item), [])
         for rule, rank, cause in due:
             if rule.scope is Scope.GUIDED and self._watch.land_asked:
-                continue  # a landing leaves the flight space downwards
-            # A rule whose action is in force already has nothing to add but, some of them, what explains it.
+                continue  # a landing leaves the flight space at the bottom
+            # A rule whose action is already active adds nothing, except for rules that explain it.
             if rank > self._rank:
                 detail = cause(self._watch)
                 if detail is not None:
                     self._fire(rule.name, detail, state, events)
             elif rank == self._rank and rule.explains:
                 self._explain(rule, cause(self._watch), state, events)
-            elif rule.noted and self._may_note(rule):
+            elif rule.noted and self._should_record(rule):
                 detail = cause(self._watch)
                 if detail is not None:
                     self._noted.add(rule.name)
                     self._fire(rule.name, detail, state, events, noted=True)
 
-    def _may_note(self, rule: Rule) -> bool:
-        """Return whether a rule that changes no action should still be noted."""
+    def _should_record(self, rule: Rule) -> bool:
+        """Return whether a rule that changes no action should still be recorded."""
         again = rule is self._rule or rule.name in self._noted
         return not again and not self._watch.status_unreliable
 
     def _explain(self, rule: Rule, detail: str | None, state: FlightState, events: list[Output]) -> None:
-        """The cause of what is in force already shows: its rule is named, and is the reason from now on."""
+        """Replace the rule in force by the rule that explains its cause, which then gives the reason."""
         if detail is not None and self._rule is not None and self._rule.name in rule.explains:
             if rule.of_streams:
                 detail += self._watch.circumstances
@@ -181,18 +187,18 @@ class Guard:
     def _fire(
         self, name: str, detail: str, state: FlightState, events: list[Output], noted: bool = False
     ) -> None:
-        """Overrule the mission from now on, by the rule of this name; a weaker action changes nothing.
+        """Fire the rule of this name: overrule the mission from now on. A weaker action changes nothing.
 
-        What is only `noted` goes into the log.
+        With `noted` the rule is only logged.
 
         Raises:
-            KeyError: there is no such rule, and never was.
+            KeyError: no such rule exists.
         """
         rule = self._rules.get(name)
         if rule is None:
             if name not in RULES_BY_NAME:
                 raise KeyError(name)
-            return  # taken out of this guard's table
+            return  # removed from this guard's table
         if noted:
             events.append(GuardEvent(state.now_us, rule.name, Override.NONE, detail))
             return
@@ -201,18 +207,20 @@ class Guard:
         if rule.of_streams:
             detail += self._watch.circumstances
         events.append(GuardEvent(state.now_us, rule.name, rule.action, detail))
-        if rule.action is Override.GIVE_UP:  # nothing has left the ground
+        if rule.action is Override.GIVE_UP:  # still on the ground
             if state.status.armed:
                 events.append(VehicleCommand(state.now_us, VehicleAction.DISARM))
             self.end = MissionEnd(state.now_us, Outcome.ABORTED, f"{rule.name}: {detail}", None)
             return
-        if rule.action is not Override.KILL or self.reason is None:  # else it is what the landing began with
+        if (
+            rule.action is not Override.KILL or self.reason is None
+        ):  # otherwise keep the reason of the landing
             self.reason = f"{rule.name}: {detail}" if detail else rule.name
         self.action, self._rule, self._rank = rule.action, rule, rule.action.rank
         self.overrules = True
-        self._hold = None  # the new action chooses another place
+        self._hold = None  # the new action selects another place
         self._since_us = state.now_us
-        self._asked_us = None
+        self._sent_us = None
 
     def _remember(self, outputs: list[Output]) -> None:
         for one in outputs:
@@ -235,14 +243,14 @@ class Guard:
             self.end = MissionEnd(state.now_us, Outcome.ABORTED, self.reason, None)
             return
         if killed:
-            self._ask(VehicleAction.KILL, state, out)
+            self._send_action(VehicleAction.KILL, state, out)
             return
         if self.action is Override.LAND:
             self._land(state, out)
             return
         if isinstance(item, OdometrySample) and state.frame is not None:
             impact = self._watch.impact
-            again = impact is not self._held_impact  # hit again, it goes away from that
+            again = impact is not self._held_impact  # after another impact, keep away from that one
             # After a jump of the estimate, hold the place of the new estimate.
             jumped = bool(self._watch.estimator.jump) and "estimator_jump" in self._rules
             if self._hold is None or again or jumped or self._has_stopped_elsewhere(state, self._hold):
@@ -261,16 +269,16 @@ class Guard:
             self._land(state, out)
 
     def _has_stopped_elsewhere(self, state: FlightState, hold: Vec3) -> bool:
-        """Whether it stands, well away from where it breaks off to, as a hit with much tilt sends it.
+        """Return whether the vehicle rests well away from its break-off point, as after a large tilt.
 
-        It stays there: on the way back PX4's integral would lead it past, to the wall that it came from.
+        It then stays there: on the way back PX4's integrator would push it past the point, towards the wall.
         """
         if self.action is not Override.BREAK_OFF or norm(state.velocity) > _STOPPED_M_S:
             return False
         return math.dist(state.position[:2], hold[:2]) > _ELSEWHERE_M
 
     def _is_down(self, state: FlightState, killed: bool) -> bool:
-        """Whether the vehicle has landed and disarmed, and not another one that stands on the same link."""
+        """Return whether the vehicle has landed and disarmed, and not another one on the same link."""
         if state.status.armed or not (state.on_ground or killed or not self._watch.was_offboard):
             self._down_us = None
             return False
@@ -283,25 +291,25 @@ class Guard:
         return state.now_us - self._down_us >= DOWN_US
 
     def _clear_of_walls(self, state: FlightState) -> Vec3:
-        """The present place, moved away from walls to the retreat distance, at the mission's altitude.
+        """Return the present place at the mission's altitude, moved away from walls to the retreat distance.
 
-        From the mission's walls, and from one that was felt where the mission has none.
+        This applies to the mission's walls, and to an unknown wall that was just touched.
         """
         x, y, z = state.position
         if self.action is Override.BREAK_OFF:
-            x, y = self._clear_of_felt(x, y)
+            x, y = self._clear_of_unknown_wall(x, y)
             for wall in self._mission.walls:
                 distance = wall.signed_distance((x, y))
                 away_m = self._config.retreat_m + position_margin_m(wall, (x, y))
                 nx, ny = wall.normal
                 closing = max(0.0, -(state.velocity[0] * nx + state.velocity[1] * ny))
-                # Keep the retreat distance, and brake harder than by holding still where it is approached.
+                # Keep the retreat distance, and if approaching brake harder than by holding still.
                 push = max(away_m - distance, STOP_TIME_S * closing)
                 if wall.spans((x, y)) and -away_m < distance and push > 0.0 and distance < 1.0:
                     x, y = x + push * nx, y + push * ny
         return (x, y, max(z, min(self._altitude_m, self._mission.bounds.z[1])))
 
-    def _clear_of_felt(self, x: float, y: float) -> Vec2:
+    def _clear_of_unknown_wall(self, x: float, y: float) -> Vec2:
         impact = self._watch.impact
         if impact is None or not self._watch.just_after_impact:
             return x, y
@@ -321,21 +329,21 @@ class Guard:
         self._watch.land_asked = True
         if state.status.flight_mode is FlightMode.LAND:
             if state.on_ground and state.now_us - self._since_us > _DISARM_AFTER_US:
-                self._ask(VehicleAction.DISARM, state, out)
+                self._send_action(VehicleAction.DISARM, state, out)
             return
-        self._ask(VehicleAction.LAND, state, out)
+        self._send_action(VehicleAction.LAND, state, out)
 
-    def _ask(self, action: VehicleAction, state: FlightState, out: list[Output]) -> None:
-        if self._asked_us is None or state.now_us - self._asked_us >= _RETRY_US:
-            self._asked_us = state.now_us
+    def _send_action(self, action: VehicleAction, state: FlightState, out: list[Output]) -> None:
+        if self._sent_us is None or state.now_us - self._sent_us >= _RETRY_US:
+            self._sent_us = state.now_us
             out.append(VehicleCommand(state.now_us, action))
 
 
-def _judged_in(phase: Phase, rules: tuple[Rule, ...]) -> _Judged:
+def _rules_in(phase: Phase, rules: tuple[Rule, ...]) -> _PhaseRules:
     causes = [
         (rule, rule.action.rank, rule.judge.cause)
         for rule in rules
         if rule.judge.cause is not None and in_scope(rule, phase)
     ]
     kinds = {kind for rule, _, _ in causes for kind in rule.at_once}
-    return _Judged(causes, {kind: [one for one in causes if kind in one[0].at_once] for kind in kinds})
+    return _PhaseRules(causes, {kind: [one for one in causes if kind in one[0].at_once] for kind in kinds})

@@ -1,4 +1,4 @@
-"""Steps of the estimated heading, found by comparing the attitude with the integrated gyro.
+"""Steps of the estimated heading, detected by comparing the attitude with the integrated gyro.
 
     step = vertical part of  D(t) conj(D(t - 0.1 s)),  D(t) = attitude(t) conj(gyro(t))
 
@@ -24,7 +24,7 @@ from dart_flight.base.geometry import (
 )
 from dart_flight.base.records import AttitudeSample, ImuSample
 
-# [ours] PX4's heading from motion capture is within 2 degrees during and after hits.
+# [ours] PX4's heading from motion capture is within 2 degrees during and after impacts.
 HEADING_STEP_DEG: Final = 5.0
 _BEFORE_US: Final = 100_000
 _GAP_US: Final = 20_000  # a longer gap between rates invalidates the integral

@@ -1,6 +1,6 @@
-"""One rule of the guard, when it is judged, and the function that judges it.
+"""A rule of the guard: when it is evaluated, and the function that evaluates it.
 
-`rules` has the table; the rules of the streams and of PX4's estimator come from `stream_watch` and
+`rules` has the table. The rules of the streams and of PX4's estimator are in `stream_watch` and
 `estimator_watch`.
 """
 
@@ -13,12 +13,12 @@ from typing import Any, NamedTuple
 from dart_flight.base.records import Override, Phase
 from dart_flight.core.mission.phases import ON_GROUND
 
-# Says of the flight's conditions (`flight_conditions`) what is wrong now, or None.
+# Describes the present problem from the flight's conditions (`flight_conditions`), or None.
 Cause = Callable[[Any], str | None]
 
 
 class Scope(StrEnum):
-    """When a rule is judged."""
+    """The part of a flight in which a rule is evaluated."""
 
     ALWAYS = "always"
     GROUND = "before take-off"
@@ -28,12 +28,13 @@ class Scope(StrEnum):
 
 
 class Judge(NamedTuple):
-    """What fires a rule.
+    """The condition that fires a rule.
 
     Attributes:
-        description: what is wrong, for the manual's table.
-        threshold: what is compared: keys of the vehicle's configuration or of the mission, and fixed limits.
-        cause: says what is wrong now, or None; a rule without one comes as a finding of the mission.
+        description: description of the problem for the manual's table.
+        threshold: compared values: keys of the vehicle's configuration or of the mission, and constants.
+        cause: function that describes the present problem, or None; a rule without one fires by a finding of
+            the mission.
     """
 
     description: str
@@ -42,7 +43,7 @@ class Judge(NamedTuple):
 
 
 def judge(description: str, threshold: str = "") -> Callable[[Cause], Judge]:
-    """Return a decorator that makes a `Judge` of a cause."""
+    """Return a decorator that makes a `Judge` of a cause function."""
 
     def wrap(cause: Cause) -> Judge:
         return Judge(description, threshold, cause)
@@ -55,16 +56,17 @@ class Rule(NamedTuple):
 
     Attributes:
         name: as in the log and in the verdict.
-        action: what the guard does.
-        scope: when it is judged.
-        judge: what fires it.
-        at_once: inputs after which it is judged without waiting: modes, arming and requests must not wait,
-            and what is known only of one sample cannot.
-        by_person: a person took over: the flight counts as released, not as aborted.
-        explains: rules that may have fired for the same cause before it could be told: where their action is
-            in force and no weaker, the reason becomes this rule's.
-        of_streams: telemetry fails; what else is known of link and computer is said with it.
-        noted: whether log and verdict note the rule, once a flight, while an action as strong is in force.
+        action: action of the guard.
+        scope: part of the flight in which it is evaluated.
+        judge: condition that fires it.
+        at_once: inputs after which it is evaluated immediately: modes, arming and requests are urgent, and
+            some conditions are known only at one sample.
+        by_person: whether a person took over, so that the flight counts as released and not as aborted.
+        explains: rules that may fire earlier for the same cause; if their action is active and at least as
+            strong, this rule replaces the reason.
+        of_streams: whether telemetry fails, so that the detail includes the state of link and computer.
+        noted: whether log and verdict record the rule, once a flight, while an equally strong action is
+            active.
     """
 
     name: str
@@ -79,12 +81,14 @@ class Rule(NamedTuple):
 
 
 def in_scope(rule: Rule, phase: Phase) -> bool:
-    """Return whether a rule is judged in a phase."""
+    """Return whether a rule is evaluated in a phase."""
     if phase is Phase.DONE:
         return False
     if rule.scope is Scope.ALWAYS:
         return True
-    if rule.scope is Scope.GROUND or phase in ON_GROUND:  # else the mission's time-outs judge there
+    if (
+        rule.scope is Scope.GROUND or phase in ON_GROUND
+    ):  # on the ground the mission's timeouts apply otherwise
         return rule.scope is Scope.GROUND and phase in ON_GROUND
     if rule.scope is Scope.AIR or phase is Phase.LANDING:
         return rule.scope is Scope.AIR

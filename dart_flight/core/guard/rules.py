@@ -1,8 +1,8 @@
-"""The one table of the guard's rules: name, action, scope, and what fires it.
+"""The table of the guard's rules: name, action, scope and condition.
 
-`guard` iterates over it; `docs/guard.md` is generated from it (`make docs`). A rule with a cause is judged
-every 20 ms in its scope, and after the inputs that it names at once; one without comes as a finding in the
-mission's proposal. Nothing outside of this table can overrule the mission.
+`guard` iterates over it; `docs/guard.md` is generated from it (`make docs`). A rule with a cause function is
+evaluated every 20 ms in its scope, and immediately after the inputs that it names. A rule without one fires
+by a finding in the mission's proposal. Only rules of this table can overrule the mission.
 """
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ from dart_flight.base.records import (
 from dart_flight.base.text import battery_figures
 from dart_flight.core.guard.estimator_watch import ESTIMATOR_RULES
 from dart_flight.core.guard.flight_conditions import FlightConditions
+from dart_flight.core.guard.pose_watch import POSE_RULES
 from dart_flight.core.guard.rule import Judge, Rule, Scope, judge
 from dart_flight.core.guard.second_vehicle import POSITION_JUMP_M
 from dart_flight.core.guard.stream_watch import STAMP_TOLERANCE_S, STREAM_RULES
@@ -38,9 +39,9 @@ IMU_STUCK_S: Final = 0.1  # noise changes every reading of a working IMU
 IMU_CLIPPED_S: Final = 0.25  # longer than any contact lasts
 BATTERY_LOW_S: Final = 1.0  # longer than a burst of thrust lasts
 ALTITUDE_TOLERANCE_M: Final = 0.25  # the vertical contact force moves the vehicle by about 0.15 m
-FORCE_MARGIN: Final = 1.15  # one sample's noise is no reason; the peak itself is judged by `peak_force`
+FORCE_MARGIN: Final = 1.15  # margin for the noise of one sample; `peak_force` checks the peak itself
 _SPEED_TOLERANCE: Final = 1.1
-_STALE_SAMPLES: Final = 5  # in a row; one late datagram is no clock that runs backwards
+_STALE_SAMPLES: Final = 5  # in a row; a single late datagram is no restart of the clock
 _FALL_S: Final = 0.1
 _ALTITUDE_SLACK_M: Final = 0.05
 _GUARD_STRAYS_M: Final = 0.2  # allowed out of bounds, for a break-off from a wall at their edge
@@ -79,7 +80,7 @@ def _disarmed(v: FlightConditions) -> str | None:
         return f"PX4 has stopped the motors in the air, falling for {falling_s * 1e3:.0f} ms"
     if v.state.status.armed or not v.was_armed or v.state.on_ground or v.land_asked:
         return None
-    # It may be the other vehicle's state.
+    # The state may be another vehicle's.
     return None if v.status_unreliable else "PX4 has disarmed in the air"
 
 
@@ -147,8 +148,8 @@ def _hover_thrust(v: FlightConditions) -> str | None:
     if abs(ratio - 1.0) <= THRUST_SCALE_LIMIT:
         return None
     mass_kg, allowed = v.mission.vehicle.airframe.mass_kg, THRUST_SCALE_LIMIT
-    says = f"by the thrust curve the motors carry {mass_kg / max(ratio, 0.01):.2f} kg, airframe.mass_kg is "
-    return f"{says}{mass_kg:g}: ratio {ratio:.2f}, {1.0 - allowed:.2f} to {1.0 + allowed:.2f} allowed"
+    text = f"by the thrust curve the motors carry {mass_kg / max(ratio, 0.01):.2f} kg, airframe.mass_kg is "
+    return f"{text}{mass_kg:g}: ratio {ratio:.2f}, {1.0 - allowed:.2f} to {1.0 + allowed:.2f} allowed"
 
 
 @judge("tilt beyond what PX4 can be trusted to recover from", "guard.tilt_deg")
@@ -161,7 +162,7 @@ def _tilt(v: FlightConditions) -> str | None:
 def _bounds(v: FlightConditions) -> str | None:
     bounds = v.mission.bounds
     excess = bounds.excess2(v.state.position)
-    if v.phase is Phase.OVERRULED:  # the guard is braking already, and may break off outwards
+    if v.phase is Phase.OVERRULED:  # the guard brakes already, and may break off outwards
         return f"{excess:.2f} m outside" if excess > _GUARD_STRAYS_M else None
     if excess > 0.0:
         return f"{excess:.2f} m outside"
@@ -244,7 +245,7 @@ _OPERATOR_RELEASES = Judge(
 def _found(
     name: str, action: Override, description: str, threshold: str = "", of_streams: bool = False
 ) -> Rule:
-    """Return a rule that only the mission can judge, because it alone knows the plan."""
+    """Return a rule that fires by a finding of the mission, which alone knows the plan."""
     return Rule(name, action, Scope.ALWAYS, Judge(description, threshold), of_streams=of_streams)
 
 
@@ -252,7 +253,7 @@ _ALWAYS, _GROUND, _AIR = Scope.ALWAYS, Scope.GROUND, Scope.AIR
 _GUIDED, _FLYING = Scope.GUIDED, Scope.FLYING
 _GIVE_UP, _BREAK_OFF, _HOLD = Override.GIVE_UP, Override.BREAK_OFF, Override.HOLD
 _LAND, _KILL, _RELEASE = Override.LAND, Override.KILL, Override.RELEASE
-_MODE = (StatusSample, StatusText)  # PX4's own words say whose doing a change of mode is
+_MODE = (StatusSample, StatusText)  # PX4's texts identify the cause of a mode change
 _MOTORS, _REQUEST, _POSITION = (StatusSample, ActuatorSample), (OperatorRequest,), (OdometrySample,)
 _SILENT = ("odometry_silent", "attitude_silent", "imu_silent", "status_silent")
 _BY_TWO = frozenset((*_SILENT, "stamps_backwards", "estimator_flags", "altitude"))
@@ -270,13 +271,14 @@ RULES: tuple[Rule, ...] = (
     Rule("stamps_backwards", _LAND, _AIR, _stamps_backwards, of_streams=True),
     Rule("imu_stuck", _LAND, _AIR, _imu_stuck),
     Rule("imu_clipped", _LAND, _AIR, _imu_clipped),
+    *POSE_RULES,  # before the estimator's, which follow from them
     *ESTIMATOR_RULES,
     Rule("position_uncertain", _LAND, _GUIDED, _position_uncertain, noted=True),
     Rule("position_delayed", _BREAK_OFF, _FLYING, _position_delayed),
     Rule("battery", _LAND, _AIR, _battery),
     Rule("still_armed", _KILL, _AIR, _still_armed),
     Rule("hover_thrust", _BREAK_OFF, _FLYING, _hover_thrust),
-    # No landing yet, as after `mode_felt`: PX4's land mode unwinds a tilt at MPC_JERK_AUTO and flies away.
+    # Break off before landing, as for `mode_felt`: PX4's land mode reduces the tilt slowly and flies away.
     Rule("tilt", _BREAK_OFF, _AIR, _tilt, (AttitudeSample,), noted=True),
     Rule("altitude", _LAND, _GUIDED, _altitude, _POSITION, noted=True),
     Rule("bounds", _HOLD, _GUIDED, _bounds, _POSITION, noted=True),

@@ -1,7 +1,7 @@
-"""Whether the samples of one stream come from two vehicles that share a link and a system id.
+"""Detection of a second vehicle that shares the link and the system id.
 
-To MAVLink they are one system, so their samples come in turn: two clocks, or two positions at one clock. A
-clock that jumps, a restart or an estimate that jumps leads from one to the other once and not back.
+In MAVLink both are one system, so their samples alternate: two clocks, or two positions with one clock. A
+clock reset, a restart or a jump of the estimate changes only once and does not change back.
 """
 
 from __future__ import annotations
@@ -14,39 +14,39 @@ from dart_flight.base.geometry import norm
 from dart_flight.base.records import OdometrySample
 from dart_flight.core.guard.stream_watch import SAMPLED, STAMP_TOLERANCE_S, Stamped
 
-POSITION_JUMP_M: Final = 0.3  # between two samples, beside the motion: no estimator corrects so much at once
-_TURNS: Final = 3  # there and back, within the window
+POSITION_JUMP_M: Final = 0.3  # between two samples, beyond the motion: no estimator corrects that much
+_TURNS: Final = 3  # alternations within the window
 _WINDOW_US: Final = 2_000_000  # host time
 _FASTEST: Final = 20  # simulated seconds per second
-_REACH_US: Final = 1_000_000  # samples of one source are no further apart
-_SUSPECT_US: Final = 250_000  # in which a second vehicle shows for certain
+_REACH_US: Final = 1_000_000  # longest gap between samples of one source
+_SUSPECT_US: Final = 250_000  # a second vehicle is detected for certain within this time
 
 
 class SecondClockDetector:
-    """The stamps of one stream.
+    """Detects a second clock in the stamps of one stream.
 
     Args:
-        tolerance_us: stamps no further in the past than this are late datagrams.
+        tolerance_us: largest age of a stamp that counts as a late datagram.
     """
 
     def __init__(self, tolerance_us: float) -> None:
         self._tolerance_us = tolerance_us
         self._newest_us: int | None = None
         self._received_us = 0
-        self._behind_us: int | None = None  # newest stamp of what seems to be a second clock
+        self._behind_us: int | None = None  # newest stamp of a suspected second clock
         self._was_behind = False
-        self.odd_us: int | None = None  # receipt of the last sample that may be of another vehicle
-        self._turns: deque[int] = deque(maxlen=_TURNS)  # received, host time
+        self.odd_us: int | None = None  # receipt of the last sample that may come from another vehicle
+        self._turns: deque[int] = deque(maxlen=_TURNS)  # receipts, host time
 
     def update(self, t_us: int, received_us: int) -> None:
-        """Take the stamp of every sample of the stream, in the order of receipt."""
+        """Process the stamp of every sample of the stream, in the order of receipt."""
         newest = self._newest_us
         if newest is None or t_us > newest:
             elapsed_us = max(0, received_us - self._received_us)
             goes_on = newest is None or t_us - newest < _REACH_US + _FASTEST * elapsed_us
             if self._was_behind and goes_on:
                 self._turns.append(received_us)
-            elif not goes_on:  # the clock that was newest may be the other one from now on
+            elif not goes_on:  # the newest clock may be the other one from now on
                 self._behind_us, self.odd_us = newest, received_us
             self._newest_us, self._received_us, self._was_behind = t_us, received_us, False
             return
@@ -54,13 +54,13 @@ class SecondClockDetector:
             return
         before = self._behind_us
         if before is not None and not 0 < t_us - before < _REACH_US:
-            self._turns.clear()  # it goes back again and again, or stands: no second clock
+            self._turns.clear()  # it jumps back repeatedly or stands still: no second clock
         if not self._was_behind:
             self.odd_us = received_us
         self._behind_us, self._was_behind = t_us, True
 
     def apart_s(self, now_us: int) -> float | None:
-        """By how much the two clocks differ, seconds; None: there is one.
+        """Return the difference of the two clocks, seconds, or None if there is one clock.
 
         Args:
             now_us: host time.
@@ -73,25 +73,25 @@ class SecondClockDetector:
 
 
 class SecondPositionDetector:
-    """The positions of ODOMETRY.
+    """Detects a second vehicle in the positions of ODOMETRY.
 
     Args:
-        jump_m: positions no further apart than this, carried on by the velocity, are of one vehicle.
+        jump_m: largest distance, after extrapolation by the velocity, between positions of one vehicle.
     """
 
     def __init__(self, jump_m: float) -> None:
         self._jump_m = jump_m
         self._here: OdometrySample | None = None
         self._other: OdometrySample | None = None
-        self.odd_us: int | None = None  # receipt of the last sample that may be of another vehicle
-        self._turns: deque[int] = deque(maxlen=_TURNS)  # received, host time
+        self.odd_us: int | None = None  # receipt of the last sample that may come from another vehicle
+        self._turns: deque[int] = deque(maxlen=_TURNS)  # receipts, host time
 
     def update(self, sample: OdometrySample) -> None:
-        """Take every sample, in the order of receipt, whatever its stamp."""
+        """Process every sample, in the order of receipt, regardless of its stamp."""
         here, other = self._here, self._other
         self._here = sample
         if here is None or sample.received_us - here.received_us > _REACH_US:
-            self._other = None  # after a gap it may be anywhere
+            self._other = None  # the vehicle may be anywhere after a gap
             return
         if self._belongs(sample, here):
             return
@@ -100,7 +100,7 @@ class SecondPositionDetector:
             self._turns.append(sample.received_us)
 
     def apart_m(self, now_us: int) -> float | None:
-        """By how much the two positions differ, metres; None: there is one; `now_us` is host time."""
+        """Return the distance of the two positions, metres, or None with one; `now_us` is host time."""
         if len(self._turns) < _TURNS or now_us - self._turns[0] > _WINDOW_US:
             return None
         assert self._here is not None
@@ -116,10 +116,10 @@ class SecondPositionDetector:
 
 
 class OtherVehicles:
-    """Other vehicles on the link: those with their own system id, and one that shares the vehicle's id.
+    """Other vehicles on the link: those with another system id, and one that shares the vehicle's id.
 
     Attributes:
-        same_system: how a second vehicle with the same system id shows, as text; it does not go away.
+        same_system: evidence of a second vehicle with the same system id, as text; it is never cleared.
     """
 
     def __init__(self) -> None:
@@ -129,13 +129,13 @@ class OtherVehicles:
         self._other_system: int | None = None
 
     def take(self, name: str, item: Stamped) -> None:
-        """Take every sample of a stream, in the order of receipt."""
+        """Process every sample of a stream, in the order of receipt."""
         if self.same_system is not None:
             return
         received_us, clocks = item.received_us, self._clocks[name]
         clocks.update(item.t_us, received_us)
         if clocks.odd_us is not None:
-            # One stream alone may come by two ways, one of them late; a vehicle sends them all.
+            # One stream may arrive by two routes, one of them late; a second vehicle sends all streams.
             apart_s = [c.apart_s(received_us) for c in self._clocks.values()]
             found = [seconds for seconds in apart_s if seconds is not None]
             if len(found) > 1 and max(found) - min(found) < STAMP_TOLERANCE_S:
@@ -147,23 +147,23 @@ class OtherVehicles:
                 self.same_system = f"odometry with two alternating positions, {apart_m:.1f} m apart"
 
     def take_system(self, system: int) -> None:
-        """Take the id of another system on the link."""
+        """Record the id of another system on the link."""
         self._other_system = system
 
     @property
     def other_system(self) -> str | None:
-        """Another system that sends on the link, as text."""
+        """Another system that sends on the link, as text, or None."""
         if self._other_system is None:
             return None
         return f"system {self._other_system} sends on the same link"
 
     @property
     def any_system(self) -> str | None:
-        """Another vehicle on the link, whatever its system id, as text."""
+        """Another vehicle on the link, with any system id, as text, or None."""
         return self.other_system or self.same_system
 
     def is_suspected(self, host_us: int) -> bool:
-        """Return whether there is one, or the last moments look like it; `host_us` is the newest receipt."""
+        """Return whether a second vehicle is detected or suspected; `host_us` is the newest receipt."""
         if self.same_system is not None:
             return True
         odd = (*[clocks.odd_us for clocks in self._clocks.values()], self._places.odd_us)

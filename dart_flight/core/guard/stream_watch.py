@@ -1,6 +1,6 @@
-"""The telemetry streams that the guard watches, and the table of their rules: failure, limit, action.
+"""Monitoring of the telemetry streams, and the table of their rules: failure, limit, action.
 
-Silence is measured by host time, the rate by stamps, the delay by stamps, receipts and round trips.
+Silence is measured in host time, the rate by stamps, and the delay by stamps, receipts and round trips.
 """
 
 from __future__ import annotations
@@ -25,30 +25,29 @@ from dart_flight.core.sense.state import FlightState
 
 Stamped = ImuSample | AttitudeSample | OdometrySample | ActuatorSample
 
-LINK_LOST_S: Final = 5.0  # PX4's own failsafe for a lost link has had its time by then
-ACTUATOR_TIMEOUT_S: Final = 0.3  # force cannot be told from thrust for a third of a second at most
+LINK_LOST_S: Final = 5.0  # PX4's own failsafe for a lost link has acted by then
+ACTUATOR_TIMEOUT_S: Final = 0.3  # longest time without outputs in which force and thrust can be separated
 STATUS_TIMEOUT_S: Final = 3.0  # three heartbeats
-STAMP_TOLERANCE_S: Final = 0.5  # a datagram that comes later than others is never so late
-_OTHERS_SINCE: Final = 12  # a tenth of a second of one other stream
-_GAP_US: Final = 500_000  # of silence, in which PX4 may have said anything
-_GAP_MEMORY_US: Final = 3_000_000  # a gap this long ago explains a change of mode
+STAMP_TOLERANCE_S: Final = 0.5  # largest delay of a datagram
+_OTHERS_SINCE: Final = 12  # samples of other streams, which take about a tenth of a second of one stream
+_GAP_US: Final = 500_000  # silence in which an announcement of PX4 may have been lost
+_GAP_MEMORY_US: Final = 3_000_000  # a gap explains a mode change for this long
 _RATE_WINDOW_US: Final = 1_000_000
 _LEAP_US: Final = 1_000_000
-_SHARE: Final = 0.15  # of about the last second; what comes in one batch after a pause takes no time
+_SHARE: Final = 0.15  # of the last second or so; a batch after a pause counts as no time
 _SHARE_US: Final = 1_000_000
-_STEP_MAX_US: Final = 20_000  # a sample stands for the time since the one before, and for no more than this
-_DRIFT: Final = 2e-4  # of two clocks against each other, seconds per second, at most
-_LAST: Final = 3  # round trips, of which the shortest counts where the clocks cannot be compared
-_AGE_MAX_S: Final = 999.0  # a stream that never came is infinitely old
+_STEP_MAX_US: Final = 20_000  # a sample stands for the time since the previous one, up to this limit
+_DRIFT: Final = 2e-4  # largest drift of two clocks, seconds per second
+_LAST: Final = 3  # number of round trips; the shortest counts if the clocks cannot be compared
+_AGE_MAX_S: Final = 999.0  # limit for a stream that never arrived
 
 
 class TelemetryDelay:
-    """Age of the samples of one vehicle; nothing is known of it before the first round trip.
+    """Age of a vehicle's samples at their receipt; unknown before the first round trip.
 
-    A delay that is always the same does not show in stamps: the offset between the clocks hides it. A round
-    trip bounds it: the time with which the autopilot answers lies between asking and hearing, so the offset
-    that it gives is wrong by half the round trip at most. The best one so far relates the stamp of an IMU
-    sample to its receipt.
+    A constant delay does not show in stamps, because the clock offset hides it. A round trip bounds it: the
+    autopilot answers between request and receipt, so the resulting offset is wrong by at most half the round
+    trip. The best round trip so far relates the stamp of an IMU sample to its receipt.
 
     Args:
         limit_s: samples older than this are late.
@@ -56,17 +55,17 @@ class TelemetryDelay:
 
     def __init__(self, limit_s: float) -> None:
         self._limit_us = limit_s * 1e6
-        self._offset_us: float | None = None  # autopilot's time less the host's
-        self._error_us = 0.0  # of it, at most
+        self._offset_us: float | None = None  # autopilot's time minus the host's
+        self._error_us = 0.0  # largest error of the offset
         self._measured_us = 0  # host time
         self._last: deque[int] = deque(maxlen=_LAST)
         self._received_us = 0
         self._share = 0.0
-        self.age_us = 0.0  # of the newest sample
+        self.age_us = 0.0  # age of the newest sample
         self.late = False
 
     def take_round_trip(self, trip: RoundTrip) -> None:
-        """A request and its answer."""
+        """Process the timing of a request and its answer."""
         took_us = max(0, trip.received_us - trip.sent_us)
         self._last.append(took_us)
         if trip.autopilot_us is None:
@@ -75,14 +74,14 @@ class TelemetryDelay:
         error_us = 0.5 * took_us
         if self._offset_us is not None:
             drifted_us = self._error_us + _DRIFT * (trip.received_us - self._measured_us)
-            # Further apart than both can be wrong: the autopilot's clock has jumped.
+            # Larger than both errors together: the autopilot's clock has jumped.
             jumped = abs(offset_us - self._offset_us) > drifted_us + error_us
             if error_us > drifted_us and not jumped:
                 return
         self._offset_us, self._error_us, self._measured_us = offset_us, error_us, trip.received_us
 
     def take_sample(self, t_us: int, received_us: int) -> None:
-        """An IMU sample: when it was taken, and when it came."""
+        """Process the stamp and the receipt of an IMU sample."""
         if not self._last:
             return
         if self._offset_us is None:
@@ -96,35 +95,35 @@ class TelemetryDelay:
         self.late = self._share > _SHARE
 
     def describe(self) -> str:
-        """What is known, in words."""
+        """Return the delay as text."""
         shortest_us = min(self._last, default=0)
         also = f", round trip {shortest_us * 1e-3:.0f} ms" if shortest_us > self._limit_us else ""
         return f"telemetry arrives {self.age_us * 1e-3:.0f} ms after it was sampled{also}"
 
 
 class StreamWatch:
-    """What is known of the telemetry streams of one flight.
+    """Telemetry streams of one flight.
 
     Attributes:
-        rates_hz: of the streams by stamps, over the last second.
-        stale: samples in a row whose stamp lies far in the past, where there are.
-        delay: age of the samples when they come.
+        rates_hz: rates of the streams by stamps, over the last second.
+        stale: number of consecutive samples whose stamps lie far in the past, by stream.
+        delay: age of the samples at their receipt.
         host_us: receipt of the newest stamped sample.
     """
 
     def __init__(self, guard: GuardThresholds) -> None:
         self.guard = guard
-        self.state = FlightState()  # replaced by the core's at the first step
+        self.state = FlightState()  # replaced by the core's state at the first step
         self.rates_hz: dict[str, float] = {}
         self.stale: dict[str, int] = {}
         self.delay = TelemetryDelay(guard.telemetry_late_s)
         self.host_us = 0
-        self._since_imu = 0  # samples of other streams since the newest of the IMU
+        self._since_imu = 0  # samples of other streams since the newest IMU sample
         self._counts: dict[str, tuple[int, int]] = {}  # first stamp, and samples since
         self._gap_us: int | None = None
 
     def take(self, name: str, item: Stamped, newest: Stamped | None) -> None:
-        """Take a sample of a stream; `newest` is the one that the flight state has accepted last."""
+        """Process a sample of a stream; `newest` is the last one that the flight state has accepted."""
         t_us, received_us = item.t_us, item.received_us
         if received_us > self.host_us:
             if self.host_us and received_us - self.host_us > _GAP_US:
@@ -135,7 +134,7 @@ class StreamWatch:
         if lag_us > STAMP_TOLERANCE_S * 1e6:
             self.stale[name] = self.stale.get(name, 0) + 1
             return
-        if -lag_us > _LEAP_US:  # not taken yet: another vehicle's, or a clock that has jumped
+        if -lag_us > _LEAP_US:  # not accepted yet: another vehicle's, or after a clock jump
             return
         if self.stale:
             self.stale.pop(name, None)
@@ -148,16 +147,16 @@ class StreamWatch:
 
     @property
     def was_cut_off(self) -> bool:
-        """Whether telemetry has come back within the last seconds after a gap."""
+        """Whether telemetry has returned within the last seconds after a gap."""
         return self._gap_us is not None and self.state.now_us - self._gap_us < _GAP_MEMORY_US
 
     @property
     def others_go_on(self) -> bool:
-        """Whether other streams go on while the IMU is silent."""
+        """Whether other streams continue while the IMU is silent."""
         return self._since_imu >= _OTHERS_SINCE
 
     def age_s(self, name: str) -> float:
-        """Return host time since a stream's newest sample was received, seconds; infinite without one."""
+        """Return the host time since a stream's newest receipt, seconds; infinite without a sample."""
         newest = getattr(self.state, name)
         return (self.state.host_us - newest.received_us) * 1e-6 if newest is not None else math.inf
 
@@ -165,14 +164,14 @@ class StreamWatch:
 def _silence(
     description: str, streams: tuple[str, ...], limit: str | float, words: str = "", alone: str = ""
 ) -> Judge:
-    """Return the judge of streams that have been silent together for longer than a limit.
+    """Return the condition that streams have been silent together for longer than a limit.
 
     Args:
         description: for the manual's table.
         streams: by name.
-        limit: seconds, or the key of the guard's thresholds that has them.
-        words: how the silence is told; `s` and `ms` are its duration.
-        alone: key of the limit while other streams go on: then neither link nor host is the cause.
+        limit: seconds, or the key of the guard's threshold.
+        words: format of the message; `s` and `ms` are the duration.
+        alone: key of the limit while other streams continue, when neither link nor host is the cause.
     """
     message = BY_NAME[streams[0]].message if streams[0] in BY_NAME else ""
 

@@ -1,1 +1,1 @@
-"""What is proposed: phases, references, recovery."""
+"""Proposals of the mission: phases, references and recovery."""

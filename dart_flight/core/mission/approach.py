@@ -1,7 +1,7 @@
-"""References that the vehicle follows between contacts: straight runs with smooth speed.
+"""Approaches to walls: straight runs with smooth speed, probes, and checks of the room that they need.
 
-A reference is position, velocity and acceleration in the mission frame as functions of time, fed forward to
-PX4 so that its P-PID cascade has only errors to remove.
+A reference is position, velocity and acceleration in the mission frame as functions of time. PX4 receives it
+as feed-forward, so its P-PID cascade only corrects errors.
 """
 
 from __future__ import annotations
@@ -23,19 +23,19 @@ from dart_flight.core.mission.wall_uncertainty import end_margin_m, position_mar
 
 # Speed follows 3 s^2 - 2 s^3: the peak acceleration is 1.5 times the mean, the length half speed times time.
 PEAK_OVER_MEAN = 1.5
-_RAMP_JERK = 6.0  # of the same ramp: jerk times ramp^2 over speed
+_RAMP_JERK = 6.0  # jerk of the same ramp times ramp^2 over speed
 CLEARANCE_M = 0.15
-ON_PLANE_M = 1e-6  # an impact lies on its wall's plane but for rounding
-_TRAJECTORY_STEP_S = 0.02  # in which a trajectory passes no wall unseen
-_ON_RAY_M = 1e-6  # ... and the start on the ray of its approach
+ON_PLANE_M = 1e-6  # rounding tolerance of an impact on its wall's plane
+_TRAJECTORY_STEP_S = 0.02  # small enough that a trajectory crosses no wall between samples
+_ON_RAY_M = 1e-6  # tolerance of a start on the ray of its approach
 
 
 class NoApproachError(ValueError):
-    """There is no room for the run-up, or something is in its way."""
+    """There is no room for the run-up, or an obstacle blocks it."""
 
 
 class RunUp(NamedTuple):
-    """Where an approach begins and how it speeds up; numbers, or arrays of them."""
+    """Beginning and ramp of an approach; numbers, or arrays of them."""
 
     begin: tuple[Number, Number]
     direction: tuple[Number, Number]
@@ -50,18 +50,18 @@ def run_up(
     flying: Flying,
     wall: Wall,
 ) -> RunUp:
-    """The run-up of an approach.
+    """Return the run-up of an approach.
 
-    It starts at the mission's start where that lies on the ray and is far enough from the wall, otherwise as
-    far back along the ray as the acceleration and the steady run need, which begins before the place where
-    the wall may stand nearest.
+    It starts at the mission's start if that lies on the ray and far enough from the wall. Otherwise it starts
+    on the ray at the distance that the acceleration and the steady run need, counted from the nearest
+    possible position of the wall.
 
     Args:
-        start: of the mission.
-        impact: where the vehicle's centre meets the plane.
+        start: start of the mission.
+        impact: position of the vehicle's centre at the plane.
         velocity: at the impact, mission frame, m/s.
         flying: acceleration and steady run.
-        wall: that is flown at.
+        wall: the wall to be hit.
     """
     vx, vy = velocity
     speed = hypot(vx, vy)
@@ -84,7 +84,7 @@ def run_up(
 
 
 def impact_time_s(length_m: Number, speed_m_s: Number, ramp_s: Number) -> Number:
-    """Time of the impact after the start of a run-up of this length."""
+    """Return the time from the start of a run-up of this length to the impact."""
     return ramp_s + (length_m - 0.5 * speed_m_s * ramp_s) / speed_m_s
 
 
@@ -94,14 +94,14 @@ def is_blocked(
     b: tuple[Number, Number],
     end_clearance_m: float = CLEARANCE_M,
 ) -> Number:
-    """Whether a wall stands in the way from one point to another, or the segment begins too near behind it.
+    """Return whether a wall blocks a segment, or the segment begins too close behind the wall.
 
-    What passes its end keeps `end_margin_m` from it.
+    A segment that passes the wall's end must keep `end_margin_m` from it.
 
     Args:
         wall: the obstacle.
         a, b: ends of the segment, mission frame.
-        end_clearance_m: that `b` must keep from the plane; `a` keeps `CLEARANCE_M`.
+        end_clearance_m: required distance of `b` from the plane; `a` keeps `CLEARANCE_M`.
     """
     here = wall.signed_distance(a)
     da, db = here - CLEARANCE_M, wall.signed_distance(b) - end_clearance_m
@@ -113,7 +113,7 @@ def is_blocked(
 
 
 def is_post_in_the_way(mission: Mission, post: Post, a: Vec2, b: Vec2) -> bool:
-    """Whether a segment comes nearer to a post than to a wall it may, with the vehicle turned as it likes."""
+    """Return whether a segment is too close to a post for a vehicle with any heading."""
     airframe = mission.vehicle.airframe
     corner_m = math.hypot(airframe.contact_distance_m, airframe.guard_along_m)
     return post.distance_to_segment(a, b) < post.radius_m + corner_m + CLEARANCE_M
@@ -122,14 +122,13 @@ def is_post_in_the_way(mission: Mission, post: Post, a: Vec2, b: Vec2) -> bool:
 def segments_to_impact(
     start: Vec2, begin: tuple[Number, Number], impact: tuple[Number, Number], wall: Wall, first: bool
 ) -> Callable[[Wall], list[tuple[tuple[Number, Number], tuple[Number, Number], float]]]:
-    """The straight segments before an impact, as (a, b, clearance at b), against any wall.
+    """Return a function that lists the segments before an impact, as (a, b, clearance at b), for any wall.
 
     Args:
-        start: where the vehicle is at rest before; the segment to the run-up point counts where that
-            is known.
-        begin, impact: of the run-up.
-        wall: that is to be hit: the run-up ends on its plane.
-        first: whether it is known, as before a mission's first collision.
+        start: previous resting position; the segment from it to the run-up point counts if it is known.
+        begin, impact: ends of the run-up.
+        wall: the wall to be hit; the run-up ends on its plane.
+        first: whether `start` is known, as before a mission's first collision.
     """
 
     def against(other: Wall) -> list[tuple[tuple[Number, Number], tuple[Number, Number], float]]:
@@ -140,12 +139,12 @@ def segments_to_impact(
 
 
 def plan_approach(mission: Mission, collision: Collision) -> Trajectory:
-    """Return the approach of a collision that has one: the mission's trajectory, a probe, or a run-up.
+    """Return the approach of a collision: the mission's trajectory, a probe, or a run-up.
 
-    Its end is the impact, except for a probe, whose end is where it gives up.
+    It ends at the impact; a probe ends where it gives up.
 
     Raises:
-        NoApproachError: the run-up leaves the bounds, or a wall is in its way.
+        NoApproachError: the run-up leaves the bounds, or an obstacle blocks it.
     """
     assert collision.impact_point is not None
     altitude_m = mission.altitude_at(collision.index - 1)
@@ -166,13 +165,16 @@ def plan_approach(mission: Mission, collision: Collision) -> Trajectory:
 
 
 def _probe_trajectory(mission: Mission, probe: Probe, altitude_m: float) -> Trajectory:
-    """From rest to rest at the probe's speed, but for the ramps of an approach at both ends."""
+    """Return a leg from rest to rest at the probe's speed, with the ramp of an approach at both ends."""
     way_m = distance2(probe.begin, probe.end)
     a_m_s2 = mission.vehicle.flying.acceleration_m_s2
     speed = min(probe.speed_m_s, math.sqrt(way_m * a_m_s2 / PEAK_OVER_MEAN))
     ramp_s = PEAK_OVER_MEAN * speed / a_m_s2
     steady_s = max(1e-3, way_m / speed - ramp_s)
-    up, down = speed / ramp_s**2, -0.5 * speed / ramp_s**3  # of the third and fourth power of the time
+    up, down = (
+        speed / ramp_s**2,
+        -0.5 * speed / ramp_s**3,
+    )  # coefficients of the third and fourth power of time
     parts = (
         (0.0, 0.0, 0.0, up, down, 0.0),
         (0.5 * speed * ramp_s, speed, 0.0, 0.0, 0.0, 0.0),
@@ -214,13 +216,13 @@ def _check_room(mission: Mission, collision: Collision, begin: Vec2) -> None:
 
 
 class TransitSegment(NamedTuple):
-    """A straight segment from rest to rest that the mission file says.
+    """A straight segment from rest to rest that the mission file specifies.
 
     Attributes:
-        name: of its end, in words.
-        begin: mission frame, metres; None: where a recovery has led to.
-        end: likewise.
-        speed_m_s: largest on it.
+        name: description of its end.
+        begin: mission frame, metres; None if it begins where a recovery leads.
+        end: mission frame, metres.
+        speed_m_s: largest speed.
     """
 
     name: str
@@ -230,7 +232,7 @@ class TransitSegment(NamedTuple):
 
 
 def transit_segments(mission: Mission) -> list[TransitSegment]:
-    """The segments to the waypoints, and to the goal where no recovery leads there."""
+    """Return the segments to the waypoints, and to the goal unless a recovery leads there."""
     found: list[TransitSegment] = []
     here: Vec3 | None = (*mission.start, mission.altitude_m)
     flown = 0
@@ -248,16 +250,16 @@ def transit_segments(mission: Mission) -> list[TransitSegment]:
 
 
 def transit_of(mission: Mission, leg: TransitSegment, begin: Vec3) -> Trajectory:
-    """Return the flight of a leg from a place."""
+    """Return the trajectory of a segment from its actual beginning."""
     flying = mission.vehicle.flying
     return Trajectory.rest_to_rest(begin, leg.end, leg.speed_m_s, flying, flying.climb_speed_m_s)
 
 
 def check_segments_clear(mission: Mission) -> None:
-    """Make sure that no wall stands in a segment whose both ends are known, or in a trajectory.
+    """Check that no wall blocks a trajectory, or a segment with known ends.
 
     Raises:
-        NoApproachError: one does, or a trajectory leaves the bounds.
+        NoApproachError: a wall does, or a trajectory leaves the bounds.
     """
     for collision in mission.collisions:
         if collision.trajectory is not None:
@@ -274,7 +276,7 @@ def check_segments_clear(mission: Mission) -> None:
 
 
 def _check_trajectory_clear(mission: Mission, written: TrajectoryPieces, leads_to: str) -> None:
-    """Raises NoApproachError: the trajectory crosses a wall, or leaves the bounds."""
+    """Raise NoApproachError if the trajectory crosses a wall or leaves the bounds."""
     trajectory = Trajectory.from_mission(written, mission.altitude_m)
     count = max(2, math.ceil(trajectory.duration_s / _TRAJECTORY_STEP_S))
     places = [trajectory.at(trajectory.duration_s * k / count).position[:2] for k in range(count + 1)]
@@ -283,15 +285,15 @@ def _check_trajectory_clear(mission: Mission, written: TrajectoryPieces, leads_t
         if excess > 0.0:
             raise NoApproachError(f"the trajectory to {leads_to} leads {excess:.2f} m outside bounds_m")
         for wall in mission.flat_walls:
-            # At the wall that it comes from it begins a little behind the plane, as the contact ends.
+            # A trajectory from a contact begins slightly behind its wall's plane.
             if wall.signed_distance(a) >= 0.0 > wall.signed_distance(b) and wall.end_distance_m(b) > 0.0:
                 raise NoApproachError(f"wall {wall.name} is in the way of the trajectory to {leads_to}")
 
 
 def standoff_point(mission: Mission, collision: Collision, begin: Vec2, impact: Vec2) -> Vec2:
-    """Where a rehearsal stops: on the line from `begin` to `impact`, `standoff_m` before the wall's plane.
+    """Return the stopping point of a rehearsal: on the line to the impact, `standoff_m` before the plane.
 
-    Before the nearest one that its standard deviations leave open.
+    The distance counts from the nearest position that the wall's standard deviations allow.
     """
     standoff = (mission.standoff_m or 0.0) + float(position_margin_m(collision.wall, impact))
     here, there = collision.wall.signed_distance(begin), collision.wall.signed_distance(impact)

@@ -1,8 +1,8 @@
-"""What differs between numbers and arrays of them, for a rule that is written once for both.
+"""Elementary functions of numbers and of arrays, for rules that are written once for both.
 
-The core decides with `float` and `math` (deterministic, bit-equal in replay), the planner judges thousands of
-candidates with NumPy. A rule that both need takes either: floats give floats, and where an argument is an
-array the answer is one. Conditions are joined with `&` and `|`, which mean the same for `bool` and arrays.
+The core decides with `float` and `math` (deterministic, bit-equal in replay); the planner evaluates thousands
+of candidates with NumPy. A rule that both use accepts either: floats give floats, and arrays give arrays.
+Conditions are joined with `&` and `|`, which have the same meaning for `bool` and arrays.
 """
 
 from __future__ import annotations
@@ -16,27 +16,27 @@ Number = Any  # float, or an array of floats: the same for all arguments of one 
 
 
 def hypot(x: Number, y: Number) -> Number:
-    """Length of a vector."""
+    """Return the length of a vector."""
     return np.hypot(x, y) if _has_array(x, y) else math.hypot(x, y)
 
 
 def sqrt(x: Number) -> Number:
-    """Square root."""
+    """Return the square root."""
     return np.sqrt(x) if _has_array(x) else math.sqrt(x)
 
 
 def maximum(x: Number, y: Number) -> Number:
-    """The larger one of each pair."""
+    """Return the larger value of each pair."""
     return np.maximum(x, y) if _has_array(x, y) else max(x, y)
 
 
 def minimum(x: Number, y: Number) -> Number:
-    """The smaller one of each pair."""
+    """Return the smaller value of each pair."""
     return np.minimum(x, y) if _has_array(x, y) else min(x, y)
 
 
 def where(condition: Number, yes: Number, no: Number) -> Number:
-    """One or the other, by a condition."""
+    """Return one value or the other, by a condition."""
     return np.where(condition, yes, no) if _has_array(condition, yes, no) else (yes if condition else no)
 
 

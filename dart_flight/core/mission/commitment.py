@@ -1,9 +1,9 @@
-"""The lock's last moment: when a wall is flown at although the lock is still on its way.
+"""The last moment for stopping: whether to fly at a wall while the lock is still moving.
 
-An approach goes on where holding still would yet stop short of the wall. Beyond that it is committed to only
-where the lock settles `SETTLED_BEFORE_S` before the impact and where the hit is bearable in *either* mode: a
-servo that does not say where it is may be stuck, and then the hit comes in the wrong one. Executive, planner
-and `check` use this rule.
+An approach continues while holding would still stop short of the wall. Beyond that point it continues only if
+the lock settles `SETTLED_BEFORE_S` before the impact and the impact is acceptable in *either* mode: a servo
+without feedback may be stuck, and the impact then occurs in the other mode. Executive, planner and `check`
+use this rule.
 """
 
 from __future__ import annotations
@@ -22,16 +22,16 @@ from dart_flight.core.mission.arithmetic import Number, hypot, maximum, where
 from dart_flight.core.mission.position_loop import PlaneMet
 from dart_flight.core.sense.state import FlightState
 
-# Of the prediction "holding still stops short of the wall"; small, because breaking off brakes harder.
+# Margin of the predicted stop before the wall; small, because breaking off brakes harder.
 STOP_MARGIN_M = 0.02
-# Of the predicted impact: what the prediction of its time is off by, and one poll of the lock.
+# Margin before the predicted impact, for its timing error and one poll of the lock.
 SETTLED_BEFORE_S = 0.05
-# The paper's own plan has a setpoint 0.5 m outside of the bounds; far out it pulls where nothing was meant.
+# The paper's plan has a setpoint 0.5 m outside the bounds; one far outside pulls the vehicle off course.
 SETPOINT_OUTSIDE_M = 2.0
 
 
 def setpoint_outside_m(bounds: BoundsSpec, x: Number, y: Number) -> Number:
-    """How far a setpoint lies outside of the bounds horizontally, metres; 0 inside."""
+    """Return the horizontal distance of a setpoint outside the bounds, metres; 0 inside."""
     beside = maximum(bounds.x[0] - x, x - bounds.x[1])
     return maximum(maximum(beside, maximum(bounds.y[0] - y, y - bounds.y[1])), 0.0)
 
@@ -39,13 +39,13 @@ def setpoint_outside_m(bounds: BoundsSpec, x: Number, y: Number) -> Number:
 def may_commit(
     mission: Mission, following: Collision, met: PlaneMet, ready_s: float, state: FlightState
 ) -> bool:
-    """Whether to fly on past the last moment for stopping.
+    """Return whether to continue past the last moment for stopping.
 
     Args:
         mission: limits, bounds, vehicle.
-        following: the collision that is flown at.
-        met: when the wall will be met, and how fast.
-        ready_s: from now until the lock is settled; infinite where it is at fault.
+        following: the collision ahead.
+        met: predicted impact with the wall.
+        ready_s: time until the lock is settled; infinite if it is in fault.
         state: of the vehicle.
     """
     if ready_s > met.after_s - SETTLED_BEFORE_S:
@@ -75,16 +75,16 @@ def bearable_in_either_mode(
     place: tuple[Number, Number],
     velocity_m_s: tuple[Number, Number],
 ) -> Number:
-    """Whether a hit stays within force, tilt and bounds whatever state the arms are in.
+    """Return whether an impact stays within force, tilt and bounds for either state of the arms.
 
     Args:
         vehicle: materials, mass, gains.
-        limits: of the force.
-        bounds: that the recovery setpoint may leave by `SETPOINT_OUTSIDE_M`.
-        wall: that is hit.
+        limits: limits of the force.
+        bounds: the recovery setpoint may leave them by `SETPOINT_OUTSIDE_M`.
+        wall: the wall.
         alphas_m_per_n: gains (A_n, A_t) of the recovery setpoint.
         place: of the vehicle's centre at the impact, mission frame.
-        velocity_m_s: (normal, tangential) there, collision frame.
+        velocity_m_s: (normal, tangential) at the impact, collision frame.
     """
     (nx, ny), (tx, ty) = wall.normal, wall.tangent
     normal, tangential = velocity_m_s

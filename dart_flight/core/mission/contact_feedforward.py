@@ -1,11 +1,10 @@
-"""Not to fight a contact: what PX4's velocity loop would make of it, taken out.
+"""Feed-forward that keeps PX4's velocity loop from reacting to a contact.
 
-While a wall stops the vehicle PX4 goes on with its last setpoint. It sees the speed that is gone and leans
-into the wall, and its D term, which opposes acceleration, leans further the harder the wall pushes back: at
-1 m/s and `MPC_XY_VEL_D_ACC` 0.2 by more than half of the tilt that follows a hit (docs/results/body.md). So
-from the onset to the peak the setpoint is what the vehicle does anyway, and what the D term makes of the
-contact is fed forward with the opposite sign, also with the recovery setpoint, until PX4's filter has
-forgotten the contact.
+While a wall stops the vehicle, PX4 still follows its last setpoint. It reacts to the lost speed by leaning
+into the wall. Its D term, which opposes acceleration, leans further the harder the wall pushes back: at 1 m/s
+and `MPC_XY_VEL_D_ACC` 0.2 it causes more than half of the tilt after an impact (docs/results/body.md). From
+onset to peak the setpoint is therefore the measured motion. The D term's response to the contact is fed
+forward with the opposite sign, also with the recovery setpoint, until PX4's filter has decayed.
 """
 
 from __future__ import annotations
@@ -19,27 +18,28 @@ from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.core.sense.senses import Sensed
 
 _FADED_M_S2: Final = 0.02
-_LARGEST_M_S2: Final = 5.0  # fed forward; also bounds what a hanging setpoint could do
-# From the onset on; PX4 keeps the last setpoint of a program that hangs, and this one leads away.
+_LARGEST_M_S2: Final = 5.0  # limit of the feed-forward, which also bounds the effect of a stale setpoint
+# Limit from the onset: PX4 keeps the last setpoint of a hung program, and this one leads away.
 LONGEST_S: Final = 0.25
 
 
-# Of the lean that would balance a vehicle that does not turn (docs/results/faster_hits.md).
+# Share of the lean that would balance a vehicle that does not rotate (docs/results/faster_hits.md).
 _BALANCED: Final = 0.9
 _MOST_LEAN: Final = 0.3  # tangent of the angle
-_AGAINST_PLAN: Final = 1.3  # times as much into a wall, where the plan leans off it
+_AGAINST_PLAN: Final = 1.3  # factor into a wall if the plan leans off it
 
 
 def balancing_m_s2(height_m: float | None, out_m: float, planned: Mode | None = None) -> float:
-    """Push off a wall at a hit, beside the planned one, m/s2, so that the hit turns the vehicle less.
+    """Return the additional acceleration off a wall that reduces the rotation by an impact, m/s2.
 
-    Leaning into it by the guards' height over their distance has them level with the centre of mass.
+    A lean into the wall by the guards' height over their distance raises the guards to the level of the
+    centre of mass.
 
     Args:
-        height_m: of the wall's force above the centre of mass; None: not known.
+        height_m: height of the wall's force above the centre of mass; None if unknown.
         out_m: distance of the guards.
-        planned: mode of a hit at the end of the plan's own trajectory, which for rigid arms leans off it;
-            None: of one that has been planned anew, which leans less.
+        planned: mode of an impact at the end of the plan's own trajectory, which for rigid arms leans off the
+            wall; None for a replanned impact, which leans less.
     """
     if height_m is None:
         return 0.0
@@ -49,7 +49,7 @@ def balancing_m_s2(height_m: float | None, out_m: float, planned: Mode | None = 
 
 
 class ContactFeedforward:
-    """The contact's acceleration as PX4's D term has it."""
+    """The contact's acceleration as seen by PX4's D term."""
 
     def __init__(self, vehicle: VehicleConfig) -> None:
         self._per_newton = 1.0 / vehicle.airframe.mass_kg
@@ -58,7 +58,7 @@ class ContactFeedforward:
         self._last_us: int | None = None
 
     def update(self, sensed: Sensed) -> None:
-        """Take what one input has taught."""
+        """Filter the force estimate of one input."""
         estimate = sensed.estimate
         if estimate is None:
             return
@@ -75,7 +75,7 @@ class ContactFeedforward:
 
     @property
     def feed_forward(self) -> Vec3 | None:
-        """Acceleration against the D term, mission frame, m/s2; None where no contact was."""
+        """Acceleration against the D term, mission frame, m/s2, or None without a recent contact."""
         x, y = self._gain * self._filtered[0], self._gain * self._filtered[1]
         size = math.hypot(x, y)
         if size == 0.0:

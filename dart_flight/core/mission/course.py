@@ -1,4 +1,4 @@
-"""Where the vehicle is sent: a target, the trajectory to it, and when the vehicle has arrived."""
+"""The course of the vehicle: a target, the trajectory to it, and the conditions of arrival."""
 
 from __future__ import annotations
 
@@ -11,25 +11,25 @@ from dart_flight.config.vehicle import Flying
 from dart_flight.core.mission.trajectories import AfterEnd, Trajectory
 from dart_flight.core.sense.state import FlightState
 
-ARRIVED_M: Final = 0.12  # nearer to the target than PX4's position loop strays in hover
+ARRIVED_M: Final = 0.12  # above the error of PX4's position loop in hover
 ARRIVED_M_S: Final = 0.1
-ARRIVED_S: Final = 0.3  # place and speed have to hold for so long
-MEAN_SPEED_S: Final = 0.3  # PX4's velocity shakes with the accelerometer (docs/results/real_data.md)
+ARRIVED_S: Final = 0.3  # required duration of place and speed
+MEAN_SPEED_S: Final = 0.3  # PX4's velocity contains accelerometer vibration (docs/results/real_data.md)
 _ARRIVED_YAW_RAD: Final = 0.05
-# Factors on the distance, speed and heading of an arrival if PX4's position drifts: the vehicle does not come
-# to rest, and waiting for the last degrees after a hit ages the contacts by seconds.
+# Factors on distance, speed and heading of an arrival if PX4's position drifts: the vehicle does not come to
+# rest, and waiting for the last degrees ages the contacts by seconds.
 _DRIFTING_NEAR: Final = 2.5
 _DRIFTING_SLOW: Final = 4.0
 _DRIFTING_TURNED: Final = 2.0
 
 
 class Course(NamedTuple):
-    """Target and trajectory; each method returns the course that follows.
+    """Target and trajectory; each method returns the next course.
 
     Attributes:
-        target: where the vehicle is sent, mission frame, metres.
-        altitude_m: at which the vehicle is sent anywhere.
-        trajectory: to the target, or into a wall; None: the target is a step.
+        target: position to reach, mission frame, metres.
+        altitude_m: present altitude of the mission.
+        trajectory: to the target, or into a wall; None for a step to the target.
     """
 
     target: Vec3
@@ -93,7 +93,7 @@ class Arrival:
         self._turned_rad = _ARRIVED_YAW_RAD * (_DRIFTING_TURNED if drifts else 1.0)
 
     def is_at(self, target: Vec3, yaw: float, state: FlightState) -> bool:
-        """Whether the vehicle is near a target, slow, and heads as wanted."""
+        """Return whether the vehicle is near a target, slow, and at the wanted heading."""
         return (
             math.dist(state.position, target) < self._near_m
             and self.is_slow(state)
@@ -101,5 +101,5 @@ class Arrival:
         )
 
     def is_slow(self, state: FlightState) -> bool:
-        """Whether the mean velocity over `MEAN_SPEED_S` is below `ARRIVED_M_S`."""
+        """Return whether the mean velocity over `MEAN_SPEED_S` is small."""
         return norm(state.mean_velocity(MEAN_SPEED_S)) < self._slow_m_s

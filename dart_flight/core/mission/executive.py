@@ -1,9 +1,8 @@
-"""The mission executive: walks through the phases and proposes what the vehicle should do.
+"""The mission executive: it runs through the phases and proposes the vehicle's actions; the guard decides.
 
-It proposes; the guard disposes. It alone writes the `MissionState`. Its helpers read that and return a
-`Change`: the phases on the ground (`ground_phases`), contacts (`impact_response`), planning after them
-(`replan_requests`), and the setpoints of all phases (`setpoint_selection`). `rehearsal` is the same walk
-without contacts.
+Only the executive writes the `MissionState`. Its helpers read the state and return a `Change`: the phases on
+the ground (`ground_phases`), contacts (`impact_response`), planning after them (`replan_requests`), and the
+setpoints of all phases (`setpoint_selection`). `rehearsal` runs the same phases without contacts.
 """
 
 from __future__ import annotations
@@ -59,19 +58,19 @@ from dart_flight.core.mission.wall_uncertainty import late_s, overrun_m
 from dart_flight.core.sense.senses import Sensed
 from dart_flight.core.sense.state import FlightState
 
-_TRAJECTORY_WAIT_S: Final = 1.5  # after a contact: by then a planner that lives has answered, even twice
+_TRAJECTORY_WAIT_S: Final = 1.5  # after a contact; a running planner answers within this time, even twice
 _NEAR_S: Final = 0.3  # before an impact
-_NOTHING_MET_S: Final = 0.3  # after the end of a probe: PX4 follows its setpoints a little late
-_RUN_UP_US: Final = 5_000_000  # about so long from the transit's beginning to the impact
+_NOTHING_MET_S: Final = 0.3  # after the end of a probe: PX4 follows its setpoints with a delay
+_RUN_UP_US: Final = 5_000_000  # typical time from the beginning of the transit to the impact
 _REST_TIMEOUT_US: Final = 4_000_000
 _REST_AFTER_US: Final = 500_000
-_LEFT_SHARE: Final = 0.5  # of how far it is to go back after a probe, at most, for the next leg to begin
+_LEFT_SHARE: Final = 0.5  # largest remaining share of a probe's retreat when the next leg begins
 _RETRY_US: Final = 1_000_000  # telemetry of mode and arming lags by up to a second
-_WORDS: Final = frozenset({PlanAnswer, OperatorRequest})
+_EVENTS: Final = frozenset({PlanAnswer, OperatorRequest})
 
 
 class Executive:
-    """Phases of one mission.
+    """Runs the phases of one mission.
 
     Raises:
         NoApproachError: an approach of the mission has no room (`approach`).
@@ -90,7 +89,7 @@ class Executive:
         self._feedforward = ContactFeedforward(mission.vehicle)
         self._steps: dict[Phase, Callable[[FlightState, Sensed, Proposal], None]] = {
             Phase.READYING: self._ready,
-            Phase.OFFBOARD: self._take_offboard,
+            Phase.OFFBOARD: self._enter_offboard,
             Phase.ARMING: self._arm,
             Phase.CLIMB: self._climb,
             Phase.WAYPOINT: self._fly_to_waypoint,
@@ -107,15 +106,15 @@ class Executive:
     # -- stepping --
 
     def propose(self, item: Input, state: FlightState, sensed: Sensed, p: Proposal) -> None:
-        """Fill a proposal, after an input that has gone into `state` and taught `sensed`."""
+        """Fill a proposal after an input, which has updated `state` and produced `sensed`."""
         progress = self.progress
         if not self._has_begun(state):
             return
         if sensed.estimate is not None:
             self._feedforward.update(sensed)
             progress.contact_height_m = sensed.height_m
-        if type(item) in _WORDS:
-            self._handle_word(item, state, p)
+        if type(item) in _EVENTS:
+            self._handle_event(item, state, p)
         self._handle_contacts(sensed, state, p)
         permission = self._lock.permission(progress.lock, state.now_us, sensed.in_contact)
         if permission is not None:
@@ -123,14 +122,14 @@ class Executive:
             p.outputs.append(permission)
         step = self._steps.get(progress.phase)
         if step is not None and not (p.frame is not None and progress.anchors is not None and sensed.wall):
-            step(state, sensed, p)  # what has just moved the frame has not moved the state yet
+            step(state, sensed, p)  # a correction of the frame has not reached the state yet
         p.expected = progress.expected = self._impacts.expected(progress, state)
         p.altitude_m = progress.course.altitude_m
         if isinstance(item, OdometrySample):
             self._propose_setpoint(item, state, p)
 
     def _has_begun(self, state: FlightState) -> bool:
-        """Note when the phase began; whether there is a time to count from."""
+        """Record when the phase began; return whether any time is known."""
         progress = self.progress
         if progress.entered_us is None:
             if not state.now_us:
@@ -150,14 +149,14 @@ class Executive:
         if setpoint is not None:
             p.outputs.append(setpoint)
 
-    def _handle_word(self, item: Input, state: FlightState, p: Proposal) -> None:
+    def _handle_event(self, item: Input, state: FlightState, p: Proposal) -> None:
         """Handle an answer of the planner or a request of the operator."""
         if isinstance(item, PlanAnswer):
             self._apply(self._replanning.accept(self.progress.replan, item, state.now_us), state, p)
         elif isinstance(item, OperatorRequest) and item.request is Request.CONTINUE:
             self._on_operator_continue(state, p)
 
-    # -- what helpers want changed --
+    # -- changes requested by helpers --
 
     def _apply(self, change: Change, state: FlightState, p: Proposal) -> None:
         """Write a change into the mission's state, and its records and commands into the proposal."""
@@ -180,7 +179,7 @@ class Executive:
         if change.finding is not None:
             p.findings.append(change.finding)
         if change.action is not None:
-            self._ask(change.action, state, p)
+            self._send_action(change.action, state, p)
         if change.cue is not None:
             self._go(change.cue, state, p, change.reason)
         if change.end is not None:
@@ -199,15 +198,15 @@ class Executive:
         index = collision.index if collision and progress.phase in WATCHING - BETWEEN else None
         return PhaseChange(now_us, before, progress.phase, reason, index)
 
-    def _ask(self, action: VehicleAction, state: FlightState, p: Proposal) -> None:
-        """Send a vehicle command, again every second until telemetry confirms it."""
+    def _send_action(self, action: VehicleAction, state: FlightState, p: Proposal) -> None:
+        """Send a vehicle command, and repeat it every second until telemetry confirms it."""
         progress = self.progress
         if progress.asked_us is None or state.now_us - progress.asked_us >= _RETRY_US:
             progress.asked_us = state.now_us
             p.outputs.append(VehicleCommand(state.now_us, action))
 
     def _move_lock(self, mode: Mode, state: FlightState, p: Proposal) -> bool:
-        """Move the lock if it is elsewhere and may move; return whether it is settled in the mode."""
+        """Command the lock if it is elsewhere and may move; return whether it is settled in the mode."""
         order = self._lock.order(self.progress.lock, mode, state)
         if order is not None:
             self.progress.lock = self.progress.lock._replace(ordered=mode, ordered_us=state.now_us)
@@ -215,13 +214,13 @@ class Executive:
         return state.lock_is_in(mode)
 
     def overruled(self, now_us: int, reason: str) -> list[Output]:
-        """Note that the guard has taken over; return the change of phase, once."""
+        """Record that the guard has taken over; return the phase change, once."""
         if self.progress.phase in (Phase.DONE, Phase.OVERRULED):
             return []
         return [self._change_phase(PhaseTrigger.OVERRULE, now_us, reason)]
 
     def ended(self, end: MissionEnd) -> list[Output]:
-        """Note that the guard has ended the flight, in the air or on the ground; return the last records."""
+        """Record that the guard has ended the flight, in the air or on the ground; return the records."""
         if self.progress.phase is Phase.OVERRULED:
             return [self._change_phase(PhaseTrigger.LANDED, end.t_us, end.outcome.value), end]
         if self.progress.phase is Phase.DONE:
@@ -232,7 +231,7 @@ class Executive:
     # -- contacts --
 
     def _handle_contacts(self, sensed: Sensed, state: FlightState, p: Proposal) -> None:
-        """Handle what the last input has shown of contacts and walls."""
+        """Process the contacts and wall estimates of the last input."""
         progress = self.progress
         for event in sensed.impacts:
             if isinstance(event, ImpactOnset):
@@ -262,7 +261,7 @@ class Executive:
         self._apply(self._impacts.on_wall_estimate(felt), state, p)
 
     def _correct_frame(self, anchor: FrameAnchor, state: FlightState, p: Proposal) -> None:
-        """Move the mission frame along the normal of a wall that was met."""
+        """Move the mission frame along the normal of the wall that was touched."""
         frame = p.frame or state.frame
         assert frame is not None
         self.progress.walls.move_frame(anchor.moved_mission)
@@ -275,7 +274,7 @@ class Executive:
     def _ready(self, state: FlightState, sensed: Sensed, p: Proposal) -> None:
         self._apply(self._ground.ready(self.progress, state), state, p)
 
-    def _take_offboard(self, state: FlightState, sensed: Sensed, p: Proposal) -> None:
+    def _enter_offboard(self, state: FlightState, sensed: Sensed, p: Proposal) -> None:
         self._apply(self._ground.take_offboard(self.progress, state), state, p)
 
     def _arm(self, state: FlightState, sensed: Sensed, p: Proposal) -> None:
@@ -300,8 +299,8 @@ class Executive:
             p.add_finding("climb_timeout", "altitude not reached")
 
     def _start_next(self, cue: PhaseTrigger, state: FlightState, p: Proposal) -> None:
-        """From rest at the target to what comes next; `cue` is that for a collision."""
-        self._leave_out(state, p)
+        """Continue from rest at the target; `cue` is the trigger if a collision is next."""
+        self._skip_legs(state, p)
         waypoint = self.progress.waypoint
         if waypoint is not None:
             waypoint = waypoint_now(waypoint, self.progress.walls)
@@ -320,8 +319,8 @@ class Executive:
             self._go(PhaseTrigger.NEXT_GOAL, state, p)
             self._fly_to_goal()
 
-    def _leave_out(self, state: FlightState, p: Proposal) -> None:
-        """Pass over the legs that depend on a wall which was met, or was not."""
+    def _skip_legs(self, state: FlightState, p: Proposal) -> None:
+        """Skip the legs whose condition on a wall is not met."""
         while (leg := self.progress.waypoint or self.progress.collision) is not None:
             reason = why_left_out(leg, self.progress.walls)
             if reason is None:
@@ -334,7 +333,7 @@ class Executive:
                 self.progress.index += 1
 
     def _fly_to_goal(self) -> None:
-        """From rest, along the mission's trajectory where it has one."""
+        """Fly from rest to the goal, along the mission's trajectory if it has one."""
         written, course = self.mission.goal_trajectory, self.progress.course
         if written is None or self.progress.collisions:
             self.progress.course = course.fly_to(self.mission.goal.position_m, self._flying)
@@ -362,7 +361,7 @@ class Executive:
             p.add_finding("pause_timeout", f"operator did not resume within {waypoint.hold_s:g} s")
 
     def _on_operator_continue(self, state: FlightState, p: Proposal) -> None:
-        """The operator says to go on; where nothing waits for that, it means nothing."""
+        """End a pause; outside of a pause the request has no effect."""
         if self.progress.phase is Phase.PAUSE:
             self.progress.stops += 1
             self._start_next(PhaseTrigger.NEXT_COLLISION, state, p)
@@ -376,7 +375,7 @@ class Executive:
         self.progress.course = self.progress.course.fly_to(begin[:2], self._flying)
 
     def _plan_approach_now(self, collision: Collision, state: FlightState, p: Proposal) -> None:
-        """The approach to a wall as it is known by now; a probe that begins at a place keeps its line."""
+        """Plan the approach to a wall in its estimated position; a probe at a fixed place keeps its line."""
         if collision.trajectory is not None:
             return
         then_us = state.now_us + _RUN_UP_US
@@ -398,7 +397,7 @@ class Executive:
             p.add_finding("transit_timeout", "run-up point not reached")
 
     def _set_off(self, state: FlightState, p: Proposal) -> None:
-        """At the run-up point: the lock first, where there is one."""
+        """Continue at the run-up point: with the lock first, if there is one."""
         collision = self.progress.collision
         assert collision is not None
         if self.mission.vehicle.has_lock:
@@ -408,7 +407,7 @@ class Executive:
             self._begin_approach(collision)
 
     def _has_arrived(self, state: FlightState) -> bool:
-        """Whether the vehicle has been at its target for the configured time."""
+        """Return whether the vehicle has been at its target for the required time."""
         progress = self.progress
         if not self._arrival.is_at(
             progress.course.target, self._setpoints.wanted_yaw(progress, state), state
@@ -445,10 +444,10 @@ class Executive:
                 self._end_probe(collision, state, p)
             return
         since_s = self.progress.elapsed_us(state) * 1e-6 - self.progress.course.duration_s
-        # A trajectory may begin beside its wall, behind the plane.
+        # A trajectory may begin behind the plane, beside its wall.
         if since_s > -_NEAR_S or collision.trajectory is None:
-            self._check_wall_met(collision, state, sensed, p)
-        if since_s <= 0.0:  # no wall is late before its time
+            self._check_contact_due(collision, state, sensed, p)
+        if since_s <= 0.0:  # the timeout begins at the planned impact
             return
         guard, impact = self.mission.vehicle.guard, collision.impact_point
         assert collision.approach_m_s is not None
@@ -459,14 +458,16 @@ class Executive:
             p.add_finding("wall_not_met", detail)
 
     def _end_probe(self, collision: Collision, state: FlightState, p: Proposal) -> None:
-        """At its end, and nothing was met."""
+        """End a probe without a contact."""
         p.outputs.append(ProbeEnd(state.now_us, f"nothing met on the probe for wall {collision.wall.name}"))
         self.progress.course = self.progress.course.hold(state.position)
         self.progress.lock = self.progress.lock.contact_ends(state.now_us)
         self._go(PhaseTrigger.NOT_MET, state, p)
         self.progress.index += 1
 
-    def _check_wall_met(self, collision: Collision, state: FlightState, sensed: Sensed, p: Proposal) -> None:
+    def _check_contact_due(
+        self, collision: Collision, state: FlightState, sensed: Sensed, p: Proposal
+    ) -> None:
         wall, (x, y, _) = self.progress.walls.wall_now(collision.wall, state.now_us), state.position
         overrun = -wall.signed_distance((x, y))
         if overrun <= 0.0:
@@ -497,7 +498,7 @@ class Executive:
         if rests or (following is not None and following.approach_m_s is not None):
             elapsed_us = self.progress.elapsed_us(state)
             rested = elapsed_us > _REST_AFTER_US and self._arrival.is_slow(state)
-            if probe is not None:  # a hit may end slow at its wall, and PX4's integrators still lean on that
+            if probe is not None:  # PX4's integrators may still lean after a slow contact
                 left_m = distance2(state.position, self.progress.course.target)
                 rested = rested and left_m < _LEFT_SHARE * probe.back_m
             if rested or elapsed_us > _REST_TIMEOUT_US:
@@ -507,14 +508,14 @@ class Executive:
             self._watch_goal(state, p, timed_out)
         else:
             if self.progress.replan.impact_in_s(state) < _NEAR_S:
-                self._check_wall_met(following, state, sensed, p)
+                self._check_contact_due(following, state, sensed, p)
             self._check_lock_in_time(following, state, sensed, p)
             wall = self.progress.walls.wall_now(following.wall, state.now_us)
             if timed_out or self._replanning.is_late(self.progress.replan, wall, state):
                 p.add_finding("wall_not_met", f"wall {following.wall.name} not reached by the recovery")
 
     def _mode_after(self, following: Collision | None, stops: bool) -> Mode:
-        """Where the lock goes after a contact: waypoints and the goal are flown in the transit mode."""
+        """Return the mode of the lock after a contact: the transit mode before waypoints and the goal."""
         return self.mission.transit_mode if following is None or stops else following.mode
 
     def _check_lock_in_time(
@@ -545,7 +546,7 @@ class Executive:
             p.add_finding("lock_late", detail)
 
     def _replan(self, following: Collision | None, state: FlightState, sensed: Sensed, p: Proposal) -> None:
-        """Ask for a trajectory once the contact is over, and follow it once it begins."""
+        """Request a trajectory after the contact, and follow it from its beginning."""
         progress, planning = self.progress, self._replanning
         square_us = state.now_us if following is None else self._setpoints.square_us(progress, state)
         coasts = self._setpoints.coasts(progress, state)
@@ -559,7 +560,7 @@ class Executive:
             progress.least_miss_m = math.inf
 
     def _watch_goal(self, state: FlightState, p: Proposal, timed_out: bool) -> None:
-        if self.progress.lock.contact_end_us is None:  # it comes: the detector waits for it only so long
+        if self.progress.lock.contact_end_us is None:  # the detector bounds the wait for it
             return
         miss = distance2(state.position, self.mission.goal.position_m)
         self.progress.least_miss_m = min(self.progress.least_miss_m, miss)
@@ -567,7 +568,7 @@ class Executive:
             passed = self.progress.replan.is_over(state.now_us)  # it may lead away from the goal at first
         else:
             rising = miss > self.progress.least_miss_m + PASSED_RISE_M
-            # Where a trajectory is to come it is worth waiting for.
+            # A trajectory is expected, so wait longer.
             after_s = PASSED_AFTER_S if self.mission.goal_trajectory is None else _TRAJECTORY_WAIT_S
             passed = rising and self.progress.takes_longer_than(after_s, state)
         if passed or timed_out:
@@ -576,7 +577,7 @@ class Executive:
             self._go(PhaseTrigger.PASSED if passed else PhaseTrigger.TIMED_OUT, state, p)
 
     def _head_for_goal(self, state: FlightState, distance_m: float) -> None:
-        """Hold the goal; where a step to it would be flown faster than a transit, make it a transit."""
+        """Hold the goal; if a step would be faster than a transit, fly a transit."""
         vehicle, goal, course = self.mission.vehicle, self.mission.goal.position_m, self.progress.course
         if vehicle.px4.mpc_xy_p * distance_m > vehicle.flying.transit_speed_m_s:
             self.progress.course = course.hold(state.position).fly_to(goal, self._flying)

@@ -1,4 +1,4 @@
-"""The phases on the ground: from waiting for the vehicle to arming, and from landing to the end."""
+"""The phases on the ground: from readiness to arming, and from landing to the end."""
 
 from __future__ import annotations
 
@@ -13,20 +13,23 @@ from dart_flight.core.mission.phases import DOWN_US, PhaseTrigger
 from dart_flight.core.mission.proposal import MissionFinding
 from dart_flight.core.sense.state import FlightState
 
-_STREAMING_US: Final = 200_000  # PX4 accepts offboard only with setpoints already streaming
+_STREAMING_US: Final = 200_000  # PX4 accepts offboard only while setpoints are streaming
 _DISARM_AFTER_US: Final = 8_000_000
 
 
 class GroundPhases:
-    """Ready the vehicle, lay the mission frame, take offboard mode, arm; at the end land and disarm."""
+    """The phases before take-off (readiness, mission frame, offboard, arming) and the landing."""
 
     def __init__(self, mission: Mission) -> None:
         self._mission = mission
         self._lock_name = f"lock {mission.transit_mode.value}"
 
     def ready(self, progress: MissionState, state: FlightState) -> Change:
-        """Wait for telemetry, lock and a position that is known well enough."""
-        mode, sd = self._mission.transit_mode, state.position_sd_m or 0.0  # not reported, not judged
+        """Wait for telemetry, the lock and a sufficiently accurate position."""
+        mode, sd = (
+            self._mission.transit_mode,
+            state.position_sd_m or 0.0,
+        )  # without a report the accuracy is not checked
         judged = self._mission.collisions and progress.anchors is None
         limit = self._mission.vehicle.guard.position_sd_m if judged else math.inf
         sure = f"position to {limit:.2f} m (its standard deviation by PX4 is {sd:.2f} m)"
@@ -43,13 +46,13 @@ class GroundPhases:
         finding = None
         if progress.is_late(state):
             missing = [name for name, yes in there.items() if not yes]
-            # PX4 has no reason to give for the lock, nor more to say of its uncertainty.
+            # PX4 gives no reasons for the lock or for its uncertainty.
             why = "" if {*missing} <= {self._lock_name, sure} else state.reasons()
             finding = MissionFinding("not_ready", "no " + ", no ".join(missing) + why)
         return Change(mode=mode, finding=finding)
 
     def _lay_frame(self, progress: MissionState, state: FlightState) -> Change:
-        """Lay the mission frame: the vehicle stands at its take-off point."""
+        """Set the mission frame from the vehicle's position on its take-off point."""
         assert state.odometry is not None
         assert state.attitude is not None
         stood_at_ned = state.odometry.position_ned
@@ -61,7 +64,7 @@ class GroundPhases:
         return Change(course=course, heading=heading, frame=frame, stood_at_ned=stood_at_ned)
 
     def take_offboard(self, progress: MissionState, state: FlightState) -> Change:
-        """Ask for offboard mode, once setpoints are streaming."""
+        """Request offboard mode once setpoints are streaming."""
         if state.in_offboard:
             return Change(PhaseTrigger.CONFIRMED)
         action = VehicleAction.OFFBOARD if progress.elapsed_us(state) > _STREAMING_US else None
@@ -72,7 +75,7 @@ class GroundPhases:
         return Change(action=action, finding=finding)
 
     def arm(self, progress: MissionState, state: FlightState) -> Change:
-        """Ask to arm; the climb begins from where the vehicle then stands."""
+        """Request arming; the climb begins at the vehicle's present position."""
         if not state.status.armed:
             finding = None
             if progress.is_late(state):
@@ -89,7 +92,7 @@ class GroundPhases:
         return change._replace(cue=PhaseTrigger.CONFIRMED, reason=reason, course=climb)
 
     def land(self, progress: MissionState, state: FlightState) -> Change:
-        """Have PX4 land, and end the mission when the vehicle is down and disarmed."""
+        """Command PX4 to land, and end the mission when the vehicle is down and disarmed."""
         if progress.down_us is not None and state.now_us - progress.down_us >= DOWN_US:
             end = MissionEnd(state.now_us, Outcome.COMPLETED, None, progress.final_error_m)
             return Change(PhaseTrigger.LANDED, end=end)

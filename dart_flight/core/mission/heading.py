@@ -1,9 +1,9 @@
-"""Bringing the heading back after a contact as quickly as PX4's yaw control can, and how long that takes.
+"""Return to the wanted heading after a contact, as fast as PX4's yaw control permits, and its duration.
 
-A wall that stands askew turns the vehicle, and motors turn it back only by their drag: slowly. PX4's own way
-to a far heading overshoots, as its integral fills while the torque is at its limit, and the next wall is met
-askew again. So the heading asked for is never further off than the torque can follow, and the rate that it
-asks for is one from which the same torque still stops in time.
+An oblique wall rotates the vehicle, and the motors correct the yaw only by their drag, slowly. With a large
+heading step PX4 overshoots, because its integrator winds up while the torque is at its limit, and the next
+contact is oblique again. The commanded heading therefore never leads further than the torque can follow, at a
+rate from which the same torque still stops in time.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from typing import Final, NamedTuple
 from dart_flight.base.geometry import wrap_angle
 from dart_flight.config.vehicle import VehicleConfig
 
-_MOST_TORQUE: Final = 0.15  # normalised: what PX4 keeps for yaw where motors are at their limits
-# Of the torque: what a flight is sure to have, and what it brakes with; the rest is for errors and delay.
+_MOST_TORQUE: Final = 0.15  # normalised: PX4's reserve for yaw when motors saturate
+# Shares of the torque: available in any flight, and used for braking; the rest covers errors and delay.
 _SURE: Final = 0.85
 _BRAKING: Final = 0.5
 _STEP_S: Final = 0.02
@@ -26,12 +26,12 @@ class Heading(NamedTuple):
     """The heading of a flight; mission frame, rad.
 
     Attributes:
-        yaw: wanted, as far as it has been turned.
-        yaw_us: when it was turned last.
-        before: wanted before the first contact.
-        asked: commanded instead of `yaw`, while the vehicle is led back after a contact.
-        integral: what PX4's integral has gathered since, normalised torque.
-        integral_us: when it was counted last.
+        yaw: wanted heading, after rate limiting.
+        yaw_us: time of the last update of `yaw`.
+        before: wanted heading before the first contact.
+        asked: commanded heading instead of `yaw`, while the vehicle returns after a contact.
+        integral: accumulated value of PX4's integrator since then, normalised torque.
+        integral_us: time of the last update of `integral`.
     """
 
     yaw: float = 0.0
@@ -43,11 +43,11 @@ class Heading(NamedTuple):
 
     @property
     def commanded(self) -> float:
-        """The heading to command."""
+        """Heading to command."""
         return self.yaw if self.asked is None else self.asked
 
     def turn(self, wanted: float, now_us: int, most_rad_s: float) -> Heading:
-        """Turn towards a wanted heading, at a limited rate."""
+        """Return the heading moved towards a wanted heading, at a limited rate."""
         most = most_rad_s * (now_us - self.yaw_us) * 1e-6
         turned = wrap_angle(self.yaw + max(-most, min(most, wrap_angle(wanted - self.yaw))))
         return self._replace(yaw=turned, yaw_us=now_us)
@@ -68,11 +68,11 @@ class HeadingControl:
         self._per_s, self._p, self._i = px4.mc_yaw_p, px4.mc_yawrate_p, px4.mc_yawrate_i
 
     def lead(self, heading: Heading, yaw: float, rate: float, now_us: int) -> Heading:
-        """Return the heading with what to command now; what PX4's integral has gathered is taken off.
+        """Return the heading with its present command, compensated for PX4's integrator.
 
         Args:
-            heading: with the wanted one, and the integral so far.
-            yaw, rate: at present, mission frame, rad and rad/s.
+            heading: with the wanted heading and the integral so far.
+            yaw, rate: present values, mission frame, rad and rad/s.
             now_us: autopilot time.
         """
         torque = self._torque(wrap_angle(heading.yaw - yaw), rate)
@@ -82,10 +82,10 @@ class HeadingControl:
         return heading._replace(asked=asked, integral=integral, integral_us=now_us)
 
     def time_to_s(self, off: float, rate: float, within: float) -> float:
-        """Time from which on the heading will be within an angle of the wanted one.
+        """Return the time after which the heading stays within an angle of the wanted one.
 
         Args:
-            off: heading less the wanted one, rad.
+            off: heading minus wanted heading, rad.
             rate: of the heading, rad/s.
             within: rad.
         """
@@ -98,7 +98,7 @@ class HeadingControl:
         return last * _STEP_S
 
     def _torque(self, to: float, rate: float) -> float:
-        """Normalised torque towards a heading so far away, from which a part of the torque stops in time."""
+        """Return the normalised torque towards a heading offset; a part of it suffices to stop in time."""
         braking = _BRAKING * self._most_rad_s2
         linear = braking / self._per_s**2
         wanted = self._per_s * to

@@ -1,4 +1,4 @@
-"""The answers to contacts: the planned one, a bounce, any other, and what they show of the lock."""
+"""Responses to contacts: the planned one, a bounce, any other, and a mismatch of the lock's mode."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ from dart_flight.core.mission.wall_uncertainty import early_m
 from dart_flight.core.sense.detector import ExpectedContact
 from dart_flight.core.sense.state import FlightState
 
-_BOUNCES_US: Final = 1_000_000  # for so long after a hit its wall may be touched again, as PX4 leans on it
+_BOUNCES_US: Final = 1_000_000  # after an impact PX4 may lean on the wall again for this long
 _ANY_WALL: Final = ExpectedContact(watching=True)
 _NO_WALL: Final = ExpectedContact()
 
 
 class ImpactResponse:
-    """The answers to the detector's events, and the contact that is expected next.
+    """Responses to the detector's events, and the expected contact.
 
     With a standoff, in a rehearsal, no contact is planned.
     """
@@ -43,7 +43,7 @@ class ImpactResponse:
     # -- which contact is expected --
 
     def expected(self, progress: MissionState, state: FlightState) -> ExpectedContact:
-        """Return the contact that comes next, for the detector."""
+        """Return the next expected contact, for the detector."""
         collision, watching = progress.collision, progress.phase in WATCHING
         if (
             collision is None
@@ -57,32 +57,32 @@ class ImpactResponse:
         return ExpectedContact(watching, wall.normal, wall.material, wall)
 
     def _is_due(self, progress: MissionState, collision: Collision) -> bool:
-        """Whether an onset now is planned; a second one before the peak is not."""
+        """Return whether an onset now is planned; a second onset before the peak is not."""
         rehearsed = self._mission.standoff_m is not None
         return not rehearsed and progress.phase is not Phase.CONTACT and _is_expected(progress, collision)
 
     # -- onset and peak --
 
     def on_onset(self, event: ImpactOnset, progress: MissionState, state: FlightState) -> Change:
-        """Answer the onset of a contact: the planned one, a bounce off the wall just hit, or a finding."""
+        """Respond to an onset: proceed if it was planned, get clear after a bounce, or report a finding."""
         if self._is_at_wall_just_hit(progress, event.position_mission, state):
             return self._on_bounce(event, progress, state)
         change, collision = Change(replan=progress.replan.contact_begins()), progress.collision
         if collision is None or not self._is_due(progress, collision) or not event.planned:
-            says = f"unplanned {_describe(event, progress)}"
-            return change._replace(finding=MissionFinding("unplanned_hit", says))
+            text = f"unplanned {_describe(event, progress)}"
+            return change._replace(finding=MissionFinding("unplanned_hit", text))
         wall, (x, y, _) = progress.walls.wall_now(collision.wall, state.now_us), event.position_mission
         distance = wall.signed_distance((x, y))
         if collision.probe is None and distance > early_m(self._mission.vehicle.guard, wall, (x, y)):
-            says = f"{distance:.2f} m before wall {collision.wall.name}"
-            return change._replace(finding=MissionFinding("wall_met_early", says))
+            text = f"{distance:.2f} m before wall {collision.wall.name}"
+            return change._replace(finding=MissionFinding("wall_met_early", text))
         if not state.lock_is_in(collision.mode):
-            says = f"contact with wall {collision.wall.name} while the lock is not {collision.mode.value}"
-            return change._replace(finding=MissionFinding("lock_not_settled", says))
+            text = f"contact with wall {collision.wall.name} while the lock is not {collision.mode.value}"
+            return change._replace(finding=MissionFinding("lock_not_settled", text))
         return change._replace(cue=PhaseTrigger.ONSET)
 
     def _is_at_wall_just_hit(self, progress: MissionState, place: Vec3, state: FlightState) -> bool:
-        """Whether a contact here would be a bounce: at the wall hit last, and soon after that hit."""
+        """Return whether a contact here would be a bounce: at the last wall, soon after its impact."""
         if progress.phase is not Phase.RECOVERY or progress.elapsed_us(state) > _BOUNCES_US:
             return False
         wall = progress.walls.wall_now(progress.last_collision.wall, state.now_us)
@@ -96,7 +96,7 @@ class ImpactResponse:
         return ahead.name != wall.name and distance_m < abs(ahead.signed_distance(place))
 
     def _on_bounce(self, event: ImpactOnset, progress: MissionState, state: FlightState) -> Change:
-        """Note a bounce, and get clear of the wall until a trajectory is planned from there."""
+        """Record a bounce, and get clear of the wall until a trajectory is planned from there."""
         course = None
         if progress.replan.trajectory is not None:
             hit = progress.last_collision.wall
@@ -107,7 +107,7 @@ class ImpactResponse:
         return Change(finding=finding, course=course, replan=progress.replan.contact_begins())
 
     def on_detection_floor(self, event: DetectionFloor, progress: MissionState) -> Change:
-        """Report a planned hit that the vibration hides: a wall that is not felt is flown into."""
+        """Report a planned impact that the vibration would hide: the vehicle would fly on into the wall."""
         collision, vehicle = progress.collision, self._mission.vehicle
         if collision is None or event.threshold_n <= vehicle.detection.force_threshold_n:
             return NO_CHANGE
@@ -116,8 +116,8 @@ class ImpactResponse:
         if hit is None or floor is None or hit.peak_normal_force_n >= floor:
             return NO_CHANGE
         what = f"{collision.mode.value}, {hit.peak_normal_force_n:.0f} N at wall {collision.wall.name}"
-        says = f"{what}: below the detection limit at this vibration level ({floor:.0f} N)"
-        return Change(finding=MissionFinding("hit_in_noise", says))
+        text = f"{what}: below the detection limit at this vibration level ({floor:.0f} N)"
+        return Change(finding=MissionFinding("hit_in_noise", text))
 
     def on_peak(
         self, event: ImpactPeak, progress: MissionState, state: FlightState, added: Vec3 | None
@@ -153,10 +153,10 @@ class ImpactResponse:
             finding = MissionFinding("peak_force", f"{force:.0f} N at wall {collision.wall.name}")
         return Change(PhaseTrigger.PEAK, outputs=(setpoint,), finding=finding, course=course)
 
-    # -- what a contact has shown of the lock --
+    # -- lock state indicated by a contact --
 
     def on_wall_estimate(self, felt: WallEstimate) -> Change:
-        """Report a contact that indicates other arms than the lock reports."""
+        """Report a contact that indicates another mode than the lock reports."""
         if felt.mode_felt is None or felt.mode_reported in (None, felt.mode_felt):
             return NO_CHANGE
         detail = (
@@ -168,7 +168,7 @@ class ImpactResponse:
 
 
 def _is_expected(progress: MissionState, collision: Collision) -> bool:
-    """Whether the plan has the vehicle meet this wall in this phase."""
+    """Return whether the plan has an impact on this wall in this phase."""
     if progress.phase is Phase.RECOVERY:
         return collision.approach_m_s is None
     return progress.phase in AT_WALL

@@ -1,4 +1,4 @@
-"""Legs of a mission that depend on walls which contacts find: left out, or made of what was found."""
+"""Legs of a mission that depend on walls found in flight: whether to skip them, and their updated form."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from dart_flight.core.mission.wall_uncertainty import EstimatedWalls
 
 
 def why_left_out(leg: Collision | Waypoint, walls: EstimatedWalls) -> str | None:
-    """Why a leg is not flown, in words: a condition does not hold, or its wall was looked for in vain."""
+    """Return the reason why a leg is skipped, or None: its condition fails, or its wall was not found."""
     if leg.if_met is not None and not walls.is_met(leg.if_met):
         return f"wall {leg.if_met} was not met"
     if leg.if_not_met is not None and walls.is_met(leg.if_not_met):
@@ -27,13 +27,13 @@ def why_left_out(leg: Collision | Waypoint, walls: EstimatedWalls) -> str | None
 
 
 def collision_now(collision: Collision, walls: EstimatedWalls, now_us: int, here: Vec2) -> Collision:
-    """A collision at its wall as it is known now; the point of impact stays as far along it.
+    """Return a collision at its wall's estimated position; the impact point keeps its place along the wall.
 
     Args:
-        collision: as the mission has it.
-        walls: as they are known.
+        collision: as in the mission.
+        walls: estimated walls.
         now_us: autopilot time.
-        here: where the vehicle rests, mission frame, m: there begins a probe that says so.
+        here: resting position, mission frame, m: the start of a probe with `from_here`.
     """
     wall, probe = walls.wall_now(collision.wall, now_us), collision.probe
     if probe is not None and probe.from_here:
@@ -46,7 +46,7 @@ def collision_now(collision: Collision, walls: EstimatedWalls, now_us: int, here
 
 
 def waypoint_now(waypoint: Waypoint, walls: EstimatedWalls) -> Waypoint:
-    """A waypoint whose place at a wall is known now."""
+    """Return a waypoint with its place computed from the wall's estimated position."""
     if waypoint.at_wall is None or waypoint.wall_at is None or waypoint.position is None:
         return waypoint
     place = place_at(walls.wall_now(waypoint.wall_at), waypoint.at_wall)
@@ -54,8 +54,10 @@ def waypoint_now(waypoint: Waypoint, walls: EstimatedWalls) -> Waypoint:
 
 
 def mission_now(mission: Mission, walls: EstimatedWalls, now_us: int, here: Vec2) -> Mission:
-    """A mission with its walls and waypoints as they are known now, without waypoints that are left out, and
-    with its start where the vehicle rests."""
+    """Return a mission with estimated walls and waypoints, and with its start at the resting position.
+
+    Waypoints that are skipped are omitted.
+    """
     return msgspec.structs.replace(
         mission,
         start=here,

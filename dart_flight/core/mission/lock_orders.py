@@ -1,6 +1,6 @@
-"""When the lock may move, and the orders to move it.
+"""Permission and commands to move the lock.
 
-The rods can enter their slots only with the arms relaxed: never during a contact, nor before the arms have
+The rods can enter their slots only with relaxed arms: not during a contact, and not before the arms have
 sprung back (paper, Sec. III; `lock.relaxation_s`).
 """
 
@@ -17,13 +17,13 @@ _OVERDUE_US: Final = 50_000  # two polls of the lock
 
 
 class LockMemory(NamedTuple):
-    """What the orders depend on beside the lock's state; autopilot time.
+    """State of the lock commands, in addition to the lock's own state; autopilot time.
 
     Attributes:
         contact_begin_us: beginning of the last contact.
         contact_end_us: end of the last contact; None during a contact, or before the first.
-        permitted: whether the lock may move; None: not decided yet.
-        ordered, ordered_us: the last order, and when it was given in this phase.
+        permitted: whether the lock may move; None if not decided yet.
+        ordered, ordered_us: the last commanded mode, and the time of the command in this phase.
     """
 
     contact_begin_us: int | None = None
@@ -37,16 +37,16 @@ class LockMemory(NamedTuple):
         return self._replace(contact_begin_us=t_us, contact_end_us=None)
 
     def contact_ends(self, t_us: int) -> LockMemory:
-        """Let the arms spring back from here on."""
+        """Start the relaxation of the arms at the end of a contact."""
         return self._replace(contact_end_us=t_us)
 
     def phase_begins(self) -> LockMemory:
-        """Allow the next order at once, without waiting for a retry."""
+        """Allow the next command at once, without waiting for a retry."""
         return self._replace(ordered_us=None)
 
 
 class LockOrders:
-    """The rules of one vehicle's lock; without a lock there are no orders."""
+    """Rules for the lock of one vehicle; without a lock there are no commands."""
 
     def __init__(self, lock: LockConfig | None) -> None:
         self._lock = lock
@@ -54,7 +54,7 @@ class LockOrders:
         self._switch_us = lock.switch_time_s * 1e6 if lock else 0.0
 
     def permission(self, memory: LockMemory, now_us: int, in_contact: bool) -> LockPermission | None:
-        """Return a record if it has changed whether the lock may move."""
+        """Return a record if the permission to move has changed."""
         end_us = memory.contact_end_us
         relaxed = end_us is not None and now_us - end_us >= self._relaxation_us
         permitted = not in_contact and (memory.contact_begin_us is None or relaxed)
@@ -63,9 +63,9 @@ class LockOrders:
         return LockPermission(now_us, permitted)
 
     def ready_us(self, memory: LockMemory, mode: Mode, state: FlightState) -> int | None:
-        """Return when the lock will be settled in a mode if nothing fails, autopilot time.
+        """Return the time at which the lock will be settled in a mode if nothing fails, autopilot time.
 
-        None: it is at fault, or should have been settled by now.
+        The result is None if the lock is in fault or overdue.
         """
         if state.lock_is_in(mode):
             return state.now_us
@@ -78,7 +78,7 @@ class LockOrders:
         return round(max(state.now_us, end_us + self._relaxation_us) + self._switch_us)
 
     def order(self, memory: LockMemory, mode: Mode, state: FlightState) -> LockCommand | None:
-        """Return the order to go to a mode, if the lock is not there, may move, and has no fresh order."""
+        """Return the command to move to a mode, or None if there, not permitted, or commanded recently."""
         if state.lock_is_in(mode):
             return None
         moving = state.lock.phase is LockPhase.TRAVELLING and state.lock.mode is mode

@@ -1,4 +1,4 @@
-"""The state of one flight's mission. The executive alone writes it; its helpers return a `Change`."""
+"""State of one flight's mission. Only the executive writes it; its helpers return a `Change`."""
 
 from __future__ import annotations
 
@@ -19,38 +19,37 @@ from dart_flight.core.mission.wall_uncertainty import EstimatedWalls
 from dart_flight.core.sense.detector import ExpectedContact
 from dart_flight.core.sense.state import FlightState
 
-_SLOWEST: Final = 3.0  # host's time over vehicle's
+_SLOWEST: Final = 3.0  # host time over vehicle time
 
 
 class MissionState:
     """Phase, leg, course, contacts and walls of one flight.
 
     Args:
-        mission: as it was loaded.
+        mission: as loaded.
         approaches: by the index of their collision.
 
     Attributes:
         phase: of the mission.
-        entered_us, entered_host_us: when the phase began, autopilot's and host's time.
-        asked_us: when a vehicle command was last sent in this phase; None: not yet.
-        collisions: of the mission; a sought wall that has been met replaces the written one.
-        index: of the collision that comes next or is under way.
-        stops: number of waypoints and pauses that are over.
+        entered_us, entered_host_us: beginning of the phase, autopilot and host time.
+        asked_us: time of the last vehicle command in this phase, or None.
+        collisions: of the mission; a wall found by a probe replaces the written one.
+        index: of the next or present collision.
+        stops: number of completed waypoints and pauses.
         approaches: by collision.
-        course: where the vehicle is sent.
-        heading: where it is turned.
-        lock: contacts and orders that decide about the lock.
-        replan: requests to the planner, and the trajectory that it answered.
-        walls: as contacts have found them.
+        course: target and trajectory of the vehicle.
+        heading: wanted and commanded heading.
+        lock: contacts and commands that affect the lock.
+        replan: requests to the planner, and its trajectory.
+        walls: as estimated from contacts.
         anchors: contacts that corrected the mission frame; None if PX4's position does not drift.
-        expected: the contact that comes next.
-        contact_height_m: of the walls' force above the centre of mass; None: not known.
-        arrived_us, reached_us, captured_us: since when the vehicle is at the target, at the waypoint, at the
-            goal.
-        least_miss_m: least distance to the goal after the last contact.
-        final_error_m: distance from the goal when it had been held; None: it was not.
-        stood_at_ned: where the vehicle stood when the mission frame was laid.
-        down_us: since when the vehicle is landed and disarmed.
+        expected: the next expected contact.
+        contact_height_m: height of the walls' force above the centre of mass; None if unknown.
+        arrived_us, reached_us, captured_us: time of arrival at the target, at the waypoint, at the goal.
+        least_miss_m: smallest distance to the goal after the last contact.
+        final_error_m: distance from the goal at the end of its hold, or None.
+        stood_at_ned: position of the vehicle when the mission frame was set.
+        down_us: time since which the vehicle is landed and disarmed.
     """
 
     def __init__(self, mission: Mission, approaches: dict[int, Trajectory]) -> None:
@@ -83,18 +82,18 @@ class MissionState:
 
     @property
     def collision(self) -> Collision | None:
-        """The collision that comes next or is under way."""
+        """The next or present collision, or None."""
         collisions = self.collisions
         return collisions[self.index] if self.index < len(collisions) else None
 
     @property
     def last_collision(self) -> Collision:
-        """The collision that is over; there must have been one."""
+        """The last completed collision; there must be one."""
         return self.mission.collisions[self.index - 1]
 
     @property
     def waypoint(self) -> Waypoint | None:
-        """The waypoint or pause that comes next or is under way, before the next collision."""
+        """The next or present waypoint or pause before the next collision, or None."""
         waypoints = self.mission.waypoints
         if self.stops < len(waypoints) and waypoints[self.stops].after == self.index:
             return waypoints[self.stops]
@@ -108,13 +107,14 @@ class MissionState:
         return state.now_us - self.entered_us
 
     def takes_longer_than(self, limit_s: float, state: FlightState) -> bool:
-        """Whether the phase lasts longer than a limit, by autopilot time."""
+        """Return whether the phase has exceeded a limit, by autopilot time."""
         return self.elapsed_us(state) > limit_s * 1e6
 
     def is_late(self, state: FlightState, travel_s: float = 0.0) -> bool:
-        """Whether the phase has exceeded its timeout, allowing for the planned travel time.
+        """Return whether the phase has exceeded its timeout, allowing for the planned travel time.
 
-        The host's clock decides if the autopilot's has jumped back, with room for a slow simulation.
+        If the autopilot's clock has jumped back, the host's clock decides, with a factor for slow
+        simulations.
         """
         limit_s = self.mission.vehicle.flying.ready_timeout_s + travel_s
         host_us = state.host_us - (self.entered_host_us or state.host_us)
@@ -122,17 +122,17 @@ class MissionState:
 
 
 class Change(NamedTuple):
-    """What a helper of the executive wants changed; None leaves a thing as it is.
+    """Changes requested by a helper of the executive; None leaves a value unchanged.
 
     Attributes:
-        cue, reason: the transition, which comes last, and its reason in the record.
-        outputs: records, in their order.
+        cue, reason: the transition, applied last, and its reason for the record.
+        outputs: records, in order.
         finding: for the guard.
-        action: vehicle command, to be repeated until telemetry confirms it.
-        mode: in which the lock should be.
+        action: vehicle command, repeated until telemetry confirms it.
+        mode: wanted mode of the lock.
         course, heading, replan: new values of the state.
-        approach: of the collision that comes next.
-        frame, stood_at_ned: the mission frame, and where the vehicle stood when it was laid.
+        approach: of the next collision.
+        frame, stood_at_ned: the mission frame, and the vehicle's position when it was set.
         end: of the mission.
     """
 

@@ -1,4 +1,4 @@
-"""The mission as a state machine: phases, events, and the one table that says what follows what.
+"""The mission as a state machine: phases, triggers, and the table of transitions.
 
 `docs/mission_phases.md` is generated from the table (`python -m tools.docs.generated`). Only `Executive`
 changes the phase, and only through `TRANSITIONS`.
@@ -12,7 +12,7 @@ from dart_flight.base.records import Phase
 
 
 class PhaseTrigger(StrEnum):
-    """What moves the mission on."""
+    """Triggers of a phase transition."""
 
     READY = "ready"
     CONFIRMED = "confirmed by telemetry"
@@ -56,13 +56,13 @@ TRANSITIONS: dict[tuple[Phase, PhaseTrigger], Phase] = {
     (Phase.RECOVERY, PhaseTrigger.TIMED_OUT): Phase.GOAL,
     (Phase.GOAL, PhaseTrigger.HELD): Phase.LANDING,
     (Phase.LANDING, PhaseTrigger.LANDED): Phase.DONE,
-    # From rest to rest, where the mission has waypoints, pauses or no collision.
+    # From rest to rest: waypoints, pauses, or a mission without collisions.
     **{(phase, PhaseTrigger.NEXT_WAYPOINT): Phase.WAYPOINT for phase in _AT_REST},
     **{(phase, PhaseTrigger.NEXT_PAUSE): Phase.PAUSE for phase in _AT_REST},
     **{(phase, PhaseTrigger.NEXT_GOAL): Phase.GOAL for phase in _AT_REST},
     (Phase.WAYPOINT, PhaseTrigger.NEXT_COLLISION): Phase.TRANSIT,
     (Phase.PAUSE, PhaseTrigger.NEXT_COLLISION): Phase.TRANSIT,
-    # The ways out: on the ground the mission is given up, in the air the guard takes over.
+    # Exits: on the ground the mission is given up; in the air the guard takes over.
     (Phase.READYING, PhaseTrigger.GIVEN_UP): Phase.DONE,
     (Phase.OFFBOARD, PhaseTrigger.GIVEN_UP): Phase.DONE,
     (Phase.ARMING, PhaseTrigger.GIVEN_UP): Phase.DONE,
@@ -70,11 +70,11 @@ TRANSITIONS: dict[tuple[Phase, PhaseTrigger], Phase] = {
     (Phase.OVERRULED, PhaseTrigger.LANDED): Phase.DONE,
 }
 
-DOWN_US = 200_000  # one report of landed and disarmed may be another vehicle's on the same link
+DOWN_US = 200_000  # a single report of landed and disarmed may come from another vehicle on the link
 ON_GROUND = frozenset({Phase.READYING, Phase.OFFBOARD, Phase.ARMING})
 ALTITUDE_EXEMPT = ON_GROUND | {Phase.CLIMB, Phase.LANDING, Phase.DONE}
-BETWEEN = frozenset({Phase.WAYPOINT, Phase.PAUSE})  # of no collision in particular
-TO_IMPACT = frozenset({Phase.TRANSIT, Phase.PREPARE, Phase.APPROACH})  # of the collision that is next
+BETWEEN = frozenset({Phase.WAYPOINT, Phase.PAUSE})  # between collisions
+TO_IMPACT = frozenset({Phase.TRANSIT, Phase.PREPARE, Phase.APPROACH})  # towards the next collision
 AT_WALL = frozenset({Phase.APPROACH, Phase.CONTACT})
 WATCHING = BETWEEN | frozenset(
     {

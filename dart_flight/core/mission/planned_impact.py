@@ -1,4 +1,4 @@
-"""What the contact law says of a planned hit."""
+"""Prediction of a planned impact by the contact law."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from dart_flight.contact.law import Onset
 
 
 def impact_velocity(collision: Collision) -> tuple[float, float] | None:
-    """(normal, tangential) velocity at the impact in m/s, collision frame: as planned, else as predicted.
+    """Return the (normal, tangential) impact velocity in m/s, collision frame: planned, or else predicted.
 
-    None where the mission says neither, as for a wall that a recovery leads to.
+    The result is None if the mission has neither, as for a wall that a recovery leads to.
     """
     if collision.approach_m_s is not None:
         return collision.approach_m_s
@@ -20,7 +20,7 @@ def impact_velocity(collision: Collision) -> tuple[float, float] | None:
 
 
 def expected_hit(mission: Mission, collision: Collision) -> contact_map.WallHit[float] | None:
-    """What the contact law makes of a collision's velocity; None where the velocity is not known."""
+    """Return the contact law's result for a collision, or None if its velocity is unknown."""
     velocity = impact_velocity(collision)
     if velocity is None or velocity[0] >= 0.0:
         return None

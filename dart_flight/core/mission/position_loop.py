@@ -1,12 +1,12 @@
-"""PX4's horizontal position loop as a point mass: what a setpoint will do to the vehicle.
+"""PX4's horizontal position loop as a point mass: the predicted motion towards a setpoint.
 
 Per axis, with p the position, v the velocity, a the acceleration the attitude has reached:
 
     a_cmd = kv (kp (p_ref - p) - v) - kd a,     da/dt = (a_cmd - a) / tau
 
-kp, kv, kd are MPC_XY_P, MPC_XY_VEL_P_ACC, MPC_XY_VEL_D_ACC; tau stands for attitude loop and motors.
-`least_distance_m` leaves the velocity integral and drag out: within the half second of a braking they do not
-move much. The planner (`flight_model`) has both.
+kp, kv, kd are MPC_XY_P, MPC_XY_VEL_P_ACC, MPC_XY_VEL_D_ACC; tau is the lag of attitude loop and motors.
+`least_distance_m` omits the velocity integral and drag, which have little effect within the half second of a
+braking. The planner (`flight_model`) has both.
 """
 
 from __future__ import annotations
@@ -19,21 +19,21 @@ from dart_flight.config.vehicle import Px4Parameters
 from dart_flight.core.mission.arithmetic import Number, maximum, minimum, where
 from dart_flight.core.mission.wall_uncertainty import position_margin_m
 
-# Attitude loop (MC_ROLL_P 6.5) and motors; held to the plant in tests/planning/test_against_plant.py.
+# Attitude loop (MC_ROLL_P 6.5) and motors; tests/planning/test_against_plant.py compares it with the plant.
 ATTITUDE_LAG_S = 0.15
 
 
-STOP_TIME_S = 0.5  # the loop stops from a speed within about half a second of way
+STOP_TIME_S = 0.5  # the loop stops within a distance of about half a second times speed
 _STEP_S = 0.01
-_BEHIND_M = 0.3  # further behind where a plane may stand is the other side of the wall
+_BEHIND_M = 0.3  # beyond this distance behind the plane the vehicle is on the other side of the wall
 
 
 def stop_share(
     walls: Iterable[Wall], position: tuple[Number, Number], velocity: tuple[Number, Number]
 ) -> Number:
-    """The share of `STOP_TIME_S` times velocity after which the vehicle would stand if told so now.
+    """Return the share of `STOP_TIME_S` times velocity within which the vehicle would stop if it held now.
 
-    1 in the open; less where a wall in the way stops it earlier.
+    The share is 1 in the open and smaller if a wall ahead stops the vehicle earlier.
 
     Args:
         walls: of the room.
@@ -63,14 +63,14 @@ class PositionLoop(NamedTuple):
 
     @classmethod
     def of(cls, px4: Px4Parameters) -> PositionLoop:
-        """The loop of a vehicle with these parameters."""
+        """Return the loop of a vehicle with these parameters."""
         return cls(
             px4.mpc_xy_p, px4.mpc_xy_vel_p_acc, px4.mpc_xy_vel_i_acc, px4.mpc_xy_vel_d_acc, ATTITUDE_LAG_S
         )
 
 
 class PlaneMet(NamedTuple):
-    """When a plane is met, from now on, and how fast.
+    """Time, from now, and velocity of a predicted impact with a plane.
 
     Attributes:
         after_s: seconds from now.
@@ -89,9 +89,9 @@ def meets_plane(
     px4: Px4Parameters,
     horizon_s: float = 2.0,
 ) -> PlaneMet | None:
-    """When the vehicle meets a plane on the way to a setpoint; None: not within the horizon.
+    """Predict when the vehicle meets a plane on its way to a setpoint; return None if not within the horizon.
 
-    Args: as `least_distance_m`.
+    Args: as in `least_distance_m`.
     """
     h = _STEP_S
     before = distance_m
@@ -114,7 +114,7 @@ def least_distance_m(
     px4: Px4Parameters,
     horizon_s: float = 2.0,
 ) -> float:
-    """Nearest that the vehicle comes to a plane when told now to go to a distance from it.
+    """Predict the smallest distance from a plane on the way to a setpoint.
 
     Args:
         distance_m: present signed distance to the plane.
@@ -122,10 +122,10 @@ def least_distance_m(
         closing_acceleration_m_s2: acceleration towards the plane.
         target_distance_m: distance of the setpoint from the plane.
         px4: gains.
-        horizon_s: how far to look ahead.
+        horizon_s: length of the prediction.
 
     Returns:
-        The smallest signed distance in metres within the horizon; the present one where it only grows.
+        The smallest signed distance within the horizon, metres; the present one if it only increases.
     """
     nearest = distance_m
     for x, v in _course(
@@ -146,7 +146,7 @@ def _course(
     px4: Px4Parameters,
     horizon_s: float,
 ) -> Iterator[tuple[float, float]]:
-    """Distance from a plane and velocity along its normal after every step."""
+    """Yield the distance from a plane and the velocity along its normal after every step."""
     kp, kv, kd = px4.mpc_xy_p, px4.mpc_xy_vel_p_acc, px4.mpc_xy_vel_d_acc
     x, v, a, h = distance_m, -closing_speed_m_s, -closing_acceleration_m_s2, _STEP_S
     for _ in range(round(horizon_s / h)):

@@ -1,4 +1,4 @@
-"""What the mission makes of a step: outputs that it would like to go out, and what the core hands on."""
+"""The mission's result of a step: proposed outputs, and data that the core passes on."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ _NO_WALL: Final = ExpectedContact()
 
 
 class MissionFinding(NamedTuple):
-    """Something that only the mission, which knows the plan, can see, by the name of the guard's rule for it.
+    """A finding that only the mission can make, because it knows the plan; named after its guard rule.
 
     Attributes:
         rule: of `core.guard.rules`.
-        detail: what was found, in words.
-        note_only: it goes into the log, and the mission goes on.
+        detail: description.
+        note_only: whether it is only logged and the mission continues.
     """
 
     rule: str
@@ -26,15 +26,15 @@ class MissionFinding(NamedTuple):
 
 
 class Proposal:
-    """One step's proposal; the guard disposes of it.
+    """One step's proposal, which the guard may overrule.
 
     Attributes:
-        outputs: setpoints, commands and records of decisions, in the order in which they were taken.
+        outputs: setpoints, commands and records of decisions, in order.
         findings: for the guard's rules.
-        expected: what contact comes next, for the detector at the next step.
-        frame: where the mission frame lies, at the step that finds out.
-        altitude_m: at which the mission flies now; None: as before.
-        end: the flight is over as planned.
+        expected: next expected contact, for the detector at the next step.
+        frame: the mission frame, if this step has set it.
+        altitude_m: new altitude of the mission, or None if unchanged.
+        end: the end of the flight as planned, or None.
     """
 
     def __init__(self) -> None:
@@ -46,5 +46,5 @@ class Proposal:
         self.end: MissionEnd | None = None
 
     def add_finding(self, rule: str, detail: str, noted: bool = False) -> None:
-        """Add a finding."""
+        """Add a finding; `noted` only logs it."""
         self.findings.append(MissionFinding(rule, detail, noted))

@@ -11,8 +11,8 @@ from typing import Final
 
 from dart_flight.base.geometry import Vec2, Vec3
 
-# A recovery has passed the goal, for the flight and for its planner, when the distance has risen by more than
-# its noise; the first moments after a contact do not yet show where it leads.
+# Both the flight and the planner count the goal as passed if the distance has risen by more than its noise;
+# the first moments after a contact do not yet show the direction.
 PASSED_RISE_M: Final = 0.03
 PASSED_AFTER_S: Final = 0.25
 
@@ -27,7 +27,7 @@ def recovery_point(
     """Return the recovery setpoint in the mission frame, metres.
 
     Args:
-        position: p(t_c), where the vehicle was at the peak of the normal force.
+        position: p(t_c), position at the peak of the normal force.
         normal: outward unit normal of the wall.
         force_n: peak normal force, at least zero, and peak friction force along the tangent (n_y, -n_x).
         alphas_m_per_n: gains (A_n, A_t).

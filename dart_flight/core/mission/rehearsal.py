@@ -1,4 +1,4 @@
-"""The rehearsal of a mission: the same walk, with every contact replaced by stopping before the wall."""
+"""The rehearsal of a mission: the same phases, but the vehicle stops before each wall."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from dart_flight.core.sense.state import FlightState
 
 
 class Rehearsal(Executive):
-    """Flies from rest to rest to `standoff_m` before each wall, then to the goal; no onset is the plan's."""
+    """Flies from rest to rest to `standoff_m` before each wall, then to the goal; no contact is planned."""
 
     def _begin_approach(self, collision: Collision) -> None:
-        """Along the approach, but from rest to rest."""
+        """Follow the approach's line, from rest to rest."""
         approach, impact = self.progress.approaches[collision.index], collision.impact_point
         assert impact is not None
         stop = standoff_point(self.mission, collision, approach.begin[:2], impact)
@@ -33,14 +33,14 @@ class Rehearsal(Executive):
             p.add_finding("transit_timeout", "standoff point not reached")
 
     def _stand_off(self, state: FlightState) -> None:
-        """At rest before the wall: the next collision, or the goal, comes next."""
+        """Advance to the next collision or the goal, at rest before the wall."""
         progress = self.progress
         progress.lock = progress.lock.contact_ends(state.now_us)
         progress.course = progress.course.hold(progress.course.target)
         progress.index += 1
 
     def _recovery(self, state: FlightState, sensed: Sensed, p: Proposal) -> None:
-        """What the recovery would do, from rest to rest: on to the next wall, or to the goal."""
+        """Replace the recovery by a transit: to the next wall, or to the goal."""
         following, stops = self.progress.collision, self.progress.waypoint is not None
         locked = self._move_lock(self._mode_after(following, stops), state, p)
         if stops:

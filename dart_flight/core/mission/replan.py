@@ -1,4 +1,4 @@
-"""How far planning after a contact is: what was asked for, what was answered, and the trajectory in force."""
+"""State of the planning after a contact: request, answer, and the active trajectory."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from dart_flight.core.sense.state import FlightState
 
 
 class Replan(NamedTuple):
-    """Requests to the planner and the trajectory that is flown; autopilot time.
+    """Requests to the planner, and the trajectory that is flown; autopilot time.
 
     Attributes:
-        number, tries: of all requests, and of those since the last contact.
+        number, tries: number of all requests, and of those since the last contact.
         felt: whether the last contact has produced an estimate of its wall.
         asked: the request that an answer must match.
-        answer: accepted, and not flown yet.
+        answer: accepted, but not flown yet.
         from_rest: whether the request was for an approach from rest.
-        trajectory, begin_us: in force, and when it began.
-        leaned: the trajectory ends leaned as its wall wants it: it has the shape of the mission's own.
-        quickest: only a trajectory that ends not much later replaces the one in force.
-        impact_us: when the trajectory meets the next wall.
+        trajectory, begin_us: the active trajectory and its beginning.
+        leaned: whether the trajectory ends with the lean that its wall needs, as the mission's own does.
+        quickest: whether a new trajectory must not end much later than the active one.
+        impact_us: time at which the trajectory meets the next wall.
     """
 
     number: int = 0
@@ -39,29 +39,29 @@ class Replan(NamedTuple):
     impact_us: int | None = None
 
     def contact_begins(self) -> Replan:
-        """Discard what was asked or planned before a contact."""
+        """Return the state after an onset: earlier requests and plans are discarded."""
         return Replan(self.number, from_rest=self.from_rest, begin_us=self.begin_us, quickest=self.quickest)
 
     @property
     def since_us(self) -> int | None:
-        """Since when a trajectory is flown; None: a setpoint is."""
+        """Beginning of the active trajectory, or None if a setpoint is flown."""
         return None if self.trajectory is None else self.begin_us
 
     @property
     def is_leaned(self) -> bool:
-        """Whether the trajectory in force ends as leaned as its wall wants it."""
+        """Whether the active trajectory ends with the lean that its wall needs."""
         return self.trajectory is not None and self.leaned
 
     def is_over(self, now_us: int) -> bool:
-        """Whether a trajectory is flown to its end."""
+        """Return whether the trajectory has been flown to its end."""
         return self.trajectory is not None and now_us - self.begin_us >= self.trajectory.duration_s * 1e6
 
     def impact_in_s(self, state: FlightState) -> float:
-        """Return the time until the trajectory meets the next wall; minus infinity without one."""
+        """Return the time until the trajectory meets the next wall, or minus infinity without one."""
         return -math.inf if self.impact_us is None else (self.impact_us - state.now_us) * 1e-6
 
     def meets_plane(self, closing_m_s: float, state: FlightState) -> PlaneMet | None:
-        """Return when the trajectory meets the next wall; None if a setpoint is flown."""
+        """Return the trajectory's predicted impact with the next wall, or None if a setpoint is flown."""
         if self.impact_us is None:
             return None
         return PlaneMet(max(0.0, (self.impact_us - state.now_us) * 1e-6), -closing_m_s)

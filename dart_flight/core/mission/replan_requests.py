@@ -1,9 +1,9 @@
-"""Planning again after a contact, as the core sees it: when to ask, and which answer to fly.
+"""Replanning after a contact, in the core: when to send a request, and which answer to fly.
 
-The planner itself (`dart_flight.planning.replanner`) runs outside of the core's step: a `PlanRequest` goes
-out with the other outputs, a `PlanAnswer` comes in like any other input, or never does. Until an answered
-trajectory begins the paper's setpoint is in force. It stays in force if the answer is late, reports that
-there is no trajectory, or begins elsewhere than the vehicle is.
+The planner (`dart_flight.planning.replanner`) runs outside the core's step. A `PlanRequest` leaves with the
+other outputs, and a `PlanAnswer` arrives like any other input, or never. The paper's setpoint is active until
+an answered trajectory begins. It stays active if the answer is late, reports that there is no trajectory, or
+begins away from the vehicle.
 """
 
 from __future__ import annotations
@@ -24,22 +24,22 @@ from dart_flight.core.mission.wall_uncertainty import late_s
 from dart_flight.core.sense.senses import Sensed
 from dart_flight.core.sense.state import FlightState
 
-_FELT_WITHIN_US = 150_000  # of a contact's end: five times what a fit takes (docs/felt.md)
-_AGAIN_US, _NOT_AGAIN_US = 300_000, 400_000  # along a trajectory: after the request before, before its end
+_FELT_WITHIN_US = 150_000  # after a contact's end: three times the latency of a fit (docs/felt.md)
+_AGAIN_US, _NOT_AGAIN_US = 300_000, 400_000  # along a trajectory: after the previous request, before its end
 _HELD_TO_M = 0.2
-_TRIES = 6  # at a trajectory from a contact on
-_LATER_S = 0.15  # that a new trajectory may end after the one that is flown
-# Where the vehicle may be beside the beginning of a trajectory: what the loop takes out within a few tenths.
+_TRIES = 6  # requests for a trajectory after one contact
+_LATER_S = 0.15  # largest delay of a new trajectory's end relative to the active one
+# Allowed offset of the vehicle from a trajectory's beginning; the loop corrects it within tenths of a second.
 _BESIDE_M, _BESIDE_M_S = 0.08, 0.25
 
 
 class ReplanRequests:
-    """When to ask the planner and which answers to fly; with `after_impact: setpoint` nothing is asked."""
+    """Rules for requests and answers; with `after_impact: setpoint` there are no requests."""
 
     def __init__(self, mission: Mission) -> None:
         self._mission = mission
         self._lock = LockOrders(mission.vehicle.lock)
-        self._asks = mission.after_impact is AfterImpact.REPLAN
+        self._enabled = mission.after_impact is AfterImpact.REPLAN
         self._within_us = round(mission.vehicle.flying.replan_within_s * 1e6)
 
     # -- request and answer --
@@ -47,21 +47,21 @@ class ReplanRequests:
     def request(
         self, progress: MissionState, state: FlightState, sensed: Sensed, square_us: int, coasts: bool
     ) -> Change:
-        """Ask for what comes next: once after each contact.
+        """Request a plan for the next leg, once after each contact.
 
-        Along the mission's own trajectories ask repeatedly, because the errors of PX4's loop take longer to
-        fade than these trajectories last.
+        Along the mission's own trajectories repeat the request, because the errors of PX4's loop take longer
+        to decay than these trajectories last.
 
         Args:
-            progress: of the mission.
+            progress: state of the mission.
             state: of the vehicle.
-            sensed: by the last input.
-            square_us: from when on the vehicle, which a contact has turned, is square to the wall.
-            coasts: no setpoint leads anywhere, only thrust is asked for.
+            sensed: results of the last input.
+            square_us: time at which the vehicle, rotated by the contact, is square to the wall again.
+            coasts: whether only thrust is commanded, without a setpoint ahead.
         """
         replan = progress.replan
         again = self._is_time_again(replan, state.now_us)
-        if not self._asks or not (replan.asked is None or again):
+        if not self._enabled or not (replan.asked is None or again):
             return NO_CHANGE
         if sensed.estimate is None or sensed.in_contact or self._waits_for_wall(progress, replan, state):
             return NO_CHANGE
@@ -69,7 +69,7 @@ class ReplanRequests:
         along = following is not None and following.trajectory is not None
         lock = progress.lock
         ready_us = state.now_us if following is None else self._lock.ready_us(lock, following.mode, state)
-        # A wall that would be met at an angle is not flown at any longer, whatever takes its place.
+        # If the vehicle would not be square to the wall in time, any replacement is accepted.
         turned = replan.trajectory is not None and (replan.impact_us or square_us) < square_us
         m, (push_x, push_y) = self._mission.vehicle.airframe.mass_kg, sensed.estimate.push_mission
         asked = PlanRequest(
@@ -83,7 +83,7 @@ class ReplanRequests:
             setpoint_mission=progress.course.target,
             lock_ready_us=None if ready_us is None else max(ready_us, square_us),
             under_way=again and replan.trajectory is not None and not turned,
-            # Needed for the lean into a wall that a trajectory of the mission leads to.
+            # needed for the lean into a wall at the end of a mission's trajectory
             contact_height_m=sensed.height_m if along else None,
             coasts=coasts or turned,
         )
@@ -94,10 +94,10 @@ class ReplanRequests:
         return Change(outputs=(asked,), replan=replan)
 
     def _waits_for_wall(self, progress: MissionState, replan: Replan, state: FlightState) -> bool:
-        """Whether the estimate of the wall just hit is worth waiting for.
+        """Return whether the estimate of the last wall is worth waiting for.
 
-        It is if that wall comes again, or if contacts correct the frame: a trajectory planned in the frame
-        before begins elsewhere.
+        It is if that wall is next again, or if contacts correct the frame: a trajectory planned in the old
+        frame begins in the wrong place.
         """
         following = progress.collision
         returns = following is not None and following.wall.name == progress.last_collision.wall.name
@@ -105,9 +105,10 @@ class ReplanRequests:
         return (returns or self._mission.is_anchored) and not replan.felt and since_us < _FELT_WITHIN_US
 
     def _is_time_again(self, replan: Replan, now_us: int) -> bool:
-        """Whether a trajectory of the mission's own has been flown for a while and is not nearly over.
+        """Return whether to repeat the request.
 
-        Or was not flown, because the vehicle was not where it begins.
+        The mission's own trajectory must have been flown for a while and not be nearly over. The request is
+        also repeated if the trajectory was not flown because the vehicle was not at its beginning.
         """
         trajectory, asked = replan.trajectory, replan.asked
         if asked is None or self._mission.goal_trajectory is None or now_us - asked.t_us < _AGAIN_US:
@@ -117,16 +118,16 @@ class ReplanRequests:
         return now_us + self._within_us + _NOT_AGAIN_US < replan.begin_us + trajectory.duration_s * 1e6
 
     def accept(self, replan: Replan, answer: PlanAnswer, now_us: int) -> Change:
-        """Keep an answer until its time comes, or record why it is not flown."""
+        """Keep an answer until it begins, or record why it is rejected."""
         refusal = _refusal(replan, answer, now_us)
         if refusal is None:
             return Change(replan=replan._replace(answer=answer))
         return Change(outputs=(PlanTaken(now_us, answer.number, False, refusal),))
 
-    # -- what is flown --
+    # -- accepted answers --
 
     def approach(self, progress: MissionState, now_us: int) -> Change:
-        """Return the approach from rest at the velocity of the answer, if there is room for it."""
+        """Return the approach from rest at the answered velocity, if there is room for it."""
         answer, following = progress.replan.answer, progress.collision
         if answer is None or not progress.replan.from_rest or following is None:
             return NO_CHANGE
@@ -143,7 +144,7 @@ class ReplanRequests:
         return Change(outputs=(taken,), replan=replan, approach=approach)
 
     def trajectory(self, progress: MissionState, state: FlightState) -> Change:
-        """Return the answered trajectory when its time has come, if the vehicle is where it begins."""
+        """Return the answered trajectory when it begins, if the vehicle is at its beginning."""
         replan, answer = progress.replan, progress.replan.answer
         if answer is None or replan.from_rest or state.now_us < answer.begin_us:
             return NO_CHANGE
@@ -166,7 +167,7 @@ class ReplanRequests:
         return Change(outputs=(taken,), replan=replan, course=progress.course.follow(trajectory))
 
     def is_late(self, replan: Replan, wall: Wall, state: FlightState) -> bool:
-        """Whether the trajectory should have met a wall by now."""
+        """Return whether the trajectory is overdue at a wall."""
         if replan.impact_us is None:
             return False
         closing_m_s = -(state.velocity[0] * wall.normal[0] + state.velocity[1] * wall.normal[1])
@@ -175,7 +176,7 @@ class ReplanRequests:
 
 
 def _refusal(replan: Replan, answer: PlanAnswer, now_us: int) -> str | None:
-    """Return why an answer is not flown, or None."""
+    """Return the reason to reject an answer, or None."""
     asked = replan.asked
     if asked is None or answer.number != asked.number:
         return "planned for an outdated state"
@@ -183,13 +184,13 @@ def _refusal(replan: Replan, answer: PlanAnswer, now_us: int) -> str | None:
         return answer.problem
     if now_us > asked.begin_us:
         return f"{(now_us - asked.begin_us) * 1e-3:.0f} ms too late"
-    if not _makes_sense(answer, asked, replan.from_rest):
+    if not _is_consistent(answer, asked, replan.from_rest):
         return "answer does not match the request"
     return None
 
 
-def _makes_sense(answer: PlanAnswer, asked: PlanRequest, from_rest: bool) -> bool:
-    """Whether the numbers can be flown at all: a planner that is broken must not break the flight."""
+def _is_consistent(answer: PlanAnswer, asked: PlanRequest, from_rest: bool) -> bool:
+    """Return whether the values of an answer can be flown: a faulty planner must not affect the flight."""
     if answer.begin_us != asked.begin_us or answer.collision != asked.collision:
         return False
     if from_rest:
@@ -205,7 +206,7 @@ def _makes_sense(answer: PlanAnswer, asked: PlanRequest, from_rest: bool) -> boo
 
 
 def _not_flyable(replan: Replan, trajectory: Trajectory, answer: PlanAnswer, state: FlightState) -> str:
-    """Return why a trajectory is not flown from here, or ""."""
+    """Return the reason not to fly a trajectory from here, or ""."""
     if _is_on_a_quicker(replan, trajectory, answer, state):
         return "the trajectory flown is quicker"
     at = trajectory.at((state.now_us - answer.begin_us) * 1e-6)
@@ -217,7 +218,7 @@ def _not_flyable(replan: Replan, trajectory: Trajectory, answer: PlanAnswer, sta
 
 
 def _is_on_a_quicker(replan: Replan, trajectory: Trajectory, answer: PlanAnswer, state: FlightState) -> bool:
-    """Whether the trajectory that is flown, and held to, is there well before another one."""
+    """Return whether the vehicle holds an active trajectory that ends well before another one."""
     flown = replan.trajectory
     if flown is None or not replan.quickest:
         return False

@@ -1,4 +1,4 @@
-"""Which setpoint a phase wants: of a trajectory, coasting, of a contact, or a step; and with what heading."""
+"""Selection of the setpoint and heading of a phase: trajectory, coasting, contact, or step."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ from dart_flight.core.mission.setpoints import BOTH, FreeAxes, Reference, Setpoi
 from dart_flight.core.mission.trajectories import AfterEnd, Trajectory
 from dart_flight.core.sense.state import FlightState
 
-_COASTING_S: Final = 0.25  # before an impact: so long does the attitude take to come to what is asked
-_COASTS_US: Final = 500_000  # after a contact, until when an answer is there, even to a second request
-_SQUARE_RAD: Final = 0.09  # off in heading at a hit: a hit at 3 m/s turns the vehicle little from there
+_COASTING_S: Final = 0.25  # before an impact: response time of the attitude
+_COASTS_US: Final = 500_000  # after a contact: time for an answer, even to a second request
+_SQUARE_RAD: Final = 0.09  # heading error at which an impact at 3 m/s rotates the vehicle little
 _SILENT: Final = frozenset({Phase.READYING, Phase.LANDING, Phase.DONE, Phase.OVERRULED})
 _TURNED: Final = frozenset({Phase.CONTACT, Phase.RECOVERY, Phase.GOAL})
-# In which a trajectory leads to the target, from the phase's beginning on; in a rehearsal the recovery, too.
+# Phases in which a trajectory leads to the target from the beginning; in a rehearsal also the recovery.
 _UNDERWAY: Final = frozenset({Phase.CLIMB, Phase.WAYPOINT, Phase.TRANSIT, Phase.APPROACH, Phase.GOAL})
-_OFF_TIME_S: Final = 0.1  # at most before or after its time does a vehicle lean for a hit
+_OFF_TIME_S: Final = 0.1  # largest time by which a vehicle leans before or after its planned impact
 _CLOSES_M_S: Final = 0.3
 _NONE: Final[Vec3] = (0.0, 0.0, 0.0)
 
 
 class SetpointSelection:
-    """One setpoint for every odometry sample of a flight."""
+    """Selects the setpoint for every odometry sample of a flight."""
 
     def __init__(self, mission: Mission) -> None:
         vehicle = mission.vehicle
@@ -41,9 +41,9 @@ class SetpointSelection:
         self._yaw_rad_s = math.radians(vehicle.flying.yaw_rate_deg_s)
         rehearsed = mission.standoff_m is not None
         self._underway = _UNDERWAY | {Phase.RECOVERY} if rehearsed else _UNDERWAY
-        # Of missions along trajectories: between their hits there is no time to come to rest.
+        # Missions along trajectories leave no time to come to rest between impacts.
         self._control = None if mission.goal_trajectory is None else HeadingControl(vehicle)
-        # After a contact; by the collision that they lead to, None: to the goal.
+        # Trajectories after contacts, by the collision that they lead to; None: to the goal.
         self._written = {
             index: Trajectory.from_mission(pieces, mission.altitude_m)
             for index, pieces in (
@@ -56,7 +56,7 @@ class SetpointSelection:
     # -- heading --
 
     def wanted_yaw(self, progress: MissionState, state: FlightState) -> float:
-        """Return the heading that the phase wants: parallel or square to the wall that comes next."""
+        """Return the heading that the phase wants: parallel or square to the next wall."""
         collision, phase, heading = progress.collision, progress.phase, progress.heading
         led_back = self._control is not None and phase is Phase.RECOVERY
         if collision is None or not (led_back or phase in TO_IMPACT):
@@ -66,14 +66,14 @@ class SetpointSelection:
         return wrap_angle(collision.wall.parallel_yaw(near - turned) + turned)
 
     def square_us(self, progress: MissionState, state: FlightState) -> int:
-        """Return when the vehicle, which a contact has turned, will be square to the wall; autopilot time."""
+        """Return the autopilot time at which a vehicle rotated by a contact is square to the wall again."""
         if self._control is None:
             return state.now_us
         off = state.yaw - progress.heading.yaw
         return state.now_us + round(1e6 * self._control.time_to_s(off, _yaw_rate(state), _SQUARE_RAD))
 
     def heading(self, progress: MissionState, state: FlightState) -> Heading:
-        """Return the heading with what to command: from a contact on what leads back to the wanted one."""
+        """Return the heading with its command, which leads back to the wanted heading after a contact."""
         heading, control = progress.heading, self._control
         if control is None or progress.phase not in _TURNED:
             heading = heading._replace(before=heading.yaw, asked=None)
@@ -90,11 +90,11 @@ class SetpointSelection:
         frame: MissionFrame,
         added: Vec3 | None,
     ) -> tuple[Setpoint | None, Heading]:
-        """Return the setpoint for an odometry sample, as the phase wants it, and the heading turned for it.
+        """Return the setpoint of the phase for an odometry sample, and the updated heading.
 
         Args:
-            sample: that asks for it.
-            progress: of the mission.
+            sample: the triggering sample.
+            progress: state of the mission.
             state: of the vehicle.
             frame: of the mission.
             added: acceleration against a contact (`contact_feedforward`), mission frame, m/s2.
@@ -126,7 +126,7 @@ class SetpointSelection:
         return make_setpoint(frame, trigger, reference, heading.commanded, free, added), heading
 
     def coasts(self, progress: MissionState, state: FlightState) -> bool:
-        """Whether a trajectory of the mission is about to go on after a contact.
+        """Return whether a trajectory of the mission is about to continue after a contact.
 
         A distant recovery setpoint would wind up PX4's integrator and push the vehicle off that trajectory.
         """
@@ -136,20 +136,21 @@ class SetpointSelection:
         return end_us is None or state.now_us - end_us < _COASTS_US
 
     def _trajectory_since_us(self, progress: MissionState) -> int | None:
-        """Return since when a trajectory is flown; None: the target is a step."""
+        """Return the beginning of the trajectory that is flown; None if the target is a step."""
         if progress.phase in self._underway:
             return progress.entered_us
         return progress.replan.since_us if progress.phase is Phase.RECOVERY else None
 
     def _written_next(self, progress: MissionState) -> Trajectory | None:
-        """Return the mission's own trajectory to what comes next."""
+        """Return the mission's own trajectory to the next leg."""
         collision = progress.collision
         return self._written.get(None if collision is None else collision.index)
 
     def _thrust_after_contact(self, progress: MissionState, state: FlightState) -> Vec3:
-        """Return the acceleration of the mission's trajectory, as if it began where the contact ended.
+        """Return the acceleration of the mission's trajectory, as if it began at the end of the contact.
 
-        There is none in a contact, or if the vehicle is as fast already, as one that leans off the wall.
+        It is zero during a contact, and if the vehicle is already as fast, for example because it leans off
+        the wall.
         """
         trajectory, end_us = self._written_next(progress), progress.lock.contact_end_us
         if trajectory is None or end_us is None:
@@ -185,9 +186,9 @@ class SetpointSelection:
         return 0.0 if leaned else balancing_m_s2(progress.contact_height_m, out_m, collision.mode)
 
     def _in_time_m_s2(self, progress: MissionState, since_s: float, free: FreeAxes) -> float:
-        """Return the thrust across a wall at the vehicle's own time to impact, minus the trajectory's now.
+        """Return the thrust across a wall at the vehicle's own time to impact, minus the present thrust.
 
-        A vehicle that is ahead of its trajectory meets the wall before the trajectory has leaned it off.
+        A vehicle ahead of its trajectory meets the wall before the trajectory leans off it.
 
         Args:
             progress: with the trajectory to the wall.
@@ -208,18 +209,18 @@ class SetpointSelection:
     # -- references --
 
     def _reference(self, progress: MissionState, t_us: int, since_us: int | None) -> Reference:
-        """Return what to command at a moment: of the trajectory, or the target as a step."""
+        """Return the command at a time: from the trajectory, or the target as a step."""
         course = progress.course
         if course.trajectory is None or since_us is None:
             return Reference(course.target)
         return self._lead(course.trajectory, (t_us - since_us) * 1e-6)
 
     def _lead(self, trajectory: Trajectory, since_s: float) -> Reference:
-        """Return the reference of a trajectory for the moment at which PX4 flies it.
+        """Return the reference of a trajectory for the time at which PX4 executes it.
 
-        The acceleration is that of a later moment, because the attitude lags; but never of one beyond a wall,
-        where a trajectory asks for no thrust. Added to it are the drag that the vehicle will meet and what
-        PX4's D term takes away again, so that no error builds up for the position loop.
+        The acceleration is taken later, because the attitude lags, but never beyond a wall, where the
+        trajectory has no thrust. Drag and the response of PX4's D term are added, so that no error builds up
+        in the position loop.
         """
         flown_s = since_s + self._delay_s
         flown = trajectory.at(flown_s)
@@ -227,7 +228,7 @@ class SetpointSelection:
         tilted = flown if tilted_s == flown_s else trajectory.at(tilted_s)
         v, a, b = flown.velocity, tilted.acceleration, self._airframe.drag_per_s
         d, lead = 1.0 + self._kd, ATTITUDE_LAG_S - self._dead_s
-        # The jerk of a flight from rest to rest jumps at both ends: it is not led.
+        # The jerk of a rest-to-rest flight is discontinuous at both ends, so it is not led.
         j = tilted.jerk if trajectory.after is AfterEnd.CONTINUE else _NONE
         push = (
             (d + lead * b[0]) * a[0] + b[0] * v[0] + lead * j[0],
@@ -237,7 +238,7 @@ class SetpointSelection:
         return Reference(flown.position, v, push)
 
     def _free_axes(self, frame: MissionFrame, sample: OdometrySample, along: tuple[Vec2, ...]) -> FreeAxes:
-        """Return axes to leave free, with the motion at the moment at which PX4 flies the setpoint."""
+        """Return axes to leave free, with the motion at the time at which PX4 executes the setpoint."""
         velocity = frame.vector_from_ned(sample.velocity_ned)
         position = frame.point_from_ned(sample.position_ned)
         return FreeAxes(along, add(position, scale(velocity, self._delay_s)), velocity)

@@ -1,7 +1,7 @@
-"""The one builder of setpoints: a reference, the horizontal axes left free, and an added acceleration.
+"""Construction of setpoints from a reference, the horizontal axes left free, and an added acceleration.
 
-On a free axis the measured motion is commanded, so that PX4 pushes nowhere; of the reference only the
-acceleration remains there.
+On a free axis the measured motion is commanded, so PX4 does not push along it; only the acceleration of the
+reference remains.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from dart_flight.base.records import Setpoint
 
 
 class SetpointTrigger(NamedTuple):
-    """The input that a setpoint answers: its stamp, its receipt, and whether it is the peak of an impact."""
+    """The input that triggers a setpoint: its stamp, its receipt, and whether it is the peak of an impact."""
 
     t_us: int
     received_us: int
@@ -36,7 +36,7 @@ class FreeAxes(NamedTuple):
 
     Attributes:
         along: none, the normal of a wall, or both axes of the mission frame.
-        position, velocity: measured, at the moment at which the setpoint is flown.
+        position, velocity: measured motion, extrapolated to the execution of the setpoint.
     """
 
     along: tuple[Vec2, ...]
@@ -63,7 +63,7 @@ def make_setpoint(
         reference: to command.
         yaw: heading, mission frame, rad.
         free: axes on which the measured motion replaces that of the reference.
-        added: acceleration beside that of the reference, mission frame, m/s2.
+        added: acceleration in addition to the reference's, mission frame, m/s2.
     """
     position, velocity, acceleration = reference
     if free is not None:

@@ -1,7 +1,7 @@
-"""The one type of trajectory: a position, with three derivatives, as a function of time.
+"""The type of all trajectories: a position, with three derivatives, as a function of time.
 
-Trajectories are fed forward to PX4, so that its P-PID cascade has only errors to remove. Executive, planner
-and report use them; the constructors say where a trajectory comes from.
+Trajectories are fed forward to PX4, so its P-PID cascade only corrects errors. Executive, planner and report
+use them; the constructors name the sources of a trajectory.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from dart_flight.config.vehicle import Flying
 from dart_flight.core.mission.arithmetic import Number, maximum, sqrt
 
 _MIN_TRANSIT_S = 0.1
-# Rest to rest over a distance of 1 in a time of 1, the share flown, constant term first.
+# Rest to rest over a distance of 1 in a time of 1, constant term first.
 _REST_TO_REST = (0.0, 0.0, 0.0, 10.0, -15.0, 6.0)
 
 
@@ -33,10 +33,10 @@ class TrajectoryPoint(msgspec.Struct, frozen=True, gc=False):
 
 
 class AfterEnd(StrEnum):
-    """What follows the end of a trajectory."""
+    """Motion after the end of a trajectory."""
 
     HOLD = "hold"  # at rest at the end
-    CONTINUE = "continue"  # straight on at the velocity of the end, as through a wall
+    CONTINUE = "continue"  # straight on at the final velocity, as through a wall
 
 
 def transit_time_s(
@@ -53,14 +53,14 @@ def transit_time_s(
 
 
 class Trajectory(msgspec.Struct, frozen=True):
-    """Polynomials of fifth order per axis, one piece after the other.
+    """Polynomials of fifth order per axis, in consecutive pieces.
 
     Attributes:
         x, y, z: coefficients in the seconds since the beginning of a piece, constant term first, six for each
             piece; mission frame, metres.
         pieces_s: duration of each piece.
-        duration_s: of all pieces.
-        after: what follows the end.
+        duration_s: total duration.
+        after: motion after the end.
     """
 
     x: tuple[float, ...]
@@ -119,10 +119,10 @@ class Trajectory(msgspec.Struct, frozen=True):
         The speed follows 3 s^2 - 2 s^3 over the ramp.
 
         Args:
-            begin: of the acceleration, mission frame, metres.
+            begin: start of the acceleration, mission frame, metres.
             velocity: of the steady run, m/s.
             ramp_s, steady_s: durations.
-            altitude_m: of all of it.
+            altitude_m: constant altitude.
         """
         axes = []
         for place, v in zip(begin, velocity, strict=True):
@@ -150,7 +150,7 @@ class Trajectory(msgspec.Struct, frozen=True):
 
     @property
     def begin(self) -> Vec3:
-        """Where it begins."""
+        """Position at the beginning."""
         return (self.x[0], self.y[0], self.z[0])
 
     def at(self, t_s: float) -> TrajectoryPoint:
@@ -168,7 +168,7 @@ class Trajectory(msgspec.Struct, frozen=True):
         return TrajectoryPoint((px + vx * beyond, py + vy * beyond, pz + vz * beyond), (vx, vy, vz), still)
 
     def _piece_at(self, t_s: float) -> tuple[int, float]:
-        """Return the first coefficient of the piece that holds at a time, and the time since it began."""
+        """Return the first coefficient of the piece at a time, and the time since the piece began."""
         begin = 0.0
         for i, duration in enumerate(self.pieces_s[:-1]):
             if t_s < begin + duration:

@@ -1,7 +1,7 @@
-"""Where a wall may really stand, and what follows for a flight to it (docs/walls.md).
+"""The possible positions of a wall, and their consequences for a flight to it (docs/walls.md).
 
-A wall may carry standard deviations of its place and direction. What flies at it reckons with three of them
-beside the tolerances of `guard:`, which are the floor for walls that carry none.
+A wall may have standard deviations of its place and direction. An approach allows for three of them, in
+addition to the tolerances of `guard:`, which also apply to walls without deviations.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from dart_flight.config.vehicle.flying import GuardThresholds
 from dart_flight.core.mission.anchors import FrameAnchors
 from dart_flight.core.mission.arithmetic import Number
 
-SURE_SD = 3.0  # standard deviations that are reckoned with
+SURE_SD = 3.0  # number of standard deviations that are allowed for
 _MIN_CLOSING_M_S = 0.1
-_SURE_DIRECTION_RAD = 0.05  # a direction that was felt less surely turns no heading
+_SURE_DIRECTION_RAD = 0.05  # a direction estimated less accurately does not change the heading
 
 
 def position_margin_m(wall: Wall, place: tuple[Number, ...]) -> Number:
-    """How far nearer or further away than the plan the plane may be met, metres; 0 without figures.
+    """Return the tolerance of the plane's position before a place, metres; 0 without deviations.
 
     Args:
         wall: the wall.
@@ -34,33 +34,33 @@ def position_margin_m(wall: Wall, place: tuple[Number, ...]) -> Number:
 
 
 def end_margin_m(wall: Wall, place: tuple[Number, ...]) -> Number:
-    """What a hit keeps from the wall's end, and a path that passes it from its other side, metres.
+    """Return the distance from the wall's end that an impact keeps inside and a passing path outside, metres.
 
-    Half a vehicle, and what the wall's place leaves open.
+    It is half a vehicle plus the tolerance of the wall's position.
     """
     return wall.half_vehicle_m + position_margin_m(wall, place)
 
 
 def overrun_m(guard: GuardThresholds, wall: Wall, place: Vec2 | Vec3) -> float:
-    """How far behind the plane there must have been a contact."""
+    """Return the distance behind the plane at which a contact is overdue, metres."""
     return float(guard.wall_overrun_m + position_margin_m(wall, place))
 
 
 def early_m(guard: GuardThresholds, wall: Wall, place: Vec2 | Vec3) -> float:
-    """How far before the plane a contact may be that with the wall."""
+    """Return the distance before the plane from which a contact counts as the wall's, metres."""
     return float(guard.wall_early_m + position_margin_m(wall, place))
 
 
 def late_s(guard: GuardThresholds, wall: Wall, place: Vec2 | Vec3, closing_m_s: float) -> float:
-    """How long after the planned impact the wall must have been met, closing in at a speed (positive)."""
+    """Return the delay after the planned impact at which a contact is overdue, at a closing speed > 0."""
     return float(guard.wall_late_s + position_margin_m(wall, place) / max(closing_m_s, _MIN_CLOSING_M_S))
 
 
 class EstimatedWalls:
-    """The walls of a mission as its contacts have found them: one answer for core and planner.
+    """The walls of a mission as estimated from its contacts; shared by core and planner.
 
     Args:
-        anchors: where contacts put the mission frame right: how well it is known adds to every wall's place.
+        anchors: if contacts correct the mission frame, the frame's deviation adds to that of every wall.
     """
 
     def __init__(self, anchors: FrameAnchors | None = None) -> None:
@@ -69,36 +69,36 @@ class EstimatedWalls:
         self._turned: dict[str, float] = {}
 
     def add_estimate(self, felt: WallEstimate, wall: Wall) -> None:
-        """Take where a contact has found its wall's plane; `wall` is as the mission has it."""
-        self._found[wall.name] = _as_felt(self._found.get(wall.name, wall), wall, felt)
+        """Add the estimate of a wall's plane from a contact; `wall` is as in the mission."""
+        self._found[wall.name] = _updated_wall(self._found.get(wall.name, wall), wall, felt)
         sure = (felt.plane_normal_sigma_rad or math.inf) < _SURE_DIRECTION_RAD
         if felt.plane_normal_mission is not None and sure:
             self._turned[wall.name] = turn_between(wall.normal, felt.plane_normal_mission)
 
     def turned(self, wall: Wall) -> float:
-        """By how much a wall was felt to be turned against the mission's, rad; positive: to the left."""
+        """Return the estimated rotation of a wall against the mission, rad; positive: to the left."""
         return self._turned.get(wall.name, 0.0)
 
     def is_met(self, name: str) -> bool:
-        """Whether a contact has told where a wall is."""
+        """Return whether a contact has measured the wall."""
         return name in self._found
 
     def move_frame(self, by: Vec2) -> None:
-        """The mission frame's origin has moved, in its axes: the walls that were met stay where they are."""
+        """Keep the measured walls in place when the mission frame's origin moves, in its axes."""
         for name, wall in self._found.items():
             self._found[name] = wall.moved(-(by[0] * wall.normal[0] + by[1] * wall.normal[1]))
 
     def walls_now(self, walls: Iterable[Wall], now_us: int) -> tuple[Wall, ...]:
-        """The walls of a mission, and those that probes have found."""
+        """Return the mission's walls and those found by probes, in their estimated positions."""
         known = {wall.name: wall for wall in walls}
         return tuple(self.wall_now(wall, now_us) for wall in (known | self._found).values())
 
     def wall_now(self, wall: Wall, now_us: int | None = None) -> Wall:
-        """A wall where it was met last, and as surely as that contact told; as the mission has it before.
+        """Return a wall as its last contact measured it, or as in the mission before a contact.
 
         Args:
-            wall: as the mission has it.
-            now_us: autopilot time: where the frame drifts the wall's place is the less sure the later.
+            wall: as in the mission.
+            now_us: autopilot time; if the frame drifts, the accuracy decreases with time.
         """
         wall = self._found.get(wall.name, wall)
         if self._anchors is None or now_us is None:
@@ -107,20 +107,20 @@ class EstimatedWalls:
         return msgspec.structs.replace(wall, position_sd_m=sd_m)
 
 
-def _as_felt(before: Wall, written: Wall, felt: WallEstimate) -> Wall:
-    """A wall by what was known of it before a contact, by the mission, and by the contact."""
+def _updated_wall(before: Wall, written: Wall, felt: WallEstimate) -> Wall:
+    """Return a wall updated from its previous estimate, the mission and a contact."""
     sure_m, place, normal = felt.plane_offset_sigma_m, felt.plane_point_mission, felt.plane_normal_mission
     figures = written.position_sd_m is not None or written.yaw_sd_rad is not None
-    if place is None or normal is None:  # against where it was taken to be
+    if place is None or normal is None:  # relative to the assumed position
         sd_m = None if written.position_sd_m is None else min(written.position_sd_m, sure_m)
         return msgspec.structs.replace(before.moved(felt.plane_offset_m), position_sd_m=sd_m)
-    if not (figures or written.sought):  # against the mission's plane, whose direction is taken as known
+    if not (figures or written.sought):  # relative to the mission's plane, whose direction is assumed exact
         return written.moved(written.signed_distance(place))
     sure_rad = felt.plane_normal_sigma_rad
-    if written.yaw_sd_rad is None:  # its direction is taken as known
+    if written.yaw_sd_rad is None:  # direction assumed exact
         normal, sure_rad = written.normal, None
     found = msgspec.structs.replace(before, normal=normal, sought=False)
-    if before.sought:  # its middle is where it was met
+    if before.sought:  # the contact becomes its middle
         middle = place
     else:
         along, (tx, ty) = before.along(place), found.tangent

@@ -19,6 +19,7 @@ from dart_flight.base.records import (
     LockState,
     OdometrySample,
     Output,
+    PoseSample,
     StatusSample,
     StatusText,
     Tick,
@@ -114,6 +115,8 @@ class Senses:
         elif isinstance(item, ActuatorSample):
             state.take_actuator(item)
             estimator.thrust.take_actuator(item)
+        elif isinstance(item, PoseSample):
+            state.take_pose(item)
         elif isinstance(item, EscSample):
             estimator.thrust.take_esc(item)
         elif isinstance(item, Tick):

@@ -21,6 +21,7 @@ from dart_flight.base.records import (
     LockState,
     Mode,
     OdometrySample,
+    PoseSample,
     StatusSample,
     StatusText,
     Tick,
@@ -56,6 +57,7 @@ class FlightState:
         self.attitude: AttitudeSample | None = None
         self.odometry: OdometrySample | None = None
         self.actuator: ActuatorSample | None = None
+        self.pose: PoseSample | None = None  # of the motion capture, where this program forwards it
         self.status = StatusSample(t_us=0, received_us=0)
         self.in_offboard = self.on_ground = False  # as PX4 says
         self.position_sd_m: float | None = None  # of the horizontal position, by PX4 itself
@@ -165,6 +167,11 @@ class FlightState:
         """What PX4 says of its estimator: how sure it is of its position; the guard judges the rest."""
         if sample.position_sd_m is not None:
             self.position_sd_m = sample.position_sd_m
+        self.host_us = max(self.host_us, sample.received_us)
+
+    def take_pose(self, sample: PoseSample) -> None:
+        """Keep a pose of the motion capture."""
+        self.pose = sample
         self.host_us = max(self.host_us, sample.received_us)
 
     def take_lock(self, sample: LockState) -> None:

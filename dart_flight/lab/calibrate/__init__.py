@@ -1,1 +1,1 @@
-"""Thrust curve, inertia and airframe from flights."""
+"""Calibration of the thrust curve, the inertia and the airframe from flights."""

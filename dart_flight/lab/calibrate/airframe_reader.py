@@ -1,4 +1,4 @@
-"""The motors of a vehicle from a file of PX4's: saved parameters, a `param show`, or a ULog."""
+"""Reader of a vehicle's motors from PX4: a parameter file, `param show` output or a ULog."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ _PLACEHOLDERS = (0.0, 1.0)
 
 
 def read_airframe(path: Path) -> tuple[Motor, ...]:
-    """The motors that PX4 had.
+    """Return the motors that PX4 was configured with.
 
     Args:
-        path: a ULog (`.ulg`), QGroundControl's parameter file, or what `param show -a` printed.
+        path: a ULog (`.ulg`), QGroundControl's parameter file, or the output of `param show -a`.
 
     Raises:
-        InputError: the file cannot be read, or does not say where the motors are.
+        InputError: the file cannot be read, or lacks the motors' positions.
     """
     return motors_of(_parameters(path), str(path))
 
@@ -34,10 +34,10 @@ def _parameters(path: Path) -> dict[str, float]:
 
 
 def refuse_unmeasured(motors: Sequence[Motor], source: str) -> None:
-    """Make sure that motors are a multicopter's, and where somebody measured them.
+    """Reject motors that are not a multicopter's or have PX4's placeholder positions.
 
     Raises:
-        InputError: they are not.
+        InputError: the motors are rejected.
     """
     if len(motors) < 3:
         raise InputError(f"{COUNT} is {len(motors)}: not a multicopter", source=source)
@@ -50,7 +50,7 @@ def refuse_unmeasured(motors: Sequence[Motor], source: str) -> None:
 
 
 def motors_block(motors: Sequence[Motor]) -> str:
-    """`airframe.motors` as YAML, ready to be pasted below `airframe:`."""
+    """Return `airframe.motors` as YAML, to be pasted below `airframe:`."""
     lines = ["  motors:"]
     for m in motors:
         x, y, yaw = m.x_m, m.y_m, m.yaw_torque_per_thrust_m

@@ -1,17 +1,16 @@
-"""Inertia about the three axes from a vehicle's own turning in flight (docs/torque.md).
+"""Estimate of the inertia about the three axes from a vehicle's rotation in flight (docs/torque.md).
 
-Over a short window the rates change by what the motors' torque adds up to:
+Over a short window the motors' torque changes the rates:
 
     change of w = (1/J) integral of (motors - w x J w) dt + drift
 
-The motors' torque follows from their commands through the thrust curve, their lag, places and the propellers'
-drag, so this is a line through many windows: the slope is 1/J. Both sides have errors: the rates that of the
-gyro and whatever turns the vehicle beside its motors, the torques what the motors did between the commands
-that were recorded. A line that puts all errors on one side gives the most that J can be, on the other the
-least; the value lies between, the interval holds both. The rates at a window's ends are means over some
-samples, because a controller answers the noise of a single one. The motors' lag is tried over a range and
-the best is kept. About an axis where the torques are too small, or the two lines too far apart, nothing is
-said.
+The motors' torque follows from their commands through the thrust curve, their lag, their positions and the
+propellers' drag. A line fitted through many windows therefore has the slope 1/J. Both sides have errors. The
+gyro and disturbances affect the rates; motor behaviour between the recorded commands affects the torques.
+Assigning all errors to one side gives the upper bound of J, and to the other side the lower bound. The value
+lies between them, and the interval contains both. The rates at a window's ends are averages over some
+samples, because a controller responds to the noise of a single one. The motors' lag is varied and the best
+value is kept. An axis is refused if its torques are too small or its two lines differ too much.
 """
 
 from __future__ import annotations
@@ -32,29 +31,29 @@ Array = NDArray[np.float64]
 AXES = ("roll", "pitch", "yaw")
 WINDOW_S = 0.1
 _END_SAMPLES = 3  # on either side of a window's end, averaged
-_MIN_HZ = 50.0  # of gyro and motors: slower ones miss what the controller does
+_MIN_HZ = 50.0  # gyro and motors; a lower rate misses the controller's action
 _MAX_GAP_S = 0.05
-_MAX_SIDEWAYS_M_S2 = 5.0  # across the thrust axis, mean over a window's end: more is a contact
+_MAX_SIDEWAYS_M_S2 = 5.0  # across the thrust axis, mean over a window's end; a contact exceeds it
 _MIN_WINDOWS = 40
-_MAX_ERROR = 0.1  # standard error of a slope, relative: less certain is not told
-_MAX_RATIO = 1.3  # of the most to the least that the inertia can be
+_MAX_ERROR = 0.1  # relative standard error of a slope
+_MAX_RATIO = 1.3  # upper over lower bound of the inertia
 _GROUND_MARGIN_S = 1.0
-_LAGS = (0.4, 0.55, 0.7, 0.85, 1.0, 1.2, 1.45, 1.75, 2.1)  # of the configured one
+_LAGS = (0.4, 0.55, 0.7, 0.85, 1.0, 1.2, 1.45, 1.75, 2.1)  # multiples of the configured lag
 _SIGMA_95 = 1.96
-_MEDIAN_OF_SQUARE = 0.4549  # of a standard normal number
-_ROUNDS = 3  # the gyroscopic term needs the inertia that is sought
+_MEDIAN_OF_SQUARE = 0.4549  # of a standard normal variable
+_ROUNDS = 3  # the gyroscopic term depends on the estimated inertia
 
 
 class AxisInertia(msgspec.Struct):
-    """Inertia about one axis, kg m2; None where the flights cannot tell, `refused` says why.
+    """Inertia about one axis, kg m2; None with the reason in `refused` if the flights do not determine it.
 
     Attributes:
         axis: roll (forward), pitch (right) or yaw (down).
-        value, low, high: with the 95 % interval.
+        value, low, high: the estimate and its 95 % interval.
         torque_nm: standard deviation of the motors' mean torque over a window.
         rate_change_rad_s: standard deviation of the rate's change over a window.
-        explained: share of that variance which the motors explain.
-        refused: empty where there is a value.
+        explained: fraction of that variance explained by the motors.
+        refused: the reason for having no value, or empty.
     """
 
     axis: str
@@ -68,14 +67,14 @@ class AxisInertia(msgspec.Struct):
 
 
 class InertiaCalibration(msgspec.Struct):
-    """Inertia about the three axes, and what it rests on.
+    """Inertia about the three axes, with the data behind it.
 
     Attributes:
-        windows: of `WINDOW_S` seconds.
+        windows: number of windows of `WINDOW_S` seconds.
         axes: roll, pitch, yaw.
-        motor_lag_s: with which the motors explain most.
-        drift_rad_s2: rates that come by themselves: a centre of mass beside the motors' middle.
-        notes: how the logs were read.
+        motor_lag_s: the motor lag with which the motors explain most of the variance.
+        drift_rad_s2: angular acceleration without commands, caused by an offset centre of mass.
+        notes: remarks on the logs.
     """
 
     windows: int
@@ -86,37 +85,37 @@ class InertiaCalibration(msgspec.Struct):
 
     @property
     def inertia_kg_m2(self) -> tuple[float | None, float | None, float | None]:
-        """Of the three axes; None where it was refused."""
+        """The inertia about the three axes; None where refused."""
         x, y, z = (axis.value for axis in self.axes)
         return (x, y, z)
 
 
 class _Windows(msgspec.Struct):
-    """Windows one beside the other.
+    """Quantities of windows that do not overlap.
 
     Attributes:
-        change, impulse, products: of the rates, of the motors' torque, and the integral of (wy wz, wz wx,
-            wx wy); (n, 3) each.
-        duration: (n,).
-        noise: variance of a change by the gyro's white noise, (3,).
+        change, impulse, products: change of the rates, integral of the motors' torque, and integral of (wy
+            wz, wz wx, wx wy); (n, 3) each.
+        duration: (n,), seconds.
+        noise: variance of a change due to the gyro's white noise, (3,).
     """
 
     change: Array
     impulse: Array
-    products: Array  # integral of (wy wz, wz wx, wx wy)
+    products: Array
     duration: Array
     noise: Array
 
 
 def calibrate_inertia(tracks: Iterable[Track], vehicle: VehicleConfig) -> InertiaCalibration:
-    """Fit the inertia to the turning in some flights.
+    """Fit the inertia to the rotation in some flights.
 
     Args:
         tracks: flights of the same vehicle.
-        vehicle: thrust curve, motors' places and lag.
+        vehicle: supplies the thrust curve, the motors' positions and their lag.
 
     Raises:
-        InputError: a log has another number of motors or is too slow, or no axis is told by them.
+        InputError: a log has another number of motors or too low a rate, or no axis can be estimated.
     """
     tracks = list(tracks)
     for track in tracks:
@@ -159,7 +158,7 @@ def _joined(parts: list[_Windows]) -> _Windows:
 def _refuse_unsuited(track: Track, motors: int) -> None:
     if track.motors.shape[1:] != (motors,):
         raise InputError(
-            f"has {track.motors.shape[1]} motors, the configuration's airframe {motors}", source=track.source
+            f"has {track.motors.shape[1]} motors, the configured airframe {motors}", source=track.source
         )
     for what, stamps in (("gyro", track.imu_s), ("motor commands", track.motor_s)):
         rate = (len(stamps) - 1) / max(stamps[-1] - stamps[0], 1e-6)
@@ -171,7 +170,7 @@ def _refuse_unsuited(track: Track, motors: int) -> None:
 
 
 def _windows(track: Track, vehicle: VehicleConfig, lag_s: float) -> _Windows:
-    """The windows of a flight in the air and without a contact."""
+    """Return the windows of a flight that are in the air and without a contact."""
     t, w = track.imu_s, track.rate
     torque = _motor_torque(track, vehicle, lag_s)
     step = np.diff(t)
@@ -200,7 +199,7 @@ def _windows(track: Track, vehicle: VehicleConfig, lag_s: float) -> _Windows:
         if len(motors) < WINDOW_S * _MIN_HZ * 0.8 or motors.max() >= 0.999 or motors.min() <= 0.001:
             continue
         rows.append((a, b))
-    # What the gyro's noise makes of a change: by its second differences, in which motion hardly shows.
+    # Second differences measure the gyro's noise, because motion hardly contributes to them.
     bend = w[2:] - 2.0 * w[1:-1] + w[:-2]
     noise = np.median(bend**2, axis=0) / _MEDIAN_OF_SQUARE / 6.0 * 2.0 / size
     ends = np.array(rows, dtype=int).reshape(-1, 2)
@@ -215,7 +214,7 @@ def _windows(track: Track, vehicle: VehicleConfig, lag_s: float) -> _Windows:
 
 
 def _motor_torque(track: Track, vehicle: VehicleConfig, lag_s: float) -> Array:
-    """Torque of the motors at the gyro's stamps, (n, 3), FRD."""
+    """Return the motors' torque at the gyro's stamps, (n, 3), FRD."""
     held = np.clip(np.searchsorted(track.motor_s, track.imu_s, side="right") - 1, 0, None)
     commands = track.motors[held]
     lagged = np.empty_like(commands)
@@ -223,7 +222,7 @@ def _motor_torque(track: Track, vehicle: VehicleConfig, lag_s: float) -> Array:
     steps = np.diff(track.imu_s, prepend=track.imu_s[0])
     left = np.exp(-steps / max(lag_s, 1e-4))
     for i, (command, keep) in enumerate(zip(commands, left, strict=True)):
-        # A command that holds from its stamp on has acted for the step that ends here.
+        # A command is held from its stamp, so it acted during the step that ends here.
         value = command + (value - command) * keep
         lagged[i] = value
     thrust = np.array(vehicle.thrust.forces_n(lagged.ravel().tolist())).reshape(lagged.shape)
@@ -232,7 +231,7 @@ def _motor_torque(track: Track, vehicle: VehicleConfig, lag_s: float) -> Array:
 
 
 def _integral(values: Array, step: Array) -> Array:
-    """Running integral by trapezoids, from 0 on."""
+    """Return the running integral by trapezoids, starting from 0."""
     parts = 0.5 * (values[1:] + values[:-1]) * step[:, None]
     return np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(parts, axis=0)])
 
@@ -240,14 +239,14 @@ def _integral(values: Array, step: Array) -> Array:
 def _fit(
     windows: _Windows, vehicle: VehicleConfig
 ) -> tuple[list[AxisInertia], tuple[float, float, float], float]:
-    """The axes, the drift and the share of the changes that stays unexplained, sum over the axes."""
+    """Return the axes, the drift and the unexplained fraction of the changes, summed over the axes."""
     inertia = np.array(vehicle.airframe.inertia_kg_m2)
     axes: list[AxisInertia] = []
     drift = np.zeros(3)
     unexplained = 0.0
     for _ in range(_ROUNDS):
         axes, unexplained = [], 0.0
-        # J w' = motors - (Jz - Jy) wy wz and so on in turn.
+        # J w' = motors - (Jz - Jy) wy wz, and cyclically.
         gyroscopic = (np.roll(inertia, -2) - np.roll(inertia, -1)) * windows.products
         for i, name in enumerate(AXES):
             axis, drift[i], rest = _line(name, windows, windows.impulse[:, i] - gyroscopic[:, i], i)
@@ -275,24 +274,25 @@ def _line(name: str, windows: _Windows, impulse: Array, i: int) -> tuple[AxisIne
     )
     drift = float(windows.change[:, i].mean()) / duration
     if xy <= 0.0:
-        axis.refused = f"no excitation: torques of {axis.torque_nm:.4f} N m and no turning that follows them"
+        axis.refused = f"no excitation: torques of {axis.torque_nm:.4f} N m, and no rotation follows them"
         return axis, drift, 1.0
     drift -= xy / xx * float(impulse.mean()) / duration
-    # All that the motors do not explain is on the side of the rates: the most that the inertia can be. All
-    # but the gyro's noise is on the side of the torques: the least.
+    # All errors assigned to the rates: upper bound. Errors beyond the gyro's noise assigned to the torques:
+    # lower bound.
     noise = min(n * float(windows.noise[i]), yy - xy * xy / xx)
     most, least = xx / xy, xy / (yy - noise)
     error = math.sqrt((1.0 - explained) / max(1, n - 2) / explained)
     value = math.sqrt(most * least)
     if error > _MAX_ERROR:
         axis.refused = (
-            f"too little excitation: torques of {axis.torque_nm:.4f} N m tell the inertia to "
-            f"{100.0 * error:.0f} %, {100.0 * _MAX_ERROR:.0f} are needed"
+            f"too little excitation: torques of {axis.torque_nm:.4f} N m determine the inertia to "
+            f"{100.0 * error:.0f} %, {100.0 * _MAX_ERROR:.0f} % is needed"
         )
     elif most > _MAX_RATIO * least:
         axis.refused = (
-            f"the motors explain {100.0 * explained:.0f} % of how the rates change, which leaves anything "
-            f"from {least:.4f} to {most:.4f} kg m2: wind, too few commands, order or places of the motors"
+            f"the motors explain {100.0 * explained:.0f} % of the rate changes, so the inertia is between "
+            f"{least:.4f} and {most:.4f} kg m2; check for wind, small commands, and the motors' order and "
+            "positions"
         )
     else:
         axis.value = value

@@ -1,14 +1,13 @@
-"""Thrust curve of the motors from the hover segments of flights (docs/force.md).
+"""Fit of the motors' thrust curve to the hover segments of flights (docs/force.md).
 
-While the vehicle flies slowly and steadily its thrust is mass times the specific force along its thrust
-axis, so every quiet stretch of a log is one point of the curve: commands in, force out. Whether a stretch is
-quiet is judged by means over it, never by single samples: the readings of a real vehicle shake by several
-m/s2 while it hovers. The curve
+During slow, steady flight the thrust equals the mass times the specific force along the thrust axis. Each
+quiet segment of a log therefore gives one point of the curve, from commands to force. Averages over a segment
+decide whether it is quiet: single samples of a real vehicle vibrate by several m/s2 in hover. The curve
 
     T = full_n * sum over the motors of (factor u^2 + (1 - factor) u)
 
-is linear in full_n * factor and full_n * (1 - factor). Hover alone is one operating point: it gives full_n
-and says nothing of the factor, which is fitted only where climbs, descents or pay-loads spread the commands.
+is linear in full_n * factor and full_n * (1 - factor). Hover is one operating point, so it determines full_n
+but not the factor. The factor is fitted only if climbs, descents or payloads spread the commands.
 """
 
 from __future__ import annotations
@@ -27,26 +26,26 @@ from dart_flight.lab.track import Track
 Array = NDArray[np.float64]
 
 WINDOW_S = 0.5
-_PART_S = 0.1  # a window's parts: long beside the vibration, short beside a bump
-_GROUND_MARGIN_S = 1.0  # PX4's land detector is that late; what it calls ground begins earlier
+_PART_S = 0.1  # part of a window: longer than the vibration's period, shorter than a bump
+_GROUND_MARGIN_S = 1.0  # delay of PX4's land detector
 _MIN_IMU, _MIN_MOTOR = 10, 3  # samples of a window; default logging has motors at 10 Hz
 _MAX_RATE_RAD_S = 0.6
-_MAX_LATERAL_M_S2 = 1.5  # across the thrust axis: more is drag, wind or a contact
-_MAX_JOLT_M_S2 = 3.0  # a part's mean away from the window's: a bump, a touch-down
+_MAX_LATERAL_M_S2 = 1.5  # across the thrust axis; drag, wind or a contact exceeds it
+_MAX_JOLT_M_S2 = 3.0  # between a part's mean and the window's; a bump or touch-down exceeds it
 _MAX_ACCELERATION_M_S2 = 1.5
 _MAX_COMMAND_CHANGE = 0.06  # from the first half of a window to the second, mean over the motors
 _MIN_COMMAND, _MAX_COMMAND = 0.05, 0.98  # of any motor's mean
 _MAX_SPEED_M_S = 1.5
 MIN_POINTS = 8
-_FACTOR_ERROR = 0.1  # a factor less certain than this is not taken from the flight
+_FACTOR_ERROR = 0.1  # a factor with a larger standard error is not fitted
 _MIN_VOLTAGE_SPREAD = 0.02  # relative standard deviation
-_MIN_SPREAD_V = 1e-6  # below it all voltages are one
-_MAX_EXPONENT = 3.0  # of the voltage
+_MIN_SPREAD_V = 1e-6  # a smaller spread counts as constant voltage
+_MAX_EXPONENT = 3.0  # of the voltage ratio
 _FOLDS = 4  # parts for cross-validation
-_BLOCK = 5  # consecutive windows that are held out together, 2.5 s
+_BLOCK = 5  # consecutive windows held out together, 2.5 s
 _MAX_ERROR = 0.1  # largest error on held-out stretches, as a share of the thrust
 
-# Tests of a window, in the order in which they are made, with what they mean.
+# Tests of a window in their order, with the reason for rejection.
 TESTS = {
     "ground": "on the ground or within a second of it",
     "gap": "too few samples",
@@ -61,12 +60,12 @@ TESTS = {
 
 
 class Points(msgspec.Struct):
-    """Quiet stretches: mean of u^2 and of u summed over the motors, force in newton, volts (nan unknown).
+    """Quiet segments: means of u^2 and u summed over the motors, force in newton, voltage (NaN if unknown).
 
     Attributes:
-        start_s: when each begins.
-        motors: how many motors the sums go over.
-        rejected: test (`TESTS`) -> how many windows it was the first to reject.
+        start_s: begin of each segment.
+        motors: number of motors in the sums.
+        rejected: test (`TESTS`) -> number of windows that failed it first.
     """
 
     square: Array
@@ -78,7 +77,7 @@ class Points(msgspec.Struct):
     rejected: dict[str, int]
 
     def chosen(self, which: NDArray[np.bool_]) -> Points:
-        """Some of the stretches."""
+        """Return the selected segments."""
         return msgspec.structs.replace(self, **{name: getattr(self, name)[which] for name in _BY_STRETCH})
 
 
@@ -86,11 +85,11 @@ _BY_STRETCH = ("square", "linear", "force", "volts", "start_s")  # the arrays of
 
 
 class ThrustCalibration(msgspec.Struct):
-    """Thrust curve and how well it fits; standard errors of what was fitted, null for what was kept."""
+    """A thrust curve and its quality of fit. A standard error is None where the value was not fitted."""
 
     segments: int
-    rejected: dict[str, int]  # test -> windows that it rejected
-    notes: list[str]  # how the logs were read
+    rejected: dict[str, int]  # test -> number of rejected windows
+    notes: list[str]  # remarks on the logs
     full_n: float
     full_n_error: float
     model_factor: float
@@ -103,19 +102,19 @@ class ThrustCalibration(msgspec.Struct):
     residual_rms_n: float
     residual_worst_n: float
     residual_percent: float
-    residuals: list[tuple[float, float, float]]  # command, force, force less curve
+    residuals: list[tuple[float, float, float]]  # command, force, force minus curve
 
 
 def quiet_points(
     track: Track, mass_kg: float, lag_s: float, most_speed_m_s: float = _MAX_SPEED_M_S
 ) -> Points:
-    """The quiet stretches of a flight, half a second each.
+    """Return the quiet segments of a flight, half a second each.
 
     Args:
         track: the flight.
-        mass_kg: of the vehicle as it flew; 1 gives specific thrust.
-        lag_s: of the motors; commands are moved by it.
-        most_speed_m_s: a faster window is rejected.
+        mass_kg: mass of the vehicle in this flight; 1 gives specific thrust.
+        lag_s: lag of the motors; commands are delayed by it.
+        most_speed_m_s: upper limit of a window's mean speed.
     """
     rows: list[tuple[float, float, float, float, float]] = []
     rejected = dict.fromkeys(TESTS, 0)
@@ -134,7 +133,7 @@ def quiet_points(
 def _point(
     track: Track, start: float, mass_kg: float, lag_s: float, most_speed_m_s: float
 ) -> tuple[float, float, float, float] | str:
-    """A window's point of the curve, or the test that rejects it."""
+    """Return a window's point of the curve, or the test that rejects it."""
     stop = start + WINDOW_S
     if any(a - _GROUND_MARGIN_S < stop and b + _GROUND_MARGIN_S > start for a, b in track.ground):
         return "ground"
@@ -172,7 +171,7 @@ def _point(
 
 
 def format_rejected(rejected: dict[str, int]) -> str:
-    """Which tests rejected how many windows, in words; empty where none was rejected."""
+    """Return the number of rejected windows of each test as text, or an empty string."""
     return ", ".join(f"{count} {name} ({TESTS[name]})" for name, count in rejected.items() if count)
 
 
@@ -185,8 +184,7 @@ def _joined(parts: list[Points]) -> Points:
 class Curve(msgspec.Struct):
     """full (factor u^2 + (1 - factor) u) (volts / reference) ** exponent, summed over the motors.
 
-    Standard errors are of what was fitted, None for what was given. Without a reference voltage the last part
-    is 1.
+    A standard error is None where the value was given. Without a reference voltage the last factor is 1.
     """
 
     full: float
@@ -198,25 +196,26 @@ class Curve(msgspec.Struct):
     reference: float | None
 
     def by_volts(self, p: Points) -> Array:
-        """What the voltage makes of the force."""
+        """Return the factor by which the voltage scales the force."""
         return (
             np.ones(len(p.force)) if self.reference is None else (p.volts / self.reference) ** self.exponent
         )
 
     def of(self, p: Points) -> Array:
-        """Force at some points."""
+        """Return the force at some points."""
         shape: Array = self.factor * p.square + (1.0 - self.factor) * p.linear
         return self.full * shape * self.by_volts(p)
 
 
 def fit_curve(p: Points, factor: float, exponent: float | None, *, fit_factor: bool = False) -> Curve:
-    """Least squares: of the exponent with the given factor, then of the curve at the points' mean voltage.
+    """Fit the exponent by least squares with the given factor, then the curve at the points' mean voltage.
 
     Args:
         p: the points.
-        factor: where it is not to be fitted, or the points cannot tell it.
-        exponent: of the voltage; None: fitted where the voltage changes. Not used where it is not known.
-        fit_factor: whether to fit it. One outside 0 to 1 is taken as 0 or 1, without an error.
+        factor: value of the factor if it is not fitted or the points do not determine it.
+        exponent: exponent of the voltage, ignored if the voltage is unknown; None: fit it if the voltage
+            varies.
+        fit_factor: whether to fit the factor. A result outside 0 to 1 is clipped and has no standard error.
     """
     reference = float(p.volts.mean()) if np.isfinite(p.volts).all() else None
     exponent_error = None
@@ -258,14 +257,14 @@ def best_fit(points: Points, square_share: float) -> tuple[float, Callable[[Poin
     """Return the cross-validation error of the best kind of curve, and the function that fits it.
 
     The kinds differ in whether they use the voltage and whether the factor is configured or fitted. Each is
-    fitted to a part of the stretches and compared with the rest.
+    fitted to some of the segments and compared with the rest.
 
     Args:
-        points: quiet stretches.
+        points: quiet segments.
         square_share: configured factor.
 
     Returns:
-        The root mean square error on held-out stretches over the mean thrust, and the function.
+        The root mean square error on held-out segments over the mean thrust, and the function.
     """
     known = bool(np.isfinite(points.volts).all())
     choices = [
@@ -277,7 +276,7 @@ def best_fit(points: Points, square_share: float) -> tuple[float, Callable[[Poin
 
 
 def fit_problem(error: float) -> str:
-    """Return the reason to reject a curve with this error on held-out stretches, or an empty string."""
+    """Return the reason to reject a curve with this error on held-out segments, or an empty string."""
     if error <= _MAX_ERROR:
         return ""
     return f"its error on held-out ones is {100.0 * error:.0f} %, {100.0 * _MAX_ERROR:.0f} % allowed: no fit"
@@ -294,7 +293,7 @@ def _fitter(factor: float, fitted: bool, by_volts: bool) -> Callable[[Points], C
 
 
 def _held_out(points: Points, fit: Callable[[Points], Curve]) -> float:
-    """Return the error on held-out stretches, root mean square, over the mean thrust."""
+    """Return the root mean square error on held-out segments over the mean thrust."""
     part = (np.arange(len(points.force)) // _BLOCK) % min(_FOLDS, max(2, len(points.force) // _BLOCK))
     squares = []
     for fold in np.unique(part):
@@ -305,10 +304,10 @@ def _held_out(points: Points, fit: Callable[[Points], Curve]) -> float:
 
 
 def calibrate_thrust(tracks: Iterable[Track], vehicle: VehicleConfig) -> ThrustCalibration:
-    """Fit the thrust curve to the quiet stretches of some flights.
+    """Fit the thrust curve to the quiet segments of some flights.
 
     Raises:
-        InputError: too few quiet stretches, or no curve fits them.
+        InputError: there are too few quiet segments, or no curve fits them.
     """
     tracks = list(tracks)
     mass, lag = vehicle.airframe.mass_kg, vehicle.thrust.motor_lag_s
@@ -332,7 +331,7 @@ def calibrate_thrust(tracks: Iterable[Track], vehicle: VehicleConfig) -> ThrustC
     share, kept = vehicle.thrust.square_share, vehicle.estimation.battery.exponent
     flat = not p.volts.std() >= _MIN_VOLTAGE_SPREAD * p.volts.mean()
     curve = fit_curve(p, share, kept if flat else None, fit_factor=True)
-    if curve.factor_error is None or curve.factor_error >= _FACTOR_ERROR:  # the flights cannot tell
+    if curve.factor_error is None or curve.factor_error >= _FACTOR_ERROR:  # not determined by the flights
         curve = fit_curve(p, share, kept if flat else None)
     residual = (p.force - curve.of(p)) / curve.by_volts(p)
     command = p.linear / p.motors

@@ -1,1 +1,1 @@
-"""Thousands of flights: what was asked, a row per flight in a table on disk, what they amount to."""
+"""Campaigns of many flights: the specification, a table with one row per flight, and its summary."""

@@ -1,4 +1,4 @@
-"""When a flight arrived at its goal, by its log, and when its plan does, by the same rule."""
+"""Arrival times at the goal, by the same rule for a flight's log and for its plan."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from dart_flight.config.mission import Mission
 from dart_flight.lab.search.optimal_trajectory import OptimalTrajectory
 from dart_flight.recording.reader import Log
 
-THERE_M, STILL_M_S = 0.15, 0.3  # of the goal: flights and plans end there
-_UNDER_WAY_US = 500_000  # at least, for missions whose start and goal are one place
+THERE_M, STILL_M_S = 0.15, 0.3  # distance from the goal and speed at which a flight or plan has arrived
+_UNDER_WAY_US = 500_000  # shortest flight, for missions that start at their goal
 
 
 class GoalArrival(NamedTuple):
-    """Stamps of a flight's log, us.
+    """The arrival of a flight at its goal; stamps are those of its log, us.
 
     Attributes:
-        begin_us: the mission's own trajectories begin.
-        visits_us: of the places passed in their order; a place that was not ends them.
-        there_us: at the goal, nearly at rest, after them; None: never before landing.
+        begin_us: begin of the mission's own trajectories.
+        visits_us: passages of the visited places in order, up to the first place that was missed.
+        there_us: arrival at the goal after the visits, nearly at rest; None: not before landing.
     """
 
     begin_us: float
@@ -32,21 +32,21 @@ class GoalArrival(NamedTuple):
 
     @property
     def there_s(self) -> float | None:
-        """Duration of the flight."""
+        """The duration of the flight to the goal, seconds."""
         return None if self.there_us is None else (self.there_us - self.begin_us) * 1e-6
 
 
 def arrival_of(log: Log, mission: Mission, visits: Sequence[tuple[Vec2, float]]) -> GoalArrival | None:
-    """Return when a flight arrived, or None if it never got under way.
+    """Return the arrival of a flight, or None if its trajectories never began.
 
     Args:
-        log: with the truth.
-        mission: that was flown.
-        visits: places and within which distance of them they count as passed.
+        log: the log, with the truth.
+        mission: the mission that was flown.
+        visits: places, each with the distance within which it counts as passed, metres.
     """
     truth, phases = log["/truth/state"], log["/event/phase"]
     changes = list(zip(phases["t_us"], map(str, phases["after"]), phases["collision"], strict=True))
-    # A touch before the mission's own trajectories has an approach, too.
+    # A touch before the mission's own trajectories also has an approach.
     own = next((c.index for c in mission.collisions if c.trajectory is not None), None)
     first = "goal" if own is None else "approach"
     begins = [t for t, after, led_to in changes if after == first and own in (None, led_to)]
@@ -58,8 +58,8 @@ def arrival_of(log: Log, mission: Mission, visits: Sequence[tuple[Vec2, float]])
     speed = np.linalg.norm(np.asarray(truth["velocity_mission"])[:, :2], axis=1)
     passed: list[float] = []
     for at, within_m in visits:
-        since = passed[-1] if passed else begin_us
-        near = np.flatnonzero((np.linalg.norm(place - np.array(at), axis=1) <= within_m) & (t >= since))
+        earliest = passed[-1] if passed else begin_us
+        near = np.flatnonzero((np.linalg.norm(place - np.array(at), axis=1) <= within_m) & (t >= earliest))
         if not near.size:
             break
         passed.append(float(t[near[0]]))
@@ -71,7 +71,7 @@ def arrival_of(log: Log, mission: Mission, visits: Sequence[tuple[Vec2, float]])
 
 
 def planned_there_s(found: OptimalTrajectory, goal: tuple[float, float]) -> float:
-    """Return when a planned flight is near its goal and slow for good."""
+    """Return the time at which a planned flight is near its goal and stays slow."""
     last = found.legs[-1]
     begin = found.time_s - last.duration_s
     there = begin

@@ -1,4 +1,4 @@
-"""A campaign from its first flight to its last, also in several goes."""
+"""The folder of a campaign: creation, continuation, and the loop that flies what is missing."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from dart_flight.run.workers import Failure, FinishedItem, Interrupt, work
 
 ASKED, TABLE, SUMMARY, PAGE, LOGS = "campaign.json", "flights.csv", "summary.json", "index.html", "logs"
 
-# Flies items side by side wherever, results as they land; begins no further one after an interrupt.
+# An engine flies items in parallel, yields results as flights finish and starts none after an interrupt.
 Landings = Generator[FinishedItem[Item, Flown], None, None]
 Engine = Callable[[ItemFlyer, Iterable[Item], Interrupt], Landings]
 
@@ -45,24 +45,24 @@ class CampaignFolder(NamedTuple):
 
     @property
     def flights(self) -> int:
-        """How many there are in all."""
+        """The total number of flights."""
         return self.campaign.asked.runs * len(self.points)
 
     def log_of(self, item: Item) -> Path:
-        """Where a flight's log is, if it is kept."""
+        """Return the path of a flight's log, whether it is kept or not."""
         return self.folder / LOGS / log_name(self.points[item.point - 1], item.seed) / LOG_NAME
 
 
 def open_campaign(asked: CampaignSpec | None, folder: Path, resume: bool) -> CampaignFolder:
-    """Begin a campaign, or find the one that is to go on.
+    """Create a campaign, or open an existing one to continue it.
 
     Args:
-        asked: what is to be flown; None: what the folder's campaign was asked.
-        folder: of the campaign.
-        resume: go on with what is there.
+        asked: the specification; None: that of the existing campaign.
+        folder: folder of the campaign.
+        resume: whether to continue an existing campaign.
 
     Raises:
-        InputError: in what is asked; there is a campaign already and it is not to go on, or it is another.
+        InputError: the specification is invalid, or the existing campaign differs or was not to be resumed.
         FlightError: the folder cannot be written.
     """
     path = folder / ASKED
@@ -73,9 +73,9 @@ def open_campaign(asked: CampaignSpec | None, folder: Path, resume: bool) -> Cam
     if not resume:
         raise InputError("a campaign exists here already; use --resume to continue it", source=str(path))
     kept = _read(path)
-    taken = asked or kept.asked
-    points = points_of(taken)
-    wanted = campaign_of(taken, points)
+    specification = asked or kept.asked
+    points = points_of(specification)
+    wanted = campaign_of(specification, points)
     problem = difference(kept, wanted)
     if problem is not None:
         raise InputError(f"is a different campaign: {problem}", source=str(path))
@@ -101,7 +101,7 @@ def _read(path: Path) -> Campaign:
     try:
         return msgspec.json.decode(read_text(path), type=Campaign)
     except msgspec.MsgspecError as error:
-        raise InputError(f"is no campaign: {error}", source=str(path)) from None
+        raise InputError(f"is not a campaign file: {error}", source=str(path)) from None
 
 
 def _write(path: Path, campaign: Campaign) -> None:
@@ -109,10 +109,10 @@ def _write(path: Path, campaign: Campaign) -> None:
 
 
 def write_atomically(path: Path, data: bytes) -> None:
-    """Write a file, whole or not at all, and force it to the disk; its folder is made where there is none.
+    """Write a file completely or not at all, flush it to the disk and create its folder if necessary.
 
     Raises:
-        FlightError: it cannot be written.
+        FlightError: the file cannot be written.
     """
     part = path.with_name(f"{path.name}.part")
     try:
@@ -129,7 +129,7 @@ def write_atomically(path: Path, data: bytes) -> None:
 
 
 def rows_of(opened: CampaignFolder) -> list[JudgedRow]:
-    """Return the rows that the judge of a campaign has made so far.
+    """Return the rows of a judged campaign so far.
 
     Raises:
         InputError: the table cannot be read.
@@ -138,7 +138,7 @@ def rows_of(opened: CampaignFolder) -> list[JudgedRow]:
 
 
 def fly_locally(jobs: int) -> Engine:
-    """Flights in processes of this machine (`run.workers`)."""
+    """Return an engine that flies in processes of this machine (`run.workers`)."""
     return lambda flyer, items, interrupt: work(flyer, items, jobs, interrupt)
 
 
@@ -148,17 +148,17 @@ def fly(
     interrupt: Interrupt,
     progress: Callable[[int, int], None] = lambda flown, failed: None,
 ) -> int:
-    """Fly what has no row yet; returns how many rows there are.
+    """Fly every item that has no row, and return the number of rows.
 
     Args:
         opened: the campaign.
-        engine: flies.
-        interrupt: ends it early; the rows that are there stay.
-        progress: called with the rows so far, and how many of this call's flights did not complete.
+        engine: executes the flights.
+        interrupt: ends the campaign early; existing rows are kept.
+        progress: called with the number of rows and the number of this call's flights that did not complete.
 
     Raises:
-        FlightError: the disk is full, the table is being written by another process, or no process can fly.
-        InputError: the table is not this campaign's.
+        FlightError: the disk is full, another process writes the table, or no process can fly.
+        InputError: the table belongs to another campaign.
     """
     campaign = opened.campaign
     flyer = ItemFlyer(campaign, opened.points)
@@ -167,12 +167,12 @@ def fly(
         rows, failed = len(have), 0
         progress(rows, failed)
         missing = (item for item in items_of(campaign.asked, opened.points) if item not in have)
-        # However it ends, the processes end with it.
+        # Closing the engine ends its processes, also after an exception.
         with contextlib.closing(engine(flyer, missing, interrupt)) as landings:
             for item, result in landings:
                 flown = flyer.failed(item, result.what) if isinstance(result, Failure) else result
                 if flown.log is not None:
-                    # Before its row, so that a row never promises a log that is not there.
+                    # The log comes before its row, so that no row lacks its log.
                     write_atomically(opened.log_of(item), flown.log)
                 table.append(flown.line)
                 rows, failed = rows + 1, failed + (not flown.completed)

@@ -1,6 +1,6 @@
-"""The specification of a campaign: missions x settings x cases x seeds, and what its rows depend on.
+"""The specification of a campaign: missions x settings x cases x seeds, and the points and items that follow.
 
-`dart-flight campaign` makes one from its options; a measurement of the manual is one in a file
+`dart-flight campaign` builds it from its options. A measurement of the manual is a specification in a file
 (`tools/campaigns/*.yaml`), with a function that judges each flight.
 """
 
@@ -28,7 +28,7 @@ from dart_flight.sim.draws import draw_world, parse_vary
 
 
 class Keep(StrEnum):
-    """Whose logs are kept."""
+    """The flights whose logs are kept."""
 
     FAILED = "failed"  # flights that did not complete
     ALL = "all"
@@ -36,21 +36,21 @@ class Keep(StrEnum):
 
 
 class CampaignSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What was asked for, in the words of the command or of a specification file.
+    """A specification as written in a file or on the command line.
 
     Functions are named `module:function`.
 
     Attributes:
-        missions: files.
-        config: vehicle configuration instead of that of the missions.
-        settings: key of the configuration to its values, as written.
-        vary: what is drawn, as written (`sim.draws`).
-        runs: seeds, from `seed` on, for every mission and combination of values.
-        keep: whose logs.
-        cases: what else differs between flights, a column a key; or a function that returns this list.
+        missions: mission files.
+        config: vehicle configuration to use instead of the missions'.
+        settings: values of each configuration key, as written.
+        vary: draws, as written (`sim.draws`).
+        runs: number of seeds for every mission and combination of values, starting with `seed`.
+        keep: the flights whose logs are kept.
+        cases: other differences between flights, with a column for each key, or a function that returns them.
         fly: function from point and seed to a flown flight; empty: a fast flight of the mission.
-        judge: function from a flown flight to a `msgspec.Struct`, whose fields are the columns of the table;
-            empty: `fly` returns it, or without `fly` the columns are those of `dart-flight campaign`.
+        judge: function from a flown flight to a `msgspec.Struct` whose fields are columns of the table. If
+            empty, `fly` returns the struct; without `fly`, the columns are those of `dart-flight campaign`.
     """
 
     missions: tuple[str, ...]
@@ -66,20 +66,20 @@ class CampaignSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     @property
     def makes_row(self) -> str:
-        """Name of the function that makes a row; empty for the columns of `dart-flight campaign`."""
+        """The name of the function that makes a row; empty for the columns of `dart-flight campaign`."""
         return self.judge or self.fly
 
 
 class Point(NamedTuple):
-    """One mission with one value of every key that is set, and one case.
+    """One mission with one combination of settings and one case.
 
     Attributes:
-        number: 1 for the first.
-        path: of the mission, as given.
-        values: of the keys, in their order; then those of the case.
-        mission: resolved.
-        spreads: what is drawn, standard deviations by name.
-        digest: of the resolved mission and vehicle, without the names of their files.
+        number: number of the point, from 1.
+        path: mission file, as given.
+        values: values of the settings in order, followed by those of the case.
+        mission: the resolved mission.
+        spreads: standard deviations of the drawn quantities by name.
+        digest: hash of the resolved mission and vehicle without their file names.
         case: value by key; empty without cases.
     """
 
@@ -93,20 +93,20 @@ class Point(NamedTuple):
 
 
 class Item(NamedTuple):
-    """One flight: which point of the grid, and its seed."""
+    """One flight: the number of its point and its seed."""
 
     point: int
     seed: int
 
 
 class Campaign(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The file `campaign.json`: what another run must agree with to go on.
+    """The content of `campaign.json`; a resumed campaign must agree with it.
 
     Attributes:
-        asked: in the command's words.
-        digests: of the points, in their order.
-        columns: of the table.
-        software: version, and the commit where there is one.
+        asked: the specification.
+        digests: digests of the points in order.
+        columns: columns of the table.
+        software: version, with the commit if known.
     """
 
     asked: CampaignSpec
@@ -120,16 +120,16 @@ def load_specification(path: Path) -> CampaignSpec:
     """Read a campaign's specification file.
 
     Raises:
-        InputError: it cannot be read, or a key is unknown or has the wrong type.
+        InputError: the file cannot be read, or a key is unknown or has the wrong type.
     """
     return Document.load(path).convert(CampaignSpec)
 
 
 def parse_grid(settings: Sequence[str]) -> dict[str, tuple[str, ...]]:
-    """Values by key from `KEY=V1,V2,...`; commas within brackets and quotes belong to a value.
+    """Return the values by key from `KEY=V1,V2,...`; a comma within brackets or quotes belongs to the value.
 
     Raises:
-        InputError: it has another form, or a key is given twice.
+        InputError: a setting has another form, or a key is given twice.
     """
     grid: dict[str, tuple[str, ...]] = {}
     for setting in settings:
@@ -146,7 +146,7 @@ def parse_grid(settings: Sequence[str]) -> dict[str, tuple[str, ...]]:
 
 
 def _split(text: str) -> Iterator[str]:
-    """Parts between commas that are in no bracket and no quotes."""
+    """Split a text at commas outside of brackets and quotes."""
     depth, quote, begin = 0, "", 0
     for i, c in enumerate(text):
         if quote:
@@ -167,7 +167,7 @@ def named_function(name: str) -> Callable[..., Any]:
     """Import the function that a specification names `module:function`.
 
     Raises:
-        InputError: there is none.
+        InputError: the function does not exist.
     """
     module, _, function = name.partition(":")
     try:
@@ -190,10 +190,10 @@ def row_type(name: str) -> type[msgspec.Struct]:
 
 
 def cases_of(asked: CampaignSpec) -> tuple[dict[str, str], ...]:
-    """Return the cases of a specification; one without keys where it has none.
+    """Return the cases of a specification, or one case without keys.
 
     Raises:
-        InputError: a function that is not there, or cases with different keys.
+        InputError: the function does not exist, or the cases have different keys.
     """
     cases = named_function(asked.cases)() if isinstance(asked.cases, str) else asked.cases
     if any(case.keys() != cases[0].keys() for case in cases):
@@ -202,15 +202,15 @@ def cases_of(asked: CampaignSpec) -> tuple[dict[str, str], ...]:
 
 
 def keys_of(asked: CampaignSpec, points: Sequence[Point]) -> tuple[str, ...]:
-    """Return the names of the values of a point: settings, then keys of the cases."""
+    """Return the names of a point's values: the settings, then the keys of the cases."""
     return (*asked.settings, *points[0].case)
 
 
 def points_of(asked: CampaignSpec) -> list[Point]:
-    """Every mission with every combination of values and every case, loaded and checked.
+    """Load and check every mission with every combination of settings and every case.
 
     Raises:
-        InputError: in a mission, a configuration, a setting, a case, or what is to be drawn; a mission twice.
+        InputError: a mission, configuration, setting, case or draw is invalid, or a mission is given twice.
     """
     if len(set(asked.missions)) < len(asked.missions):
         raise InputError("a mission is given twice", key=("MISSION",))
@@ -235,14 +235,14 @@ def _digest(mission: Mission, spreads: Mapping[str, float], case: Mapping[str, s
 
 
 def items_of(asked: CampaignSpec, points: Sequence[Point]) -> Iterator[Item]:
-    """Every flight; every point's first seed, then every point's second, so that a part of it is even."""
+    """Return every flight, ordered by seed and then by point, so that a partial campaign is balanced."""
     for seed in range(asked.seed, asked.seed + asked.runs):
         for point in points:
             yield Item(point.number, seed)
 
 
 def campaign_of(asked: CampaignSpec, points: Sequence[Point]) -> Campaign:
-    """What is to be written down before the first flight."""
+    """Return the content of `campaign.json`, which is written before the first flight."""
     digests, keys = tuple(p.digest for p in points), keys_of(asked, points)
     if asked.makes_row:
         judged = row_type(asked.makes_row).__struct_fields__
@@ -260,7 +260,7 @@ def campaign_of(asked: CampaignSpec, points: Sequence[Point]) -> Campaign:
 
 
 def difference(kept: Campaign, wanted: Campaign) -> str | None:
-    """Why a campaign is not the one that is kept; None where it is, perhaps with more seeds."""
+    """Return the difference of a campaign from the existing one, or None if at most seeds were added."""
     a, b = kept.asked, wanted.asked
     for name, before, now in (
         ("the missions", a.missions, b.missions),
@@ -292,16 +292,16 @@ def _format_setting(value: object) -> str:
 
 
 def log_name(point: Point, seed: int) -> str:
-    """The folder of a kept log, below `logs/`."""
+    """Return the name of a kept log's folder in `logs/`."""
     stem = "".join(c if c.isalnum() else "-" for c in Path(point.path).stem)
     return f"{stem}-{point.number}-{seed}"
 
 
 def command_of(asked: CampaignSpec, point: Point, seed: int) -> str:
-    """The command that flies one flight of a campaign again."""
+    """Return the command that repeats one flight of a campaign."""
     words = ["dart-flight", "dry-run", point.path, "--fast", "--seed", str(seed)]
     words += [word for setting in asked.vary for word in ("--vary", setting)]
-    for key, value in zip(asked.settings, point.values, strict=False):  # the case's values come after
+    for key, value in zip(asked.settings, point.values, strict=False):  # the case's values follow
         words += ["--set", f"{key}={value}"]
     if asked.config is not None:
         words += ["--config", asked.config]

@@ -1,4 +1,4 @@
-"""What the rows of a campaign amount to: how often the mission succeeds, where not, and by which rule."""
+"""The summary of a campaign: success rates, causes of failure, and the influence of the drawn quantities."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ from dart_flight.lab.statistics import (
 )
 from dart_flight.recording.plan_versus_flight import Deviation
 
-_MAX_FAILED = 1000  # that are listed; the table has them all
-_CLEAR_Z = 4.0  # from here on a quantity tells failed flights from others, also among fifty looked at
+_MAX_FAILED = 1000  # listed flights; the table contains all of them
+_CLEAR_Z = 4.0  # significant separation of failed and completed flights, also among fifty quantities
 _MIN_FAILED = 5
-_MAX_TOLD = 4
+_MAX_QUANTITIES = 4
 _MAX_OVER = 2  # drawn quantities for one figure
 _MAX_POINTS = 400
 _SIGNIFICANT = 0.05  # p value, corrected for the number of quantities tried
@@ -43,7 +43,7 @@ _OF_WALLS = ("contact", "wall_offset_m", "wall_yaw_deg")
 
 
 class FigureSpread(msgspec.Struct, frozen=True):
-    """A figure over the flights that have it."""
+    """The distribution of a figure over the flights that have it."""
 
     flights: int
     median: float
@@ -53,12 +53,12 @@ class FigureSpread(msgspec.Struct, frozen=True):
 
 
 class Bin(msgspec.Struct, frozen=True):
-    """Flights whose drawn quantity lies in a range, or has a value.
+    """The success rate of flights whose drawn quantity lies in a range or equals a word.
 
     Attributes:
-        low, high: of a number.
-        value: of a word.
-        completed: of those flights.
+        completed: success rate of these flights.
+        low, high: range of a number.
+        value: the word.
     """
 
     completed: Share
@@ -68,14 +68,14 @@ class Bin(msgspec.Struct, frozen=True):
 
 
 class Drawn(msgspec.Struct, frozen=True):
-    """Success over one drawn quantity.
+    """The success rate as a function of one drawn quantity.
 
     Attributes:
-        name: of the quantity.
-        bins: of about equal counts; one for every word.
-        z: how clearly it differs between flights that completed and others, in standard deviations under no
-            difference (Mann and Whitney), positive where it is higher in the others; of words that of the
-            clearest one; None where all or none completed.
+        name: name of the quantity.
+        bins: bins of about equal counts, or one bin for each word.
+        z: difference between failed and completed flights in standard deviations under no difference (Mann
+            and Whitney), positive if higher in failed flights. For words, the largest difference. None if all
+            or none completed.
     """
 
     name: str
@@ -84,13 +84,13 @@ class Drawn(msgspec.Struct, frozen=True):
 
 
 class FigureTrend(msgspec.Struct, frozen=True):
-    """A figure of the flights that completed, over a drawn quantity that it follows significantly.
+    """A figure of the completed flights that correlates significantly with a drawn quantity.
 
     Attributes:
-        figure, name: of the figure and of the drawn quantity.
-        correlation: of their ranks (Spearman), -1 to 1; 0: the figure does not follow it.
+        figure, name: names of the figure and of the drawn quantity.
+        correlation: rank correlation (Spearman), -1 to 1.
         p_value: probability that chance alone correlates any tried quantity as much (Bonferroni).
-        points: drawn and figure of each flight, of the first 400.
+        points: drawn quantity and figure of each of the first 400 flights.
     """
 
     figure: str
@@ -123,7 +123,7 @@ class Departure(msgspec.Struct, frozen=True):
 
 
 class GridPoint(msgspec.Struct, frozen=True):
-    """Success at one mission and value of what was set."""
+    """The success rates at one mission and combination of settings."""
 
     mission: str
     settings: dict[str, str]
@@ -132,12 +132,13 @@ class GridPoint(msgspec.Struct, frozen=True):
 
 
 class DifferingQuantity(msgspec.Struct, frozen=True):
-    """A drawn quantity that differs between flights that a rule ended and those that completed.
+    """A drawn quantity that differs between flights ended by a rule and completed flights.
 
     Attributes:
-        name: of the quantity.
-        failed, completed: medians; of a word the share of the flights that drew it.
-        chance: that it is higher in a failed flight than in a completed one; 0.5 tells nothing.
+        name: name of the quantity.
+        failed, completed: medians; for a word, the fraction of flights that drew it.
+        chance: probability that it is higher in a failed flight than in a completed one; 0.5 is no
+            difference.
     """
 
     name: str
@@ -147,7 +148,7 @@ class DifferingQuantity(msgspec.Struct, frozen=True):
 
 
 class EndCause(msgspec.Struct, frozen=True):
-    """Why flights did not complete: the rule, or the first word of the reason."""
+    """A cause of failure: the guard rule, or the first word of the reason."""
 
     rule: str
     flights: int
@@ -155,7 +156,7 @@ class EndCause(msgspec.Struct, frozen=True):
 
 
 class FailedFlight(msgspec.Struct, frozen=True):
-    """A flight that did not complete, and how to see it again."""
+    """A flight that did not complete, with the command that repeats it."""
 
     mission: str
     settings: dict[str, str]
@@ -170,20 +171,22 @@ class CampaignSummary(msgspec.Struct, frozen=True):
     """The object of `summary.json` and of `campaign --json`.
 
     Attributes:
-        flights: rows in the table; asked: flights in all.
-        errors: flights without a verdict, by a fault of the program; they count in no rate.
+        flights, asked: number of rows in the table, and total number of flights.
+        errors: flights without a verdict due to a program error; no rate counts them.
         completed, plan_followed: rates with their intervals.
-        figures: by column.
-        points: by mission and settings; rules: why flights did not complete.
-        drawn: success over what was drawn; empty where all flights completed, or none.
-        varied: miss and peak forces over what was drawn, of the flights that completed.
+        figures: distributions by column.
+        points: success rates by mission and settings.
+        rules: causes of failure.
+        drawn: success over each drawn quantity; empty if all or no flights completed.
+        varied: miss and peak forces of the completed flights over the drawn quantities.
         tried: number of drawn quantities that can affect a figure, significant or not, by figure.
         not_followed: planned figures out of tolerance, the most frequent first.
         failed: flights that did not complete, at most 1000.
-        unexplained_modes: those whose arms were in another mode than the lock although no fault of it was
-            drawn; the campaign proves nothing while there are any.
-        vary: what was drawn, standard deviations.
-        software: version that flew; vehicle: of the first mission and setting.
+        unexplained_modes: flights whose arms were in another mode than the lock without a drawn lock fault.
+            The campaign proves nothing while this list is not empty.
+        vary: standard deviations of the drawn quantities.
+        software: version that flew.
+        vehicle: vehicle of the first mission and setting.
     """
 
     flights: int
@@ -206,7 +209,7 @@ class CampaignSummary(msgspec.Struct, frozen=True):
 
 
 class _SummaryRow(NamedTuple):
-    """A row as far as the summary needs it."""
+    """The cells of a row that the summary needs."""
 
     item: Item
     point: Point
@@ -228,7 +231,7 @@ _FIGURES = ("goal_miss_m", "final_error_m", "max_tilt_deg", "flight_time_s")
 
 
 def summarise(opened: CampaignFolder) -> CampaignSummary:
-    """Read the table and sum it up.
+    """Read the table of a campaign and return its summary.
 
     Raises:
         InputError: the table cannot be read.
@@ -238,7 +241,7 @@ def summarise(opened: CampaignFolder) -> CampaignSummary:
     figures = (*_FIGURES, *(c for c in columns if c.endswith(("_normal_m_s", "_peak_force_n"))))
     rows = list(_rows(opened, names, figures))
     judged = [row for row in rows if row.outcome != ERROR]
-    varied, tried = _varied([row for row in judged if row.completed], names, figures)
+    varied, tried = _figure_trends([row for row in judged if row.completed], names, figures)
     return CampaignSummary(
         flights=len(rows),
         asked=opened.flights,
@@ -251,8 +254,8 @@ def summarise(opened: CampaignFolder) -> CampaignSummary:
             if (spread := _spread([row.figures[i] for row in judged])) is not None
         },
         points=[_at_point(opened, point, judged) for point in opened.points],
-        rules=_rules(rows, names),
-        drawn=_drawn(judged, names),
+        rules=_end_causes(rows, names),
+        drawn=_success_by_quantity(judged, names),
         varied=varied,
         tried=tried,
         not_followed=_departures(judged),
@@ -326,23 +329,23 @@ def _settings(opened: CampaignFolder, point: Point) -> dict[str, str]:
     return dict(zip(keys_of(opened.campaign.asked, opened.points), point.values, strict=True))
 
 
-def _drawn(rows: Sequence[_SummaryRow], names: Sequence[str]) -> list[Drawn]:
-    """What was drawn, what tells most first; what is the same in all flights is left out."""
+def _success_by_quantity(rows: Sequence[_SummaryRow], names: Sequence[str]) -> list[Drawn]:
+    """Return the success over each quantity that varied, the most influential first."""
     fine, others = [r for r in rows if r.completed], [r for r in rows if not r.completed]
     if not fine or not others:
         return []
     found = []
     for i, name in enumerate(names):
         if len({row.drawn[i] for row in rows}) > 1:
-            apart = [one.z for _, _, _, one in _apart(others, fine, i, name)]
-            found.append(Drawn(name, _bins(rows, i), max(apart, key=abs, default=None)))
+            z_values = [separated.z for _, _, _, separated in _separations(others, fine, i, name)]
+            found.append(Drawn(name, _bins(rows, i), max(z_values, key=abs, default=None)))
     return sorted(found, key=lambda drawn: -abs(drawn.z or 0.0))
 
 
-def _varied(
+def _figure_trends(
     rows: Sequence[_SummaryRow], names: Sequence[str], figures: Sequence[str]
 ) -> tuple[list[FigureTrend], dict[str, int]]:
-    """Return trends of miss and peak forces over their best correlated quantities, and the number tried."""
+    """Return the trends of miss and peak forces over their best correlated quantities, and the counts."""
     found: list[FigureTrend] = []
     tried: dict[str, int] = {}
     for j, figure in enumerate(figures):
@@ -355,14 +358,14 @@ def _varied(
                 for r in rows
                 if isinstance(x := r.drawn[i], float)
                 and (y := r.figures[j]) is not None
-                and _can_matter(name, figure, r.point.mission)
+                and _can_affect(name, figure, r.point.mission)
             ]
             if len({x for x, _ in known}) > 1 and len({y for _, y in known}) > 1:
                 over.append((rank_correlation(known), name, known))
         if not over:
             continue
         tried[figure] = len(over)
-        over.sort(key=lambda one: -abs(one[0]))
+        over.sort(key=lambda entry: -abs(entry[0]))
         for correlation, name, known in over[:_MAX_OVER]:
             p_value = min(1.0, len(over) * rank_correlation_chance(correlation, len(known)))
             if p_value < _SIGNIFICANT:
@@ -370,7 +373,7 @@ def _varied(
     return found, tried
 
 
-def _can_matter(name: str, figure: str, mission: Mission) -> bool:
+def _can_affect(name: str, figure: str, mission: Mission) -> bool:
     """Return whether a drawn quantity can affect a figure.
 
     A wall's quantity can if the wall is hit in that mode, at the figure's collision or before.
@@ -390,32 +393,31 @@ def _can_matter(name: str, figure: str, mission: Mission) -> bool:
 
 
 def _departures(rows: Sequence[_SummaryRow]) -> list[Departure]:
-    """Collect the deviations out of tolerance by mission and figure."""
     planned = Counter(row.point.path for row in rows if row.followed is not None)
     by_figure: dict[tuple[str, str], list[Deviation]] = {}
     for row in rows:
-        for one in msgspec.json.decode(row.departures, type=list[Deviation]) if row.departures else ():
-            by_figure.setdefault((row.point.path, one.what), []).append(one)
+        for deviation in msgspec.json.decode(row.departures, type=list[Deviation]) if row.departures else ():
+            by_figure.setdefault((row.point.path, deviation.what), []).append(deviation)
     found = [
         Departure(
-            mission, what, len(these), planned[mission], sum(one.flown is None for one in these),
-            _middle([one.planned for one in these]) or 0.0, _middle([one.flown for one in these]),
+            mission, what, len(these), planned[mission], sum(each.flown is None for each in these),
+            _typical([each.planned for each in these]) or 0.0, _typical([each.flown for each in these]),
             these[0].tolerance,
         )
         for (mission, what), these in by_figure.items()
     ]  # fmt: skip
-    return sorted(found, key=lambda one: -one.flights)
+    return sorted(found, key=lambda departure: -departure.flights)
 
 
-def _middle(values: Sequence[float | str | None]) -> float | str | None:
-    """Return the median of numbers, or else the most frequent word, or None without either."""
+def _typical(values: Sequence[float | str | None]) -> float | str | None:
+    """Return the median of the numbers, otherwise the most frequent word, or None without either."""
     numbers = [value for value in values if isinstance(value, float)]
     words = Counter(value for value in values if isinstance(value, str))
     return median(numbers) if numbers else words.most_common(1)[0][0] if words else None
 
 
 def _bins(rows: Sequence[_SummaryRow], i: int) -> list[Bin]:
-    """Success over one drawn quantity: bins of numbers, or one for every word."""
+    """Return the success in bins of numbers of one drawn quantity, or for each of its words."""
     words = {value for row in rows if isinstance(value := row.drawn[i], str)}
     bins = [
         Bin(_completed([row for row in rows if row.drawn[i] == word]), value=word) for word in sorted(words)
@@ -434,43 +436,46 @@ def _bins(rows: Sequence[_SummaryRow], i: int) -> list[Bin]:
     ]
 
 
-def _rules(rows: Sequence[_SummaryRow], names: Sequence[str]) -> list[EndCause]:
+def _end_causes(rows: Sequence[_SummaryRow], names: Sequence[str]) -> list[EndCause]:
     by_rule: dict[str, list[_SummaryRow]] = {}
     for row in rows:
         if not row.completed:
             by_rule.setdefault(row.rule or row.outcome, []).append(row)
     fine = [row for row in rows if row.completed]
     return [
-        EndCause(rule, len(ended), _telling(ended, fine, names))
+        EndCause(rule, len(ended), _differing_quantities(ended, fine, names))
         for rule, ended in sorted(by_rule.items(), key=lambda entry: -len(entry[1]))
     ]
 
 
-def _telling(
+def _differing_quantities(
     ended: Sequence[_SummaryRow], fine: Sequence[_SummaryRow], names: Sequence[str]
 ) -> list[DifferingQuantity]:
-    """The drawn quantities that tell flights that a rule ended from those that completed, clearest first."""
+    """Return the drawn quantities that separate the flights a rule ended from completed ones, best first."""
     if min(len(ended), len(fine)) < _MIN_FAILED:
         return []
     found: list[tuple[float, DifferingQuantity]] = []
     for i, name in enumerate(names):
-        for shown, first, second, apart in _apart(ended, fine, i, name):
+        for shown, first, second, separated in _separations(ended, fine, i, name):
             is_word = shown != name
-            # Of words that which the failed flights drew; that the others drew others is the same again.
-            if abs(apart.z) < _CLEAR_Z or (is_word and apart.z < 0.0):
+            # A word that completed flights drew more often only mirrors a word of the failed flights.
+            if abs(separated.z) < _CLEAR_Z or (is_word and separated.z < 0.0):
                 continue
-            middle = fmean if is_word else median
+            average = fmean if is_word else median
             found.append(
-                (abs(apart.z), DifferingQuantity(shown, middle(first), middle(second), apart.chance))
+                (
+                    abs(separated.z),
+                    DifferingQuantity(shown, average(first), average(second), separated.chance),
+                )
             )
     found.sort(key=lambda entry: -entry[0])
-    return [telling for _, telling in found[:_MAX_TOLD]]
+    return [quantity for _, quantity in found[:_MAX_QUANTITIES]]
 
 
-def _apart(
+def _separations(
     ended: Sequence[_SummaryRow], fine: Sequence[_SummaryRow], i: int, name: str
 ) -> Iterator[tuple[str, list[float], list[float], Separation]]:
-    """A drawn quantity, or each word that was drawn, in two groups: name, values, how far they are apart."""
+    """Yield name, values in both groups and their separation for a drawn quantity or each of its words."""
     words = sorted({value for row in (*ended, *fine) if isinstance(value := row.drawn[i], str)})
     of_words: dict[str, str | None] = {f"share of {name} {word}": word for word in words}
     for shown, word in (of_words or {name: None}).items():
@@ -480,7 +485,7 @@ def _apart(
 
 
 def _numbers(rows: Sequence[_SummaryRow], i: int, word: str | None) -> list[float]:
-    """A drawn quantity of each flight; of a word whether it was drawn."""
+    """Return a drawn quantity of each flight; for a word, 1 if the flight drew it and 0 otherwise."""
     if word is not None:
         return [float(row.drawn[i] == word) for row in rows]
     return [value for row in rows if isinstance(value := row.drawn[i], float)]

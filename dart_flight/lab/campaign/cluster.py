@@ -1,8 +1,8 @@
-"""The same flights on the workers of a Dask scheduler (the extra `cluster`), beyond one machine.
+"""An engine that flies a campaign on the workers of a Dask scheduler (extra `cluster`), beyond one machine.
 
-The scheduler hands the flights out, replaces those of a worker that dies, and tells of a flight that keeps
-killing its workers. The rows are those of a local run: a flight hangs on its mission and seed, not on where
-it is flown.
+The scheduler distributes the flights, repeats those of a worker that dies, and reports a flight that keeps
+killing its workers. The rows equal those of a local run, because a flight depends only on its mission and
+seed.
 """
 
 from __future__ import annotations
@@ -24,16 +24,16 @@ from dart_flight.lab.campaign.flight_job import Flown, ItemFlyer
 from dart_flight.recording.about import software_version
 from dart_flight.run.workers import Failure, FinishedItem, Interrupt, attempt
 
-_PATIENCE_S = 30.0  # for the scheduler to answer, and for a first worker
+_TIMEOUT_S = 30.0  # for the scheduler's response and for the first worker
 _POLL_S = 0.05
 _END_S = 2.0
-_COUNT_S = 5.0  # how often it is asked for its workers
+_COUNT_S = 5.0  # interval at which the scheduler's workers are counted
 _ABOUT = "dart_flight.recording.about"
-_AHEAD = 2  # flights given out for each thread: the next one is there when one lands
+_AHEAD = 2  # submitted flights per thread, so that no thread waits for the next one
 
 
 def on_cluster(url: str) -> Engine:
-    """Flights on the workers of the scheduler at a URL (`tcp://host:8786`).
+    """Return an engine that flies on the workers of the scheduler at a URL (`tcp://host:8786`).
 
     Raises:
         InputError: Dask's distributed is not installed.
@@ -58,7 +58,7 @@ def _work(url: str, flyer: ItemFlyer, items: Iterable[Item], interrupt: Interrup
         yield from _hand_out(client, url, flyer, iter(items), interrupt)
     except OSError as error:
         raise FlightError(
-            f"--scheduler {url}: {_in_a_line(error)}; completed rows are kept; continue with --resume"
+            f"--scheduler {url}: {_one_line(error)}; completed rows are kept; continue with --resume"
         ) from None
     finally:
         client.close(timeout=_END_S)
@@ -82,11 +82,11 @@ def _connect(url: str) -> Any:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # version warnings about packages that no flight needs
-            return Client(url, timeout=_PATIENCE_S, set_as_default=False)
+            return Client(url, timeout=_TIMEOUT_S, set_as_default=False)
     except (OSError, ValueError) as error:
-        raise FlightError(f"--scheduler {url}: {_in_a_line(error)}") from None
+        raise FlightError(f"--scheduler {url}: {_one_line(error)}") from None
     except Exception as error:  # another version can cause any exception
-        raise InputError(f"--scheduler {url}: {_in_a_line(error)}; {_own_version()}") from None
+        raise InputError(f"--scheduler {url}: {_one_line(error)}; {_own_version()}") from None
 
 
 def _refuse_unfit(client: Any, url: str) -> None:
@@ -97,9 +97,9 @@ def _refuse_unfit(client: Any, url: str) -> None:
         InputError: a worker lacks the program or has another version; the error names the worker.
     """
     try:
-        client.wait_for_workers(1, timeout=_PATIENCE_S)
+        client.wait_for_workers(1, timeout=_TIMEOUT_S)
     except TimeoutError:
-        raise FlightError(f"--scheduler {url}: no worker connected within {_PATIENCE_S:g} s") from None
+        raise FlightError(f"--scheduler {url}: no worker connected within {_TIMEOUT_S:g} s") from None
     own = software_version()
     try:
         # This call needs only Python on the worker, so a missing module is reported and not raised.
@@ -115,10 +115,10 @@ def _refuse_unfit(client: Any, url: str) -> None:
     except OSError:
         raise  # connection lost
     except Exception as error:  # another version can cause any exception
-        raise InputError(f"--scheduler {url}: {_in_a_line(error)}; {_own_version()}") from None
+        raise InputError(f"--scheduler {url}: {_one_line(error)}; {_own_version()}") from None
     for worker in lacking:
         raise InputError(
-            f"--scheduler {url}: worker {worker}: {_in_a_line(imported[worker])}; install dart-flight {own} "
+            f"--scheduler {url}: worker {worker}: {_one_line(imported[worker])}; install dart-flight {own} "
             "there, or stop that worker"
         )
     for worker, version in versions.items():
@@ -134,15 +134,15 @@ def _own_version() -> str:
     return f"distributed is {distributed.__version__} here: install that version on scheduler and workers"
 
 
-def _in_a_line(error: BaseException) -> str:
+def _one_line(error: BaseException) -> str:
     return " ".join(f"{type(error).__name__}: {error}".split())
 
 
 def _hand_out(
     client: Any, url: str, flyer: ItemFlyer, waiting: Iterator[Item], interrupt: Interrupt
 ) -> Landings:
-    # A result of its own, so that it goes to each worker once and is made again where that worker dies.
-    shared = client.submit(_same, flyer, pure=False)
+    # A shared result is sent to each worker once, and recomputed if that worker dies.
+    shared = client.submit(_identity, flyer, pure=False)
     under_way: dict[Any, Item] = {}
     threads, counted_s = 0, -_COUNT_S
     while interrupt.count < 2:
@@ -170,7 +170,7 @@ def _hand_out(
 
 
 class _UnfitWorkerError(Exception):
-    """Error of a worker that could not begin a flight."""
+    """A worker could not begin a flight."""
 
 
 def _result(future: Any) -> Flown | Failure:
@@ -185,11 +185,11 @@ def _result(future: Any) -> Flown | Failure:
     error = future.exception()
     if error is not None:  # of scheduler or worker; a flight returns its own errors as a result
         if type(error).__name__ != "KilledWorker":
-            raise _UnfitWorkerError(_in_a_line(error))
-        return Failure(_in_a_line(error))
+            raise _UnfitWorkerError(_one_line(error))
+        return Failure(_one_line(error))
     result: Flown | Failure = future.result()
     return result
 
 
-def _same(flyer: ItemFlyer) -> ItemFlyer:
+def _identity(flyer: ItemFlyer) -> ItemFlyer:
     return flyer

@@ -1,6 +1,7 @@
 """Flights with one fault each: the cells of the fault matrix, and random faults.
 
-A log of every flight is written and must open again (`watched_flight` says what else counts as controlled).
+The log of every flight is written and must be readable (`watched_flight` defines the rest of a controlled
+flight).
 """
 
 from __future__ import annotations
@@ -20,32 +21,40 @@ from dart_flight.lab.campaign.campaign_spec import Point
 from dart_flight.lab.campaign.watched_flight import WatchedFlight
 from dart_flight.recording.reader import read_log
 from dart_flight.recording.writer import FlightLog
-from dart_flight.run.prepare import load_flyable
+from dart_flight.run.prepare import load_flyable, with_simulated_mocap
 from dart_flight.run.program_fault import fill_disk_of
-from dart_flight.sim.faults.fault_table import KINDS, Fault, parse_fault
+from dart_flight.sim.faults.fault_table import KINDS, Fault, FaultSite, parse_fault
 
-ON_GROUND = "ground"  # from the start on
+ON_GROUND = "ground"  # from the start
 PHASES = (ON_GROUND, "take-off", "approach", "contact", "recovery", "goal")
 _MISSIONS = ("paper_dual_collision", "paper_single_wall")
-# Every fault at its default value, and further values of those for which they matter.
-_VALUES = {"delay": (100, 300, 1000, 2000), "ev-delay": (90,), "heading-reset": (90,)}
+# Every fault is flown at its default value; these faults also at further values.
+_VALUES: dict[str, tuple[float, ...]] = {
+    "delay": (100, 300, 1000, 2000), "ev-delay": (90,), "heading-reset": (90,),
+    "mocap-lost": (0.1, 0.3), "mocap-flip": (180,), "mocap-late": (150,),
+}  # fmt: skip
 ROWS = tuple(
     row
     for name in (kind.name for kind in KINDS)
     for row in (name, *(f"{name}={value}" for value in _VALUES.get(name, ())))
 )
-APP_GONE = "app gone"  # the program hung or was killed: nothing is left that could give a reason
+# PX4 aligns itself with what the motion capture reports from the start on: no fault shows there.
+_MOCAP_PHASES = ("take-off", "transit", "approach", "contact", "recovery", "goal")
+CELLS = tuple(
+    (row, phase) for row in ROWS for phase in (_MOCAP_PHASES if row.startswith("mocap-") else PHASES)
+)
+APP_GONE = "app gone"  # the program hung or was killed, so the flight has no reason
 
 
 class FaultFlight(msgspec.Struct, frozen=True):
-    """One faulted flight in a few figures.
+    """The result of one flight with a fault.
 
     Attributes:
-        fault: its name.
-        began: whether its moment came.
+        fault: name of the fault.
+        began: whether the fault occurred.
         came_of: `completed`, the rule that ended the flight, or `app gone`.
-        decision_ms: from the beginning of the fault to the first decision of guard or autopilot.
-        problems: why the flight is uncontrolled.
+        decision_ms: time from the begin of the fault to the first decision of guard or autopilot.
+        problems: the reasons why the flight is uncontrolled.
     """
 
     fault: str
@@ -59,7 +68,12 @@ class FaultFlight(msgspec.Struct, frozen=True):
 
 
 def fly_fault(mission: Mission, fault: Fault, seed: int) -> FaultFlight:
-    """Fly with one fault, on to the ground, with a log."""
+    """Fly with one fault until the vehicle is on the ground, and write and read its log.
+
+    With a fault of the motion capture, the forwarded poses are the only position.
+    """
+    if fault.kind.place is FaultSite.MOCAP:
+        mission = with_simulated_mocap(mission, "udp")
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "flight.mcap"
         log = FlightLog(path, {"mission": mission.name})
@@ -107,7 +121,7 @@ def _log_problems(path: Path) -> Iterable[str]:
 
 def matrix_cases() -> list[dict[str, str]]:
     """Return the cells of the fault matrix."""
-    return [{"fault": row, "phase": phase} for row in ROWS for phase in PHASES]
+    return [{"fault": row, "phase": phase} for row, phase in CELLS]
 
 
 def fly_cell(point: Point, seed: int) -> FaultFlight:
@@ -121,12 +135,12 @@ def cell_fault(row: str, phase: str) -> Fault:
 
 
 def fly_random(point: Point, number: int) -> FaultFlight:
-    """Fly with a random fault; its value, phase, moment and mission follow from the number."""
+    """Fly with a random fault; its value, phase, time and mission follow from the number."""
     return fly_fault(*random_fault(number), number)
 
 
 def random_fault(number: int) -> tuple[Mission, Fault]:
-    """Return mission and fault of a random flight."""
+    """Return the mission and the fault of a random flight."""
     chance = random.Random(f"faults {number}")
     kind = KINDS[number % len(KINDS)]
     value = chance.uniform(kind.low, kind.high)
@@ -137,5 +151,7 @@ def random_fault(number: int) -> tuple[Mission, Fault]:
     if kind.name in ranges:
         value = chance.uniform(*ranges[kind.name])
     phase = chance.choice((None, "take-off", "transit", "approach", "contact", "recovery", "goal", "landing"))
+    if kind.place is FaultSite.MOCAP:
+        phase = phase or "take-off"
     fault = Fault(kind.name, value, phase, chance.choice((0.0, 0.0, chance.uniform(0.0, 3.0))))
     return load_flyable(packaged("missions", f"{chance.choice(_MISSIONS)}.yaml")), fault

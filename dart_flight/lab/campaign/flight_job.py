@@ -1,6 +1,7 @@
-"""One flight of a campaign, in whatever process: from its item to its row, and its log where that is kept.
+"""One flight of a campaign in any process: from its item to its row, and its log if kept.
 
-A specification may name how an item is flown and who judges the flight; the default judge is `cells_of`.
+A specification may name the function that flies and the function that judges; the default columns come from
+`cells_of`.
 """
 
 from __future__ import annotations
@@ -34,12 +35,12 @@ from dart_flight.run.fast import fly_fast
 from dart_flight.run.flight_record import FlightRecord
 from dart_flight.run.many_flights import unexplained_modes
 
-ERROR = "error"  # the outcome of a flight without a verdict: a fault of the program, not of the flight
+ERROR = "error"  # outcome of a flight without a verdict, due to a program error
 Cell = str | float | int | bool | None
 
 
 class Flown(NamedTuple):
-    """What is left of a flight: its line in the table, with its end, and its log where that is kept."""
+    """The result of a flight: its line in the table, whether it completed, and its log if kept."""
 
     line: bytes
     completed: bool
@@ -47,7 +48,7 @@ class Flown(NamedTuple):
 
 
 class FlownFlight(NamedTuple):
-    """A fast flight as its judge gets it: its point, its verdict, and its log with the truth."""
+    """The input of a judge: a fast flight's point, seed, verdict, and log with the truth."""
 
     point: Point
     seed: int
@@ -56,18 +57,18 @@ class FlownFlight(NamedTuple):
 
 
 def fly_point(point: Point, seed: int) -> FlownFlight:
-    """Fly the mission of a point in the fast world, with what the seed draws."""
+    """Fly the mission of a point in the fast world, with the draws of the seed."""
     records: list[FlightRecord] = []
     verdict = fly_fast(point.mission, seed, None, spreads=point.spreads, take_record=records.append)
     return FlownFlight(point, seed, verdict, records[0].log)
 
 
 class ItemFlyer:
-    """Flies the items of a campaign; goes to other processes and machines by pickle.
+    """A picklable function that flies the items of a campaign, also on other machines.
 
     Args:
-        campaign: with the columns of the table.
-        points: of the grid.
+        campaign: the campaign with the columns of its table.
+        points: points of the grid.
     """
 
     def __init__(self, campaign: Campaign, points: Sequence[Point]) -> None:
@@ -77,7 +78,7 @@ class ItemFlyer:
         self._points = {point.number: point for point in points}
 
     def __call__(self, item: Item) -> Flown:
-        """Fly one."""
+        """Fly one item."""
         point = self._points[item.point]
         if self._asked.makes_row:
             fly: Callable[[Point, int], Any] = (
@@ -87,15 +88,15 @@ class ItemFlyer:
             row = named_function(self._asked.judge)(flown) if self._asked.judge else flown
             return Flown(self._line(item, _judged_cells(row)), True, None)
         records: list[FlightRecord] = []
-        take = None if self._keep is Keep.NONE else records.append
-        verdict = fly_fast(point.mission, item.seed, None, spreads=point.spreads, take_record=take)
+        keep = None if self._keep is Keep.NONE else records.append
+        verdict = fly_fast(point.mission, item.seed, None, spreads=point.spreads, take_record=keep)
         completed = verdict.outcome is Outcome.COMPLETED
         wanted = self._keep is Keep.ALL or (self._keep is Keep.FAILED and not completed)
         line = self._line(item, cells_of(verdict))
         return Flown(line, completed, _file_of(records[0].log) if wanted else None)
 
     def failed(self, item: Item, why: str) -> Flown:
-        """The row of a flight that has no verdict."""
+        """Return the row of a flight without a verdict."""
         return Flown(self._line(item, {"outcome": ERROR, "reason": why, "error": why}), False, None)
 
     def _line(self, item: Item, cells: Mapping[str, Cell]) -> bytes:
@@ -106,9 +107,9 @@ class ItemFlyer:
 
 
 def cells_of(verdict: Verdict) -> dict[str, Cell]:
-    """The figures of a flight by the names of their columns."""
+    """Return the figures of a flight by column name."""
     cells: dict[str, Cell] = dict(verdict.drawn)
-    fired = (one.rule for one in verdict.guard if one.action is not Override.NONE)
+    fired = (event.rule for event in verdict.guard if event.action is not Override.NONE)
     cells |= {
         "outcome": verdict.outcome.value,
         "reason": verdict.reason,
@@ -128,7 +129,7 @@ def cells_of(verdict: Verdict) -> dict[str, Cell]:
 
 
 def _judged_cells(row: msgspec.Struct) -> dict[str, Cell]:
-    """Return the fields of a judge's row as cells; lists and structures as JSON."""
+    """Return the fields of a judge's row as cells; lists and structs become JSON."""
     cells: dict[str, Cell] = {}
     for name in row.__struct_fields__:
         value = getattr(row, name)
@@ -139,7 +140,7 @@ def _judged_cells(row: msgspec.Struct) -> dict[str, Cell]:
 
 
 class JudgedRow(NamedTuple):
-    """A row of a judged campaign; `row` is None where the flight ended with an error of the program."""
+    """A row of a judged campaign; `row` is None if the flight ended with a program error."""
 
     mission: str
     values: dict[str, str]
@@ -178,7 +179,7 @@ def _not_followed(verdict: Verdict) -> str | None:
 
 
 def line_of(cells: Sequence[Cell]) -> bytes:
-    """A line of CSV; numbers in full precision, nothing where nothing is known."""
+    """Return a CSV line with numbers in full precision; an unknown value is empty."""
     out = io.StringIO()
     csv.writer(out, lineterminator="\n").writerow([_text(cell) for cell in cells])
     return out.getvalue().encode()

@@ -1,7 +1,7 @@
-"""The table of a campaign: a file of lines that survives Ctrl-C, SIGKILL, power loss and a full disk.
+"""The table of a campaign: a CSV file that survives Ctrl-C, SIGKILL, power loss and a full disk.
 
-Every row is handed to the operating system whole and at once, and forced to the disk about once a second. A
-row that is torn nevertheless (the disk was full, the power went) is cut off: its flight is flown again.
+Every row is written with one call and flushed to the disk about once a second. An incomplete last row, after
+a full disk or a power loss, is cut off and its flight is repeated.
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ _SYNC_S = 1.0
 
 
 class Table:
-    """The table open for appending, by this process alone.
+    """The table opened for appending by this process alone.
 
     Args:
-        path: of the file; made with its header where it is not there.
-        columns: of the rows.
+        path: the file; created with its header if it does not exist.
+        columns: columns of the rows.
 
     Raises:
-        FlightError: it cannot be written, or another process writes it.
-        InputError: the existing file is no table of this campaign, or the file system cannot lock it.
+        FlightError: the file cannot be written, or another process writes it.
+        InputError: the file is not the table of this campaign, or its file system does not support locks.
     """
 
     def __init__(self, path: Path, columns: Sequence[str]) -> None:
@@ -45,12 +45,12 @@ class Table:
             raise FlightError(f"cannot write {path}: {error.strerror}") from None
         try:
             self._lock()
-            self._length = _whole(path)
+            self._length = _complete_length(path)
             os.ftruncate(self._file, self._length)
             if not self._length:
                 self.append(header)
             elif path.read_bytes()[: len(header)] != header:
-                raise InputError("is no table of this campaign: other columns", source=str(path), line=1)
+                raise InputError("not the table of this campaign: other columns", source=str(path), line=1)
         except BaseException:
             os.close(self._file)
             raise
@@ -68,15 +68,15 @@ class Table:
         os.close(self._file)
 
     def append(self, line: bytes) -> None:
-        """Add a row.
+        """Append a row.
 
         Raises:
-            FlightError: the disk does not take it; what is there of it is taken back.
+            FlightError: the disk rejects the row; the part written is removed.
         """
         try:
             written = os.write(self._file, line)
             if written < len(line):
-                # The disk took a part of it: the rest says why.
+                # The disk accepted a part; writing the rest raises the reason.
                 os.write(self._file, line[written:])
         except OSError as error:
             os.ftruncate(self._file, self._length)
@@ -90,23 +90,23 @@ class Table:
             self.sync()
 
     def sync(self) -> None:
-        """Force it to the disk."""
+        """Flush the table to the disk."""
         os.fsync(self._file)
 
 
-def _whole(path: Path) -> int:
-    """Length of the file without a last line that is torn, bytes."""
+def _complete_length(path: Path) -> int:
+    """Return the length of the file without an incomplete last line, bytes."""
     data = path.read_bytes()
-    # After a power loss what was not forced to the disk may be there as zeros.
+    # After a power loss, data that was not flushed may read as zeros.
     zeros = data.find(b"\0")
     return data.rfind(b"\n", 0, zeros if zeros >= 0 else None) + 1
 
 
 def rows_in(path: Path) -> Iterator[dict[str, str]]:
-    """The rows, one by one: column -> text.
+    """Yield the rows of a table: column -> text.
 
     Raises:
-        InputError: the file cannot be read, or a line is no row.
+        InputError: the file cannot be read, or a line has the wrong number of cells.
     """
     try:
         with io.TextIOWrapper(open_file(path), encoding="utf-8", newline="") as file:
@@ -127,7 +127,7 @@ def rows_in(path: Path) -> Iterator[dict[str, str]]:
 
 
 def flown_in(path: Path, keys: Sequence[str], points: Sequence[Point]) -> set[Item]:
-    """The flights that have a row.
+    """Return the flights that have a row.
 
     Raises:
         InputError: as `rows_in`, or a row belongs to no flight of this campaign, or is a duplicate.

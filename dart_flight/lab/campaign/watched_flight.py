@@ -1,12 +1,12 @@
-"""A fast flight that is followed on to the ground, and whether it stayed under control.
+"""A fast flight that continues until landing, and the check that it stayed under control.
 
-A flight counts as controlled only if all of this holds:
+A flight is controlled if all of these conditions hold:
 
-* no exception escaped;
-* it ended: landed and disarmed (by the mission, the guard, or PX4's own failsafe once the program is gone),
-  or held still in another mode than offboard after a pilot took over;
-* a flight that did not complete gives a reason, unless the program itself was hung or killed;
-* by its truth it is controlled as `dart_flight.recording.uncontrolled` defines that.
+* No exception escaped.
+* The vehicle landed and disarmed, through the mission, the guard or PX4's failsafe once the program is gone.
+Alternatively it holds still outside offboard mode after a pilot took over.
+* A flight that did not complete gives a reason, unless the program itself hung or was killed.
+* Its truth is controlled as `dart_flight.recording.uncontrolled` defines it.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from dart_flight.run.runner import Observe
 from dart_flight.sim.draws import DrawnWorld, with_walls
 from dart_flight.sim.faults.fault_table import Fault
 
-_DOWN_M = 0.2  # lying on its side the vehicle's centre is this high
+_DOWN_M = 0.2  # height of the centre of a vehicle that lies on its side
 _STILL_M_S = 0.3
 _RUN_OUT_S, _HELD_S = 60.0, 3.0
 
@@ -32,7 +32,7 @@ _RUN_OUT_S, _HELD_S = 60.0, 3.0
 def place_walls(
     world: DrawnWorld, away_m: Mapping[str, float], turned_deg: Mapping[str, float]
 ) -> DrawnWorld:
-    """Return the world with walls moved out along their normals and turned about their middles, by name."""
+    """Return the world with walls moved along their normals and turned about their centres, by name."""
     walls = {
         w.name: w.moved(away_m.get(w.name, 0.0)).turned(math.radians(turned_deg.get(w.name, 0.0)))
         for w in world.mission.walls
@@ -41,19 +41,19 @@ def place_walls(
 
 
 class WatchedFlight:
-    """A fast flight with its verdict, the extremes of its truth, and why it counts as uncontrolled.
+    """A fast flight with its verdict, the extremes of its truth, and the problems that make it uncontrolled.
 
     Args:
-        mission: as believed.
-        seed: of the sensors.
-        world: as drawn; None: as believed.
-        fault: what goes wrong.
+        mission: the mission with the assumed walls.
+        seed: seed of the sensor noise.
+        world: the drawn world; None: the world equals the mission.
+        fault: the fault to inject.
 
     Attributes:
-        onlookers: called with every record and its number.
+        onlookers: functions called with every record and its number.
         truth: extremes so far.
-        decided_us: host time at which guard or autopilot first decided something after the fault began.
-        problems: why the flight is uncontrolled, after `run`; empty for a controlled flight.
+        decided_us: host time of the first decision of guard or autopilot after the fault began.
+        problems: reasons why the flight is uncontrolled, after `run`; empty for a controlled flight.
     """
 
     def __init__(
@@ -69,8 +69,8 @@ class WatchedFlight:
         self.flight = FastFlight(
             mission, seed, faults=faults, observe=self._observe, fault=fault, world=world
         )
-        self._say = self.flight.autopilot.say
-        self.flight.autopilot.say = self._hear
+        self._send_status_text = self.flight.autopilot.say
+        self.flight.autopilot.say = self._on_status_text
 
     def run(self) -> Verdict:
         """Fly until the vehicle is down or held by a pilot, and return the verdict."""
@@ -92,10 +92,10 @@ class WatchedFlight:
         for onlooker in self.onlookers:
             onlooker(record, number)
 
-    def _hear(self, severity: str, text: str) -> None:
+    def _on_status_text(self, severity: str, text: str) -> None:
         if "failsafe" in text.lower():
             self._note_decision()
-        self._say(severity, text)
+        self._send_status_text(severity, text)
 
     def _note_decision(self) -> None:
         faulted = self.flight.faulted
@@ -103,7 +103,7 @@ class WatchedFlight:
             self.decided_us = self.flight.host_us
 
     def _run_out(self) -> None:
-        """Let the vehicle land by itself; in a pilot's hands it only has to hold still."""
+        """Tick until the vehicle has landed, or has held still for a while under a pilot."""
         autopilot = self.flight.autopilot
         until_s = autopilot.now_s + _RUN_OUT_S
         while autopilot.armed and autopilot.now_s < until_s:
@@ -113,7 +113,7 @@ class WatchedFlight:
 
     def _find_problems(self, verdict: Verdict) -> Iterator[str]:
         a, last = self.flight.autopilot, self.truth.last
-        falls = self.fault is not None and self.fault.name == "kill-switch"  # what the switch is for
+        falls = self.fault is not None and self.fault.name == "kill-switch"  # the fall is intended
         gone = self.flight.faulted is not None and self.flight.faulted.app_silent
         if self.flight.core.end is None and not gone:
             yield "it did not end"
@@ -130,19 +130,19 @@ class WatchedFlight:
 
 
 def excursion_allowed_m(fault: Fault | None) -> float:
-    """Return how far out of the bounds a flight may get before it counts as uncontrolled, metres.
+    """Return the allowed excursion from the bounds of a controlled flight, metres.
 
-    Half a metre for braking; if the fault makes the position wrong, also as much as it is wrong by.
+    It is half a metre for braking, plus the position error that the fault causes.
     """
     wrong = abs(fault.value) if fault is not None and fault.name == "ekf-jump" else 0.0
     return OUT_M + wrong if math.isfinite(wrong) else math.inf
 
 
 def rule_of(verdict: Verdict) -> str:
-    """Return the first guard rule that acted in a flight that did not complete, or an empty text.
+    """Return the first guard rule that acted in a flight that did not complete, or an empty string.
 
-    On its way down a flight may be broken off again: the first rule is the cause.
+    The first rule is the cause, because other rules may act during the landing.
     """
     if verdict.outcome is Outcome.COMPLETED:
         return ""
-    return next((one.rule for one in verdict.guard if one.action is not Override.NONE), "")
+    return next((event.rule for event in verdict.guard if event.action is not Override.NONE), "")

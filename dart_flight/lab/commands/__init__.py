@@ -1,1 +1,1 @@
-"""One module per command of the lab."""
+"""The commands of the lab, one module each."""

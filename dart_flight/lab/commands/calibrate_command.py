@@ -1,6 +1,6 @@
-"""`dart-flight calibrate thrust|inertia LOG...`: the thrust curve from hover, the inertia from turning.
+"""`dart-flight calibrate thrust|inertia LOG...`: the thrust curve from hover, the inertia from rotation.
 
-`calibrate airframe` prints where PX4 has its motors, as the configuration wants them.
+`calibrate airframe` prints PX4's motor positions in the format of the configuration.
 """
 
 from __future__ import annotations
@@ -40,25 +40,25 @@ from dart_flight.vehicle.link import LinkLease
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """The command's arguments."""
+    """Add the command's arguments."""
     parser.add_argument("what", choices=("thrust", "inertia", "airframe"))
     parser.add_argument(
         "logs",
         nargs="*",
         metavar="LOG",
         help=".mcap, PX4 ULog (.ulg), or a folder of flights; airframe: a ULog, QGroundControl's .params or "
-        "what `param show -a` prints",
+        "the output of `param show -a`",
     )
-    parser.add_argument("--connection", metavar="URL", help="airframe: of the vehicle that answers here")
+    parser.add_argument("--connection", metavar="URL", help="airframe: read the connected vehicle")
     parser.add_argument("--write", action="store_true", help="write the result into the configuration")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Carry the command out. Returns the exit status."""
+    """Run the command and return the exit status."""
     if arguments.what == "airframe":
         return _airframe(arguments)
     if arguments.connection is not None or not arguments.logs:
-        raise InputError(f"calibrate {arguments.what} needs logs, and takes nothing from a connection")
+        raise InputError(f"calibrate {arguments.what} needs logs and cannot use --connection")
     path = Path(arguments.config) if arguments.config else default_config_path()
     vehicle, source = find_vehicle(path)
     if arguments.write:
@@ -68,14 +68,14 @@ def run(arguments: argparse.Namespace) -> int:
     left_out: list[str] = []
     tracks = from_each(logs_in(arguments.logs), read_calibration_series, left_out.append)
     calibrate = _thrust if arguments.what == "thrust" else _inertia
-    result, table, said, values = calibrate(tracks, vehicle)
+    result, table, notes, values = calibrate(tracks, vehicle)
     print_status(*left_out)
     say_vehicle(source, arguments)
     if arguments.json:
         emit_json({**result, "vehicle": source})
     else:
         tables().print(table)
-        print_status(*said)
+        print_status(*notes)
     if arguments.write:
         write_values(path, values)
         messages().print(f"written: {path}", soft_wrap=True)
@@ -83,7 +83,6 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _airframe(arguments: argparse.Namespace) -> int:
-    """Print where PX4 has its motors, and how the configuration's differ."""
     if arguments.write:
         raise InputError("calibrate airframe prints a block to paste under `airframe:`; it writes no file")
     if (arguments.connection is None) != (len(arguments.logs) == 1):
@@ -108,7 +107,7 @@ def _airframe(arguments: argparse.Namespace) -> int:
 
 
 class _Calibrated(NamedTuple):
-    """As JSON, as a table, what else there is to say, and what goes into the configuration."""
+    """A calibration as JSON and as a table, with notes and the values for the configuration."""
 
     result: dict[str, Any]
     table: Table
@@ -125,8 +124,8 @@ def _thrust(tracks: list[Track], vehicle: VehicleConfig) -> _Calibrated:
         values["estimation", "battery", "reference_v"] = round(result.reference_v, 3)
     if result.battery_exponent_error is not None:
         values["estimation", "battery", "exponent"] = round(result.battery_exponent, 3)
-    said = [*result.notes, f"windows rejected: {format_rejected(result.rejected) or 'none'}"]
-    return _Calibrated(msgspec.structs.asdict(result), _table(result), said, values)
+    notes = [*result.notes, f"windows rejected: {format_rejected(result.rejected) or 'none'}"]
+    return _Calibrated(msgspec.structs.asdict(result), _table(result), notes, values)
 
 
 def _inertia(tracks: list[Track], vehicle: VehicleConfig) -> _Calibrated:
@@ -176,9 +175,9 @@ def _table(r: ThrustCalibration) -> Table:
     table.add_row("battery exponent", f"{r.battery_exponent:.2f}", error(r.battery_exponent_error))
     table.add_row("reference voltage, V", "-" if r.reference_v is None else f"{r.reference_v:.2f}", "")
     table.add_row("command at hover", f"{r.hover_command:.3f}", "")
-    table.add_row("commands seen", f"{r.command_range[0]:.3f} to {r.command_range[1]:.3f}", "")
+    table.add_row("range of commands", f"{r.command_range[0]:.3f} to {r.command_range[1]:.3f}", "")
     table.add_row(
-        "residual rms, N (of the whole thrust)", f"{r.residual_rms_n:.3f}", f"{r.residual_percent:.1f} %"
+        "residual rms, N (share of the thrust)", f"{r.residual_rms_n:.3f}", f"{r.residual_percent:.1f} %"
     )
     table.add_row("worst residual, N", f"{r.residual_worst_n:.3f}", "")
     return table

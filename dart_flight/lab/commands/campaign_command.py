@@ -1,4 +1,4 @@
-"""`dart-flight campaign MISSION... --runs N --out DIR`: thousands of flights, and what they amount to."""
+"""`dart-flight campaign MISSION... --runs N --out DIR`: many flights and their summary."""
 
 from __future__ import annotations
 
@@ -16,29 +16,30 @@ from dart_flight.cli.terminal import emit_json, keep_status, messages, styled, t
 from dart_flight.cli.vehicle_line import say_vehicle
 from dart_flight.config.document import InputError
 
-_MAX_SHOWN = 5  # flights whose arms were not in the lock's mode; the summary has them all
-_LINE_EVERY_S = 60.0  # of progress where there is no terminal
+_MAX_SHOWN = 5  # printed flights with unexplained modes; the summary lists all of them
+_LINE_EVERY_S = 60.0  # interval of progress lines without a terminal
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the command."""
+    """Add the command's arguments."""
     parser.add_argument(
-        "missions", nargs="*", metavar="MISSION", help="mission files; with --resume those it was begun with"
+        "missions",
+        nargs="*",
+        metavar="MISSION",
+        help="mission files; with --resume the original ones or none",
     )
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder of the campaign")
     parser.add_argument(
         "--runs", type=whole_number(1, 10_000_000), metavar="N", help="seeds for each mission and setting"
     )
-    parser.add_argument(
-        "--seed", type=whole_number(0, 2**31 - 1), metavar="S", help="the first one (default 1)"
-    )
+    parser.add_argument("--seed", type=whole_number(0, 2**31 - 1), metavar="S", help="first seed (default 1)")
     add_vary_option(parser)
     parser.add_argument(
         "--set",
         action="append",
         default=[],
         metavar="KEY=V1,V2,...",
-        help="a key of the configuration and its values; every combination of all keys is flown; repeatable",
+        help="configuration key and its values; every combination is flown; repeatable",
     )
     parser.add_argument("--resume", action="store_true", help="resume the campaign in --out")
     parser.add_argument(
@@ -47,7 +48,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="which logs to keep in DIR/logs: of failed flights (default), of all, or none",
     )
     parser.add_argument(
-        "--jobs", type=whole_number(1, 1024), metavar="N", help="processes (default: one for every core)"
+        "--jobs", type=whole_number(1, 1024), metavar="N", help="processes (default: one per core)"
     )
     parser.add_argument(
         "--scheduler", metavar="URL", help="fly on the workers of a Dask scheduler, tcp://host:8786"
@@ -55,7 +56,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Fly, sum up, write the page; returns the exit status."""
+    """Fly the campaign, write summary and page, and return the exit status."""
     from dart_flight.lab.campaign import campaign_folder as campaigns
     from dart_flight.lab.campaign.campaign_summary import summarise
     from dart_flight.lab.report.campaign_page import campaign_page
@@ -64,11 +65,12 @@ def run(arguments: argparse.Namespace) -> int:
 
     console = messages()
     if arguments.scheduler is not None and arguments.jobs is not None:
-        raise InputError("--jobs is for this machine, a scheduler's workers are its own", key=("--jobs",))
-    opened = campaigns.open_campaign(_asked(arguments), arguments.out, arguments.resume)
+        raise InputError("--jobs is for this machine; omit it with --scheduler", key=("--jobs",))
+    opened = campaigns.open_campaign(_requested_campaign(arguments), arguments.out, arguments.resume)
     if opened.campaign.asked.makes_row:
         raise InputError(
-            "a judge of its own fills this table; resume it as it was begun", source=str(opened.folder)
+            "this campaign has a judge of its own; resume it with the command that started it",
+            source=str(opened.folder),
         )
     if arguments.scheduler is not None:
         from dart_flight.lab.campaign.cluster import on_cluster
@@ -81,8 +83,8 @@ def run(arguments: argparse.Namespace) -> int:
         console.print(f"and {len(opened.points) - 1} more missions or settings")
     for line in dict.fromkeys(line for point in opened.points for line in impact_warnings(point.mission)):
         console.print(line, style="yellow", soft_wrap=True)
-    with Interrupt() as interrupt, _Shown(console, opened.flights) as shown:
-        flown = campaigns.fly(opened, engine, interrupt, shown)
+    with Interrupt() as interrupt, _ProgressDisplay(console, opened.flights) as progress:
+        flown = campaigns.fly(opened, engine, interrupt, progress)
     summary = summarise(opened)
     campaigns.write_atomically(
         opened.folder / campaigns.SUMMARY, msgspec.json.format(msgspec.json.encode(summary), indent=2) + b"\n"
@@ -113,8 +115,8 @@ def run(arguments: argparse.Namespace) -> int:
     return 1 if summary.errors or summary.unexplained_modes else 0
 
 
-def _asked(arguments: argparse.Namespace) -> Any:
-    """What the command line asks for; None where it leaves that to the campaign that is to go on."""
+def _requested_campaign(arguments: argparse.Namespace) -> Any:
+    """Return the specification from the command line, or None to continue with the campaign's own."""
     from dart_flight.lab.campaign.campaign_spec import CampaignSpec, Keep, parse_grid
 
     given = {
@@ -127,7 +129,7 @@ def _asked(arguments: argparse.Namespace) -> Any:
         idle = next((name for name, value in given.items() if value not in (None, [])), None)
         if idle is not None:
             raise InputError(
-                f"{idle} needs the missions, too; "
+                f"{idle} needs the mission files; "
                 "--resume --out DIR alone continues with the original settings"
             )
         return None
@@ -144,14 +146,14 @@ def _asked(arguments: argparse.Namespace) -> Any:
     )
 
 
-class _Shown:
-    """How far it is, how fast it goes and how long it will take, on standard error."""
+class _ProgressDisplay:
+    """A progress display on standard error: flights flown, rate and remaining time."""
 
     def __init__(self, console: Any, flights: int) -> None:
         from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
         self._console, self._flights = console, flights
-        self._began_s, self._said_s = time.monotonic(), time.monotonic()
+        self._began_s, self._printed_s = time.monotonic(), time.monotonic()
         self._begun_with: int | None = None
         self._bar = Progress(
             BarColumn(),
@@ -165,7 +167,7 @@ class _Shown:
         )
         self._task = self._bar.add_task("flights", total=flights, rate="", failed="")
 
-    def __enter__(self) -> _Shown:
+    def __enter__(self) -> _ProgressDisplay:
         self._bar.start()
         return self
 
@@ -173,7 +175,7 @@ class _Shown:
         self._bar.stop()
 
     def __call__(self, flown: int, failed: int) -> None:
-        """So many rows are in the table; of the flights of this call so many did not complete."""
+        """Show the number of rows in the table and of this call's flights that did not complete."""
         now = time.monotonic()
         if self._begun_with is None:
             self._begun_with = flown
@@ -184,12 +186,12 @@ class _Shown:
         rate = (flown - self._begun_with) / elapsed
         bad = f"{failed} not completed" if failed else ""
         self._bar.update(self._task, completed=flown, rate=f"{60.0 * rate:.0f} a minute", failed=bad)
-        if not self._console.is_terminal and now - self._said_s >= _LINE_EVERY_S and rate:
-            self._said_s = now
+        if not self._console.is_terminal and now - self._printed_s >= _LINE_EVERY_S and rate:
+            self._printed_s = now
             left_s = (self._flights - flown) / rate
-            said = [f"{flown} of {self._flights} flights", f"{60.0 * rate:.0f} a minute"]
-            said += [f"{left_s / 60.0:.0f} min left", *([bad] if bad else [])]
-            self._console.print(", ".join(said))
+            parts = [f"{flown} of {self._flights} flights", f"{60.0 * rate:.0f} a minute"]
+            parts += [f"{left_s / 60.0:.0f} min left", *([bad] if bad else [])]
+            self._console.print(", ".join(parts))
 
 
 def _table(summary: Any) -> Any:
@@ -206,7 +208,7 @@ def _table(summary: Any) -> Any:
         table.add_row("plan followed", str(summary.plan_followed.of), *summary.plan_followed.words("-"))
     for rule in summary.rules:
         table.add_row(styled((rule.rule, "red")), str(rule.flights), "", "")
-    for one in summary.unexplained_modes[:_MAX_SHOWN]:
-        said = f"{one.mission}, seed {one.seed}: {one.reason}; no fault of the lock was drawn"
-        table.add_row(styled((said, "red")), "", "", "")
+    for flight in summary.unexplained_modes[:_MAX_SHOWN]:
+        line = f"{flight.mission}, seed {flight.seed}: {flight.reason}; no fault of the lock was drawn"
+        table.add_row(styled((line, "red")), "", "", "")
     return table

@@ -1,4 +1,4 @@
-"""`dart-flight export LOG...`: flight logs as CSV files, or in standard schemas that viewers play in 3D."""
+"""`dart-flight export LOG...`: flight logs as CSV files, or as MCAP files in standard schemas for viewers."""
 
 from __future__ import annotations
 
@@ -12,26 +12,25 @@ FOXGLOVE_NAME = "foxglove.mcap"
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the command."""
+    """Add the command's arguments."""
     parser.add_argument("logs", nargs="+", metavar="LOG", help="flight.mcap, or a folder of flights")
     parser.add_argument(
         "--foxglove",
         action="store_true",
-        help="an MCAP file in standard schemas, to play in 3D in Foxglove, Lichtblick and Rerun",
+        help="write an MCAP file in standard schemas, for the 3D views of Foxglove, Lichtblick and Rerun",
     )
     parser.add_argument(
         "-o",
         "--output",
         type=Path,
         metavar="PATH",
-        help="folder of the CSV files (default: csv beside the log), of several logs a folder each in it; "
-        f"with --foxglove the file, .mcap without an ending (default: {FOXGLOVE_NAME} beside the log), of "
-        "several the folder",
+        help="folder of the CSV files (default: csv beside the log; several logs get one folder each in it); "
+        f"with --foxglove the file (default: {FOXGLOVE_NAME} beside the log), or the folder for several logs",
     )
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the command; returns the exit status. With --json: one object, of several logs a list of them."""
+    """Run the command and return the exit status. --json prints one object, or a list for several logs."""
     from dart_flight.recording.found import logs_in
 
     paths = logs_in(arguments.logs)
@@ -49,7 +48,7 @@ def _export_csv(path: Path, folder: Path) -> dict[str, Any]:
 
     log = read_log(path)
     files = export_csv(log, folder)
-    _say(f"{path}: {len(log.entries)} records in {len(files)} files in {folder}", log.complete)
+    _print_result(f"{path}: {len(log.entries)} records in {len(files)} files in {folder}", log.complete)
     return {"files": [str(file) for file in files], "records": len(log.entries), "log": str(path)}
 
 
@@ -59,17 +58,17 @@ def _export_foxglove(path: Path, file: Path) -> dict[str, Any]:
 
     log = read_log(path)
     count = export_foxglove(log, file)
-    _say(f"{path}: {count} messages in {file}", log.complete)
+    _print_result(f"{path}: {count} messages in {file}", log.complete)
     return {"files": [str(file)], "messages": count, "log": str(path)}
 
 
-def _say(line: str, complete: bool) -> None:
-    cut = "" if complete else "; the log was cut, exported up to there"
+def _print_result(line: str, complete: bool) -> None:
+    cut = "" if complete else "; the log was cut and is exported up to there"
     print_status(f"{line}{cut}")
 
 
 def _folders(logs: list[Path], output: Path | None) -> list[Path]:
-    """Where the files of each log go; no two in the same folder."""
+    """Return the output folder of each log; no two are equal."""
     if output is None:
         return [log.parent / ("csv" if log.stem == "flight" else f"{log.stem}_csv") for log in logs]
     if len(logs) == 1:
@@ -78,18 +77,16 @@ def _folders(logs: list[Path], output: Path | None) -> list[Path]:
 
 
 def _files(logs: list[Path], output: Path | None) -> list[Path]:
-    """The one file of each log."""
     if output is None:
         names = [FOXGLOVE_NAME if log.stem == "flight" else f"{log.stem}_{FOXGLOVE_NAME}" for log in logs]
         return [log.with_name(name) for log, name in zip(logs, names, strict=True)]
     if len(logs) == 1 and not output.is_dir():
-        # Viewers recognise the format by the file name's ending.
+        # Viewers recognise the format by the file extension.
         return [output if output.suffix else output.with_name(f"{output.name}.mcap")]
     return [output / f"{name}.mcap" for name in _names(logs)]
 
 
 def _names(logs: list[Path]) -> list[str]:
-    """A name of its own for each log."""
     names: list[str] = []
     for log in logs:
         base = name = log.resolve().parent.name if log.stem == "flight" else log.stem

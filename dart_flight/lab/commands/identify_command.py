@@ -13,7 +13,7 @@ from dart_flight.config.document import InputError
 
 
 def _height_or_trial(text: str) -> float | str:
-    """`--drop` may stand before a file: what is not a number is a trial."""
+    """Return the value of `--drop` as a height, or as text if it is a trial file that follows the option."""
     try:
         return float(text)
     except ValueError:
@@ -28,17 +28,17 @@ _FIT = {
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the command."""
+    """Add the command's arguments."""
     parser.add_argument(
         "trials", nargs="*", metavar="TRIAL", help="CSV, PX4 ULog or flight log; all share one wall"
     )
     parser.add_argument(
         "--mode",
         choices=("rigid", "flexible"),
-        help="state of the arms in the trials; of a flight log, its collisions in it",
+        help="state of the arms in the trials; for a flight log, use its collisions in this mode",
     )
     parser.add_argument(
-        "--surface", help="name of the material, for -o; of a flight log, its collisions with it"
+        "--surface", help="name of the material, for -o; for a flight log, use its collisions with it"
     )
     parser.add_argument(
         "--drop",
@@ -46,15 +46,15 @@ def configure(parser: argparse.ArgumentParser) -> None:
         type=_height_or_trial,
         const=True,
         metavar="HEIGHT",
-        help="drops: gravity along the normal; the height in m, if given, is compared with the recording",
+        help="the trials are drops, with gravity along the normal; a HEIGHT (m) is checked against them",
     )
-    parser.add_argument("--onset", choices=("lcp", "touch"), help="rule for the onset (the configuration's)")
+    parser.add_argument("--onset", choices=("lcp", "touch"), help="onset rule (default: the configuration's)")
     parser.add_argument(
         "--contact-distance",
         type=float,
         default=0.0,
         metavar="M",
-        help="subtract this from normal_m: recordings of the centre's height above the ground",
+        help="subtract this from normal_m, for recordings of the centre's height above the ground",
     )
     parser.add_argument(
         "--columns", metavar="NAME=HEADER,...", help="other headers, e.g. time_s=t,normal_m=x"
@@ -67,14 +67,16 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="for PX4 logs: a point of the plane of first touch in local NED (m), and the heading of its "
         "outward normal (degrees)",
     )
-    parser.add_argument("--mass", type=float, metavar="KG", help="of the vehicle (the configuration's)")
+    parser.add_argument(
+        "--mass", type=float, metavar="KG", help="vehicle mass (default: the configuration's)"
+    )
     parser.add_argument("-o", "--output", metavar="FILE", help="write a materials entry (YAML)")
-    parser.add_argument("--plot", metavar="FILE", help="recordings and fit (PNG, PDF, SVG)")
+    parser.add_argument("--plot", metavar="FILE", help="plot recordings and fit (PNG, PDF, SVG)")
     add_set_option(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Read, fit, print, write."""
+    """Read and fit the trials, print and write the result, and return the exit status."""
     from dart_flight.config.provenance import find_vehicle
     from dart_flight.contact.law import Onset
     from dart_flight.lab.identify import identify_trials as identification
@@ -88,7 +90,7 @@ def run(arguments: argparse.Namespace) -> int:
     if not paths:
         raise InputError("no trials given", key=("TRIAL",))
     vehicle, source = find_vehicle(arguments.config, arguments.set)
-    how = TrialReading(
+    reading = TrialReading(
         mode=arguments.mode or UNLABELLED,
         surface=arguments.surface,
         drop=drop is not None,
@@ -101,7 +103,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.output and not arguments.surface:
         raise InputError("-o needs --surface, the name of the entry", key=("output",))
     onset = Onset(arguments.onset) if arguments.onset else None
-    done = identification.identify_trials(paths, how, vehicle, onset=onset)
+    done = identification.identify_trials(paths, reading, vehicle, onset=onset)
     trials, found = done.trials, done.found
     if done.flown is not None:
         source = done.flown.source
@@ -109,7 +111,7 @@ def run(arguments: argparse.Namespace) -> int:
     print_status(*found.notes)
     for line in found.fit.says:
         messages().print(line, style="red", soft_wrap=True)
-    # First what was found, whatever becomes of the files.
+    # Print the result first, in case a file cannot be written.
     if arguments.json:
         emit_json({**identification.as_json(found), "vehicle": source})
     else:
@@ -138,14 +140,14 @@ def _write(arguments: argparse.Namespace, found: Any, vehicle: Any, *, poor: boo
         )
     for mode in entry.missing:
         console.print(
-            f"not complete: a configuration needs mode {mode} as well: identify trials with --mode {mode}",
+            f"incomplete: a configuration also needs mode {mode}; identify trials with --mode {mode}",
             style="yellow",
             soft_wrap=True,
         )
 
 
 def _estimates(title: str, rows: Any) -> None:
-    """A table of estimates: name, estimate or None, unit."""
+    """Print a table of estimates from rows of name, estimate or None, and unit."""
     from rich.table import Table
 
     table = Table(title=title)

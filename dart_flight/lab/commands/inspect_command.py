@@ -1,4 +1,4 @@
-"""`dart-flight inspect LOG...`: what PX4's own logs felt."""
+"""`dart-flight inspect LOG...`: impacts detected in PX4's own logs."""
 
 from __future__ import annotations
 
@@ -10,16 +10,19 @@ from rich.table import Table
 
 from dart_flight.cli.terminal import emit_json, messages, print_status, tables, write_text
 from dart_flight.config.document import InputError
+from dart_flight.recording.found import px4_logs_in
 
 if TYPE_CHECKING:
     from dart_flight.lab.inspect.impacts import InspectedFlight
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the command."""
-    parser.add_argument("logs", nargs="+", metavar="LOG", help="PX4 ULog (.ulg) of any multirotor, 1.9 on")
+    """Add the command's arguments."""
     parser.add_argument(
-        "--mass", type=float, metavar="KG", help="of the vehicle that flew; without it no newtons"
+        "logs", nargs="+", metavar="LOG", help="PX4 ULog (.ulg) of any multirotor, PX4 1.9 or later"
+    )
+    parser.add_argument(
+        "--mass", type=float, metavar="KG", help="mass of the vehicle; without it no forces are given"
     )
     parser.add_argument("--report", type=Path, metavar="FILE", help="write a page (HTML)")
     parser.add_argument(
@@ -28,17 +31,17 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Feel, print, write. Returns the exit status: 2 where a log was refused, whatever the others gave."""
+    """Inspect the logs, print and write the results, and return the exit status, 2 if a log was rejected."""
     from dart_flight.config.vehicle import load_vehicle
     from dart_flight.lab.inspect.inspection import inspect_file
     from dart_flight.lab.inspect.trial_writer import write_trials
 
     if arguments.mass is not None and not arguments.mass > 0.0:
-        raise InputError("must be over 0", key=("mass",))
+        raise InputError("must be above 0", key=("mass",))
     vehicle = load_vehicle(arguments.config)
     flights: list[InspectedFlight] = []
     refused: list[InputError] = []
-    for log in arguments.logs:
+    for log in px4_logs_in(arguments.logs):
         try:
             flights.append(inspect_file(log, vehicle, arguments.mass))
         except InputError as error:
@@ -48,7 +51,7 @@ def run(arguments: argparse.Namespace) -> int:
     print_status(*(error.one_line() for error in refused))
     if arguments.output is not None:
         if arguments.mass is None:
-            messages().print("without --mass the trials hold no force")
+            messages().print("without --mass the trials contain no force")
         for path in (p for flight in flights for p in write_trials(flight, arguments.output)):
             messages().print(f"wrote {path}", soft_wrap=True)
     if arguments.report is not None:
@@ -92,14 +95,14 @@ def _print(flight: InspectedFlight) -> None:
             f"{flight.floor_rigid_m_s2:.1f}, flexible from {flight.floor_flexible_m_s2:.1f} m/s2",
             soft_wrap=True,
         )
-    told = [i for i in flight.impacts if i.kind != "untold"]
-    if told:
+    clear = [i for i in flight.impacts if i.kind != "untold"]
+    if clear:
         table = Table()
         for column in ("at s", "peak m/s2", "peak N", "from north deg", "before m/s", "height m", ""):
             table.add_column(column, justify="right" if column else "left")
-        for i in told:
+        for i in clear:
             force = "-" if i.force_n is None else f"{i.force_n:.1f} ± {i.force_sd_n:.1f}"
-            says = i.kind + (", clipped: a lower bound" if i.clipped else "")
+            remark = i.kind + (", clipped: a lower bound" if i.clipped else "")
             table.add_row(
                 f"{i.t_s:.2f}",
                 f"{i.acceleration_m_s2:.1f} ± {i.acceleration_sd_m_s2:.1f}",
@@ -107,7 +110,7 @@ def _print(flight: InspectedFlight) -> None:
                 f"{i.direction_deg:.0f}",
                 f"{i.speed_m_s:.1f}",
                 "-" if i.height_m is None else f"{i.height_m:.1f}",
-                says,
+                remark,
             )
         out.print(table)
     else:

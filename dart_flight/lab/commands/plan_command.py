@@ -42,7 +42,7 @@ NOT_VERIFIED = "not flown in simulation (--no-verify): the plan may not be flyab
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the command."""
+    """Add the command's arguments."""
     parser.add_argument("scenario", metavar="SCENARIO", help="scenario file, see missions/scenarios/")
     parser.add_argument("-o", "--output", type=Path, metavar="MISSION", help="mission file to write")
     parser.add_argument(
@@ -50,7 +50,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         type=Objective,
         choices=list(Objective),
         metavar="OBJECTIVE",
-        help="instead of the scenario's: " + ", ".join(Objective),
+        help="objective to use instead of the scenario's: " + ", ".join(Objective),
     )
     parser.add_argument(
         "--top", type=whole_number(1, 1000), default=10, metavar="N", help="plans to list (10)"
@@ -63,21 +63,21 @@ def configure(parser: argparse.ArgumentParser) -> None:
         type=float,
         default=60.0,
         metavar="S",
-        help="of the objective quickest: return the best plan found after S seconds (60)",
+        help="objective quickest: return the best plan found after S seconds (60)",
     )
     parser.add_argument(
         "--free",
         action="store_true",
-        help="of the objective quickest: write and draw the plan without a collision",
+        help="objective quickest: write and draw the plan without a collision",
     )
     parser.add_argument(
-        "--seed", type=whole_number(0, 2**31 - 1), default=1, help="of the draws of robust (1)"
+        "--seed", type=whole_number(0, 2**31 - 1), default=1, help="seed of the draws of robust (1)"
     )
     parser.add_argument(
         "--no-verify",
         dest="verify",
         action="store_false",
-        help="do not fly the plan in simulation before it is offered",
+        help="do not fly the plan in simulation first",
     )
     add_plot_option(parser)
     parser.add_argument(
@@ -89,7 +89,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the command; returns the exit status."""
+    """Run the command and return the exit status."""
     try:
         return _plan(arguments)
     except RunsInterruptedError:
@@ -128,7 +128,7 @@ def _plan(arguments: argparse.Namespace) -> int:
     if arguments.output is not None:
         write_mission(scenario, plan, arguments.output, record)
         console.print(f"plan {plan.rank} written to {arguments.output}", soft_wrap=True)
-        _say_settings(arguments)
+        _warn_about_settings(arguments)
     if arguments.plot is not None:
         write_picture(planned_mission(scenario, plan), arguments.plot)
     if arguments.json:
@@ -146,7 +146,7 @@ def _plan(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _say_settings(arguments: argparse.Namespace) -> None:
+def _warn_about_settings(arguments: argparse.Namespace) -> None:
     if arguments.set:
         messages().print(
             "[yellow]the mission file does not contain the --set values: fly it with the same --set[/]",
@@ -155,7 +155,7 @@ def _say_settings(arguments: argparse.Namespace) -> None:
 
 
 def _show_flights(bar: Progress) -> Done:
-    """Announce the simulated flights and return a callback that counts each one."""
+    """Announce the simulated flights and return a callback that counts them."""
     print_status("flying the plan in simulation, nominally and in 20 drawn worlds (--no-verify skips this)")
     task, flown = bar.add_task("simulated flights", total=None), itertools.count(1)
 
@@ -189,7 +189,7 @@ def _plan_quickest(scenario: Scenario, arguments: argparse.Namespace) -> int:
         if arguments.output is not None:
             write_mission(offered.scenario, offered.plan, arguments.output, offered.record)
             console.print(f"plan written to {arguments.output}", soft_wrap=True)
-            _say_settings(arguments)
+            _warn_about_settings(arguments)
         if arguments.plot is not None:
             write_picture(planned_mission(offered.scenario, offered.plan), arguments.plot)
     if arguments.json:

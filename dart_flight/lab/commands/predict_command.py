@@ -14,57 +14,57 @@ from dart_flight.config.document import InputError
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the command."""
-    # argparse takes -0.5 for a number but -5e-1 for an option; scripts print both.
+    """Add the command's arguments."""
+    # argparse accepts -0.5 as a number but mistakes -5e-1 for an option; scripts print both.
     parser._negative_number_matcher = re.compile(r"-(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?$")
     parser.add_argument("--surface", help="a material of the configuration")
     parser.add_argument(
-        "--mode", choices=("rigid", "flexible"), help="state of the arms; without a lock it may be left out"
+        "--mode", choices=("rigid", "flexible"), help="state of the arms; optional without a lock"
     )
-    what = parser.add_mutually_exclusive_group(required=True)
-    what.add_argument(
+    events = parser.add_mutually_exclusive_group(required=True)
+    events.add_argument(
         "--velocity",
         nargs=2,
         type=float,
         metavar=("NORMAL", "TANGENTIAL"),
         help="wall hit: velocity at the onset in the collision frame, m/s; normal is negative",
     )
-    what.add_argument("--drop", type=float, metavar="HEIGHT", help="drop from this height, m")
-    what.add_argument("--batch", metavar="FILE", help="CSV of wall hits: mode, normal_m_s, tangential_m_s")
+    events.add_argument("--drop", type=float, metavar="HEIGHT", help="drop from this height, m")
+    events.add_argument("--batch", metavar="FILE", help="CSV of wall hits: mode, normal_m_s, tangential_m_s")
     parser.add_argument(
         "--restitution",
         type=float,
         metavar="E",
-        help="without a surface: outgoing over incoming normal speed, as `identify` gives it",
+        help="instead of a surface: outgoing over incoming normal speed, from `identify`",
     )
     parser.add_argument(
         "--tangential-ratio", type=float, metavar="R", help="with --restitution: the same along the wall"
     )
-    parser.add_argument("--onset", choices=("lcp", "touch"), help="rule for the onset (the configuration's)")
+    parser.add_argument("--onset", choices=("lcp", "touch"), help="onset rule (default: the configuration's)")
     parser.add_argument(
-        "--incidence-deg", type=float, default=0.0, metavar="DEG", help="leading edge against the wall"
+        "--incidence-deg", type=float, default=0.0, metavar="DEG", help="angle of leading edge and wall (0)"
     )
     parser.add_argument(
-        "--plot", metavar="FILE", help="position, velocity and force over time (PNG, PDF, SVG)"
+        "--plot", metavar="FILE", help="plot position, velocity and force over time (PNG, PDF, SVG)"
     )
     add_set_option(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Predict, print, plot."""
+    """Predict the contacts, print and plot them, and return the exit status."""
     from dart_flight.config.provenance import find_vehicle
     from dart_flight.lab.predict import prediction
 
     if arguments.restitution is not None or arguments.tangential_ratio is not None:
         return _from_ratios(arguments)
     if arguments.surface is None:
-        raise InputError("--surface is required, or --restitution", key=("surface",))
+        raise InputError("--surface or --restitution is required", key=("surface",))
     vehicle, source = find_vehicle(arguments.config, arguments.set)
 
     where = (arguments.surface, arguments.onset, arguments.incidence_deg)
     if arguments.batch is not None:
         if arguments.plot or arguments.mode:
-            raise InputError("--batch takes the mode from the file and plots nothing")
+            raise InputError("--batch reads the mode from the file and cannot plot; omit --mode and --plot")
         if arguments.json:
             rows = prediction.predict_batch_rows(vehicle, *where, path=arguments.batch)
             say_vehicle(source, arguments)
@@ -77,13 +77,13 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.mode is None and vehicle.has_lock:
         raise InputError("--mode is required: rigid or flexible")
     mode = arguments.mode or vehicle.modes[0].value
-    what = prediction.condition(vehicle, where[0], mode, where[1], where[2])
+    condition = prediction.condition(vehicle, where[0], mode, where[1], where[2])
     if arguments.drop is None:
-        numbers = prediction.predict_wall(what, *arguments.velocity)
+        numbers = prediction.predict_wall(condition, *arguments.velocity)
     else:
-        numbers = prediction.predict_drop(what, arguments.drop)
+        numbers = prediction.predict_drop(condition, arguments.drop)
     if arguments.plot:
-        _plot(arguments, what)
+        _plot(arguments, condition)
     say_vehicle(source, arguments)
     if arguments.json:
         emit_json({**numbers, "vehicle": source})
@@ -92,12 +92,14 @@ def run(arguments: argparse.Namespace) -> int:
             event = "{:g} m/s normal, {:g} m/s along".format(*arguments.velocity)
         else:
             event = f"drop from {arguments.drop:g} m"
-        _print(f"{what.surface}, {what.mode.value}, onset {what.onset.value}: {event}", numbers)
+        _print(
+            f"{condition.surface}, {condition.mode.value}, onset {condition.onset.value}: {event}", numbers
+        )
     return 0
 
 
 def _from_ratios(arguments: argparse.Namespace) -> int:
-    """Outgoing speeds from restitution and tangential ratio; the rest is null."""
+    """Predict the outgoing speeds from restitution and tangential ratio; other quantities are null."""
     from dart_flight.lab.predict import prediction
 
     if arguments.restitution is None:
@@ -107,7 +109,7 @@ def _from_ratios(arguments: argparse.Namespace) -> int:
     ]
     given += ["set"] if arguments.set else []
     if given:
-        raise InputError(f"--restitution stands without --{given[0]}", key=("restitution",))
+        raise InputError(f"--restitution cannot be combined with --{given[0]}", key=("restitution",))
     ratios = prediction.Ratios(arguments.restitution, arguments.tangential_ratio)
     if arguments.drop is None:
         numbers = prediction.predict_wall_from_ratios(ratios, *arguments.velocity)
@@ -116,24 +118,24 @@ def _from_ratios(arguments: argparse.Namespace) -> int:
     if arguments.json:
         emit_json(numbers)
         return 0
-    _print("from restitution and tangential ratio: forces and times cannot be known from these", numbers)
+    _print("from restitution and tangential ratio, which do not determine forces and times", numbers)
     return 0
 
 
-def _plot(arguments: argparse.Namespace, what: Any) -> None:
+def _plot(arguments: argparse.Namespace, condition: Any) -> None:
     from dart_flight.lab.paper import contact_figures as plots
     from dart_flight.lab.paper import tables as paper
     from dart_flight.lab.predict import prediction
 
     if arguments.drop is None:
-        contact = prediction.wall_contact(what, *arguments.velocity)
-        plots.plot_wall(arguments.plot, what, contact, arguments.velocity[1])
+        contact = prediction.wall_contact(condition, *arguments.velocity)
+        plots.plot_wall(arguments.plot, condition, contact, arguments.velocity[1])
     else:
-        contact = prediction.drop_contact(what, arguments.drop)
+        contact = prediction.drop_contact(condition, arguments.drop)
         shown = None
-        if what.surface == paper.DROP_SURFACE:
-            shown = paper.published_drop(arguments.drop, what.mode)
-        plots.plot_drop(arguments.plot, what, contact, arguments.drop, shown)
+        if condition.surface == paper.DROP_SURFACE:
+            shown = paper.published_drop(arguments.drop, condition.mode)
+        plots.plot_drop(arguments.plot, condition, contact, arguments.drop, shown)
 
 
 def _print(title: str, numbers: Mapping[str, float | None]) -> None:

@@ -1,4 +1,4 @@
-"""`dart-flight report LOG... -o FILE.html`: flights as a page."""
+"""`dart-flight report LOG... -o FILE.html`: an HTML page of one flight, or a comparison of several."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ if TYPE_CHECKING:
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the command."""
+    """Add the command's arguments."""
     parser.add_argument(
         "logs",
         nargs="+",
         metavar="LOG",
-        help="flight.mcap or folder of flights; several: a comparison",
+        help="flight.mcap or folder of flights; several logs give a comparison",
     )
     parser.add_argument(
         "-o",
@@ -33,19 +33,19 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--pdf",
         type=Path,
         metavar="FILE",
-        help="also the figures alone, a paper's column wide, one on each page",
+        help="also write the figures, one per page, as wide as a paper's column",
     )
-    parser.add_argument("--svg", type=Path, metavar="DIR", help="likewise, one SVG file for each figure")
+    parser.add_argument("--svg", type=Path, metavar="DIR", help="also write the figures as SVG files")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the command; 0 once a page is written, also from a log that was cut."""
+    """Write the page and return 0, also for a log that was cut."""
     from dart_flight.lab.report.page import comparison_page, flight_page
     from dart_flight.lab.report.recorded_flight import RecordedFlight
 
     paths = logs_in(arguments.logs)
     flights = from_each(paths, RecordedFlight.read, print_status)
-    output = arguments.output or _beside(paths)
+    output = arguments.output or _default_output(paths)
     write_text(output, flight_page(flights[0]) if len(flights) == 1 else comparison_page(flights))
     _write_figures(arguments, flights)
     if arguments.json:
@@ -64,6 +64,6 @@ def _write_figures(arguments: argparse.Namespace, flights: list[RecordedFlight])
         print_status(f"wrote {len(written)} figures to {arguments.svg}")
 
 
-def _beside(logs: list[Path]) -> Path:
-    """In the folder of the one log, or in the one that holds all of them."""
+def _default_output(logs: list[Path]) -> Path:
+    """Return the default output file, in the folder that contains all logs."""
     return Path(os.path.commonpath([log.parent.resolve() for log in logs])) / "report.html"

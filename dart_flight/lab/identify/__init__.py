@@ -1,1 +1,1 @@
-"""Contact coefficients and thrust curve from recorded data."""
+"""Identification of contact coefficients from recorded data."""

@@ -1,4 +1,4 @@
-"""What an identification says: estimates with intervals, what became of each trial, and the whole."""
+"""Results of an identification: estimates with intervals, the fit of each trial, and the whole result."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ class Estimate(NamedTuple):
 
     @classmethod
     def about(cls, value: float, half: float, least: float = -math.inf, most: float = math.inf) -> Estimate:
-        """Return a value and its symmetric interval, both kept within limits."""
+        """Return a value with a symmetric interval, both clipped to limits."""
         return cls(*(min(max(v, least), most) for v in (value, value - half, value + half)))
 
 
 class SetAside(NamedTuple):
-    """Samples that a fit does not count, of those in its window.
+    """Counts of samples in a fit's window that the fit ignores.
 
     Attributes:
-        free: in free flight, beyond five deviations.
-        contact: in the contact: single samples between good neighbours, never more than a tenth.
-        in_contact: samples in the contact, of all channels.
+        free: ignored samples in free flight, beyond five deviations.
+        contact: ignored samples in contact: single samples between good neighbours, at most a tenth.
+        in_contact: all samples in contact, over all channels.
     """
 
     free: int
@@ -37,21 +37,21 @@ class SetAside(NamedTuple):
 
 
 class TrialFit(NamedTuple):
-    """What a fit says of one trial.
+    """The fit of one trial.
 
     Attributes:
-        name, mode: of the trial.
+        name, mode: name and mode of the trial.
         onset_s: time of the onset in the recording.
         normal_m_s, tangential_m_s: velocity at the onset.
-        samples_in_contact: position samples in contact.
-        push_m_s2: the controller's acceleration along the normal, before and after the contact; 0 where the
+        samples_in_contact: number of position samples in contact.
+        push_m_s2: the controller's acceleration along the normal, before and after the contact; 0 if the
             flight was straight.
-        used: `samples` where its samples were fitted, `whole` where only speeds, peak and duration count.
-        normal_out_m_s, tangential_out_m_s: velocity after the contact, measured without a law.
-        peak_force_n: as measured; None where no force was recorded, or it was cut off.
-        force_delay_s: by how much the force's clock is late against the positions'; None without both.
-        misfit: residual in contact over the noise in free flight, of the worst channel.
-        set_aside: samples that do not count.
+        used: `samples` if the samples were fitted, `whole` if only speeds, peak and duration were used.
+        normal_out_m_s, tangential_out_m_s: velocity after the contact, measured without a contact law.
+        peak_force_n: measured peak; None if no force was recorded or it was clipped.
+        force_delay_s: delay of the force's clock relative to the positions'; None without both.
+        misfit: ratio of the residual in contact to the noise in free flight, for the worst channel.
+        set_aside: samples that the fit ignores.
     """
 
     name: str
@@ -71,7 +71,7 @@ class TrialFit(NamedTuple):
 
     @classmethod
     def of_hit(cls, hit: MeasuredImpact) -> TrialFit:
-        """Return what is said of a trial whose samples are not fitted."""
+        """Return the result for a trial whose samples are not fitted."""
         return cls(
             name=hit.name,
             mode=hit.mode,
@@ -91,11 +91,11 @@ class TrialFit(NamedTuple):
 
 
 class Errors(NamedTuple):
-    """Median size of the error on held-out hits; None where it cannot be judged.
+    """Median absolute errors on held-out hits; None if not assessable.
 
     Attributes:
-        peak_force: as a share of the measured peak.
-        outgoing_speed: as a share of the speed in.
+        peak_force: relative to the measured peak.
+        outgoing_speed: relative to the incoming speed.
     """
 
     peak_force: float | None
@@ -103,17 +103,17 @@ class Errors(NamedTuple):
 
 
 class HeldOut(NamedTuple):
-    """The comparison of one mode.
+    """The prediction errors of the law and of the baselines on held-out hits of one mode.
 
     Attributes:
-        mode: of the hits.
-        held_out: `speed` where all hits of one speed (or height) are left out together, else `trial`.
-        hits: how many were predicted.
-        law: errors of the paper's law; None where the hits cannot tell its coefficients.
-        baselines: errors by baseline; each predicts one of the two.
-        scatter: of repeats at one speed, the same measure; None without repeats.
-        earned: whether the law predicts better than the baselines in everything that could be judged.
-        sentence: this in words.
+        mode: mode of the hits.
+        held_out: `speed` if all hits of one speed (or height) are held out together, otherwise `trial`.
+        hits: number of predicted hits.
+        law: errors of the paper's law; None if the hits do not determine its coefficients.
+        baselines: errors by baseline; each predicts one of the two quantities.
+        scatter: errors of repeats at one speed against their median; None without repeats.
+        earned: whether the law predicts better than the baselines in every assessable quantity.
+        sentence: the comparison as a sentence.
     """
 
     mode: str
@@ -127,12 +127,12 @@ class HeldOut(NamedTuple):
 
 
 class FitQuality(NamedTuple):
-    """A fit, judged.
+    """The assessment of a fit.
 
     Attributes:
-        good: nothing is further off than expected; None where there is nothing to judge by.
-        expected: quantity -> the most that a good fit is off, in its own unit.
-        says: a sentence per quantity that is not good; what to look at.
+        good: whether no residual exceeds its expectation; None if nothing can be assessed.
+        expected: largest residual of a good fit by quantity, in its own unit.
+        says: a sentence for each quantity that exceeds its expectation, with what to check.
     """
 
     good: bool | None
@@ -141,19 +141,19 @@ class FitQuality(NamedTuple):
 
 
 class Identification(NamedTuple):
-    """Result of `identify`.
+    """The result of `identify`.
 
     Attributes:
-        coefficients: mode -> k, f, mu, nu -> estimate, None where the data cannot tell.
-        plane_m: position of the plane of first touch in the recordings; None where no samples were fitted.
+        coefficients: mode -> k, f, mu, nu -> estimate, or None if the data do not determine it.
+        plane_m: position of the plane of first touch in the recordings; None if no samples were fitted.
         residuals: root mean square per quantity, in its own unit.
-        trials: one per trial.
+        trials: fit of each trial.
         vertical_side: whether the vertical force acts with (1) or against (-1) `vertical_m`; None if unknown.
-        notes: what a reader should know, in sentences.
-        restitution: mode -> speed out over speed in, along the normal.
-        tangential_ratio: mode -> the same along the wall.
-        held_out: mode -> how well the law predicts hits it has not seen.
-        fit: whether to believe it.
+        notes: remarks for the reader, in sentences.
+        restitution: mode -> outgoing over incoming speed, along the normal.
+        tangential_ratio: mode -> the same ratio along the wall.
+        held_out: mode -> prediction errors on held-out hits.
+        fit: assessment of the fit.
     """
 
     coefficients: dict[str, dict[str, Estimate | None]]
@@ -172,10 +172,10 @@ class Identification(NamedTuple):
         return all(self.coefficients[mode][name] is not None for name in ("k", "f"))
 
     def fitted(self, mode: str, fallback: Coefficients | None = None) -> Coefficients:
-        """The coefficients of a mode; what was not identified is taken from `fallback`, else 0.
+        """Return the coefficients of a mode, completed from `fallback` or with 0.
 
         Raises:
-            ValueError: k or f is not known.
+            ValueError: k or f is unknown.
         """
         values = {}
         for name, estimate in self.coefficients[mode].items():

@@ -1,13 +1,13 @@
 """`identify`: contact coefficients and restitution from recorded trials.
 
-Every trial is first measured as a whole: speeds in and out, peak, duration, without a law. One solver with
-one computation of intervals (`solver`) then fits the law:
+Every trial is first measured as a whole, without a contact law: incoming and outgoing speed, peak and
+duration. One solver with one computation of intervals (`solver`) then fits the law:
 
 - to the samples of all trials jointly (`joint_fit`), if their positions show the contact in enough samples;
 - to the hits as a whole (`hit_fit`), if the law misses the samples by several times the noise, or if there
   are only speeds or an accelerometer.
 
-What the data cannot tell comes back as None.
+A coefficient that the data do not determine is None.
 """
 
 from __future__ import annotations
@@ -30,20 +30,20 @@ from dart_flight.lab.identify.trials import Trial, without_derived
 
 _MIN_IN_CONTACT = 4
 _SLOW_SAMPLING_S = 0.006
-_PREDICTS = 0.1  # error of peak and speed out up to which a fit of samples stands although it is off
+_PREDICTS = 0.1  # error of peak and outgoing speed up to which a fit with large residuals is kept
 _COEFFICIENTS = ("k", "f", "mu", "nu")
 
 
 def identify(trials: Sequence[Trial], mass_kg: float, onset: Onset) -> Identification:
-    """Coefficients per mode from trials at one plane (paper, Sec. IV-B and V-A).
+    """Identify the coefficients of each mode from trials at one plane (paper, Sec. IV-B and V-A).
 
     Args:
-        trials: recordings; all share the plane, those of one mode its coefficients.
+        trials: recordings; all share the plane, and those of one mode share its coefficients.
         mass_kg: vehicle mass.
-        onset: onset rule of the model that is fitted; k and f depend on it a little.
+        onset: onset rule of the fitted model; k and f depend on it slightly.
 
     Raises:
-        InputError: SciPy is missing, or a trial cannot be used (its name and why).
+        InputError: SciPy is missing, or a trial cannot be used; the error names the trial and the reason.
     """
     if not trials:
         raise InputError("no trials")
@@ -81,10 +81,10 @@ def identify(trials: Sequence[Trial], mass_kg: float, onset: Onset) -> Identific
 def _fit_samples(
     trials: Sequence[Trial], hits: Sequence[MeasuredImpact], mass_kg: float, onset: Onset
 ) -> SampleResult:
-    """The joint fit of those trials whose positions show the contact."""
+    """Fit the samples of the trials whose positions show the contact."""
     positions = [i for i, trial in enumerate(trials) if hits[i].turn is not None and trial.position_measured]
-    # Where sampling is slow the hit's own extent (widened to whole samples on both sides) decides at once;
-    # where it is fast that extent begins late, when the path has bent by more than noise, the fit decides.
+    # With slow sampling the measured extent of the hit, widened to whole samples, decides. With fast sampling
+    # that extent begins too late, so the fit decides.
     few = {
         i: max(trials[i].samples_between(hits[i].begin_s, hits[i].end_s) - 2, 0)
         for i in positions
@@ -121,11 +121,11 @@ def _coefficients(
     onset: Onset,
     notes: list[str],
 ) -> dict[str, Estimate | None]:
-    """From samples where the law fits them, from whole hits elsewhere."""
+    """Return coefficients from samples if the law fits them, otherwise from whole hits."""
     sampled = result.coefficients.get(mode)
     bad = mode in result.bad
     if bad and sampled is not None:
-        # Off at the samples by more than noise; not bad if it is right in what is asked of it.
+        # Keep a fit that misses the samples if it predicts peak and outgoing speed well.
         known = [e for e in errors_of(sampled, hits, mass_kg, onset) if e is not None]
         bad = not known or max(known) >= _PREDICTS
     found = dict.fromkeys(_COEFFICIENTS) if sampled is None else dict(sampled)
@@ -136,7 +136,7 @@ def _coefficients(
             found |= whole
             notes.append(f"{mode}: k and f are from speeds, peaks and durations of whole hits")
         elif not bad:
-            notes.append(f"{mode}: neither forces nor enough samples in contact: k and f are not known")
+            notes.append(f"{mode}: neither forces nor enough samples in contact: k and f are unknown")
         found["mu"] = friction(hits) or found["mu"]
     for name, what in (
         ("mu", "no mu, because the trials show no motion along the wall that friction changes"),

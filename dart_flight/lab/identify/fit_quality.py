@@ -1,8 +1,7 @@
-"""Whether to believe a fit: what it gives back, beside what was recorded.
+"""Assessment of a fit: whether the law with the fitted coefficients reproduces the recordings.
 
-A fit is poor where the law with its coefficients does not give back what was recorded, by more than the
-recordings' own noise or scatter. Where only hits as a whole are known, as of an accelerometer alone, their
-peaks and speeds out are what has to be given back.
+A fit is poor if the law misses the recordings by more than their noise or scatter. For whole hits, as from an
+accelerometer alone, the law must reproduce peaks and outgoing speeds.
 """
 
 from __future__ import annotations
@@ -19,25 +18,23 @@ from dart_flight.lab.identify.measured_impacts import MeasuredImpact
 from dart_flight.lab.identify.recorded_impact import noise_of
 from dart_flight.lab.identify.trials import Trial
 
-# Over a whole recording residuals of good fits are the noise; what a filter in the recording and the law
-# itself leave out is up to a few hundredths of the contact's own size (simulated vehicle's logs: below 0.01).
-_NOISES = 3.0
-_SHARE = 0.06
-_CONTACT_S = 0.1  # to either side of the turn: the contact is in there
-# Of whole hits, in the median: twice what repeats of real drops scatter (docs/results/real_data.md).
+_NOISES = 3.0  # residual of a good fit over the recording's noise
+_SHARE = 0.06  # residual relative to the contact's amplitude, for filters and for simplifications of the law
+_CONTACT_S = 0.1  # interval on either side of the turn that contains the contact
+# Medians over whole hits: twice the scatter of repeated real drops (docs/results/real_data.md).
 _MOST = Errors(peak_force=0.25, outgoing_speed=0.1)
 
 
 def errors_of(
     coefficients: Mapping[str, Estimate | None], hits: Sequence[MeasuredImpact], mass_kg: float, onset: Onset
 ) -> Errors:
-    """Return by how much coefficients miss their own hits; unknown without hits, k or f."""
+    """Return the errors of coefficients on their own hits; None without hits, k or f."""
     k, f = coefficients["k"], coefficients["f"]
     if k is None or f is None or not hits:
         return Errors(None, None)
     table = HitTable.of(hits)
-    said = predict(k.value, f.value, table, mass_kg, onset)
-    return table.errors(said.peak_normal_force_n, said.normal_out_m_s)
+    predicted = predict(k.value, f.value, table, mass_kg, onset)
+    return table.errors(predicted.peak_normal_force_n, predicted.normal_out_m_s)
 
 
 def assess_fit(
@@ -48,14 +45,14 @@ def assess_fit(
     mass_kg: float,
     onset: Onset,
 ) -> FitQuality:
-    """Judge coefficients by the recordings they are from.
+    """Assess coefficients against the recordings they were fitted to.
 
     Args:
-        coefficients: by mode.
+        coefficients: estimates by mode.
         whole: hits whose samples were not fitted.
-        residuals: by quantity, of the samples that were.
-        expected: largest residuals of a good fit, by quantity.
-        mass_kg, onset: as `identify`.
+        residuals: residuals of the fitted samples by quantity.
+        expected: largest residuals of a good fit by quantity.
+        mass_kg, onset: as for `identify`.
     """
     off, most = dict(residuals), dict(expected)
     for mode, found in coefficients.items():
@@ -67,28 +64,28 @@ def assess_fit(
 
 
 def judge(off: Mapping[str, float], expected: Mapping[str, float]) -> FitQuality:
-    """Compare what is off with what a good fit is off by; a quantity without an expectation is not judged."""
-    judged = {name: value for name, value in off.items() if name in expected}
-    says = [
+    """Compare residuals with those of a good fit; a quantity without an expectation is skipped."""
+    compared = {name: value for name, value in off.items() if name in expected}
+    sentences = [
         f"poor fit: the residual of {name} is {value:.3g}, {value / expected[name]:.1f} times the "
-        f"{expected[name]:.3g} of a good one; wall hits or drops (--drop), one wall, the right mode, units?"
-        for name, value in judged.items()
+        f"{expected[name]:.3g} of a good fit; check --drop, --mode, the units, and that there is one wall"
+        for name, value in compared.items()
         if not value <= expected[name]
     ]
-    return FitQuality(not says if judged else None, dict(expected), says)
+    return FitQuality(not sentences if compared else None, dict(expected), sentences)
 
 
 def expected_residuals(trials: Sequence[Trial], hits: Sequence[MeasuredImpact]) -> dict[str, float]:
-    """The largest residuals that a good fit of these trials has, by quantity.
+    """Return the largest residuals of a good fit of these trials, by quantity.
 
-    Three times the noise of the recordings, or a small share of what the contact does to the quantity
-    (penetration, peak force, change along the wall), whichever is more.
+    The limit is three times the noise of the recordings, or a small fraction of the contact's amplitude
+    (penetration, peak force, change along the wall) if that is larger.
     """
     noise: dict[str, list[float]] = {}
     size: dict[str, list[float]] = {}
     for trial, hit in zip(trials, hits, strict=True):
         if hit.turn is None:
-            continue  # an accelerometer alone: a whole hit
+            continue  # accelerometer only, assessed as a whole hit
         for name, series in trial.series.items():
             near = np.abs(series.time_s - hit.turn.turn_s) <= _CONTACT_S
             if not near.any():

@@ -15,31 +15,33 @@ from dart_flight.recording.measured_walls import WallMeasurements
 from dart_flight.recording.reader import Log, NothingInItError
 
 _BEFORE_S, _AFTER_S = 0.5, 0.4
-_LONGEST_S = 0.15  # of a contact whose end was not noticed
-# What flight logs of the simulated vehicle, whose coefficients are known, are off by themselves
-# (docs/results/flight_identification.md): PX4's velocity loop brakes too while the wall does.
+_POSES = 40  # least number within 0.4 s of an onset: at 50 Hz a contact falls between two poses
+_LONGEST_S = 0.15  # duration of a contact whose end was not detected
+# Systematic relative errors measured on simulated flights (docs/results/flight_identification.md): PX4's
+# velocity loop also brakes during the contact.
 ALLOWANCE = {"k": 0.03, "f": 0.15, "mu": 0.08, "nu": 0.6}
 
 
 def trials_of(log: Log, material: str | None = None, mode: str = UNLABELLED) -> dict[str, list[Trial]]:
-    """Every planned collision of a flight with this material in this mode, by the material of its wall.
+    """Return the planned collisions of a flight with this material in this mode, by material of the wall.
 
-    Series: position from PX4's estimate, force from the flight core's, both in the wall's collision frame and
-    on the autopilot's clock; the plane is the mission's, or of a wall that a probe has found that which the
-    contact told, and the vehicle that which flew it.
+    The position is that of the motion capture's poses if their age is known, otherwise PX4's estimate, which
+    smears a contact. The force is the flight core's estimate. All series are in the wall's collision frame
+    and on the autopilot's clock. The plane is the mission's; for a probed wall it is the plane measured by the
+    contact. The vehicle is the one that flew.
 
     Raises:
-        InputError: the log does not hold its mission.
+        InputError: the log does not contain its mission.
     """
     mission = flown_mission(log.about, log.source)
     flown = FoundVehicle(mission.vehicle, mission.flown_vehicle())
-    course = FlightArrays(log, mission)
+    flight = FlightArrays(log, mission)
     found: dict[str, list[Trial]] = {}
     onset: ImpactOnset | None = None
     measured = WallMeasurements(mission)
-    for record in course.records:
+    for record in flight.records:
         measured.take(record)
-    for record in course.records:
+    for record in flight.records:
         if isinstance(record, ImpactOnset):
             onset = record
         elif isinstance(record, PhaseChange) and record.after is Phase.CONTACT and onset is not None:
@@ -51,48 +53,51 @@ def trials_of(log: Log, material: str | None = None, mode: str = UNLABELLED) -> 
                 name = f"{log.source}: {wall.name}"
                 trial = Trial(
                     name,
-                    _series(course, wall, onset.t_us),
+                    _series(flight, wall, onset.t_us),
                     collision.mode.value,
                     allowance=ALLOWANCE,
                     flown=flown,
-                    turn_rad_s=_turn(course, onset.t_us),
+                    turn_rad_s=_largest_turn_rate(flight, onset.t_us),
                 )
                 found.setdefault(wall.material, []).append(trial)
     return found
 
 
-def _series(course: FlightArrays, wall: Wall, onset_us: int) -> dict[str, Series]:
-    at = course.time_of(onset_us)
-    motion, force = course.estimated, course.estimated_force
-    near = (motion.time_s > at - _BEFORE_S) & (motion.time_s < at + _AFTER_S)
-    felt = (force.time_s > at - _BEFORE_S) & (force.time_s < at + _AFTER_S)
+def _series(flight: FlightArrays, wall: Wall, onset_us: int) -> dict[str, Series]:
+    at = flight.time_of(onset_us)
+    force = flight.estimated_force
+    motion_s, position = flight.estimated.time_s, flight.estimated.position
+    if flight.posed.is_timed and np.sum(np.abs(flight.posed.time_s - at) < _AFTER_S) >= _POSES:
+        motion_s, position = flight.posed.time_s, flight.posed.position
+    near = (motion_s > at - _BEFORE_S) & (motion_s < at + _AFTER_S)
+    force_near = (force.time_s > at - _BEFORE_S) & (force.time_s < at + _AFTER_S)
     n = np.array([*wall.normal, 0.0])
     t = np.array([*wall.tangent, 0.0])
-    place = motion.position[near] - np.array([*wall.point, 0.0])
-    time, force_time = motion.time_s[near] - at, force.time_s[felt] - at
+    place = position[near] - np.array([*wall.point, 0.0])
+    time, force_time = motion_s[near] - at, force.time_s[force_near] - at
     return {
         "normal_m": Series(time, place @ n),
         "tangential_m": Series(time, place @ t),
         "vertical_m": Series(time, place[:, 2]),
-        "normal_force_n": Series(force_time, force.force[felt] @ n),
-        "tangential_force_n": Series(force_time, force.force[felt] @ t),
+        "normal_force_n": Series(force_time, force.force[force_near] @ n),
+        "tangential_force_n": Series(force_time, force.force[force_near] @ t),
     }
 
 
-def _turn(course: FlightArrays, onset_us: int) -> float | None:
-    """The largest rate about the vehicle's vertical between an onset and the end of its contact."""
+def _largest_turn_rate(flight: FlightArrays, onset_us: int) -> float | None:
+    """Return the largest yaw rate between an onset and the end of its contact, rad/s."""
     longest_us = onset_us + round(_LONGEST_S * 1e6)
-    ends = [end.t_us for end in course.all(ContactEnd) if onset_us < end.t_us < longest_us]
+    ends = [end.t_us for end in flight.all(ContactEnd) if onset_us < end.t_us < longest_us]
     end_us = min(ends, default=longest_us)
-    rates = [abs(s.rate_frd[2]) for s in course.all(ImuSample) if onset_us <= s.t_us <= end_us]
+    rates = [abs(s.rate_frd[2]) for s in flight.all(ImuSample) if onset_us <= s.t_us <= end_us]
     return max(rates, default=None)
 
 
 def trials_at_one(log: Log, material: str | None, mode: str = UNLABELLED) -> list[Trial]:
-    """As `trials_of`, of the collisions with one material; None: there must be only one.
+    """Return the collisions of a flight with one material; None: the flight must have only one.
 
     Raises:
-        InputError: there are several; `NothingInItError` where there is no such collision.
+        InputError: there are several; `NothingInItError` if there is no such collision.
     """
     by_material = trials_of(log, material, mode)
     if not by_material:

@@ -1,8 +1,8 @@
-"""How well the law predicts hits that it has not seen, against two baselines that need no law.
+"""Prediction errors of the law on held-out hits, compared with two baselines that need no law.
 
-Baselines: the speed out is a constant share of the speed in; the peak force is proportional to the speed in.
-A law that does not predict held-out hits better than these has not earned its coefficients, however well it
-fits.
+The first baseline assumes that the outgoing speed is a constant fraction of the incoming speed. The second
+assumes that the peak force is proportional to the incoming speed. If the law does not predict held-out hits
+better than these, its coefficients add nothing, however well it fits.
 """
 
 from __future__ import annotations
@@ -20,15 +20,14 @@ from dart_flight.lab.identify.estimates import Errors, HeldOut
 from dart_flight.lab.identify.hit_fit import HitFit, HitTable, median, predict
 from dart_flight.lab.identify.measured_impacts import MeasuredImpact
 
-_SAME_SPEED = 0.12  # hits whose speeds differ by less are repeats of one
+_SAME_SPEED = 0.12  # hits whose speeds differ by less are repeats
 _MIN_HITS = 3
-# A difference of errors below this share of them is chance with so few hits.
-_EARNED = 0.1
+_EARNED = 0.1  # smallest relative improvement that is not chance with so few hits
 CONSTANT_RESTITUTION, FORCE_PROPORTIONAL = "constant-restitution", "force-proportional"
 
 
 def speed_groups(speed: Array) -> NDArray[np.intp]:
-    """Group number per hit: a new one wherever the next higher speed is more than 12 % away."""
+    """Return a group number for each hit; a gap of more than 12 % between speeds starts a new group."""
     order = np.argsort(speed)
     groups = np.zeros(speed.size, dtype=np.intp)
     number = 0
@@ -40,21 +39,21 @@ def speed_groups(speed: Array) -> NDArray[np.intp]:
 
 
 def hold_out(hits: Sequence[MeasuredImpact], mass_kg: float, onset: Onset) -> HeldOut:
-    """Leave out each speed in turn (each hit where there is one speed only), fit to the rest, predict it.
+    """Hold out each speed in turn (each hit if there is only one speed), fit to the rest, and predict it.
 
     Args:
-        hits: of one mode.
-        mass_kg, onset: as `identify`.
+        hits: hits of one mode.
+        mass_kg, onset: as for `identify`.
     """
     mode, n = hits[0].mode, len(hits)
     if n < _MIN_HITS:
-        said = f"{mode}: {n} hit{'s' if n > 1 else ''} cannot tell how well others are predicted"
-        return HeldOut(mode, "trial", 0, None, {}, Errors(None, None), False, said)
+        sentence = f"{mode}: {n} hit{'s' if n > 1 else ''}, too few to assess predictions"
+        return HeldOut(mode, "trial", 0, None, {}, Errors(None, None), False, sentence)
 
     def by_law(rest: HitTable, held: HitTable) -> tuple[Array, Array]:
         k, f = np.exp(HitFit(rest, mass_kg, onset).solve())
-        said = predict(k, f, held, mass_kg, onset)
-        return said.peak_normal_force_n, said.normal_out_m_s
+        predicted = predict(k, f, held, mass_kg, onset)
+        return predicted.peak_normal_force_n, predicted.normal_out_m_s
 
     table = HitTable.of(hits)
     groups = speed_groups(table.speed_in)
@@ -63,9 +62,9 @@ def hold_out(hits: Sequence[MeasuredImpact], mass_kg: float, onset: Onset) -> He
     enough = all(table.only(folds != fold).is_enough for fold in np.unique(folds))
     law = _errors(table, folds, by_law) if enough else None
     ratios = _errors(table, folds, _in_proportion)
-    earned, said = False, "restitution and tangential ratio are what these trials tell"
+    earned, sentence = False, "these trials determine only restitution and tangential ratio"
     if law is not None:
-        earned, said = _judge(law, ratios, "held-out speeds" if by_speed else "held-out hits")
+        earned, sentence = _compare(law, ratios, "held-out speeds" if by_speed else "held-out hits")
     return HeldOut(
         mode=mode,
         held_out="speed" if by_speed else "trial",
@@ -77,29 +76,29 @@ def hold_out(hits: Sequence[MeasuredImpact], mass_kg: float, onset: Onset) -> He
         },
         scatter=_scatter(table, groups),
         earned=earned,
-        sentence=f"{mode}: {said}",
+        sentence=f"{mode}: {sentence}",
     )
 
 
 def _errors(
     table: HitTable, folds: NDArray[np.intp], by: Callable[[HitTable, HitTable], tuple[Array, Array]]
 ) -> Errors:
-    """Errors of a prediction (known hits, asked for -> peak, speed out) of each fold from all others."""
+    """Return the errors of a prediction (known hits, held-out hits -> peak, outgoing speed) on all folds."""
     peak, out = np.empty(folds.size), np.empty(folds.size)
     for fold in np.unique(folds):
         peak[folds == fold], out[folds == fold] = by(table.only(folds != fold), table.only(folds == fold))
     return table.errors(peak, out)
 
 
-def _in_proportion(known: HitTable, asked: HitTable) -> tuple[Array, Array]:
-    """Peak and speed out by the median ratios to the speed in of the known hits; NaN where none has it."""
+def _in_proportion(known: HitTable, held: HitTable) -> tuple[Array, Array]:
+    """Return peak and outgoing speed by the known hits' median ratios to the incoming speed, or NaN."""
     ratios = (median(values / known.speed_in) for values in (known.peak, known.speed_out))
-    peak, out = ((math.nan if ratio is None else ratio) * asked.speed_in for ratio in ratios)
+    peak, out = ((math.nan if ratio is None else ratio) * held.speed_in for ratio in ratios)
     return peak, out
 
 
 def _scatter(table: HitTable, groups: NDArray[np.intp]) -> Errors:
-    """How far repeats at one speed lie from their own median: no law does better than this."""
+    """Return the deviations of repeats at one speed from their median, the lower limit of any law's error."""
     peak, out = np.full(groups.size, math.nan), np.full(groups.size, math.nan)
     for group in np.unique(groups):
         members = groups == group
@@ -109,8 +108,8 @@ def _scatter(table: HitTable, groups: NDArray[np.intp]) -> Errors:
     return table.errors(peak, out)
 
 
-def _judge(law: Errors, ratios: Errors, words: str) -> tuple[bool, str]:
-    """Whether the law is better in everything that could be judged, and this in words."""
+def _compare(law: Errors, ratios: Errors, words: str) -> tuple[bool, str]:
+    """Return whether the law is better in every assessable quantity, and the comparison as a sentence."""
     named = zip(("peak force", "outgoing speed"), (FORCE_PROPORTIONAL, CONSTANT_RESTITUTION), strict=True)
     judged = [
         (name, mine, base)

@@ -1,7 +1,7 @@
-"""k and f from hits as a whole: speed out, peak force, duration, depth.
+"""Fit of k and f to whole hits: outgoing speed, peak force, duration and depth.
 
-Where the paper's law does not fit the samples of a contact, no curve of its shape through them has the right
-peak; fitting what is to be predicted has.
+If the paper's law does not fit the samples of a contact, no curve of its shape through them has the right
+peak. A fit to the predicted quantities does.
 """
 
 from __future__ import annotations
@@ -29,18 +29,18 @@ from dart_flight.lab.identify.solver import (
     stiffness_and_damping,
 )
 
-# How well the law can be expected to meet each: speed out as a share of the speed in, the others by their
-# logarithm. Duration and depth have fuzzy ends; they decide where there is no peak.
+# Expected errors of the law: outgoing over incoming speed, and logarithms of the others. Duration and depth
+# are imprecise and count mainly without a peak.
 SD_OUT, SD_PEAK, SD_CONTACT, SD_DEPTH = 0.04, 0.08, 0.3, 0.3
-_PRIOR_SD = 3.0  # of a coefficient's logarithm about its start: keeps what the hits do not show where it was
+_PRIOR_SD = 3.0  # of a coefficient's logarithm about its start, which holds undetermined coefficients
 _LOW, _HIGH = np.log([LOWEST_K, LOWEST_F]), np.log([HIGHEST_K, HIGHEST_F])
-_LONGEST = 3.0  # half periods: how long a hit that never leaves the wall counts as in contact
-_WIDEST_LOG = math.log(3.0)  # a coefficient known less well than to a factor of three is not known
-_ENOUGH_HITS = 3  # whose spread is more than chance
+_LONGEST = 3.0  # half periods: assumed contact duration of a hit that never leaves the wall
+_WIDEST_LOG = math.log(3.0)  # a coefficient with a wider interval than a factor of three is unknown
+_ENOUGH_HITS = 3  # fewer hits have no meaningful spread
 
 
 class HitTable(NamedTuple):
-    """Hits as arrays (n,); what is not known is nan."""
+    """Hits as arrays (n,); unknown values are NaN."""
 
     speed_in: Array
     speed_out: Array
@@ -67,14 +67,15 @@ class HitTable(NamedTuple):
 
     @property
     def is_enough(self) -> bool:
-        """Whether there are two numbers to fit, and half of the hits or more tell a force, a duration or a
-        depth: speeds tell no stiffness."""
+        """Whether at least two numbers are known and half of the hits have a force, a duration or a depth.
+        Speeds alone do not determine the stiffness.
+        """
         known = np.isfinite([self.peak, self.contact, self.depth, self.speed_out])
-        told = known[:3].any(axis=0)
-        return bool(2 * told.sum() >= told.size and known.sum() >= 2)
+        informative = known[:3].any(axis=0)
+        return bool(2 * informative.sum() >= informative.size and known.sum() >= 2)
 
     def errors(self, peak: Array, speed_out: Array) -> Errors:
-        """Return the median sizes of the errors of predicted peaks and speeds out."""
+        """Return the median absolute errors of predicted peaks and outgoing speeds."""
         return Errors(
             median(np.abs(peak / self.peak - 1.0)),
             median(np.abs(speed_out - self.speed_out) / self.speed_in),
@@ -82,13 +83,13 @@ class HitTable(NamedTuple):
 
 
 def median(values: Array) -> float | None:
-    """Return the median of the known values, None where there is none."""
+    """Return the median of the finite values, or None without any."""
     finite = values[np.isfinite(values)]
     return float(np.median(finite)) if finite.size else None
 
 
 def predict(k: float, f: float, hits: HitTable, mass_kg: float, onset: Onset) -> WallHit[Array]:
-    """Predict the hits by the law from their speeds in."""
+    """Predict the hits from their incoming speeds by the law."""
     zero = np.zeros_like(hits.speed_in)
     push = hits.acceleration if hits.acceleration.any() else None
     coefficients = CoefficientArrays(zero + k, zero + f, zero, zero)
@@ -96,14 +97,14 @@ def predict(k: float, f: float, hits: HitTable, mass_kg: float, onset: Onset) ->
 
 
 class HitFit:
-    """The `LawProblem` of hits of one mode: its unknowns are the logarithms of k and f."""
+    """The `LawProblem` of hits of one mode; its unknowns are the logarithms of k and f."""
 
     robust_from = 1.5
 
     def __init__(self, hits: HitTable, mass_kg: float, onset: Onset) -> None:
         self.hits, self.mass_kg, self.onset = hits, mass_kg, onset
         self._start = _start(hits, mass_kg)
-        self._fuzzy = np.where(np.isfinite(hits.peak), 4.0, 1.0)
+        self._imprecision = np.where(np.isfinite(hits.peak), 4.0, 1.0)
         known = np.concatenate((hits.speed_out, hits.peak, hits.contact, hits.depth))
         self._known = np.isfinite(known).reshape(4, -1)
         self._counts, self._moved = np.ones(known.size), np.zeros(known.size)
@@ -117,33 +118,33 @@ class HitFit:
         return descend(self, self._start, ("huber", "linear"))
 
     def bounds(self) -> tuple[Array, Array]:
-        """Return what is searched."""
+        """Return the search bounds."""
         return _LOW, _HIGH
 
     def _errors(self, theta: Array) -> Array:
-        """Return predicted minus measured numbers of all hits, in their deviations."""
+        """Return predicted minus measured quantities of all hits, in their standard deviations."""
         (k, f), hits = np.exp(theta), self.hits
-        said = predict(k, f, hits, self.mass_kg, self.onset)
-        contact = np.minimum(said.contact_time_s, _LONGEST * math.pi * math.sqrt(self.mass_kg / k))
+        predicted = predict(k, f, hits, self.mass_kg, self.onset)
+        contact = np.minimum(predicted.contact_time_s, _LONGEST * math.pi * math.sqrt(self.mass_kg / k))
         parts = (
-            (said.normal_out_m_s - hits.speed_out) / hits.speed_in / SD_OUT,
-            np.log(said.peak_normal_force_n / hits.peak) / SD_PEAK,
-            np.log(contact / hits.contact) / (SD_CONTACT * self._fuzzy),
-            np.log(said.penetration_m / hits.depth) / (SD_DEPTH * self._fuzzy),
+            (predicted.normal_out_m_s - hits.speed_out) / hits.speed_in / SD_OUT,
+            np.log(predicted.peak_normal_force_n / hits.peak) / SD_PEAK,
+            np.log(contact / hits.contact) / (SD_CONTACT * self._imprecision),
+            np.log(predicted.penetration_m / hits.depth) / (SD_DEPTH * self._imprecision),
         )
         return np.nan_to_num(np.concatenate(parts))
 
     def residuals(self, theta: Array) -> Array:
-        """Return the weighted errors of the hits, then the prior."""
+        """Return the weighted errors of the hits, followed by the prior."""
         errors = self._counts * (self._errors(theta) - self._moved)
         return np.concatenate((errors, (theta - self._start) / _PRIOR_SD))
 
     def jacobian(self, theta: Array) -> Array:
-        """Return central differences."""
+        """Return the Jacobian by central differences."""
         return np.stack([difference(theta, j, self.residuals) for j in range(theta.size)], axis=1)
 
     def reweigh(self, theta: Array) -> None:
-        """Replace the errors by Huber's pseudo-values, which have the same solution, and his covariance."""
+        """Replace the errors by Huber's pseudo-values, which have the same solution and his covariance."""
         errors = self._errors(theta).reshape(4, -1)
         inside = (np.abs(errors) <= self.robust_from) & self._known
         share = (inside.sum(axis=1) + 1.0) / (self._known.sum(axis=1) + 1.0)  # never 0
@@ -152,11 +153,11 @@ class HitFit:
         self._moved = (errors - pseudo).ravel()
 
     def variance(self, theta: Array) -> float:
-        """Return 1: the deviations are the law's own, and hits that agree do not make it better."""
+        """Return 1: the standard deviations describe the law's own errors, which do not average out."""
         return 1.0
 
     def drawn_together(self) -> list[NDArray[np.intp]]:
-        """Return the rows of each hit; of too few hits all rows, because their spread is chance."""
+        """Return the rows of each hit; with too few hits, all rows as one group."""
         rows = np.arange(self._counts.size).reshape(4, -1)
         return list(rows.T) if rows.shape[1] >= _ENOUGH_HITS else [rows.ravel()]
 
@@ -167,7 +168,7 @@ def fit_hits(
     """Fit k and f to hits of one mode.
 
     Returns:
-        `k` and `f` -> estimate, None where it is not known; and notes.
+        `k` and `f` -> estimate, or None if unknown; and notes.
 
     Raises:
         InputError: SciPy is missing.
@@ -181,7 +182,7 @@ def fit_hits(
 
 
 def _start(hits: HitTable, mass_kg: float) -> Array:
-    """Logarithms of k and f of about the hits' peak force per speed and restitution."""
+    """Return the logarithms of k and f from the hits' typical peak force per speed and restitution."""
     out = hits.speed_out / hits.speed_in
     e = min(max(float(np.nanmedian(out)), 0.02), 0.98) if np.isfinite(out).any() else 0.5
     if np.isfinite(hits.peak).any():

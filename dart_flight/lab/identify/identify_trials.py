@@ -1,4 +1,4 @@
-"""What `dart-flight identify` does: read the files, fit, and say it as JSON."""
+"""The work of `dart-flight identify`: read the files, fit, and convert the result to JSON."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ FLIGHT_LOG = ".mcap"
 
 
 class IdentifyResult(NamedTuple):
-    """What came of it.
+    """The trials, the identification and the vehicle behind it.
 
     Attributes:
-        trials: as they were read.
-        found: what the fit says.
-        vehicle: whose mass, modes and rule for the onset were taken.
-        flown: where that is not the given one but the one that flew, with where it came from.
-        mass_kg, onset: that were fitted with.
+        trials: the trials as read.
+        found: the result of the fit.
+        vehicle: the vehicle whose mass, modes and onset rule were used.
+        flown: the vehicle from the logs with its source, if it differs from the given one.
+        mass_kg, onset: mass and onset rule used in the fit.
     """
 
     trials: list[Trial]
@@ -45,7 +45,7 @@ class IdentifyResult(NamedTuple):
 
 def identify_trials(
     paths: Sequence[str],
-    how: TrialReading,
+    reading: TrialReading,
     vehicle: VehicleConfig,
     *,
     onset: Onset | None = None,
@@ -53,89 +53,87 @@ def identify_trials(
 ) -> IdentifyResult:
     """Read the trials and fit them.
 
-    Mass, modes and rule for the onset are those of the vehicle that flew, where the trials say it: a log's
-    forces were worked out with them.
+    Mass, modes and onset rule are those of the vehicle that flew if the trials contain it, because a log's
+    forces were computed with them.
 
     Args:
-        paths: files, folders of flight logs.
-        how: to read them.
-        vehicle: of trials that do not say theirs.
-        onset: instead of the vehicle's.
-        given: trials that are read already; they count with those of the files.
+        paths: files and folders of flight logs.
+        reading: options for reading them.
+        vehicle: vehicle of the trials that do not contain theirs.
+        onset: onset rule to use instead of the vehicle's.
+        given: trials in memory, used together with those of the files.
 
     Raises:
-        InputError: an option or a trial cannot be used, an option is for a kind of file that is not among
-            them, or the trials are of different vehicles; of several logs those without a collision are left
-            out with a note.
+        InputError: an option or a trial is invalid, an option applies to no file, or the trials are of
+            different vehicles. Of several logs, those without a collision are left out with a note.
     """
-    if not 0.0 <= how.contact_distance_m <= 1.0:
-        raise InputError(f"{how.contact_distance_m:g} m, expected 0 to 1", key=("contact-distance",))
-    if how.height_m is not None and not 0.0 < how.height_m <= 10.0:
-        raise InputError(f"{how.height_m:g} m, expected a height above 0 and up to 10", key=("drop",))
-    mass_kg = _mass(how, vehicle)
+    if not 0.0 <= reading.contact_distance_m <= 1.0:
+        raise InputError(f"{reading.contact_distance_m:g} m, expected 0 to 1", key=("contact-distance",))
+    if reading.height_m is not None and not 0.0 < reading.height_m <= 10.0:
+        raise InputError(f"{reading.height_m:g} m, expected a height above 0 and up to 10", key=("drop",))
+    mass_kg = _mass(reading, vehicle)
     if not 0.01 <= mass_kg <= 100.0:
         raise InputError(f"{mass_kg:g} kg, expected 0.01 to 100", key=("mass",))
     left_out: list[str] = []
     files = logs_in(paths)
-    _refuse_idle_options(how, files)
+    _refuse_idle_options(reading, files)
     if not given and not any(path.suffix.lower() == FLIGHT_LOG for path in files):
-        _refuse_mode(how, vehicle)  # no trial will say another vehicle
-    weighed = replace(how, mass_kg=mass_kg)
+        _refuse_mode(reading, vehicle)  # no trial contains another vehicle
+    with_mass = replace(reading, mass_kg=mass_kg)
     trials = list(given) + list(
-        chain.from_iterable(from_each(files, lambda path: read_trials(path, weighed), left_out.append))
+        chain.from_iterable(from_each(files, lambda path: read_trials(path, with_mass), left_out.append))
     )
     left_out += [note for trial in trials for note in trial.notes]
     flown, at_hand = _flown(trials, vehicle), vehicle
     vehicle = flown.config if flown else at_hand
-    mass_kg, onset = _mass(how, vehicle), onset or Onset(vehicle.onset)
+    mass_kg, onset = _mass(reading, vehicle), onset or Onset(vehicle.onset)
     left_out += _mass_notes(trials, mass_kg, at_hand if flown else None)
-    _refuse_mode(how, vehicle)
+    _refuse_mode(reading, vehicle)
     trials = _labelled(trials, vehicle)
     found = identify(trials, mass_kg, onset)
     found.notes[:0] = left_out
-    if how.height_m is not None:
-        expected = math.sqrt(2.0 * GRAVITY_M_S2 * how.height_m)
+    if reading.height_m is not None:
+        expected = math.sqrt(2.0 * GRAVITY_M_S2 * reading.height_m)
         for trial, read in zip(found.trials, trials, strict=True):
             if "normal_m" in read.series and abs(-trial.normal_m_s / expected - 1.0) > 0.2:
                 found.notes.append(
-                    f"{trial.name}: arrives at {-trial.normal_m_s:.2f} m/s; a drop from {how.height_m:g} m "
-                    f"arrives at {expected:.2f} m/s"
+                    f"{trial.name}: arrives at {-trial.normal_m_s:.2f} m/s; a drop from "
+                    f"{reading.height_m:g} m arrives at {expected:.2f} m/s"
                 )
     return IdentifyResult(trials, found, vehicle, flown, mass_kg, onset)
 
 
-def _mass(how: TrialReading, vehicle: VehicleConfig) -> float:
-    return vehicle.airframe.mass_kg if how.mass_kg is None else how.mass_kg
+def _mass(reading: TrialReading, vehicle: VehicleConfig) -> float:
+    return vehicle.airframe.mass_kg if reading.mass_kg is None else reading.mass_kg
 
 
-def _refuse_mode(how: TrialReading, vehicle: VehicleConfig) -> None:
-    """Raises InputError: the mode that was asked for is none of the vehicle's."""
-    problem = None if how.mode == UNLABELLED else vehicle.mode_problem(Mode(how.mode))
+def _refuse_mode(reading: TrialReading, vehicle: VehicleConfig) -> None:
+    problem = None if reading.mode == UNLABELLED else vehicle.mode_problem(Mode(reading.mode))
     if problem is not None:
         raise InputError(problem, key=("mode",))
 
 
 def _labelled(trials: Sequence[Trial], vehicle: VehicleConfig) -> list[Trial]:
-    """Trials with their mode; of a vehicle without a lock, which has only one, nothing has to be said."""
+    """Return the trials with their mode, which is evident for a vehicle without a lock."""
     if vehicle.has_lock:
         return list(trials)
     only = vehicle.modes[0].value
     return [replace(trial, mode=only) if trial.mode == UNLABELLED else trial for trial in trials]
 
 
-def _alike(one: VehicleConfig, other: VehicleConfig) -> bool:
-    """Whether trials of both are trials of one vehicle, as far as a fit is concerned."""
-    return (one.airframe.mass_kg, one.modes, one.onset) == (other.airframe.mass_kg, other.modes, other.onset)
+def _alike(first: VehicleConfig, other: VehicleConfig) -> bool:
+    """Return whether trials of both vehicles can be fitted together."""
+    own = (first.airframe.mass_kg, first.modes, first.onset)
+    return own == (other.airframe.mass_kg, other.modes, other.onset)
 
 
 def _flown(trials: Sequence[Trial], vehicle: VehicleConfig) -> FoundVehicle | None:
-    """The vehicle that flew, where it is another than the given one.
+    """Return the vehicle that flew if it differs from the given one.
 
     Raises:
         InputError: the trials are of different vehicles.
     """
-    said = [trial for trial in trials if trial.flown is not None]
-    others = [trial.flown for trial in said if trial.flown and not _alike(trial.flown.config, vehicle)]
+    others = [trial.flown for trial in trials if trial.flown and not _alike(trial.flown.config, vehicle)]
     if not others:
         return None
     first = others[0]
@@ -144,43 +142,41 @@ def _flown(trials: Sequence[Trial], vehicle: VehicleConfig) -> FoundVehicle | No
         if not _alike(own, first.config):
             raise InputError(
                 f"a trial of another vehicle ({own.airframe.mass_kg:g} kg; the others' have "
-                f"{first.config.airframe.mass_kg:g} kg): identify them apart",
+                f"{first.config.airframe.mass_kg:g} kg): identify them separately",
                 source=trial.name,
             )
     return first
 
 
-def _mass_notes(trials: Sequence[Trial], mass_kg: float, passed_over: VehicleConfig | None) -> list[str]:
-    """What a reader should know of the mass: that it is not the configuration's, or not the logs'."""
+def _mass_notes(trials: Sequence[Trial], mass_kg: float, replaced: VehicleConfig | None) -> list[str]:
+    """Return a note if the mass differs from the configuration's or from the logs'."""
     logged = {trial.flown.config.airframe.mass_kg for trial in trials if trial.flown is not None}
     other = sorted(logged - {mass_kg})
     if other:
-        return [f"fitted with {mass_kg:g} kg; the forces in the flight logs are of {other[0]:g} kg"]
-    if passed_over is None:
+        return [f"fitted with {mass_kg:g} kg; the forces in the flight logs assume {other[0]:g} kg"]
+    if replaced is None:
         return []
     return [
-        f"the vehicle is the one that flew ({mass_kg:g} kg, as its logs say), not the configuration's of "
-        f"{passed_over.airframe.mass_kg:g} kg"
+        f"using the vehicle in the flight logs ({mass_kg:g} kg), not the configuration's "
+        f"({replaced.airframe.mass_kg:g} kg)"
     ]
 
 
-def _refuse_idle_options(how: TrialReading, paths: Sequence[Path]) -> None:
-    """Raises InputError: an option tells how to read a kind of file that is not among them."""
+def _refuse_idle_options(reading: TrialReading, paths: Sequence[Path]) -> None:
+    """Raise an InputError if an option applies to a kind of file that is not among the trials."""
     csv, ulogs = (".csv",), (".ulg", ".ulog")
-    idle = {"columns": (how.columns, csv), "wall": (how.wall, ulogs)}
+    idle = {"columns": (reading.columns, csv), "wall": (reading.wall, ulogs)}
     given = {path.suffix.lower() for path in paths}
     for option, (value, suffixes) in idle.items():
         if value and given.isdisjoint(suffixes):
-            raise InputError(
-                f"is for {' and '.join(suffixes)} files, and none of the trials is one", key=(option,)
-            )
+            raise InputError(f"applies to {' and '.join(suffixes)} files, but no trial is one", key=(option,))
 
 
 def columns_of(text: str | None) -> dict[str, str]:
-    """`time_s=t,normal_m=x` as a dictionary.
+    """Parse `time_s=t,normal_m=x` into a dictionary.
 
     Raises:
-        InputError: not of this form, or not one of our names.
+        InputError: the text has another form, or a name is unknown.
     """
     names = ("time_s", *COLUMNS)
     columns = {}
@@ -197,17 +193,16 @@ def columns_of(text: str | None) -> dict[str, str]:
 
 
 def _plain(value: Any) -> Any:
-    """A value with its named tuples as objects."""
     if isinstance(value, tuple) and hasattr(value, "_asdict"):
         value = value._asdict()
     if isinstance(value, dict):
-        return {key: _plain(one) for key, one in value.items()}
-    return [_plain(one) for one in value] if isinstance(value, list) else value
+        return {key: _plain(item) for key, item in value.items()}
+    return [_plain(item) for item in value] if isinstance(value, list) else value
 
 
 def as_json(found: Identification) -> dict[str, Any]:
-    """The result as the object `--json` prints."""
-    said: dict[str, Any] = _plain(found)
-    for compared in said["held_out"].values():
+    """Return the result as the object that `--json` prints."""
+    plain: dict[str, Any] = _plain(found)
+    for compared in plain["held_out"].values():
         del compared["mode"], compared["sentence"]
-    return said
+    return plain

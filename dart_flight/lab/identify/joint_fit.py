@@ -18,11 +18,9 @@ from dart_flight.lab.identify.solver import descend, half_widths, stiffness_and_
 from dart_flight.lab.identify.trials import Trial
 
 _LOSSES = ("soft_l1", "linear", "linear")
-_CURVED = 4.5  # deviations of a curvature in free flight that is not noise
-# Rates of change this small in the model make a coefficient unknown rather than zero.
-_WIDEST_LOG = math.log(10.0)
-# In contact, over the noise of the same channel in free flight: beyond it the law is poor for this trial.
-BAD_FIT = 4.0
+_CURVED = 4.5  # standard deviations beyond which a curvature in free flight is not noise
+_WIDEST_LOG = math.log(10.0)  # a coefficient with a wider interval than a factor of ten is unknown
+BAD_FIT = 4.0  # residual in contact over the channel's noise in free flight; above it the law does not fit
 _MIN_JUDGED = 4  # samples in contact
 
 
@@ -34,13 +32,13 @@ def solve(
     *,
     least: int = 0,
 ) -> tuple[SampleFit, Array, list[str]]:
-    """Robust descent, then least squares with the weights that the residuals ask for.
+    """Minimise with a robust loss, then by least squares with weights from the residuals.
 
     Args:
-        trials: with positions.
-        hits: of the trials, in their order.
-        mass_kg, onset: as `identify`.
-        least: samples in contact that every trial needs; with fewer the fit stops early.
+        trials: trials with positions.
+        hits: hits of the trials, in the same order.
+        mass_kg, onset: as for `identify`.
+        least: required samples in contact per trial; with fewer the fit stops early.
 
     Returns:
         The fit, its parameters, and notes.
@@ -67,7 +65,7 @@ def solve(
 
 
 def _is_curved(fit: SampleFit, theta: Array) -> bool:
-    """Whether the residuals of any wall hit bend, before or after the contact, more than noise does."""
+    """Return whether free flight before or after any wall hit is more curved than noise explains."""
     for i, trial in enumerate(fit.trials):
         if trial.acceleration_m_s2 != 0.0:
             continue
@@ -77,7 +75,7 @@ def _is_curved(fit: SampleFit, theta: Array) -> bool:
             if name not in predicted:
                 continue
             time, value = fit.windows[i].series[name]
-            # From third differences: what bends does not add to it, as it would to the residuals.
+            # Third differences estimate the noise independently of the curvature.
             sd = noise_of(fit.trials[i].series[name])
             for part in (time < begin, time > end):
                 part &= (fit.windows[i].counts[name] > 0.0) & ~fit.windows[i].contact[name]
@@ -93,7 +91,7 @@ def _is_curved(fit: SampleFit, theta: Array) -> bool:
     return False
 
 
-# --- what it says ---------------------------------------------------------------------------------------
+# --- result ---------------------------------------------------------------------------------------------
 
 
 @dataclass
@@ -101,7 +99,7 @@ class SampleResult:
     """The result of a fit of samples, part of `Identification`; empty if no trial shows its contact.
 
     Attributes:
-        trials: by their place in the call.
+        trials: fits by position of the trial in the call.
         bad: modes whose law does not fit the samples of a contact.
     """
 
@@ -115,11 +113,11 @@ class SampleResult:
 
 
 def conclude(fit: SampleFit, theta: Array, places: Sequence[int]) -> SampleResult:
-    """Return coefficients with intervals, the result of each trial, and notes for the reader.
+    """Return coefficients with intervals, the result of each trial, and notes.
 
     Args:
         fit, theta: the fit and its parameters.
-        places: of its trials in the call.
+        places: positions of its trials in the call.
     """
     halves = half_widths(fit, theta)
     plane_m = Estimate.about(float(theta[0]), float(halves[0]))
@@ -132,8 +130,8 @@ def conclude(fit: SampleFit, theta: Array, places: Sequence[int]) -> SampleResul
                 f"{hit.name}: in contact {channel} differs from the law by "
                 f"{misfit:.1f} times its noise in free flight"
             )
-        one = result.trials[place] = _trial_fit(fit, theta, i, hit)._replace(misfit=misfit)
-        aside = one.set_aside
+        trial_fit = result.trials[place] = _trial_fit(fit, theta, i, hit)._replace(misfit=misfit)
+        aside = trial_fit.set_aside
         if aside.contact:
             result.notes.append(
                 f"{hit.name}: {aside.contact} of {aside.in_contact} samples in contact set aside"
@@ -153,7 +151,7 @@ def conclude(fit: SampleFit, theta: Array, places: Sequence[int]) -> SampleResul
 def _friction(fit: SampleFit, theta: Array, halves: Array, members: list[int]) -> Estimate | None:
     at = fit.parameters.of_mode(fit.trials[members[0]].mode)["mu"]
     moving = False
-    change = 0.0  # exponent of the slowing per s/m of mu: how strongly mu acts at all
+    change = 0.0  # exponent of the deceleration per s/m of mu, the influence of mu
     for i in members:
         own = fit.parameters.own[i]
         if "vy" in own:
@@ -169,7 +167,7 @@ def _friction(fit: SampleFit, theta: Array, halves: Array, members: list[int]) -
 def _vertical(
     fit: SampleFit, theta: Array, halves: Array, members: list[int]
 ) -> tuple[Estimate | None, int | None]:
-    """Nu by its size, and the side on which the force acts."""
+    """Return the magnitude of nu and the side on which the force acts."""
     at = fit.parameters.of_mode(fit.trials[members[0]].mode)["nu"]
     if not any("z0" in fit.parameters.own[i] for i in members):
         return None, None
@@ -189,7 +187,7 @@ def _residuals(fit: SampleFit, theta: Array) -> dict[str, float]:
 
 
 def _misfit(fit: SampleFit, theta: Array, i: int) -> tuple[float | None, str]:
-    """The largest ratio over channels of residual in contact to noise, and its channel."""
+    """Return the largest ratio of the residual in contact to the noise, and its channel."""
     worst: float | None = None
     channel = ""
     window = fit.windows[i]

@@ -1,4 +1,4 @@
-"""A materials entry for the vehicle configuration, from identified coefficients."""
+"""A materials entry for the vehicle configuration, made from identified coefficients."""
 
 from __future__ import annotations
 
@@ -8,18 +8,18 @@ from dart_flight.config.document import InputError
 from dart_flight.config.vehicle import Coefficients, VehicleConfig
 from dart_flight.lab.identify.estimates import Estimate, Identification
 
-# What a coefficient is where nothing tells: the contact does not do what it stands for. Stiffness has no such
-# value. The key is written all the same, and marked, so that nobody takes the gap for a measurement.
+# Values of undetermined coefficients, which disable their effect; they are marked as assumed in the entry.
+# Stiffness has no such value.
 _ASSUMED = {"f": 0.0, "mu": 0.0, "nu": 0.0}
 
 
 class MaterialsEntry(NamedTuple):
-    """YAML to put under `materials` of a configuration.
+    """YAML for the section `materials` of a configuration.
 
     Attributes:
-        text: the YAML; accepted as it is where nothing is missing.
-        assumed: coefficients that neither the trials nor the configuration tell, such as `nu of rigid`.
-        missing: modes left out, because their stiffness is not known.
+        text: the YAML; a valid entry if no mode is missing.
+        assumed: coefficients that neither the trials nor the configuration determine, such as `nu of rigid`.
+        missing: modes left out because their stiffness is unknown.
     """
 
     text: str
@@ -30,20 +30,20 @@ class MaterialsEntry(NamedTuple):
 def materials_entry(
     found: Identification, surface: str, vehicle: VehicleConfig, *, poor: bool = False
 ) -> MaterialsEntry:
-    """What is known of a material, as YAML; what is not is marked.
+    """Return the YAML of a material, in which unidentified values are marked.
 
-    What was not identified (the other mode, a coefficient the trials do not show) is taken from the
-    configuration's entry of the same name. Where there is none, friction, damping and the vertical force are
-    written as 0 and marked as assumed, and a mode without a stiffness is left out with a comment.
+    Unidentified values (the other mode, a coefficient that the trials do not show) come from the
+    configuration's entry of the same name. Without that entry, friction, damping and the vertical force are
+    written as 0 and marked as assumed. A mode without a stiffness is left out with a comment.
 
     Args:
         found: the coefficients.
-        surface: the material's name.
-        vehicle: with the entry to fall back on.
-        poor: the fit is not to be believed; the entry says so.
+        surface: name of the material.
+        vehicle: configuration with the fallback entry.
+        poor: whether the fit is poor, which the entry then records.
 
     Raises:
-        InputError: the trials carry no mode.
+        InputError: the trials have no mode.
     """
     known = vehicle.materials.get(surface)
     modes = [mode for mode in vehicle.modes if mode.value in found.coefficients]
@@ -57,8 +57,8 @@ def materials_entry(
         if estimates.get("k") is None and fallback is None:
             missing.append(mode.value)
             lines.append(
-                f"    # {mode.value}: not known from these trials, and a configuration needs it: "
-                f"identify trials with --mode {mode.value} and put it here"
+                f"    # {mode.value}: unknown from these trials, but required; identify trials with "
+                f"--mode {mode.value} and add it here"
             )
             continue
         values, marks = [], []
@@ -79,7 +79,7 @@ def materials_entry(
 
 
 def _value(name: str, estimate: Estimate | None, fallback: Coefficients | None) -> tuple[str, str]:
-    """A coefficient as YAML, and what is known of it."""
+    """Return a coefficient as YAML, with its source."""
     if estimate is not None:
         return (
             repr(float(f"{max(estimate.value, 0.0):.6g}")),
@@ -87,4 +87,4 @@ def _value(name: str, estimate: Estimate | None, fallback: Coefficients | None) 
         )
     if fallback is not None:
         return repr(getattr(fallback, name)), f"{name} from the configuration"
-    return repr(_ASSUMED[name]), f"{name} not seen in the trials, assumed"
+    return repr(_ASSUMED[name]), f"{name} not determined by the trials, assumed"

@@ -1,8 +1,8 @@
-"""What a trial shows of its hit as a whole, without a contact law: speeds in and out, peak, duration.
+"""Measurement of whole hits without a contact law: incoming and outgoing speed, peak and duration.
 
-These numbers are what a law has to predict, what restitution and tangential ratio are made of, and all that
-there is where a recording holds too few samples of the contact (motion capture at 100 Hz) or no position at
-all (an accelerometer in a drop). None of them rests on a law.
+A law must predict these numbers, and restitution and tangential ratio follow from them. They are the only
+data if a recording has too few samples of the contact (motion capture at 100 Hz) or no positions (an
+accelerometer in a drop).
 """
 
 from __future__ import annotations
@@ -25,39 +25,38 @@ from dart_flight.lab.identify.recorded_impact import (
 from dart_flight.lab.identify.trials import Series, Trial
 
 _WINDOW_S = 0.2  # free flight on either side
-_GUARD_S = 0.03  # not free flight for sure, before the contact's own extent is known
-_BEND_SD_M_S2 = 3.0  # a controller's acceleration before and after a wall hit, standard deviation
-_DEVIATES = 4.0  # deviations of a position that has left its free flight
-_MIN = 6  # samples within the contact's limits from which its duration and depth can be read
-# A force that swings this far to the other side, as a share of the peak, is a sensor or a frame that rings.
-_RINGS = 0.3
-_DOMINATED = 0.5  # and this far: a wall only pushes, so half of what is read is not its force
-_BRIDGED_S = 0.015  # a pause within one contact: first a corner lands, then the rest
-_FELT = 8.0  # deviations of a force that is contact
+_GUARD_S = 0.03  # interval around the turn that is excluded until the contact's extent is known
+_BEND_SD_M_S2 = 3.0  # standard deviation of a controller's acceleration before and after a wall hit
+_DEVIATES = 4.0  # deviations beyond which a position is not in free flight
+_MIN = 6  # samples in contact required for its duration and depth
+_RINGS = 0.3  # undershoot over peak beyond which the sensor or frame rings
+_DOMINATED = 0.5  # undershoot over peak beyond which the reading is useless, because a wall only pushes
+_BRIDGED_S = 0.015  # longest pause within one contact, in which a corner lands before the rest
+_DETECTED = 8.0  # deviations beyond which a force is a contact
 _SHORTEST_FLIGHT_S = 0.04
 _WEIGHTLESS_M_S2 = 5.0
-_FALLS_S = 0.06  # a pulse is out of free fall where this long before it nothing was felt
+_FALLS_S = 0.06  # free fall required before a pulse
 
 
 @dataclass(frozen=True)
 class MeasuredImpact:
-    """One hit, as far as the recording shows it; None is not known.
+    """One hit as measured; unknown values are None.
 
     Attributes:
-        name, mode: of the trial.
+        name, mode: name and mode of the trial.
         normal_in_m_s: normal speed towards the wall at first touch, positive.
-        normal_out_m_s: normal speed away from it at the release.
-        tangential_in_m_s, tangential_out_m_s: velocity along the wall before and after.
-        sd_in_m_s, sd_out_m_s, sd_tangential_m_s: standard deviations of these.
-        peak_force_n: largest normal force as measured.
+        normal_out_m_s: normal speed away from the wall at the release.
+        tangential_in_m_s, tangential_out_m_s: velocity along the wall before and after the contact.
+        sd_in_m_s, sd_out_m_s, sd_tangential_m_s: standard deviations of these speeds.
+        peak_force_n: largest measured normal force.
         contact_s: duration of the contact.
-        compression_m: greatest depth behind the position at first touch.
-        acceleration_m_s2: other acceleration along the normal: -9.81 in a drop.
-        begin_s, end_s: the contact in the recording, widened to whole samples.
-        samples_in_contact: position samples in it.
-        clipped: the sensor was at its limit; the peak is unknown then.
-        notes: what a reader should know, in sentences.
-        turn: the turn from approaching to leaving that the recorded positions show.
+        compression_m: largest depth behind the position at first touch.
+        acceleration_m_s2: other acceleration along the normal, -9.81 in a drop.
+        begin_s, end_s: interval of the contact in the recording, widened to whole samples.
+        samples_in_contact: position samples in this interval.
+        clipped: whether the sensor saturated, so that the peak is unknown.
+        notes: remarks for the reader, in sentences.
+        turn: the turn from approach to departure in the recorded positions.
     """
 
     name: str
@@ -82,23 +81,23 @@ class MeasuredImpact:
 
 
 def measure_impact(trial: Trial, mass_kg: float) -> MeasuredImpact:
-    """The hit of a trial.
+    """Measure the hit of a trial.
 
     Args:
-        trial: with `normal_m`, or an accelerometer's `specific_force_m_s2` of a drop.
-        mass_kg: turns specific force into force.
+        trial: a trial with `normal_m`, or with an accelerometer's `specific_force_m_s2` of a drop.
+        mass_kg: converts specific force to force.
 
     Raises:
-        InputError: there is no impact in it, or an accelerometer alone has to tell a wall hit.
+        InputError: the trial has no impact, or is a wall hit with an accelerometer only.
     """
-    return _of_motion(trial) if "normal_m" in trial.series else _of_accelerometer(trial, mass_kg)
+    return _measure_motion(trial) if "normal_m" in trial.series else _measure_accelerometer(trial, mass_kg)
 
 
 # --- positions ------------------------------------------------------------------------------------------
 
 
 class _FreeFlightFit:
-    """A parabola through free flight on one side of a contact, deaf to single bad samples."""
+    """A parabola through free flight on one side of a contact, robust to outliers."""
 
     def __init__(self, time: Array, value: Array, about_s: float, bend: float, bend_sd: float) -> None:
         self.about_s = about_s
@@ -119,13 +118,12 @@ class _FreeFlightFit:
         self.covariance = np.linalg.inv(information)
 
     def position(self, time: Array) -> Array:
-        """On the parabola."""
         t = time - self.about_s
         result: Array = self.line[0] + t * (self.line[1] + 0.5 * t * self.line[2])
         return result
 
     def speed(self, time_s: float) -> tuple[float, float]:
-        """Slope and its standard deviation."""
+        """Return the slope and its standard deviation."""
         row = np.array([0.0, 1.0, time_s - self.about_s])
         return float(row @ self.line), math.sqrt(max(float(row @ self.covariance @ row), 0.0))
 
@@ -145,7 +143,7 @@ def _flights(
     return sides[0], sides[1]
 
 
-def _of_motion(trial: Trial) -> MeasuredImpact:
+def _measure_motion(trial: Trial) -> MeasuredImpact:
     impact = find_impact(trial)
     time, value = trial.normal
     step = float(np.median(np.diff(time)))
@@ -169,8 +167,8 @@ def _of_motion(trial: Trial) -> MeasuredImpact:
     inside = (time > begin) & (time < end)
     count = int(inside.sum())
     enough = count >= _MIN
-    along = _along(trial, begin, end)
-    force = _of_force(trial, begin, end)
+    along = _tangential_velocities(trial, begin, end)
+    force = _measure_force(trial, begin, end)
     depth = float(before.position(np.array([begin]))[0] - value[inside].min()) if enough else None
     contact = end - begin - step if enough else None
     if force.contact_s is not None:
@@ -201,7 +199,7 @@ def _of_motion(trial: Trial) -> MeasuredImpact:
 def _extent(
     series: Series, turn_s: float, flights: tuple[_FreeFlightFit, _FreeFlightFit], noise_m: float, step: float
 ) -> tuple[float, float]:
-    """From the last sample still in free flight to the first that is again; at most 0.15 s to either side."""
+    """Return the interval between the adjacent samples in free flight, at most 0.15 s to either side."""
     time, value = series
     at = int(np.searchsorted(time, turn_s))
     limits = []
@@ -220,14 +218,16 @@ def _extent(
                 limit, free = float(time[i]), 0
             else:
                 free += 1
-                if free >= 3:  # two in a row may be a crossing
+                if free >= 3:  # two consecutive samples may be a crossing
                     break
         limits.append(limit)
     return min(limits[0], turn_s) - step, max(limits[1], turn_s) + step
 
 
-def _along(trial: Trial, begin: float, end: float) -> tuple[float | None, float | None, float]:
-    """Velocity along the wall before and after, and the larger standard deviation."""
+def _tangential_velocities(
+    trial: Trial, begin: float, end: float
+) -> tuple[float | None, float | None, float]:
+    """Return the velocity along the wall before and after, and the larger standard deviation."""
     for name, slope in (("tangential_m", True), ("tangential_m_s", False)):
         if name not in trial.series:
             continue
@@ -255,8 +255,8 @@ class _ForcePulse:
     notes: tuple[str, ...] = ()
 
 
-def _of_force(trial: Trial, begin: float, end: float) -> _ForcePulse:
-    """Peak and duration of the measured normal force, near a contact that positions have found."""
+def _measure_force(trial: Trial, begin: float, end: float) -> _ForcePulse:
+    """Return peak and duration of the measured normal force, near a contact found in the positions."""
     if "normal_force_n" not in trial.series:
         return _ForcePulse()
     time, value = trial.series["normal_force_n"]
@@ -272,7 +272,7 @@ def _of_force(trial: Trial, begin: float, end: float) -> _ForcePulse:
 def _pulse(name: str, time: Array, force: Array, noise: float, bridged_s: float) -> _ForcePulse:
     at = int(np.argmax(force))
     peak = float(force[at])
-    if peak < _FELT * noise:
+    if peak < _DETECTED * noise:
         return _ForcePulse(notes=(f"{name}: the force does not rise above its noise",))
     top = force >= peak - 1e-9 * abs(peak)
     clipped = bool((top[1:] & top[:-1]).any())
@@ -286,7 +286,7 @@ def _pulse(name: str, time: Array, force: Array, noise: float, bridged_s: float)
     last = strong[place + upper[0]] if upper.size else strong[-1]
     near = np.flatnonzero(force > 0.8 * peak)
     near = near[(near >= first) & (near <= last)]
-    if near.size >= 6 and noise > 0.005 * peak:  # the largest of noisy samples is too large
+    if near.size >= 6 and noise > 0.005 * peak:  # the maximum of noisy samples is biased
         t = time[near] - time[at]
         bend = np.polyfit(t, force[near], 2)
         if bend[0] < 0.0:
@@ -297,11 +297,11 @@ def _pulse(name: str, time: Array, force: Array, noise: float, bridged_s: float)
     dominated = force.min() < -_DOMINATED * peak
     if dominated:
         notes.append(
-            f"{name}: the force swings to {float(force.min()):.3g} N after {peak:.3g} N: the sensor's "
-            "mounting rings, peak and duration of the contact are unknown"
+            f"{name}: the force swings from {peak:.3g} N to {float(force.min()):.3g} N: the sensor's "
+            "mounting rings, so peak and duration of the contact are unknown"
         )
     elif rings:
-        notes.append(f"{name}: the force swings to the other side (a sensor or frame that rings)")
+        notes.append(f"{name}: the force swings to the other sign: the sensor or the frame rings")
     return _ForcePulse(
         None if clipped or dominated else peak,
         None if rings or clipped else float(time[last] - time[first]) * 1.05,
@@ -313,29 +313,31 @@ def _pulse(name: str, time: Array, force: Array, noise: float, bridged_s: float)
 # --- accelerometer --------------------------------------------------------------------------------------
 
 
-def _of_accelerometer(trial: Trial, mass_kg: float) -> MeasuredImpact:
-    """A drop as an accelerometer along the normal feels it: rest, fall, pulse, flight, next pulse."""
+def _measure_accelerometer(trial: Trial, mass_kg: float) -> MeasuredImpact:
+    """Measure a drop from an accelerometer along the normal: rest, fall, pulse, flight, next pulse."""
     if trial.acceleration_m_s2 >= 0.0:
         raise InputError(
-            "an accelerometer alone does not tell how fast a wall is hit: it needs normal_m or normal_m_s, "
-            "or --drop",
+            "an accelerometer alone does not give the impact speed at a wall; record normal_m or normal_m_s, "
+            "or use --drop",
             source=trial.name,
         )
     time, value = trial.series["specific_force_m_s2"]
     if time.size < 50:
         raise InputError(f"{time.size} samples are too few for an impact", source=trial.name)
     noise = noise_of(Series(time, value))
-    begun = _first_pulse(time, value, noise, trial.name)
-    level, noise = _weightless_level(time, value, begun, noise, trial.name)
-    felt, largest = value - level, float(value.max())
+    pulse_at = _find_pulse(time, value, noise, trial.name)
+    level, noise = _weightless_level(time, value, pulse_at, noise, trial.name)
+    reading, largest = value - level, float(value.max())
     notes = []
     if abs(level) > _WEIGHTLESS_M_S2:
         notes.append(f"{trial.name}: {level:.1f} m/s² before the impact is not free fall")
-    begin_at, end_at = _extent_of_pulse(time, felt, begun, noise, max(_FELT * noise, 0.05 * largest))
+    begin_at, end_at = _extent_of_pulse(
+        time, reading, pulse_at, noise, max(_DETECTED * noise, 0.05 * largest)
+    )
     inside = slice(max(begin_at - 1, 0), end_at + 2)
-    pulse = _pulse(trial.name, time[inside], mass_kg * felt[inside], mass_kg * noise, _BRIDGED_S)
-    speed, sd = _speed_of_fall(trial, _fall(time, felt, begin_at, noise), notes)
-    out = _bounce(time, felt, end_at, max(_FELT * noise, 0.03 * largest))
+    pulse = _pulse(trial.name, time[inside], mass_kg * reading[inside], mass_kg * noise, _BRIDGED_S)
+    speed, sd = _speed_of_fall(trial, _fall(time, reading, begin_at, noise), notes)
+    out = _bounce(time, reading, end_at, max(_DETECTED * noise, 0.03 * largest))
     if out is not None and out > speed:
         notes.append(f"{trial.name}: the time to the next contact is longer than any rebound takes")
         out = None
@@ -361,10 +363,10 @@ def _of_accelerometer(trial: Trial, mass_kg: float) -> MeasuredImpact:
     )
 
 
-def _first_pulse(time: Array, value: Array, noise: float, name: str) -> int:
-    """The first sample of a pulse out of free fall; of any strong pulse where nothing falls freely before.
+def _find_pulse(time: Array, value: Array, noise: float, name: str) -> int:
+    """Return the first sample of a pulse after free fall, or of any strong pulse without free fall.
 
-    A vehicle that is held feels 1 g, which a soft drop hardly exceeds: what comes before tells them apart.
+    A soft drop hardly exceeds the 1 g of a vehicle that is held, so the samples before the pulse decide.
     """
     largest = float(value.max())
     strong = np.flatnonzero(value > max(0.1 * largest, 15.0 * noise))
@@ -377,23 +379,26 @@ def _first_pulse(time: Array, value: Array, noise: float, name: str) -> int:
     return int(strong[0])
 
 
-def _weightless_level(time: Array, value: Array, begun: int, noise: float, name: str) -> tuple[float, float]:
-    """What the sensor reads in free fall, where it should feel nothing, and its noise there."""
-    calm = (time > time[begun] - 0.12) & (time < time[begun] - 0.01)
+def _weightless_level(
+    time: Array, value: Array, pulse_at: int, noise: float, name: str
+) -> tuple[float, float]:
+    """Return the sensor's reading in free fall, ideally 0, and its noise there."""
+    calm = (time > time[pulse_at] - 0.12) & (time < time[pulse_at] - 0.01)
     if calm.sum() < 8:
         raise InputError("the recording begins too late: no free fall before the impact", source=name)
     level = float(np.median(value[calm]))
     return level, max(noise, deviation_of(value[calm] - level))
 
 
-def _extent_of_pulse(time: Array, felt: Array, begun: int, noise: float, loud: float) -> tuple[int, int]:
-    """First and last sample of the contact, which lasts until the pulse pauses for longer than between a
-    corner and the rest."""
-    begin_at = end_at = begun
-    while begin_at > 0 and abs(felt[begin_at - 1]) > 4.0 * noise:
+def _extent_of_pulse(
+    time: Array, reading: Array, pulse_at: int, noise: float, loud: float
+) -> tuple[int, int]:
+    """Return the first and last sample of the contact, which may pause between its first and last corner."""
+    begin_at = end_at = pulse_at
+    while begin_at > 0 and abs(reading[begin_at - 1]) > 4.0 * noise:
         begin_at -= 1
-    for i in np.flatnonzero(np.abs(felt) > loud):
-        if i <= begun:
+    for i in np.flatnonzero(np.abs(reading) > loud):
+        if i <= pulse_at:
             continue
         if time[i] - time[end_at] > _BRIDGED_S:
             break
@@ -402,11 +407,11 @@ def _extent_of_pulse(time: Array, felt: Array, begun: int, noise: float, loud: f
 
 
 def _speed_of_fall(trial: Trial, fall_s: float | None, notes: list[str]) -> tuple[float, float]:
-    """Speed at the ground and its deviation, by the height where that is known, else by how long it fell."""
+    """Return the speed at the ground and its standard deviation, from the known height or the fall time."""
     height = trial.height_m
     if height is None and fall_s is None:
         raise InputError(
-            "how fast it falls is not known: give --drop HEIGHT, or record the release", source=trial.name
+            "the speed of the fall is unknown: give --drop HEIGHT, or record the release", source=trial.name
         )
     if height is None:
         assert fall_s is not None
@@ -429,10 +434,10 @@ def _smooth(value: Array, n: int) -> Array:
     return result
 
 
-def _fall(time: Array, felt: Array, begin_at: int, noise: float) -> float | None:
-    """How long it was weightless before the contact; None where the recording does not show it held."""
+def _fall(time: Array, reading: Array, begin_at: int, noise: float) -> float | None:
+    """Return the duration of free fall before the contact; None if the release was not recorded."""
     step = float(np.median(np.diff(time[: begin_at + 1]))) if begin_at > 2 else 1e-3
-    smooth = _smooth(felt[:begin_at], max(int(0.01 / step), 1))
+    smooth = _smooth(reading[:begin_at], max(int(0.01 / step), 1))
     held = np.flatnonzero(smooth > 0.5 * GRAVITY_M_S2)
     held = held[time[held] < time[begin_at] - 0.05]
     if not held.size or smooth[max(held[-1] - int(0.05 / step), 0) : held[-1]].mean() < 0.6 * GRAVITY_M_S2:
@@ -440,15 +445,15 @@ def _fall(time: Array, felt: Array, begin_at: int, noise: float) -> float | None
     return float(time[begin_at] - time[held[-1]])
 
 
-def _bounce(time: Array, felt: Array, end_at: int, threshold: float) -> float | None:
-    """Rebound speed from the flight to the next contact; None without one, or where it is no free flight."""
-    later = np.flatnonzero((np.abs(felt) > threshold) & (time > time[end_at] + _BRIDGED_S))
+def _bounce(time: Array, reading: Array, end_at: int, threshold: float) -> float | None:
+    """Return the rebound speed from the time to the next contact; None without one or without free flight."""
+    later = np.flatnonzero((np.abs(reading) > threshold) & (time > time[end_at] + _BRIDGED_S))
     if not later.size:
         return None
     duration = float(time[later[0]] - time[end_at])
     between = (time > time[end_at] + 0.3 * duration) & (time < time[later[0]] - 0.1 * duration)
     if duration < _SHORTEST_FLIGHT_S or between.sum() < 5:
         return None
-    if abs(float(np.mean(felt[between]))) > _WEIGHTLESS_M_S2:
+    if abs(float(np.mean(reading[between]))) > _WEIGHTLESS_M_S2:
         return None
     return 0.5 * GRAVITY_M_S2 * duration

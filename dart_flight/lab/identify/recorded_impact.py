@@ -1,4 +1,4 @@
-"""The search for the impact in a recording of any length, and the reasons to refuse one."""
+"""The search for the impact in a recording of any length, and the rejection of unusable recordings."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ from dart_flight.config.document import InputError
 from dart_flight.contact.coefficients import Array
 from dart_flight.lab.identify.trials import Series, Trial
 
-_LONGEST_STEP_S = 0.03  # of sampling: the shortest contacts take 0.05 s
+_LONGEST_STEP_S = 0.03  # sampling interval; the shortest contacts last 0.05 s
 _FASTEST_M_S = 15.0
 _DEEPEST_M = 0.4
 _SLOWEST_M_S = 0.05
-_TURN_M_S2 = 1.2  # least mean acceleration of a turn that is an impact
-_NEAREST_M = 0.08  # the turning point of an impact lies at most this far before the assumed plane
+_TURN_M_S2 = 1.2  # smallest mean acceleration of an impact's turn
+_NEAREST_M = 0.08  # largest distance of an impact's turning point in front of the assumed plane
 
 
 class TrialImpact(NamedTuple):
-    """Where the impact is in a recording, roughly: what a fit starts from.
+    """The approximate impact in a recording, from which a fit starts.
 
     Attributes:
-        turn_s: the normal velocity changes its sign.
-        approach_m_s: normal velocity before it (negative).
-        rebound_m_s: normal velocity after it.
+        turn_s: time at which the normal velocity changes its sign.
+        approach_m_s: normal velocity before the turn (negative).
+        rebound_m_s: normal velocity after the turn.
         deepest_m: position at the turn.
         noise_m: standard deviation of the position samples.
     """
@@ -38,10 +38,10 @@ class TrialImpact(NamedTuple):
 
 
 def refuse_unusable(trial: Trial) -> None:
-    """Refuse samples that no impact could be read from.
+    """Reject samples in which no impact can be measured.
 
     Raises:
-        InputError: name and reason.
+        InputError: the samples are unusable; the error names the trial and the reason.
     """
     for name, series in trial.series.items():
         if series.time_s.size > 1 and not (np.diff(series.time_s) > 0.0).all():
@@ -64,7 +64,7 @@ def refuse_unusable(trial: Trial) -> None:
 
 
 def _slopes(time: Array, value: Array, half_s: float) -> Array:
-    """Slope of the straight line through the samples within `half_s` of each sample."""
+    """Return the slope of the straight line through the samples within `half_s` of each sample."""
     first = np.searchsorted(time, time - half_s)
     last = np.searchsorted(time, time + half_s, side="right")
     t, x = time - time.mean(), value - value.mean()
@@ -75,10 +75,10 @@ def _slopes(time: Array, value: Array, half_s: float) -> Array:
 
 
 def find_impact(trial: Trial) -> TrialImpact:
-    """The first strong turn from approaching to leaving in a recording of any length.
+    """Find the first strong turn from approach to departure in a recording of any length.
 
     Raises:
-        InputError: there is none, or position or speed cannot be those of an impact in metres and seconds.
+        InputError: there is no impact, or its position or speed is implausible in metres and seconds.
     """
     refuse_unusable(trial)
     time, value = trial.normal
@@ -86,7 +86,7 @@ def find_impact(trial: Trial) -> TrialImpact:
     speed = _slopes(time, value, max(0.012, 2.5 * step))
     candidates = np.flatnonzero((speed[:-1] < 0.0) & (speed[1:] >= 0.0)) + 1
     found: list[TrialImpact] = []
-    reach = 0.12  # to either side: more than half of the longest contact
+    reach = 0.12  # on either side; more than half of the longest contact
     for i in candidates:
         at = float(time[i])
         before = (time >= at - reach) & (time < at)
@@ -102,7 +102,7 @@ def find_impact(trial: Trial) -> TrialImpact:
     if not found:
         raise InputError("no impact found: no quick turn from approaching to leaving", source=trial.name)
     strongest = max(turn.rebound_m_s - turn.approach_m_s for turn in found)
-    # The first of the strong ones: later ones are bounces, and noise makes several of one.
+    # Later strong turns are bounces, and noise splits one turn into several.
     begun = next(t for t in found if t.rebound_m_s - t.approach_m_s >= 0.6 * strongest)
     same = [t for t in found if abs(t.turn_s - begun.turn_s) < 0.04]
     impact = min(same, key=lambda t: t.deepest_m)
@@ -128,7 +128,7 @@ def find_impact(trial: Trial) -> TrialImpact:
 
 
 def _line_slope(time: Array, value: Array, impact: TrialImpact) -> float:
-    """Approach velocity as the median slope between samples (Theil and Sen): bears a third of outliers."""
+    """Return the approach velocity as the median slope (Theil and Sen), robust to a third of outliers."""
     straight = (time > impact.turn_s - 0.25) & (time < impact.turn_s - 0.07)
     t, x = time[straight][-200:], value[straight][-200:]
     apart = t[None, :] - t[:, None] > 0.03
@@ -139,12 +139,12 @@ def _line_slope(time: Array, value: Array, impact: TrialImpact) -> float:
 
 
 def deviation_of(errors: Array) -> float:
-    """Return the standard deviation from the median size of errors, which ignores outliers."""
+    """Return the standard deviation estimated from the median absolute error, which ignores outliers."""
     return max(1.4826 * float(np.median(np.abs(errors))), 1e-9)
 
 
 def noise_of(series: Series) -> float:
-    """Standard deviation of white noise on smooth motion, from third differences (evenly sampled)."""
+    """Return the standard deviation of white noise on smooth motion, from third differences."""
     if series.value.size < 8:
         return 1e-3
     third = np.diff(series.value, 3)
@@ -154,9 +154,9 @@ def noise_of(series: Series) -> float:
 def free_spans_s(
     acceleration_m_s2: float, speed_in_m_s: float, speed_out_m_s: float, longest_s: tuple[float, float]
 ) -> tuple[float, float]:
-    """Return how long before and after its contact a vehicle flies freely, at most `longest_s` each.
+    """Return the duration of free flight before and after a contact, at most `longest_s` each.
 
-    A drop is free fall only from its release on, and after the rebound only until the next contact.
+    A drop is in free fall only from its release, and after the rebound only until the next contact.
     """
     if acceleration_m_s2 >= 0.0:
         return longest_s

@@ -1,13 +1,13 @@
-"""The residuals of a law at the samples of trials: one parameter vector for all trials of a call.
+"""The residuals of the law at the samples of all trials of a call, with one parameter vector.
 
-All trials share one plane, whose position is known to a centimetre or two and estimated along; all trials of
-a mode share its coefficients; every trial has its own onset time and approach velocity, and where it has both
-positions and forces, its own delay between their clocks. The law is the paper's, in its closed form in time
+All trials share one plane, whose position is known to one or two centimetres and estimated as well. All
+trials of a mode share its coefficients. Every trial has its own onset time and approach velocity, and a clock
+delay if it has both positions and forces. The law is the paper's closed form in time
 (`dart_flight.lab.predict.path`): free flight, contact, free flight.
 
-In real flights the controller pushes before and after a wall contact. Where the recordings show such
-curvature, every wall hit gets constant accelerations of its own, one before, one in and one after the
-contact, unknown like the rest; where they do not, straight flight is assumed, which tells more.
+In real flights the controller accelerates the vehicle before and after a wall contact. If the recordings show
+such curvature, every wall hit gets three unknown constant accelerations: before, in and after the contact.
+Otherwise straight flight is assumed, which determines more.
 """
 
 from __future__ import annotations
@@ -29,24 +29,24 @@ from dart_flight.lab.identify.trials import Trial
 from dart_flight.lab.identify.windows import cut, weigh
 from dart_flight.lab.predict.path import ContactMotion
 
-_PLANE_SD_M = 0.015  # how well the position of the plane is known beforehand
+_PLANE_SD_M = 0.015  # prior standard deviation of the plane's position
 _PUSH_SD_M_S2 = 5.0
 PUSHES = ("before", "after")
-# The controller leans otherwise once it feels the wall: by this much, standard deviation, over a contact
-# that is shorter than its own lag. Positions alone could not tell that from stiffness.
+# Standard deviation of the controller's change in contact, which is shorter than its lag. Positions alone
+# cannot separate this change from stiffness.
 _PUSH_CHANGE_SD_M_S2 = 1.0
 _DELAY_SD_S = 0.01  # between the clocks of positions and forces
-_FREE_S = (0.25, 0.15)  # free flight used before and after a wall contact: later the recovery acts
-_ENOUGH_TRIALS = 5  # of a call, from which whole trials are drawn
-_STRETCH = 12  # samples of free flight drawn together; a contact is drawn in thirds
-# Deviation assumed before the residuals tell: the order in which the channels then count does not matter.
+_FREE_S = (0.25, 0.15)  # free flight used before and after a wall contact; later the recovery acts
+_ENOUGH_TRIALS = 5  # trials of a call from which whole trials are resampled
+_STRETCH = 12  # samples of free flight resampled together; a contact is resampled in thirds
+# Initial standard deviations of the channels, replaced by those of the residuals.
 _FIRST_SD = {
     "normal_m_s": 0.05, "normal_force_n": 2.0, "tangential_m_s": 0.05, "tangential_force_n": 2.0,
 }  # fmt: skip
 
 
 class Parameters:
-    """Names the entries of the parameter vector."""
+    """The layout of the parameter vector."""
 
     def __init__(self, trials: Sequence[Trial], pushed: bool) -> None:
         self.modes = list(dict.fromkeys(trial.mode for trial in trials))
@@ -69,16 +69,16 @@ class Parameters:
             self.size += len(names)
 
     def of_mode(self, mode: str) -> dict[str, int]:
-        """Where k and f (by their logarithm), mu and nu of a mode are."""
+        """Return the indices of k and f (logarithms), mu and nu of a mode."""
         first = 1 + 4 * self.modes.index(mode)
         return {name: first + i for i, name in enumerate(("k", "f", "mu", "nu"))}
 
     def of_trial(self, i: int, mode: str) -> list[int]:
-        """Everything that trial i depends on."""
+        """Return the indices of everything that trial i depends on."""
         return [0, *self.of_mode(mode).values(), *self.own[i].values()]
 
 
-@functools.lru_cache(maxsize=64)  # most parameters that a Jacobian tries leave the contact as it is
+@functools.lru_cache(maxsize=64)  # most parameters of a Jacobian do not change the contact
 def _contact(
     log_k: float, log_f: float, mu: float, speed: float, acceleration: float, mass_kg: float, onset: Onset
 ) -> ContactMotion:
@@ -88,7 +88,7 @@ def _contact(
 
 
 def _shape(contact: ContactMotion, name: str, time_s: Array) -> Array:
-    """What the contact makes of a channel at times since the onset."""
+    """Return the contribution of the contact to a channel at times since the onset."""
     if name.startswith("normal"):
         return contact.normal(time_s)[("normal_m", "normal_m_s", "normal_force_n").index(name)]
     if name == "vertical_m":
@@ -102,9 +102,9 @@ class SampleFit:
     """The `LawProblem` of the samples of trials that show the contact.
 
     Args:
-        trials: with positions.
-        hits: of the trials, in their order.
-        mass_kg, onset: as `identify`.
+        trials: trials with positions.
+        hits: hits of the trials, in the same order.
+        mass_kg, onset: as for `identify`.
         pushed: whether accelerations in free flight are unknown too.
     """
 
@@ -130,12 +130,12 @@ class SampleFit:
 
     @staticmethod
     def _free_s(trial: Trial, speed_in_m_s: float, speed_out_m_s: float) -> tuple[float, float]:
-        """How much free flight before and after the contact is fitted."""
+        """Return the duration of free flight before and after the contact that is fitted."""
         longest = (_FREE_S[0], _FREE_S[0]) if trial.acceleration_m_s2 < 0.0 else _FREE_S
         return free_spans_s(trial.acceleration_m_s2, speed_in_m_s, speed_out_m_s, longest)
 
     def contact(self, theta: Array, i: int) -> ContactMotion:
-        """The contact of trial i under a parameter vector."""
+        """Return the contact of trial i under a parameter vector."""
         shared, own = self.parameters.of_mode(self.trials[i].mode), self.parameters.own[i]
         law = (float(theta[shared[name]]) for name in ("k", "f", "mu"))
         push = float(theta[own["n_in"]]) if "n_in" in own else 0.0
@@ -143,7 +143,7 @@ class SampleFit:
         return _contact(*law, float(theta[own["speed"]]), push, self.mass_kg, self.onset)
 
     def predict(self, theta: Array, i: int) -> dict[str, Array]:
-        """The model at the samples of trial i, by channel."""
+        """Return the model at the samples of trial i, by channel."""
         shared, own = self.parameters.of_mode(self.trials[i].mode), self.parameters.own[i]
         contact, onset = self.contact(theta, i), float(theta[own["onset"]])
         delay = float(theta[own["delay"]]) if "delay" in own else 0.0
@@ -167,22 +167,22 @@ class SampleFit:
 
     @staticmethod
     def _pushed(theta: Array, own: dict[str, int], name: str, since: Array, end_s: float) -> Array:
-        """What the controller's accelerations outside the contact add to a channel."""
+        """Return the contribution of the controller's accelerations outside the contact to a channel."""
         late, early = np.maximum(since - end_s, 0.0), np.minimum(since, 0.0)
         after, before = theta[own[f"{name[0]}_after"]], theta[own[f"{name[0]}_before"]]
-        if name.startswith("n"):  # the contact's own push is in its shape, before and after it as well
+        if name.startswith("n"):  # the contact's shape already includes its own acceleration
             after, before = after - theta[own["n_in"]], before - theta[own["n_in"]]
         if name.endswith("_s"):
             return np.asarray(after * late + before * early)
         return np.asarray(0.5 * (after * late * late + before * early * early))
 
     def block(self, theta: Array, i: int) -> Array:
-        """Weighted residuals of trial i."""
+        """Return the weighted residuals of trial i."""
         counts, errors = self.windows[i].counts, self.errors(theta, i)
         return np.concatenate([counts[name] * error / self.sd[name] for name, error in errors.items()])
 
     def prior(self, theta: Array) -> Array:
-        """The plane's position; and next to nothing on the coefficients, so that none is ever singular."""
+        """Return the residuals of the priors: the plane's position, and weak ones on the coefficients."""
         weak = []
         for mode in self.parameters.modes:
             at = self.parameters.of_mode(mode)
@@ -199,11 +199,11 @@ class SampleFit:
         return np.array([theta[0] / _PLANE_SD_M, *weak])
 
     def residuals(self, theta: Array) -> Array:
-        """All weighted residuals, those of the priors last."""
+        """Return all weighted residuals, those of the priors last."""
         return np.concatenate([self.block(theta, i) for i in range(len(self.trials))] + [self.prior(theta)])
 
     def jacobian(self, theta: Array) -> Array:
-        """Central differences; a trial is evaluated only for what it depends on."""
+        """Return the Jacobian by central differences; each trial is evaluated only for its own parameters."""
         blocks = []
         for i, trial in enumerate(self.trials):
             rows = self.block(theta, i).size
@@ -215,31 +215,31 @@ class SampleFit:
         return np.concatenate([*blocks, prior])
 
     def span(self, theta: Array, i: int) -> tuple[float, float, ContactMotion]:
-        """Onset and release of trial i by the law, in the recording's time, and its contact."""
+        """Return onset and release of trial i by the law, in the recording's time, and its contact."""
         contact = self.contact(theta, i)
         begin = float(theta[self.parameters.own[i]["onset"]])
         return begin, begin + (contact.end_s if math.isfinite(contact.end_s) else 0.3), contact
 
     def in_contact(self, theta: Array, i: int) -> int:
-        """Samples of trial i that show the contact's shape."""
+        """Return the number of samples of trial i that show the contact's shape."""
         begin, end, _ = self.span(theta, i)
         return self.trials[i].samples_between(begin, end)
 
     def errors(self, theta: Array, i: int) -> dict[str, Array]:
-        """Model less recording for trial i, by channel."""
+        """Return model minus recording for trial i, by channel."""
         return {
             name: predicted - self.windows[i].series[name].value
             for name, predicted in self.predict(theta, i).items()
         }
 
     def reweigh(self, theta: Array) -> None:
-        """Cut windows about the contacts as found, then weigh each channel by its residuals."""
+        """Cut windows around the fitted contacts, then weight each channel by its residuals."""
         names: dict[str, list[int]] = {}
         for i, trial in enumerate(self.trials):
             begin, end, contact = self.span(theta, i)
             out = float(contact.normal(end - begin)[1])
             before, after = self._free_s(trial, -contact.normal_m_s, out)
-            # What the recording itself shows as contact is contact, whatever the law makes of it.
+            # The contact includes the interval measured without the law.
             begin, end = min(begin, self.hits[i].begin_s), max(end, self.hits[i].end_s)
             window = self.windows[i] = cut(trial, begin - before, end + after)
             for name, series in window.series.items():
@@ -253,7 +253,7 @@ class SampleFit:
                 self.windows[i].counts[name][:] = weights
 
     def variance(self, theta: Array) -> float:
-        """Mean square of the residuals, more where they are correlated: a filter's samples tell less."""
+        """Return the mean square of the residuals, increased for correlated samples such as a filter's."""
         data = sum(int(sum((c > 0.0).sum() for c in window.counts.values())) for window in self.windows)
         misfit = sum(float(np.sum(self.block(theta, i) ** 2)) for i in range(len(self.trials)))
         squares, products, n = 0.0, 0.0, 0
@@ -264,12 +264,12 @@ class SampleFit:
                 squares += float(np.sum(e * e))
                 n += e.size
         rho = min(products / squares if squares > 0.0 else 0.0, 0.95)  # between neighbours
-        sure = rho - 2.0 / math.sqrt(n)  # what chance alone gives is no correlation
+        sure = rho - 2.0 / math.sqrt(n)  # correlation beyond chance
         correlated = (1.0 + rho) / (1.0 - rho) if sure > 0.0 else 1.0
         return max(misfit / max(data - self.parameters.size, 1), 1e-12) * correlated
 
     def drawn_together(self) -> list[NDArray[np.intp]]:
-        """Rows of whole trials; of few trials, of stretches of their channels."""
+        """Return the rows of whole trials; with few trials, rows of segments of their channels."""
         found: list[NDArray[np.intp]] = []
         row = 0
         for window in self.windows:
@@ -284,7 +284,7 @@ class SampleFit:
         return found
 
     def bounds(self) -> tuple[Array, Array]:
-        """Limits that no impact in question goes beyond: they keep the search where the data are."""
+        """Return bounds that contain every plausible impact and keep the search near the data."""
         low, high = np.full(self.parameters.size, -np.inf), np.full(self.parameters.size, np.inf)
         for mode in self.parameters.modes:
             at = self.parameters.of_mode(mode)
@@ -302,7 +302,7 @@ class SampleFit:
     # -- starting point --
 
     def start(self) -> Array:
-        """Approach lines from the samples before, coefficients from a coarse search."""
+        """Return a start: approach lines from the samples before, coefficients from a coarse search."""
         theta = np.zeros(self.parameters.size)
         for i, impact in enumerate(self.impacts):
             own = self.parameters.own[i]
@@ -340,7 +340,7 @@ class SampleFit:
         return float(offset), float(slope)
 
     def _place_onset(self, theta: Array, i: int) -> None:
-        """The onset time at which this contact turns when the recording does."""
+        """Set the onset so that the contact turns at the recorded time."""
         contact = self.contact(theta, i)
         end = contact.end_s if math.isfinite(contact.end_s) else 0.3
         t = np.linspace(0.0, end, 60)
@@ -352,5 +352,5 @@ class SampleFit:
         series = self.windows[i].series["normal_m"]
         since = series.time_s - theta[self.parameters.own[i]["onset"]]
         error = series.value - self.contact(theta, i).normal(since)[0]
-        # The plane may be off by centimetres: its part of the error is a constant.
+        # The plane may be wrong by centimetres, which adds a constant to the error.
         return float(np.mean(np.abs(error - np.median(error))))

@@ -1,9 +1,9 @@
-"""The one solver of all fits of the law, and the intervals of what it finds.
+"""The solver of all fits of the law, and the intervals of its unknowns.
 
-A fit states a `LawProblem`; `descend` solves it, and `half_widths` returns the intervals of its unknowns,
-which hold even if the law is wrong. Every unknown has two deviations. The statistical one follows from the
-information of data and priors and holds if the law is right. The resampled one is how much the estimate would
-move with other data, to first order. The interval follows the resampled one if it is wider by more than
+A fit defines a `LawProblem`; `descend` solves it, and `half_widths` returns the intervals of its unknowns,
+which hold even if the law is wrong. Every unknown has two standard deviations. The statistical one follows
+from the information of data and priors and holds if the law is right. The resampled one is the change of the
+estimate with other data, to first order. The interval follows the resampled one if it is wider by more than
 chance.
 """
 
@@ -21,7 +21,7 @@ from dart_flight.contact.coefficients import Array
 from dart_flight.lab.identify.estimates import Estimate
 from dart_flight.lab.statistics import Z95, student_t
 
-LOWEST_K, HIGHEST_K, LOWEST_F, HIGHEST_F = 10.0, 1e6, 1e-3, 1e4  # what is searched, N/m and N s/m
+LOWEST_K, HIGHEST_K, LOWEST_F, HIGHEST_F = 10.0, 1e6, 1e-3, 1e4  # search range, N/m and N s/m
 _AT_BOUND = 1e-3  # of a logarithm
 _BY_CHANCE = 1.3
 
@@ -51,7 +51,7 @@ class LawProblem(Protocol):
 
 
 def descend(problem: LawProblem, theta: Array, losses: Sequence[str]) -> Array:
-    """Minimise with each loss in turn, and weigh the data between two of them.
+    """Minimise with each loss in turn, and reweight the data between them.
 
     Raises:
         InputError: SciPy is missing.
@@ -73,7 +73,7 @@ def descend(problem: LawProblem, theta: Array, losses: Sequence[str]) -> Array:
 
 
 def difference(theta: Array, j: int, function: Callable[[Array], Array]) -> Array:
-    """Return the derivative by unknown `j`, by central differences."""
+    """Return the derivative with respect to unknown `j`, by central differences."""
     h = 1e-6 * max(1.0, abs(float(theta[j])))
     up, down = theta.copy(), theta.copy()
     up[j] += h
@@ -83,7 +83,7 @@ def difference(theta: Array, j: int, function: Callable[[Array], Array]) -> Arra
 
 
 def covariance(jacobian: Array) -> Array:
-    """Return the covariance of all unknowns: the inverse information of data and priors."""
+    """Return the covariance of all unknowns, the inverse information of data and priors."""
     scale = np.sqrt(np.sum(jacobian**2, axis=0))
     scale[scale == 0.0] = 1.0
     inverse = np.linalg.pinv((jacobian / scale).T @ (jacobian / scale), rcond=1e-14, hermitian=True)
@@ -96,8 +96,7 @@ def half_widths(problem: LawProblem, theta: Array) -> Array:
     jacobian, residuals = problem.jacobian(theta), problem.residuals(theta)
     inverse = covariance(jacobian)
     statistical = Z95 * np.sqrt(np.diag(inverse) * problem.variance(theta))
-    # Drawing blocks with replacement moves the estimate by the sum of their scores times the inverse
-    # information: this is the variance of that sum.
+    # Resampling blocks changes the estimate by the sum of their scores times the inverse information.
     scores = np.stack([jacobian[rows].T @ residuals[rows] for rows in problem.drawn_together()])
     n = len(scores)
     moved = (scores - scores.mean(axis=0)) @ inverse
@@ -109,20 +108,20 @@ def half_widths(problem: LawProblem, theta: Array) -> Array:
 def stiffness_and_damping(
     logs: Array, halves: Array, widest: float
 ) -> tuple[dict[str, Estimate | None], list[str]]:
-    """Return k and f from their logarithms and the half widths of these, and a note for each unknown one.
+    """Return k and f from their logarithms and half widths, and a note for each unknown coefficient.
 
     Args:
-        logs, halves: of k and f, each (2,).
-        widest: half width of a logarithm from which a coefficient is unknown.
+        logs, halves: logarithms and half widths of k and f, each (2,).
+        widest: half width of a logarithm from which a coefficient counts as unknown.
     """
     found: dict[str, Estimate | None] = {"k": None, "f": None}
     notes = []
     bounds = ((LOWEST_K, HIGHEST_K), (LOWEST_F, HIGHEST_F))
     for name, (lowest, highest), log, half in zip(found, bounds, logs.tolist(), halves.tolist(), strict=True):
         if not math.log(lowest) + _AT_BOUND <= log <= math.log(highest) - _AT_BOUND:
-            notes.append(f"{name} is at a bound of the search ({math.exp(log):.3g}) and not known")
+            notes.append(f"{name} is at a bound of the search ({math.exp(log):.3g}) and unknown")
         elif half >= widest:
-            notes.append(f"{name} cannot be told from these trials")
+            notes.append(f"{name} cannot be determined from these trials")
         else:
             found[name] = Estimate(*(math.exp(v) for v in (log, log - half, log + half)))
     return found, notes

@@ -1,7 +1,7 @@
-"""Restitution, ratio along the wall and friction, from the speeds before and after hits alone.
+"""Restitution, tangential ratio and friction from the speeds before and after hits.
 
-Intervals come from the spread of the hits, with Student's factor for few, and are never narrower than the
-measurement of the speeds allows.
+Intervals follow from the spread of the hits, with Student's factor for few hits. They are never narrower than
+the uncertainty of the speeds allows.
 """
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ from dart_flight.lab.identify.estimates import Estimate
 from dart_flight.lab.identify.measured_impacts import MeasuredImpact
 from dart_flight.lab.statistics import Z95, student_t
 
-_MIN_ALONG_M_S = 0.1  # along the wall, below which a ratio says nothing
+_MIN_ALONG_M_S = 0.1  # speed along the wall required for a ratio
 
 
 def _ratio(
     shares: Array, deviations: Array, least: float = -math.inf, most: float = math.inf
 ) -> Estimate | None:
-    """Median of ratios with a 95 % interval: of their spread, at least of their measurement.
+    """Return the median of ratios with a 95 % interval from their spread, or their uncertainty if larger.
 
-    Value and interval are kept between the least and the most that the ratio can be.
+    Value and interval are clipped to the limits `least` and `most`.
     """
     n = shares.size
     if not n:
@@ -39,7 +39,7 @@ def _ratio(
 
 
 def restitution(hits: Sequence[MeasuredImpact]) -> Estimate | None:
-    """Normal speed out over normal speed in; in a drop at the height of first touch."""
+    """Return outgoing over incoming normal speed; in a drop, at the height of first touch."""
     known = [(h, h.normal_out_m_s) for h in hits if h.normal_out_m_s is not None]
     shares = np.array([out / h.normal_in_m_s for h, out in known])
     sds = np.array(
@@ -51,7 +51,7 @@ def restitution(hits: Sequence[MeasuredImpact]) -> Estimate | None:
     return _ratio(shares, sds, 0.0, 1.0)
 
 
-def _along(hits: Sequence[MeasuredImpact]) -> Iterator[tuple[MeasuredImpact, float, float]]:
+def _sliding_hits(hits: Sequence[MeasuredImpact]) -> Iterator[tuple[MeasuredImpact, float, float]]:
     """Yield the hits that move along the wall, with their velocity before and after."""
     for h in hits:
         before, after = h.tangential_in_m_s, h.tangential_out_m_s
@@ -62,22 +62,25 @@ def _along(hits: Sequence[MeasuredImpact]) -> Iterator[tuple[MeasuredImpact, flo
 
 
 def tangential_ratio(hits: Sequence[MeasuredImpact]) -> Estimate | None:
-    """Velocity along the wall after a hit over that before; None where none of them moves along it.
+    """Return the velocity along the wall after a hit over that before, or None if no hit moves along the
+    wall.
 
-    Below 0 where the vehicle comes back along the wall.
+    The ratio is negative if the vehicle reverses along the wall.
     """
-    told = [(after / before, 1.5 * h.sd_tangential_m_s / abs(before)) for h, before, after in _along(hits)]
-    shares, deviations = np.array(told).reshape(-1, 2).T
+    pairs = [
+        (after / before, 1.5 * h.sd_tangential_m_s / abs(before)) for h, before, after in _sliding_hits(hits)
+    ]
+    shares, deviations = np.array(pairs).reshape(-1, 2).T
     return _ratio(shares, deviations)
 
 
 def friction(hits: Sequence[MeasuredImpact]) -> Estimate | None:
-    """The paper's mu from speeds alone: ln(in/out) along the wall is mu times the normal speed's change."""
-    told = []
-    for h, before, after in _along(hits):
+    """Return the paper's mu from speeds: ln(in/out) along the wall over the change of normal speed."""
+    pairs = []
+    for h, before, after in _sliding_hits(hits):
         if h.normal_out_m_s is not None and after / before > 0.05:
             change = h.normal_in_m_s + h.normal_out_m_s
-            told.append((math.log(before / after) / change, 1.5 * h.sd_tangential_m_s / abs(after) / change))
-    shares, deviations = np.array(told).reshape(-1, 2).T
+            pairs.append((math.log(before / after) / change, 1.5 * h.sd_tangential_m_s / abs(after) / change))
+    shares, deviations = np.array(pairs).reshape(-1, 2).T
     estimate = _ratio(shares, deviations, 0.0)
     return None if estimate is None or estimate.value <= 0.0 else estimate

@@ -1,4 +1,4 @@
-"""Synthetic trials with sensor noise: what a laboratory would record of known coefficients."""
+"""Synthetic trials with sensor noise, as a laboratory would record them, from known coefficients."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ MASS_KG = 1.3
 
 
 def _sampled(begin: float, end: float, rate_hz: float, random: np.random.Generator) -> Array:
-    """Sample times of a camera that knows nothing of the impact: any phase."""
+    """Return the sample times of a camera with a random phase."""
     return np.arange(begin + random.uniform(0.0, 1.0 / rate_hz), end, 1.0 / rate_hz)
 
 
@@ -41,20 +41,20 @@ def wall_trial(
     before_s: float = 0.5,
     after_s: float = 0.25,
 ) -> Trial:
-    """One wall hit as motion capture sees it.
+    """Return one wall hit as motion capture records it.
 
     Args:
         c: true coefficients.
         normal_m_s: normal velocity at the onset (negative).
-        random: where the noise comes from.
+        random: source of the noise.
         onset: onset rule of the truth.
-        tangential_m_s: velocity along the wall; None records the normal only.
-        rate_hz, noise_m: of the pose.
-        plane_m: where the plane lies in the recording.
-        with_vertical: record the height too.
-        force_noise_n: record the normal force with this noise; None does not.
-        mode, name: of the trial.
-        before_s, after_s: recorded before and after the contact.
+        tangential_m_s: velocity along the wall; None records only the normal.
+        rate_hz, noise_m: rate and noise of the pose.
+        plane_m: position of the plane in the recording.
+        with_vertical: whether to record the height too.
+        force_noise_n: noise of the recorded normal force; None records no force.
+        mode, name: mode and name of the trial.
+        before_s, after_s: recorded time before and after the contact.
     """
     contact = ContactMotion(c, MASS_KG, normal_m_s, onset)
     t = _sampled(-before_s, contact.end_s + after_s, rate_hz, random)
@@ -88,9 +88,9 @@ def drop_trial(
     name: str = "drop",
     held_s: float = 0.3,
 ) -> Trial:
-    """One drop as a high-speed camera sees it: held, released, in contact, rebounding to its apex.
+    """Return one drop as a high-speed camera records it: held, released, in contact, rebounding to its apex.
 
-    Arguments as `wall_trial`; `held_s` is how long the recording shows it held before the release.
+    The arguments are those of `wall_trial`; `held_s` is the recorded time before the release.
     """
     numbers = drop(c, MASS_KG, height_m, onset)
     contact = ContactMotion(c, MASS_KG, -numbers.onset_speed_m_s, onset, acceleration_m_s2=-GRAVITY_M_S2)
@@ -109,7 +109,7 @@ def drop_trial(
 
 
 def write_csv(trial: Trial, path: Path) -> None:
-    """Write a trial in the format `dart-flight identify` reads (all series at the same times)."""
+    """Write a trial in the format that `dart-flight identify` reads (all series at the same times)."""
     with path.open("w", newline="") as file:
         writer = csv.writer(file)
         writer.writerow(["time_s", *trial.series])

@@ -1,8 +1,9 @@
-"""What recordings of a kind are off by, however many there are: by that the intervals are widened.
+"""Widening of intervals by the systematic errors of a kind of recording, which more data do not reduce.
 
-A vehicle that turns while it touches slides at its guards faster or slower than at its centre. The law is a
-point's, its friction goes with the centre's velocity, and flights of one speed cannot tell a lever
-(docs/results/real_data.md); so the coefficient is said with what turning may make of it.
+If a vehicle turns during the contact, its guards slide faster or slower than its centre. The law describes a
+point, its friction depends on the centre's velocity, and flights at one speed do not determine a lever arm
+(docs/results/real_data.md). The interval of the coefficient therefore includes the possible effect of the
+rotation.
 """
 
 from __future__ import annotations
@@ -14,27 +15,27 @@ from dart_flight.lab.identify.estimates import Estimate
 from dart_flight.lab.identify.measured_impacts import MeasuredImpact
 from dart_flight.lab.identify.trials import Trial
 
-# Of what turning at its largest rate makes the vehicle's edge slide, over the centre's velocity: by so much
-# the guards slide otherwise, at most (docs/results/flight_identification.md).
+# Largest change of the guards' sliding speed, relative to the edge's speed at the largest turn rate
+# (docs/results/flight_identification.md).
 _OF_TURNING = 0.75
 _MAX = 0.8
-_K_OF_TURNING = 0.03  # turning presses one guard deeper than the other: k is lower there, by up to 6 %
-_TURNS = 0.1  # from this share on it is said
+_K_OF_TURNING = 0.03  # rotation loads one guard more than the other, which lowers k by up to 6 %
+_TURNS = 0.1  # ratio from which the rotation is reported
 
 
 def widen_intervals(
     found: dict[str, Estimate | None], trials: Sequence[Trial], hits: Sequence[MeasuredImpact]
 ) -> tuple[dict[str, Estimate | None], list[str]]:
-    """Coefficients with intervals as wide as recordings of this kind ask for, and what a reader should know.
+    """Return coefficients with intervals widened for this kind of recording, and notes.
 
     Args:
         found: k, f, mu, nu of one mode.
-        trials: they are from.
-        hits: of these trials, in their order.
+        trials: the trials they are fitted to.
+        hits: hits of these trials, in the same order.
     """
     shares = {name: max(trial.allowance.get(name, 0.0) for trial in trials) for name in found}
     notes = []
-    rate_rad_s = share = 0.0  # largest turn rate; largest speed of the guards by it over that along the wall
+    rate_rad_s = share = 0.0  # largest turn rate; largest ratio of guard speed to speed along the wall
     for trial, hit in zip(trials, hits, strict=True):
         if trial.flown is not None and trial.turn_rad_s is not None and hit.tangential_in_m_s:
             sliding = trial.turn_rad_s * trial.flown.config.airframe.contact_distance_m
@@ -47,15 +48,14 @@ def widen_intervals(
         if mu is not None:
             found = found | {"mu": Estimate(mu.value, mu.low / (1.0 + slides), mu.high / (1.0 - slides))}
         notes.append(
-            f"the vehicle turned by up to {math.degrees(rate_rad_s):.0f} deg/s in these contacts, and "
-            "the law is a point's, which does not turn: where it touched it slid up to "
-            f"{100.0 * slides:.0f} % slower or faster than its centre; mu is off by that, see its interval"
+            f"the vehicle turned at up to {math.degrees(rate_rad_s):.0f} deg/s in these contacts, so its "
+            f"guards slid up to {100.0 * slides:.0f} % slower or faster than its centre; the law has no "
+            "rotation, so the interval of mu is widened"
         )
     return {name: _widened(e, shares[name]) for name, e in found.items()}, notes
 
 
 def _widened(estimate: Estimate | None, share: float) -> Estimate | None:
-    """The interval with a share of the value added at both ends."""
     if estimate is None:
         return None
     more = share * abs(estimate.value)

@@ -1,4 +1,4 @@
-"""A plot of recordings and their fit. Needs matplotlib, the `report` extra."""
+"""A plot of recordings and their fit; requires matplotlib (extra `report`)."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from dart_flight.lab.identify.estimates import Identification
 from dart_flight.lab.identify.trials import Trial
 from dart_flight.lab.predict.path import ContactMotion
 
-_SETTLED_S = 0.5  # how much is drawn of a contact that never ends
+_SETTLED_S = 0.5  # plotted duration of a contact that never ends
 
 
 @in_style
 def plot_fit(
     path: str | Path, trials: Sequence[Trial], found: Identification, mass_kg: float, onset: Onset
 ) -> None:
-    """Recorded positions and the fit, one panel per trial (up to six), written to `path`.
+    """Plot recorded positions and the fit into `path`, one panel for each of up to six trials.
 
     Raises:
         InputError: matplotlib is missing, or the file cannot be written.

@@ -23,34 +23,34 @@ from dart_flight.lab.track import calibration_series_of
 from dart_flight.lab.ulog import open_ulog
 from dart_flight.recording.reader import read_log
 
-# One of these says that there is an impact at all.
+# A trial needs one of these to contain an impact.
 _ANY_OF = ("normal_m", "normal_m_s", "specific_force_m_s2", "normal_acceleration_m_s2")
 _TIME = "time_s"
-_AT_A_WALL = ("vertical_m", "tangential_force_n")  # of a drop not used
+_AT_A_WALL = ("vertical_m", "tangential_force_n")  # unused in a drop
 _UP = np.array([0.0, 0.0, -1.0])  # in NED
 _FARTHEST_M = 50.0
 
 
-def read_trials(path: str | Path, how: TrialReading) -> list[Trial]:
-    """The trials of a file.
+def read_trials(path: str | Path, reading: TrialReading) -> list[Trial]:
+    """Read the trials of a file.
 
     Args:
-        path: the file; its suffix chooses the reader.
-        how: how to read it.
+        path: the file; its suffix selects the reader.
+        reading: options for reading it.
 
     Raises:
-        InputError: the file cannot be read, its kind is unknown, or its content cannot be used.
+        InputError: the file cannot be read, its kind is unknown, or its content is invalid.
     """
     reader = READERS.get(Path(path).suffix.lower())
     if reader is None:
         refuse_other_kind(path, FileKind.TRIAL, FileKind.ULOG, FileKind.FLIGHT_LOG)
         raise InputError(f"unknown kind of trial, known: {', '.join(READERS)}", source=str(path))
-    trials = reader(Path(path), how)
+    trials = reader(Path(path), reading)
     for trial in trials:
         refuse_unusable(trial)
         if reader is read_csv:
             _refuse_millimetres(trial)
-    shift = how.contact_distance_m
+    shift = reading.contact_distance_m
     return [
         replace(
             trial,
@@ -63,22 +63,22 @@ def read_trials(path: str | Path, how: TrialReading) -> list[Trial]:
 
 
 def _refuse_millimetres(trial: Trial) -> None:
-    """Of numbers that a person has written; a log's are in metres, however far the flight led."""
+    """Reject implausibly large positions in a CSV file; logs are always in metres."""
     far = float(np.abs(trial.normal.value).max()) if "normal_m" in trial.series else 0.0
     if far > _FARTHEST_M:
-        says = f"positions up to {far:.0f} m: millimetres? the column is in metres"
-        raise InputError(says, source=trial.name, key=("normal_m",))
+        problem = f"positions up to {far:.0f} m: millimetres? the column must be in metres"
+        raise InputError(problem, source=trial.name, key=("normal_m",))
 
 
-def _acceleration(how: TrialReading) -> float:
-    return -GRAVITY_M_S2 if how.drop else 0.0
+def _acceleration(reading: TrialReading) -> float:
+    return -GRAVITY_M_S2 if reading.drop else 0.0
 
 
-def read_csv(path: Path, how: TrialReading) -> list[Trial]:
-    """A CSV with a header: `time_s`, `normal_m`, and any of `COLUMNS`; an empty cell is no sample.
+def read_csv(path: Path, reading: TrialReading) -> list[Trial]:
+    """Read a CSV file with a header: `time_s`, `normal_m`, and any of `COLUMNS`; an empty cell is no sample.
 
     Raises:
-        InputError: with file, line and column of what is wrong.
+        InputError: the file is invalid; the error names file, line and column.
     """
     source = str(path)
     text = read_text(path)
@@ -90,10 +90,10 @@ def read_csv(path: Path, how: TrialReading) -> list[Trial]:
     header = [name.strip() for name in rows[0]]
     places = {}
     for name in (_TIME, *COLUMNS):
-        wanted = how.columns.get(name, name)
+        wanted = reading.columns.get(name, name)
         if wanted in header:
             places[name] = header.index(wanted)
-        elif name in how.columns:
+        elif name in reading.columns:
             raise InputError(f"no column {wanted!r}, there are: {', '.join(header)}", source=source, line=1)
     if not any(name in places for name in _ANY_OF) or _TIME not in places:
         name = "normal_m" if _TIME in places else _TIME
@@ -123,32 +123,35 @@ def read_csv(path: Path, how: TrialReading) -> list[Trial]:
             series[name] = Series(time[there], value[there])
     if not any(name in series for name in _ANY_OF):
         raise InputError("the column normal_m is empty", source=source)
-    return [_trial(source, series, how)]
+    return [_trial(source, series, reading)]
 
 
-def _trial(source: str, series: dict[str, Series], how: TrialReading) -> Trial:
-    """A trial whose series are in the form the fits take.
+def _trial(source: str, series: dict[str, Series], reading: TrialReading) -> Trial:
+    """Return a trial with series in the form that the fits require.
 
-    Acceleration becomes specific force (what an accelerometer feels: gravity is not in it), and beside
-    positions specific force becomes force. Velocity alone is integrated to a position that finds the impact.
+    Acceleration becomes specific force, which excludes gravity, as an accelerometer measures it. Together
+    with positions, specific force becomes force. Velocity alone is integrated to a position in which the
+    impact is found.
     """
     series = dict(series)
     acceleration = series.pop("normal_acceleration_m_s2", None)
     if acceleration is not None and "specific_force_m_s2" not in series:
-        series["specific_force_m_s2"] = Series(acceleration.time_s, acceleration.value - _acceleration(how))
+        series["specific_force_m_s2"] = Series(
+            acceleration.time_s, acceleration.value - _acceleration(reading)
+        )
     measured = "normal_m" in series
     if not measured and "normal_m_s" in series:
         time, speed = series["normal_m_s"]
-        way = np.concatenate(([0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(time))))
-        series["normal_m"] = Series(time, way)
+        position = np.concatenate(([0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(time))))
+        series["normal_m"] = Series(time, position)
         turns = np.flatnonzero((speed[:-1] < 0.0) & (speed[1:] >= 0.0))
-        if turns.size:  # the plane is where the fastest turn is
+        if turns.size:  # the fastest turn defines the plane
             jumps = [speed[i + 1 : i + 8].max() - speed[max(i - 7, 0) : i + 1].min() for i in turns]
-            series["normal_m"] = Series(time, way - way[turns[int(np.argmax(jumps))]])
+            series["normal_m"] = Series(time, position - position[turns[int(np.argmax(jumps))]])
     if "normal_m" in series and "specific_force_m_s2" in series and "normal_force_n" not in series:
-        time, felt = series.pop("specific_force_m_s2")
-        series["normal_force_n"] = Series(time, how.kg * felt)
-    height = how.height_m if how.drop else None
+        time, specific_force = series.pop("specific_force_m_s2")
+        series["normal_force_n"] = Series(time, reading.kg * specific_force)
+    height = reading.height_m if reading.drop else None
     notes = [
         f"{source}: {line}"
         for name in ("normal_m", "normal_force_n", "specific_force_m_s2")
@@ -156,7 +159,7 @@ def _trial(source: str, series: dict[str, Series], how: TrialReading) -> Trial:
         for line in describe_holes(series[name].time_s, name)
     ]
     shown = measured or "normal_m" not in series
-    return Trial(source, series, how.mode, _acceleration(how), height, shown, notes=tuple(notes))
+    return Trial(source, series, reading.mode, _acceleration(reading), height, shown, notes=tuple(notes))
 
 
 def _number(cell: str, name: str, source: str, line: int) -> float:
@@ -171,55 +174,55 @@ def _number(cell: str, name: str, source: str, line: int) -> float:
     return value
 
 
-def read_ulog(path: Path, how: TrialReading) -> list[Trial]:
-    """A PX4 ULog: local position and velocity, and the force along the normal from the IMU.
+def read_ulog(path: Path, reading: TrialReading) -> list[Trial]:
+    """Read a PX4 ULog: local position and velocity, and the force along the normal from the IMU.
 
-    The force is mass times the horizontal specific force, less its mean before the impact: what thrust and
-    tilt give in steady approach. In a drop it is the specific force itself.
+    The force is the mass times the horizontal specific force minus its mean before the impact, which is the
+    contribution of thrust and tilt in a steady approach. In a drop it is the specific force itself.
 
     Raises:
-        InputError: pyulog is missing, the file is not a ULog, or topics are missing; no wall was given.
+        InputError: pyulog is missing, the file is not a ULog, topics are missing, or no wall was given.
     """
     source = str(path)
-    if how.wall is None and not how.drop:
+    if reading.wall is None and not reading.drop:
         raise InputError(
-            "a flight log does not say where the wall is: give --wall NORTH EAST HEADING, or have inspect -o "
-            "write every impact as a trial",
+            "a PX4 log does not contain the wall: give --wall NORTH EAST HEADING, or write every impact as a "
+            "trial with inspect -o",
             source=source,
         )
     track = calibration_series_of(
         open_ulog(path, ("vehicle_local_position", "vehicle_attitude", "sensor_combined"))
     )
-    felt = track.imu_s.size > 0 and track.attitude_s.size > 0
-    normal, tangent = _axes(how)
+    has_force = track.imu_s.size > 0 and track.attitude_s.size > 0
+    normal, tangent = _axes(reading)
     series: dict[str, Series] = {}
     if track.position_s.size:
-        origin = np.array([how.wall[0], how.wall[1], 0.0]) if how.wall else np.zeros(3)
+        origin = np.array([reading.wall[0], reading.wall[1], 0.0]) if reading.wall else np.zeros(3)
         moved = track.position - origin
         # The estimator's velocity is not used: it filters the same measurements as its position.
         for name, axis in (("normal_m", normal), ("tangential_m", tangent), ("vertical_m", _UP)):
             series[name] = _increasing(track.position_s, moved @ axis)
-    elif not how.drop or not felt:
+    elif not reading.drop or not has_force:
         raise InputError("has no vehicle_local_position", source=source)
-    if felt:
-        force = how.kg * track.to_ned(track.specific_force)
+    if has_force:
+        force = reading.kg * track.to_ned(track.specific_force)
         series["normal_force_n"] = _increasing(track.imu_s, force @ normal)
         series["tangential_force_n"] = _increasing(track.imu_s, force @ tangent)
         if "normal_m" not in series:
             time, along = series["normal_force_n"]
-            series = {"specific_force_m_s2": Series(time, along / how.kg)}
-    if how.wall is None:
-        series = {name: one for name, one in series.items() if name not in _AT_A_WALL}
-    return [_trial(source, series, how)]
+            series = {"specific_force_m_s2": Series(time, along / reading.kg)}
+    if reading.wall is None:
+        series = {name: value for name, value in series.items() if name not in _AT_A_WALL}
+    return [_trial(source, series, reading)]
 
 
-def _axes(how: TrialReading) -> tuple[Array, Array]:
-    """Outward normal and tangent (Y of the collision frame) in NED."""
-    if how.wall is None:
+def _axes(reading: TrialReading) -> tuple[Array, Array]:
+    """Return the outward normal and the tangent (Y of the collision frame) in NED."""
+    if reading.wall is None:
         return _UP, np.array([0.0, 1.0, 0.0])
-    heading = math.radians(how.wall[2])
+    heading = math.radians(reading.wall[2])
     normal = np.array([math.cos(heading), math.sin(heading), 0.0])
-    # To the right when looking along the normal: clockwise seen from above, as headings turn.
+    # The tangent points right when looking along the normal, as headings increase clockwise.
     return normal, np.array([-normal[1], normal[0], 0.0])
 
 
@@ -228,25 +231,25 @@ def _increasing(time: Array, value: Array) -> Series:
     return Series(time[keep], value[keep])
 
 
-def read_flight(path: Path, how: TrialReading) -> list[Trial]:
-    """The collisions of a flight log.
+def read_flight(path: Path, reading: TrialReading) -> list[Trial]:
+    """Return the collisions of a flight log as trials.
 
     Raises:
-        InputError: as `trials_at_one`, or a drop is wanted, which no mission has.
+        InputError: as `trials_at_one`, or a drop is requested, which no mission contains.
     """
-    if how.drop:
+    if reading.drop:
         raise InputError(
-            "a flight log has wall collisions and no drops: leave --drop away",
+            "a flight log has wall collisions and no drops: omit --drop",
             source=str(path),
             key=("drop",),
         )
     log = read_log(path)
-    trials = trials_at_one(log, how.surface, how.mode)
+    trials = trials_at_one(log, reading.surface, reading.mode)
     notes = (f"{path}: {line}" for line in describe_missing_parts(log))
     return [replace(trials[0], notes=(*trials[0].notes, *notes)), *trials[1:]]
 
 
-# Suffix -> reader. A further kind of recording is one function more.
+# Suffix -> reader; a new kind of recording needs one more function.
 READERS: dict[str, Callable[[Path, TrialReading], list[Trial]]] = {
     ".csv": read_csv,
     ".ulg": read_ulog,

@@ -1,7 +1,7 @@
-"""The samples of recorded trials, and how files of them are to be read.
+"""Recorded trials as arrays, and the options for reading them from files.
 
-`trial_readers` makes them of files, `flight_trials` of flight logs, a script of its own arrays; everything
-behind takes `Trial`s only.
+`trial_readers` makes them from files, `flight_trials` from flight logs, and scripts from their own arrays.
+All fits use `Trial` only.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ COLUMNS = (
     "specific_force_m_s2",
     "normal_acceleration_m_s2",
 )
-_DEAD = 1e-6  # in any unit: a recording that changes by less is not one
+_DEAD = 1e-6  # in any unit; a channel that varies less is dead
 
 
 class Series(NamedTuple):
-    """Samples of one quantity; increasing times in s, values in SI units."""
+    """Samples of one quantity with increasing times in s and values in SI units."""
 
     time_s: Array
     value: Array
@@ -44,17 +44,17 @@ class Trial:
     """One recording of one impact.
 
     Attributes:
-        name: for messages, usually the file.
-        series: by column name (`COLUMNS`); rates may differ. `normal_m` is there unless the trial is an
-            accelerometer's: then `specific_force_m_s2` is, along the outward normal (in a drop: up).
+        name: name for messages, usually the file.
+        series: series by column name (`COLUMNS`); rates may differ. A trial has `normal_m`, or for an
+            accelerometer `specific_force_m_s2` along the outward normal (in a drop: up).
         mode: `rigid`, `flexible` or `unlabelled`.
-        acceleration_m_s2: along the normal in free flight: 0 at a wall, -9.81 in a drop.
-        height_m: of a drop, where it is known.
+        acceleration_m_s2: acceleration along the normal in free flight: 0 at a wall, -9.81 in a drop.
+        height_m: height of a drop, if known.
         position_measured: whether `normal_m` was recorded; if not, it is integrated from `normal_m_s`.
-        allowance: coefficient -> share of it by which recordings of this kind are off however many there are;
-            the intervals are widened by it.
-        flown: the vehicle, where the recording itself says it, as a flight log does.
-        turn_rad_s: largest rate about the vertical while it touched; None where that was not recorded.
+        allowance: coefficient -> relative systematic error of this kind of recording, which widens the
+            interval.
+        flown: the vehicle, if the recording contains it as a flight log does.
+        turn_rad_s: largest yaw rate during the contact; None if not recorded.
         notes: one line for each missing part of the recording.
     """
 
@@ -75,26 +75,26 @@ class Trial:
         return self.series["normal_m"]
 
     def samples_between(self, begin_s: float, end_s: float) -> int:
-        """How many samples show the shape of what is between two times: of position or of normal force."""
+        """Return the number of position or normal force samples between two times, whichever is larger."""
         shown = [self.series[name].time_s for name in ("normal_m", "normal_force_n") if name in self.series]
         return max(int(np.sum((time >= begin_s) & (time <= end_s))) for time in shown)
 
 
 @dataclass(frozen=True)
 class TrialReading:
-    """How files are to be read: the options of `identify`.
+    """The options of `identify` for reading files.
 
     Attributes:
-        mode: label for what has none itself; of a flight, its collisions in it.
-        surface: of a flight, its collisions with this material; None: there must be only one.
-        drop: gravity along the normal.
-        contact_distance_m: subtracted from the normal position, for recordings of the centre's height or
-            distance from the surface itself.
-        columns: our column name -> the header in the file.
-        wall: for logs in local NED: north and east of the plane of first touch, and the heading of its
+        mode: mode of trials that do not record it; for a flight, only collisions in this mode are used.
+        surface: for a flight, only collisions with this material are used; None: there must be only one.
+        drop: whether gravity acts along the normal.
+        contact_distance_m: distance to subtract from the normal position, for recordings of the centre's
+            height or distance from the surface itself.
+        columns: our column name -> header in the file.
+        wall: for logs in local NED, north and east of the plane of first touch, and the heading of its
             outward normal in degrees.
-        mass_kg: of the vehicle, instead of the configuration's.
-        height_m: of drops, where it is known.
+        mass_kg: vehicle mass to use instead of the configuration's.
+        height_m: height of drops, if known.
     """
 
     mode: str = UNLABELLED
@@ -108,14 +108,14 @@ class TrialReading:
 
     @property
     def kg(self) -> float:
-        """What turns measured acceleration into force; DART's mass where none is given."""
+        """The mass that converts acceleration to force, kg; DART's mass if none is given."""
         return 1.3 if self.mass_kg is None else self.mass_kg
 
 
 def without_derived(trials: Sequence[Trial]) -> tuple[list[Trial], list[str]]:
-    """Leave out what is no measurement: velocities differenced from the positions, dead channels.
+    """Leave out velocities differenced from positions, and dead channels.
 
-    The former would count twice; the latter seem to have no noise at all and would count for everything.
+    The former would count twice. The latter seem to have no noise and would dominate the fit.
     """
     kept, notes = [], []
     for trial in trials:

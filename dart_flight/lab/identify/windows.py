@@ -1,10 +1,9 @@
-"""Which samples of a trial are fitted, and how much each of them counts.
+"""Selection and weights of the samples in a fit.
 
-A window has two parts. In *free flight* a sample beyond five deviations is an error of the recording and
-does not count. In *contact* that test would be wrong: what does not fit there is usually the law. So the
-contact has a scale of its own, estimated from its own residuals; its samples count less where they lie far
-off (Huber), and only single samples between good neighbours are set aside, at most a tenth of a contact, and
-counted.
+A window has two parts. In *free flight* a sample beyond five deviations is a recording error and is ignored.
+In *contact* that test would be wrong, because a deviation there usually comes from the law. The contact
+therefore has its own scale, estimated from its own residuals. Its outlying samples are weighted down (Huber).
+Only single samples between good neighbours are set aside, at most a tenth of a contact, and counted.
 """
 
 from __future__ import annotations
@@ -23,10 +22,10 @@ from dart_flight.lab.identify.trials import Series, Trial
 Mask = NDArray[np.bool_]
 
 _OUTLIER = 5.0  # deviations in free flight
-_HUBER = 3.0  # deviations in contact from which a sample counts less
-_SPIKE = 8.0  # deviations of a single sample that is set aside
-MAX_SET_ASIDE = 0.1  # of the samples of a contact
-_LIKE_FREE = 1.5  # a contact whose residuals are this close to those of free flight has the same noise
+_HUBER = 3.0  # deviations in contact beyond which a sample is weighted down
+_SPIKE = 8.0  # deviations in contact beyond which a single sample is set aside
+MAX_SET_ASIDE = 0.1  # fraction of the samples of a contact
+_LIKE_FREE = 1.5  # ratio of contact to free-flight residuals below which both have the same noise
 
 CHANNELS = (
     "normal_m", "normal_m_s", "normal_force_n", "tangential_m", "tangential_m_s", "tangential_force_n",
@@ -35,12 +34,12 @@ CHANNELS = (
 
 
 class TrialWindow(NamedTuple):
-    """The samples of a trial that are fitted, by channel.
+    """The fitted samples of a trial, by channel.
 
     Attributes:
         series: the samples.
-        counts: factor on each residual: 0 does not count, 1 counts with the deviation of free flight.
-        contact: which of them are in contact, by the law or by the recording itself.
+        counts: weight on each residual; 0 ignores it, 1 gives it the standard deviation of free flight.
+        contact: mask of the samples in contact, by the law or by the recording itself.
     """
 
     series: dict[str, Series]
@@ -49,10 +48,10 @@ class TrialWindow(NamedTuple):
 
 
 def cut(trial: Trial, begin: float, end: float) -> TrialWindow:
-    """The samples of a trial between two of its times, all counting.
+    """Return the samples of a trial between two of its times, all with weight 1.
 
     Raises:
-        InputError: too few of them.
+        InputError: there are too few samples.
     """
     series, counts, contact = {}, {}, {}
     for name in CHANNELS:
@@ -69,20 +68,20 @@ def cut(trial: Trial, begin: float, end: float) -> TrialWindow:
 
 
 def weigh(errors: list[Array], contacts: list[Mask]) -> tuple[list[Array], float]:
-    """How much the samples of one channel count.
+    """Return the weights of the samples of one channel.
 
     Args:
         errors: residuals, one array per trial.
-        contacts: which of them are in contact.
+        contacts: masks of the samples in contact.
 
     Returns:
-        Factors on the residuals, per trial; and the deviation in free flight, which they refer to.
+        Weights on the residuals per trial, and the standard deviation in free flight to which they refer.
     """
     free = np.concatenate([e[~c] for e, c in zip(errors, contacts, strict=True)])
     hit = np.concatenate([e[c] for e, c in zip(errors, contacts, strict=True)])
     robust = deviation_of(free if free.size >= 8 else np.concatenate((free, hit)))
     inside = free[np.abs(free) <= _OUTLIER * robust]
-    if hit.size >= 4 and deviation_of(hit) < _LIKE_FREE * robust:  # one noise: both tell it
+    if hit.size >= 4 and deviation_of(hit) < _LIKE_FREE * robust:  # the noise is the same
         inside = np.concatenate((inside, hit[np.abs(hit) <= _OUTLIER * robust]))
     sd = max(float(np.sqrt(np.mean(inside**2))) if inside.size else robust, 1e-7)
     scale = deviation_of(hit) if hit.size else sd
@@ -102,7 +101,7 @@ def weigh(errors: list[Array], contacts: list[Mask]) -> tuple[list[Array], float
 
 
 def _spikes(size: Array, contact: Mask, scale: float) -> NDArray[np.intp]:
-    """Samples of a contact that are set aside: far off, between neighbours that are not; the worst first."""
+    """Return the samples of a contact to set aside, the worst first: outliers between good neighbours."""
     far = contact & (size > _SPIKE * scale)
     near = size <= _HUBER * scale
     before = np.concatenate(([True], near[:-1]))

@@ -1,4 +1,4 @@
-"""What a ULog has to be felt from: whose log it is, topics and their rates, and the stretches in the air."""
+"""The content of a ULog that detection needs: topics, their rates, and the intervals in the air."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ TOPICS = (
     "vehicle_status",
     "battery_status",
 )
-# Topic -> rate in Hz from which on nothing is lost by it; below it is named.
+# Topic -> sufficient rate in Hz; a lower rate is reported.
 WANTED_HZ = {
     "sensor_combined": 190.0,
     "vehicle_attitude": 15.0,
     "vehicle_local_position": 9.0,
     "actuator": 50.0,
 }
-_MIN_IMU_HZ = 90.0  # below it a rigid contact is four samples
-_RISEN_M = 0.3  # above the ground: taken off
-_TAKEOFF_S = 5.0  # ... where the height is not known
-_LANDED_S = 1.0  # PX4 says landed after a second on the ground; for less, and so high, it was in the air
+_MIN_IMU_HZ = 90.0  # at a lower rate a rigid contact has at most four samples
+_RISEN_M = 0.3  # height above the ground after take-off
+_TAKEOFF_S = 5.0  # duration of the take-off if the height is unknown
+_LANDED_S = 1.0  # a shorter landed state above `_HIGH_M` is a motor cut in the air
 _HIGH_M = 2.0
 _LOW_M = 0.5
 _PROFILE = (
@@ -43,10 +43,10 @@ _PROFILE = (
 
 
 def missing(log: ULogFile) -> list[str]:
-    """Topics that are not there or too slow, in words.
+    """Return descriptions of the topics that are missing or too slow.
 
     Raises:
-        InputError: without IMU or attitude impacts cannot be detected.
+        InputError: IMU or attitude is missing, so impacts cannot be detected.
     """
     for name in ("sensor_combined", "vehicle_attitude"):
         if log.first(name) is None:
@@ -71,11 +71,11 @@ def missing(log: ULogFile) -> list[str]:
     if log.first("vehicle_land_detected") is None:
         out.append("no vehicle_land_detected: the whole log counts as flight")
     if log.gaps_s > 0.0:
-        out.append(f"{log.gaps_s:.2f} s that the logger lost")
+        out.append(f"{log.gaps_s:.2f} s lost by the logger")
     for name in ("sensor_combined", "vehicle_attitude"):
         out += describe_holes(_stamps(log, name), name)
     if log.first("vehicle_status") is None:
-        out.append("no vehicle_status: whether it is a multicopter, and was armed")
+        out.append("no vehicle_status: vehicle type and arming")
     return [*out, *[f"recommended logging: {_PROFILE}"] * slow, *log.damage]
 
 
@@ -85,20 +85,20 @@ def _stamps(log: ULogFile, name: str) -> NDArray[np.float64]:
 
 
 def landings_of(log: ULogFile, track: Track) -> list[tuple[float, float]]:
-    """From, to in seconds: on the ground, begun where PX4 was close to saying so; or close to it, and low."""
+    """Return begin and end (s) of the intervals on the ground, from PX4's first landing indication."""
     close = track.ground
     landed = [(min([a, *(x for x, y in close if x <= a <= y)]), b) for a, b in _landed(log, track)]
     return landed + [(a, b) for a, b in close if height_at(track, a) < _LOW_M]
 
 
 def _landed(log: ULogFile, track: Track) -> list[tuple[float, float]]:
-    """From, to in seconds: PX4 says landed. Motors cut in the air look like that: for a moment, high up."""
+    """Return begin and end (s) of PX4's landed states, except short ones high up (motors cut in the air)."""
     found = _stretches(log, "vehicle_land_detected", "landed")
     return [(a, b) for a, b in found if b - a >= _LANDED_S or not height_at(track, a) > _HIGH_M]
 
 
 def height_at(track: Track, t_s: float) -> float:
-    """Above where the log begins, metres; NaN where PX4 has no estimate."""
+    """Return the height above the begin of the log, metres; NaN if PX4 has no estimate."""
     if not track.position_s.size:
         return math.nan
     down = track.position[:, 2]
@@ -106,7 +106,7 @@ def height_at(track: Track, t_s: float) -> float:
 
 
 def flights_of(log: ULogFile, track: Track) -> list[tuple[float, float]]:
-    """From, to in seconds: in the air, from 0.3 m up to what PX4 calls landed, and armed at some moment."""
+    """Return begin and end (s) of the flights: armed, and from 0.3 m height until PX4 reports a landing."""
     begin, end = float(track.imu_s[0]), float(track.imu_s[-1])
     armed = _stretches(log, "vehicle_status", "arming_state", ARMED)
     detected = log.first("vehicle_land_detected")
@@ -116,9 +116,9 @@ def flights_of(log: ULogFile, track: Track) -> list[tuple[float, float]]:
     edges = [min(first, end), *(t for stretch in _landed(log, track) for t in stretch), end]
     air = _clipped(zip(edges[::2], edges[1::2], strict=True), begin, end)
     if log.first("vehicle_status") is not None:
-        # Not cut where it was disarmed: what was stopped in the air still has to come down.
+        # A vehicle disarmed in the air still has to fall, so the flight continues.
         air = [(a, b) for a, b in air if any(x < b and y > a for x, y in armed)]
-    # What is in the air when the log begins, or when PX4 first says where it is, has taken off before.
+    # A vehicle in the air at the begin of the log, or at PX4's first estimate, took off before.
     known = max(first, begin + 0.1)
     taken_off = [(begin if a <= known else _off_the_ground(track, a, b), b) for a, b in air]
     return [(a, b) for a, b in taken_off if b > a]
@@ -143,7 +143,7 @@ def _clipped(stretches: Iterable[tuple[float, float]], begin: float, end: float)
 
 
 def _stretches(log: ULogFile, topic: str, field: str, value: int = 1) -> list[tuple[float, float]]:
-    """From, to in seconds: a field has a value; it has it until the next sample, the last one for good."""
+    """Return begin and end (s) of the intervals in which a field has a value; the last sample holds on."""
     data = log.first(topic)
     if data is None:
         return []
@@ -154,7 +154,7 @@ def _stretches(log: ULogFile, topic: str, field: str, value: int = 1) -> list[tu
 
 
 def _off_the_ground(track: Track, begin: float, end: float) -> float:
-    """When a flight has risen a little: PX4's land detector says "in the air" at the first thrust."""
+    """Return the time at which a flight has risen; PX4's land detector reports flight at the first thrust."""
     inside = (track.position_s >= begin) & (track.position_s <= end)
     height = -track.position[inside, 2]
     if not len(height):

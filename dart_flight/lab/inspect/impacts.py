@@ -1,4 +1,4 @@
-"""Estimator and detector over one log, and what they felt."""
+"""The force estimator and the impact detector run over one log, and the impacts that they detect."""
 
 from __future__ import annotations
 
@@ -31,38 +31,38 @@ from dart_flight.lab.inspect.specific_thrust import SpecificThrust, is_thrust_kn
 from dart_flight.lab.track import Track
 from dart_flight.lab.ulog import ULogFile
 
-_BEYOND_THRUST = 0.5  # of the impulse: what pushes against a vehicle tilted by up to 45 degrees has as much
-REMEMBERED = 256  # samples: as long as the detector waits for a peak
-_BORNE_OUT = 0.3  # of the threshold: a short pulse just over it is fitted too low, to about a third at worst
-_HOVERS_M_S = 1.0  # an assumed thrust is that of hovering
-_TOUCHDOWN_S = 3.0  # an impact this long before PX4 says landed is the ground
-_FALLING_M_S2 = 0.6 * GRAVITY_M_S2  # felt in all: less than what carries the vehicle
-_FALLING_S = 0.25  # ... in the mean over so long
-_FALLEN_S = 1.0  # ... within so long before the ground
+_BEYOND_THRUST = 0.5  # fraction of a contact's impulse beyond the thrust, at up to 45 degrees tilt
+REMEMBERED = 256  # samples that the detector waits for a peak
+_CONFIRMED = 0.3  # of the threshold; the fit may reduce a short pulse just above it to a third
+_HOVERS_M_S = 1.0  # highest speed at which the assumed hover thrust holds
+_TOUCHDOWN_S = 3.0  # an impact this long before PX4 reports a landing is the touch-down
+_FALLING_M_S2 = 0.6 * GRAVITY_M_S2  # magnitude of specific force below which the vehicle falls
+_FALLING_S = 0.25  # averaging window of the fall
+_FALLEN_S = 1.0  # interval before the ground in which the fall is searched
 _JOLT_S = 0.02
 _CRASH_M_S2 = 5.0 * GRAVITY_M_S2
-_CRASH_LASTS_S = 3.0  # bounces and all
-_TOLD_SD = 4.0  # standard deviations from nothing
-_ASSUMED_THRUST_SD = 0.5  # share of gravity by which an assumed thrust of hovering may be off
+_CRASH_LASTS_S = 3.0  # including bounces
+_CERTAIN_SD = 4.0  # standard deviations above 0
+_ASSUMED_THRUST_SD = 0.5  # standard deviation of an assumed hover thrust, as a fraction of gravity
 
 
 class InspectedImpact(msgspec.Struct):
     """One impact.
 
     Attributes:
-        t_s: since the log's beginning, first contact.
+        t_s: time of first contact since the begin of the log.
         acceleration_m_s2: peak of the normal force over mass.
-        acceleration_sd_m_s2: its standard deviation, by noise and by how well the thrust is known.
+        acceleration_sd_m_s2: its standard deviation from noise and from the uncertainty of the thrust.
         force_n: peak of the normal force; None without a mass.
         force_sd_n: its standard deviation.
-        direction_deg: where the force points, clockwise from north.
-        clipped: the accelerometer was at full scale: a lower bound.
-        kind: `impact`; `touch-down` where PX4 says landed shortly after; `crash` where the vehicle fell, and
-            what follows within seconds; `untold` where a manoeuvre would look the same, because the thrust
-            is not known there (`is_thrust_known`) and the vehicle does not hover, or because it is after a
-            crash, and where it is less than four standard deviations.
-        speed_m_s: horizontal, before it.
-        height_m: above where the log begins, by PX4's estimate; None where it has none.
+        direction_deg: direction of the force, clockwise from north.
+        clipped: whether the accelerometer saturated, so that the peak is a lower bound.
+        kind: `impact`; `touch-down` if PX4 reports a landing shortly after; `crash` after a fall, and for
+            seconds after it. `untold` means that a manoeuvre cannot be excluded: the peak is below four
+            standard deviations, a crash precedes it, or the thrust is unknown (`is_thrust_known`) and the
+            vehicle does not hover.
+        speed_m_s: horizontal speed before the impact.
+        height_m: height above the begin of the log by PX4's estimate, or None.
     """
 
     t_s: float
@@ -78,15 +78,15 @@ class InspectedImpact(msgspec.Struct):
 
 
 class Estimated(NamedTuple):
-    """An estimate with what it took for the thrust.
+    """A force estimate with the thrust that it assumes.
 
     Attributes:
         force: the estimate.
         flying: whether the vehicle was in the air.
         up: direction of the thrust, mission frame.
-        thrust_n: that was taken off.
-        along_n: what the accelerometer felt along it.
-        full_n: the most that the motors give.
+        thrust_n: subtracted thrust.
+        along_n: measured force along the thrust axis.
+        full_n: largest thrust of the motors.
     """
 
     force: ForceEstimate
@@ -97,10 +97,10 @@ class Estimated(NamedTuple):
     full_n: float
 
     def beyond_thrust(self) -> Vec2:
-        """The part of the horizontal force that is there whatever the motors gave, newton, mission frame.
+        """Return the horizontal force that no thrust explains, newton, mission frame.
 
-        A log's thrust is fitted or assumed, from commands at 10 Hz. Along its axis the accelerometer may feel
-        anything from nothing to full thrust without any contact.
+        A log's thrust is fitted or assumed, from commands at 10 Hz. Along its axis the accelerometer may
+        measure anything from nothing to full thrust without a contact.
         """
         could_n = max(0.0, min(self.full_n, self.along_n)) - self.thrust_n
         x, y, _ = self.force.force_mission
@@ -111,16 +111,17 @@ Listener = Callable[[Estimated], object]
 
 
 class ThresholdCrossing(msgspec.Struct):
-    """The force was over its threshold, and what came of it.
+    """A crossing of the detection threshold by the force, with its peak.
 
     Attributes:
-        onset: the moment.
-        threshold_n: that was crossed.
-        peak: None where the log ends before it is known.
-        beyond_thrust: whether no thrust of the motors explains it: half of the impulse up to the peak, or
-            what alone is over the threshold in a mean over the detector's short window.
-        noise_n: of the mean over the detector's short window.
-        level: horizontal part of the direction of the thrust, 0 where the vehicle was level.
+        onset: the onset.
+        threshold_n: the crossed threshold.
+        peak: None if the log ends before the peak is known.
+        beyond_thrust: whether no thrust of the motors explains the crossing. The part beyond the thrust must
+            have half of the impulse up to the peak, or exceed the threshold in a mean over the detector's
+            short window.
+        noise_n: noise of the mean over the detector's short window.
+        level: horizontal component of the thrust's direction, 0 for a level vehicle.
     """
 
     onset: ImpactOnset
@@ -131,12 +132,12 @@ class ThresholdCrossing(msgspec.Struct):
     level: float = 0.0
 
     def ends(self, peak: ImpactPeak, newest: Iterable[Estimated], short: int) -> None:
-        """Its peak is known.
+        """Record the peak, and compare the force with the possible thrust.
 
         Args:
             peak: the peak.
             newest: the newest estimates, in order.
-            short: samples of the detector's short window.
+            short: number of samples in the detector's short window.
         """
         self.peak = peak
         since = [e for e in newest if e.force.t_us >= self.onset.first_us]
@@ -150,32 +151,32 @@ class ThresholdCrossing(msgspec.Struct):
 
     @property
     def is_impact(self) -> bool:
-        """Whether the fitted peak bears out what crossed the threshold, and the thrust does not explain it.
+        """Whether the fitted peak confirms the crossing and the thrust does not explain it.
 
-        Else it was noise, or a manoeuvre.
+        Otherwise the crossing is noise or a manoeuvre.
         """
         if self.peak is None:
             return True
         size = math.hypot(self.peak.normal_force_n, self.peak.tangential_force_n)
-        return size >= _BORNE_OUT * self.threshold_n and self.beyond_thrust
+        return size >= _CONFIRMED * self.threshold_n and self.beyond_thrust
 
 
 def short_samples(vehicle: VehicleConfig) -> int:
-    """Samples in the detector's short window."""
+    """Return the number of samples in the detector's short window."""
     return max(1, round(SHORT_WINDOW_S / vehicle.imu.tick_s))
 
 
 class InspectedFlight(msgspec.Struct):
-    """What one log felt; newtons are None without a mass.
+    """The impacts and the noise of one log; forces are None without a mass.
 
-    `weak` counts crossings of the threshold whose fitted peak stayed below it, or that an error of the thrust
-    explains: they are no impacts. `untold` counts the impacts of that kind: manoeuvre or contact, nothing
-    tells.
+    `weak` counts threshold crossings that are no impacts: the fitted peak stayed below the threshold, or an
+    error of the thrust explains the force. `untold` counts the impacts of that kind, which may be a manoeuvre
+    or a contact.
     """
 
     log: str
     px4_version: str | None
-    begin_s: float  # of the log, on the autopilot's clock
+    begin_s: float  # begin of the log on the autopilot's clock
     duration_s: float
     flight_s: float
     noise_n: float | None
@@ -183,8 +184,8 @@ class InspectedFlight(msgspec.Struct):
     noise_short_m_s2: float  # of the means over the detector's two windows
     noise_long_m_s2: float
     threshold_n: float | None
-    threshold_m_s2: float  # lowest in force, median over the flight
-    floor_rigid_m_s2: float  # peaks from which on contacts are found for certain
+    threshold_m_s2: float  # lowest threshold, median over the flight
+    floor_rigid_m_s2: float  # smallest peaks of reliably detected contacts
     floor_flexible_m_s2: float
     drag_per_s: float
     thrust: SpecificThrust | None
@@ -196,12 +197,12 @@ class InspectedFlight(msgspec.Struct):
 
     @property
     def nothing_found(self) -> str:
-        """What to say instead of impacts; without a flight there cannot be one."""
+        """The text that replaces the table of impacts; without a flight there cannot be one."""
         return "no impact" if self.flight_s > 0.0 else "0 s in the air: no impact can be found"
 
 
 class InspectedSeries(msgspec.Struct):
-    """Force over mass in flight, north, east and down, and the threshold; for the report and for trials."""
+    """Force over mass in flight (north, east, down) and the threshold, for the report and for trials."""
 
     time_s: Array
     force_m_s2: Array  # (n, 3)
@@ -211,12 +212,12 @@ class InspectedSeries(msgspec.Struct):
 
 
 class ImpactScan:
-    """Estimator and detector over one log.
+    """The force estimator and the impact detector over one log.
 
     Args:
-        vehicle: as `vehicle_for` has it.
-        flying: stretches in which an impact is one, seconds.
-        listener: takes every estimate, with whether it was in the air.
+        vehicle: the result of `vehicle_for`.
+        flying: intervals in which impacts are searched, seconds.
+        listener: called with every estimate, also on the ground.
     """
 
     def __init__(
@@ -238,13 +239,13 @@ class ImpactScan:
         self.crossings: list[ThresholdCrossing] = []
 
     def in_the_air(self, t_s: float) -> bool:
-        """Whether this is within one of the flights; moments do not go back."""
+        """Return whether a time is within one of the flights; times must not decrease."""
         while self._place < len(self._flying) and self._flying[self._place][1] < t_s:
             self._place += 1
         return self._place < len(self._flying) and self._flying[self._place][0] <= t_s
 
     def take(self, sample: Sample) -> None:
-        """The next sample of the log."""
+        """Process the next sample of the log."""
         if isinstance(sample, AttitudeSample):
             if self.state.take_attitude(sample):
                 self.estimator.take_attitude(sample)
@@ -253,21 +254,21 @@ class ImpactScan:
         elif isinstance(sample, ActuatorSample):
             self.estimator.thrust.take_actuator(sample)
         elif self.state.take_imu(sample):
-            self._feel(sample)
+            self._process_imu(sample)
 
-    def _feel(self, sample: ImuSample) -> None:
+    def _process_imu(self, sample: ImuSample) -> None:
         detector, flying = self.detector, self.in_the_air(sample.t_us * 1e-6)
-        # What is learnt on the ground says nothing of the flight.
+        # The noise on the ground differs from that in flight, so the estimator must not learn it.
         estimate = self.estimator.estimate(sample, self.state, detector.in_contact or not flying)
         if estimate is None:
             return
-        felt = self._with_thrust(estimate, sample, flying)
-        self._newest.append(felt)
+        estimated = self._with_thrust(estimate, sample, flying)
+        self._newest.append(estimated)
         if self._listener is not None:
-            self._listener(felt)
+            self._listener(estimated)
         for event in detector.update(estimate, sample.t_us, self.state, ExpectedContact(flying)):
             if isinstance(event, ImpactOnset):
-                level = math.hypot(felt.up[0], felt.up[1])
+                level = math.hypot(estimated.up[0], estimated.up[1])
                 noise = detector.noise_n[0]
                 self.crossings.append(
                     ThresholdCrossing(event, detector.crossed_n, noise_n=noise, level=level)
@@ -311,7 +312,7 @@ class ImpactScan:
         mass_kg: float | None,
         unknown: list[str],
     ) -> InspectedFlight:
-        """The result."""
+        """Return the result of the scan."""
         begin = float(track.imu_s[0])
         table = np.array(self.rows).reshape(-1, 5)
         noise = (
@@ -326,14 +327,14 @@ class ImpactScan:
         ]
         crashes = [self._crash(t, track, table, float(noise[0])) for t in falls(track, self._flying)]
         impacts = _with_crashes(found, crashes)
-        for one in impacts:
-            known = is_thrust_known(track, curve, begin + one.t_s)
-            if one.kind == "impact" and not _is_told(one, known, track.position_s):
-                one.kind = "untold"
-        for one in impacts:
+        for impact in impacts:
+            known = is_thrust_known(track, curve, begin + impact.t_s)
+            if impact.kind == "impact" and not _is_certain(impact, known, track.position_s):
+                impact.kind = "untold"
+        for impact in impacts:
             if mass_kg is not None:
-                one.force_n = mass_kg * one.acceleration_m_s2
-                one.force_sd_n = mass_kg * one.acceleration_sd_m_s2
+                impact.force_n = mass_kg * impact.acceleration_m_s2
+                impact.force_sd_n = mass_kg * impact.acceleration_sd_m_s2
         return InspectedFlight(
             log=log.source,
             px4_version=".".join(str(v) for v in log.version) if log.version else None,
@@ -392,14 +393,14 @@ class ImpactScan:
         table: Array,
         noise_m_s2: float,
     ) -> InspectedImpact:
-        """The end of a fall: what the accelerometer felt in all, whatever the thrust."""
+        """Return the impact at the end of a fall, from the magnitude of the specific force."""
         near = slice(*np.searchsorted(track.imu_s, (t_s, t_s + _FALLING_S)))
-        felt = np.linalg.norm(track.specific_force[near], axis=1)
+        magnitude = np.linalg.norm(track.specific_force[near], axis=1)
         rows = table[slice(*np.searchsorted(table[:, 0], (t_s, t_s + _FALLING_S)))]
         north, east = rows[np.argmax(np.hypot(rows[:, 1], rows[:, 2])), 1:3] if len(rows) else (0.0, 0.0)
         return InspectedImpact(
             t_s=t_s - float(track.imu_s[0]),
-            acceleration_m_s2=float(np.nanmax(felt)),
+            acceleration_m_s2=float(np.nanmax(magnitude)),
             acceleration_sd_m_s2=noise_m_s2,
             force_n=None,
             force_sd_n=None,
@@ -412,14 +413,14 @@ class ImpactScan:
 
 
 def _thrust_sd(track: Track, curve: SpecificThrust | None, t_s: float) -> float:
-    """Standard deviation of the thrust at a moment, share of gravity."""
+    """Return the standard deviation of the thrust at a time, as a fraction of gravity."""
     if curve is None or not is_thrust_known(track, curve, t_s):
         return _ASSUMED_THRUST_SD
     return curve.held_out_percent / 100.0
 
 
 def falls(track: Track, flying: list[tuple[float, float]]) -> list[float]:
-    """Moments at which a fall ends in a jolt, in means that leave vibration out; of several the first."""
+    """Return the times at which a fall ends in a jolt, the first of several; means suppress vibration."""
     found: list[float] = []
     jolt = _mean_size(track, _JOLT_S)
     carried = _mean_size(track, _FALLING_S)
@@ -427,7 +428,7 @@ def falls(track: Track, flying: list[tuple[float, float]]) -> list[float]:
         t = float(track.imu_s[i])
         if not any(a <= t <= b for a, b in flying) or (found and t - found[-1] < _CRASH_LASTS_S):
             continue
-        # As it falls faster the air carries it, so that the fall is at the beginning of the second.
+        # Drag supports a fast fall, so the weightless part is at the begin of the interval.
         before = slice(*np.searchsorted(track.imu_s, (t - _FALLEN_S, t - _FALLING_S)))
         if (carried[before] < _FALLING_M_S2).any():
             found.append(t)
@@ -435,7 +436,7 @@ def falls(track: Track, flying: list[tuple[float, float]]) -> list[float]:
 
 
 def _mean_size(track: Track, window_s: float) -> Array:
-    """Size of the mean specific force over a window that begins at each sample, m/s2."""
+    """Return the magnitude of the mean specific force over a window starting at each sample, m/s2."""
     sums = np.cumsum(np.concatenate((np.zeros((1, 3)), np.nan_to_num(track.specific_force))), axis=0)
     begin = np.arange(len(track.imu_s))
     end = np.maximum(np.searchsorted(track.imu_s, track.imu_s + window_s), begin + 1)
@@ -443,20 +444,20 @@ def _mean_size(track: Track, window_s: float) -> Array:
 
 
 def _with_crashes(impacts: list[InspectedImpact], crashes: list[InspectedImpact]) -> list[InspectedImpact]:
-    """All in order; what was felt in a crash is the crash, what comes after it is not told."""
+    """Return all impacts in order: those during a crash are merged into it, and later ones are `untold`."""
     kept = list(crashes)
-    for one in impacts:
-        since = [one.t_s - crash.t_s for crash in crashes if one.t_s >= crash.t_s - _FALLING_S]
-        if since and since[-1] <= _FALLING_S:
+    for impact in impacts:
+        since_s = [impact.t_s - crash.t_s for crash in crashes if impact.t_s >= crash.t_s - _FALLING_S]
+        if since_s and since_s[-1] <= _FALLING_S:
             continue
-        if since and one.kind == "impact":
-            one.kind = "crash" if since[-1] <= _CRASH_LASTS_S else "untold"
-        kept.append(one)
-    return sorted(kept, key=lambda felt: felt.t_s)
+        if since_s and impact.kind == "impact":
+            impact.kind = "crash" if since_s[-1] <= _CRASH_LASTS_S else "untold"
+        kept.append(impact)
+    return sorted(kept, key=lambda impact: impact.t_s)
 
 
 def _speed(track: Track, t_s: float) -> float:
-    """Horizontal, by PX4's estimate; NaN where it has none."""
+    """Return the horizontal speed by PX4's estimate, or NaN."""
     known = np.isfinite(track.velocity[:, :2]).all(axis=1)
     if not known.any():
         return math.nan
@@ -470,13 +471,13 @@ def _height(track: Track, t_s: float) -> float | None:
     return height if math.isfinite(height) else None
 
 
-def _is_told(felt: InspectedImpact, thrust_known: bool, known_s: Array) -> bool:
-    """Whether it is a contact for certain: beyond its own error, and no manoeuvre that would look like it.
+def _is_certain(impact: InspectedImpact, thrust_known: bool, known_s: Array) -> bool:
+    """Return whether an impact is certainly a contact: beyond its own error and not explained by a manoeuvre.
 
-    Where the thrust is not known that of hovering is assumed, which the log has to say that the vehicle did.
+    If the thrust is unknown, hover thrust is assumed, and the log must show that the vehicle hovers.
     """
-    hovers = bool(known_s.size) and felt.speed_m_s < _HOVERS_M_S
-    beyond_motors = felt.acceleration_m_s2 > _CRASH_M_S2
-    return felt.acceleration_m_s2 >= _TOLD_SD * felt.acceleration_sd_m_s2 and (
+    hovers = bool(known_s.size) and impact.speed_m_s < _HOVERS_M_S
+    beyond_motors = impact.acceleration_m_s2 > _CRASH_M_S2
+    return impact.acceleration_m_s2 >= _CERTAIN_SD * impact.acceleration_sd_m_s2 and (
         thrust_known or hovers or beyond_motors
     )

@@ -1,4 +1,4 @@
-"""From a log to what it felt."""
+"""The inspection of a PX4 log, used by `dart-flight inspect`."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ from dart_flight.lab.ulog import ULogFile, motor_commands, open_ulog, refuse_oth
 
 
 def inspect_file(path: str | Path, vehicle: VehicleConfig, mass_kg: float | None = None) -> InspectedFlight:
-    """What a log felt.
+    """Detect the impacts in a log.
 
     Args:
         path: a ULog of PX4 1.9 or later.
-        vehicle: thresholds and what else the estimator wants; its mass is that of its thresholds.
-        mass_kg: of the vehicle that flew; None where it is not known.
+        vehicle: supplies thresholds and estimator settings; the thresholds refer to its mass.
+        mass_kg: mass of the vehicle that flew, or None if unknown.
 
     Raises:
-        InputError: the file cannot be read, lacks IMU or attitude, or is of no multicopter that was armed.
+        InputError: the file cannot be read, lacks IMU or attitude, or is not from an armed multicopter.
     """
     return inspect_log(open_ulog(path, TOPICS), vehicle, mass_kg)
 
@@ -40,10 +40,10 @@ def inspect_log(
     mass_kg: float | None = None,
     listen: Callable[[VehicleConfig, list[tuple[float, float]]], Listener] | None = None,
 ) -> InspectedFlight:
-    """As `feel`, of an opened log.
+    """Detect the impacts in an open log, as `inspect_file` does.
 
-    `listen` is told the vehicle that the estimator has and the flights; what it returns takes every estimate
-    and whether it was in the air.
+    `listen` is called with the estimator's vehicle and the flights; it returns the function that receives
+    every estimate.
     """
     refuse_other_vehicles(log)
     unknown = missing(log)
@@ -53,23 +53,22 @@ def inspect_log(
     except InputError as error:
         track, fitted = calibration_series_of(log), error.message
     unknown += [f"thrust: {fitted}; hover is assumed"] if isinstance(fitted, str) else []
-    unknown += track.notes[1:]  # the first is of the motors
+    unknown += track.notes[1:]  # the first note concerns the motors
     curve = None if isinstance(fitted, str) else fitted
     if curve is not None and are_motors_slow(track):
         unknown.append(
-            f"thrust between motor outputs: known from {THRUST_KNOWN_HZ:.0f} Hz on; below that only "
-            "hover is evaluated"
+            f"thrust between motor outputs, which need {THRUST_KNOWN_HZ:.0f} Hz; only hover is evaluated"
         )
     flying = flights_of(log, track)
     unknown += describe_cut(log, track, flying)
     drag = fit_drag(track, flying)
     if not drag:
-        unknown.append("drag: flight too slow to estimate it")
-    unknown.append("wind, and the accelerometer's bias where the vehicle does not hover")
+        unknown.append("drag: the flight is too slow to estimate it")
+    unknown.append("wind, and the accelerometer's bias outside of hover")
     if mass_kg is None:
         unknown.append("mass: forces are in m/s2, with --mass also in newton")
-    made = vehicle_for(vehicle, log, curve, drag)
-    pass_ = ImpactScan(made, flying, listen(made, flying) if listen is not None else None)
-    for sample in samples_of(track, curve, len(made.airframe.motors)):
-        pass_.take(sample)
-    return pass_.result(log, track, curve, drag, mass_kg, unknown)
+    flown = vehicle_for(vehicle, log, curve, drag)
+    scan = ImpactScan(flown, flying, listen(flown, flying) if listen is not None else None)
+    for sample in samples_of(track, curve, len(flown.airframe.motors)):
+        scan.take(sample)
+    return scan.result(log, track, curve, drag, mass_kg, unknown)

@@ -1,4 +1,4 @@
-"""A ULog as the flight core takes it: samples in the order of their stamps, and the vehicle they are of."""
+"""The samples of a ULog in the order of their stamps, as inputs of the flight core, and their vehicle."""
 
 from __future__ import annotations
 
@@ -15,16 +15,17 @@ from dart_flight.lab.inspect.specific_thrust import SpecificThrust
 from dart_flight.lab.track import Track
 from dart_flight.lab.ulog import ULogFile
 
-_MOTOR_PERIOD_S = 0.01  # commands between the logged ones, on a straight line
+_MOTOR_PERIOD_S = 0.01  # interpolation step between logged commands
 
 Sample = ImuSample | AttitudeSample | OdometrySample | ActuatorSample
 
 
 def samples_of(track: Track, curve: SpecificThrust | None, motors: int) -> Iterator[Sample]:
-    """The log as the core takes it, in the order of the stamps.
+    """Yield the samples of a log in the order of their stamps.
 
-    Attitude comes at the IMU's rate: the logged one, carried on by the gyro. Commands are collective, already
-    through the curve, on a straight line between the logged ones, the same for all `motors`.
+    The attitude is output at the IMU's rate: the logged attitude is propagated by the gyro. The commands are
+    collective, already converted by the curve, interpolated between the logged ones and equal for all
+    `motors`.
     """
     stamps, attitude_us = _us(track.imu_s), _us(track.attitude_s)
     f, rate, q = track.specific_force, track.rate, track.q
@@ -82,14 +83,14 @@ def _collective(track: Track, curve: SpecificThrust | None, motors: int) -> Iter
 def vehicle_for(
     vehicle: VehicleConfig, log: ULogFile, curve: SpecificThrust | None, drag: float
 ) -> VehicleConfig:
-    """The configured vehicle with this one's thrust and drag; mass and thresholds stay."""
+    """Return the configured vehicle with the log's thrust, drag and IMU interval, but its own mass."""
     replace, mass = msgspec.structs.replace, vehicle.airframe.mass_kg
     all_n = mass * (curve.full_m_s2 if curve else 2.0 * GRAVITY_M_S2)
     imu = log.first("sensor_combined") or {}
     tick = vehicle.imu.tick_s
     if "accelerometer_integral_dt" in imu:
         interval = np.asarray(imu["accelerometer_integral_dt"])
-        # Before 1.7 it was in seconds.
+        # PX4 before 1.7 logged seconds.
         tick = float(np.median(interval)) * (1.0 if interval.dtype.kind == "f" else 1e-6) or tick
     return replace(
         vehicle,

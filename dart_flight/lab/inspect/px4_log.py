@@ -1,4 +1,4 @@
-"""What PX4's own log (ULog) says of a flight that its telemetry does not: EKF resets, clipping, failsafes."""
+"""Figures of a flight that only PX4's own log contains: EKF resets, clipping and failsafes."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ _TOPICS = ["vehicle_status", "vehicle_local_position", "vehicle_imu_status", "fa
 
 
 def read_px4_log(path: str | Path, version: str | None = None) -> Px4Figures:
-    """Figures of one ULog; what it does not hold, or cannot be read, is None.
+    """Return the figures of one ULog; a figure that is missing or unreadable is None.
 
-    Needs pyulog (extra `sim`); without it only the version is known.
+    pyulog (extra `sim`) is required; without it only the version is known.
     """
     figures = Px4Figures(version)
     try:
         log = open_ulog(path, _TOPICS)
     except InputError:
-        # No pyulog, no file, or a log cut off in its header: the flight's verdict does not depend on it.
+        # Without pyulog or a readable file the verdict is still valid.
         return figures
     topics = {name: instances[0] for name, instances in log.topics.items() if 0 in instances}
     status = topics.get("vehicle_status")
@@ -52,7 +52,7 @@ def read_px4_log(path: str | Path, version: str | None = None) -> Px4Figures:
 
 
 def _within(topic: dict[str, Any], begin_us: int, end_us: int, field: str) -> Any:
-    """Samples of a field between two moments, with the last before them."""
+    """Return the samples of a field between two times, with the last sample before them."""
     stamps = topic["timestamp"]
     first = max(0, int((stamps < begin_us).sum()) - 1)
     last = int((stamps <= end_us).sum())
@@ -60,7 +60,7 @@ def _within(topic: dict[str, Any], begin_us: int, end_us: int, field: str) -> An
 
 
 def _rise(counter: Any) -> int:
-    """How often a counter of eight or more bits has gone up."""
+    """Return the number of increments of a counter of eight or more bits."""
     if len(counter) < 2:
         return 0
     values = [int(value) for value in counter]

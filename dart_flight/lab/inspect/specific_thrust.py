@@ -1,4 +1,4 @@
-"""Specific thrust and drag of a vehicle of which nothing is known, fitted from its own log."""
+"""Specific thrust and drag of an unknown vehicle, fitted from its own log."""
 
 from __future__ import annotations
 
@@ -16,19 +16,18 @@ from dart_flight.lab.calibrate.thrust_curve import (
 from dart_flight.lab.track import Track
 
 _MAX_DRAG_PER_S = 1.0
-# At speed a vehicle changes its thrust and back within the time of a contact: contacts last 50 to 180 ms,
-# and motors that lag by 30 to 50 ms follow within 100 ms. Two motor outputs in such a change are the least
-# that shows it; with fewer it may lie between two of them, and a line through them be off by all of it.
+# A fast vehicle may change its thrust and back within a contact (50 to 180 ms), with motors that follow in
+# 100 ms. At least two motor outputs are needed to resolve such a change.
 _THRUST_CHANGES_S = 0.1
 THRUST_KNOWN_HZ = 2.0 / _THRUST_CHANGES_S
-_JITTER = 1.5  # periods: longer than that a motor output is missing
+_JITTER = 1.5  # periods between motor outputs beyond which one is missing
 _FAST_M_S = 99.0
 
 
 class SpecificThrust(msgspec.Struct):
-    """Thrust over mass at full command and the curve's factor.
+    """Thrust over mass at full command, with the other parameters of the curve.
 
-    `held_out_percent` is the error of the thrust on stretches that were not used for the fit.
+    `held_out_percent` is the error of the thrust on held-out segments; `said` describes the segments used.
     """
 
     full_m_s2: float
@@ -41,17 +40,17 @@ class SpecificThrust(msgspec.Struct):
 
 
 def fit_specific_thrust(track: Track, vehicle: VehicleConfig) -> SpecificThrust | str:
-    """Specific thrust over the motor commands, from the quiet stretches of a flight.
+    """Fit the specific thrust over the motor commands to the quiet segments of a flight.
 
     Returns:
-        The curve, or why there is none.
+        The curve, or the reason for having none.
     """
     lag = vehicle.thrust.motor_lag_s
     points = quiet_points(track, 1.0, lag)
-    said = "slow flight"
+    source = "slow flight"
     if len(points.force) < MIN_POINTS:
         slow, points = points, quiet_points(track, 1.0, lag, _FAST_M_S)
-        said = "flight at any speed: what speed does to the propellers is in the residual"
+        source = "flight at any speed, so the residual includes the effect of speed on the propellers"
         if len(points.force) < MIN_POINTS:
             return (
                 f"{len(points.force)} quiet half seconds, needs at least {MIN_POINTS}; rejected: "
@@ -60,7 +59,7 @@ def fit_specific_thrust(track: Track, vehicle: VehicleConfig) -> SpecificThrust 
     error, best = best_fit(points, vehicle.thrust.square_share)
     problem = fit_problem(error)
     if problem:
-        return f"fitted to {len(points.force)} half seconds of {said}, but {problem}"
+        return f"fitted to {len(points.force)} half seconds of {source}, but {problem}"
     curve = best(points)
     return SpecificThrust(
         full_m_s2=curve.full * points.motors,
@@ -69,14 +68,14 @@ def fit_specific_thrust(track: Track, vehicle: VehicleConfig) -> SpecificThrust 
         reference_v=curve.reference,
         windows=len(points.force),
         held_out_percent=100.0 * error,
-        said=said,
+        said=source,
     )
 
 
 def is_thrust_known(track: Track, curve: SpecificThrust | None, t_s: float) -> bool:
-    """Whether the thrust is known around a moment, on the log's clock.
+    """Return whether the thrust is known around a time on the log's clock.
 
-    There has to be a curve, and motor outputs so close to one another that no change of it fits between two.
+    This requires a curve, and motor outputs close enough to resolve a change of the thrust.
     """
     if curve is None:
         return False
@@ -88,19 +87,18 @@ def is_thrust_known(track: Track, curve: SpecificThrust | None, t_s: float) -> b
 
 
 def are_motors_slow(track: Track) -> bool:
-    """Whether the thrust is not known between a log's motor outputs, as a rule."""
+    """Return whether a log's motor outputs are usually too far apart to know the thrust between them."""
     return len(track.motor_s) < 2 or _is_too_far(float(np.median(np.diff(track.motor_s))))
 
 
 def _is_too_far(apart_s: float) -> bool:
-    """Whether the thrust is not known between two motor outputs."""
     return apart_s * THRUST_KNOWN_HZ >= _JITTER
 
 
 def fit_drag(track: Track, flying: list[tuple[float, float]]) -> float:
-    """Drag in 1/s: horizontal specific force across the thrust against the velocity; wind is not known.
+    """Fit the drag, 1/s: horizontal specific force across the thrust axis over the velocity, ignoring wind.
 
-    Half-second means over the whole flight, robust; 0 where the flight is too slow to tell.
+    The fit is robust and uses half-second means over the whole flight; it is 0 if the flight is too slow.
     """
     if not track.attitude_s.size or not track.position_s.size:
         return 0.0

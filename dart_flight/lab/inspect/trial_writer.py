@@ -1,4 +1,4 @@
-"""Every impact of a log as a trial for `identify`."""
+"""Writer of a log's impacts as trials for `identify`."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ _TRIAL_BEFORE_S, _TRIAL_AFTER_S = 0.5, 0.4
 
 
 def write_trials(flight: InspectedFlight, folder: Path) -> list[Path]:
-    """Every impact of a flight as a CSV trial for `identify`, in the collision frame of its own force.
+    """Write every impact of a flight as a CSV trial for `identify`, in the collision frame of its own force.
 
-    The plane of first touch is taken where the vehicle was at the onset. Without a mass there is no force
+    The plane of first touch is at the vehicle's position at the onset. Without a mass there is no force
     column.
     """
     series, written = flight.series, []

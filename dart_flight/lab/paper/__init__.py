@@ -1,1 +1,1 @@
-"""The paper's tables beside the model's."""
+"""The paper's tables compared with the model."""

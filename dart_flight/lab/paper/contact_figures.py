@@ -1,4 +1,4 @@
-"""Plots of contacts. Needs matplotlib, the `report` extra."""
+"""Plots of contacts; requires matplotlib (extra `report`)."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ from dart_flight.lab.paper.tables import PublishedDrop
 from dart_flight.lab.predict.path import ContactMotion, trajectory
 from dart_flight.lab.predict.prediction import Condition
 
-_SETTLED_S = 0.5  # how much is drawn of a contact that never ends
+_SETTLED_S = 0.5  # plotted duration of a contact that never ends
 _NORMAL, _ALONG, _VERTICAL = LINES
 
 
-def _title(what: Condition, text: str) -> str:
-    turned = f", incidence {what.incidence_deg:g}°" if what.incidence_deg else ""
-    return f"{what.surface.capitalize()}, {what.mode.value}{turned}, onset {what.onset.value}: {text}"
+def _title(condition: Condition, text: str) -> str:
+    surface, mode, onset = condition.surface.capitalize(), condition.mode.value, condition.onset.value
+    turned = f", incidence {condition.incidence_deg:g}°" if condition.incidence_deg else ""
+    return f"{surface}, {mode}{turned}, onset {onset}: {text}"
 
 
 def _finish(figure: Any, axes: Sequence[Any], contact_ms: tuple[float, float], path: str | Path) -> None:
-    """Labels of the force's panel, legends, the contact's stretch of time; then the file."""
     axes[-1].set(xlabel="time, ms", ylabel="force, N")
     for axis in axes:
         shade(axis, *contact_ms)
@@ -42,8 +42,8 @@ def _finish(figure: Any, axes: Sequence[Any], contact_ms: tuple[float, float], p
 
 
 @in_style
-def plot_wall(path: str | Path, what: Condition, contact: ContactMotion, tangential_m_s: float) -> None:
-    """Position, velocity and force of a wall hit over time, written to `path`.
+def plot_wall(path: str | Path, condition: Condition, contact: ContactMotion, tangential_m_s: float) -> None:
+    """Plot position, velocity and force of a wall hit over time into `path`.
 
     Raises:
         InputError: matplotlib is missing, or the file cannot be written.
@@ -51,18 +51,18 @@ def plot_wall(path: str | Path, what: Condition, contact: ContactMotion, tangent
     figure, (position, velocity, force) = panels(PAGE, 3)
     span = contact.end_s if np.isfinite(contact.end_s) else _SETTLED_S
     t = np.linspace(-0.25 * span, 1.35 * span, 1601)
-    way = trajectory(contact, t, tangential_m_s, what.vertical_sign)
+    history = trajectory(contact, t, tangential_m_s, condition.vertical_sign)
     ms = 1e3 * t
-    position.plot(ms, 1e3 * way.normal_m, label="from the plane of first touch", **_NORMAL)
-    position.plot(ms, 1e3 * way.tangential_m, label="along the wall", **_ALONG)
+    position.plot(ms, 1e3 * history.normal_m, label="from the plane of first touch", **_NORMAL)
+    position.plot(ms, 1e3 * history.tangential_m, label="along the wall", **_ALONG)
     position.set_ylabel("position, mm")
-    velocity.plot(ms, way.normal_m_s, label="normal", **_NORMAL)
-    velocity.plot(ms, way.tangential_m_s, label="along the wall", **_ALONG)
+    velocity.plot(ms, history.normal_m_s, label="normal", **_NORMAL)
+    velocity.plot(ms, history.tangential_m_s, label="along the wall", **_ALONG)
     velocity.set_ylabel("velocity, m/s")
-    force.plot(ms, way.normal_force_n, label="normal", **_NORMAL)
-    force.plot(ms, way.tangential_force_n, label="friction", **_ALONG)
-    force.plot(ms, way.vertical_force_n, label="vertical", **_VERTICAL)
-    figure.suptitle(_title(what, f"{contact.normal_m_s:g} m/s normal, {tangential_m_s:g} m/s along"))
+    force.plot(ms, history.normal_force_n, label="normal", **_NORMAL)
+    force.plot(ms, history.tangential_force_n, label="friction", **_ALONG)
+    force.plot(ms, history.vertical_force_n, label="vertical", **_VERTICAL)
+    figure.suptitle(_title(condition, f"{contact.normal_m_s:g} m/s normal, {tangential_m_s:g} m/s along"))
     force.set_xlim(ms[0], ms[-1])
     _finish(figure, (position, velocity, force), (0.0, 1e3 * span), path)
 
@@ -70,14 +70,14 @@ def plot_wall(path: str | Path, what: Condition, contact: ContactMotion, tangent
 @in_style
 def plot_drop(
     path: str | Path,
-    what: Condition,
+    condition: Condition,
     contact: ContactMotion,
     height_m: float,
     published: PublishedDrop | None,
 ) -> None:
-    """Height, velocity and force of a drop over time from the release, written to `path`.
+    """Plot height, velocity and force of a drop over time from the release into `path`.
 
-    The paper's contact time and rebound speed are drawn where it has this drop.
+    The plot includes the paper's contact time and rebound speed if it published this drop.
 
     Raises:
         InputError: matplotlib is missing, or the file cannot be written.
@@ -87,14 +87,14 @@ def plot_drop(
     span = contact.end_s if np.isfinite(contact.end_s) else _SETTLED_S
     rise = float(contact.normal(span)[1]) / -contact.acceleration_m_s2
     t = np.linspace(-fallen, span + max(rise, 0.0), 2001)
-    way = trajectory(contact, t)
+    history = trajectory(contact, t)
     ms = 1e3 * (t + fallen)
     begin, end = 1e3 * fallen, 1e3 * (fallen + span)
-    position.plot(ms, 1e3 * way.normal_m, label="centre above its plane of first touch", **_NORMAL)
+    position.plot(ms, 1e3 * history.normal_m, label="centre above its plane of first touch", **_NORMAL)
     position.set_ylabel("height, mm")
-    velocity.plot(ms, way.normal_m_s, label="model", **_NORMAL)
+    velocity.plot(ms, history.normal_m_s, label="model", **_NORMAL)
     velocity.set_ylabel("velocity, m/s")
-    force.plot(ms, way.normal_force_n, label="normal", **_NORMAL)
+    force.plot(ms, history.normal_force_n, label="normal", **_NORMAL)
     if published is not None:
         velocity.plot(
             1e3 * (fallen + contact.turn_s),
@@ -103,7 +103,7 @@ def plot_drop(
             color=FORCE,
             label=f"paper: largest rebound {published.max_rebound_speed_m_s:.2f} m/s",
         )
-        level = 0.5 * float(way.normal_force_n.max())
+        level = 0.5 * float(history.normal_force_n.max())
         last = begin + 1e3 * published.contact_time_s
         force.errorbar(
             0.5 * (begin + last),
@@ -113,6 +113,6 @@ def plot_drop(
             capsize=4,
             label=f"paper: contact {1e3 * published.contact_time_s:.0f} ms",
         )
-    figure.suptitle(_title(what, f"drop from {height_m:g} m"))
+    figure.suptitle(_title(condition, f"drop from {height_m:g} m"))
     force.set_xlim(0.0, ms[-1])
     _finish(figure, (position, velocity, force), (begin, end), path)

@@ -1,6 +1,6 @@
-"""What the paper published about collisions, and our model beside it: the tables of `dart-flight tables`.
+"""The paper's published figures on collisions compared with the model: the tables of `dart-flight tables`.
 
-The published figures are data here; everything computed is computed from the vehicle's configuration.
+The published figures are data here; the model's are computed from the vehicle's configuration.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from dart_flight.planning.predicted_flight import predict_mission
 
 
 class PublishedDrop(NamedTuple):
-    """Average of three drops on concrete (paper, Sec. III)."""
+    """The average of three drops on concrete (paper, Sec. III)."""
 
     height_m: float
     mode: Mode
@@ -36,21 +36,21 @@ DROPS = (
     PublishedDrop(0.2, Mode.FLEXIBLE, 0.145, 1.34),
 )
 DROP_SURFACE, FLIGHT_SURFACE = "concrete", "acrylic"
-SURFACES = (DROP_SURFACE, FLIGHT_SURFACE, "wood")  # all that the tables need
-# In flight against acrylic (Sec. V-A): approach, and how well the paper's peak acceleration met its own
-# measurement ("accuracy", over three trials). The measured values themselves are not published.
+SURFACES = (DROP_SURFACE, FLIGHT_SURFACE, "wood")  # surfaces that the tables need
+# Collision in flight with acrylic (Sec. V-A): approach, and agreement of the paper's predicted and measured
+# peak acceleration ("accuracy", over three trials). The measured values are not published.
 FLIGHT_APPROACH_M_S = (-1.0, 0.5)
 FLIGHT_ACCURACY = {Mode.FLEXIBLE: 0.88, Mode.RIGID: 0.82}
 STIFFNESS_RATIO = 7.0  # abstract and conclusion: "seven times higher stiffness"
 
 
 def published_drop(height_m: float, mode: Mode) -> PublishedDrop | None:
-    """The published drop of this height and mode, if there is one."""
+    """Return the published drop of this height and mode, or None."""
     return next((row for row in DROPS if row.mode is mode and abs(row.height_m - height_m) < 1e-9), None)
 
 
 class DropRow(NamedTuple):
-    """A published drop and the model's; errors are model / published - 1."""
+    """A published drop and the model's prediction; errors are model / published - 1."""
 
     published: PublishedDrop
     onset: Onset
@@ -62,7 +62,7 @@ class DropRow(NamedTuple):
 
 
 def drop_rows(vehicle: VehicleConfig) -> Iterator[DropRow]:
-    """The drop tests, both heights, modes and onset rules.
+    """Yield the drop tests for both heights, modes and onset rules.
 
     Raises:
         KeyError: the configuration has no concrete.
@@ -83,10 +83,10 @@ def drop_rows(vehicle: VehicleConfig) -> Iterator[DropRow]:
 
 
 class Refit(NamedTuple):
-    """Stiffness and damping that meet published drops best; errors left are model / published - 1.
+    """Stiffness and damping fitted to published drops; the remaining errors are model / published - 1.
 
     Attributes:
-        fitted: the drops that count, by their heights, m.
+        fitted: heights of the drops used in the fit, m.
         errors: (contact time, rebound speed) of each published height, in the order of `DROPS`.
     """
 
@@ -99,11 +99,11 @@ class Refit(NamedTuple):
 
 
 _REFIT_STEPS, _REFIT_ROUNDS = 41, 9
-_REFIT_RANGE = ((100.0, 30_000.0), (0.3, 100.0))  # of k, N/m, and f, N s/m
+_REFIT_RANGE = ((100.0, 30_000.0), (0.3, 100.0))  # k in N/m, f in N s/m
 
 
 def refits(mass_kg: float, onset: Onset) -> Iterator[Refit]:
-    """Each mode's drops fitted one height at a time, then together: least squares of the relative errors."""
+    """Fit each mode's drops one height at a time, then together, by least squares of the relative errors."""
     for mode in Mode:
         rows = [row for row in DROPS if row.mode is mode]
         for fitted in (*([row] for row in rows), rows):
@@ -113,7 +113,7 @@ def refits(mass_kg: float, onset: Onset) -> Iterator[Refit]:
 def _refit(
     mass_kg: float, onset: Onset, rows: Sequence[PublishedDrop], fitted: Sequence[PublishedDrop]
 ) -> Refit:
-    """By a grid over the logarithms that closes in on its best point: two numbers need no more."""
+    """Search a grid over the logarithms of k and f that contracts around its best point."""
     (low_k, high_k), (low_f, high_f) = np.log(_REFIT_RANGE)
     for _ in range(_REFIT_ROUNDS):
         k, f = np.meshgrid(np.linspace(low_k, high_k, _REFIT_STEPS), np.linspace(low_f, high_f, _REFIT_STEPS))
@@ -143,7 +143,7 @@ def _refit(
 def _drop_errors(
     row: PublishedDrop, log_k: Array, log_f: Array, mass_kg: float, onset: Onset
 ) -> tuple[Array, Array]:
-    """Relative errors of contact time and rebound speed; where nothing rebounds they are large."""
+    """Return the relative errors of contact time and rebound speed; they are large without a rebound."""
     k, f = np.exp(log_k), np.exp(log_f)
     got = drop_map(CoefficientArrays(k, f, np.zeros_like(k), np.zeros_like(k)), mass_kg, row.height_m, onset)
     time = np.where(np.isfinite(got.contact_time_s), got.contact_time_s, 1e3)
@@ -151,7 +151,7 @@ def _drop_errors(
 
 
 class DualRow(NamedTuple):
-    """An impact of the dual collision (Sec. V-B): published velocities, m/s, and the flight model's."""
+    """An impact of the dual collision (Sec. V-B): published velocities and the flight model's, m/s."""
 
     wall: str
     mode: Mode
@@ -165,7 +165,7 @@ DUAL_PUBLISHED = ((-0.6, 0.5), (-1.6, 0.25))
 
 
 def dual_rows(vehicle: VehicleConfig) -> Iterator[DualRow]:
-    """The paper's first impact and gains flown on by the flight model, with PX4's default parameters."""
+    """Yield the paper's dual collision by the flight model, with PX4's default parameters."""
     mission = load_mission(packaged("missions", DUAL_MISSION), packaged("configs", "dart.yaml"))
     mission = msgspec.structs.replace(mission, vehicle=vehicle)
     hits = predict_mission(mission).hits
@@ -177,7 +177,7 @@ def dual_rows(vehicle: VehicleConfig) -> Iterator[DualRow]:
 
 
 class FlightRow(NamedTuple):
-    """Peaks of the in-flight collision; accelerations are force over mass."""
+    """Peaks of the collision in flight; accelerations are force over mass."""
 
     mode: Mode
     onset: Onset
@@ -190,7 +190,7 @@ class FlightRow(NamedTuple):
 
 
 def flight_rows(vehicle: VehicleConfig) -> Iterator[FlightRow]:
-    """The in-flight collision of Sec. V-A, both modes and onset rules.
+    """Yield the collision in flight of Sec. V-A for both modes and onset rules.
 
     Raises:
         KeyError: the configuration has no acrylic.
@@ -213,17 +213,16 @@ def flight_rows(vehicle: VehicleConfig) -> Iterator[FlightRow]:
 
 
 def stiffness_ratios(vehicle: VehicleConfig) -> dict[str, float]:
-    """Rigid over flexible stiffness per material that has both."""
+    """Return the ratio of rigid to flexible stiffness for each material that has both."""
     return {name: m.rigid.k / m.flexible.k for name, m in vehicle.materials.items() if m.flexible}
 
 
 def _rows(rows: list[list[str]]) -> str:
-    """The rows of a table in Markdown."""
     return "\n".join("| " + " | ".join(cells) + " |" for cells in rows)
 
 
 def page(vehicle: VehicleConfig) -> str:
-    """`docs/paper_tables.md`: the paper's figures and the model's side by side."""
+    """Return `docs/paper_tables.md`, which compares the paper's figures with the model's."""
     drops = [
         [
             f"{row.published.height_m:g} m {row.published.mode.value}",
@@ -286,27 +285,27 @@ def page(vehicle: VehicleConfig) -> str:
     normal, tangential = FLIGHT_APPROACH_M_S
     return f"""# The paper's tables
 
-Computed by `dart-flight tables`. Model: closed form, {vehicle.airframe.mass_kg:g} kg, coefficients
-of the configuration. The onset rules `lcp` and `touch` are explained in docs/contact.md.
+Computed by `dart-flight tables`, to compare the paper's figures with the contact model: closed form,
+{vehicle.airframe.mass_kg:g} kg, coefficients of the configuration.
+docs/contact.md explains the onset rules `lcp` and `touch`.
 
 ## Drop tests
 
-Concrete, gravity along the normal, released at rest; published values are averages of three trials
-(Sec. III).
+Concrete, gravity along the normal, released at rest. Published values are averages of three
+trials (Sec. III).
 
 | drop | onset | contact ms, paper | model | error | rebound m/s, paper | model | error | peak force N |
 | --- | --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: |
 {_rows(drops)}
 
-Mean size of the error: {"; ".join(means)}.
+Mean magnitude of the error: {"; ".join(means)}.
 
-## Drop tests fitted anew
+## Drop tests refitted
 
-Stiffness and damping that meet the published contact time and rebound speed best, one height at a time and
-both together; errors are the model's over the published value, less one. One height alone is met by some
-pair, but no single pair meets both. Least so in the rigid mode: its published contact is longer and its
-rebound a larger share from the greater height, while a spring and a damper under gravity are in contact for
-less long.
+Stiffness and damping that fit the published contact time and rebound speed best, for each height and for
+both. Errors are relative to the published value. Some pair fits one height exactly, but no pair fits both.
+The rigid mode fits worst: its published contact lasts longer from the greater height, but the law's contact
+is shorter.
 
 | mode | onset | fitted to | k N/m | f N s/m | 0.05 m contact | rebound | 0.2 m contact | rebound |
 | --- | --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: |
@@ -315,8 +314,8 @@ less long.
 ## Peaks in flight
 
 Acrylic, {normal:g} m/s along the normal, {
-        tangential:g} m/s along the wall (Sec. V-A). The paper gives no values,
-only how closely its peak acceleration met the measured one over three trials (last column).
+        tangential:g} m/s along the wall (Sec. V-A). The paper gives no values.
+The last column is the paper's agreement between predicted and measured peak acceleration over three trials.
 
 | mode | onset | normal N | friction N | vertical N | normal m/s² | friction m/s² | agreement in the paper |
 | --- | --- | ---: | ---: | ---: | ---: | ---: | ---: |
@@ -324,8 +323,9 @@ only how closely its peak acceleration met the measured one over three trials (l
 
 ## Dual collision
 
-From the published first impact on, with the published gains (Sec. V-B): velocities in each wall's frame, and
-the flight model's with PX4's default gains, as the paper gives none. Wood has the ground's coefficients.
+Velocities in each wall's frame, from the published first impact and with the published recovery gains
+(Sec. V-B). The paper does not give its controller gains, so the flight model uses PX4's defaults. Wood has
+the ground's coefficients.
 
 | wall | mode | normal m/s, paper | along, paper | normal m/s, model | along, model | peak N, model |
 | --- | --- | ---: | ---: | ---: | ---: | ---: |

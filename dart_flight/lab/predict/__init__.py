@@ -1,1 +1,1 @@
-"""One collision or drop, predicted step by step."""
+"""Prediction of one collision or drop over time."""

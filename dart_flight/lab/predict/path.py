@@ -1,9 +1,8 @@
-"""A contact in time, in closed form: the trajectory of one hit, and where a hit leaves the vehicle.
+"""One contact over time in closed form, for plots and for the fit of recorded trials.
 
-`contact_map` says what comes out of a contact; this module says what happens meanwhile: for plots, for
-fitting recorded trials, and to continue from the point of the peak force or of the release.
-Normal position, velocity and force are elementary (`dart_flight.contact.oscillator`); the way along the wall
-and the vertical impulse are integrals of smooth functions of them, by quadrature to the bounds stated.
+`contact_map` returns the outcome of a contact; this module returns its course. Normal position, velocity and
+force are elementary functions (`dart_flight.contact.oscillator`). The displacement along the wall and the
+vertical impulse are integrals of smooth functions, computed by quadrature to the stated bounds.
 """
 
 from __future__ import annotations
@@ -22,13 +21,12 @@ from dart_flight.contact.coefficients import Array, CoefficientArrays
 from dart_flight.contact.law import Onset
 from dart_flight.contact.oscillator import enter, find_contact_times, motion
 
-# The integrals over a contact are Chebyshev series in y, t = end (1 + tanh(c y)/tanh(c))/2: crowded towards
-# both ends, because the vertical force turns within a thousandth of the contact there. 80 terms leave less
-# than 1e-9 of an integral (force up to 500 N, mu |v| up to 20), 1e-4 in a contact that never ends.
+# The integrals over a contact are Chebyshev series in y, t = end (1 + tanh(c y)/tanh(c))/2. The nodes are
+# dense at both ends, where the vertical force changes within a thousandth of the contact. With 80 terms the
+# relative error is below 1e-9 (force up to 500 N, mu |v| up to 20), or 1e-4 in a contact that never ends.
 _TERMS = 80
 _CROWDING = 3.0
-# A contact that never ends is followed for this many time constants of its slower decay.
-_SETTLED = 40.0
+_SETTLED = 40.0  # time constants of the slower decay after which an endless contact is truncated
 
 
 class _Nodes(NamedTuple):
@@ -51,7 +49,7 @@ def _nodes() -> _Nodes:
 
 
 class _Integral:
-    """Running integral, and that of it, of a function on [0, end] with constant values before and after."""
+    """The running integral and double integral of a function on [0, end], constant before and after it."""
 
     def __init__(self, function: Callable[[Array], Array], end: float, before: float, after: float) -> None:
         nodes = _nodes()
@@ -64,12 +62,11 @@ class _Integral:
         return series
 
     def once(self, t: Array) -> Array:
-        """Integral from 0 to t (of any sign)."""
+        """Return the integral from 0 to t (of any sign)."""
         early, late = self._outside(t)
         return np.asarray(self._inside(self._once, t) + self._before * early + self._after * late)
 
     def twice(self, t: Array) -> Array:
-        """Integral from 0 to t of the integral from 0."""
         early, late = self._outside(t)
         at_nodes, series = self._twice
         outside = 0.5 * self._before * early**2 + (at_nodes[-1] + 0.5 * self._after * late) * late
@@ -77,37 +74,38 @@ class _Integral:
 
     @cached_property
     def _twice(self) -> tuple[Array, Array]:
-        """The integral at the nodes, and the series of its own."""
+        """The integral at the nodes, and the series of the double integral."""
         at_nodes = _nodes().at_nodes @ self._once
         return at_nodes, self._primitive(at_nodes)
 
     def _inside(self, series: Array, t: Array) -> Array:
-        """A series in the contact; 0 before, and after it its value at the end."""
+        """Return a series evaluated in the contact, 0 before it, and its value at the end after it."""
         value = np.where(t > 0.0, series.sum(), 0.0)
         inside = (t > 0.0) & (t < self._end)
         x = 2.0 * t[inside] / self._end - 1.0
         y = np.arctanh(x * math.tanh(_CROWDING)) / _CROWDING
-        # Most times asked for are outside; inside all terms at once are sooner done than by their recurrence.
+        # Few times are inside the contact, so evaluating all terms at once is faster than the recurrence.
         value[inside] = np.cos(np.arccos(np.clip(y, -1.0, 1.0))[..., None] * np.arange(series.size)) @ series
         return value
 
     def _outside(self, t: Array) -> tuple[Array, Array]:
-        """The time before the contact (negative) and after it."""
+        """Return the time before the contact (negative) and after it."""
         return np.minimum(t, 0.0), np.maximum(t - self._end, 0.0)
 
 
 class ContactMotion:
-    """One hit, prepared for evaluation at any time; times count from the onset.
+    """One hit that can be evaluated at any time; times count from the onset.
 
     Args:
-        coefficients: of material and mode.
+        coefficients: coefficients of material and mode.
         mass_kg: vehicle mass.
         normal_m_s: normal velocity at the onset, collision frame, not positive.
         onset: onset rule.
         acceleration_m_s2: constant other acceleration along the normal, before, in and after the contact.
 
     Attributes:
-        end_s: release; infinite where the wall is never left, 0 where it is not met.
+        met: whether there is a contact.
+        end_s: time of the release; infinite if the vehicle never leaves the wall, 0 without a contact.
         peak_s: time of the largest normal force.
         turn_s: time of the largest outward speed in contact.
         onset_m: position at the onset.
@@ -135,14 +133,13 @@ class ContactMotion:
         self.turn_s = float(events.turn) / self._omega if self.met else 0.0
         early = onset is Onset.LCP
         self.onset_m = -coefficients.lead_s * normal_m_s if early else 0.0
-        # Where quadrature stops: at the release, or when everything has settled (near critical damping the
-        # release comes thousands of times later than the force dies away).
+        # Quadrature stops when the force has decayed, which near critical damping is long before the release.
         zeta = float(self._course.zeta)
         slowest = min(zeta, 1.0 / (zeta + math.sqrt(max(zeta * zeta - 1.0, 0.0)))) if zeta > 0.0 else 1.0
         self._horizon = min(self.end_s, _SETTLED / (slowest * self._omega))
 
     def normal(self, time_s: ArrayLike) -> tuple[Array, Array, Array]:
-        """Position m, velocity m/s and force N along the normal; free flight before and after."""
+        """Return position m, velocity m/s and force N along the normal, with free flight before and after."""
         t = np.asarray(time_s, dtype=float)
         a = self.acceleration_m_s2
         if not self.met:
@@ -158,7 +155,7 @@ class ContactMotion:
         return position + (speed + 0.5 * a * free) * free, speed + a * free, np.where(inside, force, 0.0)
 
     def impulse(self, time_s: ArrayLike) -> Array:
-        """Normal impulse N s since the onset."""
+        """Return the normal impulse since the onset, N s."""
         t = np.asarray(time_s, dtype=float)
         if not self.met:
             return np.zeros_like(t)
@@ -168,7 +165,7 @@ class ContactMotion:
         return impulse
 
     def slip(self, time_s: ArrayLike) -> Array:
-        """Velocity m/s along the wall per m/s at the onset."""
+        """Return the velocity along the wall over that at the onset."""
         t = np.asarray(time_s, dtype=float)
         if not self.met:
             return np.ones_like(t)
@@ -176,21 +173,21 @@ class ContactMotion:
         return left
 
     def way(self, time_s: ArrayLike) -> Array:
-        """Way m along the wall per m/s of velocity along the wall at the onset."""
+        """Return the displacement along the wall over the tangential velocity at the onset, s."""
         t = np.asarray(time_s, dtype=float)
         return self._slipped.once(t) if self.met else t.copy()
 
     def rise(self, time_s: ArrayLike) -> Array:
-        """Velocity m/s that the vertical force gives per newton of nu, along that force."""
+        """Return the velocity m/s due to the vertical force per newton of nu, along that force."""
         t = np.asarray(time_s, dtype=float)
         return self._raised.once(t) if self.met else np.zeros_like(t)
 
     def lift(self, time_s: ArrayLike) -> Array:
-        """Way m that the vertical force gives per newton of nu, along that force."""
+        """Return the displacement m due to the vertical force per newton of nu, along that force."""
         t = np.asarray(time_s, dtype=float)
         return self._raised.twice(t) if self.met else np.zeros_like(t)
 
-    # Prepared once, and only where they are asked for: a fit asks at many times.
+    # The integrals are cached because a fit evaluates them at many times.
     @cached_property
     def _slipped(self) -> _Integral:
         out = float(self.slip(np.array([self._horizon]))[0])
@@ -202,7 +199,7 @@ class ContactMotion:
         return _Integral(self._share, self._horizon, 0.0, held)
 
     def _share(self, time_s: Array) -> Array:
-        """Acceleration m/s2 by the vertical force per newton of nu."""
+        """Return the acceleration m/s2 due to the vertical force per newton of nu."""
         force = self.normal(time_s)[2]
         return force / (1.0 + force) / self.mass_kg
 
@@ -211,9 +208,9 @@ class HitHistory(NamedTuple):
     """A hit with the free flight before and after it, in the collision frame; arrays (n,).
 
     Attributes:
-        time_s: since the onset of the contact.
+        time_s: time since the onset of the contact.
         normal_m: signed distance of the vehicle's centre to its plane of first touch.
-        tangential_m, vertical_m: way along Y and Z since the onset (Z points down at a wall).
+        tangential_m, vertical_m: displacement along Y and Z since the onset (Z points down at a wall).
         normal_m_s, tangential_m_s, vertical_m_s: velocity.
         normal_force_n, tangential_force_n, vertical_force_n: contact force.
     """
@@ -243,13 +240,13 @@ def trajectory(
     """
     t = np.asarray(time_s, dtype=float)
     x, vx, force = contact.normal(t)
-    way, slip = contact.way(t), contact.slip(t)
+    slide, slip = contact.way(t), contact.slip(t)
     lift, rise = contact.lift(t), contact.rise(t)
     c = contact.coefficients
     return HitHistory(
         time_s=t,
         normal_m=x,
-        tangential_m=tangential_m_s * way,
+        tangential_m=tangential_m_s * slide,
         vertical_m=vertical_sign * c.nu * lift,
         normal_m_s=vx,
         tangential_m_s=tangential_m_s * slip,

@@ -1,4 +1,4 @@
-"""What `dart-flight predict` answers: one hit, one drop, or a file of hits."""
+"""The predictions of `dart-flight predict`: one hit, one drop, or a file of hits."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ WALL_COLUMNS = (
     "impulse_n_s",
 )
 DROP_NAMES = Drop._fields
-_FASTEST_M_S = 100.0  # beyond this an input is a mistake of units
+_FASTEST_M_S = 100.0  # a larger input has the wrong unit
 
 
 class Condition(NamedTuple):
-    """What is predicted: a surface, a lock state, the rule for the onset, and what is in force of them."""
+    """The conditions of a prediction: surface, mode, onset rule, and the resulting coefficients."""
 
     surface: str
     mode: Mode
@@ -50,11 +50,11 @@ class Condition(NamedTuple):
 def condition(
     vehicle: VehicleConfig, surface: str, mode: str, onset: str | None, incidence_deg: float
 ) -> Condition:
-    """Look up and check what the user named.
+    """Validate the user's choices and return the condition.
 
     Raises:
-        InputError: the surface is not in the configuration, mode or onset is none or not of this vehicle, or
-            the incidence is not from 0 to 45°.
+        InputError: the surface is not in the configuration, mode or onset is unknown or unsupported by the
+            vehicle, or the incidence is outside 0 to 45°.
     """
     if mode not in list(Mode):
         raise InputError(f"{mode!r} is not allowed, only: {', '.join(Mode)}", key=("mode",))
@@ -78,10 +78,10 @@ def condition(
 
 
 def onset_rule(vehicle: VehicleConfig, onset: str | None) -> Onset:
-    """The rule that was named, else the vehicle's.
+    """Return the named onset rule, or the vehicle's.
 
     Raises:
-        InputError: there is no such rule.
+        InputError: the rule is unknown.
     """
     rule = onset or vehicle.onset
     if rule not in list(Onset):
@@ -90,60 +90,60 @@ def onset_rule(vehicle: VehicleConfig, onset: str | None) -> Onset:
 
 
 def hit_problem(normal_m_s: float, tangential_m_s: float) -> tuple[str, str] | None:
-    """Which velocity cannot be that of a wall hit, and why; the same for one hit and for a file of them."""
+    """Return the name of an invalid velocity of a wall hit and the reason, or None."""
     for name, value in (("normal", normal_m_s), ("tangential", tangential_m_s)):
         if not abs(value) <= _FASTEST_M_S:
             return name, f"{value:g} m/s, expected at most {_FASTEST_M_S:g}"
     if not normal_m_s < 0.0:
-        return "normal", f"{normal_m_s:g} m/s does not approach the wall, it must be negative"
+        return "normal", f"{normal_m_s:g} m/s does not approach the wall; it must be negative"
     return None
 
 
 def refuse_hit(normal_m_s: float, tangential_m_s: float) -> None:
-    """Make sure that a velocity may be that of a wall hit.
+    """Reject a velocity that no wall hit can have.
 
     Raises:
-        InputError: it does not approach the wall, or is not one of a vehicle.
+        InputError: the velocity does not approach the wall, or is too large.
     """
     problem = hit_problem(normal_m_s, tangential_m_s)
     if problem is not None:
         raise InputError(f"{problem[0]} {problem[1]}", key=("velocity",))
 
 
-def wall_contact(what: Condition, normal_m_s: float, tangential_m_s: float) -> ContactMotion:
-    """The hit, for its course in time.
+def wall_contact(condition: Condition, normal_m_s: float, tangential_m_s: float) -> ContactMotion:
+    """Return the contact of a wall hit over time.
 
     Raises:
         InputError: as `refuse_hit`.
     """
     refuse_hit(normal_m_s, tangential_m_s)
-    return ContactMotion(what.coefficients, what.mass_kg, normal_m_s, what.onset)
+    return ContactMotion(condition.coefficients, condition.mass_kg, normal_m_s, condition.onset)
 
 
-def predict_wall(what: Condition, normal_m_s: float, tangential_m_s: float) -> dict[str, float]:
-    """Numbers of a wall hit, named with their units.
+def predict_wall(condition: Condition, normal_m_s: float, tangential_m_s: float) -> dict[str, float]:
+    """Return the quantities of a wall hit, named with their units.
 
     Raises:
         InputError: as `wall_contact`.
     """
-    contact = wall_contact(what, normal_m_s, tangential_m_s)
-    r = collide(what.coefficients, what.mass_kg, normal_m_s, tangential_m_s, what.onset)
+    contact = wall_contact(condition, normal_m_s, tangential_m_s)
+    r = collide(condition.coefficients, condition.mass_kg, normal_m_s, tangential_m_s, condition.onset)
     last = r.contact_time_s if math.isfinite(r.contact_time_s) else 0.0
-    lift = what.coefficients.nu * what.mass_kg * float(contact.rise(last)) if last else math.nan
+    lift = condition.coefficients.nu * condition.mass_kg * float(contact.rise(last)) if last else math.nan
     return r._asdict() | {"vertical_impulse_n_s": lift}
 
 
 class Ratios(NamedTuple):
-    """What speeds alone tell of a contact: speed out over speed in, along the normal and along the wall."""
+    """Outgoing over incoming speed, along the normal and along the wall."""
 
     restitution: float
     tangential_ratio: float | None
 
     def checked(self) -> Ratios:
-        """Itself.
+        """Return these ratios if they are valid.
 
         Raises:
-            InputError: a ratio creates energy or turns the motion round.
+            InputError: a ratio creates energy or reverses the motion.
         """
         for key, value in (("restitution", self.restitution), ("tangential-ratio", self.tangential_ratio)):
             if value is not None and not 0.0 <= value <= 1.0:
@@ -154,10 +154,10 @@ class Ratios(NamedTuple):
 def predict_wall_from_ratios(
     ratios: Ratios, normal_m_s: float, tangential_m_s: float
 ) -> dict[str, float | None]:
-    """The numbers of `predict_wall`; what the ratios cannot tell (forces, times, depth) is None.
+    """Return the quantities of `predict_wall`; forces, times and depth are None.
 
     Raises:
-        InputError: a ratio is not from 0 to 1, or the velocity does not approach the wall.
+        InputError: a ratio is outside 0 to 1, or the velocity does not approach the wall.
     """
     ratios.checked()
     refuse_hit(normal_m_s, tangential_m_s)
@@ -169,10 +169,10 @@ def predict_wall_from_ratios(
 
 
 def predict_drop_from_ratios(ratios: Ratios, height_m: float) -> dict[str, float | None]:
-    """The numbers of `predict_drop`; what a restitution cannot tell is None.
+    """Return the quantities of `predict_drop`; all but the rebound speed are None.
 
     Raises:
-        InputError: the ratio is not from 0 to 1, or the height is not one of a drop.
+        InputError: the ratio is outside 0 to 1, or the height is out of range.
     """
     ratios.checked()
     if not 0.0 < height_m <= 100.0:
@@ -182,37 +182,45 @@ def predict_drop_from_ratios(ratios: Ratios, height_m: float) -> dict[str, float
     return numbers
 
 
-def drop_contact(what: Condition, height_m: float) -> ContactMotion:
-    """The first contact of a drop, for its course in time.
+def drop_contact(condition: Condition, height_m: float) -> ContactMotion:
+    """Return the first contact of a drop over time.
 
     Raises:
-        InputError: the height is not positive, or not one of a drop test.
+        InputError: the height is not above 0 and up to 100 m.
     """
     if not 0.0 < height_m <= 100.0:
         raise InputError(f"{height_m:g} m, expected a height above 0 and up to 100", key=("drop",))
-    r = drop(what.coefficients, what.mass_kg, height_m, what.onset)
+    r = drop(condition.coefficients, condition.mass_kg, height_m, condition.onset)
     return ContactMotion(
-        what.coefficients, what.mass_kg, -r.onset_speed_m_s, what.onset, acceleration_m_s2=-GRAVITY_M_S2
+        condition.coefficients,
+        condition.mass_kg,
+        -r.onset_speed_m_s,
+        condition.onset,
+        acceleration_m_s2=-GRAVITY_M_S2,
     )
 
 
-def predict_drop(what: Condition, height_m: float) -> dict[str, float]:
-    """Numbers of a drop, named with their units.
+def predict_drop(condition: Condition, height_m: float) -> dict[str, float]:
+    """Return the quantities of a drop, named with their units.
 
     Raises:
         InputError: as `drop_contact`.
     """
-    drop_contact(what, height_m)
-    return drop(what.coefficients, what.mass_kg, height_m, what.onset)._asdict()
+    drop_contact(condition, height_m)
+    return drop(condition.coefficients, condition.mass_kg, height_m, condition.onset)._asdict()
 
 
 def predict_batch_rows(
     vehicle: VehicleConfig, surface: str, onset: str | None, incidence_deg: float, *, path: str | Path
 ) -> list[dict[str, str | float]]:
-    """Wall hits of a CSV with the columns mode, normal_m_s, tangential_m_s: those and the wall-hit columns.
+    """Predict the wall hits of a CSV file with the columns mode, normal_m_s and tangential_m_s.
+
+    Returns:
+        One dictionary per row, with these columns and `WALL_COLUMNS`.
 
     Raises:
-        InputError: the file cannot be read, a column is missing or a value is not one (with its line).
+        InputError: the file cannot be read, a column is missing, or a value is invalid; the error names the
+            line.
     """
     table = [condition(vehicle, surface, mode.value, onset, incidence_deg) for mode in vehicle.modes]
     modes = [mode.value for mode in vehicle.modes]
@@ -237,7 +245,7 @@ def predict_batch_rows(
 def predict_batch(
     vehicle: VehicleConfig, surface: str, onset: str | None, incidence_deg: float, *, path: str | Path
 ) -> str:
-    """`predict_batch_rows` as CSV text, in full double precision.
+    """Return the rows of `predict_batch_rows` as CSV text in full double precision.
 
     Raises:
         InputError: as `predict_batch_rows`.
@@ -290,7 +298,7 @@ def _read_batch(path: str | Path, modes: list[str]) -> tuple[Rows, Array, Array]
 
 
 def described(name: str, value: float | None) -> tuple[str, str, str]:
-    """Quantity, value and unit as a person reads them, from a name that ends in its unit."""
+    """Return quantity, value and unit for display, from a name that ends in its unit."""
     stem, unit = parted(name)
     words = stem.replace("_", " ")
     if value is None or math.isnan(value):

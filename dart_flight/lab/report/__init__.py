@@ -1,1 +1,1 @@
-"""A flight as a page: verdict, map, forces, velocities, lock, latencies, and what the model should learn."""
+"""HTML pages of flights, campaigns and inspections, and their figures."""

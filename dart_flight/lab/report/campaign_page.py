@@ -1,4 +1,4 @@
-"""A campaign as one self-contained HTML file: rates with intervals, what fails and why, failed flights."""
+"""A campaign as one self-contained HTML file: rates with intervals, causes of failure, failed flights."""
 
 from __future__ import annotations
 
@@ -10,23 +10,23 @@ from dart_flight.lab.campaign.campaign_summary import CampaignSummary
 from dart_flight.lab.report.figures.success import success_figure, varied_figure
 from dart_flight.lab.report.render import PageTable, Row, picture, render
 
-_SHOWN = 12  # figures, failed flights; the others are folded away
+_SHOWN = 12  # figures and failed flights shown; the others are folded
 
 
 def campaign_page(summary: CampaignSummary) -> str:
-    """The page of a campaign."""
-    followed = {one.figure for one in summary.varied}
-    success = _drawn(
-        (success_figure(one), f"{one.name}: share of flights that completed, over what was drawn")
-        for one in summary.drawn
+    """Return the page of a campaign."""
+    correlated = {trend.figure for trend in summary.varied}
+    success = _pictures(
+        (success_figure(drawn), f"{drawn.name}: share of completed flights over the drawn value")
+        for drawn in summary.drawn
     )
-    varied = _drawn(
+    varied = _pictures(
         (
-            varied_figure(one, _words(one.figure)),
-            f"{_words(one.figure)} over {one.name}: rank correlation {one.correlation:.2f}, "
-            f"p {one.p_value:.2g}",
+            varied_figure(trend, _words(trend.figure)),
+            f"{_words(trend.figure)} over {trend.name}: rank correlation {trend.correlation:.2f}, "
+            f"p {trend.p_value:.2g}",
         )
-        for one in summary.varied
+        for trend in summary.varied
     )
     figures: list[Row] = [
         [name, s.flights, s.median, s.low_5, s.high_95, s.most] for name, s in summary.figures.items()
@@ -48,12 +48,12 @@ def campaign_page(summary: CampaignSummary) -> str:
         figures_of_flights=PageTable(["", "flights", "median", "5 %", "95 %", "most"], figures),
         success=success if summary.drawn else None,
         varied=varied if summary.tried else None,
-        unrelated=[(_words(one), n) for one, n in summary.tried.items() if one not in followed],
+        unrelated=[(_words(name), n) for name, n in summary.tried.items() if name not in correlated],
     )
 
 
-def _drawn(figures: Iterable[tuple[Any, str]]) -> dict[str, Any]:
-    """Return pictures with their captions, or why there are none: a campaign does without."""
+def _pictures(figures: Iterable[tuple[Any, str]]) -> dict[str, Any]:
+    """Return pictures with their captions, or the reason for their absence."""
     try:
         drawn = [(picture(figure), caption) for figure, caption in figures]
     except InputError as error:
@@ -62,7 +62,7 @@ def _drawn(figures: Iterable[tuple[Any, str]]) -> dict[str, Any]:
 
 
 def _words(figure: str) -> str:
-    """A column with its unit, as a person reads it."""
+    """Return the display name of a column, with its unit."""
     name, unit = (figure[:-2], "m") if figure.endswith("_m") else (figure[:-2], "N")
     return f"{name.replace('_', ' ')}, {unit}"
 
@@ -95,7 +95,7 @@ def _rules(summary: CampaignSummary) -> PageTable:
     for rule in summary.rules:
         rows.append(f"{rule.rule}: {rule.flights} flights")
         rows += [[t.name, t.failed, t.completed, f"{100.0 * t.chance:.0f} %"] for t in rule.telling]
-    return PageTable(["", "in these", "in completed ones", "higher in these"], rows)
+    return PageTable(["", "in these flights", "in completed flights", "higher in these"], rows)
 
 
 def _not_followed(summary: CampaignSummary) -> PageTable:
@@ -110,8 +110,8 @@ def _not_followed(summary: CampaignSummary) -> PageTable:
 def _failed(summary: CampaignSummary) -> PageTable:
     keys = list(summary.failed[0].settings) if summary.failed else []
     rows: list[Row] = [
-        [one.mission, *one.settings.values(), one.seed, one.outcome, one.reason,
-         {"command": one.command, "log": one.log}]
-        for one in summary.failed
+        [flight.mission, *flight.settings.values(), flight.seed, flight.outcome, flight.reason,
+         {"command": flight.command, "log": flight.log}]
+        for flight in summary.failed
     ]  # fmt: skip
     return PageTable(["mission", *keys, "seed", "outcome", "reason", "command to reproduce it"], rows)

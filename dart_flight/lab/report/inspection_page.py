@@ -1,4 +1,4 @@
-"""What PX4 logs felt (`dart-flight feel`), as a page."""
+"""The page of `dart-flight inspect`: impacts detected in PX4 logs."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from dart_flight.lab.report.render import PageTable, picture, render
 
 
 def inspection_page(flights: Sequence[InspectedFlight]) -> str:
-    """The page of some logs: force over the flight, impacts, what is unknown."""
+    """Return the page of some logs: force over the flight, impacts, unknown quantities."""
     impacts = sum(i.kind == "impact" for flight in flights for i in flight.impacts)
-    title = f"{_counted(len(flights), 'flight')} felt, {_counted(impacts, 'impact')}"
+    title = f"{_counted(len(flights), 'flight')} inspected, {_counted(impacts, 'impact')}"
     return render("inspection.html", title, flights=[_flight(flight) for flight in flights])
 
 

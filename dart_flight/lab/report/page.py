@@ -1,7 +1,7 @@
-"""The page of one flight, and of several flights of one mission: what the templates of this folder print.
+"""The pages of one flight, and of several flights of one mission: the values that the templates print.
 
-A page of one flight has a script, which plays the flight from numbers in the page; without scripts it lacks
-the animation and nothing else.
+The page of one flight contains a script that animates the flight. Without scripts only the animation is
+missing.
 """
 
 from __future__ import annotations
@@ -34,15 +34,15 @@ from dart_flight.lab.statistics import mean_half_width
 from dart_flight.recording.plan_versus_flight import format_departures
 from dart_flight.recording.verdict import Verdict
 
-# Peak forces that agree to this teach nothing: a fifth of k would be twice as much. One flight alone has no
-# spread; its measured velocity, on which the prediction stands, is off by up to 4 %.
+# A smaller disagreement of peak forces does not identify k: 20 % of k changes the peak by twice as much. One
+# flight has no spread, and its measured velocity, which the prediction uses, has an error of up to 4 %.
 AGREES, _ALONE = 0.05, 0.1
 _MAIN_ROWS = ("normal velocity", "peak normal force", "contact time")
 _PLAN_HEADS = ["", "planned", "flown", "tolerance", "within"]
 
 
 def flight_page(flight: RecordedFlight) -> str:
-    """The page of one flight: what became of it and where, then how, then everything."""
+    """Return the page of one flight: outcome and map, then the course of the flight, then all details."""
     v, mission, course = flight.verdict, flight.mission, flight.course
     animation = player_data(flight)
     planned: list[Row] = [
@@ -72,10 +72,16 @@ def flight_page(flight: RecordedFlight) -> str:
         plan_followed=v.plan_followed,
         outside=PageTable(_PLAN_HEADS, [row for row in planned if row[-1] == "no"]),
         planned=PageTable(_PLAN_HEADS, planned),
-        felt=PageTable(_FELT_HEADS, [_felt_row(flight, felt) for felt in course.all(WallEstimate)]),
-        replanned=PageTable(_REPLANNED_HEADS, [_replanned_row(flight, *one) for one in flight.replanned()]),
-        impacts=[(one.title, picture(forces.impact_forces(flight, one))) for one in flight.impacts],
+        felt=PageTable(
+            _WALL_ESTIMATE_HEADS,
+            [_wall_estimate_row(flight, estimate) for estimate in course.all(WallEstimate)],
+        ),
+        replanned=PageTable(_REPLANNED_HEADS, [_replanned_row(flight, *plan) for plan in flight.replanned()]),
+        impacts=[(hit.title, picture(forces.impact_forces(flight, hit))) for hit in flight.impacts],
         motion=picture(motion.motion(flight)),
+        poses=picture(motion.poses(flight))
+        if course.posed.time_s.size and course.estimated.time_s.size
+        else "",
         attitude=picture(motion.attitude(flight)),
         tracking=picture(motion.tracking_error(flight)),
         thrust=picture(motion.thrust_and_battery(flight)),
@@ -88,7 +94,7 @@ def flight_page(flight: RecordedFlight) -> str:
         ),
         noise=_noise_table(flight),
         phases=PageTable(
-            ["s", "from", "to", "because"],
+            ["s", "from", "to", "reason"],
             [[course.time_of(c.t_us), c.before, c.after, c.reason] for c in course.all(PhaseChange)],
         ),
         materials=_coefficients([flight]),
@@ -97,10 +103,10 @@ def flight_page(flight: RecordedFlight) -> str:
 
 
 def comparison_page(flights: Sequence[RecordedFlight]) -> str:
-    """The page of several flights of one mission, in the order in which they began.
+    """Return the page of several flights of one mission, ordered by their start.
 
     Raises:
-        InputError: they are of different missions.
+        InputError: the flights are of different missions.
     """
     flights = sorted(flights, key=lambda f: (f.log.about.get("started_utc", ""), f.log.seed or 0))
     _check_same_mission(flights)
@@ -122,7 +128,7 @@ def comparison_page(flights: Sequence[RecordedFlight]) -> str:
 
 
 def _check_same_mission(flights: Sequence[RecordedFlight]) -> None:
-    """Whatever the vehicle and the place of the mission's file, it must be the same."""
+    """Raise an InputError for flights of different missions; vehicle and mission file may differ."""
     first = flights[0]
     for other in flights[1:]:
         alike = msgspec.structs.replace(
@@ -160,22 +166,21 @@ def _first_difference(first: RecordedFlight, other: RecordedFlight) -> str:
 def _vehicle(v: Verdict) -> str:
     assert v.vehicle is not None
     packaged = ", the packaged configuration" if v.vehicle.packaged else ""
-    return f"{v.vehicle.source or 'as the log says'}{packaged}, {v.vehicle.mass_kg:g} kg"
+    return f"{v.vehicle.source or 'from the log'}{packaged}, {v.vehicle.mass_kg:g} kg"
 
 
-def _tiles(v: Verdict) -> list[tuple[str, str]]:
+def _tiles(verdict: Verdict) -> list[tuple[str, str]]:
     figures = [
-        ("goal missed by", v.goal_miss_m, "m", 2),
-        ("final error", v.final_error_m, "m", 3),
-        ("largest tilt", v.max_tilt_deg, "°", 1),
-        ("flight time", v.flight_time_s, "s", 1),
-        ("EKF error", v.ekf_error_m, "m", 3),
+        ("goal missed by", verdict.goal_miss_m, "m", 2),
+        ("final error", verdict.final_error_m, "m", 3),
+        ("largest tilt", verdict.max_tilt_deg, "°", 1),
+        ("flight time", verdict.flight_time_s, "s", 1),
+        ("EKF error", verdict.ekf_error_m, "m", 3),
     ]
-    return [(f"{one:.{digits}f} {unit}", name) for name, one, unit, digits in figures if one is not None]
+    return [(f"{v:.{digits}f} {unit}", name) for name, v, unit, digits in figures if v is not None]
 
 
 def _facts(flight: RecordedFlight) -> list[tuple[str, str]]:
-    """Where the flight comes from, and whether the replay decides the same."""
     v, about, replayed = flight.verdict, flight.log.about, flight.replay
     equal = f"all {replayed.outputs} outputs equal"
     if not replayed.equal:
@@ -193,25 +198,25 @@ def _facts(flight: RecordedFlight) -> list[tuple[str, str]]:
 
 
 def _missing_parts(named: Iterable[tuple[RecordedFlight, str]]) -> list[tuple[str, str]]:
-    """Return names of the logs that were cut or have holes, and what each of them lacks."""
+    """Return names of the logs that were cut or have holes, each with its missing parts."""
     lines = [(name, "; ".join(describe_missing_parts(flight.log))) for flight, name in named]
-    return [one for one in lines if one[1]]
+    return [(name, line) for name, line in lines if line]
 
 
 def outcome_sentence(flight: RecordedFlight) -> str:
-    """What became of a flight, in plain words."""
-    v, planned, met = flight.verdict, len(flight.mission.collisions), len(flight.impacts)
+    """Return the outcome of a flight as a sentence."""
+    v, planned, hit = flight.verdict, len(flight.mission.collisions), len(flight.impacts)
     if flight.mission.standoff_m is not None:
         hits = "a rehearsal, which stops before each wall"
     elif planned == 0:
         hits = "no collision was planned"
     elif planned == 1:
-        hits = f"the one planned collision was {'' if met else 'not '}flown"
+        hits = f"the one planned collision was {'' if hit else 'not '}flown"
     else:
-        hits = f"{met if met < planned else 'all'} of {planned} planned collisions were flown"
+        hits = f"{hit if hit < planned else 'all'} of {planned} planned collisions were flown"
     begin = {
         Outcome.COMPLETED: "The flight was completed",
-        Outcome.ABORTED: "The flight was broken off",
+        Outcome.ABORTED: "The flight was aborted",
         Outcome.RELEASED: "Control was released to the pilot in flight",
     }[v.outcome]
     words = f"{begin}; {hits}"
@@ -232,10 +237,10 @@ def _hits_table(flight: RecordedFlight) -> PageTable:
 def _hit_row(impact: Impact) -> Row:
     v = impact.verdict
     peak = next(c for c in impact.compared if c.name == "peak normal force")
-    felt = f", felt {v.mode_felt}" if v.mode_felt not in (None, v.mode) else ""
+    estimated = f", estimated {v.mode_felt}" if v.mode_felt not in (None, v.mode) else ""
     clipped = ", clipped" if v.clipped else ""
     return [
-        v.index, impact.at_s, v.wall, f"{v.mode}{felt}{clipped}", v.measured.normal_m_s,
+        v.index, impact.at_s, v.wall, f"{v.mode}{estimated}{clipped}", v.measured.normal_m_s,
         v.measured.tangential_m_s, v.measured.peak_force_n, signed(peak.error_percent),
     ]  # fmt: skip
 
@@ -244,11 +249,11 @@ def _where_px4_log(flight: RecordedFlight) -> str:
     if flight.log.world in (World.FAST, World.EMBEDDED):
         return "none (not a PX4 flight)"
     armed = flight.armed_utc()
-    return "not beside the log" + (f"; armed at {armed}" if armed else "")
+    return "not beside the log (dart-flight px4-log)" + (f"; armed at {armed}" if armed else "")
 
 
 def _compared_table(flight: RecordedFlight, names: Sequence[str] = ()) -> PageTable:
-    """The rows of every collision, or those of some names."""
+    """Return the rows of every collision, or only those with the given names."""
     rows: list[Row] = []
     for impact in flight.impacts:
         rows.append(impact.title + (", clipped: lower bounds" if impact.verdict.clipped else ""))
@@ -260,24 +265,26 @@ def _compared_table(flight: RecordedFlight, names: Sequence[str] = ()) -> PageTa
     return PageTable(["", "planned", "predicted", "measured", "true", "error %"], rows)
 
 
-_FELT_HEADS = ["wall", "mode reported", "felt", "k, N/m", "before", "f, N s/m", "before", "mu, s/m", "before"]
+_WALL_ESTIMATE_HEADS = [
+    "wall", "mode reported", "mode estimated", "k, N/m", "before", "f, N s/m", "before", "mu, s/m", "before",
+]  # fmt: skip
 
 
-def _felt_row(flight: RecordedFlight, felt: WallEstimate) -> Row:
-    mode = felt.mode_felt or felt.mode_reported
-    wall = next((w for w in flight.mission.walls if w.name == felt.wall), None)
+def _wall_estimate_row(flight: RecordedFlight, estimate: WallEstimate) -> Row:
+    mode = estimate.mode_felt or estimate.mode_reported
+    wall = next((w for w in flight.mission.walls if w.name == estimate.wall), None)
     vehicle = flight.mission.vehicle
     if mode is None or wall is None:
-        return [felt.wall, None, None, None, None, None, None, None, None]
+        return [estimate.wall, None, None, None, None, None, None, None, None]
     prior, spread = vehicle.materials[wall.material].of(mode), vehicle.estimation.walls.spread
-    cells: list[Cell] = [felt.wall, felt.mode_reported, felt.mode_felt or "undecided"]
+    cells: list[Cell] = [estimate.wall, estimate.mode_reported, estimate.mode_felt or "undecided"]
     for before, after, sd in (
-        (prior.k, felt.k_n_per_m, felt.k_sd),
-        (prior.f, felt.f_ns_per_m, felt.f_sd),
-        (prior.mu, felt.mu_s_per_m, felt.mu_sd),
+        (prior.k, estimate.k_n_per_m, estimate.k_sd),
+        (prior.f, estimate.f_ns_per_m, estimate.f_sd),
+        (prior.mu, estimate.mu_s_per_m, estimate.mu_sd),
     ):
-        told = ((after, sd), (before, spread))
-        cells += [Number(f"{value:.4g} ± {100.0 * share:.0f} %") for value, share in told]
+        pairs = ((after, sd), (before, spread))
+        cells += [Number(f"{value:.4g} ± {100.0 * share:.0f} %") for value, share in pairs]
     return cells
 
 
@@ -323,7 +330,7 @@ def _timing_table(flight: RecordedFlight) -> PageTable:
 
 
 def _noise_table(flight: RecordedFlight) -> PageTable:
-    """What could be felt as each approach began; empty for flights from before that was recorded."""
+    """Return the detection limits at the begin of each approach; empty for logs without them."""
     time_of = flight.course.time_of
     rows: list[Row] = [
         [time_of(f.t_us), f.threshold_n, f.noise_short_n, f.noise_long_n, f.rigid_n, f.flexible_n]
@@ -335,14 +342,14 @@ def _noise_table(flight: RecordedFlight) -> PageTable:
 
 
 def disagreements(flights: Sequence[RecordedFlight]) -> dict[str, dict[str, tuple[float, float]]]:
-    """How far measured peak forces are off those that the contact law predicts at the measured velocity.
+    """Compare measured peak forces with the contact law at the measured velocity.
 
     Args:
-        flights: of vehicles with the same materials.
+        flights: flights of vehicles with the same materials.
 
     Returns:
         By material, then by mode and force (`rigid, normal`): mean of measured over predicted peak minus one,
-        and its 95 % half width.
+            and its 95 % half width.
     """
     found: dict[str, dict[str, list[float]]] = {}
     for impact in (impact for flight in flights for impact in flight.impacts):
@@ -362,7 +369,7 @@ def _mean(values: Sequence[float]) -> tuple[float, float]:
 
 
 def beyond(disagreement: dict[str, tuple[float, float]]) -> bool:
-    """Whether one of a material's peak forces is off by more than chance and measurement are."""
+    """Return whether one of a material's peak forces deviates by more than chance and measurement errors."""
     return any(abs(mean) > max(half, AGREES) for mean, half in disagreement.values())
 
 
@@ -432,7 +439,7 @@ def _percent(share: float | None) -> float | None:
 
 
 def _spread(name: str, values: Iterable[float | None]) -> list[Cell]:
-    """Number, mean, half its 95 % interval, standard deviation, least and most of what is known."""
+    """Return count, mean, half width of its 95 % interval, standard deviation, minimum and maximum."""
     known = [v for v in values if v is not None]
     if not known:
         return [name, 0, *(None,) * 5]

@@ -1,6 +1,6 @@
 "use strict";
-// Plays a flight from the numbers in the page (report/player.py says what they are): plan, side view, force, and
-// a strip of the whole flight, all at one time. Nothing moves before somebody presses Play.
+// Plays a flight from the data in the page (defined in report/player.py) as synchronised plan, side view, force, and
+// a strip of the whole flight. The animation starts with the Play button.
 (() => {
   const SVG = "http://www.w3.org/2000/svg";
   const box = document.getElementById("player");
@@ -26,7 +26,7 @@
     if (parent) parent.append(e);
     return e;
   };
-  // Index of the last time that is not after t; 0 before the first.
+  // Index of the last time not after t, or 0 before the first.
   const before = (times, t) => {
     let low = 0, high = times.length - 1;
     while (low < high) {
@@ -43,7 +43,7 @@
     values[i] + share * (values[Math.min(i + 1, values.length - 1)] - values[i]);
   const line = (points) => points.map((p, i) => (i ? "L" : "M") + p[0].toFixed(1) + " " + p[1].toFixed(1)).join("");
 
-  // --- what is shown: the way, hits, start and goal, with a margin; in units of the drawing ------------
+  // --- view: path, hits, start and goal with a margin, in units of the drawing -------------------------
 
   const W = 480, M = 26;
   const xs = [...D.x, D.room.start[0], D.room.goal[0]], ys = [...D.y, D.room.start[1], D.room.goal[1]];
@@ -116,7 +116,7 @@
     svg("path", plan, {d: line([-1, 1].map((a) => [X(w.plane[0] + a * half * tx), Y(w.plane[1] + a * half * ty)])),
                        class: "plane"});
     const upright = Math.abs(nx) > Math.abs(ny);
-    // The name stands on the wall, where it can be seen.
+    // The name is on the visible part of the wall.
     const px = upright ? X(w.surface[0] - nx * THICK / 2) : clamp(X(w.surface[0]), X(w.surface[0] - half) + 40, W - 60);
     const py = upright ? clamp(Y(w.surface[1]), 60, H - 60) : Y(w.surface[1] - ny * THICK / 2);
     svg("text", plan, {x: px, y: py, class: "name", "text-anchor": "middle", "dominant-baseline": "central",
@@ -142,7 +142,7 @@
     };
   };
   const planFlown = path(plan, Y, D.y);
-  // Every second a dot: many where it is slow.
+  // One dot per second.
   for (let t = Math.ceil(T0 / 1000) * 1000; t < T1; t += 1000) {
     const i = before(D.t, t);
     svg("circle", plan, {cx: X(D.x[i]), cy: Y(D.y[i]), r: 1.7, class: "second"});
@@ -152,7 +152,7 @@
     const g = svg("g", plan, {class: "badge"});
     const wall = D.room.walls.find((w) => w.name === h.wall);
     const [nx, ny] = wall ? wall.normal : [0, 1];
-    // Behind the wall, and beside the badges that are there already.
+    // Behind the wall, without covering earlier badges.
     let x = X(h.at[0] - 430 * nx), y = Y(h.at[1] - 430 * ny);
     while (taken.some(([a, b]) => Math.hypot(a - x, b - y) < 19)) { x += 19 * Math.abs(ny); y += 19 * Math.abs(nx); }
     taken.push([x, y]);
@@ -174,7 +174,7 @@
   svg("text", plan, {x: W - 6, y: H - 8, class: "axis", "text-anchor": "end"}, "x →  0.5 m");
   svg("path", plan, {d: line([[W - 6 - k * 500, H - 4], [W - 6, H - 4]]), class: "scale"});
 
-  // --- force: a stretch about now ----------------------------------------------------------------------
+  // --- force: an interval around the current time ------------------------------------------------------
 
   const FW = 480, FH = 170, FL = 34, FB = 22, HALF = 300;
   const F = D.force;
@@ -206,7 +206,7 @@
   svg("text", forcePlot, {x: FL + 4, y: 12, class: "axis"},
       "horizontal force, N" + (F.true.length ? ": estimated (dashed), true" : ": estimated"));
 
-  // --- the whole flight: force, lock, phases; touch or drag to go there --------------------------------
+  // --- the whole flight: force, lock, phases; click or drag to seek ------------------------------------
 
   const OH = 118, OX = (t) => FL + (FW - FL) * (t - T0) / (T1 - T0);
   const whole = svg("svg", beside, {viewBox: `0 0 ${FW} ${OH}`, class: "strip whole", role: "img",
@@ -263,7 +263,7 @@
   const body = svg("path", side, {class: "guards"});
   const disc = svg("path", side, {class: "arm"});
 
-  // --- a moment ----------------------------------------------------------------------------------------
+  // --- one frame ---------------------------------------------------------------------------------------
 
   // Forward and left axes of the body in the mission frame, from yaw, pitch (nose up), roll (left side up).
   const axes = (yaw, pitch, roll) => {

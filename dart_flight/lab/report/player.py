@@ -1,6 +1,7 @@
-"""The animation of a flight in its page: the numbers that `player.js` draws.
+"""The data of a flight's animation, which `player.js` draws.
 
-Everything is in the page. A reader without scripts sees the map instead; nothing moves until it is asked for.
+All data are in the page. Without scripts the page shows the map instead, and the animation starts only on
+request.
 """
 
 from __future__ import annotations
@@ -26,17 +27,17 @@ from dart_flight.lab.report.tracks import (
     stretches,
 )
 
-_STEP_S, _FINE_S = 0.04, 0.01  # between pictures; near a hit
+_STEP_S, _FINE_S = 0.04, 0.01  # interval of frames, and near a hit
 _FINE_BEFORE_S, _FINE_AFTER_S = 0.2, 0.5
-_FORCE_BEFORE_S, _FORCE_AFTER_S = 0.1, 0.35  # every sample is kept there
+_FORCE_BEFORE_S, _FORCE_AFTER_S = 0.1, 0.35  # interval around a hit in which every sample is kept
 _FORCE_STEP_S = 0.05
 _PLANNED_STEP_M = 0.03
 
 
 def player_data(flight: RecordedFlight) -> dict[str, Any] | None:
-    """What the animation shows; times ms, lengths mm, angles mrad, speeds cm/s, forces 0.1 N, mission frame.
+    """Return the data of the animation, or None without motion in the air.
 
-    None where there is no motion in the air.
+    Units are ms, mm, mrad, cm/s and 0.1 N, in the mission frame.
     """
     course, mission = flight.course, flight.mission
     span = flight.shown_span
@@ -69,21 +70,21 @@ def player_data(flight: RecordedFlight) -> dict[str, Any] | None:
             )
         ],
         **_motion(motion, times, angles(course, true=motion is course.true)),
-        "setpoints": _set_points(flight, times[::2]),
+        "setpoints": _setpoints(flight, times[::2]),
         "force": _forces(flight, span, moments),
         "threshold": round(10.0 * mission.vehicle.detection.force_threshold_n),
     }
 
 
 def _lock(flight: RecordedFlight, span: tuple[float, float]) -> list[list[Any]]:
-    """Since when the arms are what; of a vehicle without a lock they are rigid all the time."""
+    """Return the states of the arms with their begin; without a lock they are always rigid."""
     if not flight.mission.vehicle.has_lock:
         return [[_ms(span[0]), Mode.RIGID.value]]
     return [[_ms(since), name] for since, _, name in lock_stretches(flight.course, span[1])]
 
 
 def _grid(span: tuple[float, float], hits: list[float]) -> Array:
-    """The moments of the pictures: closer together near a hit."""
+    """Return the times of the frames, which are denser near a hit."""
     parts = [np.arange(span[0], span[1], _STEP_S), np.array([span[1]])]
     for at in hits:
         fine = np.arange(at - _FINE_BEFORE_S, at + _FINE_AFTER_S, _FINE_S)
@@ -104,8 +105,8 @@ def _motion(motion: MotionArrays, times: Array, attitude: Angles) -> dict[str, l
     return found
 
 
-def _set_points(flight: RecordedFlight, times: Array) -> list[list[int]]:
-    """[time, x, y, z] of the setpoint in force, wherever it is another one than a picture before."""
+def _setpoints(flight: RecordedFlight, times: Array) -> list[list[int]]:
+    """Return [time, x, y, z] of the active setpoint whenever it differs from the previous frame."""
     sent = setpoint_series(flight.course)
     if not sent.time_s.size:
         return []
@@ -119,7 +120,7 @@ def _set_points(flight: RecordedFlight, times: Array) -> list[list[int]]:
 
 
 def _forces(flight: RecordedFlight, span: tuple[float, float], hits: list[float]) -> dict[str, list[int]]:
-    """Horizontal force, estimated as a vector and true as a size."""
+    """Return the horizontal force: the estimate as a vector, the truth as a magnitude."""
     estimated, true = flight.course.estimated_force, flight.course.true_force
     if not estimated.time_s.size:
         return {"t": [], "x": [], "y": [], "true": []}
@@ -179,7 +180,7 @@ def _room(mission: Mission) -> dict[str, Any]:
 
 
 def _thinned(line: Array) -> list[Vec2]:
-    """Points some centimetres apart, both ends kept."""
+    """Return points some centimetres apart, with both ends."""
     kept = [line[0]]
     for point in line[1:-1]:
         if math.dist(point[:2], kept[-1][:2]) > _PLANNED_STEP_M:

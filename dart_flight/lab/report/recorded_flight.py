@@ -1,9 +1,8 @@
-"""What a report says of one flight: everything computed, nothing drawn."""
+"""The data of a report on one flight, computed from its log; the figures are drawn elsewhere."""
 
 from __future__ import annotations
 
 import math
-from datetime import datetime, timedelta
 from functools import cached_property
 from pathlib import Path
 from typing import NamedTuple
@@ -22,8 +21,6 @@ from dart_flight.base.records import (
     PlanTaken,
     Setpoint,
     SetpointSent,
-    StatusSample,
-    World,
 )
 from dart_flight.contact.law import Onset
 from dart_flight.core.mission.approach import transit_segments
@@ -33,6 +30,7 @@ from dart_flight.lab.predict.path import ContactMotion, HitHistory, trajectory
 from dart_flight.lab.report.tracks import Angles, angles
 from dart_flight.planning.predicted_flight import PredictedFlight, predict_mission
 from dart_flight.recording.about import flown_mission
+from dart_flight.recording.flight_time import armed_span
 from dart_flight.recording.flown_impact import FlownImpact, Velocities
 from dart_flight.recording.reader import Log, read_log
 from dart_flight.recording.verdict import judge
@@ -43,18 +41,18 @@ _SHOWN_BEFORE_S, _SHOWN_AFTER_S = 0.05, 0.2
 _MIN_M_S = 0.05
 _MIN_FRICTION_N = 5.0
 _FRICTION = "peak friction force"
-_WAY_POINTS = 60
+_PATH_POINTS = 60
 
 
 class Compared(msgspec.Struct):
-    """One quantity of a collision, from every source that has it; None where it has not.
+    """One quantity of a collision from every available source; a missing value is None.
 
     Attributes:
-        name, unit: what it is.
-        planned: by the mission and the flight model.
-        predicted: by the contact law at the measured velocity.
-        measured: by the flight core, or from PX4's estimate.
-        true: of the simulated vehicle.
+        name, unit: name and unit of the quantity.
+        planned: value from the mission and the flight model.
+        predicted: value from the contact law at the measured velocity.
+        measured: value from the flight core, or from PX4's estimate.
+        true: value of the simulated vehicle.
     """
 
     name: str
@@ -66,9 +64,9 @@ class Compared(msgspec.Struct):
 
     @property
     def error_percent(self) -> float | None:
-        """Of the measured value, against the true one where there is one, else predicted, else planned.
+        """The error of the measured value relative to the true, else the predicted, else the planned value.
 
-        None of a velocity near 0, where a share says nothing.
+        It is None for a velocity near 0, where a ratio is meaningless.
         """
         sources = (self.true, self.predicted, self.planned)
         reference = next((v for v in sources if v is not None), None)
@@ -79,15 +77,16 @@ class Compared(msgspec.Struct):
 
 
 class Impact:
-    """One impact of a flight beside what the contact law predicts at its measured velocity.
+    """One impact of a flight, with the prediction of the contact law at its measured velocity.
 
     Attributes:
         verdict: the impact, with planned, measured and true figures.
-        collision, material: the collision that was planned, and its wall's material.
-        at_s: detection, seconds of the flight's `FlightArrays`.
-        prediction, predicted: the contact law at the measured velocity, in time since its onset; its figures.
-        onset_s: when the predicted contact begins. Its peak is where the measured one is; without a measured
-            peak its force reaches the threshold at `at_s`.
+        collision, material: the planned collision, and its wall's material.
+        at_s: time of detection in seconds of the flight's `FlightArrays`.
+        prediction, predicted: the contact law at the measured velocity over time since its onset, and its
+            figures.
+        onset_s: begin of the predicted contact, such that the predicted and measured peaks coincide. Without
+            a measured peak, the predicted force reaches the threshold at `at_s`.
         compared: planned, predicted, measured and true figures.
     """
 
@@ -97,7 +96,7 @@ class Impact:
         self.at_s = self.onset_s = flight.course.time_of(impact.t_us)
         self.prediction: HitHistory | None = None
         self.predicted = Velocities()
-        self._contact_ms: float | None = None  # likewise predicted
+        self._contact_ms: float | None = None  # predicted
         if (impact.measured.normal_m_s or 0.0) < 0.0:
             self._predict(flight)
         self.compared = self._compare()
@@ -110,7 +109,7 @@ class Impact:
         time = np.arange(-_SHOWN_BEFORE_S, _SHOWN_AFTER_S, _STEP_S)
         path = self.prediction = trajectory(contact, time, tangential, vehicle.vertical_force_sign)
         self.predicted.peak_force_n = float(path.normal_force_n.max())
-        if math.isfinite(contact.end_s):  # else it is not released
+        if math.isfinite(contact.end_s):  # otherwise the contact does not end
             end = np.array([contact.end_s])
             slowed = math.exp(-coefficients.mu * float(contact.impulse(contact.end_s)) / contact.mass_kg)
             self.predicted.normal_out_m_s = float(contact.normal(end)[1][0])
@@ -124,7 +123,6 @@ class Impact:
             self.onset_s = self.at_s - float(time[over[0]])
 
     def _compare(self) -> list[Compared]:
-        """The rows of the report's table."""
         v, path, peak, true = self.verdict, self.prediction, self.verdict.peak, self.verdict.contact
 
         def row(name: str, unit: str, figure: str) -> Compared:
@@ -149,17 +147,17 @@ class Impact:
 
     @property
     def title(self) -> str:
-        """Which collision, in words."""
+        """The collision's number, wall and mode as text."""
         return f"Collision {self.verdict.index}: {self.verdict.wall}, {self.verdict.mode}"
 
     @property
     def disagreement(self) -> float | None:
-        """Measured over predicted peak normal force, minus one; None where one is unknown or clipped."""
+        """Measured over predicted peak normal force, minus one; None if one is unknown or clipped."""
         return self._excess("peak normal force", 0.0)
 
     @property
     def friction_disagreement(self) -> float | None:
-        """Likewise of the friction force; None also where it is too small to tell."""
+        """The same for the friction force; None also if it is too small."""
         return self._excess(_FRICTION, _MIN_FRICTION_N)
 
     def _excess(self, name: str, least_n: float) -> float | None:
@@ -170,7 +168,7 @@ class Impact:
 
 
 class GuardAct(NamedTuple):
-    """A rule that fired, and where the vehicle was; None if that is not known."""
+    """A rule that fired, with the vehicle's position, or None if unknown."""
 
     at_s: float
     rule: str
@@ -182,9 +180,11 @@ class Timing(msgspec.Struct):
     """Latencies and jitter of a flight, milliseconds; arrays (n,).
 
     Attributes:
-        setpoint_interval_ms: between the receipts of the samples that led to successive setpoints.
-        imu_delay_ms: from the IMU's stamp to its receipt, by the clock estimate, less the least of them.
-        recovery_ms: from the receipt of the sample that triggered a recovery to its setpoint leaving.
+        setpoint_interval_ms: intervals between the receipts of the samples that triggered successive
+            setpoints.
+        imu_delay_ms: delays from the IMU's stamp to its receipt, by the clock estimate, minus the smallest.
+        recovery_ms: times from the receipt of the sample that triggered a recovery to the sending of its
+            setpoint.
     """
 
     setpoint_interval_ms: Array
@@ -193,10 +193,10 @@ class Timing(msgspec.Struct):
 
 
 class RecordedFlight:
-    """A recorded flight, judged again, and replayed where that is asked for.
+    """A recorded flight with a newly computed verdict, replayed on request.
 
     Raises:
-        InputError: the log does not hold its mission.
+        InputError: the log does not contain its mission.
     """
 
     def __init__(self, log: Log) -> None:
@@ -205,37 +205,37 @@ class RecordedFlight:
         self.course = FlightArrays(log, self.mission)
         self.verdict, impacts = judge(log)
         self.planned: PredictedFlight = predict_mission(self.mission)
-        self.impacts = [Impact(one, self) for one in impacts]
+        self.impacts = [Impact(impact, self) for impact in impacts]
         self.timing = _timing(self.course)
 
     @cached_property
     def replay(self) -> Replay:
-        """Whether the flight core decides again as it did; takes as long as the flight did to simulate."""
+        """The replay of the flight core's decisions, which takes as long as a simulation."""
         return replay(self.log)
 
     @classmethod
     def read(cls, path: str | Path) -> RecordedFlight:
-        """From a file.
+        """Read a flight from a file.
 
         Raises:
-            InputError: not a flight log, or without its mission.
+            InputError: the file is not a flight log, or lacks its mission.
         """
         return cls(read_log(path))
 
     @property
     def name(self) -> str:
-        """How the flight is called among others."""
+        """The name of the flight among others."""
         folder = Path(self.log.source).resolve().parent.name
         return f"{folder} (seed {self.log.seed})" if self.log.seed is not None else folder
 
     @cached_property
     def heading(self) -> Angles:
-        """Estimated attitude."""
+        """The estimated attitude."""
         return angles(self.course)
 
     @cached_property
     def airborne(self) -> tuple[float, float] | None:
-        """From the climb to the landing, s; None if the flight did not leave the ground."""
+        """The interval from the climb to the landing, s; None if the flight did not leave the ground."""
         changes = [(self.course.time_of(c.t_us), c.after) for c in self.course.all(PhaseChange)]
         begin = next((at_s for at_s, after in changes if after is Phase.CLIMB), None)
         ends = (at_s for at_s, after in changes if after in (Phase.LANDING, Phase.DONE))
@@ -243,7 +243,7 @@ class RecordedFlight:
 
     @cached_property
     def shown_span(self) -> tuple[float, float]:
-        """The time that figures over the whole flight show: from the climb to a second into the landing."""
+        """The time span of figures over the whole flight, from the climb to a second into the landing."""
         times = self.course.estimated.time_s
         if not times.size:
             return 0.0, 1.0
@@ -251,7 +251,7 @@ class RecordedFlight:
         return begin, min(float(times[-1]), end + 1.0)
 
     def guard_acts(self) -> list[GuardAct]:
-        """What the guard did, in order, and where by the vehicle's own estimate."""
+        """Return the guard's actions in order, with the estimated positions."""
         motion, found = self.course.estimated, []
         for event in self.verdict.guard:
             at_s, place = self.course.time_of(event.t_us), None
@@ -262,22 +262,12 @@ class RecordedFlight:
         return found
 
     def armed_utc(self) -> str | None:
-        """When the vehicle was armed, by the host's calendar: PX4 names its own log by it."""
-        about = self.log.about
-        started, monotonic = about.get("started_utc"), about.get("started_monotonic_us", "")
-        armed = next((s for s in self.course.all(StatusSample) if s.armed), None)
-        if started is None or armed is None or not monotonic.isdigit() or self.log.world is World.FAST:
-            return None
-        try:
-            moment = datetime.fromisoformat(started) + timedelta(
-                microseconds=armed.received_us - int(monotonic)
-            )
-        except (ValueError, OverflowError):
-            return None
-        return moment.strftime("%Y-%m-%d %H:%M:%S UTC")
+        """Return the UTC time of arming by the host's clock, from which PX4 names its own log."""
+        span = armed_span(self.log)
+        return None if span is None else f"{span[0]:%Y-%m-%d %H:%M:%S} UTC"
 
     def replanned(self) -> list[tuple[PlanRequest, PlanAnswer | None, PlanTaken | None]]:
-        """What was asked of the planner in flight, what it answered, and what became of that."""
+        """Return the requests to the planner in flight, with the answers and whether they were used."""
         answers = {a.number: a for a in self.course.all(PlanAnswer)}
         taken = {t.number: t for t in self.course.all(PlanTaken)}
         return [
@@ -286,22 +276,22 @@ class RecordedFlight:
         ]
 
     def answered_ms(self, request: PlanRequest, answer: PlanAnswer) -> float | None:
-        """How long an answer took, from the receipt of the sample that led to the request."""
+        """Return the time to an answer, from the receipt of the sample that triggered the request."""
         before = [s.received_us for s in self.course.all(ImuSample) if s.t_us <= request.t_us]
         return (answer.received_us - before[-1]) * 1e-3 if before else None
 
     def planned_trajectories(self) -> list[Array]:
-        """The ways planned in flight that were flown: (n, 2), mission frame, metres."""
+        """Return the trajectories planned and flown in flight: (n, 2), mission frame, metres."""
         found = []
         for _, answer, taken in self.replanned():
             if answer is not None and taken is not None and taken.taken and answer.x_mission:
-                way = Trajectory.from_plan(answer, self.mission.altitude_m)
-                times = np.linspace(0.0, answer.impact_s or answer.duration_s, _WAY_POINTS)
-                found.append(np.array([way.at(float(t)).position[:2] for t in times]))
+                path = Trajectory.from_plan(answer, self.mission.altitude_m)
+                times = np.linspace(0.0, answer.impact_s or answer.duration_s, _PATH_POINTS)
+                found.append(np.array([path.at(float(t)).position[:2] for t in times]))
         return found
 
     def planned_lines(self) -> list[Array]:
-        """The planned path from above: (n, 2), mission frame, metres."""
+        """Return the planned path from above: (n, 2), mission frame, metres."""
         planned = self.planned
         approaches = [np.array(line) for line in planned.approaches.values()]
         from_rest = [
@@ -324,12 +314,12 @@ def _timing(course: FlightArrays) -> Timing:
             delays.append((record.received_us + offset - record.t_us) * 1e-3)
     delay = np.array(delays, dtype=float)
     return Timing(
-        interval[interval < 1e3],  # longer ones are pauses: not in offboard
+        interval[interval < 1e3],  # longer ones are pauses outside offboard mode
         delay - delay.min() if delay.size else delay,
         np.array([s.latency_us * 1e-3 for s in course.all(SetpointSent)], dtype=float),
     )
 
 
 def percentile(values: Array, share: float) -> float:
-    """A percentile; NaN of nothing."""
+    """Return a percentile, or NaN of no values."""
     return float(np.percentile(values, share)) if values.size else math.nan

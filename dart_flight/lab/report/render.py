@@ -1,7 +1,7 @@
-"""Pages from the templates beside this file: values in, one self-contained HTML file out.
+"""Rendering of self-contained HTML files from the templates in this folder.
 
-Python assembles plain values, tables and pictures; every word of markup is in `templates/`. What a template
-prints is escaped, and a value that it lacks is an error.
+Python assembles values, tables and pictures; all markup is in `templates/`. Printed values are escaped, and a
+missing value is an error.
 """
 
 from __future__ import annotations
@@ -23,38 +23,38 @@ from dart_flight.lab.figure_style import as_svg
 if TYPE_CHECKING:
     from jinja2 import Environment
 
-Cell = str | float | int | dict[str, Any] | None  # a dictionary: a command, and a log that it reproduces
-Row = Sequence[Cell] | str  # text alone: a heading over the rows that follow
+Cell = str | float | int | dict[str, Any] | None  # a dictionary holds a command and the log it reproduces
+Row = Sequence[Cell] | str  # a string is a heading above the rows that follow
 
 
 class Number(str):
-    """A number that is already written."""
+    """A number that is already formatted."""
 
 
 class PageTable(NamedTuple):
-    """A table; columns of numbers are set to the right."""
+    """A table whose columns of numbers are right-aligned."""
 
     heads: Sequence[str]
     rows: Sequence[Row]
 
     @property
     def columns(self) -> list[tuple[str, bool]]:
-        """Each head, and whether numbers are below it."""
+        """The heads, and whether each column contains numbers."""
         first = next((row for row in self.rows if not isinstance(row, str)), [])
         return [(head or "", is_number(cell)) for head, cell in zip_longest(self.heads, first)]
 
     def folded(self, count: int) -> tuple[PageTable, PageTable]:
-        """Return the first rows and the others."""
+        """Return the first rows and the others as two tables."""
         return self._replace(rows=self.rows[:count]), self._replace(rows=self.rows[count:])
 
 
 def is_number(value: Cell) -> bool:
-    """Return whether a cell is a number, or stands for one that is not known."""
+    """Return whether a cell is a number or an unknown one."""
     return isinstance(value, Number) or not isinstance(value, str | dict)
 
 
 def write_number(value: Cell) -> str:
-    """Return a number as text, with three digits or more; a dash if it is not known."""
+    """Return a number as text with at least three digits, or a dash if unknown."""
     if value is None or (isinstance(value, float) and not math.isfinite(value)):
         return "–"
     if not isinstance(value, float):
@@ -64,7 +64,7 @@ def write_number(value: Cell) -> str:
 
 
 def signed(value: float | None) -> Cell:
-    """A number with its sign and one decimal."""
+    """Return a number with its sign and one decimal."""
     return None if value is None else Number(f"{value:+.1f}" if abs(value) >= 0.05 else "0.0")
 
 
@@ -74,16 +74,16 @@ def picture(figure: Any) -> str:
 
 
 def render(template: str, title: str, *, script: str = "", **values: Any) -> str:
-    """Return the whole file.
+    """Return a complete HTML file.
 
-    Nothing is loaded, and the file forbids it: its policy lets it show pictures that it holds, and run the
-    one script whose hash it names, or none.
+    The file loads nothing. Its content policy allows only embedded pictures and the one script whose hash it
+    names, or none.
 
     Args:
         template: file name in `templates/`.
-        title: of the page.
-        script: JavaScript that runs once the page is there.
-        values: what the template prints.
+        title: title of the page.
+        script: JavaScript to run when the page is loaded.
+        values: values for the template.
 
     Raises:
         InputError: jinja2 is not installed.
@@ -95,7 +95,7 @@ def render(template: str, title: str, *, script: str = "", **values: Any) -> str
 
 
 def asset(name: str) -> str:
-    """Return the text of a file of this folder."""
+    """Return the text of a file in this folder."""
     return resources.files("dart_flight.lab.report").joinpath(name).read_text(encoding="utf-8")
 
 

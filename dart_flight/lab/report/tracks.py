@@ -1,6 +1,6 @@
-"""More of a recorded flight as arrays, in the mission frame: attitude, setpoints, tracking, power, lock.
+"""Further arrays of a recorded flight in the mission frame: attitude, setpoints, tracking, power, lock.
 
-Times are seconds of the flight's `FlightArrays`; a signal that the log does not have is an array of length 0.
+Times are seconds of the flight's `FlightArrays`; a signal missing in the log is an array of length 0.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from dart_flight.core.sense.thrust_model import ThrustModel
 from dart_flight.lab.flight_arrays import Array, FlightArrays, turned
 
 V = TypeVar("V")
-# Of the body, in FRD.
+# Axes of the body in FRD.
 _FORWARD_LEFT_UP = np.array([(1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0)])
 
 
@@ -35,8 +35,8 @@ class Angles(NamedTuple):
     """Attitude in the mission frame, radians; arrays (n,).
 
     Attributes:
-        time_s: of each.
-        yaw: counter-clockwise from the mission's x axis, without jumps of a turn.
+        time_s: times, s.
+        yaw: counter-clockwise from the mission's x axis, unwrapped.
         pitch: nose up.
         roll: left side up.
     """
@@ -48,12 +48,12 @@ class Angles(NamedTuple):
 
 
 class SetpointSeries(NamedTuple):
-    """What was sent; each holds until the next.
+    """The setpoints sent; each is held until the next.
 
     Attributes:
         time_s: (n,).
-        position, velocity: (n, 3), the velocity NaN where none was sent.
-        recovery: (n,), whether it answers an impact.
+        position, velocity: (n, 3); the velocity is NaN if none was sent.
+        recovery: (n,), whether it is the response to an impact.
     """
 
     time_s: Array
@@ -67,7 +67,7 @@ class Power(NamedTuple):
 
     Attributes:
         time_s, thrust_n: total thrust by the core's model (`core/sense/thrust_model.py`), arrays (n,).
-        motor_time_s, lowest, highest: least and largest command to a motor, 0 to 1, arrays (m,).
+        motor_time_s, lowest, highest: smallest and largest command to a motor, 0 to 1, arrays (m,).
         battery_time_s, battery_v: arrays (k,).
     """
 
@@ -81,7 +81,7 @@ class Power(NamedTuple):
 
 
 def angles(course: FlightArrays, *, true: bool = False) -> Angles:
-    """The estimated attitude, or the simulated vehicle's: of the body's forward and left axes."""
+    """Return the estimated or true attitude, from the body's forward and left axes."""
     samples = course.topic_in_ned(TruthSample if true else AttitudeSample)
     q = samples["q_frd_to_ned"]
     forward, left, up = (course.from_ned(turned(q, axis)) for axis in _FORWARD_LEFT_UP)
@@ -94,7 +94,7 @@ def angles(course: FlightArrays, *, true: bool = False) -> Angles:
 
 
 def setpoint_series(course: FlightArrays) -> SetpointSeries:
-    """Every setpoint that was sent."""
+    """Return every setpoint that was sent."""
     sent = course.topic_in_ned(Setpoint)
     position, velocity = (
         course.places_from_ned(sent["position_ned"], sent.t_s),
@@ -104,16 +104,17 @@ def setpoint_series(course: FlightArrays) -> SetpointSeries:
 
 
 def in_force(times: Array, at_s: Array) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
-    """Index of the last of `times` that is not after each of `at_s`, and whether there is one."""
+    """Return for each of `at_s` the index of the last of `times` not after it, and whether there is one."""
     index = np.searchsorted(times, at_s, side="right") - 1
     return np.maximum(index, 0), index >= 0
 
 
 def tracking(course: FlightArrays) -> tuple[Array, Array, Array]:
-    """How far the estimated position and velocity are from the setpoint in force, at each odometry sample.
+    """Return the distances of estimated position and velocity from the active setpoint at each odometry
+    sample.
 
     Returns:
-        Times in s, distances in m and in m/s, arrays (n,); the last NaN where the setpoint had no velocity.
+        Times in s, distances in m and in m/s, arrays (n,); the last is NaN if the setpoint had no velocity.
     """
     motion, sent = course.estimated, setpoint_series(course)
     if not sent.time_s.size or not motion.time_s.size:
@@ -125,7 +126,7 @@ def tracking(course: FlightArrays) -> tuple[Array, Array, Array]:
 
 
 def power(course: FlightArrays, mission: Mission) -> Power:
-    """Thrust as the core reckons it, the motors' commands, and the battery."""
+    """Return the thrust by the core's model, the motors' commands, and the battery."""
     model = ThrustModel(mission.vehicle)
     thrust: list[tuple[float, float]] = []
     for record in course.records:
@@ -141,26 +142,26 @@ def power(course: FlightArrays, mission: Mission) -> Power:
                 thrust.append((course.time_of(record.t_us), n))
     times, values = np.array(thrust, dtype=float).reshape(-1, 2).T
     sent, status = course.topic(ActuatorSample), course.topic(StatusSample)
-    told = np.isfinite(status["battery_v"])
+    known = np.isfinite(status["battery_v"])
     return Power(
         times,
         values,
         sent.t_s,
         sent["motors"].min(axis=1, initial=1.0),
         sent["motors"].max(axis=1, initial=0.0),
-        status.t_s[told],
-        status["battery_v"][told],
+        status.t_s[known],
+        status["battery_v"][known],
     )
 
 
 def stretches(moments: list[tuple[float, V]], end: float) -> list[tuple[float, float, V]]:
-    """Values that hold from one moment to the next, the last to the end."""
+    """Return the intervals of values that hold until the next; the last holds until the end."""
     stops = [t for t, _ in moments[1:]] + [end] if moments else []
     return [(t, stop, value) for (t, value), stop in zip(moments, stops, strict=True)]
 
 
 def lock_stretches(course: FlightArrays, end_s: float) -> list[tuple[float, float, str]]:
-    """(since, until, what) of the lock: rigid, flexible, travelling, fault or unknown."""
+    """Return (begin, end, state) of the lock: rigid, flexible, travelling, fault or unknown."""
 
     def name(state: LockState) -> str:
         known = state.mode.value if state.mode else "unknown"
@@ -170,6 +171,6 @@ def lock_stretches(course: FlightArrays, end_s: float) -> list[tuple[float, floa
 
 
 def lock_mode(course: FlightArrays, t_us: int) -> Mode | None:
-    """The mode in which the lock was settled at a moment."""
+    """Return the mode in which the lock was settled at a time, or None."""
     before = [s for s in course.all(LockState) if s.t_us <= t_us]
     return before[-1].mode if before and before[-1].phase is LockPhase.SETTLED else None

@@ -1,4 +1,5 @@
-"""A flight in the standard schemas of Foxglove, Lichtblick and Rerun: live and from its log, translated once.
+"""A flight in the standard schemas of Foxglove, Lichtblick and Rerun, for the live view and the export of a
+log.
 
-Needs foxglove-sdk, the `live` extra, except for `downsampling`, which is the flight's own end of a live view.
+It requires foxglove-sdk (extra `live`), except for `downsampling`, which runs in the flight's own process.
 """

@@ -1,4 +1,4 @@
-"""The channels that a flight is published on: to a file, to viewers, or to both."""
+"""The channels on which a flight is published to a file, to viewers, or to both."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from dart_flight.recording.schema import schema
 
 
 class Channels:
-    """Every channel of a flight, in a context of its own.
+    """Every channel of a flight, in its own context.
 
     Attributes:
-        context: what a file or a server is opened on.
+        context: the context for opening a file or a server.
     """
 
     def __init__(self) -> None:
@@ -37,7 +37,7 @@ class Channels:
         self._lasting: dict[str, Message] = {}
 
     def publish(self, message: Message) -> None:
-        """Write or send a message; its time is the autopilot's."""
+        """Write or send a message, stamped with the autopilot's time."""
         time_ns = max(0, message.t_us) * 1000
         plain = self._plain.get(message.topic)
         if plain is not None:
@@ -48,6 +48,6 @@ class Channels:
         self._typed[message.topic].log(message.content, log_time=time_ns)
 
     def publish_again(self) -> None:
-        """What a viewer that has only now come needs to see."""
+        """Publish the lasting messages again, for a viewer that has just connected."""
         for message in list(self._lasting.values()):
             self.publish(message)

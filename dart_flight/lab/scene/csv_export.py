@@ -1,4 +1,4 @@
-"""A flight log as CSV files, one per kind of record, for spreadsheets and PlotJuggler."""
+"""Export of a flight log as CSV files, one per kind of record, for spreadsheets and PlotJuggler."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from dart_flight.recording.reader import Log
 from dart_flight.recording.schema import schema
 
 _AXES = {2: "xy", 3: "xyz", 4: "wxyz"}
-_NUMBERED = frozenset({"motors", "rpm", "blocking", "others"})  # lists of something else than axes
+_NUMBERED = frozenset({"motors", "rpm", "blocking", "others"})  # lists whose items are not axes
 
 
 def export_csv(log: Log, folder: Path) -> list[Path]:
     """Write `<record>.csv` for every kind of record in the log, `about.json`, and `columns.csv`.
 
-    Columns: `time_s` (autopilot clock, since the flight's zero, `flight_time`), `number` of the input, then
-    the record's fields with vectors spread (`position_ned_x`). `columns.csv` says unit and frame of every
-    column. Floats keep their full precision; what is missing is an empty cell.
+    The columns are `time_s` (autopilot clock, since the flight's zero, `flight_time`), `number` of the input,
+    and the record's fields. Vectors are spread over columns (`position_ned_x`). `columns.csv` lists unit and
+    frame of every column. Floats keep their full precision; a missing value is an empty cell.
 
     Raises:
         InputError: a file cannot be written.
@@ -78,7 +78,7 @@ def _spread(record: Record) -> dict[str, Any]:
 
 
 def _axes_of(name: str, length: int) -> Sequence[str]:
-    """What the parts of a vector are called at the end of a column's name: `force_mission_x`, `motors_1`."""
+    """Return the column suffixes of a vector's components: `x` in `force_mission_x`, `1` in `motors_1`."""
     if name in _NUMBERED or length not in _AXES:
         return [str(i + 1) for i in range(length)]
     return _AXES[length]

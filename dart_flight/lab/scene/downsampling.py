@@ -1,4 +1,4 @@
-"""Which records a picture of a flight needs, and how often: what is left out before anything is encoded."""
+"""Selection of the records that a display of a flight needs, applied before anything is encoded."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ from dart_flight.base.records import (
 SCENE_US = 36_000  # scene and transforms: 28 Hz at most
 SCALARS_US = 20_000  # plots: 50 Hz at most
 
-# Of these the newest of a period is as good as any.
+# One record per period is enough.
 _EVERY: dict[type[Record], int] = {OdometrySample: SCENE_US, AttitudeSample: SCENE_US, Setpoint: SCENE_US}
-# Of these the strongest of a period is kept: a peak of a few milliseconds must not fall through.
+# The strongest record of a period is kept, so that a peak of a few milliseconds remains visible.
 _STRONGEST = (ForceEstimate, TruthSample)
 _ALL: frozenset[type[Record]] = frozenset(
     {
@@ -57,10 +57,10 @@ WANTED: frozenset[type[Record]] = frozenset({*_ALL, *_EVERY, *_STRONGEST})
 
 
 class Downsampler:
-    """Takes the records of a flight in order and gives on those that a picture of it needs.
+    """A filter that receives the records of a flight in order and passes on those that a display needs.
 
-    Periods are of the autopilot's time. A sample that is kept for its strength comes out when its period is
-    over, behind records that are up to a period younger.
+    Periods refer to the autopilot's time. A strongest sample is passed on at the end of its period, after
+    records that are up to one period newer.
     """
 
     def __init__(self) -> None:
@@ -68,7 +68,7 @@ class Downsampler:
         self._held: dict[type[Record], tuple[int, float, Record]] = {}
 
     def take(self, record: Record) -> Iterable[Record]:
-        """What goes on now: nothing, or one record."""
+        """Process a record and return the records to pass on, at most one."""
         kind = type(record)
         if kind in _ALL:
             return (record,)

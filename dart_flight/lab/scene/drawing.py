@@ -1,5 +1,8 @@
-"""Rooms, vehicles and forces as primitives of foxglove.SceneUpdate. Everything in the mission frame (x along
-its heading, y left, z up) or the vehicle's (forward, left, up), metres."""
+"""Rooms, vehicles and forces as primitives of foxglove.SceneUpdate.
+
+Positions are in the mission frame (x along its heading, y left, z up) or the vehicle's (forward, left, up),
+metres.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +37,7 @@ from dart_flight.planning.predicted_flight import PredictedFlight
 
 MISSION, VEHICLE = "mission", "vehicle"  # names of the frames
 
-# Okabe and Ito's colours where a colour carries meaning: told apart by everyone.
+# Okabe and Ito's colours, which colour-blind people can distinguish.
 BLUE, ORANGE = Color(r=0.0, g=0.45, b=0.70, a=1.0), Color(r=0.90, g=0.60, b=0.0, a=1.0)
 RED, GREEN = Color(r=0.84, g=0.15, b=0.10, a=1.0), Color(r=0.0, g=0.62, b=0.45, a=1.0)
 PURPLE, GREY = Color(r=0.80, g=0.47, b=0.65, a=1.0), Color(r=0.55, g=0.55, b=0.55, a=1.0)
@@ -44,21 +47,21 @@ _DARK = Color(r=0.20, g=0.20, b=0.22, a=1.0)
 _PROPELLER = Color(r=0.6, g=0.6, b=0.6, a=0.35)
 ARMS = {"rigid": BLUE, "flexible": ORANGE, "travelling": YELLOW, "fault": RED, "unknown": GREY}
 
-FORCE_SCALE_M_PER_N = 0.012  # 50 N: as long as the vehicle is wide and half of that again
+FORCE_SCALE_M_PER_N = 0.012  # 50 N are 1.5 times the vehicle's width
 _WALL_THICKNESS_M = 0.05
 _OVER_BOUNDS_M = 0.2
 _TEXT_PX = 14.0
-_LABEL_M = 0.12  # a label above what it names
+_LABEL_M = 0.12  # height of a label above its object
 
 
 def timestamp(t_us: int) -> Timestamp:
-    """The autopilot's time, which may be before its zero only where its clock is broken."""
+    """Return the autopilot's time; a negative time, from a broken clock, becomes 0."""
     seconds, rest_us = divmod(max(0, t_us), 1_000_000)
     return Timestamp(seconds, rest_us * 1000)
 
 
 def pose(at: Vec3, q: Rotation = IDENTITY) -> Pose:
-    """Place and attitude."""
+    """Return the pose of a position and attitude."""
     x, y, z = at
     return Pose(position=Vector3(x=x, y=y, z=z), orientation=Quaternion(w=q[0], x=q[1], y=q[2], z=q[3]))
 
@@ -66,7 +69,7 @@ def pose(at: Vec3, q: Rotation = IDENTITY) -> Pose:
 def line(
     points: Iterable[Vec3], colour: Color, width_px: float = 2.0, *, closed: bool = False
 ) -> LinePrimitive:
-    """A line of a width on the screen."""
+    """Return a line with a constant width on the screen."""
     return LinePrimitive(
         type=LinePrimitiveLineType.LineLoop if closed else LinePrimitiveLineType.LineStrip,
         pose=pose((0.0, 0.0, 0.0)),
@@ -78,21 +81,21 @@ def line(
 
 
 def text(at: Vec3, words: str) -> TextPrimitive:
-    """Words that face the viewer, as large from everywhere."""
+    """Return a text that faces the viewer, with a constant size on the screen."""
     return TextPrimitive(
         pose=pose(at), billboard=True, font_size=_TEXT_PX, scale_invariant=True, color=_DARK, text=words
     )
 
 
 def ball(at: Vec3, diameter_m: float, colour: Color) -> SpherePrimitive:
-    """A sphere."""
+    """Return a sphere."""
     return SpherePrimitive(
         pose=pose(at), size=Vector3(x=diameter_m, y=diameter_m, z=diameter_m), color=colour
     )
 
 
 def arrow(at: Vec3, force_n: Vec3, colour: Color) -> ArrowPrimitive:
-    """A force at a place, as long as it is strong."""
+    """Return an arrow for a force, with a length proportional to it."""
     x, y, z = force_n
     length = FORCE_SCALE_M_PER_N * math.sqrt(x * x + y * y + z * z)
     head = min(0.08, 0.5 * length)
@@ -107,14 +110,14 @@ def arrow(at: Vec3, force_n: Vec3, colour: Color) -> ArrowPrimitive:
 
 
 def _turned_to(v: Vec3) -> Rotation:
-    """The rotation that turns x to a direction: yaw, then pitch."""
+    """Return the rotation from x to a direction: yaw, then pitch."""
     yaw, pitch = math.atan2(v[1], v[0]), -math.atan2(v[2], math.hypot(v[0], v[1]))
     cy, sy, cp, sp = math.cos(yaw / 2), math.sin(yaw / 2), math.cos(pitch / 2), math.sin(pitch / 2)
     return (cy * cp, -sy * sp, cy * sp, sy * cp)
 
 
 def entity(t_us: int, name: str, frame: str = MISSION, **primitives: Sequence[object]) -> SceneEntity:
-    """Primitives under one name; the next entity of that name takes its place."""
+    """Return primitives under one name; a later entity of that name replaces them."""
     return SceneEntity(
         timestamp=timestamp(t_us),
         frame_id=frame,
@@ -128,7 +131,7 @@ def entity(t_us: int, name: str, frame: str = MISSION, **primitives: Sequence[ob
 
 
 def room(mission: Mission, t_us: int) -> list[SceneEntity]:
-    """Bounds, walls at their surface, posts, start and goal."""
+    """Return bounds, wall surfaces, posts, start and goal."""
     return [
         _bounds(mission, t_us),
         *(_wall(mission, wall, t_us) for wall in mission.flat_walls),
@@ -146,7 +149,7 @@ def _bounds(mission: Mission, t_us: int) -> SceneEntity:
 
 
 def height_over(mission: Mission) -> float:
-    """How high walls are drawn, metres: none is given one, a vehicle within the bounds is never above it."""
+    """Return the height at which walls are drawn, metres, above every vehicle within the bounds."""
     return mission.bounds.z[1] + _OVER_BOUNDS_M
 
 
@@ -194,7 +197,7 @@ def _goal(mission: Mission, t_us: int) -> SceneEntity:
     )
     (sx, sy), above = mission.start, mission.altitude_m
     if (sx, sy, above) == (gx, gy, z):
-        texts = [text((gx, gy, z + _LABEL_M), "start and goal")]  # two labels in one place cannot be read
+        texts = [text((gx, gy, z + _LABEL_M), "start and goal")]  # two labels in one place are unreadable
     else:
         texts = [text((gx, gy, z + _LABEL_M), "goal"), text((sx, sy, above + _LABEL_M), "start")]
     return entity(
@@ -207,13 +210,12 @@ def _goal(mission: Mission, t_us: int) -> SceneEntity:
 
 
 def goal_altitude_m(mission: Mission) -> float:
-    """Where the flight ends: waypoints may have changed the altitude of its start."""
+    """Return the altitude at the end of the flight, which waypoints may have changed."""
     return mission.altitude_at(len(mission.collisions))
 
 
 def planned(flight: PredictedFlight, mission: Mission, t_us: int) -> SceneEntity:
-    """The way that the mission says and the flight model predicts: a ball at every hit, a small one at every
-    waypoint."""
+    """Return the planned path by mission and flight model, with balls at hits and small ones at waypoints."""
     lines = [[leg.begin, leg.end] for leg in transit_segments(mission) if leg.begin is not None]
     for index, approach in flight.approaches.items():
         z = mission.altitude_at(index - 1)
@@ -225,7 +227,7 @@ def planned(flight: PredictedFlight, mission: Mission, t_us: int) -> SceneEntity
     stops = [w.position for w in mission.waypoints if w.position is not None]
     return entity(
         t_us,
-        "planned way",
+        "planned path",
         lines=[line(points, ORANGE, 2.0) for points in lines],
         spheres=[*(ball(at, 0.05, ORANGE) for at in hits), *(ball(at, 0.03, ORANGE) for at in stops)],
     )
@@ -235,13 +237,13 @@ def planned(flight: PredictedFlight, mission: Mission, t_us: int) -> SceneEntity
 
 
 def vehicle(airframe: Airframe, arms: str, t_us: int) -> SceneEntity:
-    """Body, propellers and guards in the vehicle's frame; arms in the colour of what is known of the lock."""
+    """Return body, propellers and guards in the vehicle's frame; the arms' colour shows the lock's state."""
     # The airframe's axes are forward, right, down.
     motors = [(m.x_m, -m.y_m) for m in airframe.motors]
-    # No airframe says how large its propellers are: as large as fits within the guards and between them.
+    # Airframes do not specify the propeller size, so draw the largest that fits.
     inside = airframe.contact_distance_m - max(max(abs(x), abs(y)) for x, y in motors)
     apart = [math.dist(a, b) for a, b in combinations(motors, 2)]
-    radius = max(0.02, min(inside, *(0.5 * d for d in apart if d > 0.01)))  # coaxial ones share a place
+    radius = max(0.02, min(inside, *(0.5 * d for d in apart if d > 0.01)))  # coaxial motors share a position
     size = Vector3(x=2.0 * radius, y=2.0 * radius, z=0.008)
     propellers = [
         CylinderPrimitive(
@@ -263,7 +265,7 @@ def vehicle(airframe: Airframe, arms: str, t_us: int) -> SceneEntity:
 
 
 def _arm(x: float, y: float, colour: Color) -> CylinderPrimitive:
-    """A rod from the middle to a motor; a cylinder's axis is z."""
+    """Return a rod from the centre to a motor; a cylinder's axis is z."""
     length, yaw = math.hypot(x, y), math.atan2(y, x)
     half = math.sqrt(0.5)
     # Pitched by a quarter turn, then turned to the motor.

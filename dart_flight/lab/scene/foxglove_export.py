@@ -1,4 +1,4 @@
-"""A flight log in standard schemas: an MCAP file that Foxglove, Lichtblick and Rerun play in 3D as it is."""
+"""Export of a flight log in standard schemas, as an MCAP file for Foxglove, Lichtblick and Rerun."""
 
 from __future__ import annotations
 
@@ -14,10 +14,11 @@ _KEPT = ("mission", "world", "seed", "software", "host", "started_utc")
 
 
 def export_foxglove(log: Log, path: Path) -> int:
-    """Write the file; returns how many messages are in it. Times are the autopilot's, as in the log.
+    """Write the file and return its number of messages; times are the autopilot's, as in the log.
 
     Raises:
-        InputError: the log does not hold its mission, the file cannot be written, or foxglove-sdk is missing.
+        InputError: the log does not contain its mission, the file cannot be written, or foxglove-sdk is
+            missing.
     """
     mission = flown_mission(log.about, log.source)
     try:

@@ -1,8 +1,8 @@
-"""The flight's end of a live view: hands over records without ever waiting for whoever looks.
+"""The flight's end of a live view, which passes on records without ever waiting for viewers.
 
-On the flight's own thread a record costs one look at its type and one append. A thread of this module thins
-out, encodes and writes to a pipe that never blocks; what does not fit is dropped and counted. Translation,
-WebSocket and viewers are in a process of their own (`scene.server`): its death is a line on the terminal.
+On the flight's own thread a record costs a type check and an append. A thread of this module downsamples,
+encodes and writes to a non-blocking pipe; records that do not fit are dropped and counted. Translation,
+WebSocket and viewers run in a separate process (`scene.server`), whose failure only prints a line.
 """
 
 from __future__ import annotations
@@ -30,19 +30,19 @@ from dart_flight.recording.encoding import encode
 _START_S = 30.0
 _TURN_S = 0.03
 _END_S = 2.0
-_MAX_WAITING = 4096  # records; four seconds of a flight
-_MAX_BYTES = 1 << 18  # encoded and not yet in the pipe
+_MAX_WAITING = 4096  # queued records, four seconds of a flight
+_MAX_BYTES = 1 << 18  # encoded bytes not yet written to the pipe
 
 
 class LiveViewSpec(msgspec.Struct):
-    """What the process is to show, and where.
+    """The content and the address of a live view.
 
     Attributes:
-        mission: whose room and vehicle it is.
-        host, port: to listen at.
-        show_room: whether the mission's room is to be seen.
-        frame_known: the mission's frame lies where the mission says, from the beginning on.
-        from_truth: a simulated vehicle alone, shown as it really flies.
+        mission: the mission with its room and vehicle.
+        host, port: address to listen at.
+        show_room: whether to show the mission's room.
+        frame_known: whether the mission frame lies as the mission specifies from the beginning.
+        from_truth: whether to show a simulated vehicle alone, at its true pose.
     """
 
     mission: Mission
@@ -54,7 +54,7 @@ class LiveViewSpec(msgspec.Struct):
 
 
 class PortStatus(msgspec.Struct):
-    """Whether the port is open."""
+    """The open port, or the problem that prevented opening it."""
 
     port: int | None = None
     problem: str = ""
@@ -64,12 +64,12 @@ class LiveViewProcess:
     """A live view of one flight; call it with every record.
 
     Args:
-        show: what, and where.
-        say: takes a line for the terminal, on a thread of the view's.
+        show: content and address.
+        say: called with lines for the terminal, on a thread of the view.
 
     Attributes:
-        port: that viewers connect to.
-        dropped: records that were left out because the process did not keep up.
+        port: port for viewers.
+        dropped: number of records dropped because the process was too slow.
 
     Raises:
         InputError: foxglove-sdk is missing, or the port cannot be opened.
@@ -84,17 +84,17 @@ class LiveViewProcess:
         self._thinning = Downsampler()
         self._unsent = bytearray()
         self._closing = threading.Event()
-        said: queue.SimpleQueue[bytes] = queue.SimpleQueue()
+        output: queue.SimpleQueue[bytes] = queue.SimpleQueue()
         first = msgspec.json.encode(show)
-        self.process = ChildProcess("dart_flight.lab.scene.server", first, said.put, subprocess.DEVNULL)
-        self.port = self._await_port(show, said)
+        self.process = ChildProcess("dart_flight.lab.scene.server", first, output.put, subprocess.DEVNULL)
+        self.port = self._await_port(show, output)
         self._thread = threading.Thread(target=self._run, name="live view", daemon=True)
         self._thread.start()
 
-    def _await_port(self, show: LiveViewSpec, said: queue.SimpleQueue[bytes]) -> int:
+    def _await_port(self, show: LiveViewSpec, output: queue.SimpleQueue[bytes]) -> int:
         line = b""
         with contextlib.suppress(queue.Empty):
-            line = said.get(timeout=_START_S)
+            line = output.get(timeout=_START_S)
         opened = (
             msgspec.json.decode(line, type=PortStatus) if line else PortStatus(problem="it did not start")
         )
@@ -102,12 +102,12 @@ class LiveViewProcess:
             self.process.end(_END_S)
             where = f"{show.host}:{show.port}"
             if "in use" in opened.problem:
-                raise InputError(f"port {show.port} is in use, choose another with --live-port", source=where)
+                raise InputError(f"port {show.port} is in use; choose another with --live-port", source=where)
             raise InputError(f"no live view: {opened.problem}", source=where)
         return opened.port
 
     def __call__(self, record: Record) -> None:
-        """Take a record; any thread, never blocks."""
+        """Queue a record, from any thread and without blocking."""
         if type(record) in WANTED:
             if len(self._waiting) >= _MAX_WAITING:
                 self.dropped += 1
@@ -115,13 +115,13 @@ class LiveViewProcess:
                 self._waiting.append(record)
 
     def feed(self, record: Record) -> None:
-        """As a call, for those who may wait: whoever reads a log that was written long before."""
+        """Queue a record and wait if the queue is full, for readers of recorded logs."""
         while len(self._waiting) >= _MAX_WAITING and self._thread.is_alive():
             time.sleep(_TURN_S)
         self(record)
 
     def close(self) -> None:
-        """The flight is over; says how much was left out."""
+        """End the view and report the number of dropped records."""
         self._closing.set()
         self._thread.join(_END_S)
         self.process.end(_END_S)
@@ -136,7 +136,7 @@ class LiveViewProcess:
         self._pass_on()
 
     def _pass_on(self) -> bool:
-        """Hand over what waits, as far as the pipe takes it; False where nobody is there any more."""
+        """Write waiting records as far as the pipe accepts them; return False if the process has ended."""
         while self._waiting and len(self._unsent) < _MAX_BYTES:
             for record in self._thinning.take(self._waiting.popleft()):
                 self._unsent += record.topic.encode() + b" " + encode(record) + b"\n"
@@ -159,5 +159,5 @@ def open_live_view(
     from_truth: bool,
     say: Callable[[str], None],
 ) -> LiveViewProcess:
-    """A live view (`LiveViewSpec`), opened; raises what `LiveViewProcess` raises."""
+    """Open a live view (`LiveViewSpec`), with the errors of `LiveViewProcess`."""
     return LiveViewProcess(LiveViewSpec(mission, host, port, furnished, placed, from_truth), say)

@@ -1,4 +1,4 @@
-"""Room, vehicle and way as clouds of points, for viewers without scenes: Rerun draws foxglove.PointCloud."""
+"""Room, vehicle and path as point clouds (foxglove.PointCloud), for viewers without scenes such as Rerun."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from dart_flight.lab.scene.drawing import goal_altitude_m, height_over, pose, ti
 
 Segment = tuple[Vec3, Vec3]
 _ROOM_STEP_M, _VEHICLE_STEP_M = 0.03, 0.01
-_GRID_M = 0.4  # between the lines on a wall
+_GRID_M = 0.4  # spacing of the lines on a wall
 _POINT = struct.Struct("<fffBBBB")
 _FIELDS = [
     *(
@@ -40,7 +40,7 @@ ARMS: dict[str, Rgb] = {
 
 
 def cloud(t_us: int, frame: str, coloured: Iterable[tuple[Iterable[Vec3], Rgb]]) -> PointCloud:
-    """Points of several colours in one cloud."""
+    """Return points of several colours in one cloud."""
     data = b"".join(_POINT.pack(*point, *colour, 255) for points, colour in coloured for point in points)
     return PointCloud(
         timestamp=timestamp(t_us),
@@ -53,7 +53,7 @@ def cloud(t_us: int, frame: str, coloured: Iterable[tuple[Iterable[Vec3], Rgb]])
 
 
 def room(mission: Mission) -> list[tuple[Iterable[Vec3], Rgb]]:
-    """Edges of the bounds, a grid on every wall's surface, the goal's circle of capture."""
+    """Return edges of the bounds, a grid on every wall's surface, and the goal's capture circle."""
     (x0, x1), (y0, y1), (z0, z1) = mission.bounds.x, mission.bounds.y, mission.bounds.z
     corners = [(x0, y0), (x1, y0), (x1, y1), (x0, y1)]
     edges: list[Segment] = []
@@ -78,7 +78,7 @@ def room(mission: Mission) -> list[tuple[Iterable[Vec3], Rgb]]:
 
 
 def vehicle(airframe: Airframe, arms: str) -> list[tuple[Iterable[Vec3], Rgb]]:
-    """Guards and arms in the vehicle's frame; a green nose."""
+    """Return guards and arms in the vehicle's frame, with a green nose."""
     guards = [(x, y, 0.0) for x, y in airframe.outline_m]
     motors = [(m.x_m, -m.y_m, 0.0) for m in airframe.motors]
     edges = [*pairwise([*guards, guards[0]]), *(((0.0, 0.0, 0.0), motor) for motor in motors)]
@@ -87,7 +87,7 @@ def vehicle(airframe: Airframe, arms: str) -> list[tuple[Iterable[Vec3], Rgb]]:
 
 
 def _points(segments: Sequence[Segment], step_m: float) -> Iterator[Vec3]:
-    """Points along segments, at most a step apart, ends included."""
+    """Yield points along segments, at most a step apart, with both ends."""
     for a, b in segments:
         count = max(1, math.ceil(math.dist(a, b) / step_m))
         for i in range(count + 1):

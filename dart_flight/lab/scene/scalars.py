@@ -1,4 +1,6 @@
-"""What plots of a flight draw: small records of numbers, JSON with a schema, as in the flight log."""
+"""Records for the plots of a flight: small sets of numbers, published as JSON with a schema as in the flight
+log.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +10,7 @@ from dart_flight.base.records import Record
 
 
 class VehicleState(Record, frozen=True, gc=False):
-    """Where the vehicle is and what it does, by PX4's estimate."""
+    """Pose, phase, arms and battery of the vehicle, by PX4's estimate."""
 
     topic: ClassVar[str] = "/flight/state"
     t_us: int
@@ -18,14 +20,14 @@ class VehicleState(Record, frozen=True, gc=False):
     speed_m_s: float
     tilt_deg: float
     phase: str
-    arms: str  # rigid, flexible, travelling, fault or unknown: what the program knows of the lock
-    horn_share: float  # of the lock servo's way: 0 at the flexible end, 1 at the rigid end or without a lock
+    arms: str  # rigid, flexible, travelling, fault or unknown, by the lock's reported state
+    horn_share: float  # fraction of the lock servo's travel: 0 flexible end, 1 rigid end or without a lock
     battery_v: float | None
     battery_remaining: float | None
 
 
 class ForceState(Record, frozen=True, gc=False):
-    """External force on the vehicle as the flight core estimates it, newton: the strongest of 20 ms."""
+    """Estimated external force on the vehicle, newton, the strongest of 20 ms."""
 
     topic: ClassVar[str] = "/flight/force"
     t_us: int
@@ -37,7 +39,7 @@ class ForceState(Record, frozen=True, gc=False):
 
 
 class TrueForce(Record, frozen=True, gc=False):
-    """Force of the walls on the simulated vehicle, newton: the strongest of 20 ms."""
+    """True force of the walls on the simulated vehicle, newton, the strongest of 20 ms."""
 
     topic: ClassVar[str] = "/flight/true_force"
     t_us: int

@@ -1,9 +1,9 @@
-"""The process of a live view: records come in by standard input, viewers connect by WebSocket.
+"""The process of a live view: records arrive on standard input, viewers connect by WebSocket.
 
-The first line is a `LiveViewSpec`, then one record a line: its topic, a blank, its JSON as in the flight
-log. Once the port is open, or cannot be opened, one line of JSON (`PortStatus`) goes out; nothing after
-that. It runs only where a processor is idle, and ends with its input. Viewers can publish nothing: the one
-capability that is offered to them is the time of the flight.
+The first line is a `LiveViewSpec`. Each further line is one record: its topic, a blank, and its JSON as in
+the flight log. When the port is open, or cannot be opened, the process prints one line of JSON (`PortStatus`)
+and nothing after it. It runs with idle priority and ends with its input. Viewers cannot publish: the only
+capability offered to them is the time of the flight.
 """
 
 from __future__ import annotations
@@ -26,25 +26,25 @@ from dart_flight.lab.scene.translation import LASTING, SceneTranslator
 from dart_flight.recording.encoding import decode
 from dart_flight.recording.reader import DECODERS
 
-_BACKLOG = 256  # messages that wait for a slow viewer; beyond it the oldest go
+_BACKLOG = 256  # queued messages for a slow viewer, beyond which the oldest are dropped
 _CLOCK_US = 50_000
 _JUMP_US = 1_000_000
 
 
 class SubscriptionListener(ServerListener):
-    """Notes that a viewer has subscribed to what is published only on a change."""
+    """Records that a viewer has subscribed to a channel that is published only on changes."""
 
     def __init__(self) -> None:
         self.waiting = threading.Event()
 
     def on_subscribe(self, client: Client, channel: ChannelView) -> None:
-        """On a thread of the server's."""
+        """Handle a subscription, on a thread of the server."""
         if channel.topic in LASTING:
             self.waiting.set()
 
 
 class Broadcast:
-    """One flight for every viewer.
+    """The broadcast of one flight to every viewer.
 
     Raises:
         RuntimeError: the port cannot be opened.
@@ -69,7 +69,7 @@ class Broadcast:
         self.port = self._server.port
 
     def take(self, line: bytes) -> None:
-        """One record."""
+        """Publish one record."""
         topic, _, data = line.partition(b" ")
         record = decode(data, DECODERS[topic.decode()])
         for message in self._translation.take(record):
@@ -78,37 +78,37 @@ class Broadcast:
             self._newcomers.waiting.clear()
             self._channels.publish_again()
         t_us = getattr(record, "t_us", 0)
-        # Thinned samples come a little late, and viewers take any step back for a jump.
+        # Downsampled records are late, and viewers treat a step back in time as a jump.
         if t_us and not -_JUMP_US < t_us - self._clock_us < _CLOCK_US:
             self._clock_us = t_us
             self._server.broadcast_time(t_us * 1000)
 
     def close(self) -> None:
-        """Let go of the viewers."""
+        """Disconnect the viewers."""
         self._server.stop()
 
 
-def serve(records: BinaryIO, told: BinaryIO) -> int:
-    """Broadcast until there are no more records; 1 where the port cannot be opened."""
+def serve(records: BinaryIO, output: BinaryIO) -> int:
+    """Broadcast until the input ends; return 1 if the port cannot be opened."""
     show = msgspec.json.decode(records.readline(), type=LiveViewSpec)
     try:
         broadcast = Broadcast(show)
     except RuntimeError as error:
-        _tell(told, PortStatus(problem=str(error)))
+        _report_status(output, PortStatus(problem=str(error)))
         return 1
-    _tell(told, PortStatus(broadcast.port))
+    _report_status(output, PortStatus(broadcast.port))
     for line in records:
         broadcast.take(line)
     broadcast.close()
     return 0
 
 
-def _tell(told: BinaryIO, opened: PortStatus) -> None:
-    told.write(msgspec.json.encode(opened) + b"\n")
-    told.flush()
+def _report_status(output: BinaryIO, opened: PortStatus) -> None:
+    output.write(msgspec.json.encode(opened) + b"\n")
+    output.flush()
 
 
 if __name__ == "__main__":
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the flight's business
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the flight handles Ctrl-C
     use_idle_priority()
     sys.exit(serve(sys.stdin.buffer, sys.stdout.buffer))

@@ -1,7 +1,7 @@
-"""The one translation of our records to standard schemas, for the live view and for the export of a log.
+"""Translation of our records to standard schemas, for the live view and for the export of a log.
 
-Frames: `mission` (x along its heading, y left, z up) and in it `vehicle` (forward, left, up). What PX4 says
-in NED and FRD is converted by `MissionFrame`, here and nowhere else in the room.
+The frames are `mission` (x along its heading, y left, z up) and in it `vehicle` (forward, left, up). PX4's
+NED and FRD are converted by `MissionFrame` here and nowhere else in `lab.scene`.
 """
 
 from __future__ import annotations
@@ -61,13 +61,13 @@ ROOM, PLAN, VEHICLE, PATH = "/scene/room", "/scene/plan", "/scene/vehicle", "/sc
 FORCES, SET_POINT, HITS = "/scene/forces", "/scene/setpoint", "/scene/hits"
 OUTLINES = ("/points/room", "/points/vehicle", "/points/path")
 SCENES = (ROOM, PLAN, VEHICLE, PATH, FORCES, SET_POINT, HITS)
-# Each message of these says all that there is to say: the newest is enough for a viewer that comes later.
+# Each message on these is complete, so a viewer that connects later needs only the newest.
 LASTING = frozenset((*SCENES, *OUTLINES))
 
-_MIN_ARROW_N = 3.0  # an estimate's noise is no force to draw
+_MIN_ARROW_N = 3.0  # above the noise of the estimate
 _PATH_STEP_M = 0.03
 _PATH_US = 250_000
-_MAX_PATH = 500  # points; then every other one goes and the step doubles
+_MAX_PATH = 500  # points, beyond which every other one is dropped and the step doubles
 _LEVELS = {
     Level.DEBUG: LogLevel.Debug,
     Level.INFO: LogLevel.Info,
@@ -78,7 +78,7 @@ _LEVELS = {
 
 
 class Message(NamedTuple):
-    """A message for a channel: one of foxglove.messages, or one of `scalars`; time is the autopilot's."""
+    """A message for a channel, of foxglove.messages or of `scalars`, with the autopilot's time."""
 
     topic: str
     t_us: int
@@ -86,14 +86,16 @@ class Message(NamedTuple):
 
 
 class FlownTrajectory:
-    """The way flown so far: points at least a step apart; where they become too many, half of them go."""
+    """The path flown so far, as points at least a step apart; if there are too many, half of them are
+    dropped.
+    """
 
     def __init__(self) -> None:
         self.points: list[Vec3] = []
         self._step_m = _PATH_STEP_M
 
     def add(self, point: Vec3) -> None:
-        """The vehicle is here now."""
+        """Append the vehicle's current position."""
         if self.points and norm(subtract(point, self.points[-1])) < self._step_m:
             return
         self.points.append(point)
@@ -103,14 +105,14 @@ class FlownTrajectory:
 
 
 class SceneTranslator:
-    """Takes the records of a flight in order and gives the messages that follow from each.
+    """A translator that receives the records of a flight in order and returns the resulting messages.
 
     Args:
-        mission: what is flown.
-        frame: where the mission frame lies in local NED, if that is known beforehand; otherwise as the flight
-            anchors it, until then as if the vehicle stood at its take-off point.
-        furnished: whether the mission's room and plan are to be seen; not where only its vehicle is meant.
-        from_truth: of a simulated vehicle that nothing flies here: what it really does is all there is.
+        mission: the mission.
+        frame: the mission frame in local NED, if known beforehand. Otherwise the frame is the flight's
+            anchor, and until then assumes the vehicle at its take-off point.
+        furnished: whether to show the mission's room and plan.
+        from_truth: whether to show the true motion of a simulated vehicle that no program flies.
     """
 
     def __init__(
@@ -138,27 +140,27 @@ class SceneTranslator:
         self._path, self._path_us = FlownTrajectory(), -_PATH_US
         self._hits: list[tuple[Vec3, str]] = []
         self._begun = False
-        self._takers: dict[type[Record], Callable[[Any], list[Message]]] = {
-            OdometrySample: self._take_odometry,
-            AttitudeSample: self._take_attitude,
-            ForceEstimate: self._take_force,
-            TruthSample: self._take_truth,
-            TruthContact: self._take_truth_contact,
-            Setpoint: self._take_set_point,
-            LockState: self._take_lock,
-            StatusSample: self._take_status,
-            PhaseChange: self._take_phase,
-            ImpactPeak: self._take_peak,
+        self._handlers: dict[type[Record], Callable[[Any], list[Message]]] = {
+            OdometrySample: self._on_odometry,
+            AttitudeSample: self._on_attitude,
+            ForceEstimate: self._on_force,
+            TruthSample: self._on_truth,
+            TruthContact: self._on_truth_contact,
+            Setpoint: self._on_setpoint,
+            LockState: self._on_lock,
+            StatusSample: self._on_status,
+            PhaseChange: self._on_phase,
+            ImpactPeak: self._on_peak,
         }
 
     def take(self, record: Record) -> list[Message]:
-        """The messages that follow from a record; of `Downsampler`'s records every one may matter."""
+        """Return the messages for a record."""
         t_us = getattr(record, "t_us", 0)
         messages = [] if self._begun else self._begin(t_us)
         self._anchor.take(record)
-        taker = self._takers.get(type(record))
-        if taker is not None:
-            messages += taker(record)
+        handler = self._handlers.get(type(record))
+        if handler is not None:
+            messages += handler(record)
         event = self._events.event_of(record)
         if event is not None:
             messages.append(_log(t_us, event))
@@ -169,9 +171,9 @@ class SceneTranslator:
         return self._given or self._anchor.frame or self._provisional
 
     def _begin(self, t_us: int) -> list[Message]:
-        """What does not change."""
+        """Return the messages for everything constant."""
         self._begun = True
-        # Viewers draw nothing, or complain, until they know how the frames lie: at the start, level.
+        # Viewers need a transform before anything else, so begin level at the start.
         (x, y) = self._mission.start if self._furnished else (0.0, 0.0)
         messages = [_transform(t_us, (x, y, 0.0), IDENTITY), *self._vehicle(t_us)]
         if self._furnished:
@@ -182,13 +184,13 @@ class SceneTranslator:
             messages.append(Message(OUTLINES[0], t_us, points))
         return messages
 
-    # -- where the vehicle is --
+    # -- pose --
 
-    def _take_attitude(self, sample: AttitudeSample) -> list[Message]:
+    def _on_attitude(self, sample: AttitudeSample) -> list[Message]:
         self._q = sample.q_frd_to_ned
         return []
 
-    def _take_odometry(self, sample: OdometrySample) -> list[Message]:
+    def _on_odometry(self, sample: OdometrySample) -> list[Message]:
         if self._given is None and self._anchor.frame is None:
             self._provisional = self._mission.frame_at(sample.position_ned)
         frame = self._frame
@@ -209,8 +211,8 @@ class SceneTranslator:
         ]
         if not 0 <= t_us - self._path_us < _PATH_US:
             self._path_us = t_us
-            way = drawing.line([*self._path.points, position], drawing.BLUE, 3.0)
-            messages.append(_scene(PATH, t_us, drawing.entity(t_us, "flown", lines=[way])))
+            path = drawing.line([*self._path.points, position], drawing.BLUE, 3.0)
+            messages.append(_scene(PATH, t_us, drawing.entity(t_us, "flown", lines=[path])))
             points = outlines.cloud(t_us, drawing.MISSION, [(self._path.points, outlines.BLUE)])
             messages.append(Message(OUTLINES[2], t_us, points))
         return messages
@@ -233,12 +235,12 @@ class SceneTranslator:
         return Message(VehicleState.topic, t_us, state)
 
     def _horn_share(self, t_us: int) -> float:
-        """How far the rods are in; all of the way where the vehicle has no lock."""
+        """Return the fraction by which the rods are inserted, 1 for a vehicle without a lock."""
         if self._horn is None or self._servo is None:
             return 1.0
         return locked_fraction(self._servo, self._horn.pulse_at(t_us))
 
-    def _take_truth(self, truth: TruthSample) -> list[Message]:
+    def _on_truth(self, truth: TruthSample) -> list[Message]:
         force, t_us = truth.contact_force_mission, truth.t_us
         self._true_n = _stronger(self._true_n, force)
         messages = [
@@ -247,7 +249,7 @@ class SceneTranslator:
         if not self._from_truth or 0 <= t_us - self._true_us < SCENE_US:
             return messages
         self._true_us = t_us
-        messages += self._arms_are(truth.mode.value, t_us)
+        messages += self._update_arms(truth.mode.value, t_us)
         frame = MissionFrame(heading_rad=math.radians(self._mission.frame.heading_deg))
         return messages + self._moved(
             t_us, truth.position_mission, truth.velocity_mission, truth.q_frd_to_ned, frame
@@ -255,14 +257,16 @@ class SceneTranslator:
 
     # -- forces and hits --
 
-    def _take_force(self, estimate: ForceEstimate) -> list[Message]:
+    def _on_force(self, estimate: ForceEstimate) -> list[Message]:
         force, t_us = estimate.force_mission, estimate.t_us
         self._estimated_n = _stronger(self._estimated_n, force)
         parts = self._along_wall(force, self._position)
         return [Message(ForceState.topic, t_us, ForceState(t_us, *parts, estimate.clipped))]
 
     def _along_wall(self, force: Vec3, position: Vec3 | None) -> tuple[float, float, float, float]:
-        """Magnitude, along the nearest wall's normal, along that wall, up; without any wall along x and y."""
+        """Return magnitude, components along the nearest wall's normal and tangent, and up; x and y without a
+        wall.
+        """
         walls = self._mission.walls if self._furnished and position is not None else ()
         if not walls or position is None:
             return (norm(force), *force)
@@ -271,7 +275,9 @@ class SceneTranslator:
         return (norm(force), normal, along, -down)
 
     def _forces(self, t_us: int, position: Vec3) -> list[Message]:
-        """Arrows of the strongest forces since the last picture; one empty picture once they are gone."""
+        """Return arrows of the strongest forces since the last update, or one empty update after the last
+        force.
+        """
         pairs = ((self._true_n, drawing.GREY), (self._estimated_n, drawing.RED))
         self._true_n = self._estimated_n = (0.0, 0.0, 0.0)
         arrows = [drawing.arrow(position, n, colour) for n, colour in pairs if norm(n) >= _MIN_ARROW_N]
@@ -280,14 +286,14 @@ class SceneTranslator:
         self._drawn_forces = bool(arrows)
         return [_scene(FORCES, t_us, drawing.entity(t_us, "force", arrows=arrows))]
 
-    def _take_peak(self, peak: ImpactPeak) -> list[Message]:
+    def _on_peak(self, peak: ImpactPeak) -> list[Message]:
         x, y, z = peak.position_mission
         self._hits.append(((x, y, z), f"{len(self._hits) + 1}: {peak.normal_force_n:.0f} N"))
         return [self._hit_marks(peak.t_us)]
 
-    def _take_truth_contact(self, contact: TruthContact) -> list[Message]:
+    def _on_truth_contact(self, contact: TruthContact) -> list[Message]:
         if not self._from_truth:
-            return []  # what the flight measured is shown, and the true force beside it
+            return []  # the measured hits are shown instead
         words = f"hit {contact.wall} {contact.mode}: {contact.peak_normal_force_n:.1f} N normal"
         at = contact.position_mission
         self._hits.append((at, f"{len(self._hits) + 1}: {contact.peak_normal_force_n:.0f} N"))
@@ -304,7 +310,7 @@ class SceneTranslator:
 
     # -- setpoint, lock, status, phase --
 
-    def _take_set_point(self, point: Setpoint) -> list[Message]:
+    def _on_setpoint(self, point: Setpoint) -> list[Message]:
         frame = self._frame
         if frame is None:
             return []
@@ -314,7 +320,7 @@ class SceneTranslator:
         marks = drawing.entity(point.t_us, "setpoint", spheres=[drawing.ball(at, 0.05, colour)], lines=lines)
         return [_scene(SET_POINT, point.t_us, marks)]
 
-    def _take_lock(self, state: LockState) -> list[Message]:
+    def _on_lock(self, state: LockState) -> list[Message]:
         if state.phase is LockPhase.SETTLED and state.mode is not None:
             arms = state.mode.value
         else:
@@ -322,9 +328,9 @@ class SceneTranslator:
         moved = state.mode is not None and state.phase in (LockPhase.TRAVELLING, LockPhase.SETTLED)
         if moved and self._horn is not None and self._servo is not None and state.mode is not None:
             self._horn.command(state.commanded_us or state.t_us, self._servo.pulse_us(state.mode))
-        return self._arms_are(arms, state.t_us)
+        return self._update_arms(arms, state.t_us)
 
-    def _arms_are(self, arms: str, t_us: int) -> list[Message]:
+    def _update_arms(self, arms: str, t_us: int) -> list[Message]:
         changed, self._arms = arms != self._arms, arms
         return self._vehicle(t_us) if changed else []
 
@@ -336,11 +342,11 @@ class SceneTranslator:
             Message(OUTLINES[1], t_us, points),
         ]
 
-    def _take_status(self, status: StatusSample) -> list[Message]:
+    def _on_status(self, status: StatusSample) -> list[Message]:
         self._status = status
         return []
 
-    def _take_phase(self, change: PhaseChange) -> list[Message]:
+    def _on_phase(self, change: PhaseChange) -> list[Message]:
         self._phase = change.after.value
         return []
 
@@ -355,14 +361,14 @@ def _scene(topic: str, t_us: int, *entities: SceneEntity) -> Message:
 
 def _transform(t_us: int, position: Vec3, q: Rotation) -> Message:
     x, y, z = position
-    one = FrameTransform(
+    transform = FrameTransform(
         timestamp=drawing.timestamp(t_us),
         parent_frame_id=drawing.MISSION,
         child_frame_id=drawing.VEHICLE,
         translation=Vector3(x=x, y=y, z=z),
         rotation=Quaternion(w=q[0], x=q[1], y=q[2], z=q[3]),
     )
-    return Message(TRANSFORMS, t_us, FrameTransforms(transforms=[one]))
+    return Message(TRANSFORMS, t_us, FrameTransforms(transforms=[transform]))
 
 
 def _log(t_us: int, event: Event) -> Message:
@@ -373,9 +379,10 @@ def _log(t_us: int, event: Event) -> Message:
 
 
 def attitude_in(frame: MissionFrame, q_frd_to_ned: Rotation) -> Rotation:
-    """Attitude as viewers draw it: body forward, left, up to the mission frame.
+    """Return the attitude for viewers: body forward, left, up to the mission frame.
 
-    Both flips, of the body's axes and of the world's, are half turns about x; then the heading about z.
+    Both flips, of the body's axes and of the world's, are half turns about x, followed by the heading about
+    z.
     """
     half = 0.5 * frame.heading_rad
     flip = (0.0, 1.0, 0.0, 0.0)
@@ -384,6 +391,6 @@ def attitude_in(frame: MissionFrame, q_frd_to_ned: Rotation) -> Rotation:
 
 
 def locked_fraction(servo: Servo, horn_pulse_us: float) -> float:
-    """How far the horn is from the flexible end (0) to the rigid end (1), bounded to that range."""
+    """Return the position of the horn between the flexible end (0) and the rigid end (1), clipped."""
     share = (horn_pulse_us - servo.flexible_pulse_us) / (servo.rigid_pulse_us - servo.flexible_pulse_us)
     return max(0.0, min(1.0, share))

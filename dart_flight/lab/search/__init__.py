@@ -1,1 +1,1 @@
-"""The search over scenarios."""
+"""The planner: search for missions that satisfy a scenario."""

@@ -156,16 +156,16 @@ def choose_flown(
     Raises:
         RunsInterruptedError: the operator pressed Ctrl-C.
     """
-    scenario, flown, says = result.scenario, dict[str, FlownRecord](), list[str]()
+    scenario, flown, lines = result.scenario, dict[str, FlownRecord](), list[str]()
     free: FlownMission | None = None
     if result.free is not None:
         free = fly_mission(planned_mission(scenario, result.free), done, fly)
         flown["free"] = free.record
         if free.record.failure is not None:
-            says.append(f"the flight without a collision is not offered: {free.record.failure}")
+            lines.append(f"the flight without a collision is not offered: {free.record.failure}")
     hits = None if free_only or result.best is not result.colliding else result.colliding
     if hits is not None:
-        for name, wanted in _ways_to_collide(scenario).items():
+        for name, wanted in _colliding_variants(scenario).items():
             mission = fly_mission(planned_mission(wanted, hits), done, fly)
             record = mission.record if free is None else compare(mission, free)
             flown[name] = record
@@ -173,37 +173,37 @@ def choose_flown(
                 f" with a touch of each wall at {wanted.spec.touch_m_s:g} m/s" if name == "touched" else ""
             )
             if record.failure is not None:
-                says.append(f"the colliding plan{with_touches} is not offered as a saving: {record.failure}")
+                lines.append(f"the colliding plan{with_touches} is not offered as a saving: {record.failure}")
                 continue
-            says.append(f"the colliding plan{with_touches} flies: {record.summary}")
+            lines.append(f"the colliding plan{with_touches} succeeds in simulation: {record.summary}")
             if _is_offered(record, free, scenario):
-                return OfferedPlan(hits, wanted, record, says, flown)
+                return OfferedPlan(hits, wanted, record, lines, flown)
             break
     if (
         free is None
         or free.record.failure is not None
         or (hits is not None and not scenario.chosen_by_planner)
     ):
-        says.append("no plan is offered")
-        return OfferedPlan(None, scenario, None, says, flown)
-    says.append(f"the flight without a collision is offered: {free.record.summary}")
-    return OfferedPlan(result.free, scenario, free.record, says, flown)
+        lines.append("no plan is offered")
+        return OfferedPlan(None, scenario, None, lines, flown)
+    lines.append(f"the flight without a collision is offered: {free.record.summary}")
+    return OfferedPlan(result.free, scenario, free.record, lines, flown)
 
 
-def _ways_to_collide(scenario: Scenario) -> dict[str, Scenario]:
+def _colliding_variants(scenario: Scenario) -> dict[str, Scenario]:
     """Return the scenario and, if it asks for no touches, a copy with touches, by name."""
-    ways = {"colliding": scenario}
+    variants = {"colliding": scenario}
     if scenario.spec.touch_m_s is None:
         spec = msgspec.structs.replace(scenario.spec, touch_m_s=TOUCH_M_S)
-        ways["touched"] = msgspec.structs.replace(scenario, spec=spec)
-    return ways
+        variants["touched"] = msgspec.structs.replace(scenario, spec=spec)
+    return variants
 
 
 def _is_offered(record: FlownRecord, free: FlownMission | None, scenario: Scenario) -> bool:
-    """Return whether to offer a colliding plan that flies: the scenario demands it, or it saves time."""
-    asked = not scenario.chosen_by_planner or scenario.spec.touch_m_s is not None
-    pays = record.saving_s is not None and record.saving_s > 0.0
-    return asked or pays or free is None or free.record.failure is not None
+    """Return whether to offer a colliding plan that succeeds: the scenario demands it, or it saves time."""
+    demanded = not scenario.chosen_by_planner or scenario.spec.touch_m_s is not None
+    saves = record.saving_s is not None and record.saving_s > 0.0
+    return demanded or saves or free is None or free.record.failure is not None
 
 
 def _rounded(value: float | None) -> float | None:

@@ -1,9 +1,9 @@
-"""The flight without a collision, as quick as the same limits allow: what a colliding plan has to beat.
+"""The fastest flight without a collision within the same limits, as the reference for colliding plans.
 
-Along a straight way the time is the optimum, from Ruckig (time-optimal with bounded speed, acceleration and
-jerk). Round walls it is the quickest past the corners of the shortest polyline (`optimal_trajectory`), and
-how much of that time may be in vain is told: `gap_s`, its time less that of the shortest way round the walls'
-edges, straightened, which nothing beats.
+Along a straight line the time is the optimum from Ruckig (time-optimal with bounded speed, acceleration and
+jerk). Around walls it is the fastest flight past the corners of the shortest polyline (`optimal_trajectory`).
+`gap_s` bounds the possible improvement: the time minus that of the shortest path around the walls' edges,
+straightened, which no flight beats.
 """
 
 from __future__ import annotations
@@ -27,20 +27,20 @@ from dart_flight.lab.search.optimal_trajectory import (
 from dart_flight.lab.search.routes import Obstacles, least_length_m, regions, shortest_path
 from dart_flight.lab.search.scenario import Scenario
 
-_AXIS = math.sqrt(0.5)  # of a limit on a vector's length, for each of two axes
-_SPEED_USED = 0.95  # of the limit: what the flight that follows is off by is left to it
+_AXIS = math.sqrt(0.5)  # share of a vector's limit for each of two axes
+_SPEED_USED = 0.95  # share of the limit; the rest is a margin for tracking errors
 _NO_HITS = HitLimits(math.inf, None, None, None, 0.0)
 
 
 class FreePlan(msgspec.Struct, frozen=True):
-    """The quickest flight from start to goal that touches nothing, from rest to rest.
+    """The fastest flight from start to goal without a contact, from rest to rest.
 
     Attributes:
-        time_s: None where there is no way.
-        gap_s: how much quicker it could be at most; 0: it is the optimum.
-        length_m: of its polyline.
-        via: its corners, mission frame.
-        limits: what it keeps to.
+        time_s: duration; None without a path.
+        gap_s: upper bound of a possible improvement; 0 for an optimum.
+        length_m: length of the polyline.
+        via: corners of the polyline, mission frame.
+        limits: limits of the motion.
     """
 
     time_s: float | None
@@ -51,7 +51,7 @@ class FreePlan(msgspec.Struct, frozen=True):
 
 
 def limits_of(scenario: Scenario) -> MotionLimits:
-    """The limits of a scenario as its flights keep to them."""
+    """Return the limits of a scenario that its flights use."""
     flying, px4 = scenario.vehicle.flying, scenario.vehicle.px4
     tilt = math.degrees(math.atan2(flying.acceleration_m_s2, GRAVITY_M_S2))
     speed = scenario.limits.speed_m_s
@@ -63,34 +63,36 @@ def limits_of(scenario: Scenario) -> MotionLimits:
 
 
 def plan_free(scenario: Scenario) -> FreePlan:
-    """The free plan of a scenario.
+    """Plan the free flight of a scenario.
 
     Raises:
         InputError: Ruckig is not installed.
     """
     limits = limits_of(scenario)
-    among, goal = Obstacles.of(scenario), scenario.goal.position_m
-    corners = shortest_path(scenario.start, goal, among)
+    obstacles, goal = Obstacles.of(scenario), scenario.goal.position_m
+    corners = shortest_path(scenario.start, goal, obstacles)
     if corners is None:
         return FreePlan(None, 0.0, 0.0, (), limits)
     length = sum(distance2(a, b) for a, b in itertools.pairwise(corners))
-    least_s = straight_time_s(least_length_m(scenario.start, goal, among), limits)
-    time_s = least_s if len(corners) == 2 else _round_s(scenario, corners, among, limits)
+    least_s = straight_time_s(least_length_m(scenario.start, goal, obstacles), limits)
+    time_s = least_s if len(corners) == 2 else _time_past_corners_s(scenario, corners, obstacles, limits)
     gap_s = 0.0 if time_s is None else time_s - least_s
     return FreePlan(time_s, gap_s, length, tuple(corners[1:-1]), limits)
 
 
-def _round_s(scenario: Scenario, corners: list[Vec2], among: Obstacles, limits: MotionLimits) -> float | None:
-    """The quickest past the corners; None where the solver finds no way."""
+def _time_past_corners_s(
+    scenario: Scenario, corners: list[Vec2], obstacles: Obstacles, limits: MotionLimits
+) -> float | None:
+    """Return the shortest time past the corners; None if the solver fails."""
     goal = scenario.goal.position_m
-    parts = [Part(RouteCorner(b), regions(a, b, among)) for a, b in itertools.pairwise(corners)]
+    parts = [Part(RouteCorner(b), regions(a, b, obstacles)) for a, b in itertools.pairwise(corners)]
     parts[-1] = parts[-1]._replace(to=None)
     found = solve(Problem(scenario.vehicle, scenario.start, goal, tuple(parts), limits, _NO_HITS, 0.0))
     return None if found is None else found.time_s
 
 
 def straight_time_s(length_m: float, limits: MotionLimits) -> float:
-    """The shortest time over a straight way from rest to rest.
+    """Return the shortest time along a straight line from rest to rest.
 
     Raises:
         InputError: Ruckig is not installed.
@@ -99,9 +101,10 @@ def straight_time_s(length_m: float, limits: MotionLimits) -> float:
 
 
 def rest_at_s(place: Vec2, velocity: Vec2, goal: Vec2, limits: MotionLimits) -> float:
-    """Time from passing a goal at some velocity until the vehicle rests there.
+    """Return the time from passing a goal at some velocity until the vehicle rests there.
 
-    The limits are split between the axes, against the colliding plan. A speed above them is taken as them.
+    The limits are split between the axes, which is a disadvantage for the colliding plan. A higher speed is
+    reduced to the limit.
     """
     speed = math.hypot(*velocity)
     most = _AXIS * limits.speed_m_s
@@ -118,7 +121,7 @@ def _leg_s(
     limits: MotionLimits,
     share: float,
 ) -> float:
-    """Shortest time between two states without acceleration, seconds; infinite where there is none."""
+    """Return the shortest time between two states without acceleration, seconds, or infinity."""
     try:
         import ruckig  # noqa: PLC0415  (an extra)
     except ImportError:

@@ -1,8 +1,8 @@
-"""Towards a wall that is seen late: how fast a flight may cruise if it must stop before it, or may hit it.
+"""Plans for a wall that is detected late, with the highest cruise speed for stopping before it or hitting it.
 
-Until the wall is seen, and for the time of a reaction from then on, the flight cruises straight at it. Who
-must not touch it cruises no faster than from where it can still stop (`safe_speed_m_s`); who may hit it, as
-fast as leads to a hit that the limits allow. Then both go to the goal as quickly as they can.
+Until the wall is detected, and during the reaction time, the flight cruises straight towards it. A flight
+without a hit cruises no faster than allows it to stop (`safe_speed_m_s`). A colliding flight cruises as fast
+as an allowed hit permits. Both then continue to the goal as fast as possible.
 """
 
 from __future__ import annotations
@@ -36,13 +36,13 @@ from dart_flight.lab.search.quickest import (
 )
 from dart_flight.lab.search.scenario import Scenario, SightSpec
 
-_BEFORE_WALL_M = 0.02  # who must not touch the wall stops there
-_STEP_M_S = 0.05  # of the cruise speeds tried
-_AT_LIMIT = 0.998  # cruising quite at a limit, the solver has no room to move
+_BEFORE_WALL_M = 0.02  # stopping distance to a wall that must not be touched
+_STEP_M_S = 0.05  # step of the cruise speeds
+_AT_LIMIT = 0.998  # share of a limit for cruising, because the solver needs some room
 
 
 def safe_speed_m_s(limits: MotionLimits, room_m: float, reaction_s: float) -> float:
-    """The speed from which the reaction and a stop take all of the room."""
+    """Return the speed at which the reaction and the braking use all of the room."""
     a, j = limits.acceleration_m_s2, limits.jerk_m_s3 or math.inf
 
     def needs_m(v: float) -> float:
@@ -56,14 +56,14 @@ def safe_speed_m_s(limits: MotionLimits, room_m: float, reaction_s: float) -> fl
 def plan_limited_sight(
     scenario: Scenario, progress: Callable[[int, int], None] = lambda done, of: None
 ) -> QuickestResult:
-    """Both flights of a scenario with `sight`; the quicker one is best, unless the hit is demanded.
+    """Plan both flights of a scenario with `sight`; the faster one is best, unless the hit is demanded.
 
     Args:
-        scenario: with one wall, before which the start is.
-        progress: called with the flights computed and known.
+        scenario: a scenario with one wall, in front of the start.
+        progress: called with the numbers of computed and of known flights.
 
     Raises:
-        InputError: nothing gets to the goal within the limits.
+        InputError: no flight reaches the goal within the limits.
     """
     began = time.perf_counter()
     sight = scenario.sight
@@ -85,7 +85,7 @@ def plan_limited_sight(
 
 
 def _flight(scenario: Scenario, sight: SightSpec, speed_m_s: float, hit: Hit | None) -> QuickestPlan | None:
-    """The quickest that cruises at a speed until the reaction to the wall is over; None: there is none."""
+    """Return the fastest flight that cruises at a speed until the end of the reaction, or None."""
     (wall,) = scenario.walls.values()
     (nx, ny), (x, y) = wall.normal, wall.foot(scenario.start)
     begins_m = sight.distance_m - sight.reaction_s * speed_m_s  # before the wall
@@ -93,7 +93,7 @@ def _flight(scenario: Scenario, sight: SightSpec, speed_m_s: float, hit: Hit | N
     off_m = 0.0 if hit else _BEFORE_WALL_M
     keep = (*room_of(scenario), HalfPlane(wall.normal, nx * x + ny * y + off_m))
     parts = (Part(Cruise(seen, (-speed_m_s * nx, -speed_m_s * ny)), keep), Part(hit, keep), Part(None, keep))
-    # No faster before either: what is seen late asks for the speed at which it is met.
+    # The cruise speed also limits the acceleration phase before it.
     limits = msgspec.structs.replace(limits_of(scenario), speed_m_s=speed_m_s / _AT_LIMIT)
     problem = Problem(
         scenario.vehicle,

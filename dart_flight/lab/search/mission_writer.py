@@ -1,4 +1,4 @@
-"""A plan as a mission file: the scenario's own keys, the chosen collisions, and everything predicted."""
+"""A plan as a mission file: the scenario's own keys, the chosen collisions, and the predictions."""
 
 from __future__ import annotations
 
@@ -26,19 +26,19 @@ from dart_flight.planning.task import drag_along
 
 _DIGITS = 4
 _LEAST_GAIN, _USUAL_GAIN = 1e-3, 0.025  # m/N
-_REST_S = 1.0  # at the start after a touch
-_LEAST_FRICTION_N = 2.0  # under which the friction force is too small to lead anywhere
+_REST_S = 1.0  # rest at the start after a touch
+_LEAST_FRICTION_N = 2.0  # a smaller friction force cannot move the setpoint along the wall
 
 
 def mission_text(
     scenario: Scenario, plan: Plan | QuickestPlan, target: Path, flown: FlownRecord | None = None
 ) -> str:
-    """The mission file.
+    """Return the text of the mission file.
 
     Args:
-        scenario: what was planned.
-        plan: the chosen candidate.
-        target: where the file will be; paths in it are relative to that.
+        scenario: the planned scenario.
+        plan: the chosen plan.
+        target: path of the file, to which paths in it are relative.
         flown: record of the mission's simulated flights.
     """
     spec = scenario.spec
@@ -70,19 +70,19 @@ def mission_text(
         f"# Planned by `dart-flight plan` from {Path(scenario.source).name}, objective "
         f"{scenario.objective.value}. `predicted` is what the flight model expects.\n"
     )
-    # None: what holds nothing but figures stands in one line, all else in block style.
+    # default_flow_style=None puts collections of scalars on one line and all else in block style.
     return head + yaml.safe_dump(msgspec.to_builtins(tree), sort_keys=False, default_flow_style=None)
 
 
 def trajectory_keys(
     vehicle: VehicleConfig, walls: Mapping[str, Wall], trajectory: OptimalTrajectory
 ) -> dict[str, Any]:
-    """Keys of a mission whose collisions and goal are flown to along trajectories.
+    """Return the keys of a mission that flies to its collisions and its goal along trajectories.
 
     Args:
-        vehicle: that flies it.
-        walls: by name.
-        trajectory: of the whole flight.
+        vehicle: the vehicle.
+        walls: walls by name.
+        trajectory: trajectory of the whole flight.
     """
     collisions: list[dict[str, Any]] = []
     for hit, leg in zip(trajectory.hits, trajectory.legs, strict=False):
@@ -104,12 +104,13 @@ def trajectory_keys(
 
 
 def _with_touches(collisions: list[dict[str, Any]], speed_m_s: float, start: Vec2) -> dict[str, Any]:
-    """Keys of a mission that first touches each wall that it hits, and rests at its start after each.
+    """Return the keys of a mission that first touches each wall to be hit, and rests at its start after each
+    touch.
 
-    What a wall is like is known then: how it stands, and how high it pushes. Without that a first hit is good
-    up to 2 m/s (docs/results/faster_hits.md), and one of a wall that is turned turns the vehicle.
+    The touches measure each wall's direction and vertical force. Without them a first hit succeeds up to 2
+    m/s (docs/results/faster_hits.md), and a hit of a rotated wall turns the vehicle.
     """
-    modes = {hit["wall"]: hit["mode"] for hit in reversed(collisions)}  # of a wall's first hit
+    modes = {hit["wall"]: hit["mode"] for hit in reversed(collisions)}  # a wall's first hit decides
     touches = [
         {
             "wall": wall,
@@ -124,17 +125,17 @@ def _with_touches(collisions: list[dict[str, Any]], speed_m_s: float, start: Vec
 
 
 def _rounded(leg: TrajectoryPieces) -> dict[str, Any]:
-    """A trajectory without digits that mean nothing: a few micrometres at its end."""
+    """Return a trajectory without insignificant digits, which changes its end by a few micrometres."""
     pieces = [[round(t, 5), round(jx, 4) + 0.0, round(jy, 4) + 0.0] for t, jx, jy in leg.pieces]
     vectors = ("position_m", "velocity_m_s", "acceleration_m_s2")
     return {name: [round(v, 5) + 0.0 for v in getattr(leg, name)] for name in vectors} | {"pieces": pieces}
 
 
 def recovery_gains(vehicle: VehicleConfig, wall: Wall, hit: TrajectoryHit) -> Vec2:
-    """Gains (A_n, A_t) of the setpoint that holds from the peak of a hit until the way on is planned, m/N.
+    """Return the gains (A_n, A_t) of the setpoint from the peak of a hit until the replanned trajectory, m/N.
 
-    With them PX4's position loop asks, at the velocity that the hit leaves, for the thrust (per mass) that
-    the vehicle had when it hit, u = a + drag v: kv (kp A F - v) = u.
+    At the outgoing velocity these gains make PX4's position loop command the thrust per mass of the hit, u =
+    a + drag v, so that kv (kp A F - v) = u.
     """
     response, px4 = ContactResponse.of(vehicle, wall, hit.mode), vehicle.px4
     drag_n, drag_t = drag_along(wall, vehicle.airframe.drag_per_s)
@@ -174,12 +175,12 @@ def _predicted(hit: PlannedCollision | TrajectoryHit, t_s: float, contact_s: flo
 
 
 def planned_mission(scenario: Scenario, plan: Plan | QuickestPlan, text: str | None = None) -> Mission:
-    """The mission of a plan, as its file will be read.
+    """Return the mission of a plan as it will be read from its file.
 
     Args:
-        scenario: what was planned.
-        plan: the chosen candidate.
-        text: of the file, where there is one.
+        scenario: the planned scenario.
+        plan: the chosen plan.
+        text: text of the file, if it exists.
     """
     source = Path(scenario.source)
     document = Document(text or mission_text(scenario, plan, source), str(source))
@@ -189,10 +190,10 @@ def planned_mission(scenario: Scenario, plan: Plan | QuickestPlan, text: str | N
 def write_mission(
     scenario: Scenario, plan: Plan | QuickestPlan, target: Path, flown: FlownRecord | None = None
 ) -> str:
-    """Write the mission file and read it back as `dry-run` will; returns the text.
+    """Write the mission file, validate it as `dry-run` will read it, and return its text.
 
     Raises:
-        InputError: it cannot be written.
+        InputError: the file cannot be written.
     """
     text = mission_text(scenario, plan, target, flown)
     planned_mission(scenario, plan, text)
@@ -202,12 +203,10 @@ def write_mission(
 
 
 def _given(section: WallSpec | Limits) -> dict[str, Any]:
-    """Keys without those that say nothing."""
     return _without_none(msgspec.to_builtins(section))
 
 
 def _without_none(tree: dict[str, Any]) -> dict[str, Any]:
-    """Return a tree without keys that are None, at every level."""
     return {
         key: _without_none(value) if isinstance(value, dict) else value
         for key, value in tree.items()

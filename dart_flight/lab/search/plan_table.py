@@ -1,4 +1,4 @@
-"""A search for people and for programs: tables, and the object of `plan --json`."""
+"""The result of a search as tables and sentences, and as the object of `plan --json`."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from dart_flight.lab.search.quickest import QuickestPlan, QuickestResult
 from dart_flight.lab.search.scenario import Objective, Scenario
 from dart_flight.lab.search.search import ADVICE, Plan, SearchResult
 
-_SHOWN_S = 0.005  # a smaller gap shows as none
+_SHOWN_S = 0.005  # a smaller gap is not shown
 _UNITS = {
     Objective.NEAREST: "m",
     Objective.FASTEST: "s",
@@ -24,12 +24,12 @@ _UNITS = {
 
 
 def with_objective(scenario: Scenario, objective: Objective) -> Scenario:
-    """The scenario with another objective."""
+    """Return the scenario with another objective."""
     return msgspec.structs.replace(scenario, objective=objective)
 
 
 def plan_summary(result: SearchResult) -> dict[str, Any]:
-    """The ranking, counts by reason and time used: what `plan --json` prints."""
+    """Return the object of `plan --json`: ranking, counts by reason and time used."""
     return {
         "scenario": result.scenario.name,
         "objective": result.scenario.objective.value,
@@ -49,12 +49,12 @@ def plan_summary(result: SearchResult) -> dict[str, Any]:
 
 
 def plan_table(result: SearchResult) -> Table:
-    """The best plans, one per row and its later collisions below."""
+    """Return a table of the best plans, with one row per collision."""
     objective = result.scenario.objective
     table = Table(
         title=f"{result.scenario.name}: best by {objective.value}",
         title_justify="left",
-        box=None,  # so that eighty columns hold it, also with those of robust
+        box=None,  # to fit into eighty columns with the objective robust
         padding=(0, 1, 0, 0),
         pad_edge=False,
     )
@@ -87,29 +87,29 @@ def plan_table(result: SearchResult) -> Table:
 
 
 def describe_free(free: FreePlan | None, best: Plan) -> str:
-    """The free plan beside the best colliding one, in words."""
+    """Return a sentence that compares the free plan with the best colliding one."""
     if free is None:
         return f"without any collision: needs ruckig: {install_command('plan')}"
     if free.time_s is None:
-        return "without any collision: the goal is not reached"
+        return "without any collision: no path reaches the goal"
     limits, gap = free.limits, ""
     if free.gap_s > _SHOWN_S:
         gap = f", {free.time_s - free.gap_s:.2f} at best"
     jerk = "" if limits.jerk_m_s3 is None else f", {limits.jerk_m_s3:g} m/s3"
-    says = (
+    text = (
         f"without any collision: {free.time_s:.2f} s{gap} "
         f"({limits.speed_m_s:g} m/s, {limits.acceleration_m_s2:g} m/s2{jerk})"
     )
     if best.saving_s is None or best.time_to_rest_s is None:
-        return says
-    wins = "would save" if best.saving_s > 0.0 else "would lose"
+        return text
+    verb = "would save" if best.saving_s > 0.0 else "would lose"
     return (
-        f"{says}; plan 1 rests after {best.time_to_rest_s:.2f} s: the hit {wins} {abs(best.saving_s):.2f} s"
+        f"{text}; plan 1 rests after {best.time_to_rest_s:.2f} s: the hit {verb} {abs(best.saving_s):.2f} s"
     )
 
 
 def quickest_summary(result: QuickestResult) -> dict[str, Any]:
-    """What `plan --json` prints with the objective quickest."""
+    """Return the object of `plan --json` for the objective quickest."""
     limits = limits_of(result.scenario)
     return {
         "scenario": result.scenario.name,
@@ -136,13 +136,12 @@ def quickest_summary(result: QuickestResult) -> dict[str, Any]:
 
 
 def _in_order(result: QuickestResult) -> list[QuickestPlan]:
-    """The plan that is returned first, then the other one, where there is one."""
     others = (plan for plan in (result.free, result.colliding) if plan is not None and plan != result.best)
     return [result.best, *others]
 
 
 def quickest_table(result: QuickestResult) -> Table:
-    """The hits of the plan that is returned, and of the other one."""
+    """Return a table of the hits of the best plan and of the other one."""
     table = Table(title=f"{result.scenario.name}: quickest", title_justify="left", box=None, pad_edge=False)
     for column in ("", "wall", "mode"):
         table.add_column(column, overflow="fold")
@@ -159,31 +158,31 @@ def quickest_table(result: QuickestResult) -> Table:
 
 
 def describe_quickest(result: QuickestResult) -> str:
-    """The colliding plan beside the free one, in words."""
+    """Return a sentence that compares the colliding plan with the free one."""
     limits, gap = limits_of(result.scenario), ""
     jerk = "" if limits.jerk_m_s3 is None else f", {limits.jerk_m_s3:g} m/s3"
-    says = f"planned, at {limits.speed_m_s:g} m/s, {limits.acceleration_m_s2:g} m/s2{jerk}: "
+    text = f"planned, at {limits.speed_m_s:g} m/s, {limits.acceleration_m_s2:g} m/s2{jerk}: "
     if result.free is None:
-        says += "no flight without a collision reaches the goal"
+        text += "no flight without a collision reaches the goal"
     elif result.saving_s is None:
-        says += f"{result.free.time_s:.2f} s without a collision; no hit can be quicker"
+        text += f"{result.free.time_s:.2f} s without a collision; no hit can be quicker"
     else:
-        wins = "would save" if result.saving_s > 0.0 else "would lose"
+        verb = "would save" if result.saving_s > 0.0 else "would lose"
         share = abs(result.saving_s) / result.free.time_s
-        says += (
-            f"{result.free.time_s:.2f} s without a collision; colliding {wins} {abs(result.saving_s):.2f} s"
+        text += (
+            f"{result.free.time_s:.2f} s without a collision; colliding {verb} {abs(result.saving_s):.2f} s"
         )
-        says += f" ({share:.0%})"
+        text += f" ({share:.0%})"
         if result.saving_s < 0.0 and result.best is result.colliding:
-            says += "; the scenario demands the hits"
+            text += "; the scenario demands the hits"
     if result.free and result.free.cruise_m_s is not None:
         cruises = [f"{plan.cruise_m_s:.2f}" for plan in (result.free, result.colliding) if plan is not None]
-        says += f"; cruising until the wall is seen at {' and '.join(cruises)} m/s"
+        text += f"; cruising until the wall is seen at {' and '.join(cruises)} m/s"
     if result.gap_s > _SHOWN_S:
-        gap = f"; what was not computed could be quicker by {result.gap_s:.2f} s at most"
+        gap = f"; sequences that were not computed could be quicker by {result.gap_s:.2f} s at most"
     if result.most_hits is not None:
         gap += f"; sequences of more than {result.most_hits} hits were not computed"
-    return f"{says}; {result.computed} sequences computed, {result.pruned} ruled out{gap}"
+    return f"{text}; {result.computed} sequences computed, {result.pruned} ruled out{gap}"
 
 
 def _tail(plan: Plan) -> list[str]:
@@ -194,7 +193,7 @@ def _tail(plan: Plan) -> list[str]:
 
 
 def refusal_table(result: SearchResult) -> Table:
-    """Refused candidates by reason, and how to relax it."""
+    """Return a table of rejected candidates by reason, with advice."""
     table = Table(title="refused", title_justify="left")
     for column in ("reason", "candidates", "to relax"):
         table.add_column(column, justify="right" if column == "candidates" else "left")

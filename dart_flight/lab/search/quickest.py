@@ -1,10 +1,10 @@
-"""The quickest flight from start over the visits to the goal, with as many hits on any walls as pay, or none.
+"""The fastest flight from start over the visits to the goal, with any number of hits that save time.
 
-Which events in which order is a search over sequences, best bound first: no flight through places in an
-order is quicker than one straight on, at the same limits, as long as the shortest path through them, plus the
-time of its contacts; a sequence whose bound is above the best flight found is not computed. How each is flown
-(places, velocities, times) is an optimal control problem of its own (`optimal_trajectory`), first with the
-flexible arms, then each hit rigid where that is quicker and the servo has the time.
+The planner searches sequences of events, the best bound first. The bound is the time of straight flight along
+the shortest path through the events, at the same limits, plus the time of the contacts. A sequence whose
+bound exceeds the best flight found is not computed. Each sequence is solved for places, velocities and times
+by optimal control (`optimal_trajectory`). Flexible arms are tried first; then each hit becomes rigid if that
+is faster and the servo has enough time.
 """
 
 from __future__ import annotations
@@ -48,26 +48,23 @@ from dart_flight.lab.search.scenario import Scenario
 Progress = Callable[[int, int], None]
 Array = NDArray[np.float64]
 
-# Limits the search; longer sequences count as not computed (`gap_s`).
-MOST_HITS = 16
-# Of a visit's tolerance: what the flight that follows the plan may be off by is left to it.
-_TOLERANCE_USED = 0.8
-_FORCE_USED = 0.8  # likewise, of limits.peak_force_n: stiffness is known to some 15 %
-# Where the scenario does not say: the friction coefficients were measured at half a metre per second.
-_FRICTION_RATIO = 0.5
+MOST_HITS = 16  # limit of the search; longer sequences count as not computed (`gap_s`)
+_TOLERANCE_USED = 0.8  # share of a visit's tolerance; the rest is a margin for tracking errors
+_FORCE_USED = 0.8  # share of limits.peak_force_n, because the stiffness is known to some 15 %
+_FRICTION_RATIO = 0.5  # default, because friction was measured at half a metre per second
 POLISHED = 3 * INTERVALS
 _COMPARED_TO, _POLISHED_TO = 1e-4, 1e-6  # tolerance of the solver
 _SWEEPS = 12  # of the shortest path through discs and walls
-_SLACK = 0.98  # of a leg, because the sweeps end before the path is quite the shortest
-_REVERSAL_COSINE = -0.9  # between the legs to and from a place at which the path turns back
+_SLACK = 0.98  # of a leg, because the sweeps end slightly above the shortest path
+_REVERSAL_COSINE = -0.9  # between the legs to and from a place at which the path reverses
 _SPEEDS = 61
-_TRIED_IN_OTHER_MODE = 3  # sequences, the quickest in the first mode
-_SEARCHED = 0.94  # of the time there is; what is found is polished in the rest
-_OFF_BOUNDS_M = 0.1  # that a trajectory keeps from them
+_TRIED_IN_OTHER_MODE = 3  # number of the fastest sequences that are also tried in other modes
+_SEARCHED = 0.94  # share of the time for the search; the rest is for polishing
+_OFF_BOUNDS_M = 0.1  # distance of trajectories from the bounds
 
 
 class QuickestPlan(msgspec.Struct, frozen=True):
-    """A flight and the hits it has; none: the free plan. `cruise_m_s`: before a wall that is seen late."""
+    """A flight with its hits, or the free plan without hits; `cruise_m_s` applies to a late-detected wall."""
 
     time_s: float
     trajectory: OptimalTrajectory
@@ -76,26 +73,26 @@ class QuickestPlan(msgspec.Struct, frozen=True):
 
     @property
     def sequence(self) -> tuple[str, ...]:
-        """Walls in the order of the hits."""
+        """The walls in the order of the hits."""
         return tuple(hit.wall for hit in self.trajectory.hits)
 
     @property
     def modes(self) -> tuple[Mode, ...]:
-        """Modes of the hits."""
+        """The modes of the hits."""
         return tuple(hit.mode for hit in self.trajectory.hits)
 
 
 class QuickestResult(msgspec.Struct, frozen=True):
-    """What was found.
+    """The result of a search with the objective quickest.
 
     Attributes:
-        best: the quickest of all that the scenario allows.
-        free: the quickest without a hit; None: there is no way, or places that only a hit reaches.
-        colliding: the quickest with hits; None: none was found that might be quicker than the free one.
-        computed, pruned: sequences.
-        gap_s: by how much a sequence that was not computed could be quicker at most; 0: none can.
-        most_hits: sequences with more hits were not computed; None: none was omitted.
-        elapsed_s: of the search.
+        best: the fastest plan that the scenario allows.
+        free: the fastest plan without a hit; None if there is no path or a place is reachable only by a hit.
+        colliding: the fastest plan with hits; None if none can be faster than the free one.
+        computed, pruned: numbers of sequences.
+        gap_s: upper bound on the advantage of sequences that were not computed; 0: none is faster.
+        most_hits: number of hits above which sequences were omitted; None: no sequence was omitted.
+        elapsed_s: duration of the search.
     """
 
     scenario: Scenario
@@ -110,7 +107,7 @@ class QuickestResult(msgspec.Struct, frozen=True):
 
     @property
     def saving_s(self) -> float | None:
-        """By how much the colliding plan is quicker than the free one; negative: the hit loses."""
+        """The time saved by the colliding plan; negative if it is slower than the free one."""
         if self.free is None or self.colliding is None:
             return None
         return self.free.time_s - self.colliding.time_s
@@ -119,15 +116,15 @@ class QuickestResult(msgspec.Struct, frozen=True):
 def plan_quickest(
     scenario: Scenario, within_s: float = math.inf, progress: Progress = lambda done, of: None
 ) -> QuickestResult:
-    """Search a scenario whose objective is `quickest`.
+    """Search a scenario with the objective `quickest`.
 
     Args:
-        scenario: visits, walls, limits, and the hits that are demanded where it names a sequence.
-        within_s: return the best that is found until then, polished.
-        progress: called with sequences computed and known.
+        scenario: visits, walls, limits, and the demanded hits if it names a sequence.
+        within_s: time after which to return the best plan found, polished.
+        progress: called with the numbers of computed and of known sequences.
 
     Raises:
-        InputError: nothing gets to the goal within the limits.
+        InputError: no flight reaches the goal within the limits.
     """
     began = time.perf_counter()
     search = _Search(scenario)
@@ -147,7 +144,7 @@ def plan_quickest(
 
 
 def best_of(scenario: Scenario, free: QuickestPlan | None, colliding: QuickestPlan | None) -> QuickestPlan:
-    """The quickest of all that a scenario allows.
+    """Return the fastest plan that a scenario allows.
 
     Raises:
         InputError: there is none.
@@ -157,13 +154,15 @@ def best_of(scenario: Scenario, free: QuickestPlan | None, colliding: QuickestPl
     best = min((plan for plan in found if plan is not None), key=lambda plan: plan.time_s, default=None)
     if best is not None:
         return best
-    says = f"no flight hits {', '.join(demanded)}" if demanded else "no flight passes the visits"
-    says += " and rests at the goal within the limits" + ("" if demanded else " and bounds")
-    raise InputError(says, source=scenario.source, key=("limits",))
+    if demanded:
+        problem = f"no flight hits {', '.join(demanded)} and rests at the goal within the limits"
+    else:
+        problem = "no feasible trajectory passes the visits and rests at the goal within limits and bounds"
+    raise InputError(problem, source=scenario.source, key=("limits",))
 
 
 def hit_limits_of(scenario: Scenario) -> HitLimits:
-    """What the hits of a scenario's plans keep to."""
+    """Return the limits of hits in a scenario's plans."""
     limits = scenario.limits
     return HitLimits(
         _FORCE_USED * limits.peak_force_n,
@@ -175,7 +174,7 @@ def hit_limits_of(scenario: Scenario) -> HitLimits:
 
 
 def room_of(scenario: Scenario) -> tuple[HalfPlane, ...]:
-    """The bounds as plans keep to them."""
+    """Return the bounds, reduced by the margin of plans, as half-planes."""
     (x0, x1), (y0, y1) = scenario.bounds.x, scenario.bounds.y
     return (
         HalfPlane((1.0, 0.0), x0 + _OFF_BOUNDS_M),
@@ -186,30 +185,30 @@ def room_of(scenario: Scenario) -> tuple[HalfPlane, ...]:
 
 
 def first_mode(scenario: Scenario) -> Mode:
-    """The mode that is tried first: it loses least."""
+    """Return the mode to try first, which loses the least velocity."""
     return Mode.FLEXIBLE if Mode.FLEXIBLE in scenario.modes else scenario.modes[0]
 
 
 def _demanded(scenario: Scenario) -> tuple[str, ...]:
-    """The hits that a scenario wants, whether they pay or not."""
+    """Return the walls that a scenario demands to be hit, whether that saves time or not."""
     return () if scenario.chosen_by_planner else scenario.sequences[0]
 
 
 class LegEnd(Enum):
-    """What the motion along a straight leg is bound to at its end."""
+    """The constraint on the motion along a straight leg at its end."""
 
     REST = "rest"  # no velocity, no acceleration
     REVERSAL = "reversal"  # no velocity along the leg
-    HIT = "hit"  # any velocity into a wall, what is left of it from there
+    HIT = "hit"  # any velocity into a wall, and the remaining velocity after it
     ANY = "any"
 
 
 class LeastTimes:
-    """Bounds on the time over straight legs within limits: from each end as hard as they allow.
+    """Lower bounds on the time over straight legs within limits.
 
     Args:
-        limits: of the motion.
-        left_m_s: at most, after a hit.
+        limits: limits of the motion.
+        left_m_s: largest speed after a hit.
     """
 
     def __init__(self, limits: MotionLimits, left_m_s: float) -> None:
@@ -217,13 +216,13 @@ class LeastTimes:
         self._speeds = np.linspace(0.0, limits.speed_m_s, _SPEEDS)
 
     def of_leg(self, length_m: float, begin: LegEnd, end: LegEnd) -> float:
-        """No leg is quicker: the highest speed that both ends can be reached from and to, and cruising."""
-        # Where it is slow at both ends it is quickest between them, and has no acceleration there.
+        """Return a lower bound on the time of a leg: accelerate as far as possible, cruise, brake."""
+        # With slow ends the speed peaks between them, where the acceleration is zero.
         levels = {begin, end} <= {LegEnd.REST, LegEnd.REVERSAL}
         before_s, before_m = self._to_speed(begin, True, levels)
         after_s, after_m = self._to_speed(end, False, levels)
         fits = np.flatnonzero(before_m + after_m <= length_m + 1e-12)
-        # The next speed of the grid, which cannot quite be reached, keeps it a bound.
+        # The next speed of the grid is slightly too high, which keeps the result a lower bound.
         top = min(int(fits[-1]) + 1, _SPEEDS - 1) if fits.size else 1
         cruise_m = max(0.0, length_m - before_m[top] - after_m[top])
         below = max(0, top - 1)
@@ -231,7 +230,7 @@ class LeastTimes:
         return max(float(ramped_s), length_m / self._limits.speed_m_s)
 
     def _to_speed(self, end: LegEnd, leaving: bool, levels: bool) -> tuple[Array, Array]:
-        """Time and distance from an end to each speed; `levels`: at which the acceleration is none."""
+        """Return time and distance from an end to each speed; `levels` demands zero acceleration there."""
         v, a, j = self._speeds, self._limits.acceleration_m_s2, self._limits.jerk_m_s3
         zero = np.zeros_like(v)
         if end is LegEnd.ANY or (end is LegEnd.HIT and not leaving):
@@ -242,15 +241,15 @@ class LeastTimes:
             return more / a, more * (left + 0.5 * more) / a
         if j is None or (end is LegEnd.REVERSAL and not levels):
             return v / a, 0.5 * v**2 / a
-        if end is LegEnd.REVERSAL:  # as hard as it may, and levelling out at the jerk limit
+        if end is LegEnd.REVERSAL:  # full acceleration, then reduced at the jerk limit
             gained = np.minimum(v, 0.5 * a * a / j)
             level_s = np.sqrt(2.0 * gained / j)
             hard_s = (v - gained) / a
             return hard_s + level_s, 0.5 * a * hard_s**2 + v * level_s - j * level_s**3 / 6.0
-        if levels:  # from rest and levelling out: as much time below half the speed as above
+        if levels:  # from rest to zero acceleration, symmetric about half the speed
             whole_s = np.where(v > a * a / j, v / a + a / j, 2.0 * np.sqrt(v / j))
             return whole_s, 0.5 * v * whole_s
-        # From rest: the acceleration grows with the jerk limit until it is at its own.
+        # From rest the acceleration grows at the jerk limit up to its own limit.
         ramp_v = np.minimum(v, 0.5 * a * a / j)
         ramp_s = np.sqrt(2.0 * ramp_v / j)
         rest_s = (v - ramp_v) / a
@@ -258,8 +257,6 @@ class LeastTimes:
 
 
 class _Search:
-    """Sequences in the order of their bounds."""
-
     def __init__(self, scenario: Scenario) -> None:
         self.scenario = scenario
         self.vehicle, self.walls = scenario.vehicle, tuple(scenario.walls.values())
@@ -271,17 +268,17 @@ class _Search:
         self.computed = self.pruned = 0
         self._compared: dict[tuple[Event, ...], QuickestPlan | None] = {}
         self.least_open_s = self.left_out_s = math.inf  # lower bounds: not computed, omitted
-        # Asked for with every bound: computed once.
+        # Every bound needs the responses, so compute them once.
         self._responses = {
             (wall.name, mode): ContactResponse.of(self.vehicle, wall, mode)
             for wall, mode in itertools.product(self.walls, scenario.modes)
         }
-        self._least = LeastTimes(self.limits, self._most_left_m_s())
+        self._least = LeastTimes(self.limits, self._largest_speed_after_hit_m_s())
         self._obstacles = Obstacles.of(scenario)
         self._room, self._demanded = room_of(scenario), _demanded(scenario)
 
     def run(self, enough: Callable[[], bool], progress: Progress) -> None:
-        """Compute sequences, best bound first, until no other can be better, or it is enough."""
+        """Compute sequences, best bound first, until no other can be faster or `enough` returns True."""
         self.free = self._solved(tuple(self._visits()))
         tie, found = itertools.count(), list[QuickestPlan]()
         open_ = list[tuple[float, int, tuple[Event, ...]]]()
@@ -317,7 +314,7 @@ class _Search:
             for more in self._with_one_more(events):
                 put(more)
         self.least_open_s = min(self.least_open_s, self.left_out_s)
-        # Another mode may make the second or third the first.
+        # Another mode may make the second or third sequence the fastest.
         for plan in sorted(found, key=_time_s)[:_TRIED_IN_OTHER_MODE]:
             for mode in self.scenario.modes:
                 events = tuple(e._replace(mode=mode) if isinstance(e, Hit) else e for e in plan.events)
@@ -327,7 +324,6 @@ class _Search:
         self.free, self.colliding = self._polished(self.free), self._polished(self.colliding)
 
     def _to_beat_s(self) -> float:
-        """Of a sequence that is still worth computing."""
         found = [self.colliding] if self._demanded else [self.free, self.colliding]
         return min((plan.time_s for plan in found if plan is not None), default=math.inf)
 
@@ -337,7 +333,7 @@ class _Search:
         return [Visit(v.position_m, _TOLERANCE_USED * v.within_m) for v in self.scenario.visits]
 
     def _serving_sequences(self) -> Iterator[tuple[Event, ...]]:
-        """The visits in their order, each in flight or by a hit at a wall that it lies on."""
+        """Yield the visits in order, each in flight or by a hit at a wall on which it lies."""
         mode = first_mode(self.scenario)
         choices: list[list[Event]] = [
             [visit, *(Hit(wall, mode, visit) for wall in self.walls if _serves(wall, visit))]
@@ -348,26 +344,26 @@ class _Search:
                 yield events
 
     def _with_one_more(self, events: tuple[Event, ...]) -> Iterator[tuple[Event, ...]]:
-        """The events with one more hit before, between or after them."""
+        """Yield the events with one more hit before, between or after them."""
         for wall, k in itertools.product(self.walls, range(len(events) + 1)):
             more = (*events[:k], Hit(wall, first_mode(self.scenario)), *events[k:])
             if not _repeats(more) and self._may_be_wanted(more):
                 yield more
 
     def _is_wanted(self, events: Sequence[Event]) -> bool:
-        """Whether it has hits, and those that the scenario demands."""
+        """Return whether the events contain hits, and the demanded ones."""
         walls = _walls_hit(events)
         return bool(walls) and (not self._demanded or walls == self._demanded)
 
     def _may_be_wanted(self, events: Sequence[Event]) -> bool:
-        """Whether more hits can still make it wanted."""
+        """Return whether more hits can satisfy the demand."""
         rest = iter(self._demanded)
         return not self._demanded or all(name in rest for name in _walls_hit(events))
 
     # -- bounds --
 
     def _bound_s(self, events: Sequence[Event]) -> float:
-        """No flight through the events is quicker: the least time of each leg, and the contacts."""
+        """Return a lower bound on the time through the events, from the least leg times and the contacts."""
         places = _shortest_path_through(self.scenario.start, events, self._goal)
         total = 0.0
         for k, (a, b) in enumerate(itertools.pairwise(places)):
@@ -377,7 +373,7 @@ class _Search:
         return total + sum(self._least_contact_s(e.wall) for e in events if isinstance(e, Hit))
 
     def _end_of_leg(self, events: Sequence[Event], places: Sequence[Vec2], k: int) -> LegEnd:
-        """What an event asks of the motion along the legs beside it; -1 and the last are start and goal."""
+        """Return the constraint of an event on its adjacent legs; -1 and the last are start and goal."""
         if not 0 <= k < len(events):
             return LegEnd.REST
         event = events[k]
@@ -390,15 +386,15 @@ class _Search:
         dot = sum((h - b) * (a - h) for b, h, a in zip(before, here, after, strict=True))
         return LegEnd.REVERSAL if dot < _REVERSAL_COSINE * into * out else LegEnd.ANY
 
-    def _most_left_m_s(self) -> float:
-        """The most speed that any hit leaves: all of what slides along the wall, a part of what closes in."""
+    def _largest_speed_after_hit_m_s(self) -> float:
+        """Return the largest speed after any hit: the full sliding speed and the reduced closing speed."""
         fastest, hits, left = self.limits.speed_m_s, self.hits, 0.0
         for wall, mode in itertools.product(self.walls, self.scenario.modes):
-            one = self._responses[wall.name, mode]
-            slides = min(fastest, most_sliding_m_s(hits, one))
-            closes = math.sqrt(fastest**2 - slides**2)
-            closes = min(closes, hits.closing_m_s or math.inf, hits.peak_force_n / one.peak_n_per_m_s)
-            left = max(left, math.hypot(one.restitution * closes, slides))
+            response = self._responses[wall.name, mode]
+            sliding = min(fastest, most_sliding_m_s(hits, response))
+            closing = math.sqrt(fastest**2 - sliding**2)
+            closing = min(closing, hits.closing_m_s or math.inf, hits.peak_force_n / response.peak_n_per_m_s)
+            left = max(left, math.hypot(response.restitution * closing, sliding))
         return left
 
     def _least_contact_s(self, wall: Wall) -> float:
@@ -411,7 +407,7 @@ class _Search:
     # -- flights --
 
     def _solved(self, events: tuple[Event, ...]) -> QuickestPlan | None:
-        """As the search compares them: a few milliseconds off, and each once."""
+        """Return the plan for comparison in the search, a few milliseconds inaccurate and cached."""
         if events not in self._compared:
             self._compared[events] = self._computed_plan(events, INTERVALS, _COMPARED_TO)
         return self._compared[events]
@@ -429,7 +425,7 @@ class _Search:
         return QuickestPlan(found.time_s, found, events)
 
     def _problem(self, events: Sequence[Event]) -> Problem | None:
-        """The events with the corners of the ways between them; None: there is no way."""
+        """Return the optimal control problem of the events, with the corners between them, or None."""
         parts: list[Part] = []
         touched: tuple[Wall, ...] = ()
         places = _shortest_path_through(self.scenario.start, events, self._goal)
@@ -450,7 +446,7 @@ class _Search:
         )
 
     def _servo_has_time(self, found: OptimalTrajectory) -> bool:
-        """Whether the lock is settled before each hit whose mode is not that of the hit before."""
+        """Return whether the lock settles before each hit whose mode differs from the previous one."""
         lock = self.vehicle.lock
         if lock is None:
             return True
@@ -461,7 +457,7 @@ class _Search:
         )
 
     def _with_best_modes(self, plan: QuickestPlan) -> QuickestPlan:
-        """The same hits, each in its better mode, one after the other."""
+        """Return the plan with the better mode of each hit, chosen one after the other."""
         for k, mode in itertools.product(range(len(plan.events)), self.scenario.modes):
             event = plan.events[k]
             if isinstance(event, Hit) and event.mode is not mode:
@@ -471,7 +467,6 @@ class _Search:
         return plan
 
     def _polished(self, plan: QuickestPlan | None) -> QuickestPlan | None:
-        """The same flight in finer intervals."""
         return plan and (self._computed_plan(plan.events, POLISHED, _POLISHED_TO) or plan)
 
 
@@ -488,13 +483,13 @@ def _count_hits(events: Sequence[Event]) -> int:
 
 
 def _serves(wall: Wall, visit: Visit) -> bool:
-    """Whether a place is passed by hitting a wall there."""
+    """Return whether a hit at a wall can pass a place."""
     off_m = math.hypot(wall.signed_distance(visit.place), min(0.0, wall.end_distance_m(visit.place)))
     return off_m <= visit.within_m
 
 
 def _repeats(events: Sequence[Event]) -> bool:
-    """Whether two events in a row are at the same wall: one hit, where the other is, does as well."""
+    """Return whether two consecutive events are at the same wall, so that one hit would suffice."""
     return any(
         isinstance(hit, Hit)
         and (
@@ -508,14 +503,13 @@ def _repeats(events: Sequence[Event]) -> bool:
 
 
 def _place_of(event: Event, before: Vec2) -> Vec2:
-    """Where an event is likely to be."""
     if isinstance(event, Hit):
         return event.wall.foot(before if event.visit is None else event.visit.place)
     return event.place
 
 
 def _shortest_path_through(start: Vec2, events: Sequence[Event], goal: Vec2) -> list[Vec2]:
-    """The shortest path through all events: each place in turn as its neighbours want it."""
+    """Return the shortest path through all events, optimising each place between its neighbours in turn."""
     places = [start]
     for event in events:
         places.append(_place_of(event, places[-1]))
@@ -527,11 +521,11 @@ def _shortest_path_through(start: Vec2, events: Sequence[Event], goal: Vec2) -> 
 
 
 def _between(a: Vec2, event: Event, b: Vec2) -> Vec2:
-    """Where a path from one place to another by an event is shortest."""
+    """Return the place of an event that minimises the path between two places."""
     if isinstance(event, Hit):
         wall = event.wall
         here, there = abs(wall.signed_distance(a)), abs(wall.signed_distance(b))
-        share = here / (here + there) if here + there > 0.0 else 0.5  # the mirror image's straight line
+        share = here / (here + there) if here + there > 0.0 else 0.5  # straight line to the mirror image
         place = wall.foot((a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1])))
         return place if event.visit is None else _nearest_in(event.visit, place)
     (ax, ay), (bx, by), (cx, cy) = a, b, event.place
@@ -542,7 +536,7 @@ def _between(a: Vec2, event: Event, b: Vec2) -> Vec2:
 
 
 def _nearest_in(visit: Visit, place: Vec2) -> Vec2:
-    """The point of a visit's disc nearest to a place."""
+    """Return the point of a visit's disc nearest to a place."""
     away = distance2(visit.place, place)
     if away <= visit.within_m:
         return place

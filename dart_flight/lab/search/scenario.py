@@ -1,7 +1,7 @@
-"""Scenario files (version 1): what the planner is asked, as YAML types and as a checked `Scenario`.
+"""Scenario files (version 1), the planner's input, as YAML types and as a checked `Scenario`.
 
-A scenario shares start, goal, bounds, walls, limits and frame with a mission (`config.mission`) and says what
-to search instead of what to fly. `docs/planning.md` explains every key.
+A scenario shares start, goal, bounds, walls, limits and frame with a mission (`config.mission`), and defines
+a search instead of collisions. `docs/planning.md` explains every key.
 """
 
 from __future__ import annotations
@@ -46,12 +46,12 @@ from dart_flight.config.vehicle import Px4Parameters, VehicleConfig
 
 _MAX_STEPS = 2001
 _MAX_CANDIDATES = 20_000_000
-_MAX_COLLISIONS = 4  # in a grid's sequence; the next limit is for the objective quickest
+_MAX_COLLISIONS = 4  # in a grid's sequence; the next limit applies to the objective quickest
 _MAX_QUICKEST = 16
 
 
 class Objective(StrEnum):
-    """What the best plan is best at."""
+    """The criterion of the best plan."""
 
     NEAREST = "nearest"
     FASTEST = "fastest"
@@ -172,15 +172,15 @@ class ScenarioFile(SpaceKeys, frozen=True, kw_only=True):
 
 
 class Scenario(SpaceKeys, frozen=True, kw_only=True):
-    """A checked scenario and the vehicle it is for.
+    """A checked scenario and its vehicle.
 
     Attributes:
-        spec: as written; the mission file repeats its walls, frame and so on word for word.
-        vehicle_path: the configuration's file, or None where it is the default one.
-        vehicle_source: where it came from; None where it was given.
+        spec: the file's content; the mission file repeats its walls, frame and others unchanged.
+        vehicle_path: file of the configuration, or None for the default one.
+        vehicle_source: source of the configuration; None if it was given as an object.
         walls: planes of the vehicle's centre, by name.
-        sequences: walls in the order of the hits; several where the file says `any`.
-        chosen_by_planner: whether it does.
+        sequences: walls in the order of the hits; several if the file contains `any`.
+        chosen_by_planner: whether the planner chooses the sequence.
         normal_m_s, tangential_m_s: the grid of approach velocities, collision frame of the first wall.
         alphas: gains (A_n, A_t) of the recovery setpoint per wall, m/N.
     """
@@ -217,33 +217,32 @@ def load_scenario(
     """Load, validate and resolve a scenario file.
 
     Args:
-        path: the scenario, or a mapping of what a file would hold.
-        config: vehicle configuration that overrides the one the scenario names.
-        vehicle: a configuration already loaded from it, for example with the parameters read from the
-            vehicle itself.
-        settings: `KEY=VALUE`, keys of the vehicle configuration that differ from the file.
+        path: the scenario, or a mapping with the content of a file.
+        config: vehicle configuration to use instead of the one that the scenario names.
+        vehicle: a configuration already loaded from it, for example with parameters read from the vehicle.
+        settings: `KEY=VALUE` settings that override the vehicle configuration.
 
     Raises:
-        InputError: in the scenario or in the configuration.
+        InputError: the scenario or the configuration is invalid.
     """
     document = load_document(path, FileKind.SCENARIO)
     spec = document.convert(ScenarioFile)
     if config is None and spec.vehicle is not None:
         config = Path(document.source).parent / spec.vehicle
-    path_taken = None if config is None else Path(config)
+    config_path = None if config is None else Path(config)
     if vehicle is not None:
-        return resolve_scenario(spec, vehicle, path_taken, document)
+        return resolve_scenario(spec, vehicle, config_path, document)
     found = find_vehicle(config, settings)
-    scenario = resolve_scenario(spec, found.config, path_taken, document)
+    scenario = resolve_scenario(spec, found.config, config_path, document)
     return msgspec.structs.replace(scenario, vehicle_source=found.source)
 
 
 def with_vehicle_parameters(scenario: Scenario, url: str) -> Scenario:
-    """The scenario with the PX4 parameters that the vehicle at a connection really has.
+    """Return the scenario with the PX4 parameters read from the vehicle at a connection.
 
     Raises:
-        VehicleError: nothing answers, or it has none of the parameters.
-        InputError: one of them is out of the range that the flight model can take.
+        VehicleError: the vehicle does not answer, or has none of the parameters.
+        InputError: a parameter is out of the flight model's range.
     """
     from dart_flight.vehicle.ground_link import GroundLink  # noqa: PLC0415  (an extra, slow to import)
     from dart_flight.vehicle.vehicle_session import VehicleError  # noqa: PLC0415
@@ -264,7 +263,7 @@ def with_vehicle_parameters(scenario: Scenario, url: str) -> Scenario:
 def resolve_scenario(
     spec: ScenarioFile, vehicle: VehicleConfig, vehicle_path: Path | None, document: Document
 ) -> Scenario:
-    """What a scenario file means for a vehicle.
+    """Resolve a scenario file for a vehicle.
 
     Raises:
         InputError: the parts of the scenario contradict each other, or the search is empty or too large.
@@ -282,8 +281,8 @@ def resolve_scenario(
         normal, tangential = _grids(spec.search, document)
         modes = modes if spec.search.modes is None else tuple(dict.fromkeys(spec.search.modes))
     elif spec.objective is not Objective.QUICKEST:
-        says = f"missing key search: the objective {spec.objective} tries the approaches that it names"
-        raise document.error((), says)
+        problem = f"missing key search: the objective {spec.objective} needs its grid of approaches"
+        raise document.error((), problem)
     if not modes:
         raise document.error(("search", "modes"), "the search is empty: name at least one mode")
     for mode, key in [(spec.transit_mode, ("transit_mode",)), *((m, ("search", "modes")) for m in modes)]:
@@ -297,7 +296,7 @@ def resolve_scenario(
         check_place(spec.bounds_m, {}, visit.position_m, None, ("visits", i), document)
     for name in ("posts", "touch_m_s"):
         if getattr(spec, name) and spec.objective is not Objective.QUICKEST:
-            raise document.error((name,), "goes with the objective quickest only")
+            raise document.error((name,), "is only allowed with the objective quickest")
     if spec.sight is not None:
         _check_sight(spec, spec.sight, list(walls.values()), document)
     return Scenario(
@@ -326,20 +325,19 @@ def resolve_scenario(
 
 
 def _check_sight(spec: ScenarioFile, sight: SightSpec, walls: list[Wall], document: Document) -> None:
-    """Refuse what limited sight is not planned for."""
+    """Reject scenarios that limited sight does not support."""
     start = spec.start.position_m
-    for fine, says in (
+    for valid, problem in (
         (spec.objective is Objective.QUICKEST, "limited sight is planned with the objective quickest only"),
         (len(walls) == 1 and not spec.visits, "limited sight is planned for one wall and no visits"),
         (walls[0].spans(start), "the wall is seen straight ahead: the start must be before it"),
         (walls[0].signed_distance(start) > sight.distance_m, "the start must be where the wall is not seen"),
     ):
-        if not fine:
-            raise document.error(("sight",), says)
+        if not valid:
+            raise document.error(("sight",), problem)
 
 
 def _grids(spec: SearchSpec, document: Document) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """The normal and the tangential velocities to try."""
     normal = _grid(spec.normal_m_s, ("search", "normal_m_s"), document)
     if not normal[-1] < 0.0:
         raise document.error(
@@ -354,14 +352,13 @@ def _name_from(source: str) -> str:
 
 
 def _sequences(spec: ScenarioFile, document: Document) -> tuple[tuple[str, ...], ...]:
-    """Every order of hits to try."""
     key: Key = ("sequence",)
     if not spec.walls:
         raise document.error(("walls",), "a plan needs at least one wall")
     if spec.sequence == "any":
         found: list[tuple[str, ...]] = [(name,) for name in spec.walls]
         frontier = found
-        # A wall at most once: the recovery leads away from it.
+        # Use each wall at most once, because the recovery leads away from it.
         for _ in range(min(len(spec.walls), _MAX_COLLISIONS) - 1):
             frontier = [(*s, name) for s in frontier for name in spec.walls if name not in s]
             found = [*found, *frontier]

@@ -1,7 +1,7 @@
-"""Exhaustive search: every approach velocity and mode sequence, what is refused and why, and the best plans.
+"""Exhaustive search over approach velocities and mode sequences, with rejection reasons and ranked plans.
 
-`search` is the planner: scenario in, ranked plans and counts out. What it computes a candidate with is
-`trajectories`, what it refuses is `constraints`.
+`search` is the planner. Its rollouts are in `planning.rollout`, and its constraints in
+`planning.constraints`.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from dart_flight.planning.rollout import (
     stages_for,
 )
 
-Progress = Callable[[int, int], None]  # trajectories done, of how many
+Progress = Callable[[int, int], None]  # trajectories done, total number
 
 _MIN_LOSS_M = 1.0
 
@@ -42,7 +42,7 @@ ADVICE = {
     Refusal.APPROACH_SPEED: "raise limits.speed_m_s or search slower approaches",
     Refusal.BEYOND_WALL: "lengthen the wall, move start, or search less tangential velocity",
     Refusal.RUN_UP_ROOM: "widen bounds_m, move start back, or search slower approaches",
-    Refusal.RUN_UP_BLOCKED: "move the wall that stands in the way of the run-up, or start",
+    Refusal.RUN_UP_BLOCKED: "move the wall that blocks the run-up, or start",
     Refusal.NOT_DETECTED: "lower detection.force_threshold_n or search faster approaches",
     Refusal.PEAK_FORCE: "raise limits.peak_force_n, search slower approaches or the flexible mode",
     Refusal.CLOSING: "raise limits.closing_m_s or search slower approaches",
@@ -53,25 +53,25 @@ ADVICE = {
     Refusal.ACCELERATION: "lower the wall's alpha or raise MPC_TILTMAX_AIR",
     Refusal.SPEED: "raise limits.speed_m_s or lower the wall's alpha",
     Refusal.BOUNDS: "widen bounds_m or lower the wall's alpha",
-    Refusal.OBSTACLE: "move or shorten the wall in the way, or put it into sequence",
-    Refusal.WALL_NOT_REACHED: "raise the alpha of the wall before it, move the wall nearer, or lengthen it",
-    Refusal.INCIDENCE: "turn the wall: a recovery meets it in the heading of the first approach",
+    Refusal.OBSTACLE: "move or shorten the wall that blocks the path, or add it to sequence",
+    Refusal.WALL_NOT_REACHED: "raise the alpha of the previous wall, move the wall nearer, or lengthen it",
+    Refusal.INCIDENCE: "turn the wall: a recovery hits it with the heading of the first approach",
     Refusal.TOO_SOON: "move the walls apart or lower detection.refractory_s",
-    Refusal.SERVO_TRAVEL: "allow the same mode at both walls, a faster servo, or more way between the walls",
+    Refusal.SERVO_TRAVEL: "allow the same mode at both walls, a faster servo, or more distance between them",
 }
 
 
 class PlannedCollision(msgspec.Struct, frozen=True):
-    """A collision as predicted.
+    """A predicted collision.
 
     Attributes:
-        wall, mode: which.
+        wall, mode: wall and mode.
         t_s: onset of the contact, since the start of the run-up.
-        position_m: of the vehicle's centre then, mission frame.
-        normal_m_s, tangential_m_s: velocity then, collision frame.
-        peak_force_n: of the normal force.
-        peak_friction_n: of the friction force.
-        contact_time_s: how long the wall is touched.
+        position_m: position of the vehicle's centre at the onset, mission frame.
+        normal_m_s, tangential_m_s: velocity at the onset, collision frame.
+        peak_force_n: peak of the normal force.
+        peak_friction_n: peak of the friction force.
+        contact_time_s: duration of the contact.
         setpoint_m: recovery setpoint, mission frame.
     """
 
@@ -92,19 +92,20 @@ class Plan(msgspec.Struct, frozen=True):
 
     Attributes:
         rank: 1 is the best.
-        score: what it was ranked by, smaller is better: m (nearest, robust), s (fastest) or N (gentlest).
+        score: the ranking criterion, smaller is better: m (nearest, robust), s (fastest) or N (gentlest).
         normal_m_s, tangential_m_s: approach of the first collision.
         goal_miss_m: closest approach to the goal after the last contact, at nominal values.
-        time_to_goal_s: from `start`: transit, run-up, flight to the closest approach, and the rest of the way
-            to the goal at transit speed.
+        time_to_goal_s: time from `start` over transit, run-up and flight to the closest approach, plus the
+            remaining distance to the goal at transit speed.
         peak_force_n: largest force of any contact, normal and friction together.
-        closest_m: where the closest approach is, mission frame.
-        expected_miss_m, worst_miss_m: over the draws, `robust` only; a draw in which the plan fails counts
-            as the way from start to goal, at least 1 m.
+        closest_m: position of the closest approach, mission frame.
+        expected_miss_m, worst_miss_m: over the draws, `robust` only. A draw in which the plan fails counts as
+            the distance from start to goal, at least 1 m.
         failed_draws: share of the draws in which a constraint stops the plan.
-        time_to_rest_s: from `start` until the vehicle rests at the goal, within the limits of the free plan.
-        saving_s: by which that is less than the free plan's time; negative: the hit loses. Both None where
-            there is no free plan.
+        time_to_rest_s: time from `start` until the vehicle rests at the goal, within the limits of the free
+            plan.
+        saving_s: the free plan's time minus `time_to_rest_s`, negative if the hit is slower. Both are None
+            without a free plan.
     """
 
     rank: int
@@ -124,17 +125,17 @@ class Plan(msgspec.Struct, frozen=True):
 
     @property
     def sequence(self) -> tuple[str, ...]:
-        """Walls in the order of the hits."""
+        """The walls in the order of the hits."""
         return tuple(c.wall for c in self.collisions)
 
     @property
     def modes(self) -> tuple[Mode, ...]:
-        """Modes of the collisions."""
+        """The modes of the collisions."""
         return tuple(c.mode for c in self.collisions)
 
 
 class Candidates(NamedTuple):
-    """All feasible candidates of one sequence and mode sequence, as arrays (n,); for ranking and pictures."""
+    """All feasible candidates of one sequence and mode sequence, as arrays (n,), for ranking and pictures."""
 
     sequence: tuple[str, ...]
     modes: tuple[Mode, ...]
@@ -156,13 +157,13 @@ class SearchResult(msgspec.Struct, frozen=True):
     """The result of `search`.
 
     Attributes:
-        plans: the best ones, in order.
-        candidates: how many were tried; `feasible` of them got through.
-        refused: the others by reason.
-        trajectories: how many were simulated, with the draws of `robust`.
-        elapsed_s: time used, preparation included.
-        free: the quickest flight without a collision; None: the extra `plan` is not installed.
-        maps: everything feasible.
+        plans: the best plans, in order.
+        candidates, feasible: numbers of tried and of feasible candidates.
+        refused: numbers of rejected candidates by reason.
+        trajectories: number of simulated trajectories, including the draws of `robust`.
+        elapsed_s: duration, including preparation.
+        free: the fastest flight without a collision; None if the extra `plan` is not installed.
+        maps: all feasible candidates.
     """
 
     scenario: Scenario
@@ -179,16 +180,17 @@ class SearchResult(msgspec.Struct, frozen=True):
 def search(
     scenario: Scenario, top: int = 10, seed: int = 1, progress: Progress | None = None
 ) -> SearchResult:
-    """Try every candidate of a scenario and rank those that are feasible.
+    """Evaluate every candidate of a scenario and rank the feasible ones.
 
     Args:
-        scenario: what to search.
-        top: how many plans to return.
-        seed: of the draws of `robust`.
-        progress: called with trajectories done and in all.
+        scenario: the scenario.
+        top: number of plans to return.
+        seed: seed of the draws of `robust`.
+        progress: called with the numbers of finished and of all trajectories.
 
     Raises:
-        InputError: nothing is feasible; the message says what stands in the way most and how to relax it.
+        InputError: no candidate is feasible; the message names the most frequent obstacle and how to relax
+            it.
     """
     began = time.perf_counter()
     planner = ScenarioSearch(scenario, seed, progress or (lambda done, of: None))
@@ -213,7 +215,7 @@ def search(
 
 
 class ScenarioSearch:
-    """One scenario's search."""
+    """The search of one scenario."""
 
     def __init__(self, scenario: Scenario, seed: int = 1, progress: Progress = lambda done, of: None) -> None:
         self.scenario, self._seed, self._progress = scenario, seed, progress
@@ -227,7 +229,7 @@ class ScenarioSearch:
         self.flown = 0
 
     def run(self) -> list[Candidates]:
-        """All feasible candidates, scored."""
+        """Return all feasible candidates with their scores."""
         found: list[Candidates] = []
         for sequence, arrivals, grid in self._nominal(frozenset()):
             found.extend(self._candidates(sequence, a, grid) for a in arrivals)
@@ -273,8 +275,7 @@ class ScenarioSearch:
         if objective is Objective.FASTEST:
             return c._replace(score=c.time_s)
         if objective is Objective.GENTLEST:
-            # The gentlest of those that serve the purpose: within the capture radius of the goal, or, where
-            # none is, within that of the best.
+            # Only candidates within the goal's capture radius count, or within that distance of the best.
             radius = self.scenario.goal.capture_radius_m
             least = min(float(m.miss_m.min()) for m in all_found if m.rows.size)
             allowed = radius if least <= radius else least + radius
@@ -288,7 +289,7 @@ class ScenarioSearch:
     # -- robust --
 
     def _robust(self, found: list[Candidates]) -> list[Candidates]:
-        """Expected and worst miss of what is feasible at nominal values."""
+        """Return the feasible candidates with their expected and worst miss over the draws."""
         draws = draws_of(self.scenario, self._seed)
         stages = stages_for(self.scenario, draws)
         by_sequence: dict[tuple[str, ...], list[Candidates]] = {}
@@ -304,23 +305,23 @@ class ScenarioSearch:
             grid = rollout.approach(vn, vt)
             misses = {c.modes: np.full((len(draws), rows.size), math.nan) for c in group}
             for i, (draw, of_draw) in enumerate(zip(draws, stages, strict=True)):
-                really = self._where_walls_are(rollout, sequence, draw)
-                for a in really.fly(of_draw, vn, vt, grid, draw):
+                drawn = self._rollout_of_draw(rollout, sequence, draw)
+                for a in drawn.fly(of_draw, vn, vt, grid, draw):
                     if a.modes in misses:
                         misses[a.modes][i, a.rows] = a.miss_m
                 self.flown += sum(c.rows.size for c in group)
                 self._progress(self.flown, total)
-            out.extend(self._judged(c, misses[c.modes][:, np.searchsorted(rows, c.rows)]) for c in group)
+            out.extend(self._with_misses(c, misses[c.modes][:, np.searchsorted(rows, c.rows)]) for c in group)
         return out
 
-    def _where_walls_are(self, planned: Rollout, sequence: tuple[str, ...], draw: UncertaintyDraw) -> Rollout:
-        """The rollout among the walls of a draw; the planned one where they stand as planned."""
+    def _rollout_of_draw(self, planned: Rollout, sequence: tuple[str, ...], draw: UncertaintyDraw) -> Rollout:
+        """Return the rollout with the walls of a draw, or the planned rollout if they do not move."""
         if not draw.walls:
             return planned
         there = msgspec.structs.replace(self.scenario, walls=self.scenario.walls | draw.walls)
         return Rollout(there, sequence, self.flight, Constraints(there), approached=planned.walls[0])
 
-    def _judged(self, c: Candidates, misses: Array) -> Candidates:
+    def _with_misses(self, c: Candidates, misses: Array) -> Candidates:
         loss = max(_MIN_LOSS_M, distance2(self.scenario.start, self.scenario.goal.position_m))
         failed = np.isnan(misses)
         filled = np.where(failed, loss, misses)
@@ -328,10 +329,10 @@ class ScenarioSearch:
             expected_m=filled.mean(axis=0), worst_m=filled.max(axis=0), failed=failed.mean(axis=0)
         )
 
-    # -- words --
+    # -- plans and explanations --
 
     def explain(self, chosen: list[tuple[Candidates, int]], free: FreePlan | None = None) -> tuple[Plan, ...]:
-        """Candidates, in order of their rank, flown once more with their collisions kept."""
+        """Return candidates, in order of their rank, as plans with their collisions."""
         plans: dict[int, Plan] = {}
         groups: dict[int, list[tuple[int, Candidates, int]]] = {}
         for rank, (c, i) in enumerate(chosen, start=1):
@@ -346,7 +347,7 @@ class ScenarioSearch:
         return tuple(plans[rank] for rank in sorted(plans))
 
     def _compared(self, plan: Plan, arrivals: Arrivals, k: int, free: FreePlan | None) -> Plan:
-        """The plan beside the free one: both until the vehicle rests at the goal."""
+        """Return the plan with its time to rest at the goal, compared with the free plan."""
         if free is None or free.time_s is None:
             return plan
         velocity, goal = (float(arrivals.vx[k]), float(arrivals.vy[k])), self.scenario.goal.position_m
@@ -355,14 +356,14 @@ class ScenarioSearch:
         return msgspec.structs.replace(plan, time_to_rest_s=at_rest_s, saving_s=free.time_s - at_rest_s)
 
     def trace(self, c: Candidates, chosen: NDArray[np.intp]) -> Arrivals:
-        """Some candidates of a map flown once more, with their collisions and legs kept."""
+        """Roll out some candidates of a map again, keeping their collisions and legs."""
         rollout = Rollout(self.scenario, c.sequence, self.flight, Constraints(self.scenario), keep_hits=True)
         vn, vt = c.normal_m_s[chosen], c.tangential_m_s[chosen]
         arrivals = rollout.fly(self.nominal, vn, vt, rollout.approach(vn, vt))
         return next(a for a in arrivals if a.modes == c.modes)
 
     def why_infeasible(self) -> str:
-        """The reasons by their weight, and which one of them alone, relaxed, would let candidates through."""
+        """Return the reasons by frequency, and the single constraint whose removal admits candidates."""
         counts = sorted(
             ((int(n), r) for r, n in zip(REFUSALS, self.refused[1:], strict=True) if n), reverse=True
         )
@@ -372,15 +373,15 @@ class ScenarioSearch:
         freed = sorted(((self._freed(r), r) for _, r in counts), reverse=True)
         if freed and freed[0][0]:
             count, reason = freed[0]
-            return f"{text}; without {reason.value} {count} would be: {ADVICE[reason]}"
-        return f"{text}; no single constraint frees one; first {ADVICE[counts[0][1]]}"
+            return f"{text}; without {reason.value} {count} would be feasible: {ADVICE[reason]}"
+        return f"{text}; several constraints must be relaxed; first {ADVICE[counts[0][1]]}"
 
     def _freed(self, reason: Refusal) -> int:
         return sum(a.rows.size for _, found, _ in self._nominal(frozenset({reason})) for a in found)
 
 
 def _plan(c: Candidates, i: int, rank: int, arrivals: Arrivals, k: int) -> Plan:
-    """Candidate `i` of a map, its collisions from row `k` of the arrivals."""
+    """Return candidate `i` of a map as a plan, with the collisions from row `k` of the arrivals."""
     collisions = tuple(
         PlannedCollision(
             wall=h.wall.name,
@@ -413,7 +414,7 @@ def _plan(c: Candidates, i: int, rank: int, arrivals: Arrivals, k: int) -> Plan:
 
 
 def draws_of(scenario: Scenario, seed: int) -> list[UncertaintyDraw]:
-    """The draws of `robust`, the same for all candidates; coefficients independent per wall and mode."""
+    """Return the draws of `robust`, equal for all candidates and independent per wall and mode."""
     u = scenario.uncertainty
     rng = np.random.default_rng(seed)
     draws = []
@@ -447,7 +448,7 @@ def _at(values: Array | None, i: int) -> float | None:
 
 
 def _ranked(maps: list[Candidates], scenario: Scenario, top: int) -> Rows:
-    """Indices into all candidates, best first; ties by miss, then by force."""
+    """Return indices into all candidates, best first; ties are ordered by miss, then by force."""
     score = np.concatenate([m.score for m in maps])
     miss = np.concatenate([m.miss_m for m in maps])
     force = np.concatenate([m.force_n for m in maps])

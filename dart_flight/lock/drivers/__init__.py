@@ -1,8 +1,8 @@
-"""What moves the servo: one interface, one file per driver, one table of them (docs/extending.md).
+"""Drivers of the lock's servo: one interface, one file per driver, and a table of all (docs/extending.md).
 
-Calls may block for some tens of milliseconds: a shell makes them in a thread of its own. Every failure of
-the hardware is a `DriverError`; nothing else comes out of a driver. After one the driver is still usable:
-the next call tries to reach the hardware again, so a cable may be pulled and put back.
+Calls may block for some tens of milliseconds, so a shell makes them in a separate thread. A driver raises
+only `DriverError`, for any failure of the hardware. The driver stays usable afterwards: the next call tries
+to reach the hardware again, so a cable may be unplugged and reconnected.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ SetActuator = Callable[[int, float], None]
 
 
 class DriverError(Exception):
-    """The hardware cannot be reached or did not do what it was told.
+    """The hardware cannot be reached or did not execute a command.
 
     Attributes:
-        key: the configuration key below `lock` it concerns, where the configuration may be at fault.
+        key: configuration key below `lock` that may be wrong, or empty.
     """
 
     def __init__(self, message: str, key: Key = ()) -> None:
@@ -35,35 +35,37 @@ class DriverError(Exception):
 
 @runtime_checkable
 class Driver(Protocol):
-    """What every driver offers. All methods raise `DriverError` and nothing else."""
+    """Interface of every driver. All methods raise `DriverError` and nothing else."""
 
     def open(self) -> None:
-        """Reach the hardware; moves nothing. Calling it again is harmless."""
+        """Connect to the hardware without moving anything; may be called again."""
 
     def set_pulse(self, pulse_us: float) -> None:
-        """Put out this pulse width in us; returns once the hardware has it."""
+        """Output this pulse width in us; return once the hardware has it."""
 
     def release(self) -> None:
         """Switch the pulses off."""
 
     def read(self) -> DriverReading:
-        """What the hardware puts out and what the limit switches say."""
+        """Return the present output and the state of the limit switches."""
 
     def close(self) -> None:
-        """Let go of the hardware; the pulses stay as they are."""
+        """Release the hardware; the pulses stay as they are."""
 
 
 class DriverEntry(NamedTuple):
     """One kind of driver.
 
     Attributes:
-        path: `module:class` beside this file, imported when the driver is made: pyserial is for one of them.
-        words: what moves the servo, for people.
-        needs: what it is made with beside the configuration: arguments of `make_driver`, by name.
-        takes: likewise, what it can be made without.
-        simulated: whether it has a place in simulated time.
+        path: `module:class` beside this file, imported when the driver is made, because pyserial is an
+            optional package.
+        words: description of the driver for people.
+        needs: names of the required arguments of `make_driver`, besides the configuration.
+        takes: names of the optional arguments.
+        simulated: whether it works in simulated time.
         moves: whether anything real moves.
-        reads_switches: whether its readings have the limit switches; else GPIO lines are put around it.
+        reads_switches: whether its readings contain the limit switches; if not, they are read from GPIO
+            lines.
     """
 
     path: str
@@ -96,7 +98,7 @@ if set(DRIVERS) != set(LockDriver):
 
 
 def driver_names(chosen: Callable[[DriverEntry], bool]) -> str:
-    """The names of some drivers in words: `maestro, pwm or px4`."""
+    """Return the names of the chosen drivers as text: `maestro, pwm or px4`."""
     *first, last = [kind.value for kind, entry in DRIVERS.items() if chosen(entry)]
     return f"{', '.join(first)} or {last}" if first else last
 
@@ -110,20 +112,20 @@ def make_driver(
     faults: MockFaults | None = None,
     gpio: bool = True,
 ) -> Driver:
-    """The driver of a kind (default: the configured one), with the limit switch where one is configured.
+    """Return the driver of a kind (default: the configured one), with the limit switch if one is configured.
 
     Args:
         config: the lock's configuration.
-        kind: which driver.
-        clock_us: time base of the mock, microseconds; needed for it only.
-        set_actuator: `set_actuator(index, value)` with value from -1 to 1, for the px4 driver: the shell's,
-            which has the connection. It blocks until sent and may raise anything.
-        faults: what is wrong with the mock's servo from the start on.
-        gpio: False: without the limit switches, where there is no hardware.
+        kind: kind of driver.
+        clock_us: time base of the mock, microseconds; required for the mock only.
+        set_actuator: `set_actuator(index, value)` with value from -1 to 1, for the px4 driver. The shell
+            provides it with its connection. It blocks until sent and may raise any exception.
+        faults: initial faults of the mock's servo.
+        gpio: whether GPIO limit switches are read; False without hardware.
 
     Raises:
         ValueError: the argument that this kind needs is missing.
-        DriverError: a limit switch is configured and cannot be had.
+        DriverError: a limit switch is configured but not available.
     """
     kind = config.driver if kind is None else kind
     entry = DRIVERS[kind]

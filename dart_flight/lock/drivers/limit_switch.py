@@ -16,13 +16,13 @@ from dart_flight.lock.state_machine import DriverReading
 
 
 class SwitchReader(Protocol):
-    """Says which limit switches are closed."""
+    """Reader of the limit switches."""
 
     def read(self) -> tuple[bool | None, bool | None]:
-        """Closed at the rigid end, closed at the flexible end; None: not fitted. Raises `DriverError`."""
+        """Return the closure at the rigid and the flexible end, None if not fitted; raises `DriverError`."""
 
     def close(self) -> None:
-        """Let go of the lines."""
+        """Release the lines."""
 
 
 class GpioLimitSwitch:
@@ -51,10 +51,10 @@ class GpioLimitSwitch:
             )
 
     def read(self) -> tuple[bool | None, bool | None]:
-        """Closed at the rigid end, closed at the flexible end; None: not fitted.
+        """Return the closure at the rigid and at the flexible end; None if not fitted.
 
         Raises:
-            DriverError: the chip or a line cannot be had or read.
+            DriverError: the chip or a line is not available or cannot be read.
         """
         config, line = self._config, self._gpiod.line
         try:
@@ -77,26 +77,26 @@ class GpioLimitSwitch:
         return rigid, flexible
 
     def close(self) -> None:
-        """Let go of the lines."""
+        """Release the lines."""
         request, self._request = self._request, None
         if request is not None:
             request.release()
 
 
 class DriverWithLimitSwitch:
-    """A driver whose readings carry what the limit switches say."""
+    """A driver whose readings include the limit switches."""
 
     def __init__(self, driver: Driver, switches: SwitchReader) -> None:
         self._driver = driver
         self._switches = switches
 
     def open(self) -> None:
-        """Reach the hardware and the switches."""
+        """Connect to the hardware and the switches."""
         self._driver.open()
         self._switches.read()
 
     def set_pulse(self, pulse_us: float) -> None:
-        """Put out this pulse width in us."""
+        """Output this pulse width in us."""
         self._driver.set_pulse(pulse_us)
 
     def release(self) -> None:
@@ -104,12 +104,12 @@ class DriverWithLimitSwitch:
         self._driver.release()
 
     def read(self) -> DriverReading:
-        """What the driver reports, with the switches."""
+        """Return the driver's reading, with the switches."""
         reading = self._driver.read()
         rigid, flexible = self._switches.read()
         return msgspec.structs.replace(reading, rigid_switch=rigid, flexible_switch=flexible)
 
     def close(self) -> None:
-        """Let go of the hardware."""
+        """Release the hardware."""
         self._switches.close()
         self._driver.close()

@@ -5,9 +5,9 @@
     Get Position 0x90 channel                -> two bytes, little-endian, quarter-microseconds; 0: no pulses
     Get Errors   0xA1                        -> two bytes, little-endian; reading clears them
 
-The protocol without checksum has no protection against noise, so every question is put twice and counts
-only with equal answers and nothing left over on the line; a command counts only when the controller has no
-serial error to report after it. The only file that imports pyserial.
+The protocol without checksum has no protection against noise. Every query is therefore sent twice and counts
+only with equal answers and no further bytes on the line. A command counts only if the controller reports no
+serial error after it. This is the only file that imports pyserial.
 """
 
 from __future__ import annotations
@@ -36,15 +36,15 @@ ERRORS = (
     "script call stack error",
     "script program counter error",
 )
-SERIAL_ERRORS = 0b0011_1111  # after these a command may have been lost
+SERIAL_ERRORS = 0b0011_1111  # errors after which a command may be lost
 
 _ATTEMPTS = 3
-_MAX_POSITION = 4095 * QUARTERS_PER_US  # no servo pulse is longer
-_MAX_RAMP_BETWEEN = 16 * QUARTERS_PER_US  # change of a moving position between two questions
+_MAX_POSITION = 4095 * QUARTERS_PER_US  # longest servo pulse
+_MAX_RAMP_BETWEEN = 16 * QUARTERS_PER_US  # change of a moving position between two queries
 
 
 def error_names(bits: int) -> tuple[str, ...]:
-    """The controller's error bits in words."""
+    """Return the controller's error bits as text."""
     return tuple(name for i, name in enumerate(ERRORS) if bits & (1 << i))
 
 
@@ -81,12 +81,12 @@ class MaestroDriver:
         except (OSError, ValueError, termios.error) as error:
             # pyserial's SerialException is an OSError; its texts name the port themselves.
             raise DriverError(f"cannot open {name}: {_plain(error)}", key) from None
-        self._ask_errors()  # clears those of the time before us, and shows that a Maestro is there
+        self._query_errors()  # clears old errors and verifies that a Maestro answers
         speed = round(self._config.speed_limit_us_s / SPEED_UNIT_US_S)
         self._command(SET_SPEED, speed)
 
     def set_pulse(self, pulse_us: float) -> None:
-        """Put out this pulse width in us; with a speed limit the controller takes its time over it."""
+        """Output this pulse width in us; with a speed limit the controller ramps to it."""
         self._command(SET_TARGET, round(pulse_us * QUARTERS_PER_US))
 
     def release(self) -> None:
@@ -94,10 +94,10 @@ class MaestroDriver:
         self._command(SET_TARGET, 0)
 
     def read(self) -> DriverReading:
-        """The pulse width the controller puts out now, and its errors since the last question."""
+        """Return the present output pulse width, and the errors since the last query."""
         self.open()
-        position = self._ask_position()
-        bits = self._ask_errors()
+        position = self._query_position()
+        bits = self._query_errors()
         return DriverReading(
             pulse_us=None if position == 0 else position / QUARTERS_PER_US, errors=error_names(bits)
         )
@@ -109,27 +109,27 @@ class MaestroDriver:
             try:
                 port.close()
             except OSError:
-                # A port whose device is gone cannot even be closed properly; it is closed all the same.
+                # pyserial raises if the device is gone; the port counts as closed anyway.
                 return
 
     # -- the line --
 
     def _command(self, code: int, value: int) -> None:
-        """Send a command until the controller has no serial error to report after it."""
+        """Send a command until the controller reports no serial error after it."""
         self.open()
         message = bytes((code, self._config.channel, value & 0x7F, (value >> 7) & 0x7F))
         bits = 0
         for _ in range(_ATTEMPTS):
             self._write(message)
-            bits = self._ask_errors()
+            bits = self._query_errors()
             if not bits & SERIAL_ERRORS:
                 return
         raise self._lost(f"the controller reports {', '.join(error_names(bits))}")
 
-    def _ask_position(self) -> int:
-        question = bytes((GET_POSITION, self._config.channel))
+    def _query_position(self) -> int:
+        query = bytes((GET_POSITION, self._config.channel))
         for _ in range(_ATTEMPTS):
-            answer = self._ask(question * 2, 4)
+            answer = self._query(query * 2, 4)
             if answer is None:
                 continue
             first, second = (int.from_bytes(answer[i : i + 2], "little") for i in (0, 2))
@@ -138,10 +138,10 @@ class MaestroDriver:
                 return second
         raise self._lost("no sensible answer about the position")
 
-    def _ask_errors(self) -> int:
-        """Error bits; asked twice, because the bits of the first answer are cleared for the second."""
+    def _query_errors(self) -> int:
+        """Return the error bits; query twice, because the first answer clears the bits for the second."""
         for _ in range(_ATTEMPTS):
-            answer = self._ask(bytes((GET_ERRORS,)) * 2, 4)
+            answer = self._query(bytes((GET_ERRORS,)) * 2, 4)
             if answer is None:
                 continue
             first, second = (int.from_bytes(answer[i : i + 2], "little") for i in (0, 2))
@@ -149,14 +149,14 @@ class MaestroDriver:
                 return first
         raise self._lost("no sensible answer about errors")
 
-    def _ask(self, question: bytes, size: int) -> bytes | None:
-        """The answer to a question; None when it is short or something else is on the line."""
-        port = self._write(question, clear=True)
+    def _query(self, query: bytes, size: int) -> bytes | None:
+        """Return the answer to a query, or None if it is short or other bytes are on the line."""
+        port = self._write(query, clear=True)
         try:
             answer = bytes(port.read(size))
             left_over = port.in_waiting
         except (OSError, termios.error, TypeError) as error:
-            # TypeError: pyserial after the descriptor has gone.
+            # pyserial raises TypeError after the descriptor is gone.
             raise self._lost(_plain(error)) from None
         return answer if len(answer) == size and not left_over else None
 
@@ -178,7 +178,7 @@ class MaestroDriver:
 
 
 def _plain(error: Exception) -> str:
-    """An error of the system in its shortest words."""
+    """Return a system error as short text."""
     number = getattr(error, "errno", None)
     if isinstance(error, termios.error):
         number = error.args[0]

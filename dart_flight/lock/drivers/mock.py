@@ -1,7 +1,6 @@
-"""A modelled servo behind a modelled controller, on whatever time base the shell has: nothing real moves.
+"""A modelled servo behind a modelled controller, on the shell's time base; nothing real moves.
 
-The faults are those that a real lock can have. In a dry-run the mock belongs to the harness: the shell
-passes `horn_pulse_us` on to the simulated vehicle.
+The faults are those of a real lock. In a dry-run the shell passes `horn_pulse_us` to the simulated vehicle.
 """
 
 from __future__ import annotations
@@ -18,12 +17,12 @@ from dart_flight.lock.state_machine import DriverReading
 
 
 class MockFaults(msgspec.Struct, frozen=True):
-    """What is wrong with the modelled lock.
+    """Faults of the modelled lock.
 
     Attributes:
         servo: the servo itself: stuck, slow, stalled.
-        unplugged: the controller does not answer; the servo goes on with the last pulse.
-        brown_out: every travel pulls the supply down after `BROWN_OUT_S`: the controller restarts and its
+        unplugged: the controller does not answer; the servo keeps the last pulse.
+        brown_out: every travel causes a voltage drop after `BROWN_OUT_S`: the controller restarts, and its
             pulses are off until the next command.
         switch_silent: the limit switches never close.
     """
@@ -35,9 +34,9 @@ class MockFaults(msgspec.Struct, frozen=True):
 
 
 class MockDriver:
-    """The configured servo as a model; limit switches where the configuration has them."""
+    """Model of the configured servo, with the configured limit switches."""
 
-    BROWN_OUT_S = 0.06  # into the travel: the motor's starting current empties the supply's capacitors
+    BROWN_OUT_S = 0.06  # into the travel: the starting current drains the supply's capacitors
 
     def __init__(
         self,
@@ -47,7 +46,7 @@ class MockDriver:
         pulse_us: float | None = None,
         faults: MockFaults | None = None,
     ) -> None:
-        """`pulse_us` is where the horn is at the start; default: the flexible end."""
+        """`pulse_us` is the initial position of the horn; default: the flexible end."""
         self._config = config
         self._clock_us = clock_us
         self._faults = faults or MockFaults()
@@ -58,28 +57,28 @@ class MockDriver:
 
     @property
     def faults(self) -> MockFaults:
-        """The faults in force."""
+        """Active faults."""
         return self._faults
 
     def inject(self, faults: MockFaults) -> None:
-        """From now on these faults are in force, instead of the ones before."""
+        """Replace the active faults from now on."""
         now = self._advance(self._clock_us())
         self._faults = faults
         self._servo.set_faults(now, faults.servo)
 
     def horn_pulse_us(self, t_us: int) -> float:
-        """Where the horn really is at `t_us` of the mock's time base, as a pulse width in us."""
+        """Return the true position of the horn at `t_us` of the mock's time base, as a pulse width in us."""
         if self._reset_at_us is not None:
             self._advance(t_us)
         return self._servo.pulse_at(t_us)
 
     def open(self) -> None:
-        """Reach the modelled controller."""
-        self._answers()
+        """Connect to the modelled controller."""
+        self._require_answer()
 
     def set_pulse(self, pulse_us: float) -> None:
-        """Put out this pulse width in us."""
-        now = self._answers()
+        """Output this pulse width in us."""
+        now = self._require_answer()
         moves = abs(self._servo.pulse_at(now) - pulse_us) > self._config.servo.tolerance_us
         self._servo.command(now, pulse_us)
         self._restarted = False
@@ -87,12 +86,12 @@ class MockDriver:
 
     def release(self) -> None:
         """Switch the pulses off."""
-        self._servo.command(self._answers(), None)
+        self._servo.command(self._require_answer(), None)
         self._reset_at_us = None
 
     def read(self) -> DriverReading:
-        """What the modelled controller puts out, and the modelled switches."""
-        now = self._answers()
+        """Return the output of the modelled controller, and the modelled switches."""
+        now = self._require_answer()
         at = mode_of(self._config.servo, self._servo.pulse_at(now))
         return DriverReading(
             pulse_us=self._servo.commanded_us,
@@ -102,7 +101,7 @@ class MockDriver:
         )
 
     def close(self) -> None:
-        """Let go; the pulses stay."""
+        """Do nothing; the pulses stay."""
 
     def _switch(self, mode: Mode, at: Mode | None) -> bool | None:
         fitted = self._config.limit_switch
@@ -113,7 +112,7 @@ class MockDriver:
             return None
         return at is mode and not self._faults.switch_silent
 
-    def _answers(self) -> int:
+    def _require_answer(self) -> int:
         now = self._advance(self._clock_us())
         if self._faults.unplugged:
             raise DriverError("the controller does not answer (unplugged)")

@@ -1,7 +1,7 @@
-"""A real driver, and beside it the horn as the configured servo would move it.
+"""A real driver, together with a model of the horn that the configured servo would move.
 
-For a simulated vehicle around real hardware: an analogue servo says nothing of where it is, so what moves the
-simulated arms is the model, while the real servo moves on the table.
+It serves a simulated vehicle around real hardware. An analogue servo does not report its position, so the
+model moves the simulated arms while the real servo moves on the table.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ from dart_flight.lock.state_machine import DriverReading
 
 
 class DriverWithModelledHorn:
-    """Passes everything on; the horn follows each pulse width that the driver has taken.
+    """Passes every call to a driver; the modelled horn follows each accepted pulse width.
 
     Args:
-        driver: the real one.
-        config: of the lock; before the first command the horn is at the flexible end, as the mock's.
+        driver: the real driver.
+        config: of the lock; before the first command the horn is at the flexible end, as in the mock.
         clock_us: time base of the model, microseconds.
     """
 
@@ -28,27 +28,27 @@ class DriverWithModelledHorn:
         self._servo = ServoModel(config.servo, config.servo.flexible_pulse_us)
 
     def horn_pulse_us(self, t_us: int) -> float:
-        """Where the modelled horn is, as a pulse width in us."""
+        """Return the position of the modelled horn, as a pulse width in us."""
         return self._servo.pulse_at(t_us)
 
     def open(self) -> None:
-        """As `Driver`."""
+        """Implement `Driver`."""
         self._driver.open()
 
     def set_pulse(self, pulse_us: float) -> None:
-        """As `Driver`; a pulse that the hardware did not take moves no horn."""
+        """Implement `Driver`; a pulse that the hardware rejects moves no horn."""
         self._driver.set_pulse(pulse_us)
         self._servo.command(self._clock_us(), pulse_us)
 
     def release(self) -> None:
-        """As `Driver`."""
+        """Implement `Driver`."""
         self._driver.release()
         self._servo.command(self._clock_us(), None)
 
     def read(self) -> DriverReading:
-        """As `Driver`."""
+        """Implement `Driver`."""
         return self._driver.read()
 
     def close(self) -> None:
-        """As `Driver`."""
+        """Implement `Driver`."""
         self._driver.close()

@@ -9,7 +9,7 @@
 A Raspberry Pi's own chip is identified by its device, because its number depends on the kernel. GPIO 18 has a
 different channel on a Raspberry Pi 5 (Pioreactor/rpi_hardware_pwm#10, raspberrypi/linux#6818).
 
-The channel stays exported when the program ends: taking it back would stop the pulses.
+The channel stays exported when the program ends, because unexporting it would stop the pulses.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def write_attribute(path: Path, text: str) -> None:
     """Write a sysfs attribute: one write of its whole text, to a file that must exist already.
 
     Raises:
-        OSError: as the kernel says.
+        OSError: the kernel refuses the write.
     """
     descriptor = os.open(path, os.O_WRONLY | os.O_TRUNC | os.O_CLOEXEC)
     try:
@@ -63,7 +63,7 @@ class PwmDriver:
         self._period_ns = round(config.pwm.period_us * 1000.0)
 
     def open(self) -> None:
-        """Export the channel and set the frame; a channel that runs with this frame already is not touched.
+        """Export the channel and set the frame; leave a channel alone that already has this frame.
 
         Raises:
             DriverError: chip or channel do not exist, are not writable, or refuse (with the key).
@@ -72,7 +72,7 @@ class PwmDriver:
             self._find()
         self._wait_until_writable()
         if self._number(self._channel / "period") != self._period_ns:
-            # Older kernels refuse every write while the period is 0 or shorter than the pulse.
+            # Older kernels reject every write while the period is 0 or shorter than the pulse.
             self._stop()
             if self._number(self._channel / "duty_cycle") > self._period_ns:
                 self._write(self._channel / "duty_cycle", "0")
@@ -82,7 +82,7 @@ class PwmDriver:
             self._write(self._channel / "polarity", "normal")
 
     def set_pulse(self, pulse_us: float) -> None:
-        """Put out this pulse width in us."""
+        """Output this pulse width in us."""
         self.open()
         self._write(self._channel / "duty_cycle", str(round(pulse_us * 1000.0)))
         if self._text("enable") != "1":
@@ -94,14 +94,14 @@ class PwmDriver:
         self._stop()
 
     def read(self) -> DriverReading:
-        """The pulse width that the kernel puts out."""
+        """Return the pulse width that the kernel outputs."""
         self.open()
         if self._text("enable") != "1":
             return DriverReading(pulse_us=None)
         return DriverReading(pulse_us=self._number(self._channel / "duty_cycle") / 1000.0)
 
     def close(self) -> None:
-        """Nothing is held open; the pulses stay."""
+        """Do nothing: no file is held open, and the pulses stay."""
 
     def _find(self) -> None:
         """Find chip and channel, and export the channel."""

@@ -1,8 +1,8 @@
-"""PX4's own servo output: MAV_CMD_DO_SET_ACTUATOR through a callable that the shell brings along.
+"""PX4's own servo output: MAV_CMD_DO_SET_ACTUATOR through a callable of the shell.
 
-PX4 acknowledges the command whether or not anything is connected to it, and moves the output only when
-armed unless COM_PREARM_MODE says otherwise: `required_parameters` states what must be set, and
-`parameter_problems` compares with what is set.
+PX4 acknowledges the command whether or not a servo is connected. It moves the output only when armed, unless
+COM_PREARM_MODE permits more. `required_parameters` lists the necessary parameters, and `parameter_problems`
+compares them with the vehicle's.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ SERVO_RATE_HZ = 50
 
 
 class RequiredParameter(msgspec.Struct, frozen=True):
-    """One PX4 parameter and the value without which the servo does not move as commanded.
+    """One PX4 parameter with the value that the servo needs.
 
     Attributes:
         name: PX4's name.
-        value: what it must be; with `mask`, what its masked bits must be.
-        why: what goes wrong otherwise.
-        mask: the bits that matter; None: all.
+        value: required value; with `mask`, required value of the masked bits.
+        why: consequence of another value.
+        mask: bits that matter, or None for all.
     """
 
     name: str
@@ -37,12 +37,12 @@ class RequiredParameter(msgspec.Struct, frozen=True):
     mask: int | None = None
 
     def met_by(self, actual: float) -> bool:
-        """Whether a value read from the vehicle is right."""
+        """Return whether a value read from the vehicle is correct."""
         return (round(actual) if self.mask is None else round(actual) & self.mask) == self.value
 
 
 def required_parameters(config: LockConfig) -> tuple[RequiredParameter, ...]:
-    """The PX4 parameters (v1.14 and later) that make the configured output move the servo as calibrated."""
+    """Return the PX4 parameters (v1.14 and later) for which the output moves the servo as calibrated."""
     px4 = config.px4
     bank, pin = f"PWM_{px4.bank}", px4.pin
     function = ACTUATOR_SET_1 + px4.actuator_index - 1
@@ -63,7 +63,7 @@ def required_parameters(config: LockConfig) -> tuple[RequiredParameter, ...]:
 
 
 def parameter_problems(config: LockConfig, actual: Mapping[str, float]) -> list[str]:
-    """What is wrong with a vehicle's parameters for this output, one line each; empty: nothing.
+    """Return the problems of a vehicle's parameters for this output, one line each; empty if there are none.
 
     Args:
         config: the lock's configuration.
@@ -81,7 +81,7 @@ def parameter_problems(config: LockConfig, actual: Mapping[str, float]) -> list[
 
 
 def actuator_value(config: LockConfig, pulse_us: float) -> float:
-    """The actuator value from -1 to 1 at which PX4 puts out a pulse width in us.
+    """Return the actuator value, -1 to 1, at which PX4 outputs a pulse width in us.
 
     Raises:
         ValueError: the pulse is outside PX4's output range.
@@ -93,13 +93,13 @@ def actuator_value(config: LockConfig, pulse_us: float) -> float:
 
 
 def actuator_pulse_us(config: LockConfig, value: float) -> float:
-    """The pulse width in us that PX4 puts out at an actuator value; the inverse of `actuator_value`."""
+    """Return PX4's output pulse width in us at an actuator value; the inverse of `actuator_value`."""
     low, high = config.px4.min_pulse_us, config.px4.max_pulse_us
     return low + 0.5 * (max(-1.0, min(1.0, value)) + 1.0) * (high - low)
 
 
 class Px4Driver:
-    """The lock's servo on one of PX4's outputs. PX4 reports nothing back: a reading is the last command."""
+    """The lock's servo on an output of PX4, which reports nothing: a reading is the last command."""
 
     def __init__(self, config: LockConfig, set_actuator: Callable[[int, float], None]) -> None:
         self._config = config
@@ -107,7 +107,7 @@ class Px4Driver:
         self._sent_us: float | None = None
 
     def open(self) -> None:
-        """Nothing to open: the connection is the shell's."""
+        """Do nothing: the shell has the connection."""
 
     def set_pulse(self, pulse_us: float) -> None:
         """Send the actuator value of this pulse width in us."""
@@ -115,19 +115,19 @@ class Px4Driver:
             value = actuator_value(self._config, pulse_us)
             self._set_actuator(self._config.px4.actuator_index, value)
         except Exception as error:
-            # The callable is the shell's: whatever it raises, the lock has not moved.
+            # The callable is the shell's: after any exception the lock has not moved.
             expected = isinstance(error, FlightError | OSError | ValueError)
             what = str(error) if expected else f"not commanded: {type(error).__name__}: {error}"
             raise DriverError(f"PX4 actuator {self._config.px4.actuator_index}: {what}") from error
         self._sent_us = pulse_us
 
     def release(self) -> None:
-        """PX4 has no command that switches an output's pulses off."""
+        """Raise `DriverError`: PX4 has no command that switches an output's pulses off."""
         raise DriverError("PX4 cannot switch the pulses of an output off")
 
     def read(self) -> DriverReading:
-        """The last command; None before the first."""
+        """Return the last command; None before the first."""
         return DriverReading(pulse_us=self._sent_us)
 
     def close(self) -> None:
-        """Nothing to close; PX4 keeps the output as it is."""
+        """Do nothing; PX4 keeps the output as it is."""

@@ -2,8 +2,9 @@
 
 `dry-run --fault NAME[=VALUE][@PHASE]`: the fault begins when the mission first reaches the phase (without:
 at once) and stays. Where a fault acts decides which part applies it: `plant`, `sensor` and `autopilot`
-belong to the simulated vehicle (`VehicleFault.apply`), `link` to the messages between it and the app, `lock`
-to the mock servo, `app` to the program itself.
+belong to the simulated vehicle (`VehicleFault.apply`), `mocap` to the poses that the program forwards
+(`pose_feed`), `link` to the messages between vehicle and app, `lock` to the mock servo, `app` to the program
+itself.
 """
 
 from __future__ import annotations
@@ -36,6 +37,7 @@ class FaultSite(StrEnum):
     LINK = "link"
     LOCK = "lock"
     SENSOR = "sensor"
+    MOCAP = "mocap"
     AUTOPILOT = "autopilot"
     PLANT = "plant"
 
@@ -127,6 +129,21 @@ KINDS: tuple[FaultKind, ...] = (
     FaultKind("wall-nearer", _P.PLANT, "the walls are nearer than planned", "m", 0.3, -1.0, 1.0),
     FaultKind("other-material", _P.PLANT, "the walls are of the stiffest other material"),
     FaultKind("gust", _P.PLANT, "a gust of 0.6 s along the wall's normal", "m/s", 5.0, -15.0, 15.0),
+    FaultKind("mocap-lost", _P.MOCAP, "the marker body is not tracked for this long", "s", 1.0, 0.0, 60.0),
+    FaultKind(
+        "mocap-flip", _P.MOCAP, "markers are swapped: the body is turned by this", "deg", 90.0, 0.0, 180.0
+    ),
+    FaultKind(
+        "mocap-other-body",
+        _P.MOCAP,
+        "the poses are another vehicle's, which stands this far north of the start",
+        "m",
+        1.0,
+        -10.0,
+        10.0,
+    ),
+    FaultKind("mocap-late", _P.MOCAP, "poses arrive later by this much", "ms", 50.0, 0.0, 1000.0),
+    FaultKind("mocap-slow", _P.MOCAP, "poses come at this rate", "Hz", 10.0, 1.0, 50.0),
 )
 BY_NAME = {kind.name: kind for kind in KINDS}
 
@@ -172,7 +189,12 @@ def parse_fault_of(mission: Mission, text: str) -> Fault:
         InputError: see `parse_fault`.
     """
     has_mocap = simulated_source(mission) is PositionSource.MOCAP
-    return parse_fault(text, mission.vehicle.has_lock, has_mocap)
+    fault = parse_fault(text, mission.vehicle.has_lock, has_mocap)
+    if fault.kind.place is FaultSite.MOCAP and mission.vehicle.mocap.url is None:
+        raise InputError(
+            f"{fault.name}: needs poses that this program forwards, add --mocap", key=("--fault",)
+        )
+    return fault
 
 
 def parse_fault(text: str, has_lock: bool = True, has_mocap: bool = True) -> Fault:
@@ -297,7 +319,7 @@ class VehicleFault:
 
     def _begin_ev_delay(self) -> None:
         a = self._autopilot
-        a.estimator.mistake_delay(a.now_s, self._fault.value * 1e-3)
+        a.estimator.assume_delay(a.now_s, self._fault.value * 1e-3)
 
     def _begin_clock_back(self) -> None:
         self._autopilot.plant.time_offset_us -= round(self._fault.value * 1e6)

@@ -1,1 +1,1 @@
-"""A real PX4 SITL on our plant."""
+"""A real PX4 (SITL or hardware in the loop) on the simulated plant."""

@@ -1,8 +1,8 @@
 """The plant as PX4's external simulator: HIL messages over TCP, in lockstep.
 
-PX4 connects as a TCP client, takes one HIL_SENSOR a tick and answers it with one HIL_ACTUATOR_CONTROLS; its
-clock is the `time_usec` of HIL_SENSOR. `HilLink` is that exchange, `Px4Vehicle` the plant, its sensors and
-the lock's servo around it. Nothing here starts or stops PX4 (`sim/px4/launch.py`).
+PX4 connects as a TCP client. It receives one HIL_SENSOR per tick and answers with one HIL_ACTUATOR_CONTROLS;
+its clock is the `time_usec` of HIL_SENSOR. `HilLink` implements this exchange. `Px4Vehicle` contains the
+plant, its sensors and the lock's servo. `sim/px4/launch.py` starts and stops PX4.
 """
 
 from __future__ import annotations
@@ -41,15 +41,14 @@ from dart_flight.sim.sensors import (
 from dart_flight.sim.simulated_vehicle import LockServo
 from dart_flight.sim.wind import Wind
 
-_PX4_G_M_S2 = 9.80665  # PX4's CONSTANTS_ONE_G, not the gravity that we fly with
+_PX4_G_M_S2 = 9.80665  # PX4's CONSTANTS_ONE_G, which differs from our gravity
 
-# PX4 keeps the simulated accelerometer as 16-bit counts of 1/2048 g and does not saturate when it converts:
-# one count more than the type holds wraps around to the other sign. It cuts the fraction off and takes 32767
-# counts, and nothing less on the negative side, for clipped: hence the 0.4.
+# PX4 stores the simulated accelerometer as 16-bit counts of 1/2048 g without saturation: one count more wraps
+# around to the other sign. It truncates the fraction and counts only +32767 as clipped, hence the 0.4.
 ACCELEROMETER_LIMIT_M_S2 = 32767.4 / 2048.0 * _PX4_G_M_S2
 GYRO_LIMIT_RAD_S = math.radians(2000.0 * 32767.0 / 32768.0)
 
-# Where PX4 is told that it is: near Zurich, with the field that its own world magnetic model has there.
+# PX4's position: near Zurich, with the magnetic field of its own world model there.
 HOME_LAT_DEG, HOME_LON_DEG, HOME_ALTITUDE_M = 47.397742, 8.545594, 488.0
 HOME_FIELD_GAUSS: Vec3 = (0.21475, 0.00797, 0.42817)
 _EARTH_RADIUS_M = 6371000.0  # PX4's projection uses the same sphere
@@ -58,12 +57,12 @@ _STEPS_PER_TICK = TICK_US // 1000
 _SLOW_EVERY = 5  # ticks: magnetometer and barometer at 50 Hz
 _ACCELEROMETER, _GYRO, _MAGNETOMETER, _BAROMETER = 0x007, 0x038, 0x1C0, 0x1A00
 ARMED = 128
-_BOOT_WAIT_S = 0.004  # PX4 answers nothing while it boots
+_BOOT_WAIT_S = 0.004  # PX4 does not answer while it boots
 _ANSWER_WAIT_S = 5.0
 
 
 class Px4LostError(FlightError):
-    """PX4 has closed the connection, or has stopped answering."""
+    """PX4 has closed the connection or does not answer."""
 
 
 class Controls(msgspec.Struct, frozen=True):
@@ -75,14 +74,14 @@ class Controls(msgspec.Struct, frozen=True):
 
 
 class SensorLink(Protocol):
-    """Takes what the plant measures to PX4, in lockstep or without."""
+    """Link that carries the plant's measurements to PX4, with or without lockstep."""
 
     @property
     def controls(self) -> Controls:
         """PX4's last outputs."""
 
     def exchange(self, sensor: Any, *others: Any) -> Controls:
-        """Send one tick's messages; returns the outputs that hold from now on."""
+        """Send one tick's messages; return the outputs that are valid from now on."""
 
 
 class HilLink:
@@ -124,17 +123,17 @@ class HilLink:
         Raises:
             Px4LostError: the connection is gone, or no answer for 5 s.
         """
-        # Poses and fixes first: PX4 stamps them with its clock, which the HIL_SENSOR then advances.
+        # PX4 stamps poses and fixes with its clock, which the later HIL_SENSOR advances.
         self.send(*others, sensor)
         deadline = time.monotonic() + (_ANSWER_WAIT_S if self.locked else _BOOT_WAIT_S)
-        while not self._take_answer(sensor.time_usec, deadline):
+        while not self._receive_answer(sensor.time_usec, deadline):
             if time.monotonic() >= deadline:
                 if not self.locked:
                     break
                 raise Px4LostError(f"PX4 has not answered for {_ANSWER_WAIT_S:g} s")
         return self.controls
 
-    def _take_answer(self, time_us: int, deadline: float) -> bool:
+    def _receive_answer(self, time_us: int, deadline: float) -> bool:
         self._socket.settimeout(max(1e-4, deadline - time.monotonic()))
         try:
             data = self._socket.recv(65536)
@@ -168,7 +167,11 @@ class Px4Vehicle:
         seed: of every sensor's noise.
         link: to PX4.
         position_from: motion capture (no GPS) or a GPS receiver.
-        motors: the airframe's, as PX4's parameters have them; the configuration's by default.
+        motors: the airframe's motors according to PX4's parameters; default: the configuration's.
+        sends_poses: whether the poses of the simulated motion capture go to PX4 over this link.
+
+    Attributes:
+        pose: pose that motion capture reports at this tick, or None.
     """
 
     def __init__(
@@ -178,8 +181,10 @@ class Px4Vehicle:
         link: SensorLink,
         position_from: PositionSource = PositionSource.MOCAP,
         motors: tuple[Motor, ...] | None = None,
+        sends_poses: bool = True,
     ) -> None:
-        self.vehicle, self._link = mission.vehicle, link
+        self.vehicle, self._link, self._sends_poses = mission.vehicle, link, sends_poses
+        self.pose: tuple[float, Vec3, Quaternion] | None = None
         self.plant = make_plant(mission, motors, seed)
         noise = GaussianNoise(random.Random(seed))
         self._imu = ImuSensor(self.vehicle, noise)
@@ -200,7 +205,7 @@ class Px4Vehicle:
 
     @property
     def time_us(self) -> int:
-        """PX4's clock."""
+        """PX4's clock, microseconds."""
         return round(self.plant.time_s * 1e6)
 
     @property
@@ -209,31 +214,31 @@ class Px4Vehicle:
         return self._link.controls.armed
 
     def set_horn(self, pulse_us: float) -> None:
-        """Where the mock servo's horn is, as a pulse width."""
+        """Set the position of the mock servo's horn, as a pulse width."""
         if self._servo is not None:
             self._servo.set_horn(pulse_us)
 
     def step(self, report: bool = True) -> None:
-        """One tick of 4 ms: the plant under PX4's last outputs, then what it measures, to PX4.
+        """Advance the plant by one tick of 4 ms with PX4's last outputs, then send its measurements to PX4.
 
         Args:
-            report: False: nothing is sent, and the next IMU sample is the mean over this tick, too.
+            report: whether to send; if not, the next IMU sample is the mean that includes this tick.
 
         Raises:
-            Px4LostError: as the link's `exchange`.
+            Px4LostError: as in the link's `exchange`.
         """
         controls = self._link.controls
         m = controls.values
         if self._lock_by_px4 is not None and self._servo is not None:
-            # PX4 zeroes all simulated outputs while disarmed, the servo's too: that is no command.
+            # While disarmed PX4 sets all simulated outputs to zero, which is no servo command.
             pulse = actuator_pulse_us(self._lock_by_px4, m[self._servo_channel]) if controls.armed else None
             self._servo.follow(self.time_us, pulse)
         self._wind.step(self.plant)
         specific_force = self.plant.advance(m[: self._motors], _STEPS_PER_TICK)
         self._ticks += 1
         if self._pose is not None:
-            pose = self._pose.measure(self.plant)
-            if pose is not None:
+            pose = self.pose = self._pose.measure(self.plant)
+            if pose is not None and self._sends_poses:
                 self._others.append(odometry_message(self.time_us, pose[1], pose[2], self.vehicle))
         if self._gps is not None:
             fix = self._gps.measure(self.plant)
@@ -281,14 +286,14 @@ class Px4Vehicle:
 
 
 def servo_channel(vehicle: VehicleConfig) -> int:
-    """Channel of HIL_ACTUATOR_CONTROLS from 0, after the motors: PWM_MAIN 5 of a quadrotor."""
+    """Return the servo's channel in HIL_ACTUATOR_CONTROLS, from 0: PWM_MAIN 5 of a quadrotor."""
     return len(vehicle.airframe.motors)
 
 
 def accelerometer_output(specific_force_m_s2: float, full_scale_m_s2: float) -> float:
-    """One axis of HIL_SENSOR: at the sensor's full scale the largest count, by which PX4 knows of clipping.
+    """Return one axis of HIL_SENSOR; full scale becomes the largest count, which PX4 treats as clipping.
 
-    A sensor of less than 16 g saturates, too, but PX4's simulated driver cannot know of that.
+    A sensor of less than 16 g also saturates, but PX4's simulated driver does not detect that.
     """
     limit = ACCELEROMETER_LIMIT_M_S2
     if abs(specific_force_m_s2) >= full_scale_m_s2:
@@ -298,7 +303,7 @@ def accelerometer_output(specific_force_m_s2: float, full_scale_m_s2: float) -> 
 
 
 def odometry_message(time_us: int, position_ned: Vec3, q: Quaternion, vehicle: Any) -> Any:
-    """ODOMETRY of a motion capture system: pose in local NED, no velocity."""
+    """Return the ODOMETRY of a motion-capture system: pose in local NED, no velocity."""
     nan = math.nan
     covariance = [nan] * 21
     covariance[0] = covariance[6] = covariance[11] = POSE_NOISE_M**2
@@ -318,13 +323,13 @@ def odometry_message(time_us: int, position_ned: Vec3, q: Quaternion, vehicle: A
         covariance,
         [nan] * 21,
         0,
-        mavlink.MAV_ESTIMATOR_TYPE_VISION,  # PX4's EKF takes poses of this kind; "mocap" goes elsewhere
+        mavlink.MAV_ESTIMATOR_TYPE_VISION,  # PX4's EKF uses this type; it routes "mocap" elsewhere
         100,
     )
 
 
 def gps_message(time_us: int, fix: GpsFix, receiver: GpsReceiver) -> Any:
-    """HIL_GPS: degrees 1e7, millimetres, centimetres."""
+    """Return HIL_GPS: degrees 1e7, millimetres, centimetres."""
     latitude, longitude = geodetic(fix.position_ned)
     vn, ve, vd = fix.velocity_ned
     return mavlink.MAVLink_hil_gps_message(
@@ -347,7 +352,7 @@ def gps_message(time_us: int, fix: GpsFix, receiver: GpsReceiver) -> Any:
 
 
 def geodetic(position_ned: Vec3) -> tuple[float, float]:
-    """(latitude, longitude) in degrees of a point near home, NED metres."""
+    """Return (latitude, longitude) in degrees of a point near home, NED metres."""
     latitude = HOME_LAT_DEG + math.degrees(position_ned[0] / _EARTH_RADIUS_M)
     shrink = math.cos(math.radians(HOME_LAT_DEG))
     return latitude, HOME_LON_DEG + math.degrees(position_ned[1] / (_EARTH_RADIUS_M * shrink))

@@ -1,18 +1,18 @@
-"""The plant's end of a flight controller in hardware-in-the-loop mode: HIL messages over its USB port or UDP.
+"""The plant's side of a flight controller in hardware-in-the-loop mode: HIL messages over USB or UDP.
 
-There is no lockstep: PX4 runs on its own clock and stamps every HIL_SENSOR, ODOMETRY and HIL_GPS when it
-arrives (v1.14 to v1.18), as nothing here answers its TIMESYNC. So the moment of sending is the time stamp:
+There is no lockstep. PX4 uses its own clock and stamps every HIL_SENSOR, ODOMETRY and HIL_GPS on arrival
+(v1.14 to v1.18), because nothing here answers its TIMESYNC. The time of sending is therefore the time stamp:
 
-- a late message is not made up for by a burst, whose samples PX4 would take for one of some 20 ms and several
-  of none: the ticks that were missed are reported as one message with their mean (`Px4Vehicle.step`);
-- a message that the port does not take is dropped whole, never in part, and counted;
-- a lost HIL_ACTUATOR_CONTROLS leaves the motors at what the last one said, as a lost frame to an ESC does;
-- a gap of more than some 75 ms in HIL_SENSOR spoils PX4's vertical estimate (measured on v1.18) by g times
-  its length, and the vehicle sinks to the ground: in flight it is the end, with that as its cause. What was
-  sent and PX4's own stamps tell it; outputs that only arrive late do no such harm.
+- A late message is not compensated by a burst, which PX4 would treat as one sample of 20 ms and several of
+zero duration. The missed ticks are reported as one message with their mean (`Px4Vehicle.step`).
+- A message that the port does not accept is dropped as a whole and counted.
+- After a lost HIL_ACTUATOR_CONTROLS the motors keep their last values, as ESCs do after a lost frame.
+- A gap of more than about 75 ms in HIL_SENSOR (measured on v1.18) shifts PX4's vertical estimate by g times
+its length, and the vehicle descends to the ground. In flight such a gap ends the simulation, with that cause.
+The sent messages and PX4's own stamps reveal it; outputs that only arrive late are harmless.
 
-Beside the simulation the link asks PX4, through its shell, what its outputs are: simulated ones may move, no
-other may. That is the measurement that the motors stay off; v1.18 no longer locks them in this mode.
+The link also queries PX4's outputs through its shell: only the simulated ones may change. This verifies that
+the motors stay off, because v1.18 no longer locks them in this mode.
 """
 
 from __future__ import annotations
@@ -33,31 +33,34 @@ from dart_flight.config.document import InputError
 from dart_flight.config.link_url import LinkAddress, parse_link
 from dart_flight.sim.px4.bridge import ARMED, Controls, Px4LostError
 
-SILENCE_S = 1.0  # without actuator outputs, which come at 200 Hz: then the flight controller is gone
-GAP_S = 0.07  # between two samples of PX4 in flight: 50 ms are survived, 75 ms are not
+SILENCE_S = 1.0  # without actuator outputs, which arrive at 200 Hz, the flight controller counts as lost
+GAP_S = 0.07  # between two samples of PX4 in flight: it tolerates 50 ms, but not 75 ms
 _READ = 65536
-_SYSTEM, _COMPONENT = 1, 191  # of a companion computer: no ground station, whose loss it would hide
+_SYSTEM, _COMPONENT = (
+    1,
+    191,
+)  # a companion computer, because the loss of a ground station would trigger a failsafe
 _HEARTBEAT_S = 1.0  # it also makes a board start MAVLink on its USB port
-_CONTROLS_US = 4000  # an answer to every HIL_SENSOR; PX4 itself asks for 200 Hz
-_ASK_OUTPUTS_S = 1.0
-_FORCE = 21196.0  # disarm in the air, too
+_CONTROLS_US = 4000  # one answer per HIL_SENSOR; PX4's own request is 200 Hz
+_QUERY_OUTPUTS_S = 1.0
+_FORCE = 21196.0  # magic value: disarm even in the air
 _SHELL, _SHELL_FLAGS = 10, 2 | 4 | 16  # SERIAL_CONTROL: device, and respond, exclusive, multi
-_ASK_OUTPUTS = b"listener actuator_outputs -n 1\n"
+_QUERY_OUTPUTS = b"listener actuator_outputs -n 1\n"
 _PROMPT = re.compile("pxh>|nsh>")
 _OUTPUTS = re.compile(r"output: \[([^\]]*)\]")
 
 
 class HitlPort(Protocol):
-    """Bytes to and from a flight controller; nothing blocks."""
+    """Byte stream to and from a flight controller; no call blocks."""
 
     def read(self) -> bytes:
-        """What has arrived; raises OSError where the port is gone."""
+        """Return the received data; raise OSError if the port is gone."""
 
     def write(self, data: bytes) -> int:
-        """How many bytes the port took; raises OSError where it is gone."""
+        """Return the number of accepted bytes; raise OSError if the port is gone."""
 
     def close(self) -> None:
-        """Let go of the port."""
+        """Release the port."""
 
 
 class SerialPort:
@@ -69,26 +72,26 @@ class SerialPort:
         os.set_blocking(self._fd, False)
 
     def read(self) -> bytes:
-        """As `HitlPort`."""
+        """Implement `HitlPort`."""
         try:
             return os.read(self._fd, _READ)
         except BlockingIOError:
             return b""
 
     def write(self, data: bytes) -> int:
-        """As `HitlPort`."""
+        """Implement `HitlPort`."""
         try:
             return os.write(self._fd, data)
         except BlockingIOError:
             return 0
 
     def close(self) -> None:
-        """As `HitlPort`."""
+        """Implement `HitlPort`."""
         self._serial.close()
 
 
 class UdpPort:
-    """A UDP socket: `udpin` listens and answers whoever sent last, `udpout` sends first."""
+    """A UDP socket: `udpin` listens and answers the last sender, `udpout` sends first."""
 
     def __init__(self, address: LinkAddress) -> None:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -100,7 +103,7 @@ class UdpPort:
             self._socket.bind((address.place, address.number))
 
     def read(self) -> bytes:
-        """As `HitlPort`."""
+        """Implement `HitlPort`."""
         data = b""
         with contextlib.suppress(BlockingIOError, ConnectionRefusedError):
             while True:
@@ -109,7 +112,7 @@ class UdpPort:
         return data
 
     def write(self, data: bytes) -> int:
-        """As `HitlPort`; a datagram goes whole or not at all."""
+        """Implement `HitlPort`; a datagram is sent completely or not at all."""
         if self._to is None:
             return 0
         try:
@@ -118,12 +121,12 @@ class UdpPort:
             return 0
 
     def close(self) -> None:
-        """As `HitlPort`."""
+        """Implement `HitlPort`."""
         self._socket.close()
 
 
 def open_port(url: str) -> HitlPort:
-    """The port of a URL as `--hitl` takes it.
+    """Return the port of a URL of `--hitl`.
 
     Raises:
         InputError: it cannot be opened, or is neither serial nor UDP.
@@ -137,7 +140,7 @@ def open_port(url: str) -> HitlPort:
     try:
         return SerialPort(address.place, address.number) if address.kind == "serial" else UdpPort(address)
     except (OSError, ValueError) as error:
-        # pyserial wraps the system's own word into its own; the last part is the reason.
+        # pyserial wraps the system's message in its own; the last part is the reason.
         code = getattr(error, "errno", None)
         reason = os.strerror(code) if code else str(error)
         busy = " (is QGroundControl connected to it?)" if code in (errno.EBUSY, errno.EAGAIN) else ""
@@ -145,18 +148,18 @@ def open_port(url: str) -> HitlPort:
 
 
 class HitlLink:
-    """Sends what the plant measures and keeps what the flight controller puts out.
+    """Sends the plant's measurements and stores the flight controller's outputs.
 
     Args:
         port: to the flight controller.
 
     Attributes:
         controls: the last actuator outputs.
-        answered: whether any have come.
-        sent, dropped: messages that the port took, and did not.
-        outputs_seen: kinds of outputs that PX4 has, the simulated ones among them; 0: not asked yet.
-        longest_gap_s: between two ticks that the port took, and between two messages with actuator outputs
-            by PX4's clock, which come every 50 ms without any.
+        answered: whether any have arrived.
+        sent, dropped: number of messages that the port accepted, and did not.
+        outputs_seen: number of PX4's kinds of outputs, including the simulated ones; 0: not queried yet.
+        longest_gap_s: longest gap between two accepted ticks, and between two messages with actuator outputs
+            by PX4's clock (which sends them at least every 50 ms).
     """
 
     def __init__(self, port: HitlPort) -> None:
@@ -164,37 +167,37 @@ class HitlLink:
         self._pack = mavlink.MAVLink(None, srcSystem=_SYSTEM, srcComponent=_COMPONENT)
         self._parser = mavlink.MAVLink(None)
         self._parser.robust_parsing = True
-        self._rest = b""  # of a message that the port took in part
+        self._rest = b""  # remainder of a partly accepted message
         self.controls = Controls(0, False, (0.0,) * 16)
         self.answered = False
         self.sent = self.dropped = 0
         self.outputs_seen = 0
         self.longest_gap_s = 0.0
-        self._heard_s = self._fed_s = time.monotonic()
-        self._beat_s = self._asked_s = 0.0
+        self._received_s = self._fed_s = time.monotonic()
+        self._beat_s = self._queried_s = 0.0
         self._target = (1, 1)  # system and component of the flight controller
         self._shell = ""
-        self._at_rest: list[str] = []  # outputs of each kind while disarmed, as PX4 writes them
+        self._at_rest: list[str] = []  # outputs of each kind while disarmed, as text from PX4
 
     @property
     def silent_s(self) -> float:
-        """How long no actuator outputs have come."""
-        return time.monotonic() - self._heard_s
+        """Time without actuator outputs, seconds."""
+        return time.monotonic() - self._received_s
 
     def exchange(self, sensor: Any, *others: Any) -> Controls:
-        """Send one tick's messages, take what has arrived, return the newest actuator outputs.
+        """Send one tick's messages, process the received data, and return the newest actuator outputs.
 
         Raises:
-            Px4LostError: the port is gone, no actuator outputs for `SILENCE_S` after the first, a gap in
-                flight of more than `GAP_S`, or other outputs than the simulated ones move; then it is
-                told to disarm, too.
+            Px4LostError: the port is gone, there were no actuator outputs for `SILENCE_S`, there was a gap in
+                flight of more than `GAP_S`, or other outputs than the simulated ones change; in the last case
+                it also disarms the flight controller.
         """
         dropped = self.dropped
         self.send(*others, sensor)
         if self.dropped == dropped:
             now_s = time.monotonic()
             if self.answered:
-                self._judge_gap(now_s - self._fed_s, self.controls.armed)
+                self._check_gap(now_s - self._fed_s, self.controls.armed)
             self._fed_s = now_s
         self._keep_up()
         self.receive()
@@ -203,27 +206,27 @@ class HitlLink:
         return self.controls
 
     def _keep_up(self) -> None:
-        """What is sent now and then: a heartbeat, and questions about the outputs."""
+        """Send the periodic messages: a heartbeat, and queries of the outputs."""
         now_s = time.monotonic()
         if now_s - self._beat_s >= _HEARTBEAT_S:
             self._beat_s = now_s
             self.send(mavlink.MAVLink_heartbeat_message(mavlink.MAV_TYPE_ONBOARD_CONTROLLER, 8, 0, 0, 4, 3))
-        if self.answered and now_s - self._asked_s >= _ASK_OUTPUTS_S:
-            if not self._asked_s:
+        if self.answered and now_s - self._queried_s >= _QUERY_OUTPUTS_S:
+            if not self._queried_s:
                 wanted = (mavlink.MAVLINK_MSG_ID_HIL_ACTUATOR_CONTROLS, _CONTROLS_US)
                 self._command(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, *wanted)
-            self._asked_s = now_s
-            data = list(_ASK_OUTPUTS.ljust(70, b"\0"))
+            self._queried_s = now_s
+            data = list(_QUERY_OUTPUTS.ljust(70, b"\0"))
             self.send(
-                mavlink.MAVLink_serial_control_message(_SHELL, _SHELL_FLAGS, 0, 0, len(_ASK_OUTPUTS), data)
+                mavlink.MAVLink_serial_control_message(_SHELL, _SHELL_FLAGS, 0, 0, len(_QUERY_OUTPUTS), data)
             )
 
     def _command(self, number: int, *values: float) -> None:
         padded = [*values, *[0.0] * (7 - len(values))]
         self.send(mavlink.MAVLink_command_long_message(*self._target, number, 0, *padded))
 
-    def _judge_outputs(self) -> None:
-        """Look at one whole answer of the shell: outputs that move beside the simulated ones."""
+    def _check_outputs(self) -> None:
+        """Evaluate a complete answer of the shell: only the simulated outputs may change."""
         *answers, rest = _PROMPT.split(self._shell)
         self._shell = rest[-_READ:]
         found = _OUTPUTS.findall(answers[-1]) if answers else []
@@ -241,7 +244,7 @@ class HitlLink:
                 "PWM_MAIN_FUNC1 to 8 and UAVCAN_ENABLE to 0 (docs/hitl.md)"
             )
 
-    def _judge_gap(self, gap_s: float, in_flight: bool) -> None:
+    def _check_gap(self, gap_s: float, in_flight: bool) -> None:
         self.longest_gap_s = max(self.longest_gap_s, gap_s)
         if in_flight and gap_s > GAP_S:
             raise Px4LostError(
@@ -250,7 +253,7 @@ class HitlLink:
             )
 
     def send(self, *messages: Any) -> None:
-        """Send messages, each whole or not at all.
+        """Send messages, each completely or not at all.
 
         Raises:
             Px4LostError: the port is gone.
@@ -261,18 +264,18 @@ class HitlLink:
                     self._rest = self._rest[self._port.write(self._rest) :]
                 data = b"" if self._rest else message.pack(self._pack)
                 self._pack.seq = (self._pack.seq + 1) % 256
-                taken = self._port.write(data) if data else 0
-                self._rest = data[taken:] if taken else self._rest
-                self.sent += bool(taken)
-                self.dropped += not taken
+                accepted = self._port.write(data) if data else 0
+                self._rest = data[accepted:] if accepted else self._rest
+                self.sent += bool(accepted)
+                self.dropped += not accepted
         except OSError as error:
             raise Px4LostError(f"port to the flight controller is gone ({error.strerror})") from None
 
     def receive(self) -> None:
-        """Take what has arrived.
+        """Process the received data.
 
         Raises:
-            Px4LostError: as `exchange`.
+            Px4LostError: as in `exchange`.
         """
         try:
             data = self._port.read()
@@ -288,12 +291,12 @@ class HitlLink:
                     before, armed = self.controls, bool(message.mode & ARMED)
                     self.controls = Controls(message.time_usec, armed, tuple(message.controls))
                     if self.answered:
-                        self._judge_gap((message.time_usec - before.time_us) * 1e-6, armed and before.armed)
-                    self._heard_s, self.answered = time.monotonic(), True
+                        self._check_gap((message.time_usec - before.time_us) * 1e-6, armed and before.armed)
+                    self._received_s, self.answered = time.monotonic(), True
         if "output:" in self._shell:
-            self._judge_outputs()
+            self._check_outputs()
 
     def close(self) -> None:
-        """Let go of the port."""
+        """Release the port."""
         with contextlib.suppress(OSError):
             self._port.close()

@@ -1,9 +1,9 @@
-"""The world of a flight controller in hardware-in-the-loop mode: plant and sensors in real time, on its port.
+"""The world of a flight controller in hardware-in-the-loop mode: plant and sensors in real time.
 
-The flight controller flies in its own time and nobody waits for anybody. Ticks go by the host's clock; those
-that a busy machine has missed are computed at once and reported as one (`hitl_link`). After a stall of more
-than a quarter of a second the plant pauses instead, as it does with the embedded autopilot. The plant also
-pauses while an armed flight controller is silent, because constant outputs soon tip a vehicle over.
+The flight controller uses its own time, and neither side waits. Ticks follow the host's clock. Ticks that a
+busy computer has missed are computed at once and reported as one (`hitl_link`). After a stall of more than a
+quarter of a second the plant pauses instead, as with the embedded autopilot. The plant also pauses while an
+armed flight controller is silent, because constant outputs soon tip a vehicle over.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ from dart_flight.sim.px4.bridge import Px4LostError, Px4Vehicle
 from dart_flight.sim.px4.hitl_link import HitlLink, open_port
 from dart_flight.sim.served_world import STALL_S, TerminatedError, WorldLog, raise_terminated, serve
 
-_FIRST_S = 10.0  # for the first actuator outputs
-# In which PX4's estimator aligns and its bias settles, as far as arming asks for it.
+_FIRST_S = 10.0  # wait for the first actuator outputs
+# Time for PX4's estimator to align and its bias to settle, as arming requires.
 _ALIGN_S = {source: 10.0 if source is PositionSource.MOCAP else 20.0 for source in PositionSource}
-_ORPHAN_S = 25.0  # after the app's death: until PX4 has flown its failsafe
-_SILENT_S = 0.1  # the plant pauses after this time without outputs, which come at 200 Hz
+_ORPHAN_S = 25.0  # after the end of the app: time for PX4's failsafe
+_SILENT_S = 0.1  # the plant pauses after this time without outputs, which arrive at 200 Hz
 _STALL_TICKS = round(STALL_S / TICK_S)
 
 
@@ -38,7 +38,7 @@ class HitlSimulator:
 
     Args:
         spec: of the world.
-        hitl: its part for hardware in the loop.
+        hitl: its hardware-in-the-loop part.
     """
 
     def __init__(self, spec: SimulatorSpec, hitl: HitlSpec) -> None:
@@ -52,7 +52,7 @@ class HitlSimulator:
         self._still_ticks = 0
 
     def run(self, commands: IO[bytes], truth: IO[bytes]) -> int:
-        """Feed the flight controller until the app is gone and it has disarmed; returns the exit status."""
+        """Feed the flight controller until the app has ended and it has disarmed; return the exit status."""
         signal.signal(signal.SIGTERM, raise_terminated)
         writer, link = LineWriter(truth), None
         status = 0
@@ -60,24 +60,24 @@ class HitlSimulator:
             link = HitlLink(open_port(self._hitl.url))
             self._fly(link, writer, commands)
         except TerminatedError:
-            self._say("terminated")
+            self._report("terminated")
         except (FlightError, InputError) as error:
             status = 1
-            self._say(str(error))
+            self._report(str(error))
             writer.put(SimulatorDied(str(error)))
         finally:
             signal.signal(signal.SIGTERM, signal.SIG_IGN)
             if link is not None:
-                self._tell(link)
+                self._report_totals(link)
                 link.close()
             writer.finish()
         return status
 
-    def _say(self, text: str) -> None:
+    def _report(self, text: str) -> None:
         self._log.write(self._ticks * TICK_S, text)
 
-    def _tell(self, link: HitlLink) -> None:
-        self._say(
+    def _report_totals(self, link: HitlLink) -> None:
+        self._report(
             f"{link.sent} messages sent, {link.dropped} not taken by the port; {self._merged} of "
             f"{self._ticks} ticks reported late; longest gap between actuator outputs "
             f"{link.longest_gap_s * 1e3:.0f} ms; stood still for {self._still_ticks * TICK_S * 1e3:.0f} ms; "
@@ -98,33 +98,36 @@ class HitlSimulator:
                     f"no actuator outputs on {self._hitl.url} within {_FIRST_S:g} s: the flight controller "
                     "must have SYS_HITL 1 and have been restarted since, and the port must be its USB port"
                 )
-        self._say("flight controller answers")
+        self._report("flight controller answers")
         end_s = time.monotonic() + _ALIGN_S[self._hitl.position_from]
         plant, ahead_us = self._vehicle.plant, 0
         while time.monotonic() < end_s:
             self.advance()
-            # Truth goes by PX4's clock; the outputs that came with the least delay tell it best.
+            # The truth uses PX4's clock; the outputs with the smallest delay show it best.
             ahead_us = max(ahead_us, link.controls.time_us - self._vehicle.time_us)
         plant.time_offset_us = ahead_us
         writer.put(Ready(self._vehicle.time_us))
-        serve(self, writer, commands, math.inf)  # ticks wait by themselves; a second pace would drift
+        serve(self, writer, commands, math.inf)  # ticks wait by themselves, and a second pace would drift
 
     # -- as `ServedWorld` --
 
+    def publish_pose(self) -> None:
+        """As `ServedWorld`: the poses go to the flight controller over its own link."""
+
     @property
     def time_us(self) -> int:
-        """The plant's time, microseconds."""
+        """Implement `ServedWorld`."""
         return self._vehicle.time_us
 
     def set_horn(self, pulse_us: float) -> None:
-        """Where the lock's horn is, by the model beside the real servo."""
+        """Set the horn's position, from the model beside the real servo."""
         self._vehicle.set_horn(pulse_us)
 
     def begin_fault(self, fault: Fault) -> None:
-        """Not with a flight controller."""
+        """Do nothing: faults are not available with a flight controller."""
 
     def advance(self) -> Plant:
-        """One tick, when it is due; where the next one is, too, what it measures goes out with that."""
+        """Advance by one tick when due; if the next one is due as well, report both together."""
         late_s = time.monotonic() - (self._start_s + (self._ticks + 1) * TICK_S)
         time.sleep(max(0.0, -late_s))
         behind = int(late_s / TICK_S)
@@ -142,9 +145,9 @@ class HitlSimulator:
         self._vehicle.step(report=behind <= 0)
         if self._vehicle.armed is not self._armed:
             self._armed = self._vehicle.armed
-            self._say("PX4 armed" if self._armed else "PX4 disarmed")
+            self._report("PX4 armed" if self._armed else "PX4 disarmed")
         return self._vehicle.plant
 
     def is_over(self, alone_s: float) -> bool:
-        """It feeds the flight controller until that has disarmed."""
+        """Return whether the flight controller has disarmed, or the app has ended long ago."""
         return not self._armed or alone_s > _ORPHAN_S

@@ -1,10 +1,9 @@
-"""Starts and stops a real PX4 (SITL) from the user's own build or install, for one flight.
+"""Start and stop of a real PX4 (SITL) from the user's own build or installation, for one flight.
 
-PX4 runs in a fresh working folder, in a session of its own, on the first free instance number (which is what
-its ports follow from). Its parameters go through PX4's own client while it waits for its simulator: every
-version from v1.14 on waits there, with its airframe's defaults applied and estimator and controllers not yet
-started. Where PX4 comes from is the user's affair; its documentation explains building and installing it
-(docs/px4.md).
+PX4 runs in a new working folder, in a separate session, with the first free instance number, which defines
+its ports. Its parameters are set through PX4's own client while it waits for its simulator. Every version
+since v1.14 waits there with its airframe's defaults applied, before estimator and controllers start. The user
+provides PX4; its documentation explains how to build and install it (docs/px4.md).
 """
 
 from __future__ import annotations
@@ -44,13 +43,13 @@ from dart_flight.vehicle.link import LinkLease, LinkTakenError, feed_of, holder_
 
 MODEL = "none_iris"  # PX4's airframe for an external simulator: a quadrotor in X
 ENVIRONMENT = "DART_PX4_DIR"
-# Flown, with results in docs/px4.md; before 1.14 the names of the parameters were others.
+# Flown versions, with results in docs/px4.md; versions before 1.14 have other parameter names.
 TESTED: tuple[tuple[int, int], ...] = ((1, 14), (1, 15), (1, 16), (1, 17), (1, 18))
 OLDEST = (1, 14)
 SIMULATOR_PORT, ONBOARD_PORT = 4560, 14540
-_LOCK_FILES = "/tmp/px4_lock"  # and "-", and the number; locked as long as that instance runs
-_LOCAL_PORTS = (14580, 18570, 14280, 13030)  # UDP, plus the instance
-_INSTANCES = range(10)  # from the tenth on PX4 sends to one shared port
+_LOCK_FILES = "/tmp/px4_lock"  # followed by "-" and the number; locked while that instance runs
+_LOCAL_PORTS = (14580, 18570, 14280, 13030)  # UDP, plus the instance number
+_INSTANCES = range(10)  # from the tenth instance PX4 sends to one shared port
 _TERM_WAIT_S = 2.0
 _WAITING = "Waiting for simulator to accept connection"
 _BOOTED = "Startup script returned successfully"
@@ -63,24 +62,24 @@ _SET_PDEATHSIG = 1
 
 
 class Px4Error(FlightError):
-    """PX4 cannot be started, or is of the wrong version."""
+    """PX4 cannot be started, or its version is not supported."""
 
 
 class Install(msgspec.Struct, frozen=True):
-    """Where PX4 is: its program and its `etc` folder."""
+    """Paths of PX4's program and its `etc` folder."""
 
     program: Path
     etc: Path
 
 
 def find_install(directory: str | Path | None) -> Install:
-    """PX4 in an install (`bin/px4`, `etc`) or a build folder of the same layout.
+    """Find PX4 in an installation (`bin/px4`, `etc`) or a build folder with the same layout.
 
     Args:
-        directory: as the user gave it; None or empty: the environment's DART_PX4_DIR.
+        directory: as given by the user; None or empty selects the environment's DART_PX4_DIR.
 
     Raises:
-        InputError: there is none.
+        InputError: there is no PX4.
     """
     named = directory or os.environ.get(ENVIRONMENT)
     if not named:
@@ -91,7 +90,7 @@ def find_install(directory: str | Path | None) -> Install:
         if not program.is_file():
             continue
         airframes = (etc / "init.d-posix" / "airframes").glob(f"*_{MODEL}")
-        for there, says in (
+        for present, text in (
             (os.access(program, os.X_OK), "bin/px4 is not executable"),
             ((base / "bin" / _CLIENT).exists(), f"has bin/px4 but no bin/{_CLIENT}"),
             (
@@ -100,8 +99,8 @@ def find_install(directory: str | Path | None) -> Install:
             ),
             (any(airframes), f"has no airframe {MODEL}: wrong version of PX4"),
         ):
-            if not there:
-                raise InputError(says, source=str(base))
+            if not present:
+                raise InputError(text, source=str(base))
         return Install(program, etc)
     raise InputError(
         "no PX4 SITL there: neither bin/px4 nor build/px4_sitl_default/bin/px4", source=str(root)
@@ -112,44 +111,50 @@ def find_install(directory: str | Path | None) -> Install:
 
 
 def parameter_files(position_from: PositionSource) -> list[Path]:
-    """The packaged parameter files of a simulated flight, in the order in which they apply."""
+    """Return the packaged parameter files of a simulated flight, in order of application."""
     return [*vehicle_files(position_from), packaged("configs", "px4", "simulation.params")]
 
 
 def flight_parameters(
     vehicle: VehicleConfig, position_from: PositionSource, extra: list[Path] | None = None
 ) -> dict[str, Parameter]:
-    """All parameters PX4 is given: the airframe's and the configuration's, then those of the files.
+    """Return all parameters for PX4: the airframe's and the configuration's, then those of the files.
 
     Args:
         vehicle: masses, motors and the `px4` section.
         position_from: motion capture (indoors) or a GPS receiver.
-        extra: the user's own parameter files, which win.
+        extra: the user's own parameter files, which override the others.
 
     Raises:
-        InputError: a file is wrong.
+        InputError: a file is invalid.
     """
     own = airframe_parameters(vehicle)
     parameters = {name: Parameter(name, value, "the configuration") for name, value in own.items()}
-    for path in [*parameter_files(position_from), *(extra or [])]:
-        for name, parameter in load_parameters(path).items():
+    files = [load_parameters(path) for path in [*parameter_files(position_from), *(extra or [])]]
+    measured = vehicle.mocap.measured_parameters().items()
+    own_files = len(files) - len(extra or [])
+    files.insert(own_files, {name: Parameter(name, value, "the configuration") for name, value in measured})
+    for file in files:
+        for name, parameter in file.items():
             before = parameters.get(name)
-            if before is not None and not parameter.absent:  # what versions have it is not the user's to know
+            if (
+                before is not None and not parameter.absent
+            ):  # keep the version information of the packaged file
                 parameter = msgspec.structs.replace(parameter, absent=before.absent, renamed=before.renamed)
             parameters[name] = parameter
     return parameters
 
 
 def values_of(parameters: Mapping[str, Parameter]) -> dict[str, Value]:
-    """Name and value of each."""
+    """Return the values by name."""
     return {name: parameter.value for name, parameter in parameters.items()}
 
 
 def fitting(parameters: Mapping[str, Parameter], known: Mapping[str, float]) -> dict[str, Value]:
-    """Which parameters to set in a PX4 that knows these: renamed ones by their name there.
+    """Return the parameters to set in a PX4 that has the `known` ones; renamed ones by their name there.
 
     Raises:
-        Px4Error: it does not know one, and configs/px4 does not say that it may be missing.
+        Px4Error: PX4 lacks one, and configs/px4 does not permit that.
     """
     chosen: dict[str, Value] = {}
     for name, parameter in parameters.items():
@@ -166,7 +171,7 @@ def fitting(parameters: Mapping[str, Parameter], known: Mapping[str, float]) -> 
 
 
 def not_taken(wanted: Mapping[str, Value], actual: Mapping[str, float]) -> str | None:
-    """The first parameter that is not as it was set, with both values; None: all are."""
+    """Describe the first parameter that differs from its set value, or return None."""
     for name, value in wanted.items():
         has = actual.get(name)
         near = _DIGITS if isinstance(value, float) else 0.0
@@ -176,7 +181,7 @@ def not_taken(wanted: Mapping[str, Value], actual: Mapping[str, float]) -> str |
 
 
 def airframe_parameters(vehicle: VehicleConfig) -> dict[str, Value]:
-    """What the configuration says of the vehicle, in PX4's parameters: motors, thrust curve, gains, servo."""
+    """Return the vehicle's configuration as PX4 parameters: motors, thrust curve, gains, servo."""
     parameters: dict[str, Value] = {}
     motors = vehicle.airframe.motors
     parameters |= rotor_parameters(motors)
@@ -192,7 +197,7 @@ def airframe_parameters(vehicle: VehicleConfig) -> dict[str, Value]:
     for field in msgspec.structs.fields(Px4Parameters):
         parameters[field.encode_name] = float(getattr(vehicle.px4, field.name))
     if vehicle.lock is not None and vehicle.lock.driver is LockDriver.PX4:
-        # In SITL every output is a simulated MAIN one, whatever pin the vehicle's servo is on.
+        # In SITL every output is a simulated MAIN output, whatever the vehicle's pin.
         function = ACTUATOR_SET_1 + vehicle.lock.px4.actuator_index - 1
         parameters[f"PWM_MAIN_FUNC{servo_channel(vehicle) + 1}"] = function
         parameters["COM_PREARM_MODE"] = PREARM_ALWAYS
@@ -200,10 +205,10 @@ def airframe_parameters(vehicle: VehicleConfig) -> dict[str, Value]:
 
 
 def motors_from(parameters: Mapping[str, Value], vehicle: VehicleConfig) -> tuple[Motor, ...]:
-    """The motors of the airframe that PX4 is told to fly: its parameters, else the configuration's.
+    """Return the motors that PX4 will fly with: from its parameters, or else from the configuration.
 
     Raises:
-        InputError: PX4 is told another number of motors than the configuration has.
+        InputError: the numbers of motors in the parameters and the configuration differ.
     """
     own = rotor_parameters(vehicle.airframe.motors)
     count = parameters.get(COUNT, own[COUNT])
@@ -215,9 +220,9 @@ def motors_from(parameters: Mapping[str, Value], vehicle: VehicleConfig) -> tupl
 
 
 def environment() -> dict[str, str]:
-    """Environment of the PX4 process: nothing of the caller's that could steer it.
+    """Return the environment of the PX4 process, without variables of the caller that could affect it.
 
-    PX4_PARAM_* variables set parameters from v1.16 on, and not in the same order in every version.
+    PX4_PARAM_* variables set parameters since v1.16, and in different orders between versions.
     """
     kept = {name: os.environ[name] for name in ("PATH", "HOME", "LANG", "TZ") if name in os.environ}
     kept["PX4_SIM_MODEL"] = MODEL
@@ -225,7 +230,7 @@ def environment() -> dict[str, str]:
 
 
 def arguments(install: Install, instance: int) -> list[str]:
-    """Command line of PX4: without a shell of its own (-d), by a path with a slash, as it wants."""
+    """Return PX4's command line: without a shell (-d), and with a path that contains a slash."""
     return [str(install.program), "-i", str(instance), "-d", str(install.etc)]
 
 
@@ -233,34 +238,34 @@ def arguments(install: Install, instance: int) -> list[str]:
 
 
 class Instance:
-    """A PX4 instance that is ours: its number, its simulator port bound and not yet listening.
+    """A claimed PX4 instance, with its simulator port bound but not yet listening.
 
     Attributes:
-        number: 0 to 9; the ports follow from it.
+        number: 0 to 9; it defines the ports.
     """
 
     def __init__(self, number: int, listener: socket.socket, lease: LinkLease) -> None:
         self.number, self._listener, self._lease = number, listener, lease
 
     def listen(self) -> socket.socket:
-        """Let PX4 connect."""
+        """Start listening for PX4's connection."""
         self._listener.listen(1)
         return self._listener
 
     def release(self) -> None:
-        """Give the number back."""
+        """Release the instance."""
         self._listener.close()
         self._lease.release()
 
 
 def claim_instance() -> Instance:
-    """The first PX4 instance whose ports nothing uses.
+    """Claim the first PX4 instance whose ports are free.
 
     Raises:
-        Px4Error: all ten are taken.
+        Px4Error: all ten are in use.
     """
     for number in _INSTANCES:
-        # The port that PX4 sends to: leased by the sender here, by the receiver in the app.
+        # The port that PX4 sends to is leased here by the sender, and in the app by the receiver.
         lease = LinkLease(feed_of(ONBOARD_PORT + number), "dry-run --px4")
         try:
             lease.acquire()
@@ -278,7 +283,7 @@ def _free_simulator_port(number: int) -> socket.socket | None:
     listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
     try:
         with socket.create_server(("127.0.0.1", SIMULATOR_PORT + number)):
-            pass  # nobody listens there; two that only bind would not see each other
+            pass  # nothing listens there; two sockets that only bind would not conflict
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         listener.bind(("127.0.0.1", SIMULATOR_PORT + number))
     except OSError as error:
@@ -294,13 +299,13 @@ def _free_simulator_port(number: int) -> socket.socket | None:
 
 
 def _instance_is_locked(instance: int) -> bool:
-    """Whether a running PX4 holds the instance's lock file."""
+    """Return whether a running PX4 holds the instance's lock file."""
     try:
         with open(f"{_LOCK_FILES}-{instance}", "r+b") as lock:
             fcntl.lockf(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except FileNotFoundError:
         return False
-    except (BlockingIOError, PermissionError):  # locked, or another user's
+    except (BlockingIOError, PermissionError):  # locked, or owned by another user
         return True
     except OSError as error:
         raise Px4Error(f"{_LOCK_FILES}-{instance} cannot be locked: {error.strerror}") from None
@@ -311,19 +316,19 @@ def _instance_is_locked(instance: int) -> bool:
 
 
 def _die_with_parent() -> None:
-    """In the child: killed when the process that started it dies; without its simulator PX4 only spins."""
+    """Have the kernel kill this child with its parent, because PX4 without a simulator only spins."""
     ctypes.CDLL(None).prctl(_SET_PDEATHSIG, signal.SIGKILL)
 
 
 class Px4:
     """One running PX4.
 
-    Start it from the main thread, before other threads run (the kernel ties its life to that thread).
+    Start it from the main thread, before other threads run, because the kernel ties its life to that thread.
 
     Args:
-        install: where PX4 is.
+        install: paths of PX4.
         instance: claimed with `claim_instance`.
-        folder: of the flight; PX4 works in `folder/px4`, its console goes to `folder/px4.log`.
+        folder: of the flight; PX4 works in `folder/px4`, and its console output goes to `folder/px4.log`.
 
     Raises:
         Px4Error: the program does not start.
@@ -351,11 +356,11 @@ class Px4:
 
     @property
     def pid(self) -> int:
-        """Process id, that of its session and process group, too."""
+        """Process id, which is also that of its session and process group."""
         return self._process.pid
 
     def ending(self) -> str | None:
-        """How the process ended, in words; None while it runs."""
+        """Describe how the process ended, or return None while it runs."""
         code = self._process.poll()
         if code is None:
             return None
@@ -367,27 +372,28 @@ class Px4:
         """Wait until PX4 waits for its simulator, which must not listen yet.
 
         Raises:
-            Px4Error: it ends, or does not get there in time.
+            Px4Error: PX4 ends, or does not get there in time.
         """
         deadline = time.monotonic() + timeout_s
-        while not self._says(_WAITING):
+        while not self._console_contains(_WAITING):
             self._check_alive("before it connected")
             if time.monotonic() > deadline:
-                raise Px4Error(f"PX4 did not start within {timeout_s:g} s{self._last_words()}")
+                raise Px4Error(f"PX4 did not start within {timeout_s:g} s{self._last_error()}")
             time.sleep(0.02)
 
     def set_parameters(self, parameters: Mapping[str, Parameter]) -> dict[str, Value]:
         """Set parameters while PX4 waits for its simulator, and read every one back.
 
         Returns:
-            What was set; parameters that this version goes without are left out.
+            The parameters that were set, without those that this version does not need.
 
         Raises:
-            Px4Error: PX4 does not answer, does not know a parameter, or one has not taken; names it.
+            Px4Error: PX4 does not answer, does not know a parameter, or did not accept one; the message names
+            it.
         """
         known = self.parameters()
         if not known:
-            raise Px4Error(f"PX4 does not report its parameters{self._last_words()}")
+            raise Px4Error(f"PX4 does not report its parameters{self._last_error()}")
         chosen = fitting(parameters, known)
         for name, value in chosen.items():
             self._answer(_CLIENT, "set", name, str(value) if isinstance(value, int) else f"{value:.9g}")
@@ -396,17 +402,17 @@ class Px4:
 
     @staticmethod
     def check_parameters(wanted: Mapping[str, Value], actual: Mapping[str, float]) -> None:
-        """Compare what was set with what PX4 has.
+        """Compare the set parameters with PX4's.
 
         Raises:
-            Px4Error: one has not taken; name and both values.
+            Px4Error: a parameter was not accepted; the message contains name and values.
         """
         problem = not_taken(wanted, actual)
         if problem is not None:
             raise Px4Error(f"parameter not accepted: {problem}")
 
     def version(self) -> tuple[int, int, int] | None:
-        """PX4's version, while it waits for its simulator; None where it does not tell."""
+        """Return PX4's version while it waits for its simulator, or None if not reported."""
         with contextlib.suppress(Px4Error):
             return parse_version(self._answer(_VERSION, "all"))
         return None
@@ -415,7 +421,7 @@ class Px4:
         """Accept PX4's simulator connection.
 
         Raises:
-            Px4Error: it ends, or does not connect in time.
+            Px4Error: PX4 ends, or does not connect in time.
         """
         listener.settimeout(0.1)
         deadline = time.monotonic() + timeout_s
@@ -423,23 +429,23 @@ class Px4:
             with contextlib.suppress(TimeoutError):
                 return listener.accept()[0]
             self._check_alive("before it connected")
-        raise Px4Error(f"PX4 did not connect to its simulator within {timeout_s:g} s{self._last_words()}")
+        raise Px4Error(f"PX4 did not connect to its simulator within {timeout_s:g} s{self._last_error()}")
 
     def _check_alive(self, when: str) -> None:
         ending = self.ending()
         if ending is not None:
-            raise Px4Error(f"{ending} {when}{self._last_words()}")
+            raise Px4Error(f"{ending} {when}{self._last_error()}")
 
-    def _says(self, words: str) -> bool:
+    def _console_contains(self, words: str) -> bool:
         with contextlib.suppress(OSError):
             return words.encode() in self.console.read_bytes()
         return False
 
     def booted(self) -> bool:
-        """Whether its start-up script is through."""
-        return self._says(_BOOTED)
+        """Return whether the start-up script has finished."""
+        return self._console_contains(_BOOTED)
 
-    def _last_words(self) -> str:
+    def _last_error(self) -> str:
         with contextlib.suppress(OSError):
             lines = self.console.read_text(errors="replace").splitlines()
             errors = [line for line in lines if "ERROR" in line] or lines
@@ -448,7 +454,7 @@ class Px4:
         return ""
 
     def parameters(self) -> dict[str, float]:
-        """All parameters that it has, by name; once booted it answers only while the lockstep goes on.
+        """Return all parameters of PX4 by name; after booting it answers only while the lockstep continues.
 
         Raises:
             Px4Error: PX4 does not answer.
@@ -456,7 +462,7 @@ class Px4:
         return parse_listing(self._answer(_CLIENT, "show", "-a"))
 
     def _answer(self, program: str, *arguments: str) -> str:
-        """What one of PX4's clients prints.
+        """Return the output of one of PX4's clients.
 
         Raises:
             Px4Error: PX4 does not answer.
@@ -477,12 +483,12 @@ class Px4:
         return done.stdout.decode(errors="replace")
 
     def stop(self) -> None:
-        """End it and everything it started: SIGTERM, then SIGKILL to its session."""
+        """End PX4 and all its processes: SIGTERM, then SIGKILL to its session."""
         if self._process.poll() is None:
             self._process.terminate()
             with contextlib.suppress(subprocess.TimeoutExpired):
                 self._process.wait(_TERM_WAIT_S)
-        # Its start-up script may still run, and before the first sensor message PX4 takes no signal but this.
+        # Its start-up script may still run, and before the first sensor message PX4 handles no other signal.
         with contextlib.suppress(ProcessLookupError, PermissionError):
             os.killpg(self.pid, signal.SIGKILL)
         self._process.wait()
@@ -490,7 +496,7 @@ class Px4:
             os.unlink(f"/tmp/px4-sock-{self.instance}")
 
     def keep_log(self) -> Path | None:
-        """Move PX4's ULog beside the flight's own and clear the rest away; None where there is none."""
+        """Move PX4's ULog beside the flight's own and delete the working folder; None without a log."""
         logs = sorted(self.work.glob("log/**/*.ulg"), key=lambda path: path.stat().st_size)
         if not logs:
             return None
@@ -501,7 +507,7 @@ class Px4:
 
 
 def parse_version(answer: str) -> tuple[int, int, int] | None:
-    """Version out of `px4-ver all`, such as (1, 16, 0); None where it says none."""
+    """Return the version in the output of `px4-ver all`, such as (1, 16, 0), or None."""
     found = re.search(r"PX4 version:.*?(\d+)\.(\d+)\.(\d+)", answer)
     if found is None:
         return None
@@ -509,10 +515,10 @@ def parse_version(answer: str) -> tuple[int, int, int] | None:
 
 
 def judge_version(version: tuple[int, int, int] | None) -> str | None:
-    """What there is to say about a version; None: nothing, docs/px4.md has flights with it.
+    """Return a remark on a version, or None if docs/px4.md has flights with it.
 
     Raises:
-        Px4Error: it is too old.
+        Px4Error: the version is too old.
     """
     flown = "docs/px4.md has flights with " + ", ".join(f"v{a}.{b}" for a, b in TESTED)
     if version is None:

@@ -1,8 +1,8 @@
 """The world of a real PX4: the plant in lockstep with it, in a process that owns PX4 and ends it.
 
-The pipe to the app is the same as the embedded autopilot's (`pipe`). The process ends PX4 in every case: on
-the app's word, when PX4 dies or hangs, on SIGTERM, and when the app is gone (after PX4 has flown to its
-failsafe); when it is killed itself, the kernel kills PX4.
+The pipe to the app is that of the embedded autopilot (`pipe`). The process ends PX4 in every case: on request
+of the app, if PX4 ends or hangs, on SIGTERM, and if the app has ended (after PX4's failsafe). If the process
+itself is killed, the kernel kills PX4.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from dart_flight.sim.faults.fault_table import Fault
 from dart_flight.sim.lockstep import Lockstep
 from dart_flight.sim.pipe import LineWriter, Px4SimulatorSpec, Ready, SimulatorDied, SimulatorSpec
 from dart_flight.sim.plant import Plant
+from dart_flight.sim.pose_feed import EmulatedMotionCapture
 from dart_flight.sim.px4.bridge import HilLink, Px4LostError, Px4Vehicle
 from dart_flight.sim.px4.launch import (
     ONBOARD_PORT,
@@ -39,12 +40,12 @@ from dart_flight.sim.px4.launch import (
 from dart_flight.sim.px4.relay import Relay
 from dart_flight.sim.served_world import TerminatedError, WorldLog, raise_terminated, serve
 
-SENDER_LAG_US = 16_000  # PX4's MAVLink sender sleeps in simulated time, in its own thread
+SENDER_LAG_US = 16_000  # PX4's MAVLink sender sleeps in simulated time, in a separate thread
 _BOOT_TIMEOUT_S = 15.0
-# Simulated time after booting in which the EKF aligns: it runs as fast as the machine goes.
+# Simulated time for the EKF to align after booting, as fast as the computer allows.
 _WARM_UP_S = {source: 6.0 if source is PositionSource.MOCAP else 15.0 for source in PositionSource}
-_ORPHAN_S = 25.0  # after the app's death, host time; with the end of PX4 it stays within 30 s
-_LANDED_S = 1.0  # host time after disarming in which PX4 writes its log
+_ORPHAN_S = 25.0  # after the end of the app, host time; with the end of PX4 it stays within 30 s
+_LANDED_S = 1.0  # host time after disarming for PX4 to write its log
 
 
 class Px4Simulator:
@@ -64,9 +65,10 @@ class Px4Simulator:
         self._version: tuple[int, int, int] | None = None
         self._set: dict[str, Value] = {}
         self._disarmed_at_s: float | None = None
+        self._mocap: EmulatedMotionCapture | None = None
 
     def run(self, commands: IO[bytes], truth: IO[bytes]) -> int:
-        """Start PX4, fly until the app is gone and the vehicle is down, stop PX4; returns the exit status."""
+        """Run PX4 until the app has ended and the vehicle is down; return the exit status."""
         signal.signal(signal.SIGTERM, raise_terminated)
         px4: Px4 | None = None
         instance: Instance | None = None
@@ -74,18 +76,18 @@ class Px4Simulator:
         writer: LineWriter | None = None
         try:
             instance = claim_instance()
-            # PX4 before any thread: the kernel ties its life to the thread that starts it.
+            # Start PX4 before any thread: the kernel ties its life to the thread that starts it.
             px4 = Px4(find_install(self._px4_spec.directory), instance.number, Path(self._px4_spec.folder))
-            self._say(f"PX4 instance {instance.number}, process {px4.pid}")
+            self._report(f"PX4 instance {instance.number}, process {px4.pid}")
             self._prepare(px4)
             writer = LineWriter(truth)
             self._fly(px4, HilLink(px4.wait_connected(instance.listen())), writer, commands)
         except TerminatedError:
-            self._say("terminated")
+            self._report("terminated")
         except (FlightError, InputError) as error:
             status = 1
             cause = self._cause(px4, error)
-            self._say(cause)
+            self._report(cause)
             writer = writer or LineWriter(truth)
             writer.put(SimulatorDied(cause))
         finally:
@@ -93,38 +95,40 @@ class Px4Simulator:
             if px4 is not None:
                 px4.stop()
                 kept = px4.keep_log()
-                self._say(f"PX4 stopped, its log: {kept.name if kept else 'none'}")
+                self._report(f"PX4 stopped, its log: {kept.name if kept else 'none'}")
             if instance is not None:
                 instance.release()
+            if self._mocap is not None:
+                self._mocap.close()
             if writer is not None:
                 writer.finish()
         return status
 
     @staticmethod
     def _cause(px4: Px4 | None, error: Exception) -> str:
-        """What ended the flight: PX4's own end explains a lost connection."""
+        """Return the cause of the end: the exit of PX4 explains a lost connection."""
         if px4 is not None and isinstance(error, Px4LostError):
-            time.sleep(0.05)  # for the process to be gone, too
+            time.sleep(0.05)  # wait for the process to exit
             return px4.ending() or str(error)
         return str(error)
 
-    def _say(self, text: str) -> None:
+    def _report(self, text: str) -> None:
         self._log.write(self._ticks * TICK_S, text)
 
     def _prepare(self, px4: Px4) -> None:
-        """While PX4 waits for its simulator: judge its version, set its parameters.
+        """Check PX4's version and set its parameters while it waits for its simulator.
 
         Raises:
-            Px4Error: PX4 ends or does not answer, is too old, or a parameter has not taken.
+            Px4Error: PX4 ends, does not answer or is too old, or a parameter was not accepted.
         """
         px4.wait_waiting()
         self._version = px4.version()
         note = judge_version(self._version)
         if note is not None:
-            self._say(note)
+            self._report(note)
         self._set = px4.set_parameters(self._px4_spec.parameters)
         left_out = [name for name in self._px4_spec.parameters if name not in self._set]
-        self._say(
+        self._report(
             f"{len(self._set)} parameters set and read back"
             + (f"; this version has no {', '.join(left_out)}" if left_out else "")
         )
@@ -138,11 +142,14 @@ class Px4Simulator:
             link,
             self._px4_spec.position_from,
             motors_from(values_of(self._px4_spec.parameters), self._mission.vehicle),
+            sends_poses=self._spec.mocap is None,
         )
+        if self._spec.mocap is not None:
+            self._mocap = EmulatedMotionCapture(self._spec.mocap, self._spec.mission, self._vehicle.plant)
         self._boot(px4)
         text = ".".join(map(str, self._version)) if self._version else None
         self._free_run(_WARM_UP_S[self._px4_spec.position_from])
-        self._say("ready")
+        self._report("ready")
         port = ONBOARD_PORT + px4.instance
         lockstep, wake = None, []
         if self._spec.lockstep:
@@ -152,17 +159,18 @@ class Px4Simulator:
             lockstep = Lockstep(
                 relay, answers_at_rest=False, waits_at_first=False, sender_lag_us=SENDER_LAG_US
             )
-        writer.put(Ready(self._vehicle.time_us, port, text, px4.pid))
+        mocap_url = self._mocap.url if self._mocap is not None else None
+        writer.put(Ready(self._vehicle.time_us, port, text, px4.pid, mocap_url))
         begun = time.monotonic()
         ticks = serve(self, writer, commands, self._spec.speed, lockstep, wake)
         factor = ticks * TICK_S / (time.monotonic() - begun)
-        self._say(f"flown at {factor:.2f} times real time, {self._vehicle.clipped} clipped ticks")
+        self._report(f"flown at {factor:.2f} times real time, {self._vehicle.clipped} clipped ticks")
 
     def _boot(self, px4: Px4) -> None:
-        """Step while PX4 boots, then look whether its start-up script has left the parameters alone.
+        """Step while PX4 boots, then check that its start-up script has not changed the parameters.
 
         Raises:
-            Px4Error: it does not boot in time, or a parameter is no longer what was set.
+            Px4Error: PX4 does not boot in time, or a parameter differs from its set value.
         """
         deadline = time.monotonic() + _BOOT_TIMEOUT_S
         while not px4.booted():
@@ -179,40 +187,49 @@ class Px4Simulator:
         px4.check_parameters(self._set, answer.result())
 
     def _free_run(self, seconds: float) -> None:
-        """Step as fast as PX4 answers; the app sees nothing of it."""
+        """Step as fast as PX4 answers, invisible to the app."""
         for _ in range(round(seconds / TICK_S)):
             self._vehicle.step()
             self._ticks += 1
 
     @property
     def time_us(self) -> int:
-        """As `ServedWorld`."""
+        """Implement `ServedWorld`."""
         return self._vehicle.time_us
 
     def set_horn(self, pulse_us: float) -> None:
-        """As `ServedWorld`."""
+        """Implement `ServedWorld`."""
         self._vehicle.set_horn(pulse_us)
 
     def begin_fault(self, fault: Fault) -> None:
-        """Not with PX4."""
+        """Implement `ServedWorld`; a real PX4 has only faults of the motion capture."""
+        if self._mocap is not None:
+            self._report(f"fault {fault.name} {fault.value:g}")
+            self._mocap.feed.begin_fault(fault, self._vehicle.plant.time_s)
+
+    def publish_pose(self) -> int | None:
+        """Implement `ServedWorld`."""
+        if self._mocap is None:
+            return None
+        return self._mocap.publish(self._vehicle.plant.time_s, self._vehicle.pose)
 
     def advance(self) -> Plant:
-        """As `ServedWorld`."""
+        """Implement `ServedWorld`."""
         self._vehicle.step()
         self._ticks += 1
         plant = self._vehicle.plant
         if self._vehicle.armed is not self._armed:
             self._armed = self._vehicle.armed
             self._disarmed_at_s = None if self._armed else time.monotonic()
-            self._say("PX4 armed" if self._armed else f"PX4 disarmed at {_where(plant.truth())}")
+            self._report("PX4 armed" if self._armed else f"PX4 disarmed at {_where(plant.truth())}")
         return plant
 
     def is_over(self, alone_s: float) -> bool:
-        """As `ServedWorld`: PX4 flies on to its failsafe; the end once it has disarmed."""
+        """Implement `ServedWorld`: PX4 flies on to its failsafe, and the world ends after disarming."""
         if not alone_s and self._armed:
-            self._say("app disconnected; PX4 continues to its failsafe")
+            self._report("app disconnected; PX4 continues to its failsafe")
         if alone_s > _ORPHAN_S:
-            self._say(f"PX4 has not landed within {_ORPHAN_S:g} s")
+            self._report(f"PX4 has not landed within {_ORPHAN_S:g} s")
             return True
         down_s = math.inf if self._disarmed_at_s is None else time.monotonic() - self._disarmed_at_s
         return not self._armed and down_s > _LANDED_S

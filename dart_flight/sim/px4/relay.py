@@ -6,7 +6,6 @@ The relay listens on PX4's onboard port; the application listens on another port
 from __future__ import annotations
 
 import contextlib
-import math
 import os
 import select
 import socket
@@ -19,7 +18,7 @@ from typing import Final
 from dart_flight.base.errors import FlightError
 from dart_flight.sim.datagrams import receive_datagram, send_datagram
 
-_HEARTBEAT, _SETPOINT = 0, 84
+_HEARTBEAT = 0
 # message id -> stream, format of the stamp at the payload's start, and its unit in microseconds
 _STREAMS: Final = {
     105: ("imu", struct.Struct("<Q"), 1),
@@ -27,7 +26,8 @@ _STREAMS: Final = {
     331: ("odometry", struct.Struct("<Q"), 1),
     375: ("actuator", struct.Struct("<Q"), 1),
 }
-_SETPOINT_FIELDS: Final = struct.Struct("<I9f")
+# message id -> what lockstep calls it, format of the payload's beginning; the stamp is not compared
+_SENT: Final = {84: ("setpoint", struct.Struct("<I9f")), 331: ("pose", struct.Struct("<Q3f"))}
 _HEARTBEAT_S: Final = 1.0
 _HEADER: Final = 10  # bytes before the payload in a MAVLink 2 frame; two bytes of checksum follow it
 _FROM_AUTOPILOT: Final = 1  # component id
@@ -42,13 +42,13 @@ class Relay:
 
     Attributes:
         sent_us: newest forwarded stamp of each telemetry stream, microseconds.
-        setpoint: last forwarded setpoint: position, velocity, acceleration.
+        arrived: last forwarded setpoint (position, velocity, acceleration) and pose (position).
         wake: descriptor that is readable once a datagram was forwarded.
     """
 
     def __init__(self, px4_port: int, app_port: int) -> None:
         self.sent_us: dict[str, int] = {}
-        self.setpoint: tuple[float, ...] = (math.nan,) * 9
+        self.arrived: dict[str, tuple[float, ...]] = {}
         self.wake = os.eventfd(0, os.EFD_NONBLOCK)
         self._px4 = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._px4.bind(("127.0.0.1", px4_port))
@@ -107,7 +107,7 @@ class Relay:
                     self._forward_to_app(data)
                 elif self._px4_address is not None:
                     send_datagram(self._px4, data, self._px4_address)
-                    self._note_setpoint(data)
+                    self._note_sent(data)
             if ready:
                 os.eventfd_write(self.wake, 1)
 
@@ -127,11 +127,11 @@ class Relay:
                 (value,) = stamp.unpack(payload[: stamp.size].ljust(stamp.size, b"\0"))
                 self.sent_us[name] = max(value * unit_us, self.sent_us.get(name, 0))
 
-    def _note_setpoint(self, data: bytes) -> None:
+    def _note_sent(self, data: bytes) -> None:
         for number, _, payload, _ in frames(data):
-            if number == _SETPOINT:
-                size = _SETPOINT_FIELDS.size
-                self.setpoint = _SETPOINT_FIELDS.unpack(payload[:size].ljust(size, b"\0"))[1:]
+            if number in _SENT:
+                name, fields = _SENT[number]
+                self.arrived[name] = fields.unpack(payload[: fields.size].ljust(fields.size, b"\0"))[1:]
 
 
 def frames(data: bytes) -> Iterator[tuple[int, int, bytes, bytes]]:

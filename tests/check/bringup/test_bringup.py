@@ -3,20 +3,25 @@
 from __future__ import annotations
 
 import json
+import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import msgspec
 import pytest
 
+from dart_flight.base.geometry import Quaternion, Vec3
 from dart_flight.check.bringup.judgements import StepFinding, StepOutcome
 from dart_flight.check.bringup.steps import STEPS, Bringup
 from dart_flight.check.stages import run_checks
 from dart_flight.cli import main
 from dart_flight.config.mission import Mission, load_mission
 from dart_flight.config.vehicle import LockDriver, packaged
+from dart_flight.config.vehicle.mocap import MotionCapture
+from dart_flight.sim.motion_capture import make_server
 from dart_flight.vehicle.clock import host_us
 from dart_flight.vehicle.vehicle_session import NoAnswerError
+from tests.check.bringup.test_pose_motion import Hand
 from tests.doubles.bench_vehicle import BenchVehicle
 from tests.doubles.emulated_maestro import EmulatedMaestro
 
@@ -41,6 +46,7 @@ class Hands:
                 "to its right": lambda: vehicle.carry(90.0),
                 "level": vehicle.tilt,
                 "switch": vehicle.flip_switch,
+                "turn it left": vehicle.move,
             }
 
     def tell(self, text: str) -> None:
@@ -197,3 +203,36 @@ def test_a_vehicle_that_answers_nothing_is_a_failed_step(monkeypatch: pytest.Mon
     found = carry_out(Bringup(MISSION, "udpin://127.0.0.1:1", Hands()), "link")
     assert found.result is StepOutcome.FAIL
     assert "answers no request: TIMESYNC" in found.message
+
+
+@pytest.mark.realtime
+@pytest.mark.mavlink
+def test_the_age_of_poses_is_measured_over_the_real_path() -> None:
+    late_s = 0.04
+    room = MotionCapture(up="y", heading_deg=40.0, body_yaw_deg=15.0)
+    hand, server, timers = Hand(), make_server("optitrack", "dart"), list[threading.Timer]()
+
+    def publish(t_us: int, position: Vec3, q: Quaternion) -> None:
+        timer = threading.Timer(late_s, server.publish, (t_us, *room.room_frame().pose_from_ned(position, q)))
+        timers[:] = [t for t in timers if t.is_alive()] + [timer]
+        timer.start()
+
+    vehicle_config = msgspec.structs.replace(
+        MISSION.vehicle, mocap=msgspec.structs.replace(room, url=server.url)
+    )
+    mission = msgspec.structs.replace(MISSION, vehicle=vehicle_config)
+    with BenchVehicle(
+        MISSION, motion=lambda t: (hand.position(t), hand.attitude(t)), publish=publish
+    ) as vehicle:
+        bringup = Bringup(mission, vehicle.url, Hands(vehicle), 30.0)
+        try:
+            found = bringup._measure_poses(bringup._connect())
+        finally:
+            bringup.close()
+    for timer in timers:
+        timer.join()
+    server.close()
+    assert found.result is StepOutcome.PASS, found.message
+    # On top of it come the serial line's round trip and what a computer in a test is late.
+    assert 1e3 * late_s - 5.0 < float(found.measured["delay_ms"] or 0.0) < 1e3 * late_s + 45.0
+    assert found.measured["scale"] == pytest.approx(1.0, abs=0.05)

@@ -114,7 +114,7 @@ def test_motors_in_another_order_are_noticed() -> None:
     track.motors[:] = track.motors[:, (2, 3, 0, 1)]
     roll, pitch, yaw = calibrate_inertia([track], VEHICLE).axes
     assert (roll.value, yaw.value) == (None, None)
-    assert "no turning that follows" in roll.refused
+    assert "no rotation follows" in roll.refused
     assert pitch.value == pytest.approx(INERTIA[1], rel=0.1)
 
 
@@ -124,7 +124,7 @@ def test_slow_commands_and_other_vehicles_are_refused() -> None:
     with pytest.raises(InputError, match="motor commands at 6 Hz, at least 50"):
         calibrate_inertia([slow], VEHICLE)
     six = msgspec.structs.replace(track, motors=np.hstack([track.motors, track.motors[:, :2]]))
-    with pytest.raises(InputError, match="6 motors, the configuration's airframe 4"):
+    with pytest.raises(InputError, match="6 motors, the configured airframe 4"):
         calibrate_inertia([six], VEHICLE)
     with pytest.raises(InputError, match=r"windows of 0\.1 s"):
         calibrate_inertia([turning((0.02, 0.02, 0.05), seconds=2.0)], VEHICLE)

@@ -188,7 +188,7 @@ def test_another_campaign_is_refused_in_one_line(
     [
         (["--runs", "3"], "MISSION: no mission given"),
         (["--resume"], "no campaign to resume here"),
-        (["--resume", "--runs", "3"], "--runs needs the missions, too"),
+        (["--resume", "--runs", "3"], "--runs needs the mission files"),
         ([MISSION], "--runs: missing --runs N"),
         (
             [MISSION, "--runs", "1", "--scheduler", "tcp://127.0.0.1:1", "--jobs", "2"],

@@ -197,7 +197,7 @@ def test_the_page_says_what_was_not_followed(tmp_path: Path) -> None:
     assert (peak.planned, peak.flown, peak.tolerance) == (20.0, 38.0, 5.0)
     assert (mode.what, mode.not_flown, mode.planned, mode.flown) == ("collision 2 mode", 10, "rigid", None)
     page = campaign_page(summary)
-    assert "What was not followed" in page
+    assert "Deviations from the plan" in page
     assert "10 of 20" in page
 
 

@@ -63,10 +63,10 @@ def test_a_new_material_keeps_what_is_known(
     assert found["k"]["value"] == pytest.approx(VEHICLE.materials["concrete"].rigid.k, rel=0.03)
     text = out.read_text()
     assert f"k: {found['k']['value']:.6g}" in text
-    assert "nu not seen in the trials, assumed" in text
+    assert "nu not determined by the trials, assumed" in text
     assert "assumed: mu of rigid, nu of rigid" in text, "in the source, which `check` shows"
-    assert "# flexible: not known" in text
-    assert "a configuration needs mode flexible as well" in streams.err
+    assert "# flexible: unknown from these trials" in text
+    assert "a configuration also needs mode flexible" in streams.err
     assert "mu of rigid, nu of rigid" in streams.err
 
 
@@ -142,7 +142,7 @@ def test_a_flight_log_has_no_drops(
         [*drops, log, "--drop"],
     ):
         said = refused(capsys, *words)
-        assert said == f"{log}: drop: a flight log has wall collisions and no drops: leave --drop away\n"
+        assert said == f"{log}: drop: a flight log has wall collisions and no drops: omit --drop\n"
     assert not out.exists()
 
 
@@ -153,7 +153,7 @@ def test_an_option_for_files_of_another_kind_is_refused(
     flown: SharedFlights, option: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
     said = refused(capsys, str(flown("paper_single_wall", 1).log), *option)
-    assert said.startswith(f"{option[0].removeprefix('--')}: is for .")
+    assert said.startswith(f"{option[0].removeprefix('--')}: applies to .")
 
 
 def test_mode_chooses_among_the_collisions_of_a_flight(
@@ -179,14 +179,14 @@ def test_a_flight_log_is_of_the_vehicle_that_flew(
         assert main(["identify", log, "--config", str(config), "--json"]) == 0
         streams = capsys.readouterr()
         found[config] = json.loads(streams.out)
-        assert ("not the configuration's of 0.9 kg" in streams.err) == (config == other)
+        assert ("not the configuration's (0.9 kg)" in streams.err) == (config == other)
     right, same = found.values()
     assert same["coefficients"] == right["coefficients"]
     assert same["vehicle"]["mass_kg"] == 1.3
     k = VEHICLE.materials["acrylic"].of(Mode.FLEXIBLE).k
     assert right["coefficients"]["flexible"]["k"]["value"] == pytest.approx(k, rel=0.04)
     said = refused(capsys, *hits, log, "--mode", "flexible", "--config", str(other))
-    assert "a trial of another vehicle (0.9 kg; the others' have 1.3 kg): identify them apart" in said
+    assert "a trial of another vehicle (0.9 kg; the others' have 1.3 kg): identify them separately" in said
 
 
 def test_a_mass_that_is_not_the_logs_is_taken_and_named(
@@ -195,7 +195,7 @@ def test_a_mass_that_is_not_the_logs_is_taken_and_named(
     log = str(flown("paper_single_wall", 1).log)
     assert main(["identify", log, "--mass", "0.9", "--json"]) == 0
     streams = capsys.readouterr()
-    assert "fitted with 0.9 kg; the forces in the flight logs are of 1.3 kg" in streams.err
+    assert "fitted with 0.9 kg; the forces in the flight logs assume 1.3 kg" in streams.err
     k = VEHICLE.materials["acrylic"].of(Mode.FLEXIBLE).k
     assert abs(json.loads(streams.out)["coefficients"]["flexible"]["k"]["value"] / k - 1.0) > 0.1
 
@@ -212,6 +212,6 @@ def test_a_vehicle_that_turns_widens_what_is_said_of_friction(flown: SharedFligh
         found = identify([given], VEHICLE.airframe.mass_kg, Onset(VEHICLE.onset))
         mu = found.coefficients["flexible"]["mu"]
         assert mu is not None
-        assert any("the vehicle turned by up to" in note for note in found.notes) == turns
+        assert any("the vehicle turned at up to" in note for note in found.notes) == turns
         assert (mu.low <= truth <= mu.high) == turns
         assert mu.value < 0.9 * truth

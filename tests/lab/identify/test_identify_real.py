@@ -192,7 +192,7 @@ def test_motion_capture_at_100_hz_gives_restitution() -> None:
     assert 0.6 < r.value < 1.0
     assert found.coefficients["rigid"]["k"] is None
     assert all(t.used == "whole" for t in found.trials)
-    assert any("k and f are not known" in note for note in found.notes)
+    assert any("k and f are unknown" in note for note in found.notes)
 
 
 def test_a_sensor_that_rings_has_no_peak() -> None:
@@ -261,7 +261,7 @@ def test_an_accelerometer_needs_a_drop(capsys: pytest.CaptureFixture[str], tmp_p
     assert said["trials"][0]["peak_force_n"] == pytest.approx(184.0, rel=0.15)
     begun = time > time[0] + 0.55  # after the release
     late = Trial("late", {"specific_force_m_s2": Series(time[begun], value[begun])}, "flexible", -G)
-    with pytest.raises(InputError, match="how fast it falls"):
+    with pytest.raises(InputError, match="the speed of the fall is unknown"):
         measure_impact(late, LIGHT_KG)
 
 

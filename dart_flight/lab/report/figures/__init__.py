@@ -1,1 +1,1 @@
-"""The figures of reports and missions, by subject, drawn with matplotlib (the `report` extra)."""
+"""The figures of reports and missions by subject, drawn with matplotlib (extra `report`)."""

@@ -1,4 +1,4 @@
-"""A flight from above: what was planned, what was flown, and every hit with its force and what followed."""
+"""The map of a flight: the plan, the flown path, and every hit with its force and the next setpoint."""
 
 from __future__ import annotations
 
@@ -45,10 +45,10 @@ _ARROW_EVERY_M = 0.9
 
 @in_style
 def flight_map(flights: Sequence[RecordedFlight], *, look: Look = PAGE) -> Any:
-    """Walls, plan and flown paths from above; of several flights the paths lie over each other.
+    """Draw walls, plan and flown paths from above; the paths of several flights overlap.
 
-    One flight alone shows more: seconds, direction, the vehicle at each hit with the state of its arms, the
-    peak force, the setpoint that followed, and what the guard did.
+    For one flight it also shows seconds, direction, the vehicle at each hit with the state of its arms, the
+    peak force, the recovery setpoint, and the guard's actions.
     """
     mission = flights[0].mission
     figure, axis = new_figure(look, 5.0)
@@ -56,7 +56,7 @@ def flight_map(flights: Sequence[RecordedFlight], *, look: Look = PAGE) -> Any:
     for flight in flights:
         shown += [place for (_, place), _, _ in _paths(flight)]
         shown += [np.array([hit.verdict.onset.position_mission[:2]]) for hit in flight.impacts]
-        shown += flight.planned_lines()  # the walls that a flight broken off never came to
+        shown += flight.planned_lines()  # includes walls that an aborted flight did not reach
     set_view(axis, view_of(mission, np.vstack(shown)))
     draw_room(axis, mission)
     draw_north(axis, mission)
@@ -78,9 +78,9 @@ def flight_map(flights: Sequence[RecordedFlight], *, look: Look = PAGE) -> Any:
 
 
 def _draw_one(axis: Any, flight: RecordedFlight) -> tuple[list[Label], list[Array]]:
-    """All of it but the labels, and what these had better not cover.
+    """Draw everything but the labels; return these, and the lines that they should not cover.
 
-    Numbers of the hits come first, then guard, then seconds: what is more important finds its place first.
+    The labels are ordered by importance: hits, guard, seconds. Important labels are placed first.
     """
     paths = _paths(flight)
     for line in flight.planned_lines():
@@ -88,11 +88,11 @@ def _draw_one(axis: Any, flight: RecordedFlight) -> tuple[list[Label], list[Arra
     for (_, place), style, label in paths:
         thin = {**style, "linewidth": 0.75 * float(style["linewidth"])}
         axis.plot(place[:, 0], place[:, 1], label=label, **thin)
-    for way in flight.planned_trajectories():
-        axis.plot(way[:, 0], way[:, 1], label="planned in flight", **REPLANNED)
+    for path in flight.planned_trajectories():
+        axis.plot(path[:, 0], path[:, 1], label="planned in flight", **REPLANNED)
     labels: list[Label] = []
     lines: list[Array] = []
-    forces = [one.verdict.force for one in flight.impacts]
+    forces = [impact.verdict.force for impact in flight.impacts]
     largest = max((math.hypot(*force) for force in forces if force is not None), default=0.0)
     heading = flight.heading
     for impact, force in zip(flight.impacts, forces, strict=True):
@@ -113,18 +113,18 @@ def _draw_one(axis: Any, flight: RecordedFlight) -> tuple[list[Label], list[Arra
             labels.append(Label(f"{act.rule}:\n{act.action}", act.place, colour=GUARD))
     if paths:
         (times, place), _, _ = paths[0]
-        _direction(axis, place)
-        _seconds(axis, (times, place))
+        _draw_direction(axis, place)
+        _draw_seconds(axis, (times, place))
         lines.append(along(place))
         seconds = _second_labels(times, place)
-        for one in seconds:
-            axis.plot(*one.at, "o", markersize=3.2, color="black", zorder=4.5)
+        for second in seconds:
+            axis.plot(*second.at, "o", markersize=3.2, color="black", zorder=4.5)
         labels += seconds
     return labels, lines
 
 
 def _paths(flight: RecordedFlight) -> list[tuple[tuple[Array, Array], dict[str, Any], str]]:
-    """((time, place), style, name) of what is known of the way in the air, the true one first."""
+    """Return ((time, place), style, name) of each known path in the air, the true one first."""
     air = flight.airborne
     found = []
     for motion, style, label in (
@@ -139,16 +139,15 @@ def _paths(flight: RecordedFlight) -> list[tuple[tuple[Array, Array], dict[str, 
     return found
 
 
-def _direction(axis: Any, place: Array) -> None:
-    """Arrow heads along a path."""
-    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(place, axis=0), axis=1))])
-    for at in np.arange(0.5 * _ARROW_EVERY_M, way[-1], _ARROW_EVERY_M):
-        i, j = np.searchsorted(way, at - 0.01), np.searchsorted(way, at + 0.05)
-        if j < way.size and np.linalg.norm(place[j] - place[i]) > 0.02:
+def _draw_direction(axis: Any, place: Array) -> None:
+    distance = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(place, axis=0), axis=1))])
+    for at in np.arange(0.5 * _ARROW_EVERY_M, distance[-1], _ARROW_EVERY_M):
+        i, j = np.searchsorted(distance, at - 0.01), np.searchsorted(distance, at + 0.05)
+        if j < distance.size and np.linalg.norm(place[j] - place[i]) > 0.02:
             draw_arrow(axis, place[i], place[j], "#000000", linewidth=0.0, mutation_scale=10)
 
 
-def _seconds(axis: Any, path: tuple[Array, Array]) -> None:
+def _draw_seconds(axis: Any, path: tuple[Array, Array]) -> None:
     times, place = path
     whole = np.arange(math.ceil(times[0]), times[-1])
     dots = np.stack([np.interp(whole, times, place[:, i]) for i in (0, 1)], axis=1)
@@ -164,7 +163,7 @@ def _second_labels(times: Array, place: Array) -> list[Label]:
     found: list[Label] = []
     for at in np.arange(math.ceil(times[0] / step) * step, times[-1], step):
         x, y = (float(np.interp(at, times, place[:, i])) for i in (0, 1))
-        # A vehicle that hovers stays where it was: once is enough.
+        # Label a hovering vehicle only once.
         if not found or math.dist(found[-1].at, (x, y)) > 0.1:
             found.append(Label(f"{at:.0f} s", (x, y), colour=GREY))
     return found

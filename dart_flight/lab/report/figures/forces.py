@@ -1,4 +1,4 @@
-"""Contact forces: of each hit, over trials, and of other vehicles' logs."""
+"""Figures of contact forces: of each hit, over trials, and of other vehicles' logs."""
 
 from __future__ import annotations
 
@@ -26,9 +26,10 @@ _SHOWN_MS = (-60.0, 175.0)
 
 @in_style
 def impact_forces(flight: RecordedFlight, impact: Impact, *, look: Look = PAGE) -> Any:
-    """Normal, friction and vertical force of one collision over time: predicted, estimated, true.
+    """Draw normal, friction and vertical force of one collision over time: predicted, estimated, true.
 
-    The vertical force is up; its prediction is the law's along Z of the collision frame, which points down.
+    The vertical force is up; its prediction follows the law along Z of the collision frame, which points
+    down.
     """
     figure, axes = new_figure(look, 5.0, 3, 1, sharex=True)
     wall, path = impact.collision.wall, impact.prediction
@@ -64,7 +65,7 @@ def impact_forces(flight: RecordedFlight, impact: Impact, *, look: Look = PAGE) 
 
 @in_style
 def impact_forces_over_trials(flights: Sequence[RecordedFlight], index: int, *, look: Look = PAGE) -> Any:
-    """The estimated normal force of one collision in every flight, their mean, and the prediction's."""
+    """Draw the estimated normal force of one collision in every flight, and means of both curves."""
     figure, axis = new_figure(look, 3.0)
     grid = np.arange(-0.05, 0.17, 0.002)
     curves, predictions = [], []
@@ -91,7 +92,7 @@ def impact_forces_over_trials(flights: Sequence[RecordedFlight], index: int, *, 
 
 @in_style
 def errors_over_trials(flights: Sequence[RecordedFlight], *, look: Look = PAGE) -> Any:
-    """Peak normal force against its prediction and its truth, one mark per collision and flight."""
+    """Draw the errors of the peak normal force against prediction and truth, per collision and flight."""
     indices = sorted({i.verdict.index for f in flights for i in f.impacts})
     figure, axis = new_figure(look, 2.8)
     styles = {
@@ -122,12 +123,12 @@ def errors_over_trials(flights: Sequence[RecordedFlight], *, look: Look = PAGE) 
 def force_over_flight(
     time_s: Array, force_m_s2: Array, threshold_m_s2: Array, impacts_s: Sequence[float], look: Look = PAGE
 ) -> Any:
-    """Horizontal force over mass of a whole flight: of every twentieth of a second the largest."""
+    """Draw the horizontal force over mass of a whole flight, as maxima over a twentieth of a second."""
     figure, axis = new_figure(look, 2.6)
     step = max(1, round(0.05 / max(float(np.median(np.diff(time_s))), 1e-3))) if len(time_s) > 1 else 1
     count = max(1, len(time_s) // step)
     largest = np.array([force_m_s2[i * step : (i + 1) * step].max() for i in range(count)])
-    # Drawn through: so near together dashes would look like gaps in the recording.
+    # A solid line, because dashes would look like gaps in the recording.
     axis.plot(
         time_s[: count * step : step], largest, **{**ESTIMATED, "linestyle": "-", "linewidth": 0.9}
     )  # fmt: skip

@@ -1,4 +1,4 @@
-"""Labels beside their points that cover neither each other nor the points."""
+"""Placement of labels near their points without covering each other or the points."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ _PAD_PT = 1.5
 
 
 class Label(NamedTuple):
-    """A text and what it belongs to.
+    """A text at a point.
 
     Attributes:
         text: one or more lines.
         at: the point, in the axis' data.
-        away: direction that is preferred, in the data's axes; (0, 0): none.
-        colour: of the letters.
+        away: preferred direction from the point in the data's axes; (0, 0): none.
+        colour: colour of the text.
     """
 
     text: str
@@ -40,13 +40,13 @@ class _Box(NamedTuple):
     high: float
 
     def overlap(self, other: _Box) -> float:
-        """Common area, square points."""
+        """Return the common area, square points."""
         width = min(self.right, other.right) - max(self.left, other.left)
         height = min(self.high, other.high) - max(self.low, other.low)
         return max(width, 0.0) * max(height, 0.0)
 
     def holds(self, points: Array) -> int:
-        """How many of the points (n, 2) lie inside."""
+        """Return the number of points (n, 2) inside."""
         x, y = points[:, 0], points[:, 1]
         return int(((x > self.left) & (x < self.right) & (y > self.low) & (y < self.high)).sum())
 
@@ -54,18 +54,18 @@ class _Box(NamedTuple):
 def place_labels(
     axis: Any, labels: Sequence[Label], lines: Iterable[Array], taken: Iterable[Array], font_pt: float
 ) -> None:
-    """Write every label where it covers least, with a thin line to its point where it stands apart.
+    """Write every label where it covers least, with a thin line to a distant point.
 
-    One after the other, each at the best of a ring of places around its point: a common area with what is
-    already written weighs most, then the lines that it would cover, then the distance. Limits and aspect of
-    the axis have to be set before.
+    Each label takes the best position of several rings around its point. The cost counts first the overlap
+    with existing text, then the covered lines, then the distance. Limits and aspect of the axis must be set
+    before.
 
     Args:
-        axis: with an equal aspect.
-        labels: most important first.
-        lines: (n, 2) in the axis' data, that had better stay visible.
-        taken: [[low x, low y], [high x, high y]] each, in the axis' data: places with other texts.
-        font_pt: size of the letters.
+        axis: an axis with an equal aspect.
+        labels: labels, the most important first.
+        lines: (n, 2) in the axis' data, lines that should stay visible.
+        taken: [[low x, low y], [high x, high y]] each, in the axis' data: areas of other texts.
+        font_pt: font size, points.
     """
     scale = points_per_unit(axis)
     x0, y0 = axis.get_xlim()[0], axis.get_ylim()[0]
@@ -101,12 +101,12 @@ def place_labels(
 def _places(
     anchor: tuple[float, float], half: tuple[float, float], away: tuple[float, float]
 ) -> Iterable[tuple[tuple[float, float], float, float]]:
-    """Middles of a text around its point, how far its edge is from it, and how much it is disliked."""
+    """Yield centres of a text around its point, the distance of its edge from the point, and a cost."""
     for reach in _REACHES_PT:
         for i in range(_DIRECTIONS):
             angle = 2.0 * math.pi * i / _DIRECTIONS
             c, s = math.cos(angle), math.sin(angle)
-            # From the middle of the text to its edge in this direction.
+            # Distance from the centre of the text to its edge in this direction.
             edge = min(half[0] / max(abs(c), 1e-9), half[1] / max(abs(s), 1e-9))
             reached = reach - _REACHES_PT[0] + 7.0 + edge
             wrong = 1.0 - (c * away[0] + s * away[1]) if away != (0.0, 0.0) else 0.0

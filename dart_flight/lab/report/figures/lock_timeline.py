@@ -1,4 +1,4 @@
-"""Phases, contacts and the lock over a flight."""
+"""The timeline of phases, contacts and the lock over a flight."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ _TONES = {
     "fault": ("#000000", ""),
     "unknown": ("#ffffff", "xx"),
 }
-_ROWS = ["lock", "may lock", "contact", "phase"]  # the first two only of a vehicle that has one
+_ROWS = ["lock", "may lock", "contact", "phase"]  # the first two only for a vehicle with a lock
 
 
 @in_style
 def timeline(flight: RecordedFlight, *, look: Look = PAGE) -> Any:
-    """Phases, contact, permission to lock and the lock's state over time."""
+    """Draw phases, contacts, permission to lock, and the lock's state over time."""
     figure, axis = new_figure(look, 2.9)
     course, has_lock = flight.course, flight.mission.vehicle.has_lock
     rows = _ROWS if has_lock else _ROWS[2:]

@@ -1,4 +1,4 @@
-"""What stands in every map: walls, bounds, start and goal, and the vehicle to scale."""
+"""The elements of every map: walls, bounds, start, goal, and the vehicle to scale."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from dart_flight.config.vehicle import Airframe
 from dart_flight.lab.figure_style import FORCE, GREY, SET_POINT
 from dart_flight.lab.flight_arrays import Array
 
-_WIDE_IN = 6.0  # from this width on a legend has three columns
-LONGEST_ARROW_M = 0.45  # of the largest force
-_HUB_SHARE = 0.45  # of the way to the motors: where the drawn arms end at the frame
+_WIDE_IN = 6.0  # figure width from which a legend has three columns
+LONGEST_ARROW_M = 0.45  # length for the largest force
+_HUB_SHARE = 0.45  # inner end of the drawn arms, as a fraction of the distance to the motor
 _NORTH_PT = 16.0  # length of the north arrow
 _OPPOSED, _SAME_PLANE_M = -0.9, 0.01  # cosine between opposite normals; distance of faces in one plane
-_OUTSIDE_M = 0.6  # out of the bounds; a wall this near may still be hit
-_BACK_TO_BACK_M = 0.4  # between two faces; a name behind one would cover the space before the other
-THICKNESS_M = 0.12  # of a drawn wall; what is behind the surface is not known
+_OUTSIDE_M = 0.6  # distance outside of the bounds at which a wall may still be hit
+_BACK_TO_BACK_M = 0.4  # distance of two faces below which a name goes in front, not behind
+THICKNESS_M = 0.12  # drawn thickness of a wall; the true one is unknown
 
 
 def draw_room(axis: Any, mission: Mission) -> None:
-    """Bounds, walls, waypoints, start and goal from above."""
+    """Draw bounds, walls, waypoints, start and goal from above."""
     (x0, x1), (y0, y1) = mission.bounds.x, mission.bounds.y
     axis.plot(
         [x0, x1, x1, x0, x0], [y0, y0, y1, y1, y0], color="#999999", linewidth=0.8, linestyle=(0, (1, 2))
@@ -44,7 +44,7 @@ def draw_room(axis: Any, mission: Mission) -> None:
         if waypoint.position is not None:
             x, y, _ = waypoint.position
             axis.plot(x, y, "s", color="black", markersize=5, label="waypoint", linestyle="none")
-    # A ring, because a waypoint, the goal or a run-up may be at the same place.
+    # A ring remains visible around a waypoint, the goal or a run-up at the same place.
     axis.plot(
         *mission.start, "o", color="black", markersize=11, markerfacecolor="none", label="start",
         linestyle="none", zorder=4.5,
@@ -82,7 +82,7 @@ def draw_north(axis: Any, mission: Mission) -> None:
 
 
 def draw_wall(axis: Any, wall: Wall, airframe: Airframe, thickness_m: float = THICKNESS_M) -> None:
-    """The wall from its surface back, and thin the plane that the centre meets."""
+    """Draw the wall behind its surface, and a thin line for the plane of the centre at first touch."""
     plane, surface = np.array(wall.ends), np.array(airframe.surface_of(wall).ends)
     back = surface - thickness_m * np.array(wall.normal)
     axis.fill(
@@ -94,7 +94,7 @@ def draw_wall(axis: Any, wall: Wall, airframe: Airframe, thickness_m: float = TH
 
 
 def _gap_behind_m(mission: Mission, wall: Wall) -> float:
-    """Return the distance from a wall's surface back to one that faces the other way, or infinity."""
+    """Return the distance from a wall's surface to an opposite surface behind it, or infinity."""
     surface_of = mission.vehicle.airframe.surface_of
     own, gaps = surface_of(wall), [math.inf]
     for other in mission.flat_walls:
@@ -114,10 +114,10 @@ def _thickness_m(mission: Mission, wall: Wall) -> float:
 
 
 def name_walls(axis: Any, mission: Mission, font_pt: float) -> list[Array]:
-    """Write names and materials behind the visible parts of walls, or before the faces of thin partitions.
+    """Write names and materials behind the visible parts of walls, or in front of thin partitions.
 
     Returns:
-        What the names cover: [[low x, low y], [high x, high y]] each, metres.
+        The areas of the names: [[low x, low y], [high x, high y]] each, metres.
     """
     (x0, x1), (y0, y1) = axis.get_xlim(), axis.get_ylim()
     unit = points_per_unit(axis)
@@ -129,10 +129,10 @@ def name_walls(axis: Any, mission: Mission, font_pt: float) -> list[Array]:
             line, away = np.array(wall.point), normal
         along = np.linspace(-0.5 * wall.length_m, 0.5 * wall.length_m, 201)
         place = line + along[:, None] * tangent + 0.75 * font_pt / unit * away
-        seen = (place[:, 0] > x0) & (place[:, 0] < x1) & (place[:, 1] > y0) & (place[:, 1] < y1)
-        if not seen.any():
+        visible = (place[:, 0] > x0) & (place[:, 0] < x1) & (place[:, 1] > y0) & (place[:, 1] < y1)
+        if not visible.any():
             continue
-        middle = place[seen].mean(axis=0)
+        middle = place[visible].mean(axis=0)
         slope = math.degrees(math.atan2(tangent[1], tangent[0]))
         text = wall.name if wall.name == wall.material else f"{wall.name} ({wall.material})"
         axis.annotate(
@@ -145,16 +145,16 @@ def name_walls(axis: Any, mission: Mission, font_pt: float) -> list[Array]:
 
 
 def set_view(axis: Any, view: Array) -> None:
-    """Equal aspect, and the part of the room that `view_of` says."""
+    """Set an equal aspect and the limits from `view_of`."""
     (x0, y0), (x1, y1) = view
     axis.set(xlim=(x0, x1), ylim=(y0, y1), aspect="equal")
 
 
 def view_of(mission: Mission, points: Array, margin_m: float = 0.45) -> Array:
-    """[[low x, low y], [high x, high y]]: the part of the room in which the points (n, 2) are, with a margin.
+    """Return [[low x, low y], [high x, high y]], the part of the room around points (n, 2) with a margin.
 
-    The view also includes the nearest part of every wall within the bounds. It is limited to the room: the
-    bounds, and the walls with their names.
+    The view includes the nearest part of every wall within the bounds. It is limited to the room, which means
+    the bounds and the walls with their names.
     """
     (x0, x1), (y0, y1) = mission.bounds.x, mission.bounds.y
     room = [np.array([[x0, y0], [x1, y1]])]
@@ -166,7 +166,7 @@ def view_of(mission: Mission, points: Array, margin_m: float = 0.45) -> Array:
     inside = np.vstack([inside, *(_nearest_part(mission, wall, inside) for wall in mission.walls)])
     low = np.maximum(inside.min(axis=0) - margin_m, corners.min(axis=0) - 0.05)
     high = np.minimum(inside.max(axis=0) + margin_m, corners.max(axis=0) + 0.05)
-    # Never a strip: what is narrow is widened about its middle.
+    # Widen a narrow view around its centre.
     least = 0.5 * (high - low).max()
     middle, size = 0.5 * (low + high), np.maximum(high - low, least)
     return np.stack([middle - 0.5 * size, middle + 0.5 * size])
@@ -184,7 +184,7 @@ def _nearest_part(mission: Mission, wall: Wall, points: Array) -> Array:
 
 
 def points_per_unit(axis: Any) -> float:
-    """Points on paper per metre, at an equal aspect, with the figure laid out as it stands."""
+    """Return points on paper per metre, for an axis with equal aspect in the current layout."""
     figure = axis.figure
     figure.get_layout_engine().execute(figure)
     axis.apply_aspect()
@@ -193,13 +193,13 @@ def points_per_unit(axis: Any) -> float:
 
 
 def placed(points: list[Vec2], at: Vec2, yaw_rad: float) -> Array:
-    """Points of the body, (forward, left), in the mission frame: (n, 2)."""
+    """Return points of the body (forward, left) in the mission frame, (n, 2)."""
     c, s = math.cos(yaw_rad), math.sin(yaw_rad)
     return np.array([(at[0] + c * x - s * y, at[1] + s * x + c * y) for x, y in points])
 
 
 def arms_m(airframe: Airframe) -> list[tuple[Vec2, Vec2]]:
-    """Each arm from the frame to its motor, (forward, left), m."""
+    """Return each arm from the frame to its motor (forward, left), m."""
     return [
         ((_HUB_SHARE * motor.x_m, -_HUB_SHARE * motor.y_m), (motor.x_m, -motor.y_m))
         for motor in airframe.motors
@@ -209,15 +209,15 @@ def arms_m(airframe: Airframe) -> list[tuple[Vec2, Vec2]]:
 def draw_vehicle(
     axis: Any, airframe: Airframe, at: Vec2, yaw_rad: float, mode: Mode | None, colour: str = "#000000"
 ) -> None:
-    """The vehicle from above: guards, four arms, a dot at the leading edge.
+    """Draw the vehicle from above: guards, four arms, a mark at the leading edge.
 
     Args:
-        axis: in metres, mission frame.
-        airframe: for the sizes.
-        at: the centre, mission frame.
-        yaw_rad: mission yaw.
-        mode: rigid: arms drawn through and heavy; flexible: thin and dashed; None: not known, dotted.
-        colour: of the lines.
+        axis: axis in metres, mission frame.
+        airframe: supplies the sizes.
+        at: position of the centre, mission frame.
+        yaw_rad: yaw in the mission frame.
+        mode: rigid: thick solid arms; flexible: thin dashed arms; None: unknown, dotted arms.
+        colour: colour of the lines.
     """
     outline = placed(airframe.outline_m, at, yaw_rad)
     axis.fill(*outline.T, facecolor="white", edgecolor=colour, linewidth=0.9, alpha=0.55, zorder=3.0)
@@ -238,7 +238,7 @@ def draw_vehicle(
 
 
 def draw_arrow(axis: Any, begin: Array | Vec2, end: Array | Vec2, colour: str, **style: Any) -> None:
-    """An arrow between two points of the map."""
+    """Draw an arrow between two points of the map."""
     axis.annotate(
         "", end, begin, zorder=5,
         arrowprops={"arrowstyle": "-|>", "color": colour, "shrinkA": 0, "shrinkB": 0, "linewidth": 1.6,
@@ -249,10 +249,10 @@ def draw_arrow(axis: Any, begin: Array | Vec2, end: Array | Vec2, colour: str, *
 def draw_hit(
     axis: Any, airframe: Airframe, at: Vec2, yaw_rad: float, mode: Mode | None, set_point: Vec2 | None
 ) -> list[Array]:
-    """The vehicle where it hits, and a line to the setpoint that follows.
+    """Draw the vehicle at its hit, and a line to the setpoint that follows.
 
     Returns:
-        Its lines (n, 2), that labels had better not cover.
+        The lines (n, 2) that labels should not cover.
     """
     draw_vehicle(axis, airframe, at, yaw_rad, mode)
     outline = placed(airframe.outline_m, at, yaw_rad)
@@ -266,26 +266,26 @@ def draw_hit(
 
 
 def name_hits(axis: Any, largest_n: float) -> None:
-    """The legend's words on force arrows, the largest of which is known, and on `draw_hit`'s setpoints."""
+    """Add legend entries for force arrows with their scale, and for the setpoints of `draw_hit`."""
     words = f"peak force, 0.1 m: {0.1 * largest_n / LONGEST_ARROW_M:.0f} N"
     axis.plot([], [], color=FORCE, linewidth=1.6, marker=">", markersize=4, label=words)
     axis.plot([], [], "x--", color=SET_POINT, linewidth=1.0, markersize=5, label="recovery setpoint")
 
 
 def along(line: Array, step_m: float = 0.03) -> Array:
-    """Points every few centimetres on a polyline (n, 2)."""
-    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
-    at = np.arange(0.0, way[-1] + step_m, step_m)
-    return np.stack([np.interp(at, way, line[:, i]) for i in (0, 1)], axis=1)
+    """Return points every few centimetres on a polyline (n, 2)."""
+    distance = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
+    at = np.arange(0.0, distance[-1] + step_m, step_m)
+    return np.stack([np.interp(at, distance, line[:, i]) for i in (0, 1)], axis=1)
 
 
 def fit_map(figure: Any, axis: Any, *, below: Any = None, note: str = "") -> None:
-    """Give the figure the height that its map's aspect asks for, with the map's legend in columns below.
+    """Set the figure's height from its map's aspect, and put the map's legend in columns below.
 
     Args:
-        figure: with constrained layout.
+        figure: a figure with constrained layout.
         axis: the map.
-        below: another axis with an equal aspect, of the same width.
+        below: another axis with an equal aspect and the same width.
         note: lines of text under the legend.
     """
     unique = {label: line for line, label in zip(*axis.get_legend_handles_labels(), strict=True)}
@@ -294,9 +294,9 @@ def fit_map(figure: Any, axis: Any, *, below: Any = None, note: str = "") -> Non
     rows = -(-len(unique) // columns) + (note.count("\n") + 2 if note else 0)
     letter = float(axis.xaxis.label.get_size()) / 72.0
     height = 0.55 + 1.35 * letter * rows
-    for one in (axis, below) if below is not None else (axis,):
-        (x0, x1), (y0, y1) = axis.get_xlim(), one.get_ylim()
-        height += (width - 0.6) * (y1 - y0) / (x1 - x0) + (0.25 if one is below else 0.0)
+    for view in (axis, below) if below is not None else (axis,):
+        (x0, x1), (y0, y1) = axis.get_xlim(), view.get_ylim()
+        height += (width - 0.6) * (y1 - y0) / (x1 - x0) + (0.25 if view is below else 0.0)
     figure.set_size_inches(width, height)
     legend = figure.legend(
         unique.values(), unique.keys(), loc="outside lower left", ncols=columns, borderaxespad=0.1,

@@ -1,4 +1,4 @@
-"""A mission before it is flown: where it leads, and what uncertain walls do to it."""
+"""The figure of a mission before the flight: its path, and the effect of uncertain walls."""
 
 from __future__ import annotations
 
@@ -43,24 +43,26 @@ from dart_flight.planning.predicted_flight import PredictedFlight, describe_goal
 
 SHEET = Look(7.2, 9.0)
 _NOTE_WIDTH = 96  # characters below the picture
-_ABOVE_M, _BELOW_M = 0.35, 0.05  # what the side view shows above the flight's height and below the ground
-_SAME_M = 0.12  # hits that stand nearer together share a label in the side view
+_ABOVE_M, _BELOW_M = 0.35, 0.05  # margins of the side view above the flight and below the ground
+_SAME_M = 0.12  # distance below which hits share a label in the side view
 _DRAWN = "#8db4e2"
-_EDGE_ON = 0.26  # sine of the angle up to which a wall is seen from its side: 15 degrees
+_EDGE_ON = 0.26  # sine of 15 degrees, the largest angle of a wall in side view
 
 
 @in_style
 def mission_figure(mission: Mission, planned: PredictedFlight | None, *, look: Look = SHEET) -> Any:
-    """Plan view and side view of a mission, what the flight model predicts, and what uncertain walls change.
+    """Draw plan view and side view of a mission, with the flight model's prediction and the effect of
+    uncertain walls.
 
     Args:
-        mission: to be flown.
-        planned: by the flight model; None where an approach cannot be flown, so that only the room is drawn.
+        mission: the mission.
+        planned: prediction of the flight model; None if an approach cannot be flown, which draws only the
+            room.
         look: size of the figure.
     """
     # Trajectories end at their goal in every draw, but uncertain walls still move.
-    follows = mission.goal_trajectory is None or any(wall.is_uncertain for wall in mission.walls)
-    drawn = predict_with_draws(mission) if planned is not None and planned.hits and follows else []
+    varies = mission.goal_trajectory is None or any(wall.is_uncertain for wall in mission.walls)
+    drawn = predict_with_draws(mission) if planned is not None and planned.hits and varies else []
     view = view_of(mission, _extent(mission, planned))
     highest = max(mission.altitude_m, *(leg.end[2] for leg in transit_segments(mission)), 0.0)
     top = min(mission.bounds.z[1], highest + _ABOVE_M) + 0.05
@@ -87,12 +89,12 @@ def mission_figure(mission: Mission, planned: PredictedFlight | None, *, look: L
     fit_map(figure, plan, below=side, note=words)
     names = name_walls(plan, mission, look.small_pt)
     labels += [label for label, _ in probes if planned is None]
-    lines += [along(way) for _, way in probes]
+    lines += [along(path) for _, path in probes]
     labels += [Label(text, place, (1.0, 1.0), "#000000") for text, place in _stops(mission)]
     if planned is not None:
         lines += [along(np.array(line)) for line in planned.approaches.values()]
         lines += [along(leg[:, :2]) for leg in planned.legs.values()]
-        lines += [along(way[:, :2]) for way in _from_rest(mission, planned)]
+        lines += [along(path[:, :2]) for path in _from_rest(mission, planned)]
     place_labels(plan, labels, lines, names, look.small_pt)
     return figure
 
@@ -100,13 +102,13 @@ def mission_figure(mission: Mission, planned: PredictedFlight | None, *, look: L
 def prediction_lines(
     mission: Mission, planned: PredictedFlight | None, drawn: Sequence[PredictedFlight]
 ) -> list[str]:
-    """What the model says of the goal, and what the draws make of it; a line each."""
+    """Return sentences on the predicted miss of the goal and on the effect of the draws."""
     if any(c.wall.sought for c in mission.collisions):
-        return ["Where what follows a probe is flown depends on where it meets its wall."]
+        return ["The path after a probe depends on the place where the probe hits its wall."]
     if planned is None:
-        return ["An approach cannot be flown: `check` says why."]
+        return ["An approach cannot be flown; run `check` for the reason."]
     if mission.standoff_m is not None:
-        return [f"A rehearsal: stops {mission.standoff_m:g} m before each wall."]
+        return [f"Rehearsal: the vehicle stops {mission.standoff_m:g} m before each wall."]
     lines = []
     missing = [c for c in mission.collisions if c.index not in planned.hits]
     if missing:
@@ -118,22 +120,19 @@ def prediction_lines(
         lines.append(f"{words[0].upper()}{words[1:]}.")
     misses = [flight.goal_miss_m for flight in drawn if flight.goal_miss_m is not None]
     if mission.goal_trajectory is not None:
-        # A trajectory ends at the goal in every draw; only flights show a deviation.
+        # A planned trajectory ends at the goal in every draw; only flights deviate.
         lines.append(_flown_line(mission))
     elif misses:
         low, high = np.quantile(misses, (0.05, 0.95))
         spread = mission.vehicle.estimation.walls.spread
-        unsure = [wall.name for wall in mission.walls if wall.is_uncertain]
-        if unsure:
-            lines.append(
-                f"Possible positions of {' and '.join(unsure)} within the mission's uncertainty are drawn "
-                "as well."
-            )
+        uncertain = [wall.name for wall in mission.walls if wall.is_uncertain]
+        if uncertain:
+            lines.append(f"The positions of {' and '.join(uncertain)} are varied within their uncertainty.")
         lines.append(
             f"With k, f and mu of the walls drawn ± {100 * spread:.0f} %: {low:.2f} to {high:.2f} m "
             "in nine of ten draws"
             + (
-                f"; {len(drawn) - len(misses)} of {len(drawn)} do not reach it."
+                f"; {len(drawn) - len(misses)} of {len(drawn)} draws do not reach the goal."
                 if len(misses) < len(drawn)
                 else "."
             )
@@ -145,18 +144,18 @@ def _flown_line(mission: Mission) -> str:
     """Return a sentence on the simulated flights recorded in the mission file."""
     record = mission.flown
     if record is None or record.digest != mission.digest:
-        return "Not flown in simulation in its present form: the trajectories may not be flyable."
+        return "Not flown in simulation in its present form, so its trajectories may not be flyable."
     return f"Flown in simulation: {record.summary}."
 
 
 def _extent(mission: Mission, planned: PredictedFlight | None) -> Array:
-    """What the plan view has to show; a setpoint far outside of the bounds is only pointed at."""
+    """Return the points that the plan view must include, without setpoints outside of the bounds."""
     points = [np.array([mission.start, mission.goal.position_m])]
     if planned is None:
         b = mission.bounds
         return np.array([[b.x[0], b.y[0]], [b.x[1], b.y[1]]])
     points += [np.array(line) for line in planned.approaches.values()]
-    points += [way[:, :2] for way in _from_rest(mission, planned)]
+    points += [path[:, :2] for path in _from_rest(mission, planned)]
     points += [leg[:, :2] for leg in planned.legs.values()]
     points += [np.array([hit.position]) for hit in planned.hits.values()]
     points += [
@@ -168,53 +167,55 @@ def _extent(mission: Mission, planned: PredictedFlight | None) -> Array:
 
 
 def _draw_probes(axis: Any, mission: Mission) -> list[tuple[Label, Array]]:
-    """The probes as far as they go, each with its label."""
+    """Draw the probes to their ends, and return each one's label and line."""
     found = []
     for collision in mission.collisions:
         if collision.probe is None:
             continue
-        way = np.array([collision.probe.begin, collision.probe.end])
-        axis.plot(way[:, 0], way[:, 1], color=FORCE, linewidth=1.2, linestyle=(0, (5, 3)), label="probe")
-        draw_arrow(axis, way[1] - 0.06 * (way[1] - way[0]), way[1], FORCE, linewidth=0.0)
-        (dx, dy), middle = way[1] - way[0], way[0] + 0.6 * (way[1] - way[0])
+        path = np.array([collision.probe.begin, collision.probe.end])
+        axis.plot(path[:, 0], path[:, 1], color=FORCE, linewidth=1.2, linestyle=(0, (5, 3)), label="probe")
+        draw_arrow(axis, path[1] - 0.06 * (path[1] - path[0]), path[1], FORCE, linewidth=0.0)
+        (dx, dy), middle = path[1] - path[0], path[0] + 0.6 * (path[1] - path[0])
         across = (-dy / math.hypot(dx, dy), dx / math.hypot(dx, dy))
         text = f"{collision.index} probe for {collision.wall.name}\n{collision.probe.speed_m_s:g} m/s"
-        found.append((Label(text, (float(middle[0]), float(middle[1])), across, FORCE), way))
+        found.append((Label(text, (float(middle[0]), float(middle[1])), across, FORCE), path))
     return found
 
 
 def _from_rest(mission: Mission, planned: PredictedFlight) -> list[Array]:
-    """Return the rest-to-rest segments, those after a predicted recovery included: (2, 3), metres."""
+    """Return the rest-to-rest segments, including those after a predicted recovery: (2, 3), metres."""
     segments = predicted_segments(mission, planned.hits)
-    return [np.array([one.begin or one.end, one.end]) for one in segments]
+    return [np.array([segment.begin or segment.end, segment.end]) for segment in segments]
 
 
 def _draw_draws(axis: Any, mission: Mission, drawn: Sequence[PredictedFlight]) -> None:
-    """The ways after the hits with every draw of the walls, and the surfaces that may be elsewhere."""
+    """Draw the paths after the hits and the wall surfaces for every draw of the walls."""
     label = f"{len(drawn)} draws of the walls"
     for flight in drawn:
         surfaces = [np.array(mission.vehicle.airframe.surface_of(wall).ends) for wall in flight.walls]
-        for way in [*flight.legs.values(), *surfaces]:
-            axis.plot(way[:, 0], way[:, 1], color=_DRAWN, linewidth=0.5, alpha=0.6, zorder=1.8, label=label)
+        for path in [*flight.legs.values(), *surfaces]:
+            axis.plot(path[:, 0], path[:, 1], color=_DRAWN, linewidth=0.5, alpha=0.6, zorder=1.8, label=label)
 
 
 def _draw_trajectory(axis: Any, mission: Mission, planned: PredictedFlight) -> None:
-    for way in _from_rest(mission, planned):
-        axis.plot(way[:, 0], way[:, 1], label="predicted trajectory", **PREDICTED)
+    for path in _from_rest(mission, planned):
+        axis.plot(path[:, 0], path[:, 1], label="predicted trajectory", **PREDICTED)
     for index, line in planned.approaches.items():
-        way = np.array(line)
-        axis.plot(way[:, 0], way[:, 1], label="predicted trajectory", **PREDICTED)
+        path = np.array(line)
+        axis.plot(path[:, 0], path[:, 1], label="predicted trajectory", **PREDICTED)
         begins = 0 if mission.collisions[index - 1].trajectory is not None else -2
-        axis.plot(*way[begins], "s", color="#000000", markersize=4, markerfacecolor="white", linestyle="none",
-                  label="run-up begins", zorder=4)  # fmt: skip
-        middle = way[-2] + 0.55 * (way[-1] - way[-2])
-        draw_arrow(axis, middle, middle + 0.06 * (way[-1] - way[-2]), "#000000", linewidth=0.0)
+        axis.plot(
+            *path[begins], "s", color="#000000", markersize=4, markerfacecolor="white", linestyle="none",
+            label="run-up begins", zorder=4,
+        )  # fmt: skip
+        middle = path[-2] + 0.55 * (path[-1] - path[-2])
+        draw_arrow(axis, middle, middle + 0.06 * (path[-1] - path[-2]), "#000000", linewidth=0.0)
     for leg in planned.legs.values():
         axis.plot(leg[:, 0], leg[:, 1], label="predicted trajectory", **PREDICTED)
 
 
 def _draw_hits(axis: Any, mission: Mission, planned: PredictedFlight) -> tuple[list[Label], list[Array]]:
-    """The hits; their labels, and what these had better not cover."""
+    """Draw the hits; return their labels, and the lines that these should not cover."""
     largest = max((math.hypot(h.normal_n, h.tangential_n) for h in planned.hits.values()), default=0.0)
     labels: list[Label] = []
     lines: list[Array] = []
@@ -243,8 +244,9 @@ def _draw_hits(axis: Any, mission: Mission, planned: PredictedFlight) -> tuple[l
 
 
 def _draw_side(axis: Any, mission: Mission, planned: PredictedFlight | None, top: float) -> None:
-    """The same seen along y; a wall seen from its side is hatched, one that stands obliquely or behind is
-    not: the vehicle flies before it."""
+    """Draw the side view along y. A wall seen from its side is hatched; other walls are plain, because the
+    vehicle flies in front of them.
+    """
     out = mission.vehicle.airframe.contact_distance_m
     for wall in mission.walls:
         nx, ny = wall.normal
@@ -263,10 +265,10 @@ def _draw_side(axis: Any, mission: Mission, planned: PredictedFlight | None, top
     axis.plot([start[0]] * 2, [0.0, mission.altitude_m], **PREDICTED)
     if planned is not None:
         for index, line in [*planned.approaches.items(), *planned.legs.items()]:
-            way = np.array(line)
-            axis.plot(way[:, 0], np.full(len(way), mission.altitude_at(index - 1)), **PREDICTED)
-        for way in _from_rest(mission, planned):
-            axis.plot(way[:, 0], way[:, 2], **PREDICTED)
+            path = np.array(line)
+            axis.plot(path[:, 0], np.full(len(path), mission.altitude_at(index - 1)), **PREDICTED)
+        for path in _from_rest(mission, planned):
+            axis.plot(path[:, 0], path[:, 2], **PREDICTED)
         for (x, z), numbers in _side_by_side(mission, planned):
             axis.plot(x + np.array([-out, out]), [z, z], color="#000000", linewidth=2.5)
             axis.annotate(numbers, (x, z), (0, 7), textcoords="offset points", ha="center", color=FORCE)
@@ -290,14 +292,14 @@ def _stops(mission: Mission) -> list[tuple[str, Vec2]]:
         if waypoint.position is None:
             continue
         x, y, z = waypoint.position
-        said = f"{waypoint.index}" if z == z_before else f"{waypoint.index}: {z:g} m high"
-        found[x, y] = f"{found[x, y]}, {said}" if (x, y) in found else said
+        text = f"{waypoint.index}" if z == z_before else f"{waypoint.index}: {z:g} m high"
+        found[x, y] = f"{found[x, y]}, {text}" if (x, y) in found else text
         z_before = z
     return [(text, place) for place, text in found.items()]
 
 
 def _side_by_side(mission: Mission, planned: PredictedFlight) -> list[tuple[Vec2, str]]:
-    """Where hits are along x and z, and their numbers."""
+    """Return the positions of hits along x and z, with their numbers."""
     found: list[tuple[Vec2, str]] = []
     for index, hit in sorted(planned.hits.items(), key=lambda item: item[1].position[0]):
         x, z = hit.position[0], mission.altitude_at(index - 1)
@@ -309,5 +311,5 @@ def _side_by_side(mission: Mission, planned: PredictedFlight) -> list[tuple[Vec2
 
 
 def write_mission_picture(mission: Mission, planned: PredictedFlight | None, path: Path) -> None:
-    """`mission_figure` as a file; raises what `save_figure` raises."""
+    """Write `mission_figure` to a file, with the errors of `save_figure`."""
     save_figure(mission_figure(mission, planned), path)

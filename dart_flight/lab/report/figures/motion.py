@@ -1,4 +1,4 @@
-"""How the vehicle moved over a flight, how well it followed its setpoints, and what that took."""
+"""Figures of the vehicle's motion, its tracking of setpoints, and thrust and battery."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ from dart_flight.lab.figure_style import (
 from dart_flight.lab.report.recorded_flight import RecordedFlight
 from dart_flight.lab.report.tracks import angles, power, tracking
 
-_MAX_POINTS = 700  # of a line over a whole flight: more than the page has pixels
+_MAX_POINTS = 700  # of a line over a whole flight, more than the page's pixels
 
 
 def mark_impacts(axis: Any, flight: RecordedFlight) -> None:
-    """A thin vertical line at each detection."""
+    """Draw a thin vertical line at each detection."""
     for impact in flight.impacts:
         axis.axvline(impact.at_s, color=GREY, linewidth=0.7, zorder=1)
 
 
 def _plot(axis: Any, flight: RecordedFlight, time_s: Any, values: Any, **style: Any) -> None:
-    """A line over the shown span; of more points than can be seen, the lowest and highest of each stretch."""
+    """Plot a line over the shown span, reduced to the extremes of intervals if it has too many points."""
     begin, end = flight.shown_span
     inside = (time_s >= begin) & (time_s <= end)
     t, v = time_s[inside], np.asarray(values)[inside]
@@ -51,7 +51,7 @@ def _over_time(axis: Any, flight: RecordedFlight) -> None:
 
 
 def _label(axes: Any, names: tuple[str, ...], flight: RecordedFlight) -> None:
-    """What stands on each of some axes above one another, with the detections and one legend."""
+    """Label stacked axes, mark the detections, and add one legend."""
     for axis, name in zip(axes, names, strict=True):
         axis.set_ylabel(name)
         mark_impacts(axis, flight)
@@ -61,7 +61,7 @@ def _label(axes: Any, names: tuple[str, ...], flight: RecordedFlight) -> None:
 
 @in_style
 def motion(flight: RecordedFlight, *, look: Look = PAGE) -> Any:
-    """Velocities and height over time, estimated and true; vertical lines are detections."""
+    """Draw velocities and height over time, estimated and true; vertical lines mark detections."""
     figure, axes = new_figure(look, 4.2, 3, 1, sharex=True)
     for j, axis in enumerate(axes):
         for track, style, label in (
@@ -76,8 +76,24 @@ def motion(flight: RecordedFlight, *, look: Look = PAGE) -> Any:
 
 
 @in_style
+def poses(flight: RecordedFlight, *, look: Look = PAGE) -> Any:
+    """Horizontal position by motion capture and by PX4's estimate, and the distance between them."""
+    figure, axes = new_figure(look, 4.2, 3, 1, sharex=True)
+    raw, estimated = flight.course.posed, flight.course.estimated
+    for j in (0, 1):
+        _plot(axes[j], flight, raw.time_s, raw.position[:, j], label="motion capture", **TRUE)
+        _plot(axes[j], flight, estimated.time_s, estimated.position[:, j], label="estimated", **ESTIMATED)
+    there = [np.interp(raw.time_s, estimated.time_s, axis) for axis in estimated.position.T]
+    away_m = np.linalg.norm(raw.position - np.stack(there, axis=1), axis=1)
+    _plot(axes[2], flight, raw.time_s, 1e3 * away_m, **{**TRUE, "linewidth": 1.0})
+    axes[2].set_ylim(bottom=0.0)
+    _label(axes, ("x, m", "y, m", "distance, mm"), flight)
+    return figure
+
+
+@in_style
 def attitude(flight: RecordedFlight, *, look: Look = PAGE) -> Any:
-    """Roll, pitch and yaw, estimated and true, degrees."""
+    """Draw roll, pitch and yaw, estimated and true, degrees."""
     figure, axes = new_figure(look, 4.2, 3, 1, sharex=True)
     for track, style, label in (
         (angles(flight.course, true=True), TRUE, "true"),
@@ -92,7 +108,7 @@ def attitude(flight: RecordedFlight, *, look: Look = PAGE) -> Any:
 
 @in_style
 def tracking_error(flight: RecordedFlight, *, look: Look = PAGE) -> Any:
-    """Distance of estimated position and velocity from the setpoint in force."""
+    """Draw the distance of estimated position and velocity from the active setpoint."""
     figure, axes = new_figure(look, 2.9, 2, 1, sharex=True)
     times, *errors = tracking(flight.course)
     for axis, values, name in zip(axes, errors, ("position, m", "velocity, m/s"), strict=True):
@@ -106,7 +122,7 @@ def tracking_error(flight: RecordedFlight, *, look: Look = PAGE) -> Any:
 
 @in_style
 def thrust_and_battery(flight: RecordedFlight, *, look: Look = PAGE) -> Any:
-    """Total thrust as the core reckons it, the lowest and highest command to a motor, and the battery."""
+    """Draw the total thrust by the core's model, the lowest and highest motor command, and the battery."""
     figure, axes = new_figure(look, 4.0, 3, 1, sharex=True)
     p = power(flight.course, flight.mission)
     _plot(axes[0], flight, p.time_s, p.thrust_n, **ESTIMATED)

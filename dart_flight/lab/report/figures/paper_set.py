@@ -1,4 +1,4 @@
-"""Every figure of a report as a file for a paper: vector graphics, a column wide."""
+"""The figures of a report as files for a paper: vector graphics, one column wide."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from dart_flight.lab.report.recorded_flight import RecordedFlight
 
 
 def figures_of(flights: Sequence[RecordedFlight]) -> Iterator[tuple[str, Any]]:
-    """(name, figure) of a report's figures, `COLUMN` wide: of one flight, or over several of one mission."""
+    """Yield (name, figure) of a report's figures, `COLUMN` wide, for one flight or several of one mission."""
     yield "map", flight_map(flights, look=COLUMN)
     if len(flights) > 1:
         yield "errors", forces.errors_over_trials(flights, look=COLUMN)
@@ -33,7 +33,7 @@ def figures_of(flights: Sequence[RecordedFlight]) -> Iterator[tuple[str, Any]]:
 
 
 def write_svgs(flights: Sequence[RecordedFlight], folder: Path) -> list[Path]:
-    """One SVG file for each figure, its letters as text.
+    """Write one SVG file for each figure, with text kept as text.
 
     Raises:
         InputError: the folder cannot be made or written to, or matplotlib is missing.
@@ -51,7 +51,7 @@ def write_svgs(flights: Sequence[RecordedFlight], folder: Path) -> list[Path]:
 
 
 def write_pdf(flights: Sequence[RecordedFlight], path: Path) -> None:
-    """All figures in one PDF, one on each page, fonts embedded as TrueType.
+    """Write all figures into one PDF, one per page, with fonts embedded as TrueType.
 
     Raises:
         InputError: the file cannot be written, or matplotlib is missing.

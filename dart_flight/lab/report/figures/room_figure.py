@@ -1,4 +1,4 @@
-"""The map of a room that was found by touch: its walls, what is open of their places, and the contacts."""
+"""The map of a room measured by touch: its walls, their uncertainty, and the contacts."""
 
 from __future__ import annotations
 
@@ -16,28 +16,28 @@ from dart_flight.lab.report.figures.map_drawing import draw_vehicle
 from dart_flight.planning.room import Room, RoomContact, RoomWall
 
 _SHEET = Look(7.2, 6.4)
-_SURE = 3.0  # standard deviations of the band about a wall
-_OPEN_M = 0.7  # that a wall without a corner is drawn beside its contacts
+_SURE = 3.0  # standard deviations of the band around a wall
+_OPEN_M = 0.7  # extension of a wall without a corner beyond its contacts
 _MARGIN_M = 0.4
 
 
 @in_style
 def room_figure(mission: Mission, room: Room, touches: Sequence[RoomContact], *, look: Look = _SHEET) -> Any:
-    """Plan view of a room: walls, three standard deviations of their places, contacts.
+    """Draw the plan view of a room: walls with three standard deviations, and contacts.
 
-    Of a simulated room also where its walls really stand.
+    For a simulated room the true walls are drawn as well.
 
     Args:
-        mission: with the start, and the simulated walls.
-        room: as it was found.
-        touches: that tell it.
+        mission: mission with the start and the simulated walls.
+        room: the measured room.
+        touches: contacts that determine it.
         look: size of the figure.
     """
     figure, axis = new_figure(look, 5.0)
     airframe = mission.vehicle.airframe
-    for standing in mission.simulated_walls:
-        ends = np.array(airframe.surface_of(standing).ends)
-        axis.plot(*ends.T, color=GREY, linewidth=3.0, alpha=0.5, label="as it stands in simulation")
+    for true_wall in mission.simulated_walls:
+        ends = np.array(airframe.surface_of(true_wall).ends)
+        axis.plot(*ends.T, color=GREY, linewidth=3.0, alpha=0.5, label="true wall (simulation)")
     for k, wall in enumerate(room.walls):
         _draw_wall(axis, wall, room.corners[k - 1], room.corners[k], f"side {k + 1}", look)
     for touch in touches:
@@ -63,7 +63,7 @@ def room_figure(mission: Mission, room: Room, touches: Sequence[RoomContact], *,
 def _draw_wall(
     axis: Any, wall: RoomWall, before: Vec2 | None, after: Vec2 | None, name: str, look: Look
 ) -> None:
-    """A wall from corner to corner, or a little beyond its contacts, and the band in which it lies."""
+    """Draw a wall between its corners, or slightly beyond its contacts, with its uncertainty band."""
     normal, tangent = np.array(wall.normal), np.array([-wall.normal[1], wall.normal[0]])
     touched = np.array([touch.place for touch in wall.touches]) @ tangent
     corners = [float(np.array(corner) @ tangent) for corner in (before, after) if corner is not None]
@@ -73,12 +73,12 @@ def _draw_wall(
     beside = (t - touched.mean()) * math.tan(wall.normal_sd_rad)
     open_m = _SURE * np.hypot(wall.offset_sd_m, beside)[:, None]
     band = np.vstack([line + open_m * normal, (line - open_m * normal)[::-1]])
-    axis.fill(*band.T, color="#8db4e2", alpha=0.5, linewidth=0.0, label=f"within {_SURE:g} deviations")
-    axis.plot(*line.T, color="#000000", linewidth=1.6, label="wall by touch")
+    axis.fill(*band.T, color="#8db4e2", alpha=0.5, linewidth=0.0, label=f"± {_SURE:g} standard deviations")
+    axis.plot(*line.T, color="#000000", linewidth=1.6, label="measured wall")
     middle = line[len(line) // 2] - 0.16 * normal
     axis.text(*middle, name, ha="center", va="center", fontsize=look.small_pt)
 
 
 def write_room_picture(mission: Mission, room: Room, touches: Sequence[RoomContact], path: Path) -> None:
-    """`room_figure` as a file; raises what `save_figure` raises."""
+    """Write `room_figure` to a file, with the errors of `save_figure`."""
     save_figure(room_figure(mission, room, touches), path)

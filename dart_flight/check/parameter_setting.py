@@ -1,0 +1,175 @@
+"""Read a vehicle's parameters that are not as wanted, and write them: `dart-flight parameters`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping
+from datetime import UTC, datetime
+from pathlib import Path
+
+import msgspec
+
+from dart_flight.check.px4_parameters import position_source
+from dart_flight.check.vehicle_check import judge_autopilot
+from dart_flight.check.vehicle_reading import release_of
+from dart_flight.check.wanted_parameters import (
+    METADATA,
+    RESTART,
+    RESTART_SOURCE,
+    MetadataError,
+    ParameterRow,
+    restart_names,
+    rows_of,
+    wanted_parameters,
+    with_lock_output,
+)
+from dart_flight.config.document import writing
+from dart_flight.config.mission import Mission
+from dart_flight.config.parameter_file import (
+    PositionSource,
+    Value,
+    differences,
+    format_parameters,
+    load_parameters,
+)
+from dart_flight.vehicle import messages
+from dart_flight.vehicle.downloads import DownloadError
+from dart_flight.vehicle.ground_link import GroundLink
+from dart_flight.vehicle.vehicle_session import VehicleError
+
+_SOURCES = ("EKF2_EV_CTRL", "EKF2_GPS_CTRL")  # by which it is known where the position comes from
+_FIX_S = 1.5
+
+Progress = Callable[[int, int], None]  # parameters read, of how many
+
+
+class ParameterReading(msgspec.Struct, frozen=True):
+    """The parameters of a vehicle that are not as wanted.
+
+    Attributes:
+        rows: one for each.
+        position_from: where the position is to come from; None for a file that is written back.
+        version: of PX4; empty if not reported.
+        restart_source: where it is known from which parameters need a restart; None without rows.
+    """
+
+    rows: list[ParameterRow]
+    position_from: PositionSource | None
+    version: str
+    restart_source: str | None
+
+    @property
+    def writable(self) -> list[ParameterRow]:
+        """The parameters that the vehicle has."""
+        return [row for row in self.rows if row.vehicle is not None]
+
+
+def read_differences(
+    link: GroundLink,
+    mission: Mission,
+    claimed: PositionSource | None,
+    restored: Path | None,
+    progress: Progress = lambda done, of: None,
+) -> ParameterReading:
+    """Read a vehicle's parameters and compare them with the wanted ones.
+
+    Args:
+        link: to the vehicle.
+        mission: for its vehicle and its frame.
+        claimed: where the position comes from; None: motion capture if the configuration has some, otherwise
+            as the vehicle is set.
+        restored: a parameter file that is wanted instead.
+        progress: takes the number of parameters read, and of how many.
+
+    Raises:
+        InputError: the file is wrong.
+        VehicleError: another autopilot answers.
+        NoAnswerError: the vehicle answers no request.
+    """
+    wrong = judge_autopilot(link.heartbeat_mode())
+    if wrong:
+        raise VehicleError(wrong[0].says)
+    version = link.version()
+    source = None
+    if restored is not None:
+        says = f"as in {restored.name}"
+        wanted = {
+            name: msgspec.structs.replace(p, reason=says) for name, p in load_parameters(restored).items()
+        }
+    else:
+        source = claimed or _source(link, mission)
+        wanted = wanted_parameters(mission, source)
+    release = release_of(version)
+    names = [p.name for p in wanted.values() if not p.is_absent_in(release)]
+    if restored is None:
+        names += [name for name in with_lock_output(mission, {}, {}) if name not in names]
+    values = link.read_parameters(names, lambda done: progress(done, len(names)))
+    values |= link.read_parameters(
+        [p.renamed for p in wanted.values() if p.renamed is not None and p.name not in values]
+    )
+    if restored is None:
+        wanted = with_lock_output(mission, wanted, values)
+    if not differences(wanted, values):
+        return ParameterReading([], source, version, None)
+    restart, known_from = _restart_names(link)
+    return ParameterReading(rows_of(wanted, values, restart), source, version, known_from)
+
+
+def _source(link: GroundLink, mission: Mission) -> PositionSource | None:
+    if mission.vehicle.mocap.url is not None:
+        return PositionSource.MOCAP
+    return position_source(link.read_parameters(_SOURCES), link.newest(messages.GPS_RAW_INT, _FIX_S))
+
+
+def _restart_names(link: GroundLink) -> tuple[frozenset[str], str]:
+    """Return the parameters that need a restart, and where that is known from."""
+    try:
+        return restart_names(link.read_file(METADATA)), "the parameter metadata of this PX4"
+    except (DownloadError, MetadataError):
+        return RESTART, RESTART_SOURCE
+
+
+def save_former(rows: Iterable[ParameterRow], folder: Path, head: str, now: datetime | None = None) -> Path:
+    """Save the vehicle's own values to a dated file that QGroundControl can load; return its path.
+
+    Args:
+        rows: the parameters.
+        folder: where the file goes.
+        head: the vehicle, in a line.
+        now: the time in the file's name; None: the present.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+    now = now or datetime.now(UTC)
+    path = folder / f"px4_before_{now:%Y-%m-%d_%H%M%S}.params"
+    values: Mapping[str, Value] = {row.name: row.vehicle for row in rows if row.vehicle is not None}
+    lines = [f"{head}: values before others were written, {now:%Y-%m-%d %H:%M:%S} UTC"]
+    lines.append(f"to write them back: dart-flight parameters MISSION --restore {path.name}")
+    with writing(path), open(path, "x", encoding="utf-8") as file:
+        file.write(format_parameters(values, lines))
+    return path
+
+
+def write_rows(
+    link: GroundLink, rows: Iterable[ParameterRow], progress: Progress = lambda done, of: None
+) -> dict[str, str]:
+    """Write parameters and read them back; return the reason by name for those that were not taken.
+
+    Raises:
+        NoAnswerError: the vehicle answers no request.
+    """
+    rows, refused = list(rows), {}
+    for done, row in enumerate(rows):
+        progress(done, len(rows))
+        try:
+            link.write_parameter(row.name, row.wanted)
+        except VehicleError as error:
+            refused[row.name] = str(error)
+    back = link.read_parameters([row.name for row in rows])
+    for row in rows:
+        actual = back.get(row.name)
+        if actual is None or not math.isclose(actual, row.wanted, rel_tol=1e-6, abs_tol=1e-9):
+            has = "cannot be read back" if actual is None else f"is {actual:g} after writing {row.wanted:g}"
+            refused.setdefault(row.name, f"{row.name} {has}")
+    return refused

@@ -1,0 +1,154 @@
+"""The wanted values of a vehicle's PX4 parameters: `configs/px4/`, the configuration, and what was measured.
+
+`check` judges by them, `dart-flight parameters` lists and writes them.
+"""
+
+from __future__ import annotations
+
+import lzma
+import math
+from collections.abc import Collection, Mapping
+
+import msgspec
+
+from dart_flight.base.errors import FlightError
+from dart_flight.config.mission import Mission
+from dart_flight.config.parameter_file import (
+    Parameter,
+    PositionSource,
+    Value,
+    differences,
+    vehicle_parameters,
+)
+from dart_flight.config.vehicle import LockDriver
+from dart_flight.lock.drivers.px4_output import required_parameters
+from dart_flight.planning.positioning import source_for
+
+POSE_DELAY = "EKF2_EV_DELAY"
+# The prediction of where a recovery leads rests on these.
+GAINS = ("MPC_XY_P", "MPC_XY_VEL_P_ACC", "MPC_XY_VEL_D_ACC", "MPC_VELD_LP", "MPC_TILTMAX_AIR", "MPC_Z_P")
+# Forward, right, down of the centre of mass, as imu.position_m.
+IMU_POSITION = ("EKF2_IMU_POS_X", "EKF2_IMU_POS_Y", "EKF2_IMU_POS_Z")
+_FAILURE_ANGLES = ("FD_FAIL_P", "FD_FAIL_R")
+_HITL, _OFFBOARD_LOSS = "SYS_HITL", "COM_OF_LOSS_T"
+_GAIN_TOLERANCE = 0.02
+_POSITION_TOLERANCE_M = 0.005
+_DELAY_TOLERANCE_MS = 0.5
+
+METADATA = "/etc/extras/parameters.json.xz"  # on the flight controller, by MAVLink FTP
+# Marked @reboot_required in PX4's source (release/1.18 of 2026-08-08), of those that are written here.
+_RESTART = (
+    "CBRK_FLIGHTTERM EKF2_EV_DELAY EKF2_GPS_DELAY EKF2_HGT_REF EKF2_MAG_TYPE IMU_GYRO_RATEMAX IMU_INTEG_RATE "
+    "SDLOG_PROFILE SENS_GPS0_DELAY SYS_HAS_GPS SYS_HAS_MAG SYS_HITL"
+)
+RESTART: frozenset[str] = frozenset(_RESTART.split())
+RESTART_SOURCE = "@reboot_required in the source of PX4 release/1.18, 2026-08-08"
+
+
+class MetadataError(FlightError):
+    """PX4's parameter metadata has another form than known here."""
+
+
+class ParameterRow(msgspec.Struct, frozen=True):
+    """A parameter that is not as wanted.
+
+    Attributes:
+        name: PX4's.
+        vehicle: the vehicle's value; an int is an INT32. None: the vehicle has no such parameter.
+        wanted: in the vehicle's type.
+        why: the reason for the wanted value.
+        restart: whether a new value takes effect only after a restart of the flight controller.
+    """
+
+    name: str
+    vehicle: Value | None
+    wanted: Value
+    why: str
+    restart: bool
+
+
+def wanted_parameters(mission: Mission, source: PositionSource | None) -> dict[str, Parameter]:
+    """Return the wanted parameters by name; measured values win over the placeholders of the files.
+
+    Args:
+        mission: for its vehicle and its frame.
+        source: where the position comes from; None: only what every vehicle needs.
+    """
+    vehicle = mission.vehicle
+    wanted = dict(vehicle_parameters(None if source is None else source_for(mission, source)))
+    delay_ms = vehicle.mocap.delay_ms
+    if delay_ms is not None and POSE_DELAY in wanted:
+        says = "mocap.delay_ms, the measured age of a pose on arrival"
+        wanted[POSE_DELAY] = Parameter(POSE_DELAY, float(delay_ms), says, tolerance=_DELAY_TOLERANCE_MS)
+    for name in _FAILURE_ANGLES:
+        if wanted[name].value < vehicle.guard.tilt_deg:
+            says = "guard.tilt_deg: PX4 must not stop the flight before the guard lands it"
+            wanted[name] = Parameter(name, math.ceil(vehicle.guard.tilt_deg), says)
+    wanted[_HITL] = Parameter(_HITL, 0, "the vehicle flies from its own sensors")
+    for name in (*GAINS, _OFFBOARD_LOSS):
+        value = float(getattr(vehicle.px4, name.lower()))
+        says = f"px4.{name} of the configuration, by which flights are predicted"
+        wanted[name] = Parameter(name, value, says, tolerance=_GAIN_TOLERANCE * abs(value))
+    for name, place, axis in zip(IMU_POSITION, vehicle.imu.position_m, "xyz", strict=True):
+        says = f"imu.position_m, {axis}, metres from the centre of mass"
+        wanted[name] = Parameter(name, place, says, tolerance=_POSITION_TOLERANCE_M)
+    return wanted
+
+
+def with_lock_output(
+    mission: Mission, wanted: Mapping[str, Parameter], values: Mapping[str, Value]
+) -> dict[str, Parameter]:
+    """Add the parameters of the lock's output on PX4, if the lock has one.
+
+    Args:
+        mission: for its lock.
+        wanted: the other wanted parameters.
+        values: the vehicle's own; their bits that do not matter here stay.
+    """
+    lock, found = mission.vehicle.lock, dict(wanted)
+    if lock is None or lock.driver is not LockDriver.PX4:
+        return found
+    for required in required_parameters(lock):
+        value = required.value
+        if required.mask is not None:
+            value |= round(values.get(required.name, 0)) & ~required.mask
+        found[required.name] = Parameter(required.name, value, required.why)
+    return found
+
+
+def rows_of(
+    wanted: Mapping[str, Parameter], values: Mapping[str, Value], restart: Collection[str]
+) -> list[ParameterRow]:
+    """Return the parameters that are not as wanted, in the order of the files.
+
+    Args:
+        wanted: by name.
+        values: the vehicle's own, in its types.
+        restart: names of the parameters that need a restart.
+    """
+    return [
+        ParameterRow(
+            d.name, values.get(d.name), _in_type_of(values.get(d.name), d.wanted), d.reason, d.name in restart
+        )
+        for d in differences(wanted, values)
+    ]
+
+
+def _in_type_of(actual: Value | None, wanted: Value) -> Value:
+    """Return a wanted value in the vehicle's own type."""
+    if isinstance(actual, float):
+        return float(wanted)
+    return round(wanted) if isinstance(actual, int) and float(wanted).is_integer() else wanted
+
+
+def restart_names(metadata: bytes) -> frozenset[str]:
+    """Return the parameters that need a restart, from PX4's metadata file (`METADATA`).
+
+    Raises:
+        MetadataError: the file has another form.
+    """
+    try:
+        tree = msgspec.json.decode(lzma.decompress(metadata))
+        return frozenset(p["name"] for p in tree["parameters"] if p.get("rebootRequired"))
+    except (lzma.LZMAError, msgspec.DecodeError, KeyError, TypeError, AttributeError) as error:
+        raise MetadataError(f"PX4's parameter metadata cannot be read: {error!r}") from None

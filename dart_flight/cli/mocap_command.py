@@ -1,0 +1,78 @@
+"""`dart-flight mocap`: forward a motion capture's poses to PX4, and nothing else."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import contextlib
+
+import msgspec
+from rich.live import Live
+from rich.text import Text
+
+from dart_flight.cli.options import add_mocap_option, link_of, number
+from dart_flight.cli.terminal import emit_json, styled, tables
+from dart_flight.cli.vehicle_line import say_vehicle
+from dart_flight.config.document import InputError
+from dart_flight.config.mission import load_mission
+from dart_flight.config.vehicle import packaged
+from dart_flight.config.vehicle.configuration import default_config_path
+from dart_flight.run.pose_forwarding import forward_poses
+from dart_flight.run.prepare import with_mocap
+from dart_flight.vehicle.link import LinkLease
+from dart_flight.vehicle.motion_capture.pose_statistics import PoseFigures
+
+_PERIOD_S = 0.2
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the command."""
+    parser.add_argument("--connection", metavar="URL", help="the vehicle's link (default: connection.url)")
+    add_mocap_option(parser)
+    parser.add_argument("--seconds", type=number(0.0, 1e6), metavar="S", help="stop after this many seconds")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the command until interrupted; returns 0. With --json: the last figures, at the end."""
+    mission = load_mission(
+        packaged("missions", "single_wall.yaml"), arguments.config or default_config_path()
+    )
+    mission = with_mocap(mission, arguments.mocap)
+    if mission.vehicle.mocap.url is None:
+        raise InputError("no motion capture: give --mocap URL, or set mocap.url (docs/motion_capture.md)")
+    url = link_of(arguments, mission.vehicle.connection)
+    say_vehicle(mission.flown_vehicle(), arguments)
+    newest: PoseFigures = PoseFigures()
+    problem: str | None = None
+    with contextlib.ExitStack() as stack:
+        lease = stack.enter_context(LinkLease(url, "mocap"))
+        live = None
+        if not arguments.json:
+            live = stack.enter_context(Live(console=tables(), auto_refresh=False))
+
+        def show(figures: PoseFigures, why: str | None) -> None:
+            nonlocal newest, problem
+            newest, problem = figures, why
+            if live is not None:
+                live.update(line(figures, why), refresh=True)
+
+        with contextlib.suppress(KeyboardInterrupt):
+            asyncio.run(forward_poses(mission, url, show, _PERIOD_S, arguments.seconds, lease.close_device))
+    if arguments.json:
+        emit_json({**msgspec.structs.asdict(newest), "problem": problem, "vehicle": mission.flown_vehicle()})
+    return 0
+
+
+def line(figures: PoseFigures, problem: str | None) -> Text:
+    """Return the figures as one line."""
+    f = figures
+    parts = [
+        f"{f.gaps} gaps, longest {f.longest_gap_s:.2f} s",
+        "age -" if f.age_ms is None else f"age {f.age_ms:.0f} ms",
+    ]
+    if f.distance_to_px4_m is None or f.angle_to_px4_deg is None:
+        parts.append("PX4 has no estimate yet")
+    else:
+        parts.append(f"PX4 {f.distance_to_px4_m:.2f} m and {f.angle_to_px4_deg:.1f} deg away")
+    rate = (f"{f.rate_hz:.0f} Hz", "green" if f.rate_hz > 0.0 else "red")
+    return styled(rate, "   " + "   ".join(parts), *(() if problem is None else ((f"   {problem}", "red"),)))

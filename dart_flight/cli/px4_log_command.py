@@ -1,0 +1,112 @@
+"""`dart-flight px4-log FLIGHT`: PX4's own log of a flight, into the flight's folder."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Collection
+from datetime import datetime
+from pathlib import Path
+
+from dart_flight.cli.options import link_of, whole_number
+from dart_flight.cli.terminal import emit_json, messages, print_status
+from dart_flight.config.document import InputError
+from dart_flight.config.provenance import display_path
+from dart_flight.recording.about import flown_mission
+from dart_flight.recording.flight_time import armed_span
+from dart_flight.recording.found import PX4_LOG, logs_in
+from dart_flight.recording.reader import read_log
+from dart_flight.run.px4_log import fetch_px4_log
+from dart_flight.vehicle.downloads import Px4LogEntry
+from dart_flight.vehicle.link import LinkLease
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the command."""
+    parser.add_argument("flight", metavar="FLIGHT", help="flight log or its folder")
+    parser.add_argument(
+        "--connection", metavar="URL", help="the vehicle's link (default: that of the flight)"
+    )
+    parser.add_argument(
+        "--log-id", type=whole_number(0, 65535), metavar="N", help="the log's number, if several may be it"
+    )
+    parser.add_argument("--again", action="store_true", help="also if the log is there already")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the command; returns the exit status."""
+    found = logs_in([arguments.flight])
+    if len(found) != 1:
+        raise InputError(f"{len(found)} flights below this folder, name one", source=arguments.flight)
+    log = read_log(found[0])
+    connection = flown_mission(log.about, log.source).vehicle.connection
+    path = found[0].with_name(PX4_LOG)
+    if path.exists() and not arguments.again:
+        print_status(f"already there: {display_path(path)} (--again downloads it again)")
+    else:
+        url = link_of(arguments, connection)
+        download_px4_log(url, connection.timeout_s, path.parent, armed_span(log), log_id=arguments.log_id)
+    if arguments.json:
+        emit_json({"px4_log": display_path(path)})
+    return 0
+
+
+def download_px4_log(
+    url: str,
+    timeout_s: float,
+    folder: Path,
+    armed: tuple[datetime, datetime] | None,
+    *,
+    before: Collection[Px4LogEntry] | None = None,
+    log_id: int | None = None,
+) -> Path:
+    """Download PX4's log of a flight, with progress on the terminal; `log_id` is the operator's choice.
+
+    Raises:
+        InputError: several logs may be the flight's and there is nobody to ask.
+        FlightError: as `fetch_px4_log`.
+    """
+    from rich.progress import Progress, TimeRemainingColumn  # slow to import
+
+    def choose(found: list[Px4LogEntry]) -> Px4LogEntry:
+        bar.stop()
+        chosen = _ask(found) if log_id is None else log_id
+        for entry in found:
+            if entry.id == chosen:
+                return entry
+        raise InputError(f"is none of {', '.join(str(entry.id) for entry in found)}", key=("--log-id",))
+
+    console = messages()
+    bar = Progress(
+        *Progress.get_default_columns()[:-1],
+        TimeRemainingColumn(),
+        console=console,
+        transient=True,
+        disable=not console.is_terminal,
+    )
+    with LinkLease(url, "px4-log") as lease, bar:
+        task = bar.add_task(PX4_LOG, total=1.0)
+        path = fetch_px4_log(
+            url,
+            timeout_s,
+            folder,
+            armed,
+            before=before,
+            choose=choose,
+            say=print_status,
+            progress=lambda share: bar.update(task, completed=share),
+            opened=lease.close_device,
+        )
+    print_status(f"PX4's log: {display_path(path)}")
+    return path
+
+
+def _ask(found: list[Px4LogEntry]) -> int:
+    """Ask which log is the flight's."""
+    print_status("several logs may be this flight's:", *(f"  {entry.line()}" for entry in found))
+    if not sys.stdin.isatty():
+        raise InputError("several logs may be this flight's: name its number", key=("--log-id",))
+    sys.stderr.write("Which number? ")
+    sys.stderr.flush()
+    answer = sys.stdin.readline().strip()
+    return int(answer) if answer.isdigit() else -1

@@ -1,0 +1,63 @@
+"""`dart-flight standby [MISSION ...]`: hold link and lock, answer a ground station's buttons."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+
+import msgspec
+
+from dart_flight.cli.options import add_driver_option, add_log_dir_option, link_of
+from dart_flight.cli.terminal import print_status, write_output
+from dart_flight.cli.vehicle_line import say_vehicle
+from dart_flight.config.document import InputError
+from dart_flight.config.provenance import find_vehicle
+from dart_flight.config.vehicle import default_config_path
+from dart_flight.run.prepare import load_flyable, with_driver
+from dart_flight.run.standby import Standby
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the command."""
+    parser.add_argument(
+        "missions", metavar="MISSION", nargs="*", help="missions of the buttons Fly 1, Fly 2, ..., in order"
+    )
+    parser.add_argument("--connection", metavar="URL", help="of the vehicle (default: connection.url)")
+    add_driver_option(parser)
+    add_log_dir_option(parser)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the command until it is stopped; returns the exit status."""
+    flown = [
+        with_driver(load_flyable(path, arguments.config), arguments.driver) for path in arguments.missions
+    ]
+    vehicle, source = find_vehicle(arguments.config or default_config_path())
+    if flown:
+        vehicle, source = flown[0].vehicle, flown[0].flown_vehicle()
+        for mission in flown[1:]:
+            if (mission.vehicle.lock, mission.vehicle.mocap) != (vehicle.lock, vehicle.mocap):
+                raise InputError(
+                    "another lock or motion capture than the first mission", source=mission.source
+                )
+    elif arguments.driver is not None and vehicle.lock is not None:
+        lock = msgspec.structs.replace(vehicle.lock, driver=arguments.driver)
+        vehicle = msgspec.structs.replace(vehicle, lock=lock)
+    url = link_of(arguments, vehicle.connection)
+    say_vehicle(source, arguments)
+    options = [f"--log-dir={arguments.log_dir}"]
+    for option in ("config", "driver"):
+        if getattr(arguments, option) is not None:
+            options.append(f"--{option}={getattr(arguments, option)}")
+
+    def say(kind: str, text: str) -> None:
+        if arguments.json:
+            write_output(msgspec.json.encode({"kind": kind, "text": text}).decode() + "\n")
+        else:
+            print_status(text)
+
+    missions = [(mission.name, path) for mission, path in zip(flown, arguments.missions, strict=True)]
+    for number, (name, _) in enumerate(missions, 1):
+        say("standby", f"Fly {number}: {name}")
+    asyncio.run(Standby(missions, vehicle, url, options, say).run())
+    return 0

@@ -1,0 +1,247 @@
+"""The motion capture's poses as the guard judges them, where this program forwards them to PX4.
+
+Without poses PX4 dead-reckons by its IMU. A bias of 0.05 m/s2 and half a degree of tilt then move the
+estimate by 0.02 m in 0.5 s, which no phase minds. A contact on the way costs up to 1 m/s of velocity, so
+the vehicle must not meet a wall without poses: in an approach the limit is shorter. A contact and its
+recovery are finished first: breaking off would turn the vehicle away from a recovery that works by the IMU.
+
+Poses of another body, or of swapped markers, are withheld from PX4 at once. PX4 rejects them for a second,
+and then resets its position to them; without them it dead-reckons long enough to land.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from typing import Any, Final
+
+from dart_flight.base.geometry import Quaternion, Vec3, quaternion_conjugate, quaternion_multiply
+from dart_flight.base.records import OdometrySample, Override, Phase, PoseSample
+from dart_flight.config.vehicle.mocap import MotionCapture
+from dart_flight.core.guard.rule import Judge, Rule, Scope
+from dart_flight.core.mission.phases import ON_GROUND
+from dart_flight.core.sense.state import FlightState
+
+LOST_S: Final = 0.5
+LOST_APPROACH_S: Final = 0.25
+LOST_LAND_S: Final = 1.5  # dead reckoning is off by 0.2 m then, and a break-off leads nowhere
+_GROUND_LOST_S: Final = 2.0  # nothing is in danger yet
+_FIRST_S: Final = 5.0  # from the first input to the first pose
+# Step between two poses that PX4's velocity does not explain; that velocity is off by up to 2 m/s in a
+# contact, and as old as a pose is.
+JUMP_M: Final = 0.15
+_JUMP_M_S: Final = 2.0
+_JUMP_S: Final = 0.05  # a glitch of a few frames stays within PX4's gate
+_JUMP_GAP_S: Final = 0.1  # after a longer gap only PX4's estimate can be compared
+# Difference between a pose and PX4's estimate; the latency of a fast rotation lasts less than these times.
+TURNED_DEG: Final = 30.0
+_TURNED_S: Final = 0.1
+APART_M: Final = 0.3
+_APART_S: Final = 0.5
+_APART_LATENCY_S: Final = 0.1
+_GROUND_APART_S: Final = 3.0  # PX4 aligns its estimate with the first poses
+RATE_SHARE: Final = 0.5  # of the configured rate
+_INTERVALS: Final = 9  # whose median is the rate's: a gap among them is a loss, which is judged by itself
+LATER_S: Final = 0.04  # PX4's estimate swings by centimetres if EKF2_EV_DELAY is off by so much
+_AGE_US: Final = 250_000
+_SENDERS_US: Final = 1_000_000
+_FINISHED_FIRST: Final = (Phase.CONTACT, Phase.RECOVERY)
+
+
+class PoseWatch:
+    """What is known of the poses in one flight.
+
+    Args:
+        mocap: axes of the room and the rate of forwarding.
+    """
+
+    def __init__(self, mocap: MotionCapture) -> None:
+        self._room, self._rate_hz = mocap.room_frame(), mocap.rate_hz
+        self._begun_us = 0  # host time of the first input
+        self._now_us = 0  # host time
+        self._newest: PoseSample | None = None
+        self._tracked_us = 0  # host time of the newest tracked pose; 0: none has come
+        self._known: tuple[int, Vec3] | None = None  # receipt and position of the newest plausible pose, NED
+        self._strange_us: int | None = None  # since when poses have been a jump away from it
+        self._jump = ""
+        self._wrong = ""  # why poses are withheld
+        self._withheld_us = 0
+        self._apart_us: int | None = None
+        self._turned_us: int | None = None
+        self._apart_m = self._turned_deg = 0.0
+        self._intervals: deque[int] = deque(maxlen=_INTERVALS)  # between tracked poses, microseconds
+        self._ages: deque[tuple[int, int]] = deque()  # receipt, and receipt less the source's stamp
+        self._least_age_us: int | None = None
+        self._other: PoseSample | None = None  # newest pose of the sender before the present one
+        self._alternates_us: int | None = None  # when two senders came in turn
+
+    def tick(self, host_us: int) -> None:
+        """Advance to a host time, microseconds."""
+        self._begun_us = self._begun_us or host_us
+        self._now_us = host_us
+
+    def take(self, item: PoseSample, state: FlightState, phase: Phase) -> None:
+        """Compare a pose with the one before it and with PX4's estimate in `state`."""
+        now_us, before = item.received_us, self._newest
+        self._newest = item
+        if before is not None and before.sender != item.sender:
+            other = self._other
+            if other is not None and other.sender == item.sender and now_us - other.received_us < _SENDERS_US:
+                self._alternates_us = now_us
+            self._other = before
+        if not item.tracked:
+            return
+        if self._tracked_us:
+            self._intervals.append(now_us - self._tracked_us)
+        self._tracked_us = now_us
+        self._take_age(item, phase in ON_GROUND)
+        position, attitude = self._room.pose_to_ned(item.position_room, item.q_body_to_room)
+        self._compare_poses(now_us, position, state)
+        self._compare_estimate(now_us, position, attitude, state)
+
+    def fault(self, phase: Phase) -> str | None:
+        """Return what is wrong with the poses in a phase, as text."""
+        ground = phase in ON_GROUND
+        lost_s = LOST_APPROACH_S if phase is Phase.APPROACH else LOST_S
+        return (
+            self._wrong
+            or self._lost(_GROUND_LOST_S if ground else lost_s)
+            or self._jump
+            or self._two_senders()
+            or self._turned(_GROUND_APART_S if ground else _TURNED_S)
+            or self._apart(_GROUND_APART_S if ground else _APART_S)
+            or self._late()
+            or self._slow()
+        )
+
+    def blind(self, estimate_steps: bool, phase: Phase) -> str | None:
+        """Return why PX4's position is worth nothing, as text; `estimate_steps`: it has just jumped."""
+        if estimate_steps:
+            fault = self.fault(phase)
+            return None if fault is None else f"{fault}; PX4's estimate has followed"
+        if self._wrong and (self._now_us - self._withheld_us) * 1e-6 > LOST_LAND_S:
+            return self._wrong
+        return self._lost(LOST_LAND_S)
+
+    def withhold(self, phase: Phase) -> str | None:
+        """Return why PX4 must not get these poses any longer, as text, once in a flight."""
+        if self._wrong or phase in ON_GROUND:
+            return None
+        self._wrong, self._withheld_us = self._jump or self._turned(_TURNED_S) or "", self._now_us
+        return self._wrong or None
+
+    # -- causes --
+
+    def _lost(self, limit_s: float) -> str | None:
+        newest = self._newest
+        if not self._tracked_us:
+            if (self._now_us - self._begun_us) * 1e-6 <= _FIRST_S:
+                return None
+            return "no pose has arrived" if newest is None else f"body {newest.body} has never been tracked"
+        lasting_s = (self._now_us - self._tracked_us) * 1e-6
+        if lasting_s <= limit_s or newest is None:
+            return None
+        what = "no pose of body" if newest.received_us == self._tracked_us else "lost body"
+        return f"{what} {newest.body} for {lasting_s:.2f} s"
+
+    def _two_senders(self) -> str | None:
+        if self._alternates_us is None or self._now_us - self._alternates_us > _SENDERS_US:
+            return None
+        assert self._newest is not None
+        assert self._other is not None
+        return f"poses from two senders: {' and '.join(sorted((self._newest.sender, self._other.sender)))}"
+
+    def _turned(self, limit_s: float) -> str | None:
+        if self._turned_us is None or (self._tracked_us - self._turned_us) * 1e-6 <= limit_s:
+            return None
+        return f"the pose is turned by {self._turned_deg:.0f} deg against PX4's attitude: markers swapped?"
+
+    def _apart(self, limit_s: float) -> str | None:
+        if self._apart_us is None or (self._tracked_us - self._apart_us) * 1e-6 <= limit_s:
+            return None
+        return f"the pose is {self._apart_m:.2f} m from PX4's position"
+
+    def _late(self) -> str | None:
+        if self._least_age_us is None or not self._ages:
+            return None
+        later_s = 1e-6 * (min(age_us for _, age_us in self._ages) - self._least_age_us)
+        return f"poses arrive {1e3 * later_s:.0f} ms later than at take-off" if later_s > LATER_S else None
+
+    def _slow(self) -> str | None:
+        if len(self._intervals) < _INTERVALS:
+            return None
+        rate_hz = 1e6 / max(1, sorted(self._intervals)[_INTERVALS // 2])
+        least_hz = RATE_SHARE * self._rate_hz
+        return f"poses at {rate_hz:.0f} Hz, needs {least_hz:.0f}" if rate_hz < least_hz else None
+
+    # -- comparisons --
+
+    def _take_age(self, item: PoseSample, on_ground: bool) -> None:
+        if item.source_us is None:
+            return
+        self._ages.append((item.received_us, item.t_us - item.source_us))
+        while self._ages[0][0] < item.received_us - _AGE_US:
+            self._ages.popleft()
+        if on_ground:  # the autopilot's clock is still being estimated
+            return
+        least_us = (
+            min(age_us for _, age_us in self._ages) if self._least_age_us is None else self._least_age_us
+        )
+        self._least_age_us = min(least_us, self._ages[-1][1])
+
+    def _compare_poses(self, now_us: int, position: Vec3, state: FlightState) -> None:
+        if self._known is None or state.odometry is None:
+            self._known = (now_us, position)
+            return
+        then_us, then = self._known
+        dt = (now_us - then_us) * 1e-6
+        vx, vy, vz = state.odometry.velocity_ned
+        away_m = math.dist(position, (then[0] + dt * vx, then[1] + dt * vy, then[2] + dt * vz))
+        if away_m <= JUMP_M + dt * _JUMP_M_S or (dt > _JUMP_GAP_S and self._strange_us is None):
+            self._known, self._strange_us = (now_us, position), None
+            return
+        self._strange_us = self._strange_us if self._strange_us is not None else now_us
+        if (now_us - self._strange_us) * 1e-6 >= _JUMP_S:
+            self._known, self._strange_us = (now_us, position), None
+            self._jump = f"body jumped by {away_m:.2f} m: another body, or swapped markers"
+
+    def _compare_estimate(
+        self, now_us: int, position: Vec3, attitude: Quaternion, state: FlightState
+    ) -> None:
+        odometry, q_px4 = state.odometry, state.attitude
+        if odometry is None or q_px4 is None or not state.status.local_position_ok:
+            self._apart_us = self._turned_us = None
+            return
+        w = quaternion_multiply(quaternion_conjugate(q_px4.q_frd_to_ned), attitude)[0]
+        self._turned_deg = math.degrees(2.0 * math.acos(min(1.0, abs(w))))
+        self._turned_us = (self._turned_us or now_us) if self._turned_deg > TURNED_DEG else None
+        self._apart_m = math.dist(position, odometry.position_ned)
+        allowed_m = APART_M + _APART_LATENCY_S * math.hypot(*odometry.velocity_ned)
+        self._apart_us = (self._apart_us or now_us) if self._apart_m > allowed_m else None
+
+
+def _present(v: Any) -> str | None:
+    watch: PoseWatch | None = v.poses
+    return None if watch is None or v.phase in _FINISHED_FIRST else watch.fault(v.phase)
+
+
+def _blind(v: Any) -> str | None:
+    watch: PoseWatch | None = v.poses
+    if watch is None or v.phase in _FINISHED_FIRST:
+        return None
+    return watch.blind(bool(v.estimator.jump or v.estimator.reset_step()), v.phase)
+
+
+# fmt: off
+POSE_RULES: tuple[Rule, ...] = (
+    Rule("pose_source_ground", Override.GIVE_UP, Scope.GROUND, Judge(
+        "poses that this program forwards: body lost or jumped, poses slow, late, from two senders, or far "
+        "from PX4's estimate", f"{_GROUND_LOST_S:g} s, mocap.rate_hz", _present)),
+    Rule("pose_source_blind", Override.LAND, Scope.GUIDED, Judge(
+        "the same, and PX4's estimate has jumped with the poses, or the body has been lost for long",
+        f"{LOST_LAND_S:g} s", _blind), (OdometrySample,)),
+    Rule("pose_source", Override.BREAK_OFF, Scope.FLYING, Judge(
+        "the same, at once in an approach, but not before the end of a contact and its recovery",
+        f"{LOST_APPROACH_S:g} s, {LOST_S:g} s, mocap.rate_hz", _present)),
+)
+# fmt: on

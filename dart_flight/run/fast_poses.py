@@ -1,0 +1,85 @@
+"""Motion capture of the fast world: the bridge between the simulated poses and autopilot, in one thread."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from dart_flight.base.geometry import Quaternion, Vec3
+from dart_flight.base.records import PoseSample
+from dart_flight.config.mission import Mission
+from dart_flight.sim.embedded_autopilot import Autopilot
+from dart_flight.sim.faults.fault_table import Fault
+from dart_flight.sim.motion_capture import BODY
+from dart_flight.sim.pose_feed import PoseFeed
+from dart_flight.vehicle.clock import Clock
+from dart_flight.vehicle.motion_capture.bridge import MotionCaptureBridge, forwarded_pose
+from dart_flight.vehicle.motion_capture.source import RawPose, lost_pose
+
+_SENDER = "simulated"
+
+
+class _Source:
+    """A pose source that is told what to deliver."""
+
+    problem: str | None = None
+
+    def __init__(self) -> None:
+        self._deliver: Callable[[RawPose], None] = lambda raw: None
+        self._frame = 0
+
+    def start(self, deliver: Callable[[RawPose], None]) -> None:
+        """Deliver every pose from now on."""
+        self._deliver = deliver
+
+    def stop(self) -> None:
+        """Stop delivering."""
+        self._deliver = lambda raw: None
+
+    def publish(
+        self, t_us: int, position_room: Vec3, q_body_to_room: Quaternion, tracked: bool = True
+    ) -> None:
+        """Deliver one frame."""
+        frame, self._frame = self._frame, self._frame + 1
+        if tracked:
+            self._deliver(RawPose(BODY, True, position_room, q_body_to_room, frame, t_us, _SENDER))
+        else:
+            self._deliver(lost_pose(BODY, frame, t_us, _SENDER))
+
+
+class FastPoses:
+    """Poses of one fast flight, from the plant through the bridge to core and autopilot.
+
+    Args:
+        mission: whose `mocap` section is flown.
+        autopilot: fuses the poses that are forwarded.
+        clock: of the flight.
+        deliver: takes each pose as an input of the core.
+    """
+
+    def __init__(
+        self, mission: Mission, autopilot: Autopilot, clock: Clock, deliver: Callable[[PoseSample], None]
+    ) -> None:
+        autopilot.expect_poses()
+        self._autopilot = autopilot
+        source = _Source()
+        mocap = mission.vehicle.mocap
+        self._feed = PoseFeed(mocap, source, autopilot.plant.position)
+        self._bridge = MotionCaptureBridge(mocap, source, self._send, clock, deliver)
+        self._bridge.start()
+
+    def tick(self) -> None:
+        """Deliver and forward the pose that is due at this time."""
+        self._feed.tick(self._autopilot.now_s, self._autopilot.pose)
+
+    def withhold(self) -> None:
+        """Forward no pose from now on."""
+        self._bridge.withhold()
+
+    def begin_fault(self, fault: Fault) -> None:
+        """Begin a fault of the motion capture."""
+        self._feed.begin_fault(fault, self._autopilot.now_s)
+
+    def _send(self, message: Any) -> None:
+        pose = forwarded_pose(message)
+        self._autopilot.take_pose((pose.x, pose.y, pose.z), pose.q)

@@ -1,0 +1,60 @@
+"""Forwarding of a motion capture's poses to PX4 by a program that does nothing else."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import time
+from collections.abc import Callable
+
+from dart_flight.config.mission import Mission
+from dart_flight.vehicle.motion_capture.bridge import MotionCaptureBridge, forwarding
+from dart_flight.vehicle.motion_capture.pose_statistics import PoseFigures, PoseStatistics
+from dart_flight.vehicle.vehicle_session import connect
+
+_STREAMS = ("attitude", "odometry")  # PX4's own estimate, which is compared with the poses
+
+
+async def forward_poses(
+    mission: Mission,
+    url: str,
+    show: Callable[[PoseFigures, str | None], None],
+    period_s: float,
+    seconds: float | None,
+    opened: Callable[[], None] = lambda: None,
+) -> None:
+    """Forward the poses of `mocap.url`; show their figures and their problem every period.
+
+    Args:
+        mission: its vehicle's configuration counts.
+        url: MAVSDK connection URL.
+        show: takes the figures, and why no poses arrive.
+        period_s: time between two calls of `show`.
+        seconds: duration, or None for no end but cancellation.
+        opened: called once the link is open.
+
+    Raises:
+        InputError: the motion capture cannot be opened.
+        VehicleError: no autopilot at the URL.
+    """
+    vehicle = mission.vehicle
+    statistics = PoseStatistics(vehicle.mocap.room_frame(), vehicle.mocap.delay_ms)
+
+    def report(bridge: MotionCaptureBridge) -> None:
+        show(statistics.figures(session.clock.host_us()), bridge.problem)
+
+    async with connect(url, vehicle.connection.timeout_s, statistics.update, opened=opened) as session:
+        session.subscribe(vehicle.estimation, len(vehicle.airframe.motors), guarded=False)
+        with forwarding(vehicle.mocap, session.send_message, session.clock, statistics.update) as bridge:
+            assert bridge is not None, "the command has refused a configuration without mocap.url"
+            await session.set_rates(_STREAMS, watching=True)
+            end_s = None if seconds is None else time.monotonic() + seconds
+            try:
+                while end_s is None or time.monotonic() < end_s:
+                    left_s = period_s if end_s is None else min(period_s, end_s - time.monotonic())
+                    await asyncio.sleep(max(0.0, left_s))
+                    report(bridge)
+            except asyncio.CancelledError:
+                with contextlib.suppress(Exception):  # the last figures, if the link still stands
+                    report(bridge)
+                raise

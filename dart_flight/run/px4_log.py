@@ -1,0 +1,77 @@
+"""PX4's own log of a flight, from the flight controller into the flight's folder."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Callable, Collection
+from datetime import datetime
+from pathlib import Path
+
+from dart_flight.recording.found import PX4_LOG
+from dart_flight.vehicle.downloads import DownloadError, DownloadTime, Px4LogEntry, logs_of_flight
+from dart_flight.vehicle.ground_link import GroundLink
+
+_WRITTEN_S = 2.0  # after disarming, until PX4 has written the rest
+
+
+def list_px4_logs(url: str, timeout_s: float) -> list[Px4LogEntry]:
+    """Return the logs on the flight controller.
+
+    Raises:
+        VehicleError: nothing answers at the URL.
+        DownloadError: the flight controller does not answer the request.
+    """
+    with GroundLink(url, timeout_s) as link, contextlib.closing(link.px4_logs()) as logs:
+        return logs.entries()
+
+
+def fetch_px4_log(
+    url: str,
+    timeout_s: float,
+    folder: Path,
+    armed: tuple[datetime, datetime] | None,
+    *,
+    before: Collection[Px4LogEntry] | None = None,
+    choose: Callable[[list[Px4LogEntry]], Px4LogEntry],
+    say: Callable[[str], None],
+    progress: Callable[[float], None] = lambda share: None,
+    opened: Callable[[], None] = lambda: None,
+) -> Path:
+    """Download PX4's log of a flight into the flight's folder; return its path.
+
+    Args:
+        url: of the vehicle, disarmed.
+        timeout_s: for the connection.
+        folder: of the flight.
+        armed: the flight's arming and its end, None if not known.
+        before: the logs there before the flight, None if not known.
+        choose: called if several logs may be the flight's.
+        say: takes lines for the operator.
+        progress: takes the share received, 0 to 1.
+        opened: called once the link is open (`LinkLease.close_device`).
+
+    Raises:
+        VehicleError: nothing answers at the URL, or the vehicle is armed.
+        DownloadError: there is no log of the flight, or the download failed.
+    """
+    path = folder / PX4_LOG
+    with GroundLink(url, timeout_s) as link, contextlib.closing(link.px4_logs()) as logs:
+        opened()
+        link.require_disarmed()
+        time.sleep(_WRITTEN_S)
+        found = logs_of_flight(logs.entries(), armed, before)
+        if not found:
+            raise DownloadError("PX4 has no log of this flight: SDLOG_MODE, or no card")
+        entry = found[0] if len(found) == 1 else choose(found)
+        say(f"PX4's log {entry.line()}; Ctrl-C skips it")
+        expected = DownloadTime(entry.size_bytes, time.monotonic())
+
+        def take(share: float) -> None:
+            line = expected.line(share, time.monotonic())
+            if line is not None:
+                say(line)
+            progress(share)
+
+        logs.download(entry, path, take)
+    return path

@@ -1,0 +1,334 @@
+"""Standby: holds link and lock between flights, and hands the link to ordinary `check` and `fly` processes.
+
+`StandbyDesk` decides, without I/O; `Standby` has the connection, the lock and the child processes. A flight
+knows nothing of it: it is the same command that a person would type.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import math
+import os
+import queue
+import signal
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from typing import Final, NamedTuple
+
+import msgspec
+
+from dart_flight.base.records import LockCommand, LockPhase, LockState, Mode
+from dart_flight.config.vehicle import LockConfig, VehicleConfig
+from dart_flight.lock.drivers import DriverError
+from dart_flight.lock.ground import GroundLock, clock_us, ground_driver
+from dart_flight.lock.persistence import CommandStore, ServoOwnership, ServoTakenError, load_last
+from dart_flight.lock.state_machine import describe, status_text
+from dart_flight.run.app import LockThread
+from dart_flight.run.deadman import SystemdNotice
+from dart_flight.run.operator_buttons import Errand, RcSwitch, Reply, StandbyButtons, StandbyState
+from dart_flight.vehicle import messages
+from dart_flight.vehicle.command_server import Press, Result
+from dart_flight.vehicle.link import LinkLease, LinkTakenError
+from dart_flight.vehicle.motion_capture.bridge import forwarding
+from dart_flight.vehicle.vehicle_session import VehicleError, VehicleSession, connect
+
+_RETRY_S: Final = 5.0
+_CONNECT_S: Final = 5.0  # for the autopilot's heartbeat, then it is tried again
+_ALIVE_S: Final = 0.5
+_SYSTEMD: Final = ("NOTIFY_SOCKET", "WATCHDOG_USEC", "WATCHDOG_PID")  # of standby, not of its children
+_TEXT_PAUSE_S: Final = 0.3  # PX4 forwards from a buffer of some 580 bytes, and drops what does not fit
+_LAST_WORDS_S: Final = 0.3  # for answers and texts, before the connection closes
+_RADIO_S: Final = 3.0  # SYS_STATUS older than this: no remote control
+_RC_RECEIVER: Final = 65536  # MAV_SYS_STATUS_SENSOR
+_NO_GOES: Final = 3  # of a check, told to the ground station; the rest is in the journal
+
+
+class Ended(NamedTuple):
+    """The end of a child process: status (negative: its signal), output, last line of its messages."""
+
+    status: int
+    output: bytes
+    last_line: str
+
+
+class StandbyDesk:
+    """Everything that standby knows and decides, in the order in which it comes; no I/O and no clock.
+
+    Args:
+        missions: their names.
+        rc_channel: channel of the switch that moves the lock, or None.
+        has_lock: whether the vehicle has a lock.
+    """
+
+    def __init__(self, missions: Sequence[str], rc_channel: int | None, has_lock: bool) -> None:
+        self._state = StandbyState(tuple(missions), has_lock)
+        self._channel = rc_channel
+        self._buttons, self._switch = StandbyButtons(), RcSwitch()
+        self._radio_s = -math.inf  # when PX4 last said that it has a remote control
+
+    def take_link(self) -> None:
+        """Begin afresh: the switch may have moved while another process had the link."""
+        self._buttons, self._switch, self._radio_s = StandbyButtons(), RcSwitch(), -math.inf
+
+    def press(self, press: Press, now_s: float) -> Reply:
+        """Return the answer to a button."""
+        radio = now_s - self._radio_s <= _RADIO_S
+        return self._buttons.reply(press, self._state._replace(remote_control=radio), now_s)
+
+    def take_lock(self, state: LockState) -> None:
+        """Note the lock's state."""
+        travels = state.phase is LockPhase.TRAVELLING
+        self._state = self._state._replace(travelling=state.mode if travels else None)
+
+    def take_armed(self, armed: bool) -> None:
+        """Note whether the motors may turn."""
+        self._state = self._state._replace(armed=armed)
+
+    def take_sensors(self, present: int, now_s: float) -> None:
+        """Note the sensors that PX4 has: with a valid remote control its receiver is one of them."""
+        self._radio_s = now_s if present & _RC_RECEIVER else -math.inf
+
+    def take_channels(self, pulses_us: Sequence[int], now_s: float) -> Mode | None:
+        """Return the mode to which the transmitter's switch moves the lock, if any."""
+        if now_s - self._radio_s > _RADIO_S or self._channel is None or self._channel > len(pulses_us):
+            return None  # after a loss receivers may send preset positions
+        return self._switch.update(pulses_us[self._channel - 1], now_s)
+
+
+def describe_end(name: str, fly: bool, ended: Ended) -> list[str]:
+    """Return what a `check` or `fly` process came to, as lines for the ground station."""
+    try:
+        report = msgspec.json.decode(ended.output)
+    except msgspec.DecodeError:
+        report = {}
+    if not isinstance(report, dict):
+        report = {}
+    if ended.status < 0:
+        how = signal.Signals(-ended.status).name
+        after = ": PX4's failsafe has the vehicle" if fly else ""
+        return [f"{name}: the process was killed by {how}{after}"]
+    if "outcome" in report:
+        reason = f": {report['reason']}" if report.get("reason") else ""
+        return [f"{name}: {report['outcome']}{reason}"]
+    if "findings" in report:
+        if report["go"]:
+            return [f"{name}: go"]
+        bad = [f for f in report["findings"] if not f["go"] and not f.get("overruled")]
+        more = f" and {len(bad) - _NO_GOES} more" if len(bad) > _NO_GOES else ""
+        return [f"{name}: no-go{more}", *(f"{f['item']}: {f['says']}" for f in bad[:_NO_GOES])]
+    return [f"{name}: {ended.last_line or f'ended with status {ended.status}'}"]
+
+
+class Standby:
+    """The resident program.
+
+    Args:
+        missions: names and files, in the order of the buttons.
+        vehicle: whose lock, link and motion capture are held.
+        url: MAVSDK connection URL.
+        options: further options of `fly` and `check`.
+        say: takes what happens: a kind (`standby`, `child` or `problem`) and a line.
+    """
+
+    def __init__(
+        self,
+        missions: Sequence[tuple[str, str]],
+        vehicle: VehicleConfig,
+        url: str,
+        options: Sequence[str],
+        say: Callable[[str, str], None],
+    ) -> None:
+        self._missions, self._vehicle, self._url = missions, vehicle, url
+        self._options, self._say = options, say
+        channel = None if vehicle.lock is None else vehicle.lock.rc_channel
+        self._desk = StandbyDesk([name for name, _ in missions], channel, vehicle.has_lock)
+        self._news: list[str] = []  # for the ground station, once the link is back
+        self._errand: Errand | None = None
+        self._child: asyncio.subprocess.Process | None = None
+        self._stops = 0
+        self._wake = asyncio.Event()
+        self._lock: LockThread | None = None
+        self._loop: asyncio.AbstractEventLoop | None = None
+
+    async def run(self) -> None:
+        """Stand by until SIGINT, SIGTERM or SIGHUP; a flight under way lands first.
+
+        Raises:
+            InputError: the motion capture or the state folder cannot be used.
+        """
+        self._loop = asyncio.get_running_loop()
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            self._loop.add_signal_handler(number, self._stop)
+        systemd = SystemdNotice()
+        systemd.ready("standby")
+        alive = asyncio.create_task(_keep_alive(systemd))
+        problem = ""
+        try:
+            while not self._stops:
+                try:
+                    await self._hold()
+                    problem = ""
+                except (LinkTakenError, VehicleError, ServoTakenError, DriverError) as error:
+                    if str(error) != problem:  # once, however long it lasts
+                        problem = str(error)
+                        self._say("problem", f"{problem}; trying again")
+                    await self._rest(_RETRY_S)
+                errand, self._errand = self._errand, None
+                if errand is not None:
+                    await self._run_errand(errand)
+        finally:
+            alive.cancel()
+            systemd.stopping()
+
+    def _stop(self) -> None:
+        """End standby; a flight gets each signal as well: the first lands it, the second releases."""
+        self._stops += 1
+        self._wake.set()
+        if self._child is not None and self._child.returncode is None:
+            self._child.send_signal(signal.SIGTERM)
+
+    async def _rest(self, seconds: float) -> None:
+        with contextlib.suppress(TimeoutError):
+            await asyncio.wait_for(self._wake.wait(), seconds)
+
+    # -- holding the link --
+
+    async def _hold(self) -> None:
+        """Hold link, lock and motion capture until there is an errand or the end."""
+        vehicle = self._vehicle
+        self._wake.clear()
+        self._desk.take_link()
+        async with contextlib.AsyncExitStack() as held:
+            lease = held.enter_context(LinkLease(self._url, "standby"))
+            opening = connect(self._url, _CONNECT_S, lambda record: None, opened=lease.close_device)
+            session = await held.enter_async_context(opening)
+            if vehicle.lock is not None:
+                self._lock = held.enter_context(self._holding_lock(vehicle.lock, session))
+            poses = forwarding(vehicle.mocap, session.send_message, session.clock, lambda pose: None)
+            held.enter_context(poses)
+            session.listen(messages.HEARTBEAT, lambda beat, _: self._desk.take_armed(beat.armed))
+            session.listen(
+                messages.SYS_STATUS, lambda s, _: self._desk.take_sensors(s.present, time.monotonic())
+            )
+            session.listen(messages.RC_CHANNELS, lambda pulses, _: self._take_channels(pulses))
+            session.serve_operator(vehicle.ground_station.system_id, self._answer)
+            self._say("standby", "holding the link")
+            for text in [*self._news, "standby"]:
+                session.tell_ground(text)
+                await asyncio.sleep(_TEXT_PAUSE_S)
+            self._news.clear()
+            while not self._wake.is_set():  # an errand, or the end
+                await self._rest(_RETRY_S)
+            await asyncio.sleep(_LAST_WORDS_S)
+
+    @contextlib.contextmanager
+    def _holding_lock(self, config: LockConfig, session: VehicleSession) -> Iterator[LockThread]:
+        """Own the servo and step the lock; nothing moves until it is asked for.
+
+        Raises:
+            ServoTakenError: another process moves the servo.
+            DriverError: the driver cannot be made.
+        """
+        store, states = CommandStore(config.driver), queue.SimpleQueue[LockState]()
+
+        def keep(state: LockState) -> None:
+            store.note(state)
+            states.put(state)
+
+        def take(state: LockState) -> None:
+            self._desk.take_lock(state)
+            if state.phase is not LockPhase.TRAVELLING:
+                session.tell_ground(status_text(state))
+                self._say("standby", f"lock {describe(state)}")
+
+        with ServoOwnership():
+            driver = ground_driver(config, load_last(), session.set_actuator)
+            lock = LockThread(
+                lambda: GroundLock(config, driver, keep).session, states, lambda: True, take, lambda: None
+            )
+            lock.thread.start()
+            try:
+                yield lock
+            finally:
+                self._lock = None
+                lock.stop()
+                with contextlib.suppress(DriverError):
+                    driver.close()
+
+    def _answer(self, press: Press) -> tuple[Result, str]:
+        """Answer a button; on MAVSDK's thread."""
+        if self._errand is not None:
+            return Result.TEMPORARILY_REJECTED, "the link is being handed over"
+        reply = self._desk.press(press, time.monotonic())
+        if isinstance(reply.effect, Mode):
+            self._move(reply.effect)
+        elif isinstance(reply.effect, Errand):
+            self._errand = reply.effect
+            assert self._loop is not None
+            self._loop.call_soon_threadsafe(self._wake.set)
+        said = reply.result.name.lower().replace("_", " ")
+        self._say("standby", f"button {press.button} {said}: {reply.text}")
+        return reply.result, reply.text
+
+    def _take_channels(self, pulses_us: Sequence[int]) -> None:
+        mode = self._desk.take_channels(pulses_us, time.monotonic())
+        if mode is not None:
+            self._say("standby", f"transmitter: moving to {mode}")
+            self._move(mode)
+
+    def _move(self, mode: Mode) -> None:
+        if self._lock is not None:
+            self._lock.put(LockCommand(clock_us(), mode))
+
+    # -- handing the link over --
+
+    async def _run_errand(self, errand: Errand) -> None:
+        """Run the processes of an errand, one after the other, and keep what they came to for the ground."""
+        for number in errand.missions:
+            name, path = self._missions[number - 1]
+            command = ["fly", path, "--yes"] if errand.fly else ["check", path]
+            self._say("standby", f"handing the link to dart-flight {command[0]} {path}")
+            lines = describe_end(name, errand.fly, await self._run_child(command))
+            for line in lines:
+                self._say("standby", line)
+            self._news += lines
+            if self._stops:
+                break
+
+    async def _run_child(self, command: Sequence[str]) -> Ended:
+        """Run a command of this program on the link; its messages are passed on."""
+        # A session of its own: Ctrl-C is for standby, which passes it on once.
+        inherited = {name: value for name, value in os.environ.items() if name not in _SYSTEMD}
+        child = self._child = await asyncio.create_subprocess_exec(
+            *(sys.executable, "-m", "dart_flight", *command, "--json", "--connection", self._url),
+            *self._options,
+            stdin=asyncio.subprocess.DEVNULL,
+            stdout=asyncio.subprocess.PIPE,
+            stderr=asyncio.subprocess.PIPE,
+            env=inherited,
+            start_new_session=True,
+        )
+        assert child.stdout is not None
+        reading = asyncio.create_task(self._pass_on(child))
+        output = await child.stdout.read()
+        last_line = await reading
+        return Ended(await child.wait(), output, last_line)
+
+    async def _pass_on(self, child: asyncio.subprocess.Process) -> str:
+        """Say every line of a child's messages; return the last one."""
+        assert child.stderr is not None
+        last = ""
+        async for line in child.stderr:
+            text = line.decode(errors="replace").rstrip()
+            if text:
+                last = text
+                self._say("child", text)
+        return last
+
+
+async def _keep_alive(systemd: SystemdNotice) -> None:
+    while True:
+        systemd.alive()
+        await asyncio.sleep(_ALIVE_S)

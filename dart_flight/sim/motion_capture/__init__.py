@@ -1,0 +1,53 @@
+"""Emulated motion-capture servers: they speak the vendors' protocols on loopback.
+
+They have no clock: the caller publishes a pose when simulated time has come to it.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import Final, Protocol
+
+from dart_flight.base.geometry import Quaternion, Vec3
+
+BODY: Final = "dart"  # name of the simulated vehicle's marker body
+KINDS: Final = {
+    "optitrack": "natnet_server",
+    "qualisys": "qtm_server",
+    "vicon": "vicon_sender",
+    "udp": "json_sender",
+}
+
+
+class PoseServer(Protocol):
+    """An emulated motion-capture system that tracks one body."""
+
+    @property
+    def url(self) -> str:
+        """The URL of the pose source that this server feeds."""
+
+    @property
+    def clients(self) -> int:
+        """Number of programs that listen."""
+
+    def publish(
+        self, t_us: int, position_room: Vec3, q_body_to_room: Quaternion, tracked: bool = True
+    ) -> None:
+        """Send one frame with the body's pose.
+
+        Args:
+            t_us: the server's time stamp of the frame.
+            position_room: position of the body, metres.
+            q_body_to_room: attitude of the body.
+            tracked: whether the body is tracked in this frame.
+        """
+
+    def close(self) -> None:
+        """Disconnect every client and free the ports."""
+
+
+def make_server(kind: str, body: str) -> PoseServer:
+    """Start an emulated server of one kind of `KINDS` that tracks `body`."""
+    module = importlib.import_module(f"dart_flight.sim.motion_capture.{KINDS[kind]}")
+    server: PoseServer = module.Server(body)
+    return server

@@ -1,0 +1,110 @@
+"""The poses that leave the simulated motion capture, for a source or an emulated server, and their faults."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from typing import Protocol
+
+from dart_flight.base.geometry import (
+    Quaternion,
+    Vec3,
+    add,
+    quaternion_from_rotation_vector,
+    quaternion_multiply,
+)
+from dart_flight.config.mission import Mission
+from dart_flight.config.vehicle.mocap import MotionCapture
+from dart_flight.sim.faults.fault_table import Fault
+from dart_flight.sim.motion_capture import BODY, make_server
+from dart_flight.sim.plant import Plant
+
+Pose = tuple[float, Vec3, Quaternion]  # seconds of the measurement, position NED, attitude FRD to NED
+
+
+class PosePublisher(Protocol):
+    """An emulated server, or a source in the same process."""
+
+    def publish(
+        self, t_us: int, position_room: Vec3, q_body_to_room: Quaternion, tracked: bool = True
+    ) -> None:
+        """Send one frame."""
+
+
+class PoseFeed:
+    """Converter of the pose sensor's output into frames of the room.
+
+    Args:
+        mocap: axes of room and marker body.
+        publisher: takes each frame.
+        other_ned: a place on the floor, for another vehicle's body.
+
+    Attributes:
+        frames: number of frames published.
+    """
+
+    def __init__(self, mocap: MotionCapture, publisher: PosePublisher, other_ned: Vec3) -> None:
+        self._room, self._publisher, self._other = mocap.room_frame(), publisher, other_ned
+        self.frames = 0
+        self._fault: Fault | None = None
+        self._began_s = 0.0
+        self._waiting: deque[tuple[float, Pose]] = deque()  # due times, and late poses
+        self._sent_s = -math.inf
+
+    def begin_fault(self, fault: Fault, now_s: float) -> None:
+        """Begin a fault of the motion capture."""
+        self._fault, self._began_s = fault, now_s
+
+    def tick(self, now_s: float, pose: Pose | None) -> bool:
+        """Advance to a time; `pose` is the sensor's at this tick. Return whether a frame was published."""
+        name, value = ("", 0.0) if self._fault is None else (self._fault.name, self._fault.value)
+        if pose is not None:
+            self._waiting.append((now_s + (1e-3 * value if name == "mocap-late" else 0.0), pose))
+        if not self._waiting or self._waiting[0][0] > now_s:
+            return False
+        _, (t_s, position, attitude) = self._waiting.popleft()
+        if name == "mocap-slow" and now_s - self._sent_s < 1.0 / value - 1e-6:
+            return False
+        self._sent_s = now_s
+        if name == "mocap-other-body":
+            position, attitude = add(self._other, (value, 0.0, 0.0)), (1.0, 0.0, 0.0, 0.0)
+        elif name == "mocap-flip":
+            turn = quaternion_from_rotation_vector((0.0, 0.0, math.radians(value)))
+            attitude = quaternion_multiply(attitude, turn)
+        tracked = name != "mocap-lost" or now_s - self._began_s > value
+        self.frames += 1
+        self._publisher.publish(round(1e6 * t_s), *self._room.pose_from_ned(position, attitude), tracked)
+        return True
+
+
+class EmulatedMotionCapture:
+    """An emulated server that sends the poses of a world in a process of its own.
+
+    Args:
+        kind: of `motion_capture.KINDS`.
+        mission: whose vehicle and start it tracks.
+        plant: the body.
+
+    Attributes:
+        url: of the pose source that it feeds.
+        feed: the poses on their way to the server.
+    """
+
+    def __init__(self, kind: str, mission: Mission, plant: Plant) -> None:
+        self._server = make_server(kind, BODY)
+        self.url = self._server.url
+        self.feed = PoseFeed(mission.vehicle.mocap, self._server, plant.position)
+        self._published_s = -math.inf
+        self._heard = False
+
+    def publish(self, now_s: float, pose: Pose | None) -> int | None:
+        """Publish what is due; return the number of the frame if a program listens to it."""
+        if now_s <= self._published_s:
+            return None  # time has not advanced
+        self._published_s = now_s
+        self._heard = self._heard or self._server.clients > 0
+        return self.feed.frames - 1 if self.feed.tick(now_s, pose) and self._heard else None
+
+    def close(self) -> None:
+        """Close the server."""
+        self._server.close()

@@ -1,0 +1,209 @@
+"""Files of the flight controller, by MAVLink FTP and by PX4's log protocol."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import queue
+import tempfile
+import time
+from collections.abc import Callable, Collection
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import msgspec
+from mavsdk.exceptions import MavsdkError
+from mavsdk.plugins.ftp import Ftp
+from mavsdk.plugins.log_files import Entry, LogFiles
+
+from dart_flight.base.errors import FlightError
+
+_SILENT_S = 3.0  # without progress
+_LOG_SILENT_S = 15.0  # a lossy link asks again for every chunk
+_RATED_S = 2.0  # after the begin of a download, before its duration is estimated
+_CLOCK_SET = datetime(
+    2020, 1, 1, tzinfo=UTC
+)  # an earlier date is that of a flight controller without a clock
+_ULOG_MAGIC = b"ULog\x01\x12\x35"
+
+
+class DownloadError(FlightError):
+    """A file of the flight controller cannot be downloaded."""
+
+
+def wait_for_end(
+    arrived: queue.SimpleQueue[tuple[Any, Any]],
+    what: str,
+    progress: Callable[[Any], None] = lambda data: None,
+    silent_s: float = _SILENT_S,
+) -> None:
+    """Wait for the end of a download, whose callback puts results and progress.
+
+    Raises:
+        DownloadError: it failed, or made no progress for `silent_s`.
+    """
+    moved_s, before = time.monotonic(), None
+    while True:
+        try:
+            result, data = arrived.get(timeout=0.2)  # short, so that Ctrl-C is handled
+        except queue.Empty:
+            if time.monotonic() - moved_s > silent_s:
+                raise DownloadError(f"{what}: no data for {silent_s:g} s") from None
+            continue
+        if result.name == "SUCCESS":
+            return
+        if result.name != "NEXT":
+            raise DownloadError(f"{what}: {result.name.lower().replace('_', ' ')}")
+        if str(data) != before:
+            moved_s, before = time.monotonic(), str(data)
+        progress(data)
+
+
+def download_file(system: Any, path: str) -> bytes:
+    """Return the content of a small file of the flight controller, by MAVLink FTP.
+
+    Raises:
+        DownloadError: there is no such file, or the flight controller has no FTP.
+    """
+    arrived: queue.SimpleQueue[tuple[Any, Any]] = queue.SimpleQueue()
+    ftp = Ftp(system)
+    with tempfile.TemporaryDirectory() as folder:
+        try:
+            ftp.download_async(path, folder, True, lambda result, data, _: arrived.put((result, data)))
+            wait_for_end(arrived, path)
+            return (Path(folder) / Path(path).name).read_bytes()
+        finally:
+            ftp.destroy()
+
+
+class Px4LogEntry(msgspec.Struct, frozen=True):
+    """A log on the flight controller.
+
+    Attributes:
+        id: its number in the flight controller's list, which changes with the list.
+        ended: last change, None if the flight controller had no clock.
+        size_bytes: its size.
+    """
+
+    id: int
+    ended: datetime | None
+    size_bytes: int
+
+    def line(self) -> str:
+        """Return the log in a line."""
+        date = "no date" if self.ended is None else f"ended {self.ended:%Y-%m-%d %H:%M:%S} UTC"
+        return f"{self.id}: {date}, {self.size_bytes / 1e6:.1f} MB"
+
+
+def entry_of(entry: Entry) -> Px4LogEntry:
+    """Return an entry of MAVSDK's list."""
+    ended = None
+    with contextlib.suppress(ValueError):
+        date = datetime.fromisoformat(str(entry.date).replace("Z", "+00:00"))
+        ended = date if date >= _CLOCK_SET else None
+    return Px4LogEntry(int(entry.id), ended, int(entry.size_bytes))
+
+
+def logs_of_flight(
+    entries: Collection[Px4LogEntry],
+    armed: tuple[datetime, datetime] | None,
+    before: Collection[Px4LogEntry] | None,
+) -> list[Px4LogEntry]:
+    """Return the logs that may be a flight's, the only one if it is known.
+
+    Args:
+        entries: the logs on the flight controller.
+        armed: the flight's arming and its end, None if not known.
+        before: the logs there before the flight, None if not known.
+    """
+    found = [entry for entry in entries if entry.size_bytes]
+    if before is not None:
+        known = {(entry.ended, entry.size_bytes) for entry in before}
+        found = [entry for entry in found if (entry.ended, entry.size_bytes) not in known]
+    if armed is not None and len(found) > 1:
+        # PX4 ends a log seconds after disarming, or goes on until it is switched off.
+        dated = [entry for entry in found if entry.ended is not None and entry.ended >= armed[1]]
+        if dated:
+            first = min(entry.ended for entry in dated if entry.ended is not None)
+            return [entry for entry in dated if entry.ended == first]
+    return found
+
+
+class Px4Logs:
+    """PX4's logs by MAVLink's log protocol, over an open connection."""
+
+    def __init__(self, system: Any) -> None:
+        self._plugin = LogFiles(system)
+
+    def entries(self) -> list[Px4LogEntry]:
+        """Return the logs on the flight controller; an empty list if there is none.
+
+        Raises:
+            DownloadError: it does not answer.
+        """
+        try:
+            return [entry_of(entry) for entry in self._plugin.get_entries()]
+        except MavsdkError as error:
+            result = getattr(getattr(error, "result", None), "name", str(error))
+            if result == "NO_LOGFILES":
+                return []
+            says = result.lower().replace("_", " ")
+            raise DownloadError(f"PX4's list of logs cannot be read: {says}") from None
+
+    def download(self, entry: Px4LogEntry, path: Path, progress: Callable[[float], None]) -> None:
+        """Download a log; the file appears when it is whole, also after Ctrl-C there is no part of it.
+
+        Args:
+            entry: from `entries` of this connection.
+            path: of the file.
+            progress: takes the share received, 0 to 1.
+
+        Raises:
+            DownloadError: the download failed, or what came is no ULog.
+        """
+        part = path.with_name(path.name + ".part")
+        part.unlink(missing_ok=True)
+        arrived: queue.SimpleQueue[tuple[Any, Any]] = queue.SimpleQueue()
+        asked = Entry(entry.id, "", entry.size_bytes)
+        try:
+            self._plugin.download_log_file_async(
+                asked, str(part), lambda result, data, _: arrived.put((result, data))
+            )
+            try:
+                wait_for_end(arrived, path.name, lambda data: progress(data.progress), _LOG_SILENT_S)
+            except BaseException:
+                with contextlib.suppress(MavsdkError):
+                    self._plugin.cancel_download_log_file()
+                raise
+            with part.open("rb") as file:
+                if file.read(len(_ULOG_MAGIC)) != _ULOG_MAGIC:
+                    raise DownloadError(f"{path.name}: what came is no ULog")
+            os.replace(part, path)
+        finally:
+            part.unlink(missing_ok=True)
+
+    def close(self) -> None:
+        """End the plugin."""
+        self._plugin.destroy()
+
+
+class DownloadTime:
+    """Estimates the duration of a download once, from its first seconds.
+
+    Args:
+        size_bytes: of the whole.
+        began_s: time of its begin, on any clock.
+    """
+
+    def __init__(self, size_bytes: int, began_s: float) -> None:
+        self._size_bytes, self._began_s, self._said = size_bytes, began_s, False
+
+    def line(self, share: float, now_s: float) -> str | None:
+        """Return the expected duration, the first time that it is known, otherwise None."""
+        taken_s = now_s - self._began_s
+        if self._said or taken_s < _RATED_S or share <= 0.0:
+            return None
+        self._said = True
+        rate = share * self._size_bytes / taken_s
+        return f"{(1.0 - share) * self._size_bytes / rate / 60.0:.1f} min to go, at {rate / 1e3:.0f} kB/s"

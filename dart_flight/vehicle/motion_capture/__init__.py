@@ -1,0 +1,1 @@
+"""Motion capture: pose sources of the vendors' systems, and the bridge that forwards their poses to PX4."""

@@ -1,0 +1,108 @@
+"""A pose source that listens for datagrams: the JSON and the Vicon source differ in how they decode one."""
+
+from __future__ import annotations
+
+import contextlib
+import ipaddress
+import socket
+import threading
+from collections import Counter
+from collections.abc import Callable
+from typing import Final
+
+from dart_flight.config.document import InputError
+from dart_flight.vehicle.motion_capture.source import PoseAddress, RawPose
+
+_MAX_DATAGRAM: Final = 65535
+_POLL_S: Final = 0.2  # how soon the thread notices `stop`
+_MAX_REASONS: Final = 32  # distinct reasons counted: a hostile sender must not fill the memory
+
+Decoder = Callable[[bytes, str, str], RawPose | str]
+
+
+class DatagramSource:
+    """A source that decodes each datagram received at an address; a multicast address is joined.
+
+    Args:
+        address: local address and port to listen at, and the body.
+        decode: from datagram, body and sender to a pose, or to the reason why the datagram has none.
+
+    Attributes:
+        ignored: number of ignored datagrams by reason.
+
+    Raises:
+        InputError: the address cannot be listened at.
+    """
+
+    def __init__(self, address: PoseAddress, decode: Decoder) -> None:
+        self._address, self._decode = address, decode
+        self.ignored: Counter[str] = Counter()
+        self.problem: str | None = None
+        self._stopped = threading.Event()
+        self._thread: threading.Thread | None = None
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        try:
+            self._listen()
+        except OSError as error:
+            self._socket.close()
+            reason = error.strerror or str(error)
+            raise InputError(
+                f"mocap URL {address.url}: cannot listen at {address.host}:{address.port}: {reason}; "
+                "give an address of this computer, or 0.0.0.0 for all"
+            ) from None
+
+    def _listen(self) -> None:
+        host, port = self._address.host, self._address.port
+        group = None
+        with contextlib.suppress(ValueError):
+            group = ipaddress.IPv4Address(host) if ipaddress.IPv4Address(host).is_multicast else None
+        if group is not None:
+            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            member = group.packed + socket.inet_aton("0.0.0.0")
+            self._socket.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, member)
+        self._socket.bind((host, port))
+
+    @property
+    def port(self) -> int:
+        """The port listened at."""
+        return int(self._socket.getsockname()[1])
+
+    def start(self, deliver: Callable[[RawPose], None]) -> None:
+        """Deliver every pose from now on, on a thread of the source; drop what waits in the socket."""
+        self._socket.settimeout(0.0)
+        with contextlib.suppress(OSError):
+            while True:
+                self._socket.recv(_MAX_DATAGRAM)
+        self._socket.settimeout(_POLL_S)
+        self._thread = threading.Thread(target=self._run, args=(deliver,), name="mocap", daemon=True)
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Stop delivering and close the socket."""
+        self._stopped.set()
+        if self._thread is not None:
+            self._thread.join()
+        self._socket.close()
+
+    def _run(self, deliver: Callable[[RawPose], None]) -> None:
+        while not self._stopped.is_set():
+            try:
+                data, sender = self._socket.recvfrom(_MAX_DATAGRAM)
+            except TimeoutError:
+                continue
+            except OSError as error:
+                self.problem = f"cannot receive: {error.strerror or error}"
+                self._stopped.wait(_POLL_S)
+                continue
+            pose = self._decode(data, self._address.body, f"{sender[0]}:{sender[1]}")
+            if isinstance(pose, str):
+                self._ignore(pose)
+            else:
+                self.problem = None
+                deliver(pose)
+
+    def _ignore(self, reason: str) -> None:
+        if reason not in self.ignored and len(self.ignored) >= _MAX_REASONS:
+            reason = "for other reasons"
+        self.ignored[reason] += 1
+        self.problem = f"{self.ignored[reason]} datagrams ignored: {reason}"

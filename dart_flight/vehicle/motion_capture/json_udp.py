@@ -1,0 +1,56 @@
+"""Poses as one JSON object per datagram, for any other system (docs/motion_capture.md)."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Final
+
+import msgspec
+from msgspec import Meta
+
+from dart_flight.base.geometry import Quaternion, Vec3, quaternion_normalise
+from dart_flight.vehicle.motion_capture.datagram_source import DatagramSource
+from dart_flight.vehicle.motion_capture.source import PoseAddress, RawPose, lost_pose
+
+_MAX_M: Final = 1000.0  # no room is larger: the sender's unit is not the metre
+_MAX_S: Final = 1e11
+
+
+class _Pose(msgspec.Struct):
+    position_m: Vec3 | None = None
+    quaternion_wxyz: Quaternion | None = None
+    tracked: bool = True
+    frame: Annotated[int, Meta(ge=0, le=2**63 - 1)] | None = None
+    time_s: float | None = None
+    body: str | None = None
+
+
+_DECODER = msgspec.json.Decoder(_Pose)
+
+
+def decode(data: bytes, body: str, sender: str) -> RawPose | str:
+    """Return the pose in a datagram, or the reason why it has none."""
+    try:
+        pose = _DECODER.decode(data)
+    except (msgspec.DecodeError, RecursionError) as error:  # a ValidationError is a DecodeError
+        return f"not a pose in JSON ({str(error)[:80]})"
+    if pose.body is not None and pose.body != body:
+        return "of another body"
+    if pose.time_s is not None and not abs(pose.time_s) < _MAX_S:
+        return "time_s is not a time in seconds"
+    source_us = round(1e6 * pose.time_s) if pose.time_s is not None else None
+    if not pose.tracked:
+        return lost_pose(body, pose.frame, source_us, sender)
+    if pose.position_m is None or pose.quaternion_wxyz is None:
+        return "position_m or quaternion_wxyz is missing"
+    if not all(abs(coordinate) <= _MAX_M for coordinate in pose.position_m):
+        return f"position_m exceeds {_MAX_M:g} m"
+    if not 0.9 < math.sqrt(sum(part * part for part in pose.quaternion_wxyz)) < 1.1:
+        return "quaternion_wxyz is not of length 1"
+    attitude = quaternion_normalise(pose.quaternion_wxyz)
+    return RawPose(body, True, pose.position_m, attitude, pose.frame, source_us, sender)
+
+
+def open_source(address: PoseAddress) -> DatagramSource:
+    """Listen for datagrams at an address of this computer."""
+    return DatagramSource(address, decode)

@@ -1,0 +1,186 @@
+"""Poses from Qualisys Track Manager (QTM) by its real-time protocol."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import math
+import threading
+import xml.etree.ElementTree as ET
+from collections.abc import Callable, Sequence
+from typing import Any, Final
+
+import qtm_rt
+
+from dart_flight.base.geometry import Quaternion, quaternion_normalise
+from dart_flight.config.document import InputError
+from dart_flight.vehicle.motion_capture.source import PoseAddress, RawPose, lost_pose
+
+_TIMEOUT_S: Final = 5.0
+_RETRY_S: Final = 1.0
+
+
+def body_names(parameters_xml: str) -> tuple[list[str], list[str]]:
+    """Return the names of all 6DOF bodies in QTM's parameters, and of the enabled ones.
+
+    Raises:
+        ValueError: the text is not XML.
+    """
+    try:
+        bodies = list(ET.fromstring(parameters_xml).iter("Body"))
+    except ET.ParseError as error:
+        raise ValueError(f"parameters that are not XML: {error}") from None
+    names = [(body.findtext("Name", ""), body.findtext("Enabled", "true")) for body in bodies]
+    return [name for name, _ in names], [name for name, enabled in names if enabled.lower() != "false"]
+
+
+def attitude_of_matrix(m: Sequence[float]) -> Quaternion:
+    """Return the attitude of a rotation matrix, given column by column as QTM sends it.
+
+    Raises:
+        ValueError: it is not a rotation.
+    """
+    (r11, r21, r31, r12, r22, r32, r13, r23, r33) = m
+    # The largest part is found first, so that none is divided by a small number.
+    squares = (1 + r11 + r22 + r33, 1 + r11 - r22 - r33, 1 - r11 + r22 - r33, 1 - r11 - r22 + r33)
+    largest = max(range(4), key=squares.__getitem__)
+    if not squares[largest] > 0.0:
+        raise ValueError("not a rotation")
+    rows = (
+        (squares[0], r32 - r23, r13 - r31, r21 - r12),
+        (r32 - r23, squares[1], r12 + r21, r13 + r31),
+        (r13 - r31, r12 + r21, squares[2], r23 + r32),
+        (r21 - r12, r13 + r31, r23 + r32, squares[3]),
+    )
+    return quaternion_normalise(rows[largest])
+
+
+class QualisysSource:
+    """A source that reads one 6DOF body from QTM, in an event loop on its own thread.
+
+    Args:
+        address: QTM's little-endian port, and the name of the body.
+
+    Raises:
+        InputError: QTM does not answer, or has no such body.
+    """
+
+    def __init__(self, address: PoseAddress) -> None:
+        self._address, self._sender = address, f"{address.host}:{address.port}"
+        self.problem: str | None = None
+        self._all: list[str] = []
+        self._enabled: list[str] = []
+        self._deliver: Callable[[RawPose], None] = lambda _: None
+        self._loop = asyncio.new_event_loop()
+        self._disconnected = asyncio.Event()
+        self._thread = threading.Thread(target=self._loop.run_forever, name="mocap", daemon=True)
+        self._thread.start()
+        self._connection: Any = None
+        self._streaming: Any = None
+        try:
+            self._call(self._connect())
+        except (ValueError, OSError, TimeoutError) as error:
+            self._end()
+            reason = str(error) or "no answer"
+            raise InputError(f"mocap URL {address.url}: {self._sender}: {reason}") from None
+        if address.body not in self._all:
+            self._call(self._disconnect())
+            self._end()
+            raise InputError(f"mocap URL {address.url}: {self._no_body()}")
+
+    def _no_body(self) -> str:
+        return f"QTM has no 6DOF body {self._address.body}, only {', '.join(sorted(self._all)) or 'none'}"
+
+    def _call(self, routine: Any) -> None:
+        asyncio.run_coroutine_threadsafe(routine, self._loop).result(2.0 * _TIMEOUT_S)
+
+    def _end(self) -> None:
+        self._loop.call_soon_threadsafe(self._loop.stop)
+        self._thread.join()
+        self._loop.close()
+
+    async def _connect(self) -> None:
+        """Connect and read the names of the bodies.
+
+        Raises:
+            ValueError: QTM does not answer as QTM does.
+            TimeoutError: it does not answer at all.
+        """
+        self._disconnected.clear()
+        self._connection = await asyncio.wait_for(
+            qtm_rt.connect(
+                self._address.host, self._address.port, on_disconnect=lambda _: self._disconnected.set()
+            ),
+            _TIMEOUT_S,
+        )
+        if self._connection is None:
+            raise ValueError("QTM does not answer; check address and port, and that QTM runs")
+        try:
+            parameters = await self._connection.get_parameters(parameters=["6d"])
+            self._all, self._enabled = body_names(parameters.decode("utf-8", "replace"))
+        except qtm_rt.QRTCommandException as error:
+            raise ValueError(f"QTM refuses to list its bodies: {error}") from None
+
+    async def _disconnect(self) -> None:
+        if self._connection is not None and self._connection.has_transport():
+            self._connection.disconnect()
+            await self._disconnected.wait()
+
+    def start(self, deliver: Callable[[RawPose], None]) -> None:
+        """Deliver every pose from now on, on the source's thread."""
+        self._deliver = deliver
+        self._streaming = asyncio.run_coroutine_threadsafe(self._stream(), self._loop)
+
+    def stop(self) -> None:
+        """Stop delivering and close the connection."""
+        self._deliver = lambda _: None
+        if self._streaming is not None:
+            self._streaming.cancel()
+        with contextlib.suppress(TimeoutError):
+            self._call(self._disconnect())
+        self._end()
+
+    async def _stream(self) -> None:
+        """Stream until stopped; connect again when the connection is lost."""
+        while True:
+            try:
+                if self._connection is None or not self._connection.has_transport():
+                    await self._connect()
+                # The client waits here for the first frame, which may come at any time.
+                with contextlib.suppress(TimeoutError):
+                    await self._connection.stream_frames(components=["6d"], on_packet=self._on_packet)
+                await self._disconnected.wait()
+                self.problem = f"connection to QTM at {self._sender} lost"
+            except (ValueError, OSError, TimeoutError, qtm_rt.QRTCommandException) as error:
+                self.problem = f"QTM at {self._sender}: {error or 'no answer'}"
+            await asyncio.sleep(_RETRY_S)
+
+    def _on_packet(self, packet: Any) -> None:
+        found = packet.get_6d()
+        if found is None:
+            return
+        bodies, number, source_us = found[1], int(packet.framenumber), int(packet.timestamp)
+        names = self._enabled if len(bodies) == len(self._enabled) else self._all
+        if len(bodies) != len(names) or self._address.body not in names:
+            self.problem = f"QTM sends {len(bodies)} bodies and names {len(self._all)}: restart the stream"
+            self._deliver(lost_pose(self._address.body, number, source_us, self._sender))
+            return
+        self.problem = None
+        position, rotation = bodies[names.index(self._address.body)]
+        self._deliver(self._pose(position, rotation.matrix, number, source_us))
+
+    def _pose(
+        self, position_mm: Sequence[float], matrix: Sequence[float], number: int, source_us: int
+    ) -> RawPose:
+        body, (x, y, z) = self._address.body, position_mm
+        with contextlib.suppress(ValueError):
+            if all(map(math.isfinite, (x, y, z))):
+                attitude = attitude_of_matrix(matrix)
+                position = (1e-3 * x, 1e-3 * y, 1e-3 * z)
+                return RawPose(body, True, position, attitude, number, source_us, self._sender)
+        return lost_pose(body, number, source_us, self._sender)
+
+
+def open_source(address: PoseAddress) -> QualisysSource:
+    """Connect to QTM."""
+    return QualisysSource(address)

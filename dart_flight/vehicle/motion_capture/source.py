@@ -1,0 +1,105 @@
+"""The interface of a pose source, and the URL that names one.
+
+A source reads one body from one motion-capture system and delivers each of its poses as a `RawPose`, on a
+thread of its own. Each system is one file beside this one; only that file imports the vendor's client.
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable
+from typing import Final, NamedTuple, Protocol
+from urllib.parse import unquote, urlsplit
+
+from dart_flight.base.geometry import IDENTITY, Quaternion, Vec3
+from dart_flight.config.document import InputError
+
+_EXTRA: Final = "pip install 'dart-flight[mocap]'"
+_EXAMPLES: Final = (
+    "use optitrack://SERVER/BODY, qualisys://HOST/BODY, vicon://ADDRESS:51001/BODY or udp://ADDRESS:PORT/BODY"
+)
+
+
+class RawPose(NamedTuple):
+    """A pose of a marker body as a motion-capture system sent it, in metres and the axes of the room."""
+
+    body: str
+    tracked: bool
+    position_room: Vec3
+    q_body_to_room: Quaternion
+    frame_number: int | None
+    source_us: int | None  # the source's stamp, on its own clock
+    sender: str  # address of the sender
+
+
+def lost_pose(body: str, frame_number: int | None, source_us: int | None, sender: str) -> RawPose:
+    """Return the pose of a body that the source does not track."""
+    return RawPose(body, False, (0.0, 0.0, 0.0), IDENTITY, frame_number, source_us, sender)
+
+
+class PoseSource(Protocol):
+    """A source of poses; `open_source` returns one."""
+
+    @property
+    def problem(self) -> str | None:
+        """Why no poses of the body arrive, in one line; None while they do."""
+
+    def start(self, deliver: Callable[[RawPose], None]) -> None:
+        """Deliver every pose from now on, on a thread of the source."""
+
+    def stop(self) -> None:
+        """Stop delivering and close the connection."""
+
+
+class PoseAddress(NamedTuple):
+    """The parts of a pose source's URL."""
+
+    url: str
+    host: str
+    port: int
+    body: str
+
+
+# scheme: module beside this file, port if the URL has none
+_SYSTEMS: Final = {
+    "optitrack": ("optitrack", 1510),
+    "qualisys": ("qualisys", 22223),
+    "vicon": ("vicon", 51001),
+    "udp": ("json_udp", None),
+}
+
+
+def parse_url(url: str) -> tuple[str, PoseAddress]:
+    """Return the scheme and the address that a URL names.
+
+    Raises:
+        InputError: the URL is not one of a pose source.
+    """
+    try:
+        parts = urlsplit(url)
+        host, port, body = parts.hostname, parts.port, unquote(parts.path).removeprefix("/")
+    except ValueError as error:
+        raise InputError(f"mocap URL {url}: {error}; {_EXAMPLES}") from None
+    if parts.scheme not in _SYSTEMS or not host or not body or parts.query or parts.fragment:
+        raise InputError(f"mocap URL {url}: {_EXAMPLES}")
+    port = port if port is not None else _SYSTEMS[parts.scheme][1]
+    if port is None:
+        raise InputError(f"mocap URL {url}: add a port, such as udp://0.0.0.0:9763/{body}")
+    return parts.scheme, PoseAddress(url, host, port, body)
+
+
+def open_source(url: str) -> PoseSource:
+    """Open the pose source that a URL names.
+
+    Raises:
+        InputError: the URL is wrong, the vendor's client is not installed, or the system does not answer.
+    """
+    scheme, address = parse_url(url)
+    try:
+        module = importlib.import_module(f"dart_flight.vehicle.motion_capture.{_SYSTEMS[scheme][0]}")
+    except ModuleNotFoundError as error:
+        if error.name is None or error.name.startswith("dart_flight"):
+            raise
+        raise InputError(f"mocap URL {url} needs the extra: {_EXTRA}") from None
+    source: PoseSource = module.open_source(address)
+    return source

@@ -1,0 +1,69 @@
+"""Poses from Vicon Tracker's UDP object stream (Tracker: Local Vicon System, UDP Object Stream).
+
+Public readers of the stream agree on the layout below; Tracker's user guide itself was not at hand.
+A datagram is a block: frame number (u32) and number of items (u8); then for each item its id (u8, 0 for an
+object), the size of its data (u16), and the data: name (24 bytes, padded with zeros), translation (3 doubles,
+millimetres) and Euler angles XYZ (3 doubles, radians), all little-endian. A frame with many objects takes
+several datagrams, so an object that a datagram lacks is not lost. Zeros are an object that is not tracked.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from typing import Final
+
+from dart_flight.base.geometry import Quaternion, quaternion_from_rotation_vector, quaternion_multiply
+from dart_flight.vehicle.motion_capture.datagram_source import DatagramSource
+from dart_flight.vehicle.motion_capture.source import PoseAddress, RawPose, lost_pose
+
+_BLOCK: Final = struct.Struct("<IB")
+_ITEM: Final = struct.Struct("<BH")
+_OBJECT: Final = struct.Struct("<24s6d")
+_OBJECT_ID: Final = 0
+_MAX_NAMES: Final = 5  # in a reason
+
+
+def attitude_of_euler(x_rad: float, y_rad: float, z_rad: float) -> Quaternion:
+    """Return the attitude of Vicon's Euler angles: about x, then the new y, then the new z."""
+    about_x = quaternion_from_rotation_vector((x_rad, 0.0, 0.0))
+    about_y = quaternion_from_rotation_vector((0.0, y_rad, 0.0))
+    about_z = quaternion_from_rotation_vector((0.0, 0.0, z_rad))
+    return quaternion_multiply(quaternion_multiply(about_x, about_y), about_z)
+
+
+def decode(data: bytes, body: str, sender: str) -> RawPose | str:
+    """Return the pose of a body in a block, or the reason why it has none."""
+    if len(data) < _BLOCK.size:
+        return "shorter than a block of Vicon's object stream"
+    frame_number, items = _BLOCK.unpack_from(data)
+    place, names = _BLOCK.size, []
+    for _ in range(items):
+        if place + _ITEM.size > len(data):
+            return "block of Vicon's object stream with fewer items than it counts"
+        item, size = _ITEM.unpack_from(data, place)
+        place += _ITEM.size
+        if place + size > len(data) or (item == _OBJECT_ID and size != _OBJECT.size):
+            return "item of Vicon's object stream with a wrong size"
+        if item == _OBJECT_ID:
+            raw_name, *values = _OBJECT.unpack_from(data, place)
+            name = raw_name.partition(b"\0")[0].decode("utf-8", "replace")
+            if name == body:
+                return _pose(body, values, frame_number, sender)
+            names.append(name)
+        place += size
+    return f"no object {body}, only {', '.join(sorted(names)[:_MAX_NAMES]) or 'none'}"
+
+
+def _pose(body: str, values: list[float], frame_number: int, sender: str) -> RawPose | str:
+    if not all(map(math.isfinite, values)):
+        return "object with a coordinate that is not a number"
+    if not any(values):
+        return lost_pose(body, frame_number, None, sender)
+    x, y, z = (1e-3 * value for value in values[:3])
+    return RawPose(body, True, (x, y, z), attitude_of_euler(*values[3:]), frame_number, None, sender)
+
+
+def open_source(address: PoseAddress) -> DatagramSource:
+    """Listen for Tracker's object stream at an address of this computer."""
+    return DatagramSource(address, decode)

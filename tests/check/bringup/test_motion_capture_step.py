@@ -1,0 +1,195 @@
+"""The position step with motion capture: what it finds in a motion by hand, and what it writes."""
+
+import argparse
+import math
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+
+from dart_flight.base.geometry import Quaternion, Vec3
+from dart_flight.base.records import AttitudeSample, ImuSample, PoseSample
+from dart_flight.check.bringup.judgements import StepFinding, StepOutcome, judge_motion
+from dart_flight.check.bringup.pose_motion import MotionEstimate
+from dart_flight.check.bringup.steps import Bringup
+from dart_flight.cli.bringup_command import _write_delay
+from dart_flight.config.mission import Mission, load_mission
+from dart_flight.config.vehicle import load_vehicle, packaged
+from dart_flight.config.vehicle.mocap import MotionCapture
+from tests.check.bringup.test_pose_motion import Hand, Room, samples
+
+MISSION = load_mission(packaged("missions", "single_wall.yaml"))
+URL = "udp://0.0.0.0:9763/dart"
+GOOD = MotionEstimate(0.03, 0.99, (0.6, 0.5, 0.8), np.eye(3), (0.0, 0.0, -1.0), 0.95, 2.0, 1.0)
+TURNED = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+ROLLED = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+
+
+class Link:
+    """A link over which the hand's samples arrive."""
+
+    pose_problem = "no object dart, only wand"
+
+    def round_trip_s(self) -> float:
+        return 0.004
+
+
+class Hands:
+    """An operator who moves the vehicle when told to: the samples of the motion arrive at once."""
+
+    def __init__(self) -> None:
+        self.told: list[str] = []
+        self.acts: dict[str, Any] = {}
+
+    def tell(self, text: str) -> None:
+        self.told.append(text)
+        for word, act in self.acts.items():
+            if word in text:
+                act()
+
+    def confirm(self, question: str) -> bool:
+        return True
+
+
+class FedBringup(Bringup):
+    """The bring-up of a vehicle whose motion is computed.
+
+    Args:
+        true: the room as it is.
+        believed: the room as it is configured.
+        hand: the vehicle's motion.
+        other: the motion of the body that the cameras see.
+    """
+
+    def __init__(
+        self,
+        true: MotionCapture,
+        believed: MotionCapture,
+        hand: Hand | None = None,
+        other: Hand | None = None,
+    ) -> None:
+        self.hands = Hands()
+        vehicle = msgspec.structs.replace(MISSION.vehicle, mocap=believed)
+        mission: Mission = msgspec.structs.replace(MISSION, vehicle=vehicle)
+        super().__init__(mission, "serial:///dev/none:921600", self.hands, 1.0)
+        imu_s, rates, forces = samples(hand or Hand(), Room())[3:]
+        shown_s, positions, attitudes = samples(other or hand or Hand(), Room())[:3]
+        room, t = true.room_frame(), self._telemetry
+
+        def begin() -> None:
+            t.take(make_pose(0.0, *room.pose_from_ned((0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))))
+
+        def move() -> None:
+            for at, rate, force in zip(imu_s, rates.tolist(), forces.tolist(), strict=True):
+                t.take(ImuSample(round(1e6 * at), round(1e6 * at), tuple(force), tuple(rate)))
+            for at, position, q in zip(shown_s, positions.tolist(), attitudes.tolist(), strict=True):
+                t.take(make_pose(at, *room.pose_from_ned(tuple(position), tuple(q))))
+                t.take(AttitudeSample(round(1e6 * at) - 30_000, round(1e6 * at), tuple(q)))
+
+        self.hands.acts = {"Receiving": begin, "turn it left": move}
+
+    def measure(self) -> StepFinding:
+        return self._measure_poses(Link())  # type: ignore[arg-type]
+
+
+def make_pose(at_s: float, position: Vec3, q: Quaternion) -> PoseSample:
+    return PoseSample(round(1e6 * at_s), round(1e6 * at_s), "dart", True, position, q, None, None, "a:1")
+
+
+ROOMS = [
+    MotionCapture(url=URL),
+    MotionCapture(url=URL, up="y", heading_deg=70.0, body_yaw_deg=-40.0),
+    MotionCapture(url=URL, heading_deg=-120.0, body_yaw_deg=150.0, body_offset_m=(0.05, 0.0, 0.02)),
+]
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_a_room_that_is_configured_as_it_is_passes(room: MotionCapture) -> None:
+    found = FedBringup(room, room).measure()
+    assert found.result is StepOutcome.PASS, found.message
+    assert found.measured["delay_ms"] == pytest.approx(34.0, abs=2.0)
+    assert found.measured["heading_error_deg"] == pytest.approx(0.0, abs=1.0)
+    assert "34 ms old when they reach PX4" in found.message
+
+
+def test_the_body_yaw_that_it_asks_for_is_the_right_one() -> None:
+    true = MotionCapture(url=URL, up="y", body_yaw_deg=50.0)
+    found = FedBringup(true, MotionCapture(url=URL, up="y", body_yaw_deg=10.0)).measure()
+    assert found.message.startswith("the nose points elsewhere: set mocap.body_yaw_deg to ")
+    assert float(found.message.split()[-1]) == pytest.approx(50.0, abs=1.0)
+
+
+@pytest.mark.parametrize(("true", "believed", "axis"), [("y", "z", "y"), ("z", "y", "z")])
+def test_a_wrong_axis_is_named(true: Any, believed: Any, axis: str) -> None:
+    found = FedBringup(MotionCapture(url=URL, up=true), MotionCapture(url=URL, up=believed)).measure()
+    assert found.message == f"wrong axis: the room's {axis} axis points up, mocap.up is {believed}"
+
+
+def test_another_vehicles_body_is_named() -> None:
+    found = FedBringup(ROOMS[0], ROOMS[0], Hand(1), Hand(4)).measure()
+    assert f"the body {URL} does not turn as this vehicle does" in found.message
+
+
+def test_without_poses_the_sources_reason_is_told() -> None:
+    bringup = FedBringup(ROOMS[0], ROOMS[0])
+    bringup.hands.acts = {}
+    assert bringup.measure().message == f"no poses from {URL}: no object dart, only wand"
+
+
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        ({"rate_correlation": 0.6}, "another vehicle's body"),
+        ({"force_correlation": -0.9}, "the room is mirrored"),
+        ({"up_room": (0.0, -1.0, 0.0)}, "wrong axis: the room's y axis points up, mocap.up is z"),
+        ({"body_to_frd": ROLLED}, "wrong axis: the body is tilted by 90 degrees"),
+        ({"body_to_frd": TURNED}, "set mocap.body_yaw_deg to 90"),
+        ({"force_correlation": 0.3}, "does not move as the accelerometer feels"),
+        ({"scale": 0.001}, "lengths are 0.00 of"),
+        ({"latency_s": 0.12}, "poses are 124 ms old when they reach PX4, allowed are 100 ms"),
+    ],
+)
+def test_each_defect_is_named(changes: dict[str, Any], says: str) -> None:
+    found = judge_motion(GOOD._replace(**changes), MotionCapture(url=URL), 0.004, 0.0)
+    assert found.result is StepOutcome.FAIL
+    assert says in found.message
+
+
+def test_a_heading_that_px4_does_not_use_is_named() -> None:
+    found = judge_motion(GOOD, MotionCapture(url=URL), None, -45.0)
+    assert "PX4's heading is -45 degrees off the poses" in found.message
+    assert math.isclose(float(found.measured["delay_ms"] or 0.0), 30.0)
+
+
+# --- the configuration ---------------------------------------------------------------------------------
+
+
+def test_the_measured_age_is_written_into_the_configuration(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "vehicle.yaml"
+    path.write_text(packaged("configs", "dart.yaml").read_text())
+    _write_delay(argparse.Namespace(config=str(path)), str(path), 31.5)
+    assert load_vehicle(path).mocap.delay_ms == 31.5
+    assert "wrote mocap.delay_ms 31.5" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("text", ["airframe: {mass_kg: 1.0}\n", ""])
+def test_a_configuration_without_the_key_is_left_alone(
+    text: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "vehicle.yaml"
+    path.write_text(text)
+    _write_delay(argparse.Namespace(config=str(path)), str(path), 31.5)
+    assert path.read_text() == text
+    assert "set mocap.delay_ms to 31.5 yourself" in capsys.readouterr().err
+
+
+def test_the_packaged_configuration_is_never_written(capsys: pytest.CaptureFixture[str]) -> None:
+    path = packaged("configs", "dart.yaml")
+    before = path.read_bytes()
+    _write_delay(argparse.Namespace(config=None), str(path), 31.5)
+    assert path.read_bytes() == before
+    assert "yourself" in capsys.readouterr().err

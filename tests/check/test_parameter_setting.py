@@ -1,0 +1,232 @@
+"""`parameters`: the wanted values, their types and reasons; written, read back, and written back again."""
+
+import json
+import lzma
+from collections.abc import Iterable
+from datetime import UTC, datetime
+from pathlib import Path
+
+import msgspec
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from dart_flight.check import parameter_setting as setting
+from dart_flight.check.px4_parameters import judge_parameters
+from dart_flight.check.wanted_parameters import (
+    METADATA,
+    RESTART,
+    MetadataError,
+    ParameterRow,
+    restart_names,
+    rows_of,
+    wanted_parameters,
+    with_lock_output,
+)
+from dart_flight.config.document import InputError
+from dart_flight.config.mission import Mission, load_mission
+from dart_flight.config.parameter_file import (
+    Parameter,
+    PositionSource,
+    Value,
+    differences,
+    format_parameters,
+    load_parameters,
+)
+from dart_flight.config.vehicle import packaged
+from dart_flight.vehicle.downloads import DownloadError
+from dart_flight.vehicle.ground_link import GroundLink, HeartbeatMode
+from dart_flight.vehicle.vehicle_session import VehicleError
+
+MOCAP = PositionSource.MOCAP
+NOW = datetime(2026, 11, 26, 5, 0, 0, tzinfo=UTC)
+
+
+def mission(**changes: object) -> Mission:
+    plain = load_mission(packaged("missions", "paper_single_wall.yaml"))
+    keys = {key.replace("__", "."): value for key, value in changes.items()}
+    return msgspec.structs.replace(plain, vehicle=plain.vehicle.replace(keys)) if keys else plain
+
+
+class FakeLink(GroundLink):
+    """A vehicle of some parameters; what is in `stubborn` keeps its value."""
+
+    def __init__(self, values: dict[str, Value], *, armed: bool = False, metadata: bytes = b"") -> None:
+        self.values, self.armed, self.metadata = values, armed, metadata
+        self.stubborn: set[str] = set()
+        self.refusing: set[str] = set()
+
+    def heartbeat_mode(self) -> HeartbeatMode | None:
+        return HeartbeatMode(armed=self.armed, hil=False)
+
+    def version(self) -> str:
+        return "1.18.0"
+
+    def newest(self, entry: object, seconds: float) -> str:
+        return "rtk_fixed"
+
+    def read_parameters(self, names: Iterable[str], progress: object = None) -> dict[str, Value]:
+        return {name: self.values[name] for name in names if name in self.values}
+
+    def write_parameter(self, name: str, value: Value) -> None:
+        assert type(self.values[name]) is type(value), name
+        if name in self.refusing:
+            raise VehicleError(f"{name} was not set")
+        if name not in self.stubborn:
+            self.values[name] = value
+
+    def read_file(self, path: str) -> bytes:
+        assert path == METADATA
+        if not self.metadata:
+            raise DownloadError("no such file")
+        return self.metadata
+
+
+def default_vehicle() -> dict[str, Value]:
+    """Every wanted parameter, at another value, with the type that PX4 has."""
+    return {
+        name: p.value + (7 if isinstance(p.value, int) else 7.5)
+        for name, p in wanted_parameters(mission(), MOCAP).items()
+        if not p.is_absent_in((1, 18))
+    }
+
+
+def read(
+    link: GroundLink, of: Mission | None = None, restored: Path | None = None
+) -> setting.ParameterReading:
+    return setting.read_differences(link, of or mission(), MOCAP, restored)
+
+
+def test_measured_values_win_over_the_files() -> None:
+    measured = mission(mocap__delay_ms=23.5, imu__position_m=[0.02, 0.0, -0.01])
+    wanted = wanted_parameters(measured, MOCAP)
+    assert wanted["EKF2_EV_DELAY"].value == 23.5
+    assert "mocap.delay_ms" in wanted["EKF2_EV_DELAY"].reason
+    assert [wanted[f"EKF2_IMU_POS_{axis}"].value for axis in "XYZ"] == [0.02, 0.0, -0.01]
+    # A vehicle that has no motion capture has no delay of its poses either.
+    assert "EKF2_EV_DELAY" not in wanted_parameters(measured, PositionSource.RTK)
+    assert wanted_parameters(mission(), MOCAP)["EKF2_EV_DELAY"].reason.startswith("Measure yours")
+
+
+def test_px4_does_not_stop_a_flight_before_the_guard() -> None:
+    assert wanted_parameters(mission(guard__tilt_deg=70.0), None)["FD_FAIL_R"].value == 70
+    assert wanted_parameters(mission(guard__tilt_deg=40.0), None)["FD_FAIL_R"].value == 60
+
+
+@pytest.mark.parametrize("source", list(PositionSource))
+def test_a_vehicle_as_wanted_is_go(source: PositionSource) -> None:
+    of = mission(mocap__delay_ms=20.0)
+    values = {
+        p.renamed or p.name: p.value
+        for p in wanted_parameters(of, source).values()
+        if p.renamed is not None or not p.is_absent_in((1, 18))
+    }
+    values |= {"COM_LKDOWN_TKO": 5.0, "COM_DISARM_LAND": 2.0}
+    found = judge_parameters(of, values, source, (1, 18))
+    assert [f for f in found if not f.go or f.remark] == []
+    assert rows_of(wanted_parameters(of, source), values, ()) == []
+
+
+def test_the_lock_s_output_keeps_the_bits_of_other_pins() -> None:
+    of = mission(lock__driver="px4")
+    bank, pin = of.vehicle.lock.px4.bank, of.vehicle.lock.px4.pin  # type: ignore[union-attr]
+    name, bit = f"PWM_{bank}_REV", 1 << (pin - 1)
+    wanted = with_lock_output(of, {}, {name: 0b11111})
+    assert wanted[name].value == 0b11111 & ~bit
+    assert with_lock_output(mission(), {}, {}) == {}  # the lock has another driver
+
+
+def test_rows_have_the_vehicle_s_type_and_its_reason() -> None:
+    wanted = {
+        "A": Parameter("A", 4, "why a"),
+        "B": Parameter("B", 2.0, "why b"),
+        "C": Parameter("C", 1, "why c"),
+        "D": Parameter("D", 1.0, "", tolerance=0.1),
+    }
+    rows = rows_of(wanted, {"A": 0.0, "B": 3, "D": 1.05}, {"B"})
+    assert rows == [
+        ParameterRow("A", 0.0, 4.0, "why a", False),
+        ParameterRow("B", 3, 2, "why b", True),
+        ParameterRow("C", None, 1, "why c", False),
+    ]
+    assert [type(row.wanted) for row in rows] == [float, int, int]
+
+
+def test_restart_by_px4_s_own_metadata_or_by_a_list_that_is_named() -> None:
+    tree = {"parameters": [{"name": "NAV_RCL_ACT", "rebootRequired": True}, {"name": "SYS_HAS_GPS"}]}
+    metadata = lzma.compress(json.dumps(tree).encode())
+    assert restart_names(metadata) == {"NAV_RCL_ACT"}
+    own = read(FakeLink(default_vehicle(), metadata=metadata))
+    assert {row.name for row in own.rows if row.restart} == {"NAV_RCL_ACT"}
+    assert own.restart_source == "the parameter metadata of this PX4"
+    for broken in (b"", b"xyz", lzma.compress(b"[]"), lzma.compress(b'{"parameters": [{}, 1]}')):
+        listed = read(FakeLink(default_vehicle(), metadata=broken))
+        assert {row.name for row in listed.rows if row.restart} == RESTART & set(default_vehicle())
+        assert str(listed.restart_source).startswith("@reboot_required")
+    with pytest.raises(MetadataError):
+        restart_names(b"xyz")
+
+
+def test_written_read_back_and_written_back(tmp_path: Path) -> None:
+    before = default_vehicle()
+    link = FakeLink(dict(before))
+    found = read(link)
+    assert {row.name for row in found.writable} == set(before)
+    saved = setting.save_former(found.writable, tmp_path, "a vehicle", NOW)
+    assert saved.name == "px4_before_2026-11-26_050000.params"
+    assert setting.write_rows(link, found.writable) == {}
+    assert read(link).writable == []
+    back = read(link, restored=saved)
+    assert {row.why for row in back.rows} == {f"as in {saved.name}"}
+    assert setting.write_rows(link, back.writable) == {}
+    assert link.values == pytest.approx(before, rel=1e-8)
+    with pytest.raises(InputError, match="exists"):
+        setting.save_former(found.writable, tmp_path, "a vehicle", NOW)  # never over another's values
+
+
+def test_what_the_vehicle_does_not_take_is_named() -> None:
+    link = FakeLink(default_vehicle())
+    link.stubborn, link.refusing = {"NAV_RCL_ACT"}, {"FD_FAIL_P"}
+    refused = setting.write_rows(link, read(link).writable)
+    assert refused == {
+        "FD_FAIL_P": "FD_FAIL_P was not set",
+        "NAV_RCL_ACT": "NAV_RCL_ACT is 10 after writing 3",
+    }
+
+
+def test_an_armed_vehicle_is_not_written_to() -> None:
+    FakeLink({}).require_disarmed()
+    with pytest.raises(VehicleError, match="armed"):
+        FakeLink({}, armed=True).require_disarmed()
+
+
+def test_a_parameter_of_another_version_is_left_out_or_read_by_its_other_name() -> None:
+    values: dict[str, Value] = {"EKF2_EV_CTRL": 0, "EKF2_GPS_CTRL": 7, "SENS_GPS0_DELAY": 80.0}
+    found = setting.read_differences(FakeLink(values), mission(), None, None)
+    assert found.position_from is PositionSource.RTK  # as its receiver reports
+    names = {row.name for row in found.rows}
+    assert "SENS_GPS0_DELAY" in names
+    assert not {"EKF2_GPS_DELAY", "COM_RC_OVERRIDE", "COM_IMB_PROP_ACT"} & names
+
+
+def test_configured_motion_capture_is_where_the_position_is_to_come_from() -> None:
+    of = mission(mocap__url="optitrack://127.0.0.1/dart")
+    values: dict[str, Value] = {"EKF2_EV_CTRL": 0, "EKF2_GPS_CTRL": 7}
+    assert setting.read_differences(FakeLink(values), of, None, None).position_from is MOCAP
+
+
+NAMES = st.from_regex(r"[A-Z][A-Z0-9_]{0,15}", fullmatch=True)
+FLOATS = st.floats(width=32, allow_nan=False, allow_infinity=False)
+INTS = st.integers(-(2**31), 2**31 - 1)
+
+
+@given(st.dictionaries(NAMES, st.one_of(INTS, FLOATS), min_size=1))
+def test_a_file_gives_back_what_was_written_to_it(
+    tmp_path_factory: pytest.TempPathFactory, values: dict[str, Value]
+) -> None:
+    path = tmp_path_factory.mktemp("params") / "some.params"
+    path.write_text(format_parameters(values, ["a vehicle"]))
+    found = load_parameters(path)
+    assert {name: type(p.value) for name, p in found.items()} == {n: type(v) for n, v in values.items()}
+    assert differences(found, values) == []
+    assert all(p.value == pytest.approx(values[name], rel=1e-8) for name, p in found.items())

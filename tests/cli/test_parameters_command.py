@@ -1,0 +1,48 @@
+"""`dart-flight parameters` at the command line, against the embedded autopilot's parameters."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from dart_flight.cli import main
+from tests.flights.test_embedded_flights import SINGLE, simulated_vehicle
+
+
+@pytest.mark.mavlink
+def test_listed_written_and_written_back(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("DART_FLIGHT_STATE_DIR", str(tmp_path / "state"))
+
+    def run(*options: str) -> tuple[int, dict, str]:  # type: ignore[type-arg]
+        status = main(["parameters", SINGLE, "--connection", url, "--save-dir", str(tmp_path), *options])
+        out, err = capsys.readouterr()
+        return status, json.loads(out) if "--json" in options else {}, out + err
+
+    with simulated_vehicle(SINGLE) as url:
+        status, listed, _ = run("--json")
+        assert status == 1
+        differing = {row["name"]: row for row in listed["parameters"]}
+        assert (differing["COM_OBL_RC_ACT"]["vehicle"], differing["COM_OBL_RC_ACT"]["wanted"]) == (5, 4)
+        assert differing["COM_OBL_RC_ACT"]["why"].startswith("Companion computer lost")
+        assert listed["position_from"] == "mocap"
+        assert "@reboot_required" in listed["restart_source"]  # this autopilot has no files to read it from
+        status, done, said = run("--write", "--yes", "--json")
+        assert (status, done["refused"], set(done["written"])) == (0, {}, set(differing))
+        assert "former values: " in said
+        status, _, said = run()
+        assert (status, "every parameter is as wanted" in said) == (0, True)
+        status, back, _ = run("--restore", done["saved"], "--yes", "--json")
+        assert status == 0
+        assert {row["name"]: row["wanted"] for row in back["parameters"]} == {
+            name: row["vehicle"] for name, row in differing.items()
+        }
+
+
+def test_wrong_input_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    url = ("--connection", "udpin://127.0.0.1:14999")
+    assert main(["parameters", SINGLE, *url, "--save-dir", str(tmp_path / "none")]) == 2
+    assert "--save-dir" in capsys.readouterr().err

@@ -1,0 +1,263 @@
+"""The guard's judgement of motion-capture poses: what it names, and what it lets pass."""
+
+import math
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dart_flight.base.geometry import Quaternion, Vec3, quaternion_from_euler, quaternion_multiply
+from dart_flight.base.records import (
+    AttitudeSample,
+    GuardEvent,
+    OdometrySample,
+    Override,
+    Phase,
+    PoseSample,
+    StatusSample,
+)
+from dart_flight.config.vehicle.mocap import MotionCapture
+from dart_flight.core.guard.pose_watch import PoseWatch
+from dart_flight.core.sense.state import FlightState
+from tests.core.conftest import TELEPORTING, HandFedCore
+
+MOCAP = MotionCapture(url="udp://127.0.0.1:9763/dart", up="y", heading_deg=30.0, body_yaw_deg=90.0)
+WITH_MOCAP = {"vehicle.mocap": MOCAP}
+ROOM = MOCAP.room_frame()
+LEVEL = quaternion_from_euler(0.0, 0.0, 0.4)
+STEP_US = 10_000
+
+
+class Feed:
+    """Poses of a vehicle whose PX4 is right, at 100 Hz."""
+
+    def __init__(self) -> None:
+        self.watch, self.state = PoseWatch(MOCAP), FlightState()
+        self.now_us = 0
+        self.frame = 0
+        self.state.take_status(StatusSample(0, 0, local_position_ok=True))
+
+    def pose(
+        self,
+        position: Vec3 = (0.0, 0.0, -1.0),
+        velocity: Vec3 = (0.0, 0.0, 0.0),
+        q: Quaternion = LEVEL,
+        away: Vec3 = (0.0, 0.0, 0.0),
+        turn: float = 0.0,
+        tracked: bool = True,
+        later_us: int = 0,
+        step_us: int = STEP_US,
+        sender: str = "10.0.0.1:1511",
+    ) -> None:
+        """Advance by a step, then feed odometry, attitude and a pose that is `away` and turned."""
+        self.now_us += step_us
+        self.frame += 1
+        self.tick()
+        now = self.now_us
+        self.state.take_attitude(AttitudeSample(now, now, q))
+        self.state.take_odometry(OdometrySample(now, now, position, velocity))
+        there = (position[0] + away[0], position[1] + away[1], position[2] + away[2])
+        turned = quaternion_multiply(quaternion_from_euler(0.0, 0.0, turn), q)
+        room = ROOM.pose_from_ned(there, turned)
+        age_us = 3_000_000 + later_us  # another clock
+        sample = PoseSample(now, now, "dart", tracked, *room, self.frame, now - age_us, sender)
+        self.watch.take(sample, self.state, Phase.TRANSIT)
+
+    def tick(self) -> None:
+        self.watch.tick(self.now_us)
+
+    def silence(self, seconds: float) -> None:
+        self.now_us += round(1e6 * seconds)
+        self.tick()
+
+    def hover(self, seconds: float, **changes: Any) -> str | None:
+        """Feed poses for a while; return the first fault in transit."""
+        end_us = self.now_us + 1e6 * seconds
+        while self.now_us < end_us:
+            self.pose(**changes)
+            fault = self.watch.fault(Phase.TRANSIT)
+            if fault is not None:
+                return fault
+        return None
+
+
+@pytest.fixture
+def feed() -> Feed:
+    feed = Feed()
+    assert feed.hover(2.0) is None
+    return feed
+
+
+@pytest.mark.parametrize(
+    ("changes", "within_s", "says"),
+    [
+        ({"away": (0.5, 0.0, 0.0)}, 0.1, "body jumped by 0.50 m: another body, or swapped markers"),
+        ({"turn": math.radians(90.0)}, 0.15, "the pose is turned by 90 deg against PX4's attitude"),
+        ({"turn": math.pi}, 0.15, "the pose is turned by 180 deg against PX4's attitude"),
+        ({"later_us": 50_000}, 0.35, "poses arrive 50 ms later than at take-off"),
+        ({"step_us": 100_000}, 0.7, "poses at 10 Hz, needs 25"),
+        ({"tracked": False}, 0.6, "lost body dart for 0.5"),
+    ],
+)
+def test_what_goes_wrong_is_named_in_time(
+    feed: Feed, changes: dict[str, Any], within_s: float, says: str
+) -> None:
+    fault = feed.hover(within_s, **changes)
+    assert fault is not None
+    assert fault.startswith(says)
+
+
+def test_silence_of_the_source_is_judged_by_phase(feed: Feed) -> None:
+    feed.silence(0.3)
+    assert feed.watch.fault(Phase.TRANSIT) is None
+    assert feed.watch.fault(Phase.APPROACH) == "no pose of body dart for 0.30 s"
+    feed.silence(0.3)
+    assert feed.watch.fault(Phase.TRANSIT) == "no pose of body dart for 0.60 s"
+    assert feed.watch.fault(Phase.READYING) is None
+    assert feed.watch.blind(False, Phase.TRANSIT) is None
+    feed.silence(1.0)
+    assert feed.watch.blind(False, Phase.TRANSIT) == "no pose of body dart for 1.60 s"
+
+
+def test_wrong_poses_are_withheld_once_and_in_the_air_only(feed: Feed) -> None:
+    feed.hover(0.1, away=(1.0, 0.0, 0.0))
+    assert feed.watch.withhold(Phase.ARMING) is None
+    reason = feed.watch.withhold(Phase.CONTACT)
+    assert reason == "body jumped by 1.00 m: another body, or swapped markers"
+    assert feed.watch.withhold(Phase.CONTACT) is None
+    assert feed.watch.blind(False, Phase.TRANSIT) is None
+    feed.silence(1.6)
+    assert feed.watch.fault(Phase.TRANSIT) == feed.watch.blind(False, Phase.TRANSIT) == reason
+
+
+@pytest.mark.parametrize("wrong", [{"tracked": False}, {"later_us": 90_000}, {"step_us": 100_000}])
+def test_poses_that_are_the_vehicles_own_are_not_withheld(feed: Feed, wrong: dict[str, Any]) -> None:
+    feed.hover(1.2, **wrong)
+    assert feed.watch.fault(Phase.TRANSIT) is not None
+    assert feed.watch.withhold(Phase.TRANSIT) is None
+
+
+def test_an_estimate_that_jumps_with_the_poses_leaves_no_position_to_fly_by(feed: Feed) -> None:
+    assert feed.watch.blind(True, Phase.TRANSIT) is None
+    feed.hover(0.1, away=(0.0, 1.0, 0.0))
+    blind = feed.watch.blind(True, Phase.TRANSIT)
+    assert blind is not None
+    assert blind.endswith("swapped markers; PX4's estimate has followed")
+
+
+def test_two_senders_are_named_and_one_that_takes_over_is_not(feed: Feed) -> None:
+    assert feed.hover(2.0, sender="10.0.0.2:1511") is None
+    for sender in ("10.0.0.1:1511", "10.0.0.2:1511"):
+        feed.pose(sender=sender)
+    fault = feed.watch.fault(Phase.TRANSIT)
+    assert fault == "poses from two senders: 10.0.0.1:1511 and 10.0.0.2:1511"
+    assert feed.hover(1.5, sender="10.0.0.2:1511") == fault  # at once, and it ends after a second
+    for _ in range(110):
+        feed.pose(sender="10.0.0.2:1511")
+    assert feed.watch.fault(Phase.TRANSIT) is None
+
+
+def test_before_the_first_pose_there_is_time_to_connect() -> None:
+    feed = Feed()
+    feed.silence(0.1)
+    feed.silence(4.0)
+    assert feed.watch.fault(Phase.READYING) is None
+    feed.silence(2.0)
+    assert feed.watch.fault(Phase.READYING) == "no pose has arrived"
+    feed.pose(tracked=False)
+    assert feed.watch.fault(Phase.READYING) == "body dart has never been tracked"
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.data())
+def test_a_flight_with_latency_noise_and_occlusion_has_no_fault(data: st.DataObject) -> None:
+    """Accelerations of a contact, poses up to 50 ms old, gaps below the limit, single wrong frames."""
+    feed = Feed()
+    feed.hover(0.3)
+    age_s = data.draw(st.floats(0.0, 0.05))
+    position, velocity, past = (0.0, 0.0, -1.0), (0.0, 0.0, 0.0), [(0.0, 0.0, -1.0)] * 6
+    for _ in range(data.draw(st.integers(1, 6))):
+        turn_to = data.draw(st.tuples(*(st.floats(-3.5, 3.5),) * 2))
+        change = [(target - now) / 8 for target, now in zip(turn_to, velocity[:2], strict=True)]
+        wrong = data.draw(st.integers(0, 60))
+        gap = data.draw(st.integers(0, 60))
+        for i in range(30):
+            if i < 8:  # 80 ms: a contact
+                velocity = (velocity[0] + change[0], velocity[1] + change[1], 0.0)
+            position = (position[0] + 0.01 * velocity[0], position[1] + 0.01 * velocity[1], -1.0)
+            past = [*past[1:], position]
+            then = past[-1 - round(age_s / 0.01)]
+            lag = tuple(a - b for a, b in zip(then, position, strict=True))
+            away = (lag[0] + (0.8 if i == wrong else 0.0), lag[1], lag[2])
+            feed.pose(position, velocity, away=away, tracked=not gap <= i < gap + 20)
+            assert feed.watch.fault(Phase.APPROACH) is None
+
+
+def flown(phase: str) -> HandFedCore:
+    """A core with motion capture, in an approach or in a contact."""
+    c = PosedCore(rules=TELEPORTING, settings=WITH_MOCAP)
+    c.at_the_wood()
+    c.begin()
+    c.run(0.2)
+    if phase == "contact":
+        c.pulse((-10.0, -16.0))
+        c.velocity_ned = (0.0, 0.0, 0.0)
+        c.run(0.02)
+        assert c.core.phase is Phase.RECOVERY
+    return c
+
+
+class PosedCore(HandFedCore):
+    """A core that also gets the vehicle's pose, at 250 Hz, once it has begun."""
+
+    begun = lost = False
+
+    def begin(self) -> None:
+        self.begun = True
+        self.q = quaternion_from_euler(0.0, 0.0, 0.0)
+
+    def run(self, seconds: float) -> list[Any]:
+        out = []
+        for _ in range(round(seconds / 0.004)):
+            out += super().run(0.004)
+            if self.begun:
+                pose = ROOM.pose_from_ned(self.position_ned, self.q)
+                self.give(PoseSample(self.t_us, self.t_us, "dart", not self.lost, *pose))
+        return out
+
+
+def events(c: HandFedCore) -> list[tuple[str, Override]]:
+    fired = [o for o in c.outputs if isinstance(o, GuardEvent) and o.action is not Override.NONE]
+    return [(o.rule, o.action) for o in fired]
+
+
+def test_a_body_lost_in_an_approach_breaks_it_off_and_then_lands() -> None:
+    c = flown("approach")
+    c.lost = True  # type: ignore[attr-defined]
+    c.run(0.24)
+    assert not events(c)
+    c.run(0.04)
+    assert events(c) == [("pose_source", Override.BREAK_OFF)]
+    c.run(1.6)
+    assert events(c)[1:] == [("pose_source_blind", Override.LAND)]
+
+
+def test_a_body_lost_in_a_contact_does_not_disturb_the_recovery() -> None:
+    c = flown("contact")
+    c.lost = True  # type: ignore[attr-defined]
+    c.run(0.7)
+    assert c.core.phase is Phase.RECOVERY
+    assert not events(c)
+
+
+def test_without_a_url_poses_change_nothing() -> None:
+    bare, posed = HandFedCore(), HandFedCore()
+    for c, with_poses in ((bare, False), (posed, True)):
+        c.to_flight()
+        for _ in range(100):
+            c.run(0.008)
+            if with_poses:
+                c.give(PoseSample(c.t_us, c.t_us, "dart", False, (9.0, 9.0, 9.0), LEVEL))
+    assert bare.outputs == posed.outputs
+    assert posed.core.state.pose is not None

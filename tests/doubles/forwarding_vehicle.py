@@ -1,0 +1,22 @@
+"""A simulated vehicle for a companion and a ground station, whose messages it forwards to each other.
+
+python -m tests.doubles.forwarding_vehicle MISSION CONFIG PORT GROUND_PORT
+"""
+
+from __future__ import annotations
+
+import sys
+
+from dart_flight.config.mission import load_mission
+from dart_flight.sim.standalone import run_vehicle
+
+
+def main() -> None:
+    mission, config, port, ground_port = sys.argv[1:]
+    run_vehicle(
+        load_mission(mission, config), 1, (int(port), int(ground_port)), lambda line: print(line, flush=True)
+    )
+
+
+if __name__ == "__main__":
+    main()

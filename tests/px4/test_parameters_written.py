@@ -1,0 +1,103 @@
+"""`parameters` with a real PX4: from its defaults to a vehicle that is go, and back."""
+
+from __future__ import annotations
+
+import shutil
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from dart_flight.check.checks import FlightContext, checks_of
+from dart_flight.check.parameter_setting import read_differences, save_former, write_rows
+from dart_flight.check.stages import Stage, run_checks
+from dart_flight.check.wanted_parameters import METADATA, RESTART, restart_names, wanted_parameters
+from dart_flight.config.mission import Mission
+from dart_flight.config.parameter_file import PositionSource, load_parameters
+from dart_flight.config.vehicle import packaged
+from dart_flight.run.prepare import load_flyable
+from dart_flight.run.simulator_process import Px4SimulatorProcess
+from dart_flight.sim.pipe import Px4SimulatorSpec, SimulatorSpec
+from dart_flight.sim.px4.launch import find_install
+from dart_flight.vehicle.ground_link import GroundLink
+
+pytestmark = pytest.mark.px4
+
+MISSION = Path(__file__).parents[2] / "missions" / "paper_single_wall.yaml"
+MOCAP = PositionSource.MOCAP
+
+
+@contextmanager
+def px4_with_defaults(mission: Mission, px4_dir: Path, folder: Path) -> Iterator[tuple[str, Path]]:
+    """A PX4 on the ground with its defaults, less what a simulation lacks; URL and work folder."""
+    parameters = load_parameters(packaged("configs", "px4", "simulation.params"))
+    spec = SimulatorSpec(mission, 1, [], None, Px4SimulatorSpec(str(px4_dir), str(folder), parameters, MOCAP))
+    folder.mkdir(exist_ok=True)
+    world = Px4SimulatorProcess(spec, lambda record: None)
+    try:
+        world.wait_ready()
+        yield f"udpin://127.0.0.1:{world.port}", folder / "px4"
+    finally:
+        world.close()
+
+
+def keep_saved(work: Path, kept: Path) -> None:
+    """Copy PX4's parameter file once PX4, which saves up to 2 s late, has written nothing for 3 s."""
+    file, before = work / "parameters.bson", -1
+    while before != (before := file.stat().st_mtime_ns):
+        time.sleep(3.0)
+    for saved in work.glob("parameters*.bson"):
+        shutil.copy(saved, kept)
+
+
+def restarting(px4_dir: Path, kept: Path, folder: Path) -> Path:
+    """An install that starts PX4 with kept parameters, as a restart does."""
+    install = find_install(px4_dir)
+    (folder / "bin").mkdir(parents=True)
+    for program in install.program.parent.iterdir():
+        (folder / "bin" / program.name).symlink_to(program)
+    (folder / "etc").symlink_to(install.etc)
+    script = folder / "bin" / "px4"
+    script.unlink()
+    script.write_text(f'#!/bin/sh\ncp {kept}/* .\nexec {install.program} "$@"\n')
+    script.chmod(0o755)
+    return folder
+
+
+def test_defaults_become_a_vehicle_that_is_go_and_come_back(px4_dir: Path, tmp_path: Path) -> None:
+    plain = load_flyable(MISSION)
+    measured = {"mocap.delay_ms": 12.5, "imu.position_m": [0.02, 0.0, -0.01]}
+    mission = msgspec.structs.replace(plain, vehicle=plain.vehicle.replace(measured))
+    kept = tmp_path / "kept"
+    kept.mkdir()
+    with (
+        px4_with_defaults(mission, px4_dir, tmp_path / "first") as (url, work),
+        GroundLink(url, 30.0) as link,
+    ):
+        found = read_differences(link, mission, MOCAP, None)
+        named = restart_names(link.read_file(METADATA))
+        former = {row.name: row.vehicle for row in found.writable}
+        saved = save_former(found.writable, tmp_path, url)
+        assert write_rows(link, found.writable) == {}
+        keep_saved(work, kept)
+    assert {row.name for row in found.rows if row.restart} >= {"EKF2_EV_DELAY", "EKF2_HGT_REF"}
+    assert found.restart_source == "the parameter metadata of this PX4"
+    # The list for a PX4 whose metadata cannot be read is that of the newest version known.
+    if found.version.startswith("1.18"):
+        assert RESTART & set(wanted_parameters(mission, MOCAP)) == named & set(
+            wanted_parameters(mission, MOCAP)
+        )
+
+    restarted = restarting(px4_dir, kept, tmp_path / "install")
+    with px4_with_defaults(mission, restarted, tmp_path / "second") as (url, _):
+        context = FlightContext(mission, url=url)
+        findings = run_checks(checks_of(Stage.VEHICLE), context)
+        assert {f.item for f in findings if not f.go} == {"lock_driver"}  # the mission's lock is the mock
+        with GroundLink(url, 30.0) as link:
+            assert read_differences(link, mission, None, None).writable == []
+            back = read_differences(link, mission, None, saved)
+            assert write_rows(link, back.writable) == {}
+            assert {name: link.read_parameters([name])[name] for name in former} == former

@@ -1,0 +1,96 @@
+"""Standby on a real PX4: a ground station on another link of it, which forwards, presses every button."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from dart_flight.config.parameter_file import PositionSource
+from dart_flight.config.vehicle import LockDriver
+from dart_flight.run.operator_buttons import Button
+from dart_flight.run.prepare import load_flyable, with_driver
+from dart_flight.vehicle.command_server import Result
+from tests.doubles.ground_station import PORT
+from tests.doubles.operator_station import OperatorStation
+from tests.doubles.ports import free_udp_port
+from tests.px4.test_px4_check import waiting_px4
+from tests.run.test_standby_day import MISSION, ROOT
+from tests.shared_flights import patient
+
+pytestmark = [pytest.mark.px4, pytest.mark.realtime]
+
+OK, NO = Result.ACCEPTED, Result.DENIED
+PAUSE = MISSION.replace("waypoints: [", "waypoints: [{{pause: operator, timeout_s: 120.0}}, ")
+
+
+@contextlib.contextmanager
+def standing_by(folder: Path, url: str, *arguments: str) -> Iterator[subprocess.Popen[bytes]]:
+    command = [sys.executable, "-m", "dart_flight", "standby", *arguments, "--connection", url]
+    environment = os.environ | {"PYTHONPATH": str(ROOT), "DART_FLIGHT_STATE_DIR": str(folder / "state")}
+    with open(folder / "standby.log", "a") as log:
+        process = subprocess.Popen(command, cwd=folder, env=environment, stderr=log, stdout=log)
+        try:
+            yield process
+        finally:
+            process.terminate()
+            process.wait(90.0)
+
+
+def test_every_button_in_standby_and_in_a_flight(px4_dir: Path, tmp_path: Path) -> None:
+    config = patient((ROOT / "configs" / "dart.yaml").read_text())
+    (tmp_path / "dart.yaml").write_text(config)
+    (tmp_path / "none.yaml").write_text(config.replace("driver: mock", "driver: none"))
+    (tmp_path / "one.yaml").write_text(PAUSE.format(name="one", x=0.0))
+    (tmp_path / "two.yaml").write_text(PAUSE.format(name="two", x=0.0).replace("dart.yaml", "none.yaml"))
+    mission = with_driver(load_flyable(tmp_path / "one.yaml"), LockDriver.PX4)
+    with (
+        waiting_px4(mission, px4_dir, tmp_path, PositionSource.MOCAP, {"COM_RC_IN_MODE": 1}) as url,
+        OperatorStation(free_udp_port(), vehicle_port=PORT) as station,
+    ):
+        with standing_by(tmp_path, url, "one.yaml", "--driver", "px4"):
+            station.wait_for("standby", timeout_s=120.0)
+            station.wait_for_program()
+            assert station.press(Button.FLY, 1) == NO
+            station.wait_for("denied: PX4 receives no remote control")
+            assert [station.press(b) for b in (Button.CONTINUE, Button.LAND)] == [NO, NO]
+            assert station.press(Button.LOCK_RIGID) == OK
+            station.wait_for("lock rigid: settled")
+            assert station.press(Button.LOCK_FLEXIBLE) == OK
+            station.wait_for("lock flexible: settled")
+            assert station.press(Button.CHECK) == OK
+            station.wait_for("one: no-go", timeout_s=120.0)
+            station.wait_for("lock_driver: PWM_AUX_FUNC1 is not on this vehicle")  # SITL has no pins
+        # A vehicle without a lock is go; sticks are there.
+        with standing_by(tmp_path, url, "two.yaml") as process:
+            station.wait_for("standby", 3, timeout_s=60.0)
+            station.hold_sticks()
+            station.wait_for_program()
+            time.sleep(2.0)
+            assert station.press(Button.LOCK_RIGID) == NO
+            assert station.press(Button.CHECK) == OK
+            station.wait_for("two: go", timeout_s=120.0)
+            station.wait_for("standby", 4, timeout_s=60.0)
+            time.sleep(2.0)
+            assert [station.press(Button.FLY, 1) for _ in range(2)] == [OK, OK]
+            station.wait_for("phase pause", timeout_s=180.0)
+            in_flight = (Button.LOCK_RIGID, Button.LOCK_FLEXIBLE, Button.FLY, Button.CHECK, Button.CONTINUE)
+            assert [station.press(b, 1) for b in in_flight] == [NO, NO, NO, OK, OK]
+            station.wait_for("in flight: pause")
+            station.wait_for("phase waypoint", timeout_s=60.0)
+            assert station.press(Button.CONTINUE) == NO
+            station.wait_for("two: completed", timeout_s=180.0)
+            station.wait_for("standby", 5, timeout_s=60.0)
+            assert process.poll() is None
+            # The next flight is ended by the button.
+            time.sleep(2.0)
+            assert [station.press(Button.FLY, 1) for _ in range(2)] == [OK, OK]
+            station.wait_for("phase pause", 2, timeout_s=180.0)
+            assert station.press(Button.LAND) == OK
+            assert "landing requested" in station.wait_for("two: aborted", timeout_s=180.0)

@@ -1,0 +1,153 @@
+"""The app forwards motion-capture poses while it is connected, and a simulated world waits for them."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from dart_flight.base.records import MissionEnd, Outcome, PoseSample, PosesWithheld, StatusText
+from dart_flight.cli import main
+from dart_flight.config.document import InputError
+from dart_flight.lab.flight_arrays import FlightArrays
+from dart_flight.recording.about import flown_mission
+from dart_flight.recording.reader import read_log
+from dart_flight.run import app as module
+from dart_flight.run.app import FlightApp
+from dart_flight.run.embedded import fly_embedded
+from dart_flight.run.prepare import load_flyable, with_mocap, with_simulated_mocap
+from dart_flight.run.replay import replay
+from dart_flight.sim.pipe import FULL_SPEED
+from dart_flight.vehicle.motion_capture.source import RawPose
+from tests.run.test_app import Flight, connect_to
+
+ROOT = Path(__file__).parents[2]
+SQUARE, NEAR = ROOT / "missions/square.yaml", ROOT / "tests/data/near_wall.yaml"
+POSE = RawPose("dart", True, (1.0, 2.0, 3.0), (1.0, 0.0, 0.0, 0.0), 1, 1_000, "10.0.0.1:1511")
+
+
+class Source:
+    """A pose source that delivers what a test says."""
+
+    problem: str | None = None
+
+    def __init__(self) -> None:
+        self.deliver: Callable[[RawPose], None] | None = None
+        self.stops = 0
+
+    def start(self, deliver: Callable[[RawPose], None]) -> None:
+        self.deliver = deliver
+
+    def stop(self) -> None:
+        self.stops += 1
+
+
+class ArmedFlight(Flight):
+    """A vehicle that a pilot keeps in the air for some looks after the mission's end."""
+
+    def __init__(self, end: Callable[[], None], looks: int = 0) -> None:
+        super().__init__(end)
+        self.sent: list[Any] = []
+        self._looks = looks
+
+    @property
+    def armed(self) -> bool:
+        self._looks -= 1
+        return self._looks >= 0
+
+    def send_message(self, message: Any) -> None:
+        self.sent.append(message)
+
+
+def flown(
+    monkeypatch: pytest.MonkeyPatch, looks: int, at_end: Callable[[FlightApp, Source], None]
+) -> tuple[ArmedFlight, Source, list[Any]]:
+    source, records = Source(), list[Any]()
+    monkeypatch.setattr(module, "open_source", lambda url: source)
+    monkeypatch.setattr(module, "_LOOK_PERIOD_S", 0.01)
+    mission = with_mocap(load_flyable(SQUARE), "udp://127.0.0.1:9763/dart")
+    app = FlightApp(mission, "udpin://nowhere:1", lambda record, _: records.append(record))
+
+    def end() -> None:
+        at_end(app, source)
+        app.execute(MissionEnd(1, Outcome.RELEASED, None, None))
+
+    session = ArmedFlight(end, looks)
+    connect_to(session, monkeypatch)
+    monkeypatch.setattr(app, "show", records.append)
+    asyncio.run(app.run())
+    return session, source, records
+
+
+def test_a_pose_goes_to_px4_and_to_the_core_until_the_core_withholds_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def at_end(app: FlightApp, source: Source) -> None:
+        assert source.deliver is not None
+        source.deliver(POSE)
+        app.execute(PosesWithheld(1, "another body"))
+        source.deliver(POSE._replace(source_us=1_000_000))
+
+    session, source, records = flown(monkeypatch, 0, at_end)
+    assert [message.message_name for message in session.sent] == ["ODOMETRY"]
+    assert {r.source_us for r in records if isinstance(r, PoseSample)} == {1_000, 1_000_000}
+    assert source.stops == 1
+    assert not [r for r in records if isinstance(r, StatusText)]
+
+
+def test_a_pilot_who_takes_over_keeps_his_position_until_he_disarms(monkeypatch: pytest.MonkeyPatch) -> None:
+    _, source, records = flown(monkeypatch, 5, lambda app, source: None)
+    (text,) = (r.text for r in records if isinstance(r, StatusText))
+    assert text == "poses are forwarded until the vehicle is disarmed; Ctrl-C ends that"
+    assert source.stops == 1
+
+
+@pytest.mark.mavlink
+@pytest.mark.parametrize("kind", ["udp", "vicon"])
+def test_a_latency_is_one_of_simulated_time_and_the_flight_replays(kind: str, tmp_path: Path) -> None:
+    settings = ["simulation.pose_delay_s=0.02", "mocap.delay_ms=20", "mocap.up=y"]
+    mission = with_simulated_mocap(load_flyable(NEAR, None, settings), kind)
+    verdict = fly_embedded(mission, 1, tmp_path, speed=FULL_SPEED)
+    assert verdict.outcome is Outcome.COMPLETED
+    assert verdict.ekf_error_m is not None
+    assert verdict.ekf_error_m < 0.05
+    log = read_log(next(tmp_path.glob("*/flight.mcap")))
+    poses = [e.record for e in log.entries if isinstance(e.record, PoseSample)]
+    frames = [p.frame_number for p in poses if p.frame_number is not None]
+    assert {b - a for a, b in pairwise(frames)} == {1}
+    if kind == "udp":  # Vicon's stream has no stamps
+        ages_us = {p.t_us - p.source_us for p in poses[50:] if p.source_us is not None}
+        assert max(ages_us) - min(ages_us) <= 4_000  # the autopilot's clock began at 7 s
+        assert min(ages_us) == pytest.approx(7_000_000 + 20_000, abs=4_000)
+    course = FlightArrays(log, flown_mission(log.about, log.source))
+    assert course.posed.time_s.size > 400
+    assert replay(log).equal
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--mocap", "optitrack://10.0.0.1/dart"], "is emulated, give one of"),
+        (["--mocap", "kinect"], "is emulated, give one of"),
+        (["--mocap", "udp", "--set", "simulation.position_from=rtk"], "comes from GPS"),
+        (["--fault", "mocap-lost"], "add --mocap"),
+        (["--mocap", "udp", "--fault", "mocap-slow=0"], "takes 1 to 50 Hz"),
+    ],
+)
+def test_what_cannot_be_flown_is_one_line(
+    options: list[str], words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["dry-run", str(SQUARE), "--fast", *options]) == 2
+    said = capsys.readouterr().err.strip()
+    assert words in " ".join(said.split())
+
+
+def test_without_the_option_a_simulated_vehicle_has_its_own_position() -> None:
+    mission = with_mocap(load_flyable(SQUARE), "optitrack://10.0.0.1/dart")
+    assert with_simulated_mocap(mission, None).vehicle.mocap.url is None
+    with pytest.raises(InputError, match="give one of"):
+        with_simulated_mocap(mission, "optitrack://10.0.0.1/dart")

@@ -1,0 +1,186 @@
+"""PX4's own log into the flight's folder: which one it is, how long it takes, and never a part of it."""
+
+from __future__ import annotations
+
+import json
+import random
+import shutil
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from mavsdk.plugins.log_files import Entry
+
+from dart_flight.base.errors import FlightError
+from dart_flight.cli import main
+from dart_flight.config.document import InputError
+from dart_flight.config.mission import load_mission
+from dart_flight.config.vehicle import packaged
+from dart_flight.recording.flight_time import armed_span
+from dart_flight.recording.found import px4_logs_in
+from dart_flight.recording.reader import read_log
+from dart_flight.run.px4_log import fetch_px4_log, list_px4_logs
+from dart_flight.vehicle import downloads
+from dart_flight.vehicle.downloads import DownloadError, DownloadTime, Px4LogEntry, entry_of, logs_of_flight
+from tests.doubles.log_vehicle import LogVehicle
+
+FLIGHT = Path(__file__).parents[1] / "data" / "flights" / "px4.mcap"
+BEGAN = datetime(2026, 11, 26, 5, 0, tzinfo=UTC)
+ARMED = (BEGAN, BEGAN + timedelta(seconds=40))
+
+
+def log(k: int, after_s: float | None, size: int = 1000) -> Px4LogEntry:
+    return Px4LogEntry(k, None if after_s is None else BEGAN + timedelta(seconds=after_s), size)
+
+
+def ulog(size: int, seed: int) -> bytes:
+    return b"ULog\x01\x12\x35" + random.Random(seed).randbytes(size - 7)
+
+
+# --- which log ------------------------------------------------------------------------------------------
+
+
+def test_by_what_was_not_there_before() -> None:
+    old, new = [log(0, None, 10), log(1, None, 20)], log(1, None, 30)
+    moved = log(2, None, 20)  # numbers change with the list
+    assert logs_of_flight([old[0], new, moved], None, old) == [new]
+    assert logs_of_flight(old, ARMED, old) == []
+    assert logs_of_flight([log(0, None, 0), new], None, None) == [new]  # an empty one is none
+
+
+def test_by_the_flight_s_time() -> None:
+    before, own, later = log(0, -300.0), log(1, 42.0), log(2, 400.0)
+    assert logs_of_flight([later, own, before], ARMED, None) == [own]
+    # Without a clock on the flight controller it cannot be told.
+    undated = [log(0, None, 1), log(1, None, 2)]
+    assert logs_of_flight(undated, ARMED, None) == undated
+    assert logs_of_flight(undated[:1], ARMED, None) == undated[:1]
+
+
+@given(st.lists(st.tuples(st.one_of(st.none(), st.floats(-1e6, 1e6)), st.integers(0, 10**7))), st.data())
+def test_never_one_that_was_there_before(logs: list[tuple[float | None, int]], data: st.DataObject) -> None:
+    entries = [log(k, at, size) for k, (at, size) in enumerate(logs)]
+    before = data.draw(st.lists(st.sampled_from(entries))) if entries else []
+    found = logs_of_flight(entries, ARMED, before)
+    assert not {(e.ended, e.size_bytes) for e in found} & {(e.ended, e.size_bytes) for e in before}
+    assert set(found) <= set(entries)
+
+
+def test_a_date_before_the_clock_was_set_is_none() -> None:
+    assert entry_of(Entry(3, "1970-01-01T00:12:00Z", 5)) == Px4LogEntry(3, None, 5)
+    assert entry_of(Entry(3, "nonsense", 5)).ended is None
+    assert entry_of(Entry(3, "2026-11-26T05:00:00Z", 5)).ended == BEGAN
+    assert entry_of(Entry(3, "2026-11-26T05:00:00Z", 5_000_000)).line() == (
+        "3: ended 2026-11-26 05:00:00 UTC, 5.0 MB"
+    )
+
+
+def test_the_expected_duration_is_told_once_and_from_the_measured_rate() -> None:
+    expected = DownloadTime(12_000_000, 100.0)
+    assert expected.line(0.01, 101.0) is None
+    assert expected.line(0.0, 103.0) is None  # nothing has come
+    assert expected.line(0.01, 104.0) == "6.6 min to go, at 30 kB/s"
+    assert expected.line(0.02, 105.0) is None
+
+
+def test_when_a_recorded_flight_was_armed() -> None:
+    span = armed_span(read_log(FLIGHT))
+    assert span is not None
+    assert timedelta(seconds=3) < span[1] - span[0] < timedelta(minutes=3)
+
+
+# --- over the real protocol -----------------------------------------------------------------------------
+
+
+@pytest.fixture(autouse=True)
+def quick(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("DART_FLIGHT_STATE_DIR", str(tmp_path / "state"))
+    monkeypatch.setattr("dart_flight.run.px4_log._WRITTEN_S", 0.0)
+    monkeypatch.setattr(downloads, "_LOG_SILENT_S", 1.0)
+
+
+def vehicle(logs: list[tuple[int, bytes]], sends_bytes: float = float("inf")) -> LogVehicle:
+    return LogVehicle(load_mission(packaged("missions", "paper_single_wall.yaml")), logs, sends_bytes)
+
+
+def no_choice(found: list[Px4LogEntry]) -> Px4LogEntry:
+    raise AssertionError(found)
+
+
+@pytest.mark.mavlink
+def test_downloaded_whole_and_byte_for_byte(tmp_path: Path) -> None:
+    end_s = int(ARMED[1].timestamp())
+    logs = [(end_s - 900, ulog(40_000, 1)), (end_s + 2, ulog(123_457, 2))]
+    said: list[str] = []
+    with vehicle(logs) as v:
+        path = fetch_px4_log(v.url, 10.0, tmp_path, ARMED, choose=no_choice, say=said.append)
+        assert path.read_bytes() == logs[1][1]
+        assert sorted(p.name for p in tmp_path.iterdir()) == ["px4.ulg"]
+        assert "0.1 MB" in said[0]
+        before = list_px4_logs(v.url, 10.0)
+        assert [entry.size_bytes for entry in before] == [40_000, 123_457]
+        logs.insert(0, (0, ulog(5_000, 3)))  # the flight controller has lost its clock
+        path = fetch_px4_log(v.url, 10.0, tmp_path, None, before=before, choose=no_choice, say=said.append)
+        assert path.read_bytes() == logs[0][1]
+
+
+@pytest.mark.mavlink
+def test_a_download_that_stops_or_is_stopped_leaves_nothing(tmp_path: Path) -> None:
+    (tmp_path / "flight.mcap").write_bytes(b"the flight")
+
+    def interrupt(share: float) -> None:
+        raise KeyboardInterrupt
+
+    end_s = int(ARMED[1].timestamp())
+    with (
+        vehicle([(end_s, ulog(200_000, 1))], 100_000) as v,
+        pytest.raises(DownloadError, match="no data for"),
+    ):
+        fetch_px4_log(v.url, 10.0, tmp_path, ARMED, choose=no_choice, say=lambda line: None)
+    with vehicle([(end_s, ulog(2_000_000, 1))]) as v, pytest.raises(KeyboardInterrupt):
+        fetch_px4_log(
+            v.url, 10.0, tmp_path, ARMED, choose=no_choice, say=lambda line: None, progress=interrupt
+        )
+    with vehicle([(end_s, b"not a ULog at all")]) as v, pytest.raises(DownloadError, match="no ULog"):
+        fetch_px4_log(v.url, 10.0, tmp_path, ARMED, choose=no_choice, say=lambda line: None)
+    with vehicle([]) as v, pytest.raises(DownloadError, match="no log of this flight"):
+        fetch_px4_log(v.url, 10.0, tmp_path, ARMED, choose=no_choice, say=lambda line: None)
+    assert [p.name for p in tmp_path.iterdir()] == ["flight.mcap"]
+
+
+@pytest.mark.mavlink
+def test_not_while_armed(tmp_path: Path) -> None:
+    with vehicle([(0, ulog(1000, 1))]) as v:
+        v.autopilot.armed = True
+        with pytest.raises(FlightError, match="armed"):
+            fetch_px4_log(v.url, 10.0, tmp_path, None, choose=no_choice, say=lambda line: None)
+
+
+@pytest.mark.mavlink
+def test_the_command_asks_which_if_it_cannot_tell(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    flight = tmp_path / "one"
+    flight.mkdir()
+    shutil.copy(FLIGHT, flight / "flight.mcap")
+    logs = [(0, ulog(1_000, 1)), (0, ulog(2_000, 2))]  # no clock, as indoors
+    with vehicle(logs) as v:
+        command = ["px4-log", str(flight), "--connection", v.url]
+        assert main(command) == 2
+        said = capsys.readouterr().err
+        assert "--log-id" in said
+        assert "  1: no date, 0.0 MB" in said
+        assert main([*command, "--log-id", "7"]) == 2
+        assert main([*command, "--log-id", "1", "--json"]) == 0
+        assert Path(json.loads(capsys.readouterr().out)["px4_log"]).name == "px4.ulg"
+        assert (flight / "px4.ulg").read_bytes() == logs[1][1]
+        assert main(command) == 0  # already there
+        assert "--again" in capsys.readouterr().err
+    assert px4_logs_in([tmp_path]) == px4_logs_in([flight / "flight.mcap"]) == [flight / "px4.ulg"]
+
+
+def test_logs_beside_flights(tmp_path: Path) -> None:
+    other = tmp_path / "log_3.ulg"
+    assert px4_logs_in([other]) == [other]
+    with pytest.raises(InputError, match="px4-log"):
+        px4_logs_in([tmp_path])

@@ -1,0 +1,248 @@
+"""Standby's decisions and its handing over of the link, without a link."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import signal
+from collections.abc import Sequence
+from pathlib import Path
+from unittest.mock import Mock
+
+import pytest
+
+from dart_flight.base.records import LockPhase, LockState, Mode
+from dart_flight.cli import main
+from dart_flight.config.vehicle import load_vehicle, packaged
+from dart_flight.run import standby as module
+from dart_flight.run.operator_buttons import Button, Errand
+from dart_flight.run.standby import Ended, Standby, StandbyDesk, describe_end
+from dart_flight.vehicle.command_server import Press, Result
+from dart_flight.vehicle.vehicle_session import VehicleError
+
+VEHICLE = load_vehicle(packaged("configs", "dart.yaml"))
+RECEIVER = 65536
+OK, LATER, NO = Result.ACCEPTED, Result.TEMPORARILY_REJECTED, Result.DENIED
+FLY = Press(Button.FLY, 1)
+CENTRED = (1500,) * 8
+
+
+def desk(channel: int | None = 7) -> StandbyDesk:
+    return StandbyDesk(("one", "two"), channel, has_lock=True)
+
+
+# --- the desk ----------------------------------------------------------------------------------------------
+
+
+def test_fly_needs_a_remote_control_that_is_there_now() -> None:
+    standby = desk()
+    assert standby.press(FLY, 10.0).text == "PX4 receives no remote control"
+    standby.take_sensors(RECEIVER | 1, 11.0)
+    assert standby.press(FLY, 12.0).result == OK
+    assert standby.press(FLY, 14.5).result == NO, "PX4 is silent since 3.5 s"
+    standby.take_sensors(RECEIVER, 15.0)
+    standby.take_sensors(1, 15.2)  # the transmitter is off
+    assert standby.press(FLY, 15.3).result == NO
+
+
+def test_a_loss_between_the_two_presses_cancels_the_first() -> None:
+    standby = desk()
+    standby.take_sensors(RECEIVER, 10.0)
+    assert standby.press(FLY, 10.1).result == OK
+    standby.take_sensors(0, 10.5)
+    assert standby.press(FLY, 11.0).result == NO
+    standby.take_sensors(RECEIVER, 11.1)
+    assert standby.press(FLY, 11.2).effect is None
+
+
+def test_the_link_back_in_hand_everything_begins_afresh() -> None:
+    standby = desk()
+    standby.take_sensors(RECEIVER, 10.0)
+    standby.press(FLY, 10.1)
+    standby.take_link()
+    assert standby.press(FLY, 10.4).result == NO, "of the remote control nothing is known yet"
+    standby.take_sensors(RECEIVER, 10.5)
+    assert standby.press(FLY, 10.6).effect is None, "a press before it counts no more"
+
+
+def test_armed_and_travelling_decide() -> None:
+    standby = desk()
+    standby.take_sensors(RECEIVER, 10.0)
+    standby.take_armed(True)
+    assert standby.press(FLY, 10.1).text == "the vehicle is armed"
+    standby.take_lock(LockState(1, LockPhase.TRAVELLING, Mode.RIGID))
+    assert standby.press(Press(Button.LOCK_FLEXIBLE), 10.2).result == LATER
+    standby.take_lock(LockState(2, LockPhase.SETTLED, Mode.RIGID))
+    assert standby.press(Press(Button.LOCK_FLEXIBLE), 10.3).effect is Mode.FLEXIBLE
+
+
+def switched(standby: StandbyDesk, *pulses_us: int, present: int = RECEIVER) -> list[Mode]:
+    found, now_s = [], 0.0
+    for pulse_us in pulses_us:
+        for _ in range(10):
+            now_s += 0.1
+            standby.take_sensors(present, now_s)
+            mode = standby.take_channels((*CENTRED[:6], pulse_us, 1500), now_s)
+            found += [mode] if mode is not None else []
+    return found
+
+
+def test_the_configured_channel_moves_the_lock() -> None:
+    assert switched(desk(), 1000, 2000, 1000) == [Mode.RIGID, Mode.FLEXIBLE]
+    assert switched(desk(None), 1000, 2000) == []
+    assert switched(desk(8), 1000, 2000) == []
+    assert switched(desk(18), 1000, 2000) == [], "a channel that the receiver lacks"
+    assert switched(desk(), 1000, 2000, present=1) == [], "a receiver without its transmitter"
+
+
+# --- the end of a process ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("fly", "status", "report", "last_line", "lines"),
+    [
+        (True, 0, {"outcome": "completed", "reason": None}, "", ["wall: completed"]),
+        (
+            True,
+            1,
+            {"outcome": "aborted", "reason": "landing requested"},
+            "",
+            ["wall: aborted: landing requested"],
+        ),
+        (False, 0, {"go": True, "findings": []}, "", ["wall: go"]),
+        (
+            True,
+            1,
+            {"go": False, "findings": [{"item": "battery", "says": "12 V", "go": False}]},
+            "",
+            ["wall: no-go", "battery: 12 V"],
+        ),
+        (True, 2, None, "wall.yaml:3: goal: missing", ["wall: wall.yaml:3: goal: missing"]),
+        (True, 1, None, "", ["wall: ended with status 1"]),
+        (True, 1, [1], "", ["wall: ended with status 1"]),
+        (
+            True,
+            -9,
+            None,
+            "",
+            ["wall: the process was killed by SIGKILL: PX4's failsafe has the vehicle"],
+        ),
+        (False, -15, None, "", ["wall: the process was killed by SIGTERM"]),
+    ],
+)
+def test_the_end_of_a_process_in_lines(
+    fly: bool, status: int, report: object, last_line: str, lines: list[str]
+) -> None:
+    output = b"" if report is None else json.dumps(report).encode()
+    assert describe_end("wall", fly, Ended(status, output, last_line)) == lines
+
+
+def test_of_many_no_goes_three_are_told() -> None:
+    findings = [{"item": f"item{i}", "says": "bad", "go": i == 0} for i in range(7)]
+    findings.append({"item": "own", "says": "bad", "go": False, "overruled": True})
+    output = json.dumps({"go": False, "findings": findings}).encode()
+    lines = describe_end("wall", True, Ended(1, output, ""))
+    assert lines == ["wall: no-go and 3 more", "item1: bad", "item2: bad", "item3: bad"]
+
+
+# --- handing over ------------------------------------------------------------------------------------------
+
+
+class Hands(Standby):
+    """Standby whose link and processes are played.
+
+    Args:
+        errands: what the operator wants each time that standby has the link; SIGTERM after the last.
+        ends: how processes end, in their order.
+    """
+
+    def __init__(self, errands: list[Errand | Exception], ends: list[Ended]) -> None:
+        self.said: list[tuple[str, str]] = []
+        self.commands: list[Sequence[str]] = []
+        self._errands, self._ends = errands, ends
+        missions = [("one", "one.yaml"), ("two", "two.yaml")]
+        super().__init__(missions, VEHICLE, "udpin://127.0.0.1:1", [], lambda *what: self.said.append(what))
+
+    async def _hold(self) -> None:
+        if not self._errands:
+            os.kill(os.getpid(), signal.SIGTERM)
+            await self._wake.wait()
+            return
+        wanted = self._errands.pop(0)
+        if isinstance(wanted, Exception):
+            raise wanted
+        self._errand = wanted
+
+    async def _run_child(self, command: Sequence[str]) -> Ended:
+        self.commands.append(command)
+        return self._ends.pop(0)
+
+
+COMPLETED = Ended(0, b'{"outcome": "completed", "reason": null}', "")
+GO = Ended(0, b'{"go": true, "findings": []}', "")
+
+
+def test_an_errand_hands_the_link_over_and_keeps_what_it_came_to() -> None:
+    errands: list[Errand | Exception] = [Errand(False, (1, 2)), Errand(True, (2,)), Errand(True, (1,))]
+    standby = Hands(errands, [GO, GO, Ended(-9, b"", ""), COMPLETED])
+    asyncio.run(standby.run())
+    assert standby.commands == [
+        ["check", "one.yaml"],
+        ["check", "two.yaml"],
+        ["fly", "two.yaml", "--yes"],
+        ["fly", "one.yaml", "--yes"],
+    ]
+    assert standby._news == [
+        "one: go",
+        "two: go",
+        "two: the process was killed by SIGKILL: PX4's failsafe has the vehicle",
+        "one: completed",
+    ]
+
+
+def test_a_vehicle_that_is_away_is_said_once_and_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "_RETRY_S", 0.01)
+    away = VehicleError("no autopilot on udpin://127.0.0.1:1 within 5 s")
+    standby = Hands([away, away, away, Errand(False, (1,))], [GO])
+    asyncio.run(standby.run())
+    assert [text for kind, text in standby.said if kind == "problem"] == [f"{away}; trying again"]
+    assert standby.commands == [["check", "one.yaml"]]
+
+
+def test_a_real_process_says_why_it_cannot_fly(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "systemd"))
+    said: list[tuple[str, str]] = []
+    missing = str(tmp_path / "none.yaml")
+    standby = Standby(
+        [("none", missing)], VEHICLE, "udpin://127.0.0.1:1", [], lambda *what: said.append(what)
+    )
+    asyncio.run(standby._run_errand(Errand(True, (1,))))
+    (line,) = standby._news
+    assert line.startswith(f"none: {missing}: ")
+    assert ("child", line.removeprefix("none: ")) in said
+
+
+def test_a_signal_lands_the_flight_and_ends_standby() -> None:
+    standby, flight = Hands([], []), Mock(returncode=None)
+    standby._child = flight
+    standby._stop()
+    flight.send_signal.assert_called_once_with(signal.SIGTERM)
+    asyncio.run(standby.run())
+    assert standby.commands == []
+
+
+def test_buttons_wait_while_the_link_is_handed_over() -> None:
+    standby = Hands([], [])
+    standby._errand = Errand(False, (1,))
+    assert standby._answer(Press(Button.LOCK_RIGID))[0] is LATER
+
+
+# --- command -----------------------------------------------------------------------------------------------
+
+
+def test_wrong_input_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["standby", str(tmp_path / "none.yaml"), "--connection", "udpin://127.0.0.1:1"]) == 2
+    assert "none.yaml" in capsys.readouterr().err
+    assert main(["standby", "--connection", "nonsense"]) == 2
+    assert len(capsys.readouterr().err.splitlines()) == 1

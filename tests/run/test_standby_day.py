@@ -1,0 +1,167 @@
+"""A day from standby: real MAVSDK, real child processes, a ground station, and the transmitter's switch."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from dart_flight.run.operator_buttons import Button
+from dart_flight.vehicle.command_server import Result
+from tests.doubles.operator_station import OperatorStation
+from tests.doubles.ports import free_udp_port
+from tests.shared_flights import patient
+
+ROOT = Path(__file__).parents[2]
+CHANNEL = 7
+MISSION = """
+version: 1
+name: {name}
+vehicle: dart.yaml
+start: {{position_m: [{x}, 0.0], altitude_m: 1.0}}
+goal: {{position_m: [{x}, 0.0], capture_radius_m: 0.15, hold_s: 0.5}}
+bounds_m: {{x: [-2.0, 2.2], y: [-1.6, 2.0], z: [0.3, 2.0]}}
+waypoints: [{{position_m: [{x}, 0.3]}}]
+collisions: []
+"""
+OK, NO = Result.ACCEPTED, Result.DENIED
+
+pytestmark = [pytest.mark.mavlink, pytest.mark.realtime]
+
+
+class Laboratory:
+    """A folder with three missions, the third one for another place; a vehicle; standby; a ground station."""
+
+    def __init__(self, folder: Path, station: OperatorStation, port: int) -> None:
+        self.station, self._folder, self._port = station, folder, port
+        self.lines: list[str] = []
+
+    @property
+    def standby(self) -> subprocess.Popen[str]:
+        return self._standby
+
+    @contextlib.contextmanager
+    def standing_by(self) -> Iterator[None]:
+        command = [sys.executable, "-m", "dart_flight", "standby", "one.yaml", "two.yaml", "three.yaml"]
+        command += ["--connection", f"udpin://127.0.0.1:{self._port}", "--driver", "px4", "--json"]
+        environment = os.environ | {
+            "PYTHONPATH": str(ROOT),
+            "DART_FLIGHT_STATE_DIR": str(self._folder / "state"),
+        }
+        with open(self._folder / "standby.jsonl", "w") as output:
+            self._standby = subprocess.Popen(
+                command, cwd=self._folder, env=environment, text=True, stdout=output
+            )
+        try:
+            yield
+        finally:
+            self._standby.terminate()
+            self._standby.wait(60.0)
+
+    def said(self) -> list[str]:
+        lines = (self._folder / "standby.jsonl").read_text().splitlines()
+        return [json.loads(line)["text"] for line in lines]
+
+    def fly(self, number: int) -> None:
+        assert self.station.press(Button.FLY, number) == OK
+        assert self.station.press(Button.FLY, number) == OK
+
+    def flight_process(self) -> int:
+        """The process of `fly`, once it has taken off."""
+        children = Path(f"/proc/{self._standby.pid}/task/{self._standby.pid}/children")
+        (pid,) = children.read_text().split()
+        return int(pid)
+
+    def is_standing_by(self, times: int) -> None:
+        """Standby has the link for the nth time, and answers."""
+        self.station.wait_for("standby", times, timeout_s=120.0)
+        assert self.standby.poll() is None
+        assert self.station.press(Button.LAND) == NO
+        time.sleep(1.0)  # until standby has heard the transmitter
+
+
+@pytest.fixture
+def laboratory(tmp_path: Path) -> Iterator[Laboratory]:
+    config = patient((ROOT / "configs" / "dart.yaml").read_text())
+    config = config.replace("rc_channel: null", f"rc_channel: {CHANNEL}")
+    (tmp_path / "dart.yaml").write_text(config)
+    for name, x in (("one", 0.0), ("two", 0.0), ("three", 1.5)):
+        (tmp_path / f"{name}.yaml").write_text(MISSION.format(name=name, x=x))
+    port, ground_port = free_udp_port(), free_udp_port()
+    command = [sys.executable, "-m", "tests.doubles.forwarding_vehicle", str(tmp_path / "one.yaml")]
+    command += [str(tmp_path / "dart.yaml"), str(port), str(ground_port)]
+    with (
+        OperatorStation(ground_port) as station,
+        open(tmp_path / "vehicle.log", "w") as log,
+        subprocess.Popen(command, cwd=ROOT, stdout=log) as vehicle,
+    ):
+        laboratory = Laboratory(tmp_path, station, port)
+        try:
+            with laboratory.standing_by():
+                yield laboratory
+        finally:
+            vehicle.terminate()
+
+
+def test_a_day(laboratory: Laboratory) -> None:
+    station = laboratory.station
+    laboratory.is_standing_by(1)
+    # The lock, by button and by switch.
+    assert [station.press(b) for b in (Button.LOCK_RIGID, Button.CONTINUE, Button.LAND)] == [OK, NO, NO]
+    station.wait_for("lock rigid: settled")
+    assert station.press(Button.LOCK_FLEXIBLE) == OK
+    station.wait_for("lock flexible: settled")
+    for pulse_us in (1000, 2000):
+        for _ in range(8):
+            station.move_switch(CHANNEL, pulse_us)
+            time.sleep(0.2)
+    station.wait_for("lock rigid: settled", 2)
+    # A check, and what a check finds.
+    assert station.press(Button.CHECK, 1) == OK
+    station.wait_for("one: go", timeout_s=120.0)
+    laboratory.is_standing_by(2)
+    assert station.press(Button.FLY, 9) == NO
+    laboratory.fly(3)
+    station.wait_for("three: no-go", timeout_s=120.0)
+    station.wait_for("place: vehicle at ")
+    laboratory.is_standing_by(3)
+    # Three flights, and one whose process is killed between them.
+    laboratory.fly(1)
+    station.wait_for("phase waypoint", timeout_s=120.0)
+    assert station.press(Button.LOCK_RIGID) == NO, "the mission moves the lock"
+    station.wait_for("one: completed", timeout_s=120.0)
+    laboratory.is_standing_by(4)
+    laboratory.fly(2)
+    station.wait_for("two: completed", timeout_s=120.0)
+    laboratory.is_standing_by(5)
+    laboratory.fly(1)
+    station.wait_for("phase waypoint", 3, timeout_s=120.0)
+    os.kill(laboratory.flight_process(), signal.SIGKILL)
+    station.wait_for("one: the process was killed by SIGKILL: PX4's failsafe has the vehicle")
+    laboratory.is_standing_by(6)
+    assert station.press(Button.FLY, 1) == NO, "the vehicle is still in the air"
+    station.wait_for("denied: the vehicle is armed")
+    station.wait_disarmed()
+    time.sleep(1.5)  # until standby has heard it as well
+    assert station.press(Button.LOCK_FLEXIBLE) == OK
+    laboratory.fly(1)
+    station.wait_for("one: completed", 2, timeout_s=120.0)
+    laboratory.is_standing_by(7)
+
+
+def test_to_end_standby_lands_its_flight(laboratory: Laboratory) -> None:
+    laboratory.is_standing_by(1)
+    laboratory.fly(2)
+    laboratory.station.wait_for("phase waypoint", timeout_s=120.0)
+    laboratory.standby.send_signal(signal.SIGTERM)
+    assert laboratory.standby.wait(60.0) == 0
+    (end,) = (line for line in laboratory.said() if line.startswith("two: aborted"))
+    assert "landing requested" in end

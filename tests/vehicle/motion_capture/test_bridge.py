@@ -1,0 +1,98 @@
+"""The bridge: conversion to ODOMETRY, decimation, and what it delivers."""
+
+import json
+from collections.abc import Callable
+from itertools import pairwise
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from dart_flight.base.records import PoseSample
+from dart_flight.config.vehicle.mocap import MotionCapture
+from dart_flight.vehicle.clock import SimulatedTime
+from dart_flight.vehicle.motion_capture.bridge import Decimation, MotionCaptureBridge
+from dart_flight.vehicle.motion_capture.source import RawPose, lost_pose
+
+
+class HandSource:
+    """A source whose poses the test delivers."""
+
+    problem: str | None = None
+
+    def start(self, deliver: Callable[[RawPose], None]) -> None:
+        self.deliver = deliver
+
+    def stop(self) -> None:
+        self.stopped = True
+
+
+def make_bridge(config: MotionCapture) -> tuple[MotionCaptureBridge, HandSource, list[Any], list[PoseSample]]:
+    source, clock = HandSource(), SimulatedTime()
+    clock.receive(5_000_000, 0)
+    sent: list[Any] = []
+    delivered: list[PoseSample] = []
+    bridge = MotionCaptureBridge(config, source, sent.append, clock, delivered.append)
+    bridge.start()
+    return bridge, source, sent, delivered
+
+
+def pose(source_us: int, tracked: bool = True) -> RawPose:
+    return RawPose("dart", tracked, (1.0, 2.0, 3.0), (1.0, 0.0, 0.0, 0.0), None, source_us, "a:1")
+
+
+def test_a_pose_leaves_as_odometry_in_local_ned() -> None:
+    config = MotionCapture(heading_deg=30.0, body_yaw_deg=20.0, body_offset_m=(0.1, 0.0, -0.05))
+    bridge, _, sent, delivered = make_bridge(config)
+    bridge.forward(pose(0))
+    fields = json.loads(sent[0].fields_json)
+    position, attitude = config.room_frame().pose_to_ned((1.0, 2.0, 3.0), (1.0, 0.0, 0.0, 0.0))
+    assert (fields["x"], fields["y"], fields["z"]) == pytest.approx(position)
+    assert fields["q"] == pytest.approx(attitude)
+    assert (fields["frame_id"], fields["estimator_type"], fields["time_usec"]) == (1, 2, 5_000_000)
+    assert fields["vx"] is fields["yawspeed"] is fields["velocity_covariance"][0] is None
+    assert fields["pose_covariance"][0] == fields["pose_covariance"][20] == pytest.approx(1e-4)
+    assert len(fields["pose_covariance"]) == 21
+    assert delivered == [PoseSample(5_000_000, 5_000_000, *pose(0))]
+
+
+def test_a_lost_pose_is_delivered_and_not_sent() -> None:
+    bridge, source, sent, delivered = make_bridge(MotionCapture())
+    bridge.forward(lost_pose("dart", 1, 20_000, "a:1"))
+    assert (sent, [p.tracked for p in delivered]) == ([], [False])
+    bridge.stop()
+    bridge.forward(pose(40_000))
+    assert (len(sent), source.stopped, len(delivered)) == (0, True, 1)
+
+
+@given(
+    rate_hz=st.floats(20.0, 200.0),
+    source_hz=st.floats(20.0, 500.0),
+    jitter=st.lists(st.integers(-300, 300), min_size=600, max_size=600),
+)
+def test_decimation_keeps_the_mean_rate_evenly(rate_hz: float, source_hz: float, jitter: list[int]) -> None:
+    frame_us, period_us = 1e6 / source_hz, 1e6 / rate_hz
+    stamps = [round(i * frame_us) + j for i, j in enumerate(jitter)]
+    decimation = Decimation(rate_hz)
+    selected = [t for t in stamps if decimation.selects(t)]
+    mean_us = (selected[-1] - selected[0]) / (len(selected) - 1)
+    assert mean_us == pytest.approx(max(frame_us, period_us), rel=0.03)
+    longest = max(frame_us, period_us) + frame_us + 1300
+    assert max(b - a for a, b in pairwise(selected)) <= longest + 0.125 * period_us
+
+
+def test_decimation_of_240_hz_to_50_hz() -> None:
+    decimation = Decimation(50.0)
+    selected = [i for i in range(2401) if decimation.selects(round(i * 1e6 / 240))]
+    assert len(selected) == 501
+    assert {b - a for a, b in pairwise(selected)} == {4, 5}
+
+
+@pytest.mark.parametrize("leap_us", [-10_000_000, 10_000_000])
+def test_decimation_survives_a_leap_of_the_clock(leap_us: int) -> None:
+    decimation = Decimation(50.0)
+    assert decimation.selects(0)
+    assert decimation.selects(leap_us)
+    assert not decimation.selects(leap_us + 5_000)
+    assert decimation.selects(leap_us + 20_000)

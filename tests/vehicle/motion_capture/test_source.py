@@ -1,0 +1,105 @@
+"""URLs of pose sources, and poses as JSON datagrams."""
+
+import json
+import queue
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from dart_flight.config.document import InputError
+from dart_flight.sim.motion_capture import make_server
+from dart_flight.vehicle.motion_capture.json_udp import decode
+from dart_flight.vehicle.motion_capture.source import RawPose, open_source, parse_url
+
+POSE = {"position_m": [1, 2.5, -3], "quaternion_wxyz": [1, 0, 0, 0], "frame": 7, "time_s": 2.5}
+
+
+def test_a_url_names_system_host_port_and_body() -> None:
+    assert parse_url("optitrack://10.0.0.1/dart") == (
+        "optitrack",
+        ("optitrack://10.0.0.1/dart", "10.0.0.1", 1510, "dart"),
+    )
+    assert parse_url("vicon://0.0.0.0:51002/my%20drone")[1][2:] == (51002, "my drone")
+    assert parse_url("qualisys://lab/3")[1][1:] == ("lab", 22223, "3")
+
+
+@pytest.mark.parametrize(
+    ("url", "fragment"),
+    [
+        ("vrpn://10.0.0.1/dart", "optitrack://SERVER/BODY"),
+        ("optitrack://10.0.0.1", "optitrack://SERVER/BODY"),
+        ("udp://0.0.0.0/dart", "add a port"),
+        ("udp://0.0.0.0:99999/dart", "udp://ADDRESS:PORT/BODY"),
+        ("dart", "udp://ADDRESS:PORT/BODY"),
+        ("udp://192.0.2.1:9763/dart", "0.0.0.0 for all"),
+    ],
+)
+def test_a_wrong_url_is_refused_in_one_line(url: str, fragment: str) -> None:
+    with pytest.raises(InputError, match=fragment) as caught:
+        open_source(url)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("system", ["optitrack", "qualisys"])
+def test_a_missing_client_names_the_extra(system: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    def missing(name: str) -> None:
+        raise ModuleNotFoundError("No module named 'natnet'", name="natnet")
+
+    monkeypatch.setattr("importlib.import_module", missing)
+    with pytest.raises(InputError, match=r"needs the extra: pip install 'dart-flight\[mocap\]'"):
+        open_source(f"{system}://127.0.0.1/dart")
+
+
+def test_a_json_pose_is_decoded() -> None:
+    found = decode(json.dumps(POSE).encode(), "dart", "a:1")
+    assert found == RawPose("dart", True, (1.0, 2.5, -3.0), (1.0, 0.0, 0.0, 0.0), 7, 2_500_000, "a:1")
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        ({"position_m": [1, 2]}, "not a pose in JSON"),
+        ({"position_m": [1, 2, 2500]}, "exceeds 1000 m"),
+        ({"position_m": None}, "missing"),
+        ({"quaternion_wxyz": [0, 0, 0, 0]}, "length 1"),
+        ({"quaternion_wxyz": [1, 1, 0, 0]}, "length 1"),
+        ({"frame": -1}, "not a pose in JSON"),
+        ({"frame": 2**64}, "not a pose in JSON"),
+        ({"time_s": 1e300}, "time_s"),
+        ({"body": "other"}, "another body"),
+    ],
+)
+def test_a_wrong_json_pose_is_ignored_with_its_reason(change: dict[str, object], reason: str) -> None:
+    found = decode(json.dumps(POSE | change).encode(), "dart", "a:1")
+    assert isinstance(found, str)
+    assert reason in found
+
+
+@given(
+    st.binary(max_size=200)
+    | st.recursive(st.none() | st.floats() | st.text(), st.lists).map(repr).map(str.encode)
+)
+def test_any_datagram_is_decoded_or_ignored(data: bytes) -> None:
+    assert isinstance(decode(data, "dart", "a:1"), str | RawPose)
+    assert isinstance(decode(b"[" * 100_000, "dart", "a:1"), str)
+
+
+def test_the_emulated_json_system_feeds_its_source() -> None:
+    server = make_server("udp", "my drone")
+    assert server.clients == 0
+    source = open_source(server.url)
+    poses: queue.Queue[RawPose] = queue.Queue()
+    source.start(poses.put)
+    try:
+        assert server.clients == 1
+        server.publish(20_000, (1.0, 2.0, 3.0), (0.0, 1.0, 0.0, 0.0))
+        server.publish(40_000, (1.0, 2.0, 3.0), (0.0, 1.0, 0.0, 0.0), tracked=False)
+        first, second = poses.get(timeout=10), poses.get(timeout=10)
+        assert first[:6] == ("my drone", True, (1.0, 2.0, 3.0), (0.0, 1.0, 0.0, 0.0), 0, 20_000)
+        assert (second.tracked, second.frame_number, second.source_us) == (False, 1, 40_000)
+        assert source.problem is None
+    finally:
+        source.stop()
+        server.close()
+    assert server.clients == 0

@@ -1,0 +1,282 @@
+"""The emulated systems against the vendors' unmodified clients and against our sources; damaged packets."""
+
+import asyncio
+import contextlib
+import math
+import queue
+import struct
+import time
+from collections.abc import Callable, Iterator
+from itertools import product
+from typing import Any
+
+import natnet
+import pytest
+import qtm_rt
+from hypothesis import given
+from hypothesis import strategies as st
+
+from dart_flight.base.geometry import (
+    Quaternion,
+    quaternion_conjugate,
+    quaternion_from_rotation_vector,
+    quaternion_multiply,
+    rotate,
+)
+from dart_flight.config.document import InputError
+from dart_flight.sim.motion_capture import PoseServer, make_server
+from dart_flight.sim.motion_capture.vicon_sender import euler_xyz
+from dart_flight.vehicle.motion_capture import vicon
+from dart_flight.vehicle.motion_capture.optitrack import ServerInfo, decode_server_info
+from dart_flight.vehicle.motion_capture.qualisys import attitude_of_matrix, body_names
+from dart_flight.vehicle.motion_capture.source import PoseSource, RawPose, open_source
+
+BODY = "my dart"
+POSITION = (1.25, -2.5, 0.75)
+ATTITUDE = quaternion_from_rotation_vector((0.4, -0.9, 2.0))
+VECTORS = st.tuples(*[st.floats(-2.5, 2.5)] * 3)
+SYSTEMS = ("optitrack", "qualisys", "vicon", "udp")
+
+
+def until(is_so: Callable[[], object]) -> None:
+    end_s = time.monotonic() + 30.0
+    while not is_so():
+        assert time.monotonic() < end_s
+        time.sleep(0.005)
+
+
+def angle(a: Quaternion, b: Quaternion) -> float:
+    w, *v = quaternion_multiply(quaternion_conjugate(a), b)
+    return 2.0 * math.atan2(math.hypot(*v), abs(w))
+
+
+@contextlib.contextmanager
+def fed(kind: str) -> Iterator[tuple[PoseServer, PoseSource, "queue.Queue[RawPose]"]]:
+    server = make_server(kind, BODY)
+    poses: queue.Queue[RawPose] = queue.Queue()
+    try:
+        source = open_source(server.url)
+        source.start(poses.put)
+        try:
+            until(lambda: server.clients)
+            yield server, source, poses
+        finally:
+            source.stop()
+    finally:
+        server.close()
+
+
+@pytest.mark.parametrize("kind", SYSTEMS)
+def test_a_source_reads_its_emulated_system(kind: str) -> None:
+    with fed(kind) as (server, source, poses):
+        server.publish(1_000_000, POSITION, ATTITUDE)
+        server.publish(1_020_000, POSITION, ATTITUDE, tracked=False)
+        first, second = poses.get(timeout=30), poses.get(timeout=30)
+        assert source.problem is None
+    assert (first.body, first.tracked, second.tracked) == (BODY, True, False)
+    assert first.position_room == pytest.approx(POSITION, abs=1e-6)
+    assert angle(first.q_body_to_room, ATTITUDE) < 1e-6
+    assert first.frame_number is not None
+    assert second.frame_number == first.frame_number + 1
+    if kind == "vicon":  # its stream has no stamp
+        assert first.source_us is None
+    else:
+        assert (first.source_us, second.source_us) == (1_000_000, 1_020_000)
+
+
+@pytest.mark.parametrize("kind", ["optitrack", "qualisys"])
+def test_a_wrong_body_is_refused_with_the_names_of_the_right_ones(kind: str) -> None:
+    server = make_server(kind, BODY)
+    try:
+        with pytest.raises(InputError, match=f"no .*body cat, only .*{BODY}.*wand"):
+            open_source(server.url.rpartition("/")[0] + "/cat")
+    finally:
+        server.close()
+
+
+@pytest.mark.parametrize(("scheme", "says"), [("optitrack", "Motive"), ("qualisys", "QTM")])
+def test_a_system_that_does_not_answer_is_named(
+    scheme: str, says: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("dart_flight.vehicle.motion_capture.optitrack._PING_S", 0.05)
+    with pytest.raises(InputError, match=says) as caught:
+        open_source(f"{scheme}://127.0.0.1:9/{BODY}")
+    assert "\n" not in str(caught.value)
+
+
+def test_an_optitrack_body_may_be_named_by_its_id() -> None:
+    server = make_server("optitrack", BODY)
+    poses: queue.Queue[RawPose] = queue.Queue()
+    source = open_source(server.url.rpartition("/")[0] + "/7")
+    source.start(poses.put)
+    try:
+        until(lambda: server.clients)
+        server.publish(0, POSITION, ATTITUDE)
+        assert poses.get(timeout=30).tracked
+    finally:
+        source.stop()
+        server.close()
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
+def test_an_optitrack_source_survives_a_damaged_frame(monkeypatch: pytest.MonkeyPatch) -> None:
+    module = "dart_flight.vehicle.motion_capture.optitrack"
+    monkeypatch.setattr(f"{module}._SILENT_S", 0.1)
+    monkeypatch.setattr(f"{module}._DEAD_S", 0.3)
+    with fed("optitrack") as (server, source, poses):
+        (client,) = server._clients.values()  # type: ignore[attr-defined]
+        client.send(struct.pack("<HHI", 7, 4, 1))
+        until(lambda: source.problem)
+        assert "no frame" in str(source.problem)
+
+        def arrives() -> bool:
+            server.publish(0, POSITION, ATTITUDE)
+            return not poses.empty()
+
+        until(arrives)
+        assert source.problem is None
+
+
+# --- the vendors' clients ------------------------------------------------------------------------------
+
+
+def test_the_natnet_client_understands_the_emulated_server() -> None:
+    server = make_server("optitrack", BODY)
+    port = int(server.url.split(":")[2].partition("/")[0])
+    client = natnet.NatNetClient("127.0.0.1", "127.0.0.1", command_port=port, use_multicast=False)
+    frames: list[Any] = []
+    models: list[Any] = []
+    client.on_data_frame_received_event.handlers.append(frames.append)
+    client.on_data_description_received_event.handlers.append(models.append)
+    try:
+        with client:
+            assert client.server_info.application_name == "Motive"
+            client.request_modeldef()
+            until(lambda: client.update_sync() or models)
+            until(lambda: server.clients)
+            server.publish(5_000_000, POSITION, ATTITUDE)
+            until(lambda: client.update_sync() or frames)
+    finally:
+        server.close()
+    (model, frame), w = (models[0], frames[0]), ATTITUDE[0]
+    ids = {body.name: body.id_num for body in model.rigid_bodies}
+    body = next(body for body in frame.rigid_bodies if body.id_num == ids[BODY])
+    assert body.pos == pytest.approx(POSITION)
+    assert body.rot == pytest.approx((*ATTITUDE[1:], w))
+    assert body.tracking_valid
+    assert frame.suffix.timestamp == pytest.approx(5.0)
+
+
+def test_the_qtm_client_understands_the_emulated_server() -> None:
+    server = make_server("qualisys", BODY)
+    port = int(server.url.split(":")[2].partition("/")[0])
+
+    async def talk() -> tuple[bytes, Any]:
+        connection = await qtm_rt.connect("127.0.0.1", port)
+        assert connection is not None
+        names = await connection.get_parameters(parameters=["6d"])
+        with pytest.raises(qtm_rt.QRTCommandException):
+            await connection.qtm_version()
+        packets: asyncio.Queue[Any] = asyncio.Queue()
+        streaming = asyncio.create_task(
+            connection.stream_frames(components=["6d"], on_packet=packets.put_nowait)
+        )
+        await asyncio.to_thread(until, lambda: server.clients)
+        server.publish(5_000_000, POSITION, ATTITUDE)
+        packet = await packets.get()
+        assert await streaming == b"Ok"
+        connection.disconnect()
+        return names, packet
+
+    try:
+        names, packet = asyncio.run(asyncio.wait_for(talk(), 60))
+    finally:
+        server.close()
+    assert body_names(names.decode())[0] == ["wand", BODY]
+    position, rotation = packet.get_6d()[1][1]
+    assert tuple(position) == pytest.approx([1e3 * x for x in POSITION])
+    assert rotation.matrix[:3] == pytest.approx(rotate(ATTITUDE, (1.0, 0.0, 0.0)), abs=1e-6)
+    assert packet.timestamp == 5_000_000
+
+
+# --- packets by hand -----------------------------------------------------------------------------------
+
+
+def vicon_block(*objects: tuple[str, tuple[float, ...]], frame: int = 9, count: int | None = None) -> bytes:
+    data = struct.pack("<IB", frame, len(objects) if count is None else count)
+    for name, values in objects:
+        data += struct.pack("<BH24s6d", 0, 72, name.encode(), *values)
+    return data
+
+
+def test_a_vicon_block_with_two_objects_is_decoded() -> None:
+    block = vicon_block(("wand", (1, 2, 3, 0, 0, 0)), (BODY, (1000, -2000, 3000, 0, 0, math.pi / 2)))
+    assert len(block) == 155
+    pose = vicon.decode(block, BODY, "a:1")
+    assert isinstance(pose, RawPose)
+    assert (pose.tracked, pose.frame_number, pose.source_us) == (True, 9, None)
+    assert pose.position_room == pytest.approx((1.0, -2.0, 3.0))
+    assert rotate(pose.q_body_to_room, (1.0, 0.0, 0.0)) == pytest.approx((0.0, 1.0, 0.0))
+    unknown_item = struct.pack("<IBBH3s", 1, 2, 4, 3, b"xyz") + block[5 + 75 :]
+    assert isinstance(vicon.decode(unknown_item, BODY, "a:1"), RawPose)
+
+
+@pytest.mark.parametrize(
+    ("data", "reason"),
+    [
+        (b"", "shorter than a block"),
+        (vicon_block((BODY, (1,) * 6), count=3)[:-75] + b"\0", "fewer items"),
+        (vicon_block((BODY, (1,) * 6))[:-1], "wrong size"),
+        (struct.pack("<IBBH", 1, 1, 0, 71) + bytes(71), "wrong size"),
+        (vicon_block(("cat", (1,) * 6)), "no object my dart, only cat"),
+        (vicon_block((BODY, (math.nan, 0, 0, 0, 0, 0))), "not a number"),
+    ],
+)
+def test_a_wrong_vicon_block_is_ignored_with_its_reason(data: bytes, reason: str) -> None:
+    found = vicon.decode(data, BODY, "a:1")
+    assert isinstance(found, str)
+    assert reason in found
+
+
+@given(st.binary(max_size=300))
+def test_any_vicon_datagram_is_decoded_or_ignored(data: bytes) -> None:
+    assert isinstance(vicon.decode(data, "", "a:1"), str | RawPose)
+
+
+@given(VECTORS)
+def test_vicons_euler_angles_are_the_inverse_of_its_attitude(vector: tuple[float, float, float]) -> None:
+    q = quaternion_from_rotation_vector(vector)
+    assert angle(vicon.attitude_of_euler(*euler_xyz(q)), q) < 1e-5
+
+
+@given(VECTORS | st.sampled_from([tuple(math.pi * x for x in v) for v in product((0, 1), repeat=3)]))
+def test_a_matrix_by_columns_is_its_attitude(vector: tuple[float, float, float]) -> None:
+    q = quaternion_from_rotation_vector(vector)
+    axes = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+    columns = [x for axis in axes for x in rotate(q, axis)]
+    assert angle(attitude_of_matrix(columns), q) < 1e-6
+
+
+def test_a_matrix_that_is_not_a_rotation_is_refused() -> None:
+    with pytest.raises(ValueError, match="not a rotation"):
+        attitude_of_matrix([math.nan] * 9)
+
+
+def test_disabled_qtm_bodies_are_known() -> None:
+    xml = (
+        "<QTM_Parameters_Ver_1.25><The_6D><Body><Name>a</Name><Enabled>false</Enabled></Body>"
+        "<Body><Name>b</Name><Enabled>true</Enabled></Body></The_6D></QTM_Parameters_Ver_1.25>"
+    )
+    assert body_names(xml) == (["a", "b"], ["b"])
+    with pytest.raises(ValueError, match="not XML"):
+        body_names("Parse error")
+
+
+def test_an_optitrack_server_announces_its_transmission() -> None:
+    sender = b"Motive".ljust(256, b"\0") + bytes((2, 2, 0, 0, 3, 1, 0, 0))
+    transmission = struct.pack("<QHB4B", 3_000_000, 1600, 1, 239, 1, 2, 3)
+    data = struct.pack("<HH", 1, 279) + sender + transmission
+    assert decode_server_info(data) == ServerInfo(3_000_000, 1600, True, "239.1.2.3")
+    assert decode_server_info(data[:270]) == ServerInfo()
+    assert decode_server_info(b"\7\0" + data[2:]) is None
+    assert decode_server_info(data[:100]) is None

@@ -1,0 +1,119 @@
+"""Flights on forwarded motion-capture poses: systems, latencies, faults (docs/results/motion_capture.md)."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections import Counter
+from collections.abc import Sequence
+from functools import lru_cache
+from pathlib import Path
+
+import msgspec
+
+from dart_flight.config.mission import Mission
+from dart_flight.config.vehicle import packaged
+from dart_flight.lab.campaign.campaign_spec import Point
+from dart_flight.lab.campaign.flight_job import JudgedRow
+from dart_flight.planning.survey import plan_survey
+from dart_flight.run.prepare import load_flyable, with_simulated_mocap
+from dart_flight.run.px4_flight import fly_px4
+from dart_flight.sim.faults.fault_table import parse_fault_of
+from dart_flight.sim.pipe import FULL_SPEED
+from dart_flight.sim.px4.launch import ENVIRONMENT
+from tools.campaigns.px4 import spread
+from tools.campaigns.results import markdown
+
+_OWN = "simulator"  # the simulator sends the poses to PX4 by itself
+_MISSIONS = ("dual_collision", "shuttle", "survey")
+_TOUCH_M_S = 0.5
+_FAULTS = (
+    "mocap-lost=0.3@approach", "mocap-lost=1@transit", "mocap-lost=1@recovery", "mocap-flip=90@approach",
+    "mocap-flip=180@contact", "mocap-other-body@approach", "mocap-other-body@recovery",
+    "mocap-late=50@approach", "mocap-late=150@transit", "mocap-slow@approach",
+)  # fmt: skip
+
+
+class PoseFlight(msgspec.Struct, frozen=True):
+    """One flight; `rules` are those that the guard applied, in order."""
+
+    outcome: str
+    reason: str
+    rules: list[str]
+    failsafe: bool | None
+    tilt_deg: float | None
+    ekf_m: float | None
+    miss_m: float | None
+
+
+def cases() -> list[dict[str, str]]:
+    """Return the parts: systems and missions, latencies, faults."""
+    systems = (_OWN, "optitrack", "qualisys", "vicon")
+    flown = [_case("systems", m, mocap=s) for m in _MISSIONS for s in systems]
+    late = [_case("latency", "dual_collision", delay_ms=d) for d in ("5", "20", "50")]
+    return flown + late + [_case("faults", "dual_collision", fault=f) for f in _FAULTS]
+
+
+def _case(
+    part: str, flown: str, mocap: str = "optitrack", delay_ms: str = "10", fault: str = ""
+) -> dict[str, str]:
+    return {"part": part, "flown": flown, "mocap": mocap, "delay_ms": delay_ms, "fault": fault}
+
+
+@lru_cache
+def _mission(flown: str, mocap: str, delay_ms: str) -> Mission:
+    delay = [f"simulation.pose_delay_s={float(delay_ms) * 1e-3:g}", f"mocap.delay_ms={delay_ms}"]
+    name = "dual_collision" if flown == "survey" else flown
+    mission = load_flyable(packaged("missions", f"{name}.yaml"), None, delay)
+    if flown == "survey":
+        mission = plan_survey(mission, _TOUCH_M_S).mission
+    return with_simulated_mocap(mission, None if mocap == _OWN else mocap)
+
+
+def fly(point: Point, seed: int) -> PoseFlight:
+    """Fly one case on the PX4 of `--px4`."""
+    case = point.case
+    mission = _mission(case["flown"], case["mocap"], case["delay_ms"])
+    fault = parse_fault_of(mission, case["fault"]) if case["fault"] else None
+    with tempfile.TemporaryDirectory() as folder:
+        px4 = os.environ[ENVIRONMENT]
+        v = fly_px4(mission, px4, seed, Path(folder), spreads=point.spreads, fault=fault, speed=FULL_SPEED)
+    return PoseFlight(
+        outcome=v.outcome.value,
+        reason=v.reason or "",
+        rules=[event.rule for event in v.guard],
+        failsafe=v.px4.failsafe if v.px4 else None,
+        tilt_deg=v.max_tilt_deg,
+        ekf_m=v.ekf_error_m,
+        miss_m=v.goal_miss_m,
+    )
+
+
+def page(rows: Sequence[JudgedRow]) -> str:
+    """Return a table for each part; median (least to most)."""
+    parts: dict[str, list[JudgedRow]] = {}
+    for row in rows:
+        parts.setdefault(row.values["part"], []).append(row)
+    tables = [_table(part, mine) for part, mine in parts.items()]
+    return "\n".join(tables)
+
+
+def _table(part: str, rows: Sequence[JudgedRow]) -> str:
+    keys = {"systems": ("flown", "mocap"), "latency": ("delay_ms",), "faults": ("fault",)}[part]
+    groups: dict[tuple[str, ...], list[PoseFlight]] = {}
+    for row in rows:
+        groups.setdefault(tuple(row.values[key] for key in keys), []).append(row.row)
+    head = (*keys, "completed", "ended by", "failsafe", "max. tilt °", "estimate off by m", "goal miss m")
+    return markdown(head, [(*key, *_figures(mine)) for key, mine in groups.items()])
+
+
+def _figures(mine: Sequence[PoseFlight]) -> list[str]:
+    ended = Counter(f.reason.partition(":")[0] for f in mine if f.outcome != "completed")
+    return [
+        f"{sum(f.outcome == 'completed' for f in mine)} of {len(mine)}",
+        ", ".join(f"`{rule}` {count}" for rule, count in ended.most_common()) or "-",
+        str(sum(bool(f.failsafe) for f in mine)),
+        spread([f.tilt_deg for f in mine], 1),
+        spread([f.ekf_m for f in mine], 3),
+        spread([f.miss_m for f in mine], 2),
+    ]
