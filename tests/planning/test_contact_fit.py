@@ -533,7 +533,7 @@ def test_a_lock_that_lies_is_found_out(tmp_path: Path) -> None:
     for row in rows:
         assert row["mode_reported"] != row["true_mode"]
         assert row["mode_felt"] == row["true_mode"]
-        assert row["after_ms"] <= 60.0
+        assert row["after_ms"] <= 150.0  # a plan that needs the answer waits so long
         assert abs(row["plane_error_m"]) < 0.01
         value, sd, true = row["coefficients"]["k"]
         assert abs(true / value - 1.0) <= 2.0 * sd
