@@ -252,10 +252,11 @@ class Executive:
 
     def _handle_wall_estimate(self, felt: WallEstimate, state: FlightState, p: Proposal) -> None:
         progress = self.progress
+        progress.replan = progress.replan._replace(felt=True)
         hit = next(c.wall for c in self.mission.collisions if c.wall.name == felt.wall)
         known = progress.walls.wall_now(hit)
         progress.walls.add_estimate(felt, hit)
-        if progress.anchors is not None and not known.sought:
+        if progress.anchors is not None and not known.sought and not felt.problem:
             self._correct_frame(progress.anchors.take(known, felt, state.now_us), state, p)
         self._apply(self._impacts.on_wall_estimate(felt), state, p)
 

@@ -24,7 +24,7 @@ from dart_flight.core.mission.wall_uncertainty import late_s
 from dart_flight.core.sense.senses import Sensed
 from dart_flight.core.sense.state import FlightState
 
-_FELT_WITHIN_US = 60_000  # after a contact's end (`core.sense.wall_estimator`)
+_FELT_WITHIN_US = 150_000  # after a contact's end: three times the latency of a fit (docs/felt.md)
 _AGAIN_US, _NOT_AGAIN_US = 300_000, 400_000  # along a trajectory: after the previous request, before its end
 _HELD_TO_M = 0.2
 _TRIES = 6  # requests for a trajectory after one contact
@@ -60,18 +60,15 @@ class ReplanRequests:
             coasts: whether only thrust is commanded, without a setpoint ahead.
         """
         replan = progress.replan
-        if sensed.wall is not None and not replan.felt:
-            replan = replan._replace(felt=True)
-        unchanged = NO_CHANGE if replan is progress.replan else Change(replan=replan)
         again = self._should_repeat(replan, state.now_us)
         if not self._enabled or not (replan.asked is None or again):
-            return unchanged
+            return NO_CHANGE
         if (
             sensed.estimate is None
             or sensed.in_contact
             or self._should_wait_for_wall(progress, replan, state)
         ):
-            return unchanged
+            return NO_CHANGE
         following = progress.collision
         along = following is not None and following.trajectory is not None
         lock = progress.lock
