@@ -28,12 +28,12 @@ from dart_flight.cli.vehicle_line import say_vehicle
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission, Waypoint
 from dart_flight.config.provenance import display_path
-from dart_flight.recording.flight_time import armed_span
+from dart_flight.recording.armed_span import armed_span
 from dart_flight.recording.reader import read_log
 from dart_flight.recording.verdict import Verdict
 from dart_flight.run.drone import fly_vehicle
 from dart_flight.run.prepare import as_rehearsal, load_flyable, with_driver, with_mocap
-from dart_flight.run.px4_log import list_px4_logs
+from dart_flight.run.px4_log_download import list_px4_logs
 from dart_flight.vehicle.downloads import Px4LogEntry
 from dart_flight.vehicle.link import LinkLease
 

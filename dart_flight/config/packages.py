@@ -9,7 +9,7 @@ from typing import Final
 from dart_flight.config.document import InputError, Key
 
 _CHECKOUT: Final = Path(__file__).resolve().parents[2]
-IN_FULL: Final = ("sim", "identify", "report", "live", "plan")  # what `make install` installs
+IN_FULL: Final = ("sim", "identify", "report", "live", "plan", "mocap")  # what `make install` installs
 
 
 def missing_package(what: str, extra: str, *, source: str = "", key: Key = ()) -> InputError:

@@ -69,7 +69,7 @@ from dart_flight.run.runner import CoreRunner, Observe
 from dart_flight.run.step_reporter import StepReporter
 from dart_flight.vehicle.clock import Clock, host_us
 from dart_flight.vehicle.command_server import Press, Result
-from dart_flight.vehicle.motion_capture.bridge import MotionCaptureBridge, forwarded_pose
+from dart_flight.vehicle.motion_capture.pose_bridge import MotionCaptureBridge, forwarded_pose
 from dart_flight.vehicle.motion_capture.source import PoseSource, open_source
 from dart_flight.vehicle.vehicle_session import NoAnswerError, VehicleSession, connect
 

@@ -13,13 +13,13 @@ from dart_flight.sim.faults.fault_table import Fault
 from dart_flight.sim.motion_capture import BODY
 from dart_flight.sim.pose_feed import PoseFeed
 from dart_flight.vehicle.clock import Clock
-from dart_flight.vehicle.motion_capture.bridge import MotionCaptureBridge, forwarded_pose
+from dart_flight.vehicle.motion_capture.pose_bridge import MotionCaptureBridge, forwarded_pose
 from dart_flight.vehicle.motion_capture.source import RawPose, lost_pose
 
 _SENDER = "simulated"
 
 
-class _Source:
+class _PlantPoses:
     """A pose source that is told what to deliver."""
 
     problem: str | None = None
@@ -62,7 +62,7 @@ class FastPoses:
     ) -> None:
         autopilot.expect_poses()
         self._autopilot = autopilot
-        source = _Source()
+        source = _PlantPoses()
         mocap = mission.vehicle.mocap
         self._feed = PoseFeed(mocap, source, autopilot.plant.position)
         self._bridge = MotionCaptureBridge(mocap, source, self._send, clock, deliver)

@@ -44,7 +44,7 @@ from dart_flight.lock.state_machine import status_text
 from dart_flight.recording.follow import LogFollower
 from dart_flight.vehicle import messages
 from dart_flight.vehicle.clock import host_us
-from dart_flight.vehicle.motion_capture.bridge import forwarding
+from dart_flight.vehicle.motion_capture.pose_bridge import forwarding
 from dart_flight.vehicle.motion_capture.pose_statistics import PoseFigures, PoseStatistics
 from dart_flight.vehicle.vehicle_session import VehicleSession, connect
 

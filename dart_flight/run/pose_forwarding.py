@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable
 
 from dart_flight.config.mission import Mission
-from dart_flight.vehicle.motion_capture.bridge import MotionCaptureBridge, forwarding
+from dart_flight.vehicle.motion_capture.pose_bridge import MotionCaptureBridge, forwarding
 from dart_flight.vehicle.motion_capture.pose_statistics import PoseFigures, PoseStatistics
 from dart_flight.vehicle.vehicle_session import connect
 

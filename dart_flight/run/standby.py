@@ -31,7 +31,7 @@ from dart_flight.run.operator_buttons import Errand, RcSwitch, Reply, StandbyBut
 from dart_flight.vehicle import messages
 from dart_flight.vehicle.command_server import Press, Result
 from dart_flight.vehicle.link import LinkLease, LinkTakenError
-from dart_flight.vehicle.motion_capture.bridge import forwarding
+from dart_flight.vehicle.motion_capture.pose_bridge import forwarding
 from dart_flight.vehicle.vehicle_session import VehicleError, VehicleSession, connect
 
 _RETRY_S: Final = 5.0

@@ -45,7 +45,7 @@ from dart_flight.vehicle import arming_problems as reasons
 from dart_flight.vehicle import messages, sdk_log
 from dart_flight.vehicle.downloads import Px4Logs, download_file
 from dart_flight.vehicle.messages import AUTOPILOT, BatteryReading, MessageEntry
-from dart_flight.vehicle.motion_capture.bridge import MotionCaptureBridge, forwarding
+from dart_flight.vehicle.motion_capture.pose_bridge import MotionCaptureBridge, forwarding
 from dart_flight.vehicle.motion_capture.pose_statistics import PoseFigures, PoseStatistics
 from dart_flight.vehicle.vehicle_session import NoAnswerError, Sender, VehicleError, VehicleSession
 

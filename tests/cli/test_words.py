@@ -169,7 +169,7 @@ def test_batch_refuses_what_velocity_refuses(
     one = refused(
         capsys, "predict", "--surface", "acrylic", "--mode", "rigid", "--velocity", normal, tangential
     )
-    assert batch.split(": ")[-1].split(", ")[-1] == one.split(", ")[-1], "for the same reason"
+    assert batch.split(f"{key}: ")[-1].strip() in one, "for the same reason"
 
 
 def test_monitor_ends_when_nothing_comes(capsys: pytest.CaptureFixture[str]) -> None:

@@ -12,10 +12,10 @@ from dart_flight.base.geometry import Quaternion, Vec3
 
 BODY: Final = "dart"  # name of the simulated vehicle's marker body
 KINDS: Final = {
-    "optitrack": "natnet_server",
-    "qualisys": "qtm_server",
-    "vicon": "vicon_sender",
-    "udp": "json_sender",
+    "optitrack": ("natnet_server", "NatNetServer"),
+    "qualisys": ("qtm_server", "QtmServer"),
+    "vicon": ("vicon_sender", "ViconSender"),
+    "udp": ("json_sender", "JsonSender"),
 }
 
 
@@ -48,6 +48,7 @@ class PoseServer(Protocol):
 
 def make_server(kind: str, body: str) -> PoseServer:
     """Start an emulated server of one kind of `KINDS` that tracks `body`."""
-    module = importlib.import_module(f"dart_flight.sim.motion_capture.{KINDS[kind]}")
-    server: PoseServer = module.Server(body)
+    file, name = KINDS[kind]
+    module = importlib.import_module(f"dart_flight.sim.motion_capture.{file}")
+    server: PoseServer = getattr(module, name)(body)
     return server

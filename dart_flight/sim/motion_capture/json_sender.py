@@ -8,7 +8,7 @@ from dart_flight.base.geometry import Quaternion, Vec3
 from dart_flight.sim.motion_capture.datagram_sender import DatagramSender
 
 
-class Server(DatagramSender):
+class JsonSender(DatagramSender):
     """Sender of JSON poses of one body."""
 
     def __init__(self, body: str) -> None:

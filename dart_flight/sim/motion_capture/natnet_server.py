@@ -32,7 +32,7 @@ def _counted(items: list[bytes]) -> bytes:
     return struct.pack("<II", len(items), len(data)) + data
 
 
-class Server:
+class NatNetServer:
     """An emulated NatNet server with a wand and the body, on a free port of this computer."""
 
     def __init__(self, body: str) -> None:

@@ -34,7 +34,7 @@ def _text(kind: int, text: str) -> bytes:
     return _packet(kind, text.encode() + b"\0")
 
 
-class Server:
+class QtmServer:
     """An emulated QTM with a wand and the body, on a free port of this computer."""
 
     def __init__(self, body: str) -> None:

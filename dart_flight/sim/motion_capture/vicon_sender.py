@@ -22,7 +22,7 @@ def euler_xyz(q: Quaternion) -> Vec3:
     return (math.atan2(-up[1], up[2]), y, math.atan2(-left[0], forward[0]))
 
 
-class Server(DatagramSender):
+class ViconSender(DatagramSender):
     """Sender of Tracker's object stream."""
 
     def __init__(self, body: str) -> None:

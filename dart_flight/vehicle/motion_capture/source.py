@@ -13,8 +13,8 @@ from urllib.parse import unquote, urlsplit
 
 from dart_flight.base.geometry import IDENTITY, Quaternion, Vec3
 from dart_flight.config.document import InputError
+from dart_flight.config.packages import missing_package
 
-_EXTRA: Final = "pip install 'dart-flight[mocap]'"
 _EXAMPLES: Final = (
     "use optitrack://SERVER/BODY, qualisys://HOST/BODY, vicon://ADDRESS:51001/BODY or udp://ADDRESS:PORT/BODY"
 )
@@ -100,6 +100,6 @@ def open_source(url: str) -> PoseSource:
     except ModuleNotFoundError as error:
         if error.name is None or error.name.startswith("dart_flight"):
             raise
-        raise InputError(f"mocap URL {url} needs the extra: {_EXTRA}") from None
+        raise missing_package(f"mocap URL {url} needs {error.name}", "mocap") from None
     source: PoseSource = module.open_source(address)
     return source

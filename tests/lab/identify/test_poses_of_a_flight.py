@@ -94,6 +94,6 @@ def test_stamps_of_the_source_remove_the_jitter_of_the_receipt(log: Log) -> None
 
 
 def test_a_report_shows_poses_beside_the_estimate_where_there_are_any(log: Log) -> None:
-    says = "Position by the motion capture"
+    says = "Position from the motion capture"
     assert says in flight_page(RecordedFlight(log))
     assert says not in flight_page(RecordedFlight(edited(log, lambda pose: None)))

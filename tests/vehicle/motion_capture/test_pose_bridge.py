@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from dart_flight.base.records import PoseSample
 from dart_flight.config.vehicle.mocap import MotionCapture
 from dart_flight.vehicle.clock import SimulatedTime
-from dart_flight.vehicle.motion_capture.bridge import Decimation, MotionCaptureBridge
+from dart_flight.vehicle.motion_capture.pose_bridge import Decimation, MotionCaptureBridge
 from dart_flight.vehicle.motion_capture.source import RawPose, lost_pose
 
 

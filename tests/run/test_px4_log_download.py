@@ -18,10 +18,10 @@ from dart_flight.cli import fly_command, main
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import load_mission
 from dart_flight.config.vehicle import packaged
-from dart_flight.recording.flight_time import armed_span
+from dart_flight.recording.armed_span import armed_span
 from dart_flight.recording.found import px4_logs_in
 from dart_flight.recording.reader import read_log
-from dart_flight.run.px4_log import fetch_px4_log, list_px4_logs
+from dart_flight.run.px4_log_download import fetch_px4_log, list_px4_logs
 from dart_flight.vehicle import downloads
 from dart_flight.vehicle.downloads import DownloadError, DownloadTime, Px4LogEntry, entry_of, logs_of_flight
 from tests.doubles.log_vehicle import LogVehicle
@@ -97,7 +97,7 @@ def test_when_a_recorded_flight_was_armed() -> None:
 @pytest.fixture(autouse=True)
 def quick(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("DART_FLIGHT_STATE_DIR", str(tmp_path / "state"))
-    monkeypatch.setattr("dart_flight.run.px4_log._WRITTEN_S", 0.0)
+    monkeypatch.setattr("dart_flight.run.px4_log_download._WRITTEN_S", 0.0)
     monkeypatch.setattr(downloads, "_LOG_SILENT_S", 1.0)
 
 
