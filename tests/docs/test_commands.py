@@ -34,7 +34,7 @@ NOT_RUN: list[tuple[str, str]] = [
     (r"--scheduler tcp://host|^dask ", "needs a Dask scheduler"),
     (
         r"--connection serial:|^dart-flight (calibrate airframe --connection|monitor|mocap)|"
-        r"^dart-flight (parameters|px4-log)|"
+        r"^dart-flight (parameters|px4-log|standby)|"
         r"^dart-flight fly missions/\S+( --standoff \S+)?$",
         "needs the vehicle",
     ),
@@ -46,6 +46,7 @@ NOT_RUN: list[tuple[str, str]] = [
         "takes minutes or waits",
     ),
     (r":14541", "needs the lossy proxy, which waits"),
+    (r"> /srv/", "needs the installed service"),
 ]
 # In real time, together: test_in_real_time.
 REAL_TIME = re.compile(r"^dart-flight (simulate|fly .*udpin://127\.0\.0\.1:14540|dry-run (?!.*--fast))")
