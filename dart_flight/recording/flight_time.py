@@ -7,10 +7,8 @@ records are shown or were written.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from datetime import datetime, timedelta
 
-from dart_flight.base.records import ImuSample, Record, StatusSample, World
-from dart_flight.recording.reader import Log
+from dart_flight.base.records import ImuSample, Record
 
 
 class FlightTime:
@@ -46,18 +44,3 @@ def zero_of(records: Iterable[Record]) -> int:
             return time.zero_us
         first_us = first_us or getattr(record, "t_us", 0)
     return first_us
-
-
-def armed_span(log: Log) -> tuple[datetime, datetime] | None:
-    """Return when a recorded flight was armed, and when last, by the host's calendar; None if not known."""
-    started, monotonic = log.about.get("started_utc"), log.about.get("started_monotonic_us", "")
-    armed = [
-        e.record.received_us for e in log.entries if isinstance(e.record, StatusSample) and e.record.armed
-    ]
-    if started is None or not armed or not monotonic.isdigit() or log.world is World.FAST:
-        return None
-    try:
-        begin = datetime.fromisoformat(started) - timedelta(microseconds=int(monotonic))
-        return begin + timedelta(microseconds=armed[0]), begin + timedelta(microseconds=armed[-1])
-    except (ValueError, OverflowError):
-        return None
