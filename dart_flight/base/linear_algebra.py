@@ -50,21 +50,3 @@ def solve(h: Rows, g: list[float], damping: float = 0.0) -> list[float]:
     for i in range(n - 1, -1, -1):
         y[i] = (y[i] - sum(low[p][i] * y[p] for p in range(i + 1, n))) / low[i][i]
     return y
-
-
-def inverse_diagonal(h: Rows) -> list[float]:
-    """Return the diagonal of H^-1.
-
-    Raises:
-        ValueError: H is not positive definite.
-    """
-    low = cholesky(h)
-    n = len(h)
-    out = []
-    for j in range(n):
-        y = [0.0] * n
-        for i in range(j, n):
-            start = 1.0 if i == j else 0.0
-            y[i] = (start - sum(low[i][p] * y[p] for p in range(j, i))) / low[i][i]
-        out.append(sum(value * value for value in y))
-    return out

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import os
 import subprocess
 import sys
@@ -12,6 +13,7 @@ from collections.abc import Callable
 from typing import IO
 
 _WATCHING_NICE = 19
+_PIPE_BYTES = 1 << 19
 _NAP_S, _MEASURE_S = 0.005, 0.5
 LATE_S = 0.05  # beyond this, a flight in real time is at risk
 
@@ -67,6 +69,8 @@ class ChildProcess(subprocess.Popen[bytes]):
         self._on_line = take
         self.pipe = self.stdin.fileno()
         self.send(first)
+        if hasattr(fcntl, "F_SETPIPE_SZ"):
+            fcntl.fcntl(self.pipe, fcntl.F_SETPIPE_SZ, _PIPE_BYTES)  # a long contact takes 50 kB
         os.set_blocking(self.pipe, False)
         self.listener = threading.Thread(target=self._listen, name=module, daemon=True)
         self.listener.start()

@@ -8,11 +8,14 @@ or decision that is only logged.
 from __future__ import annotations
 
 from enum import StrEnum
-from typing import ClassVar
+from typing import ClassVar, Final
 
 import msgspec
 
 from dart_flight.base.geometry import Quaternion, Vec2, Vec3
+from dart_flight.base.walls import Wall
+
+MIN_LEAD_M: Final = 0.002  # a smaller lead is none: both points at once
 
 # PX4's default PWM_<bank>_MIN and _MAX: pulse widths at throttle 0 and 1.
 MOTOR_STOP_US, MOTOR_FULL_US = 1000.0, 2000.0
@@ -271,7 +274,7 @@ class HealthReport(Record, frozen=True, gc=False):
 
 
 class OtherVehicle(Record, frozen=True, gc=False):
-    """Another autopilot on the same link, identified by its system id; its messages are ignored."""
+    """Another autopilot on the same link, identified by its system id; its messages are kept apart."""
 
     topic: ClassVar[str] = "/in/other_vehicle"
     t_us: int
@@ -384,6 +387,17 @@ class PlanAnswer(Record, frozen=True, gc=False):
     problem: str = ""  # reason why no trajectory was found
 
 
+class ContactAnswer(Record, frozen=True, gc=False):
+    """What a contact says, by the fit of a `ContactRequest`; the core hands the records on."""
+
+    topic: ClassVar[str] = "/in/contact"
+    received_us: int
+    number: int  # of the request
+    body: ImpactBody | None = None  # how it met the body; none: nothing is known
+    wall: WallEstimate | None = None  # of its wall; none: the contact was not planned
+    problem: str = ""  # why nothing is known
+
+
 class Tick(Record, frozen=True, gc=False):
     """Host time, at least every 20 ms, so that silent streams can be detected."""
 
@@ -410,6 +424,7 @@ Input = (
     | ClockOffset
     | RoundTrip
     | PlanAnswer
+    | ContactAnswer
     | Tick
 )
 
@@ -485,6 +500,32 @@ class PlanRequest(Record, frozen=True, gc=False):
         None  # height of the wall's force above the centre of mass, or None if unknown
     )
     coasts: bool = False  # without a setpoint ahead: the vehicle keeps its speed and thrust until `begin_us`
+
+
+class ContactRequest(Record, frozen=True, gc=False):
+    """Fit a contact that is over; the answer is a `ContactAnswer` of the same number (docs/felt.md).
+
+    Its IMU samples are columns, from a few before the first touch on.
+    """
+
+    topic: ClassVar[str] = "/out/contact_request"
+    t_us: int  # of the newest sample
+    number: int  # counts up
+    onset: ImpactOnset
+    wall: Wall | None  # that was expected; none: the contact was not planned
+    normal: Vec2  # of that wall, otherwise along the force
+    mode_reported: Mode | None  # what the lock reported at the onset; none: it was not settled
+    frame_heading_rad: float  # of the mission's x axis, clockwise from north
+    slow_force: Vec2  # horizontal force that is there all the time, mission frame, N
+    noise_n: float  # white part of one force component's error, standard deviation
+    noise_frd_nm: Vec3  # likewise, of the torque
+    sample_us: tuple[int, ...] = ()
+    force_mission: tuple[Vec3, ...] = ()
+    push_mission: tuple[Vec2, ...] = ()  # N, of thrust and drag
+    clipped: tuple[bool, ...] = ()  # at full scale
+    torque_frd: tuple[Vec3, ...] = ()
+    q_frd_to_ned: tuple[Quaternion, ...] = ()
+    rate_frd: tuple[Vec3, ...] = ()  # mean over a sample's tick
 
 
 class Silence(Record, frozen=True, gc=False):
@@ -573,14 +614,21 @@ class ContactSide(StrEnum):
     RIGHT = "right"
     BOTH = "both"
 
+    @classmethod
+    def of_lead(cls, lead_m: float) -> ContactSide:
+        """Return which point came first, by how much nearer to the wall the right one was."""
+        if abs(lead_m) < MIN_LEAD_M:
+            return cls.BOTH
+        return cls.RIGHT if lead_m > 0.0 else cls.LEFT
+
 
 class ImpactBody(Record, frozen=True, gc=False):
-    """Geometry and torque of an impact: sent once after its peak and once at its end (docs/torque.md)."""
+    """Geometry and torque of an impact, sent after its end (docs/torque.md)."""
 
     topic: ClassVar[str] = "/event/impact_body"
     t_us: int  # newest sample used
     first_us: int  # of the impact's onset
-    final: bool  # sent at the end of the contact
+    final: bool  # always true; older logs have another record, sent after the peak
     side: ContactSide
     lead_m: float  # lead of the right guard over the left one at the first touch, towards the wall
     incidence_rad: float  # leading edge against the wall at the first touch, signed: positive turned left
@@ -620,6 +668,7 @@ class WallEstimate(Record, frozen=True, gc=False):
     plane_normal_sigma_rad: float | None = None
     centre_mission: Vec2 | None = None  # vehicle's centre at the first touch
     material: str | None = None  # best-fitting material of the table, if the wall's material is unknown
+    problem: str = ""  # reason why the contact was not evaluated
 
 
 class DetectionFloor(Record, frozen=True, gc=False):
@@ -721,6 +770,7 @@ Output = (
     | LockCommand
     | LockPermission
     | PlanRequest
+    | ContactRequest
     | Silence
     | ForceEstimate
     | TorqueEstimate

@@ -70,8 +70,8 @@ class FlightCore:
         senses, phase = self._senses, self._executive.progress.phase
         if self._guard.telemetry_late:
             return Pace.BATCHED  # old samples are not stepped one by one, so the backlog empties sooner
-        if senses.walls.is_busy or (senses.detector.in_contact and phase is not Phase.CONTACT):
-            return Pace.DEFERRED  # the estimates at the contact's end are computed then
+        if senses.detector.in_contact:
+            return Pace.IMMEDIATE
         return pace_near_walls(self.mission, senses.state, phase)
 
     def step(self, item: Input) -> list[Output]:
@@ -95,19 +95,17 @@ class FlightCore:
                 known += sensed.impacts
             if sensed.torque is not None:
                 known.append(sensed.torque)
-            if sensed.body is not None:
-                known.append(sensed.body)
-            if sensed.wall is not None:
-                known.append(sensed.wall)
+        if sensed.contact:
+            known += sensed.contact
         try:
-            known += self._dispose(item, sensed, proposal)
+            known += self._review(item, sensed, proposal)
             return known
         except Exception:
             # The guard itself has failed: suppress the commands of this step, and land if possible.
             self._fault = _fault()
             return known + [o for o in proposal.outputs if not o.topic.startswith("/out/")]
 
-    def _dispose(self, item: Input, sensed: Sensed, proposal: Proposal) -> list[Output]:
+    def _review(self, item: Input, sensed: Sensed, proposal: Proposal) -> list[Output]:
         if self._fault is not None:
             proposal.findings.append(self._fault)
         guard, executive, state = self._guard, self._executive, self._senses.state

@@ -22,8 +22,7 @@ class Pace(Enum):
     """Pace at which the shell should step the next inputs."""
 
     BATCHED = auto()  # all inputs that arrive within `BATCH_S`, in one batch
-    IMMEDIATE = auto()  # each as it arrives, on the receiving thread; every step is short
-    DEFERRED = auto()  # each as it arrives; a step may take long and must not block the receiving thread
+    IMMEDIATE = auto()  # each as it arrives, on the receiving thread
 
 
 def pace_near_walls(mission: Mission, state: FlightState, phase: Phase) -> Pace:

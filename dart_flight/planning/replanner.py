@@ -12,7 +12,7 @@ and where its plane was seen in that of the mission's. Beside that there is no s
 answer follows from the log. A collision with an approach of its own, flown from rest, keeps its approach,
 slower where the hit would be too hard by what was felt.
 
-It runs outside of the core's step: in a process of its own (`run.replanner_process`), or in simulated time.
+It runs outside of the core's step: in a process of its own (`run.planner_process`), or in simulated time.
 """
 
 from __future__ import annotations
@@ -130,7 +130,7 @@ class Replanner:
         """Take what a contact has taught; what it cannot tell of which mode is left alone."""
         self._survey.add_estimate(felt, self._walls[felt.wall])
         mode = felt.mode_felt or felt.mode_reported
-        if mode is not None:
+        if mode is not None and not felt.problem:
             self._felt[felt.wall, mode] = Coefficients(
                 felt.k_n_per_m, felt.f_ns_per_m, felt.mu_s_per_m, felt.nu_n
             )

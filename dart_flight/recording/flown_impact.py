@@ -30,7 +30,6 @@ from dart_flight.base.records import (
     WallEstimate,
 )
 from dart_flight.config.mission import Collision, Mission
-from dart_flight.core.sense.incidence import side_of
 from dart_flight.recording.anchor import MissionFrameReader
 
 _TRUTH_MATCH_US = 60_000  # largest time between an impact and its truth
@@ -179,7 +178,7 @@ class ImpactCollector:
                 true.normal_in_m_s,
                 true.tangential_in_m_s,
                 true.peak_normal_force_n,
-                side_of(true.lead_m),
+                ContactSide.of_lead(true.lead_m),
                 math.degrees(true.incidence_rad),
                 true.peak_torque_nm,
                 true.normal_out_m_s,

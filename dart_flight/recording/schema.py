@@ -12,6 +12,8 @@ import types
 from functools import cache
 from typing import Any, Union, get_args, get_origin, get_type_hints
 
+import msgspec
+
 from dart_flight.base.records import Input, Note, Output, Record
 from dart_flight.config.units import unit_of
 
@@ -110,5 +112,8 @@ def _plain(type_: Any) -> dict[str, Any]:
         return _plain(next(part for part in get_args(type_) if part is not type(None)))
     if get_origin(type_) is tuple:
         return {"type": "array", "items": _plain(get_args(type_)[0])}
+    if isinstance(type_, type) and issubclass(type_, msgspec.Struct):
+        hints = get_type_hints(type_)
+        return {"type": "object", "properties": {n: _plain(hints[n]) for n in type_.__struct_fields__}}
     names = {float: "number", int: "integer", bool: "boolean"}
     return {"type": names.get(type_, "string")}

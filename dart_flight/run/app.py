@@ -27,6 +27,8 @@ import msgspec
 from dart_flight.base.records import (
     AfterImpact,
     CommandResult,
+    ContactAnswer,
+    ContactRequest,
     FrameAnchor,
     LockCommand,
     LockPermission,
@@ -58,10 +60,11 @@ from dart_flight.lock.drivers.mock import MockDriver, MockFaults
 from dart_flight.lock.drivers.modelled_horn import DriverWithModelledHorn
 from dart_flight.lock.lock_session import LockSession
 from dart_flight.lock.state_machine import status_text
+from dart_flight.planning.contact_fit import FIT_US
 from dart_flight.run.core_thread import CoreThread
 from dart_flight.run.deadman import CORE, FEED_PERIOD_S, LOOP, Deadman, SystemdNotice
 from dart_flight.run.operator_buttons import reply_in_flight
-from dart_flight.run.replanner_process import ReplannerProcess
+from dart_flight.run.planner_process import PlannerProcess
 from dart_flight.run.runner import CoreRunner, Observe
 from dart_flight.run.step_reporter import StepReporter
 from dart_flight.vehicle.clock import Clock, host_us
@@ -251,7 +254,7 @@ class FlightApp:
             self._after_step,
         )
         self._lock: LockThread | None = None
-        self._planner: ReplannerProcess | None = None
+        self._planners: dict[type, PlannerProcess] = {}  # by the kind of request
 
     async def run(self) -> None:
         """Fly; returns when the flight has ended.
@@ -281,8 +284,13 @@ class FlightApp:
                 raise NoAnswerError(says, source=self._url)
             if self._mission.vehicle.lock is not None:
                 self._lock = self._make_lock(session, self._mission.vehicle.lock)
+            kinds = list[type[PlanRequest | ContactRequest]]()
+            if self._mission.walls:
+                kinds.append(ContactRequest)
             if self._mission.after_impact is AfterImpact.REPLAN:
-                self._planner = ReplannerProcess(self._mission, self._take_answer, self._host_us)
+                kinds.append(PlanRequest)
+            for kind in kinds:
+                self._planners[kind] = PlannerProcess(self._mission, kind, self._take_answer, self._host_us)
             sys.setswitchinterval(_SWITCH_INTERVAL_S)
             # What is loaded by now stays: the collector need not walk it in flight.
             gc.collect()
@@ -321,8 +329,8 @@ class FlightApp:
                 self._core.stop()
                 if self._lock is not None:
                     self._lock.stop()
-                if self._planner is not None:
-                    self._planner.stop()
+                for planner in self._planners.values():
+                    planner.stop()
                 self._ended.set()
                 terminal.join(timeout=1.0)
                 for task in list(self._tasks):
@@ -495,7 +503,7 @@ class FlightApp:
             self._lock.look()
         self._deliver_answers()
 
-    def _take_answer(self, answer: PlanAnswer) -> None:
+    def _take_answer(self, answer: PlanAnswer | ContactAnswer) -> None:
         if self._lockstep is None:
             self._core.put(answer)
         else:
@@ -546,12 +554,14 @@ class FlightApp:
         elif isinstance(output, LockCommand | LockPermission):
             if self._lock is not None:
                 self._lock.put(output)
-        elif isinstance(output, PlanRequest | WallEstimate | FrameAnchor):
-            if self._planner is not None:
-                if self._lockstep is not None and isinstance(output, PlanRequest):
-                    latency_s = self._mission.vehicle.simulation.replan_latency_s
-                    self._lockstep.open_plan(output, round(1e6 * latency_s))
-                self._planner.send(output)
+        elif isinstance(output, PlanRequest | ContactRequest | WallEstimate | FrameAnchor):
+            fits = isinstance(output, ContactRequest)
+            planner = self._planners.get(ContactRequest if fits else PlanRequest)
+            if planner is not None:
+                if self._lockstep is not None and isinstance(output, PlanRequest | ContactRequest):
+                    plan_s = self._mission.vehicle.simulation.replan_latency_s
+                    self._lockstep.open_request(output, FIT_US if fits else round(1e6 * plan_s))
+                planner.send(output)
         elif isinstance(output, PosesWithheld):
             if self._bridge is not None:
                 self._bridge.withhold()

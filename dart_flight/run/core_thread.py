@@ -9,7 +9,6 @@ simulated time.
 
 from __future__ import annotations
 
-import contextlib
 import queue
 import threading
 from collections.abc import Callable
@@ -83,7 +82,7 @@ class CoreThread:
         # Whoever steps looks into the queue again afterwards: what finds it owned is not forgotten.
         while self._in_haste and not self._queue.empty() and self._owner.acquire(blocking=False):
             try:
-                self._step_queued([])
+                self._step_queued()
             except BaseException as fault:
                 # MAVSDK's thread would swallow it: the core's own ends by it, and then the deadman acts.
                 self._fault, self._pace = fault, Pace.BATCHED
@@ -107,12 +106,13 @@ class CoreThread:
         while not self._stopping:
             self._turned_us = host_us()
             self._alive()
-            first = self._wait()
+            if self._called.wait(BATCH_S):
+                self._called.clear()
             with self._owner:
                 if self._fault is not None:
                     raise self._fault
                 if self._lockstep is None:
-                    self._step_queued(first)
+                    self._step_queued()
                     self._tick()
 
     def _tick(self) -> None:
@@ -121,18 +121,9 @@ class CoreThread:
             self._ticked_us = now_us
             self._runner.take(Tick(now_us))
 
-    def _wait(self) -> list[Input]:
-        """Until it is time for a turn; returns the input that ended the wait, where there is one."""
-        if self._pace is Pace.DEFERRED and self._lockstep is None:
-            with contextlib.suppress(queue.Empty):
-                return [self._queue.get(timeout=_TICK_S)]
-        elif self._called.wait(BATCH_S):
-            self._called.clear()
-        return []
-
-    def _step_queued(self, items: list[Input]) -> None:
-        """Step what is queued, after `items`; a backlog is coalesced, newest wins. Owner only."""
-        queued = self._queue
+    def _step_queued(self) -> None:
+        """Step what is queued; a backlog is coalesced, newest wins. Owner only."""
+        items, queued = list[Input](), self._queue
         while not queued.empty():  # nobody else takes from it
             items.append(queued.get_nowait())
         if len(items) > _BACKLOG and self._lockstep is None:

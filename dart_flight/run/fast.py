@@ -16,6 +16,8 @@ from dart_flight.base.records import (
     AttitudeSample,
     ClockOffset,
     CommandResult,
+    ContactAnswer,
+    ContactRequest,
     EstimatorSample,
     FlightMode,
     FrameAnchor,
@@ -52,6 +54,7 @@ from dart_flight.core.flight_core import FlightCore
 from dart_flight.lock.drivers import DRIVERS, driver_names, make_driver
 from dart_flight.lock.drivers.mock import MockDriver, MockFaults
 from dart_flight.lock.lock_session import LockSession
+from dart_flight.planning.contact_fit import FIT_US, ContactFitter
 from dart_flight.planning.replanner import Replanner
 from dart_flight.recording.verdict import Verdict
 from dart_flight.run.fault_injection import FlightWithFault, Order, TimeRequest
@@ -178,9 +181,10 @@ class FastFlight:
         self._lock_states: list[LockState] = []
         replans = mission.after_impact is AfterImpact.REPLAN
         self._replanner = Replanner(mission) if replans else None
+        self._fitter = ContactFitter(mission.vehicle)
         # Of the simulated computer: the answer comes after this time, however long it took here.
         self._plan_us = round(true.vehicle.simulation.replan_latency_s * 1e6)
-        self._answers: list[tuple[int, PlanAnswer]] = []
+        self._answers: list[tuple[int, PlanAnswer | ContactAnswer]] = []
         operator_s = true.vehicle.simulation.operator_s
         self._operator_us = None if operator_s is None else round(operator_s * 1e6)
         self._word_us: int | None = None
@@ -337,7 +341,10 @@ class FastFlight:
             self._order(output)
         elif isinstance(output, PlanRequest) and self._replanner is not None:
             due_us = self.host_us + self._plan_us
-            self._answers.append((due_us, self._replanner.answer(output, due_us)))
+            self._answer(due_us, self._replanner.answer(output, due_us))
+        elif isinstance(output, ContactRequest):
+            due_us = self.host_us + FIT_US
+            self._answer(due_us, self._fitter.answer(output, due_us))
         elif isinstance(output, WallEstimate) and self._replanner is not None:
             self._replanner.update_wall(output)
         elif isinstance(output, FrameAnchor) and self._replanner is not None:
@@ -346,6 +353,10 @@ class FastFlight:
             self.poses.withhold()
         elif isinstance(output, Silence):
             self._last_setpoint = None
+
+    def _answer(self, due_us: int, answer: PlanAnswer | ContactAnswer) -> None:
+        self._answers.append((due_us, answer))
+        self._answers.sort(key=lambda held: held[0])
 
     def _order(self, order: LockCommand | LockPermission) -> None:
         if self.lock is None:

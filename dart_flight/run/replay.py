@@ -2,7 +2,7 @@
 
 Inputs are fed in the order of their numbers to a fresh core, built from the mission in the log. Truth and
 notes of the shell are not inputs. On the same kind of machine outputs must be equal bit for bit, elsewhere to
-a relative 1e-9 (what was felt of a wall to 0.02): the mathematics library may round differently.
+a relative 1e-9: the mathematics library may round differently.
 
 With changed settings the replay shows what would have been decided on the same samples. It is open loop: from
 the first different command on, the recorded vehicle did not do what that command would have made it do.
@@ -35,7 +35,6 @@ from dart_flight.base.records import (
     Setpoint,
     Silence,
     VehicleCommand,
-    WallEstimate,
 )
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission
@@ -65,8 +64,6 @@ DECISIONS = (
     MissionEnd,
 )
 TOLERANCE = 1e-9
-# Of records that an iteration ends in: rounding may make it stop a step sooner, where the data hold little.
-_LOOSER: dict[type[Record], float] = {WallEstimate: 0.02}
 _IN_FLIGHT = 3  # inputs at the end of a cut log whose outputs may be missing
 
 
@@ -218,7 +215,6 @@ def _same_record(a: Record | None, b: Record | None, tolerance: float) -> bool:
         return True
     if tolerance == 0.0:
         return False
-    tolerance = _LOOSER.get(type(a), tolerance)
     return _same(msgspec.structs.astuple(a), msgspec.structs.astuple(b), tolerance)
 
 

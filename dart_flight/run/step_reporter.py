@@ -19,6 +19,8 @@ from dart_flight.base.records import (
     ActuatorSample,
     AttitudeSample,
     CommandResult,
+    ContactAnswer,
+    ContactRequest,
     ImuSample,
     Input,
     OdometrySample,
@@ -37,6 +39,7 @@ _STREAMS: Final[dict[type, str]] = {
     OdometrySample: "odometry",
     ActuatorSample: "actuator",
 }
+_ANSWERS: Final[dict[type, type]] = {PlanRequest: PlanAnswer, ContactRequest: ContactAnswer}
 _BATCH_US: Final = round(1e6 * BATCH_S)
 _MARGIN_US: Final = 40_000  # least time from an answer to the begin of its trajectory; later ones are refused
 _UNUSED: Final = (None, None, None)
@@ -61,8 +64,9 @@ class StepReporter:
         self._guard = threading.Lock()
         self._open = 0
         self._commands = 0
-        self._plans: dict[int, int] = {}  # due time of the answer, by number of the request
-        self._answers: list[PlanAnswer] = []  # answers that are not due yet
+        # Due time of an answer, by its kind and the number of the request.
+        self._due: dict[tuple[type, int], int] = {}
+        self._answers: list[PlanAnswer | ContactAnswer] = []  # that are not due yet
         self._batched = False
         self._hold_us = 0  # IMU samples stamped earlier wait for the rest of their batch
         self._streams: dict[str, int] = {}
@@ -113,8 +117,8 @@ class StepReporter:
                     self._streams["pose"] = item.frame_number or 0
                 elif isinstance(item, CommandResult):
                     self._commands -= 1
-                elif isinstance(item, PlanAnswer):
-                    self._plans.pop(item.number, None)
+                elif isinstance(item, PlanAnswer | ContactAnswer):
+                    self._due.pop((type(item), item.number), None)
             self._open -= work
             # A lock order may itself wait for a command, for which a real PX4 needs time to advance.
             if not self._open or self._commands:
@@ -137,22 +141,24 @@ class StepReporter:
                 self._commands -= 1
                 self._report()
 
-    def open_plan(self, request: PlanRequest, latency_us: int) -> None:
-        """Add a request to the planner; its answer is due `latency_us` after the request and closes it."""
+    def open_request(self, request: PlanRequest | ContactRequest, latency_us: int) -> None:
+        """Add a request to a planner; its answer is due `latency_us` after the request and closes it."""
         with self._guard:
-            latest_us = max(request.begin_us - _MARGIN_US, request.t_us)
-            self._plans[request.number] = min(latest_us, request.t_us + latency_us)
+            due_us = request.t_us + latency_us
+            if isinstance(request, PlanRequest):
+                due_us = min(max(request.begin_us - _MARGIN_US, request.t_us), due_us)
+            self._due[_ANSWERS[type(request)], request.number] = due_us
 
-    def hold_answer(self, answer: PlanAnswer) -> None:
+    def hold_answer(self, answer: PlanAnswer | ContactAnswer) -> None:
         """Store an answer of the planner until it is due."""
         with self._guard:
             self._answers.append(answer)
 
-    def due_answers(self) -> list[PlanAnswer]:
+    def due_answers(self) -> list[PlanAnswer | ContactAnswer]:
         """Remove and return the answers that are due."""
         with self._guard:
             now_us = self.clock.host_us()
-            due = [answer for answer in self._answers if self._plans.get(answer.number, 0) <= now_us]
+            due = [a for a in self._answers if self._due.get((type(a), a.number), 0) <= now_us]
             self._answers = [answer for answer in self._answers if answer not in due]
             return due
 
@@ -173,9 +179,9 @@ class StepReporter:
     def _report(self) -> None:
         if not self._begun:
             return
-        due_us = min(self._plans.values(), default=None)
+        due_us = min(self._due.values(), default=None)
         imu_us = self._streams.get("imu")
-        waits = bool(self._commands or self._plans)
+        waits = bool(self._commands or self._due)
         batch_us = _BATCH_US if self._batched and imu_us is not None and not waits else 0
         self._hold_us = 0 if imu_us is None or not batch_us else imu_us + batch_us
         report = Stepped(self._streams, self._sent, self._commands, due_us, batch_us, self._flies)

@@ -2,7 +2,6 @@
 
 import math
 
-import msgspec
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -18,20 +17,15 @@ from dart_flight.base.geometry import (
     rotate_back,
     scale,
 )
-from dart_flight.base.records import ContactEnd, ForceEstimate, ImpactOnset, Mode, TorqueEstimate
+from dart_flight.base.records import ContactRequest, ImpactOnset, Mode
 from dart_flight.base.walls import Wall
 from dart_flight.core.mission.contact_feedforward import balancing_m_s2
 from dart_flight.core.sense.contact_height import ContactHeight
-from dart_flight.core.sense.detector import Event, ExpectedContact
-from dart_flight.core.sense.incidence import ContactSample, ContactSampleBuffer
-from dart_flight.core.sense.state import FlightState
 
 OUT_M = 0.2
 WALL = Wall("north-east", (0.6, 0.8), (-0.6, -0.8), 4.0, "acrylic")
 NX, NY = WALL.normal
 SLOW = (1.5, -2.0)  # of the force beside the contact's, N
-NO_WALL = ExpectedContact()
-AT_WALL = ExpectedContact(True, WALL.normal, WALL.material, WALL)
 ONSET = ImpactOnset(4_000, 4_000, 4_000, (0.0, 0.0, 1.0), (-10.0, 0.0, 0.0), (1.0, 0.0, 0.0), True)
 
 
@@ -44,35 +38,49 @@ def felt(
     side: int,
     tilt: Vec3,
     peak_n: float,
-    expected: ExpectedContact,
-    onset: ImpactOnset = ONSET,
+    wall: Wall | None = WALL,
     weak_n: float = 0.0,
     clipped: int | None = None,
 ) -> ContactHeight:
     """One contact of a side (0 front, 1 right, 2 back, 3 left), pushed on at a height.
 
-    Samples of a force under `weak_n`, and the one that is `clipped`, come with a torque that is not its.
+    Samples of a force under `weak_n`, one that is `clipped` and one before the onset come with a torque that
+    is not its.
     """
-    state, samples = FlightState(has_lock=False), ContactSampleBuffer()
-    state.frame = frame = MissionFrame(heading_rad=0.4)
-    height = ContactHeight(OUT_M, samples)
+    frame = MissionFrame(heading_rad=0.4)
+    height = ContactHeight(OUT_M)
     to_wall = frame.vector_to_ned((-NX, -NY, 0.0))
     heading = math.atan2(to_wall[1], to_wall[0]) - side * 0.5 * math.pi
     level = quaternion_from_rotation_vector((0.0, 0.0, heading))
     q: Quaternion = quaternion_multiply(level, quaternion_from_rotation_vector(tilt))
     axis = (math.cos(side * 0.5 * math.pi), math.sin(side * 0.5 * math.pi), 0.0)
     at = add(scale(axis, OUT_M), (0.0, 0.0, -height_m))
+    forces, torques = [(20.0 * NX, 20.0 * NY, 0.0)], [(3.0, 4.0, 5.0)]
     for k in range(20):
         force_n = peak_n * math.sin(math.pi * (k + 0.5) / 20.0)
         push = rotate_back(q, frame.vector_to_ned((force_n * NX, force_n * NY, 0.0)))
-        t_us = 4_000 * (k + 1)
-        force = ForceEstimate(t_us, (force_n * NX + SLOW[0], force_n * NY + SLOW[1], 0.0), k == clipped)
-        spoilt = force_n < weak_n or k == clipped
-        torque = TorqueEstimate(t_us, (3.0, 4.0, 5.0) if spoilt else cross(at, push))
-        samples.add(ContactSample(force, torque, q, (0.0, 0.0, 0.0)))
-        events: list[Event] = [onset] if k == 0 else []
-        height.update(state, SLOW, events, expected)
-    height.update(state, SLOW, [ContactEnd(84_000, 84_000)], NO_WALL)
+        forces.append((force_n * NX + SLOW[0], force_n * NY + SLOW[1], 0.0))
+        torques.append((3.0, 4.0, 5.0) if force_n < weak_n or k == clipped else cross(at, push))
+    request = ContactRequest(
+        t_us=84_000,
+        number=1,
+        onset=ONSET,
+        wall=wall,
+        normal=WALL.normal,
+        mode_reported=None,
+        frame_heading_rad=0.4,
+        slow_force=SLOW,
+        noise_n=0.1,
+        noise_frd_nm=(0.1, 0.1, 0.1),
+        sample_us=tuple(range(0, 84_000, 4_000)),
+        force_mission=tuple(forces),
+        push_mission=((0.0, 0.0),) * 21,
+        clipped=tuple(k - 1 == clipped for k in range(21)),
+        torque_frd=tuple(torques),
+        q_frd_to_ned=(q,) * 21,
+        rate_frd=((0.0, 0.0, 0.0),) * 21,
+    )
+    height.add(request)
     return height
 
 
@@ -86,30 +94,29 @@ def felt(
 def test_the_height_follows_from_torque_and_force(
     height_m: float, side: int, roll: float, pitch: float, peak_n: float
 ) -> None:
-    found = felt(height_m, side, (roll, pitch, 0.0), peak_n, AT_WALL).height_m
+    found = felt(height_m, side, (roll, pitch, 0.0), peak_n).height_m
     assert found == pytest.approx(height_m, abs=1e-9)
 
 
 def test_a_contact_that_says_too_little_leaves_it_open() -> None:
-    assert felt(0.02, 0, (0.0, 0.0, 0.0), 6.0, AT_WALL).height_m is None
-    assert felt(0.02, 0, (0.0, 0.0, 0.0), 50.0, ExpectedContact(True)).height_m is None
-    assert ContactHeight(OUT_M, ContactSampleBuffer()).height_m is None
+    assert felt(0.02, 0, (0.0, 0.0, 0.0), 6.0).height_m is None
+    assert felt(0.02, 0, (0.0, 0.0, 0.0), 50.0, wall=None).height_m is None
+    assert ContactHeight(OUT_M).height_m is None
 
 
 def test_samples_that_are_clipped_or_weak_and_contacts_of_no_plan_say_nothing_of_it() -> None:
     """Weak is what is under 3 N: the first sample of 37 N at the peak, and not that of 39 N."""
     level = (0.02, 0, (0.0, 0.0, 0.0))
-    assert felt(*level, 50.0, AT_WALL, clipped=9).height_m == pytest.approx(0.02)
-    assert felt(*level, 37.0, AT_WALL, weak_n=4.0).height_m == pytest.approx(0.02)
-    assert felt(*level, 39.0, AT_WALL, weak_n=4.0).height_m != pytest.approx(0.02, abs=1e-4)
-    unplanned = msgspec.structs.replace(ONSET, planned=False)
-    assert felt(*level, 50.0, AT_WALL, onset=unplanned).height_m is None
+    assert felt(*level, 50.0, clipped=9).height_m == pytest.approx(0.02)
+    assert felt(*level, 37.0, weak_n=4.0).height_m == pytest.approx(0.02)
+    assert felt(*level, 39.0, weak_n=4.0).height_m != pytest.approx(0.02, abs=1e-4)
+    assert felt(*level, 50.0, wall=None).height_m is None
 
 
 @pytest.mark.parametrize(("peak_n", "known"), [(9.9, False), (10.2, True)])
 def test_it_is_known_from_a_sum_of_squared_forces_on(peak_n: float, known: bool) -> None:
     """1000 N2: of a half-sine over twenty samples ten times the peak's square."""
-    assert (felt(0.02, 0, (0.0, 0.0, 0.0), peak_n, AT_WALL).height_m is not None) is known
+    assert (felt(0.02, 0, (0.0, 0.0, 0.0), peak_n).height_m is not None) is known
 
 
 @pytest.mark.parametrize(

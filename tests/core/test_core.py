@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from dart_flight.base.records import (
     ActuatorSample,
     CommandResult,
+    ContactRequest,
     EstimatorSample,
     FlightMode,
     ForceEstimate,
@@ -42,6 +43,7 @@ from dart_flight.core.mission.phases import ON_GROUND, TRANSITIONS, PhaseTrigger
 from dart_flight.core.mission.recovery import recovery_point
 from dart_flight.core.sense.detector import ExpectedContact
 from dart_flight.core.sense.senses import Senses
+from dart_flight.planning.contact_fit import ContactFitter
 from dart_flight.recording.anchor import MissionFrameReader
 from tests.core.conftest import HOVER, ROOT, HandFedCore
 
@@ -159,8 +161,12 @@ def test_a_contact_that_nothing_closes_in_on_says_nothing_of_the_wall(
     hand_fed.run(0.05)
     pulse(hand_fed, (-10.0, -16.0))
     hand_fed.position_ned, hand_fed.velocity_ned = (1.0, 1.0, -1.0), (0.0, 0.0, 0.0)
-    (felt,) = of(WallEstimate, hand_fed.run(0.2))
+    (request,) = of(ContactRequest, hand_fed.run(0.2))
+    answer = ContactFitter(hand_fed.core.mission.vehicle).answer(request, hand_fed.t_us)
+    assert bool(answer.problem) is not judged
+    (felt,) = of(WallEstimate, hand_fed.give(answer))
     assert (felt.log_odds != 0.0) is judged
+    assert felt.problem == answer.problem
 
 
 def test_the_lock_never_moves_in_contact_or_before_the_arms_relaxed(hand_fed: HandFedCore) -> None:

@@ -13,7 +13,6 @@ from dart_flight.base.records import (
     PlanAnswer,
     PlanRequest,
     PlanTaken,
-    WallEstimate,
 )
 from dart_flight.base.walls import Wall
 from dart_flight.config.mission import Collision, Mission, load_mission
@@ -182,23 +181,22 @@ def test_an_answer_that_cannot_be_flown_is_refused_with_its_reason(
 
 
 def test_what_was_felt_is_waited_for_where_the_same_wall_comes_again() -> None:
-    """60 ms of a contact's end at most, and for each contact anew; another wall is asked about at once."""
+    """150 ms of a contact's end at most, and for each contact anew; another wall is asked about at once."""
     hit, following = MISSION.collisions
-    coefficients, plane = (1.0,) * 8, (0.1, 0.1, 0.1, 0.1)
-    felt = WallEstimate(0, 0, "wood", None, None, 0.0, *coefficients, *plane)
 
-    def asks(again: bool, after_us: int, wall: WallEstimate | None = None) -> bool:
-        sensed = Sensed(estimate=ForceEstimate(NOW_US, (0.0, 0.0, 0.0), False), wall=wall)
+    def asks(again: bool, after_us: int, felt: bool = False) -> bool:
+        sensed = Sensed(estimate=ForceEstimate(NOW_US, (0.0, 0.0, 0.0), False))
         planning.contact_begins()
+        planning.progress.replan = planning.replan._replace(felt=felt)
         planning.progress.lock = LockMemory(contact_end_us=NOW_US)
         between = (hit, hit if again else following)
         return planning.request(between, state_at(NOW_US + after_us), sensed) is not None
 
     planning = Planning(MISSION)
     assert asks(False, 0)
-    assert not asks(True, 59_999)
-    assert asks(True, 60_000)
-    assert asks(True, 10_000, felt)
+    assert not asks(True, 149_999)
+    assert asks(True, 150_000)
+    assert asks(True, 10_000, felt=True)
     assert not asks(True, 10_000)
 
 

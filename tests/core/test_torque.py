@@ -17,9 +17,7 @@ from dart_flight.base.records import (
     ActuatorSample,
     AttitudeSample,
     ContactSide,
-    ForceEstimate,
     ImpactBody,
-    ImpactOnset,
     ImpactPeak,
     ImuSample,
     LandedState,
@@ -34,20 +32,12 @@ from dart_flight.base.records import (
 from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.core.sense import detector
 from dart_flight.core.sense.angular_motion import AngularMotion
+from dart_flight.core.sense.contact_recorder import ContactRecorder
 from dart_flight.core.sense.detector import ExpectedContact, ImpactDetector
 from dart_flight.core.sense.force import ForceEstimator
-from dart_flight.core.sense.incidence import (
-    ContactSample,
-    ContactSampleBuffer,
-    IncidenceEstimator,
-    Known,
-    _FitSample,
-    _IncidenceFit,
-    _smoothed,
-    side_of,
-)
 from dart_flight.core.sense.state import FlightState
 from dart_flight.core.sense.torque import TorqueEstimator
+from dart_flight.planning.contact_fit import ContactFitter
 from dart_flight.sim.plant import Plant
 from tests.core.conftest import HOVER
 from tests.shared_campaigns import campaign_rows
@@ -144,10 +134,10 @@ def sense(
     state.status = StatusSample(0, 0, landed=LandedState.IN_AIR)
     state.lock = LockState(0, LockPhase.SETTLED, plant.mode)
     force, torque = ForceEstimator(vehicle), TorqueEstimator(vehicle)
-    samples = ContactSampleBuffer()
-    detector, body = ImpactDetector(vehicle), IncidenceEstimator(vehicle, samples)
+    detector, contacts, fitter = ImpactDetector(vehicle), ContactRecorder(vehicle), ContactFitter(vehicle)
     nx, ny, _ = frame.vector_from_ned(plant.frame.vector_to_ned((*WALL.normal, 0.0)))
-    expected = ExpectedContact(True, (nx, ny), WALL.material)
+    wall = msgspec.structs.replace(WALL, normal=(nx, ny))
+    expected = ExpectedContact(True, (nx, ny), WALL.material, wall)
     out = Met([], [], [], [], None)
     touched = False
     while plant.time_s < 0.6:
@@ -174,10 +164,12 @@ def sense(
         out.true.append((sums[0], sums[1], sums[2]))
         events = detector.update(estimate, t, state, expected)
         out.peaks.extend(e for e in events if isinstance(e, ImpactPeak))
-        samples.add(ContactSample(estimate, found, force.attitude, force.turning.rate))
-        told = body.update(state, (0.0, 0.0), events, expected)
-        if told is not None:
-            out.bodies.append(told)
+        contacts.add(estimate, found, force.attitude, force.turning.rate)
+        request = contacts.update(state, (0.0, 0.0), events, expected)
+        if request is not None:
+            answer = fitter.answer(request, 0)
+            assert answer.body is not None, answer.problem
+            out.bodies.append(answer.body)
     return out._replace(contact=plant.finished[0] if plant.finished else None)
 
 
@@ -198,7 +190,7 @@ def test_torque_is_the_walls(mode: Mode, yaw: float) -> None:
     assert last.peak_torque_nm == pytest.approx(seen.contact.peak_torque_nm, rel=0.1, abs=0.15)
     assert last.incidence_rad == pytest.approx(seen.contact.incidence_rad, abs=math.radians(1.0))
     assert last.lead_m * seen.contact.lead_m > 0.0
-    assert last.side is side_of(seen.contact.lead_m)
+    assert last.side is ContactSide.of_lead(seen.contact.lead_m)
 
 
 @pytest.mark.parametrize("heading_rad", [0.4, -1.1])
@@ -214,89 +206,13 @@ def test_a_wall_may_stand_at_any_angle_to_the_missions_axes(heading_rad: float) 
         assert b.torque_peak_frd == pytest.approx(a.torque_peak_frd, abs=1e-6)
 
 
-@pytest.mark.parametrize(("planned", "degrees"), [(True, 4.0), (False, 15.0)])
-def test_a_hit_that_says_nothing_leaves_the_angle_as_it_was_known(planned: bool, degrees: float) -> None:
-    """docs/torque.md: the attitude against a planned wall is known to 4 degrees, to another one to 15."""
-    c = VEHICLE.materials["acrylic"].rigid
-    rows = [_FitSample(1, 10.0 * math.sin(0.3 * i), 0.0, 0.0, 0.0, 0.0, -0.5, 0.0) for i in range(10)]
-    fit = _IncidenceFit(rows, 0.02, c, (1e6, 1e6), 0.13, 0.2, Known(), planned)
-    angle, sigma = fit.run()
-    assert angle == pytest.approx(0.02, abs=1e-3)
-    assert math.degrees(sigma) == pytest.approx(degrees)
-
-
-@pytest.mark.parametrize(("inside", "judged"), [(1, False), (2, True), (4, True)])
-def test_a_contact_of_two_samples_is_judged(inside: int, judged: bool) -> None:
-    """One after its peak; the three samples before its first are no part of it."""
-    state, samples = FlightState(), ContactSampleBuffer()
-    state.anchor(MissionFrame())
-    body = IncidenceEstimator(VEHICLE, samples)
-    first_us = 1_012_000
-    for i in range(3 + inside):
-        t_us, force = 1_000_000 + 4000 * i, (-20.0 if i >= 3 else 0.0, 0.0, 0.0)
-        samples.add(
-            ContactSample(
-                ForceEstimate(t_us, force, False),
-                TorqueEstimate(t_us, (0.0, 0.01, 0.03), (0.1, 0.1, 0.1)),
-                IDENTITY,
-                (0.0, 0.0, 0.0),
-            )
-        )
-    onset = ImpactOnset(first_us, first_us, 0, (-20.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0))
-    peak = ImpactPeak(first_us, first_us, 0, (-1.0, 0.0), 20.0, 0.0, (0.0, 0.0, 1.0), False)
-    assert body.update(state, (0.0, 0.0), [onset, peak], ExpectedContact()) is None
-    assert body.due
-    told = body.update(state, (0.0, 0.0), [], ExpectedContact())
-    assert (told is not None) is judged
-    assert not body.due
-    if told is not None:
-        assert (told.first_us, told.final, told.side) == (first_us, False, ContactSide.BOTH)
-        assert told.torque_peak_frd == pytest.approx((0.0, 0.01, 0.03))
-
-
-@pytest.mark.parametrize("degrees", [-5.0, -2.7, -1.3, 0.7, 3.1])
-def test_the_angle_is_found_between_those_that_are_tried(degrees: float) -> None:
-    """Rows by the law itself, and an attitude that says a degree and a half too much."""
-    c, a, out, true = VEHICLE.materials["acrylic"].rigid, 0.13, 0.2, math.radians(degrees)
-    rows = []
-    for i in range(10):
-        normal, turned = 60.0 * math.sin(0.3 * (i + 0.5)), 0.004 * i
-        angle, sliding = true + turned, 0.4
-        uneven = a * (c.k * math.sin(angle) + c.f * math.cos(angle) * 1.0)
-        uneven = max(-normal, min(normal, uneven))
-        along = -c.mu * normal * sliding
-        torque = uneven * a * math.cos(angle) - normal * out * math.sin(angle) - 0.3 * out * along
-        rows.append(_FitSample(1, normal, along, torque, turned, 1.0, -0.5, sliding))
-    off = math.radians(1.5)
-    co, so = math.cos(off), math.sin(off)
-    # As they are along the wall believed in, which is turned by as much.
-    seen = [
-        r._replace(
-            normal=r.normal * co + r.along * so,
-            along=r.along * co - r.normal * so,
-            towards=r.towards * co + r.sliding * so,
-            sliding=r.sliding * co - r.towards * so,
-        )
-        for r in rows
-    ]
-    fit = _IncidenceFit(seen, true + off, c, (1e-3, 1e-2), a, out, Known(), True)
-    assert math.degrees(fit.run()[0]) == pytest.approx(degrees, abs=0.015)
-
-
-def test_what_is_smoothed_keeps_a_parabola() -> None:
-    values: list[Vec3] = [(1.0, 2.0 * i, 3.0 + i - 0.5 * i * i) for i in range(9)]
-    for smooth, value in zip(_smoothed(values), values, strict=True):
-        assert smooth == pytest.approx(value, abs=1e-12)
-
-
 @pytest.mark.parametrize("mode", list(Mode))
 def test_a_pure_centre_hit_has_no_torque(mode: Mode) -> None:
     vehicle = body_vehicle(vertical_lever_m=0.0, fold_share=0.0)
     seen = sense(before_the_wall(vehicle, mode, -1.0, 0.0, 0.0), vehicle, (HOVER,) * 4)
     assert max(norm(e.torque_frd) for e in seen.torques) < 1e-6
-    assert [b.side for b in seen.bodies] == [ContactSide.BOTH, ContactSide.BOTH]
+    assert [(b.side, b.final) for b in seen.bodies] == [(ContactSide.BOTH, True)]
     assert seen.bodies[-1].peak_torque_nm < 1e-3
-    assert [b.final for b in seen.bodies] == [False, True]
 
 
 @settings(max_examples=8, deadline=None)

@@ -22,6 +22,8 @@ import pytest
 
 from dart_flight.base.records import (
     CommandResult,
+    ContactRequest,
+    ImpactOnset,
     Input,
     LockCommand,
     LockPermission,
@@ -194,11 +196,14 @@ def test_what_concerns_the_planner_goes_to_it_where_there_is_one(monkeypatch: py
     request = PlanRequest(0, 1, 100_000, 2, here, still, still, (2.0, 0.0, 1.0), 450_000)
     coefficients, plane = (1.0,) * 8, (0.1, 0.1, 0.1, 0.1)
     felt = WallEstimate(0, 0, "wood", None, None, 0.0, *coefficients, *plane)
-    carry_out(app, monkeypatch, request, felt)  # there is none
-    planner = Mock()
-    monkeypatch.setattr(app, "_planner", planner)
-    carry_out(app, monkeypatch, request, felt)
+    onset = ImpactOnset(0, 0, 0, still, still, here)
+    contact = ContactRequest(0, 1, onset, None, (1.0, 0.0), None, 0.0, (0.0, 0.0), 0.1, still)
+    carry_out(app, monkeypatch, request, felt, contact)  # there is none
+    planner, fitter = Mock(), Mock()
+    monkeypatch.setattr(app, "_planners", {PlanRequest: planner, ContactRequest: fitter})
+    carry_out(app, monkeypatch, request, felt, contact)
     assert planner.mock_calls == [call.send(request), call.send(felt)]
+    assert fitter.mock_calls == [call.send(contact)]
     assert session.asked == []
 
 
@@ -469,14 +474,18 @@ def test_a_link_that_answers_nothing_is_not_flown_over(monkeypatch: pytest.Monke
 
 
 @pytest.mark.parametrize(
-    ("name", "plans"), [("dual_collision_replan", True), ("paper_dual_collision", False)]
+    ("name", "kinds"),
+    [
+        ("dual_collision_replan", [ContactRequest, PlanRequest]),
+        ("paper_dual_collision", [ContactRequest]),
+    ],
 )
-def test_the_planner_lives_as_long_as_the_flight_where_the_mission_plans_again(
-    monkeypatch: pytest.MonkeyPatch, name: str, plans: bool
+def test_a_planner_lives_as_long_as_the_flight_and_contacts_have_one_of_their_own(
+    monkeypatch: pytest.MonkeyPatch, name: str, kinds: list[type]
 ) -> None:
     app = FlightApp(load_flyable(ROOT / f"missions/{name}.yaml"), "udpin://nowhere:1", lambda *_: None)
     made = Mock()
-    monkeypatch.setattr(module, "ReplannerProcess", made)
+    monkeypatch.setattr(module, "PlannerProcess", made)
 
     def end() -> None:
         made.return_value.stop.assert_not_called()
@@ -484,7 +493,8 @@ def test_the_planner_lives_as_long_as_the_flight_where_the_mission_plans_again(
 
     connect_to(Flight(end), monkeypatch)
     asyncio.run(app.run())
-    assert made.mock_calls == [call(app._mission, app._take_answer, host_us), call().stop()] * plans
+    begun = [call(app._mission, kind, app._take_answer, host_us) for kind in kinds]
+    assert made.mock_calls == begun + [call().stop()] * len(kinds)
 
 
 @pytest.mark.parametrize(

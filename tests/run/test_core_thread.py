@@ -40,7 +40,7 @@ class SteppedCore(FlightCore):
 
     def __init__(self, answer: Callable[[Input], list[Output]] = lambda item: []) -> None:
         self.taken: list[Input] = []
-        self.wanted = Pace.DEFERRED
+        self.wanted = Pace.BATCHED
         self._answer = answer
 
     def step(self, item: Input) -> list[Output]:
@@ -242,9 +242,8 @@ def test_in_haste_an_input_is_stepped_on_the_thread_that_brings_it(watched: Harn
     assert watched.core.threads == [threading.current_thread().name]
 
 
-@pytest.mark.parametrize("pace", [Pace.BATCHED, Pace.DEFERRED])
-def test_otherwise_the_cores_own_thread_steps(watched: Harness[WatchedCore], pace: Pace) -> None:
-    begin(watched, pace)
+def test_otherwise_the_cores_own_thread_steps(watched: Harness[WatchedCore]) -> None:
+    begin(watched, Pace.BATCHED)
     for t_us in range(4000, 24000, 4000):
         watched.thread.arrive(attitude(t_us))
     wait_for(lambda: len(watched.core.samples) == 5)
@@ -286,35 +285,28 @@ def test_two_threads_never_step_at_once_and_nothing_is_left_lying(watched: Harne
     assert not watched.core.collided
 
 
-def test_from_haste_to_a_long_step_the_cores_own_thread_takes_over(watched: Harness[WatchedCore]) -> None:
+def test_at_the_end_of_haste_the_cores_own_thread_takes_over(watched: Harness[WatchedCore]) -> None:
     begin(watched, Pace.IMMEDIATE)
-    watched.core.wanted = Pace.DEFERRED
+    watched.core.wanted = Pace.BATCHED
     watched.thread.arrive(attitude(4000))
     watched.thread.arrive(attitude(8000))
     wait_for(lambda: len(watched.core.samples) == 2)
     assert watched.core.threads == [threading.current_thread().name, "core"]
 
 
-@pytest.mark.parametrize("to", [Pace.DEFERRED, Pace.BATCHED])
 def test_at_the_end_of_haste_the_cores_own_thread_is_called_once_and_then_has_its_patience(
-    watched: Harness[WatchedCore], monkeypatch: pytest.MonkeyPatch, to: Pace
+    watched: Harness[WatchedCore], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """However long a turn would be waited for: what may take long is not to wait for the next one."""
+    """However long a turn would be waited for."""
     begin(watched, Pace.IMMEDIATE)
     monkeypatch.setattr(module, "BATCH_S", 60.0)
     time.sleep(0.1)  # the turn under way ends
     turns = watched.turns
     time.sleep(0.1)
     assert watched.turns == turns
-    watched.core.wanted = to
+    watched.core.wanted = Pace.BATCHED
     watched.thread.arrive(attitude(4000))
     wait_for(lambda: watched.turns > turns)
-    if to is Pace.DEFERRED:
-        watched.thread.arrive(attitude(8000))
-        wait_for(lambda: len(watched.core.samples) == 2)
-        watched.core.wanted = Pace.BATCHED
-        watched.thread.arrive(attitude(12000))
-        wait_for(lambda: len(watched.core.samples) == 3)
     time.sleep(0.1)
     turns = watched.turns
     time.sleep(0.1)

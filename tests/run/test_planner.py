@@ -1,24 +1,27 @@
-"""The planner's process: it answers as the planner does, and its death is an answer, too."""
+"""The planners' processes: they answer as planner and fitter do, and their death is an answer, too."""
 
 import queue
 
 import msgspec
 
-from dart_flight.base.records import PlanAnswer, PlanRequest
+from dart_flight.base.records import ContactAnswer, ContactRequest, PlanAnswer, PlanRequest
 from dart_flight.config.mission import load_mission
 from dart_flight.config.vehicle import packaged
+from dart_flight.planning.contact_fit import ContactFitter
 from dart_flight.planning.replanner import Replanner
-from dart_flight.run.replanner_process import ReplannerProcess
+from dart_flight.run.planner_process import PlannerProcess
+from tests.planning.test_contact_fit import AT_WALL, request_of
 
 MISSION = load_mission(packaged("missions", "dual_collision_replan.yaml"))
 REQUEST = PlanRequest(
     0, 1, 100_000, 2, (1.0, -1.05, 1.0), (0.3, 0.45, 0.0), (0.0, 0.0, 0.0), (2.6, -0.75, 1.0), 450_000
 )
+CONTACT = request_of([0.0] * 3 + [4.0, 12.0, 18.0, 21.0, 21.0, 18.0, 12.0, 4.0, 0.0])
 
 
 def test_the_process_answers_as_the_planner_and_its_death_is_told() -> None:
-    answers: queue.SimpleQueue[PlanAnswer] = queue.SimpleQueue()
-    planner = ReplannerProcess(MISSION, answers.put)
+    answers: queue.SimpleQueue[PlanAnswer | ContactAnswer] = queue.SimpleQueue()
+    planner = PlannerProcess(MISSION, PlanRequest, answers.put)
     try:
         planner.send(REQUEST)
         answer = answers.get(timeout=60.0)
@@ -29,15 +32,55 @@ def test_the_process_answers_as_the_planner_and_its_death_is_told() -> None:
         planner.process.wait()
         planner.send(msgspec.structs.replace(REQUEST, number=2))
         dead = answers.get(timeout=60.0)
+        assert isinstance(dead, PlanAnswer)
         assert (dead.number, dead.problem) == (2, "the planner has died")
     finally:
         planner.stop()
     assert planner.process.returncode is not None
 
 
+def test_contacts_are_fitted_in_a_process_of_their_own_and_its_death_is_told() -> None:
+    """The second contact with a wall is fitted from what the first one has taught."""
+    answers: queue.SimpleQueue[PlanAnswer | ContactAnswer] = queue.SimpleQueue()
+    fits, here = PlannerProcess(MISSION, ContactRequest, answers.put), ContactFitter(MISSION.vehicle)
+    try:
+        for number in (1, 2):
+            request = msgspec.structs.replace(CONTACT, number=number)
+            fits.send(request)
+            answer = answers.get(timeout=60.0)
+            assert answer == here.answer(request, answer.received_us)
+            assert isinstance(answer, ContactAnswer)
+            assert answer.wall is not None
+            assert (answer.wall.wall, answer.received_us > 0) == (AT_WALL.name, True)
+        fits.process.kill()
+        fits.process.wait()
+        fits.send(msgspec.structs.replace(CONTACT, number=3))
+        dead = answers.get(timeout=60.0)
+        assert msgspec.structs.replace(dead, received_us=0) == ContactAnswer(
+            0, 3, problem="the planner has died"
+        )
+    finally:
+        fits.stop()
+
+
+def test_the_longest_contact_fits_into_the_pipe_twice() -> None:
+    """A write that would block is a planner that does not answer."""
+    answers: queue.SimpleQueue[PlanAnswer | ContactAnswer] = queue.SimpleQueue()
+    fits = PlannerProcess(MISSION, ContactRequest, answers.put)
+    long = request_of([0.0] * 4 + [10.0 + 1.0 / (3.0 + i) for i in range(160)])
+    try:
+        for number in (1, 2):
+            fits.send(msgspec.structs.replace(long, number=number))
+        for number in (1, 2):
+            answer = answers.get(timeout=60.0)
+            assert (answer.number, "died" in answer.problem) == (number, False)
+    finally:
+        fits.stop()
+
+
 def test_it_ends_with_its_flight() -> None:
-    answers: queue.SimpleQueue[PlanAnswer] = queue.SimpleQueue()
-    planner = ReplannerProcess(MISSION, answers.put)
+    answers: queue.SimpleQueue[PlanAnswer | ContactAnswer] = queue.SimpleQueue()
+    planner = PlannerProcess(MISSION, PlanRequest, answers.put)
     planner.send(REQUEST)
     answers.get(timeout=60.0)
     planner.stop()

@@ -7,6 +7,9 @@ import pytest
 
 from dart_flight.base.records import (
     CommandResult,
+    ContactAnswer,
+    ContactRequest,
+    ImpactOnset,
     ImuSample,
     Input,
     LockPhase,
@@ -108,8 +111,8 @@ def test_a_request_that_fails_is_no_longer_open() -> None:
 def test_an_answer_of_the_planner_counts_from_its_latency_on_and_before_its_trajectory_begins() -> None:
     told = Reports()
     clock = told.reporter.clock
-    told.reporter.open_plan(request(1, 100_000, 300_000), 60_000)
-    told.reporter.open_plan(request(2, 100_000, 160_000), 60_000)
+    told.reporter.open_request(request(1, 100_000, 300_000), 60_000)
+    told.reporter.open_request(request(2, 100_000, 160_000), 60_000)
     told.reporter.close([imu(100_000)], 0, False)
     assert told.last.plan_due_us == 120_000
     for number in (1, 2):
@@ -121,6 +124,28 @@ def test_an_answer_of_the_planner_counts_from_its_latency_on_and_before_its_traj
     clock.receive(160_000, 0)
     assert [answer.number for answer in told.reporter.due_answers()] == [1]
     assert told.reporter.due_answers() == []
+
+
+def test_a_fit_is_waited_for_like_a_plan_of_the_same_number() -> None:
+    told = Reports()
+    clock = told.reporter.clock
+    onset = ImpactOnset(90_000, 90_000, 0, ORIGIN, ORIGIN, ORIGIN)
+    contact = ContactRequest(100_000, 1, onset, None, (1.0, 0.0), None, 0.0, (0.0, 0.0), 0.1, (0.1, 0.1, 0.1))
+    told.reporter.open_request(contact, 50_000)
+    told.reporter.open_request(request(1, 100_000, 300_000), 60_000)
+    told.reporter.close([imu(100_000)], 0, False)
+    assert told.last.plan_due_us == 150_000
+    plan, fit = PlanAnswer(0, 1, 0), ContactAnswer(0, 1)
+    told.reporter.hold_answer(plan)
+    told.reporter.hold_answer(fit)
+    clock.receive(150_000, 0)
+    assert told.reporter.due_answers() == [fit]
+    told.reporter.close([fit], 0)
+    assert told.last.plan_due_us == 160_000
+    clock.receive(160_000, 0)
+    assert told.reporter.due_answers() == [plan]
+    told.reporter.close([plan], 0)
+    assert told.last.plan_due_us is None
 
 
 def test_a_batch_is_complete_with_its_last_imu_sample() -> None:
@@ -137,7 +162,7 @@ def test_near_a_wall_and_while_the_planner_works_every_sample_counts() -> None:
     told = Reports()
     told.reporter.close([imu(4_000)], 0, False)
     assert told.last.batch_us == 0
-    told.reporter.open_plan(request(1, 4_000, 100_000), 60_000)
+    told.reporter.open_request(request(1, 4_000, 100_000), 60_000)
     told.reporter.close([imu(8_000)], 0, True)
     assert told.last.batch_us == 0
     assert told.reporter.completes_batch(OdometrySample(9_000, 1, ORIGIN, ORIGIN))

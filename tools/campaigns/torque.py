@@ -73,7 +73,6 @@ class BodyHit(msgspec.Struct, frozen=True):
     true_incidence_rad: float
     by_yaw_rad: float
     side: ContactSide
-    early_side: ContactSide
     lead_m: float
 
     def torque_is_right(self, torque_nm: float) -> bool:
@@ -152,19 +151,12 @@ class _ContactRecords:
             self.peak = record
         elif isinstance(record, ImpactBody) and self._ended_us is None:
             self.bodies.append(record)
-            if record.final:
-                self._ended_us = record.t_us
+            self._ended_us = record.t_us
 
 
 def _evaluate(planned: Mission, true: Mission, records: _ContactRecords) -> BodyHit:
     onset, peak, attitude = records.onset, records.peak, records.onset_attitude
-    if (
-        onset is None
-        or peak is None
-        or attitude is None
-        or not records.bodies
-        or not records.bodies[-1].final
-    ):
+    if onset is None or peak is None or attitude is None or not records.bodies:
         raise ValueError("no contact")
     body = records.bodies[-1]
     # A rotating vehicle may touch again with its other side within one impact.
@@ -190,7 +182,6 @@ def _evaluate(planned: Mission, true: Mission, records: _ContactRecords) -> Body
         true_incidence_rad=near[0].incidence_rad,
         by_yaw_rad=wrap_angle(yaw - planned.collisions[0].wall.parallel_yaw(yaw)),
         side=body.side,
-        early_side=records.bodies[0].side,
         lead_m=near[0].lead_m,
     )
 
@@ -233,7 +224,7 @@ def page(rows: Sequence[JudgedRow]) -> str:
 _NAMES = (
     "hits", "force peak error, median, 95th", "peak read from the fitted pulse", "error over the bound, rms",
     "friction peak over 3 N, median error", "torque peak right", "... the largest sample",
-    "side right, of those with a clear lead", "... a sample after the peak", "incidence error, rms",
+    "side right, of those with a clear lead", "incidence error, rms",
     "... by yaw and planned wall", "... over the deviation it says, rms",
 )  # fmt: skip
 
@@ -252,7 +243,6 @@ def _cells(mine: Sequence[BodyHit]) -> list[str]:
         f"{sum(h.torque_is_right(h.torque_nm) for h in mine)} of {len(mine)}",
         f"{sum(h.torque_is_right(h.raw_torque_nm) for h in mine)} of {len(mine)}",
         f"{sum(h.is_first(h.side) for h in clear)} of {len(clear)}",
-        f"{sum(h.is_first(h.early_side) for h in clear)} of {len(clear)}",
         f"{math.degrees(_rms(off)):.2f}°",
         f"{math.degrees(_rms([h.by_yaw_rad - h.true_incidence_rad for h in mine])):.2f}°",
         f"{_rms([error / h.sigma_rad for error, h in zip(off, mine, strict=True)]):.2f}",

@@ -4,37 +4,30 @@ A wall pushes on the guards of a side, `contact_distance_m` ahead of the centre 
 it. That height times the force turns the vehicle backwards, and the further it has turned, the longer the
 lever: battery and payload that move the centre of mass by 2 cm are enough to turn it over at 3 m/s
 (docs/results/faster_hits.md). A gentle hit tells the height, and the hits after it are leaned into
-accordingly (`planning.replanner`).
+accordingly (`planning.replanner`). A plan needs it at the contact's end, so the core does not wait for the
+fit of the contact: the height has a closed form.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Final
 
-from dart_flight.base.geometry import MissionFrame, Vec2, rotate_back
-from dart_flight.base.records import ContactEnd, ImpactOnset
-from dart_flight.base.walls import Wall
-from dart_flight.core.sense.detector import Events, ExpectedContact
-from dart_flight.core.sense.incidence import ContactSample, ContactSampleBuffer
-from dart_flight.core.sense.state import FlightState
+from dart_flight.base.geometry import MissionFrame, rotate_back
+from dart_flight.base.records import ContactRequest
 
 _LEAST_N: Final = 3.0  # samples with less normal force tell nothing
 _LEAST_N2: Final = 1000.0  # sum of the squared forces: a few samples of a hit of 0.5 m/s
 
 
 class ContactHeight:
-    """Follows the planned contacts.
+    """Height of the walls' force above the centre of mass.
 
     Args:
         contact_distance_m: from the centre of mass to the guards' plane.
-        samples: of force and torque; whoever owns them adds each before `update`.
     """
 
-    def __init__(self, contact_distance_m: float, samples: ContactSampleBuffer) -> None:
-        self._out_m, self._samples = contact_distance_m, samples
-        self._onset: ImpactOnset | None = None
-        self._wall: Wall | None = None
+    def __init__(self, contact_distance_m: float) -> None:
+        self._out_m = contact_distance_m
         self._moment = self._weight = 0.0
 
     @property
@@ -42,27 +35,24 @@ class ContactHeight:
         """Of the force above the centre of mass, by all contacts; None: not known yet."""
         return self._moment / self._weight if self._weight >= _LEAST_N2 else None
 
-    def update(self, state: FlightState, slow: Vec2, events: Events, expected: ExpectedContact) -> None:
-        """What the detector made of the newest sample's force; arguments as `IncidenceEstimator.update`."""
-        for event in events:
-            if isinstance(event, ImpactOnset):
-                self._onset, self._wall = event, expected.wall if event.planned else None
-            elif isinstance(event, ContactEnd) and self._onset is not None and self._wall is not None:
-                _, inside = self._samples.since(self._onset.first_us, 0)
-                if state.frame is not None:
-                    self._add(inside, self._wall, slow, state.frame)
+    def add(self, contact: ContactRequest) -> None:
+        """Take a contact, if it was planned.
 
-    def _add(self, samples: Sequence[ContactSample], wall: Wall, slow: Vec2, frame: MissionFrame) -> None:
-        """Least squares: torque about the side's axis = -(height n_s + distance n_z) times the force."""
-        nx, ny = wall.normal
-        normal_ned = frame.vector_to_ned((nx, ny, 0.0))
-        for sample in samples:
-            fx, fy, _ = sample.force.force_mission
-            force_n = (fx - slow[0]) * nx + (fy - slow[1]) * ny
-            if force_n < _LEAST_N or sample.force.clipped:
+        Least squares: torque about the side's axis = -(height n_s + distance n_z) times the force.
+        """
+        if contact.wall is None:
+            return
+        (nx, ny), (slow_x, slow_y) = contact.wall.normal, contact.slow_force
+        normal_ned = MissionFrame(heading_rad=contact.frame_heading_rad).vector_to_ned((nx, ny, 0.0))
+        columns = (
+            *(contact.sample_us, contact.force_mission, contact.clipped),
+            *(contact.torque_frd, contact.q_frd_to_ned),
+        )
+        for t_us, (fx, fy, _), clipped, (tx, ty, _), q in zip(*columns, strict=True):
+            force_n = (fx - slow_x) * nx + (fy - slow_y) * ny
+            if force_n < _LEAST_N or clipped or t_us < contact.onset.first_us:
                 continue
-            bx, by, bz = rotate_back(sample.q, normal_ned)
-            tx, ty, _ = sample.torque.torque_frd
+            bx, by, bz = rotate_back(q, normal_ned)
             # The side that touches is the body axis that points into the wall the most.
             if abs(bx) > abs(by):
                 side = -1.0 if bx > 0.0 else 1.0

@@ -9,15 +9,16 @@ from dart_flight.base.records import (
     AttitudeSample,
     ClockOffset,
     CommandResult,
+    ContactAnswer,
     EscSample,
     EstimatorSample,
     ForceEstimate,
     HealthReport,
-    ImpactBody,
     ImuSample,
     Input,
     LockState,
     OdometrySample,
+    Output,
     PoseSample,
     StatusSample,
     StatusText,
@@ -27,13 +28,12 @@ from dart_flight.base.records import (
 )
 from dart_flight.config.mission import Mission
 from dart_flight.core.sense.contact_height import ContactHeight
+from dart_flight.core.sense.contact_recorder import ContactRecorder
 from dart_flight.core.sense.detector import Event, ExpectedContact, ImpactDetector
 from dart_flight.core.sense.force import ForceEstimator
-from dart_flight.core.sense.incidence import ContactSample, ContactSampleBuffer, IncidenceEstimator
 from dart_flight.core.sense.position_delay import PositionDelay
 from dart_flight.core.sense.state import FlightState
 from dart_flight.core.sense.torque import TorqueEstimator
-from dart_flight.core.sense.wall_estimator import WallEstimator
 
 # A contact may move PX4's estimate for so long; what it does meanwhile is no fault of the estimator.
 IMPACT_WINDOW_S: Final = 2.0
@@ -47,14 +47,16 @@ class Sensed:
         impacts: what the detector makes of it, none at most times; what it can feel, as an approach begins.
         in_contact: between onset and end of a contact.
         torque: the external torque, where the input gives one.
-        body: how an impact met the body, after its peak and at its end.
-        wall: what a planned contact says of its wall and of the arms, at its end.
+        contact: records of a contact that is over: the request for its fit, or what the fit says.
+        wall: what a planned contact says of its wall and of the arms, one of these records.
         height_m: of the walls' force above the centre of mass, by the contacts so far; None: not known.
         thrust_ratio: thrust from mass and accelerometer, over thrust from the curve, in the last seconds of
             free flight, or None if not known.
     """
 
-    __slots__ = ("body", "estimate", "height_m", "impacts", "in_contact", "thrust_ratio", "torque", "wall")
+    __slots__ = (
+        *("contact", "estimate", "height_m", "impacts", "in_contact", "thrust_ratio", "torque", "wall"),
+    )
 
     def __init__(
         self,
@@ -62,13 +64,13 @@ class Sensed:
         impacts: tuple[Event, ...] = (),
         in_contact: bool = False,
         torque: TorqueEstimate | None = None,
-        body: ImpactBody | None = None,
+        contact: tuple[Output, ...] = (),
         wall: WallEstimate | None = None,
         height_m: float | None = None,
         thrust_ratio: float | None = None,
     ) -> None:
         self.estimate, self.impacts, self.in_contact = estimate, impacts, in_contact
-        self.torque, self.body, self.wall, self.height_m = torque, body, wall, height_m
+        self.torque, self.contact, self.wall, self.height_m = torque, contact, wall, height_m
         self.thrust_ratio = thrust_ratio
 
 
@@ -84,8 +86,7 @@ class Senses:
         estimator: external force from every IMU sample.
         torque: external torque from every IMU sample.
         detector: impacts in the force; it watches only while told to.
-        body: how they meet the body.
-        walls: what they say of the walls and of the arms.
+        contacts: their samples, and what the planner makes of them.
         height: of their force above the centre of mass.
         delay: estimator of the position estimate's lead over the IMU.
     """
@@ -95,10 +96,8 @@ class Senses:
         self.estimator = ForceEstimator(mission.vehicle)
         self.torque = TorqueEstimator(mission.vehicle)
         self.detector = ImpactDetector(mission.vehicle)
-        self._samples = ContactSampleBuffer()
-        self.body = IncidenceEstimator(mission.vehicle, self._samples)
-        self.walls = WallEstimator(mission.vehicle, self._samples)
-        self.height = ContactHeight(mission.vehicle.airframe.contact_distance_m, self._samples)
+        self.contacts = ContactRecorder(mission.vehicle)
+        self.height = ContactHeight(mission.vehicle.airframe.contact_distance_m)
         self.delay = PositionDelay(mission.vehicle.airframe.mass_kg, IMPACT_WINDOW_S)
 
     def update(self, item: Input, expected: ExpectedContact) -> Sensed:
@@ -137,6 +136,12 @@ class Senses:
             state.take_health(item)
         elif isinstance(item, CommandResult):
             state.take_result(item)
+        elif isinstance(item, ContactAnswer):
+            body, wall = self.contacts.accept(item)
+            records: list[Output] = [] if body is None else [body]
+            if wall is not None:
+                records.append(wall)
+            return Sensed(in_contact=self.detector.in_contact, contact=tuple(records), wall=wall)
         return _TOUCHING if self.detector.in_contact else _NOTHING
 
     def _compare_velocity(self, t_us: int) -> None:
@@ -161,15 +166,20 @@ class Senses:
             return Sensed(in_contact=touching)
         slow = detector.slow_force.value
         impacts = detector.update(estimate, item.received_us, state, expected)
-        body = wall = None
+        contact: tuple[Output, ...] = ()
+        wall = None
         if torque is not None and estimator.attitude is not None:
-            self._samples.add(ContactSample(estimate, torque, estimator.attitude, estimator.turning.rate))
-            if impacts or self.body.due:  # else there is nothing new to be said
-                body = self.body.update(state, slow, impacts, expected)
+            self.contacts.add(estimate, torque, estimator.attitude, estimator.turning.rate)
             if impacts:
-                self.height.update(state, slow, impacts, expected)
-            if impacts or self.walls.is_busy:
-                wall = self.walls.update(state, slow, impacts, expected)
+                request = self.contacts.update(state, slow, impacts, expected)
+                if request is not None:
+                    contact = (request,)
+                    self.height.add(request)
+        if self.contacts.unanswered and not contact:
+            wall = self.contacts.overdue(item.t_us)
+            contact = () if wall is None else (wall,)
         found = tuple(impacts) if impacts else ()
         ratio = estimator.hover.thrust_ratio
-        return Sensed(estimate, found, detector.in_contact, torque, body, wall, self.height.height_m, ratio)
+        return Sensed(
+            estimate, found, detector.in_contact, torque, contact, wall, self.height.height_m, ratio
+        )

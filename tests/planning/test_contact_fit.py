@@ -6,38 +6,54 @@ import math
 import random
 from collections.abc import Sequence
 from pathlib import Path
-from types import SimpleNamespace
+from typing import Any
 
+import msgspec
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dart_flight.base.geometry import IDENTITY
-from dart_flight.base.records import ForceEstimate, ImpactOnset, Mode, TorqueEstimate, WallEstimate
+from dart_flight.base.records import ContactRequest, ContactSide, ImpactOnset, Mode, WallEstimate
 from dart_flight.base.walls import Wall
-from dart_flight.config.vehicle import ArmVibration, Coefficients
+from dart_flight.config.vehicle import ArmVibration, Coefficients, VehicleConfig
 from dart_flight.contact.law import Onset
 from dart_flight.core.sense.arm_vibration import ArmFilter
-from dart_flight.core.sense.contact_fit import (
+from dart_flight.planning.contact_fit import (
+    SURE_LOG_ODDS,
     Belief,
-    Body,
+    Contact,
     ContactFit,
-    ContactReading,
+    ContactFitter,
     Hypothesis,
-    ObservedContact,
-    _merged,
+    Ticks,
 )
-from dart_flight.core.sense.incidence import ContactSample, ContactSampleBuffer
-from dart_flight.core.sense.wall_estimator import SURE_LOG_ODDS, WallEstimator, _PendingEstimate
 from tests.oracles.point_law import contact_force
 from tests.shared_campaigns import campaign_rows
-from tests.sim.test_plant import VEHICLE
+from tests.sim.test_plant import VEHICLE as AS_SHIPPED
 
+VEHICLE = msgspec.structs.replace(
+    AS_SHIPPED,
+    onset="lcp",
+    airframe=msgspec.structs.replace(AS_SHIPPED.airframe, guard_along_m=0.13, contact_distance_m=0.2),
+)
 MASS = VEHICLE.airframe.mass_kg
-BODY = Body(MASS, 0.13, 0.2, Onset.LCP, -1)
 SCATTER, SPREAD = 0.05, 0.3
 TICK_S, STEPS = 0.004, 80
 NOISE_N = 0.26
+AT_WALL = Wall("w", (1.0, 0.0), (-1.0, 0.0), 2.0, "wood")
+
+
+Row = tuple[float, float, float, float, float, float, float, float, float, bool]
+
+
+def ticks_of(rows: Sequence[Row]) -> Ticks:
+    """Rows (h, normal, along, up, push normal and along, turned, turning, torque, bound), for both modes."""
+    h, normal, along, up, push, drive, turned, turning, torque = np.array([r[:9] for r in rows]).T
+    both = [np.stack([read, read], axis=1) for read in (normal, along)]
+    bound = np.array([r[9] for r in rows])
+    return Ticks._make([h, *both, up, push, drive, turned, turning, torque, np.ones(len(rows)), bound])
 
 
 def scaled(c: Coefficients, k: float = 1.0, f: float = 1.0, mu: float = 1.0) -> Coefficients:
@@ -57,11 +73,11 @@ def pulse(
     push: float = 0.0,
     onset: Onset = Onset.LCP,
     full_scale_n: float = math.inf,
-) -> ObservedContact:
+) -> Contact:
     """The contact law in steps of 0.05 ms, as an IMU's ticks."""
     rng = random.Random(seed)
     x, v, w = -normal * 0.0137 + c.f / c.k * -normal, normal, along
-    ticks: list[ContactReading] = []
+    ticks: list[Row] = []
     free = 0
     h = TICK_S / STEPS
     while free < 4 or len(ticks) < 6:
@@ -74,24 +90,24 @@ def pulse(
             x = mid[0] + 0.5 * h * v
             sums = [s + f / STEPS for s, f in zip(sums, (n, t, -d), strict=True)]
         touched = sums[0] > 0.0
-        free = 0 if touched or not ticks or ticks[-1].normal == 0.0 else free + 1
+        free = 0 if touched or not ticks or ticks[-1][1] == 0.0 else free + 1
         bound = sums[0] >= full_scale_n
         read = min(sums[0] + rng.gauss(0.0, NOISE_N), full_scale_n)
         rub, up = (value + rng.gauss(0.0, NOISE_N) for value in sums[1:])
-        ticks.append(ContactReading(TICK_S, read, rub, up, push, 0.0, bound, 0.0, 0.0, 0.0))
+        ticks.append((TICK_S, read, rub, up, push, 0.0, 0.0, 0.0, 0.0, bound))
         if len(ticks) > 80:
             break
-    return ObservedContact(ticks, 0, 0.0137, (normal, along), 0.0, NOISE_N)
+    return Contact(ticks_of(ticks), 0.0137, (normal, along), 0.0, NOISE_N, 0.1)
 
 
-def met_by_a_guard(c: Coefficients, degrees: float, seed: int = 0, along: float = 0.3) -> ObservedContact:
+def met_by_a_guard(c: Coefficients, degrees: float, seed: int = 0, along: float = 0.3) -> Contact:
     """Two guards by the law of each, the one ahead turning the vehicle to its own side."""
-    rng, a, out = random.Random(seed), BODY.along, BODY.out
+    rng, a, out = random.Random(seed), 0.13, 0.2
     lead = incidence = math.radians(degrees)
     turning = -math.copysign(1.0, lead)
     x = 0.9 * 0.0137 + a * math.sin(abs(lead)) - out * (1.0 - math.cos(lead))
     v, w, h = -0.9, along, TICK_S / STEPS
-    ticks: list[ContactReading] = []
+    ticks: list[Row] = []
     for _ in range(30):
         turned, sums = incidence + 0.5 * TICK_S * turning - lead, [0.0, 0.0, 0.0]
         for _ in range(STEPS):
@@ -110,22 +126,21 @@ def met_by_a_guard(c: Coefficients, degrees: float, seed: int = 0, along: float 
             found = (right + left, friction, uneven - 0.3 * out * friction)
             sums = [s + f / STEPS for s, f in zip(sums, found, strict=True)]
         read, rub = (value + rng.gauss(0.0, NOISE_N) * (seed > 0) for value in sums[:2])
-        ticks.append(ContactReading(TICK_S, read, rub, 0.0, 0.0, 0.0, False, turned, turning, sums[2]))
-    return ObservedContact(ticks, 0, 0.0137, (-0.9, along), lead, NOISE_N)
+        ticks.append((TICK_S, read, rub, 0.0, 0.0, 0.0, turned, turning, sums[2], False))
+    return Contact(ticks_of(ticks), 0.0137, (-0.9, along), lead, NOISE_N, 0.1)
 
 
-def fitted(contact: ObservedContact, before: Belief, scatter: float = SCATTER) -> Hypothesis:
-    fit = ContactFit(contact, before, scatter, BODY)
-    while fit.advance():
-        pass
-    found = fit.result()
-    assert found is not None
+def fitted(
+    contact: Contact, before: Belief, scatter: float = SCATTER, vehicle: VehicleConfig = VEHICLE
+) -> Hypothesis:
+    (found,) = ContactFit(contact, [before], vehicle, scatter).run()
     return found
 
 
-def odds_of(contact: ObservedContact, material: str) -> float:
-    rigid, flexible = (fitted(contact, belief_of(material, mode)).evidence for mode in Mode)
-    return rigid - flexible
+def odds_of(contact: Contact, material: str) -> float:
+    before = [belief_of(material, mode) for mode in Mode]
+    rigid, flexible = ContactFit(contact, before, VEHICLE, SCATTER).run()
+    return rigid.evidence - flexible.evidence
 
 
 # --- coefficients and mode --------------------------------------------------------------------------------
@@ -183,16 +198,9 @@ def test_a_wall_between_both_modes_is_undecided() -> None:
 @pytest.mark.parametrize("onset", list(Onset))
 def test_both_onsets_are_fitted(onset: Onset) -> None:
     true = scaled(VEHICLE.materials["acrylic"].of(Mode.FLEXIBLE), 1.2)
-    fit = ContactFit(
-        pulse(true, -1.0, 0.3, onset=onset),
-        belief_of("acrylic", Mode.FLEXIBLE),
-        SCATTER,
-        BODY._replace(onset=onset),
-    )
-    while fit.advance():
-        pass
-    found = fit.result()
-    assert found is not None
+    vehicle = msgspec.structs.replace(VEHICLE, onset=onset.value)
+    contact = pulse(true, -1.0, 0.3, onset=onset)
+    found = fitted(contact, belief_of("acrylic", Mode.FLEXIBLE), vehicle=vehicle)
     assert found.belief.k == pytest.approx(true.k, rel=0.05)
 
 
@@ -207,28 +215,17 @@ def test_a_place_that_is_known_for_sure_is_kept() -> None:
 
 def test_a_tick_stands_for_the_angle_at_its_middle() -> None:
     """Turning to the left at 2 rad/s: 4 mrad in the middle of the first tick, 12 in that of the second."""
-    samples = [
-        ContactSample(
-            ForceEstimate(t, (0.0, 0.0, 0.0), False), TorqueEstimate(t, (0.0, 0.0, 0.0)), IDENTITY, rate
-        )
-        for t in (4000, 8000, 12_000)
-        for rate in [(0.0, 0.0, -2.0)]
-    ]
-    wall = Wall("wall", (1.0, 0.0), (-1.0, 0.0), 2.0, "acrylic")
-    ticks = WallEstimator(VEHICLE, ContactSampleBuffer())._readings(
-        samples, wall, taken_out=False, swings=False
-    )
-    assert [t.turned for t in ticks] == pytest.approx([0.004, 0.012, 0.020])
+    request = request_of([0.0, 0.0, 0.0], rate=-2.0)
+    assert ContactFitter(VEHICLE)._ticks(request).turned == pytest.approx([0.004, 0.012, 0.020])
 
 
 def test_readings_at_full_scale_are_only_bounds() -> None:
     true = scaled(VEHICLE.materials["wood"].rigid, 1.2)
     whole = pulse(true, -1.0, 0.3)
-    top = max(t.normal for t in whole.ticks)
-    cut = pulse(true, -1.0, 0.3, full_scale_n=0.7 * top)
-    assert sum(t.bound for t in cut.ticks) >= 4
+    cut = pulse(true, -1.0, 0.3, full_scale_n=0.7 * float(whole.ticks.normal.max()))
+    assert cut.ticks.bound.sum() >= 4
     assert fitted(cut, belief_of("wood", Mode.RIGID)).belief.k == pytest.approx(true.k, rel=0.08)
-    taken = [ContactReading(t.h, t.normal, t.along, t.up, 0.0, 0.0, False, 0.0, 0.0, 0.0) for t in cut.ticks]
+    taken = cut.ticks._replace(bound=np.zeros_like(cut.ticks.bound))
     believed = fitted(cut._replace(ticks=taken), belief_of("wood", Mode.RIGID)).belief.k
     assert abs(believed / true.k - 1.0) > 0.08
 
@@ -312,7 +309,7 @@ def test_without_a_vertical_coefficient_the_vertical_force_says_nothing() -> Non
     c = VEHICLE.materials["acrylic"].rigid
     none = Belief(c.k, c.f, c.mu, 0.0, SPREAD, SPREAD, SPREAD, 0.5)
     contact = pulse(Coefficients(c.k, c.f, c.mu, 6.0), -1.0)
-    still = contact._replace(ticks=[t._replace(up=0.0) for t in contact.ticks])
+    still = contact._replace(ticks=contact.ticks._replace(up=0.0 * contact.ticks.up))
     assert fitted(contact, none).evidence == fitted(still, none).evidence
     assert fitted(contact, none).belief.nu == 0.0
 
@@ -334,26 +331,37 @@ def test_hits_of_one_wall_add_up_to_the_scatter_and_no_further() -> None:
 
 # --- anything that comes ----------------------------------------------------------------------------------
 
-_any = st.floats(allow_nan=True, allow_infinity=True)
+_any = st.floats(-1e6, 1e6)
 
 
 @settings(max_examples=60, deadline=None)
 @given(
-    ticks=st.lists(st.tuples(st.floats(0.0, 0.1), _any, _any, _any, st.booleans()), min_size=1, max_size=30),
+    forces=st.lists(st.tuples(_any, _any, _any, st.booleans()), min_size=1, max_size=30),
     velocity=st.tuples(_any, _any),
+    gap_us=st.integers(0, 200_000),
 )
 def test_no_readings_break_it(
-    ticks: Sequence[tuple[float, float, float, float, bool]], velocity: tuple[float, float]
+    forces: Sequence[tuple[float, float, float, bool]], velocity: tuple[float, float], gap_us: int
 ) -> None:
-    read = [ContactReading(h, n, t, n, p, p, bound, 0.0, 0.0, 0.0) for h, n, t, p, bound in ticks]
-    fit = ContactFit(
-        ObservedContact(read, 0, 0.01, velocity, 0.0, 0.3), belief_of("wood", Mode.RIGID), SCATTER, BODY
+    """Whatever comes, there is an answer of finite numbers, or a problem."""
+    request = request_of([-f[0] for f in forces])
+    onset = msgspec.structs.replace(request.onset, velocity_mission=(*velocity, 0.0))
+    later = [t_us + gap_us * (i > 3) for i, t_us in enumerate(request.sample_us)]
+    answer = ContactFitter(VEHICLE).answer(
+        msgspec.structs.replace(
+            request,
+            onset=onset,
+            sample_us=tuple(later),
+            force_mission=tuple((-n, t, up) for n, t, up, _ in forces),
+            clipped=tuple(bound for *_, bound in forces),
+        ),
+        7,
     )
-    count = 0
-    while fit.advance():
-        count += 1
-    assert count < 15  # one a sample: 60 ms
-    fit.result()
+    assert (answer.received_us, answer.number) == (7, 1)
+    assert (answer.body is None) == (answer.wall is None) == bool(answer.problem)
+    for record in (answer.body, answer.wall):
+        values = () if record is None else msgspec.structs.astuple(record)
+        assert all(math.isfinite(v) for v in values if isinstance(v, float))
 
 
 def test_arms_put_back_are_the_inverse_of_arms_taken_out() -> None:
@@ -367,23 +375,58 @@ def test_arms_put_back_are_the_inverse_of_arms_taken_out() -> None:
 # --- the mode ----------------------------------------------------------------------------------------------
 
 
-def judged(
-    odds: float, misfit: float, reported: Mode | None
-) -> tuple[WallEstimator, WallEstimate, dict[Mode, Belief]]:
-    """What is made of two fits: estimator, estimate, and what each of them believes."""
-    estimator, wall = (
-        WallEstimator(VEHICLE, ContactSampleBuffer()),
-        Wall("w", (1.0, 0.0), (-1.0, 0.0), 2.0, "wood"),
+def request_of(
+    normal_n: Sequence[float],
+    wall: Wall | None = AT_WALL,
+    reported: Mode | None = None,
+    rate: float = 0.0,
+    velocity: tuple[float, float] = (1.0, 0.0),
+    along_n: Sequence[float] | None = None,
+) -> ContactRequest:
+    """A contact met by a vehicle that flies along x, without any torque; the first samples are before it."""
+    count = len(normal_n)
+    along_n = [0.0] * count if along_n is None else along_n
+    onset = ImpactOnset(
+        24_000, 16_000, 0, (-9.0, 0.0, 0.0), (*velocity, 0.0), (0.98, 0.0, 1.0), wall is not None
     )
-    onset = ImpactOnset(20_000, 16_000, 0, (-9.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.98, 0.0, 1.0), True)
-    fits, after = {}, {mode: belief_of("wood", mode)._replace(k=777.0) for mode in Mode}
-    for mode, evidence in ((Mode.RIGID, odds), (Mode.FLEXIBLE, 0.0)):
-        found = Hypothesis(evidence, misfit, after[mode], 0.01, 0.02, 0.03, 0.004)
-        contact = ObservedContact([], 10_000, 0.01, (-1.0, 0.0), 0.0, 0.3)
-        fits[mode] = SimpleNamespace(result=lambda found=found: found, contact=contact)
-    before = {mode: belief_of("wood", mode) for mode in Mode}
-    job = _PendingEstimate(30_000, onset, wall, reported, before, fits)  # type: ignore[arg-type]
-    return estimator, estimator._judge(job), after
+    return ContactRequest(
+        t_us=4000 * count,
+        number=1,
+        onset=onset,
+        wall=wall,
+        normal=(-1.0, 0.0),
+        mode_reported=reported,
+        frame_heading_rad=0.0,
+        slow_force=(0.0, 0.0),
+        noise_n=NOISE_N,
+        noise_frd_nm=(0.05, 0.05, 0.05),
+        sample_us=tuple(4000 * (i + 1) for i in range(count)),
+        force_mission=tuple((-n, -t, 0.0) for n, t in zip(normal_n, along_n, strict=True)),
+        push_mission=((0.0, 0.0),) * count,
+        clipped=(False,) * count,
+        torque_frd=((0.0, 0.0, 0.0),) * count,
+        q_frd_to_ned=(IDENTITY,) * count,
+        rate_frd=((0.0, 0.0, rate),) * count,
+    )
+
+
+def judged(
+    monkeypatch: pytest.MonkeyPatch, odds: float, misfit: float, reported: Mode | None
+) -> tuple[ContactFitter, WallEstimate, dict[Mode, Belief]]:
+    """What is made of two fits: fitter, estimate, and what each fit believes."""
+    after = {mode: belief_of("wood", mode)._replace(k=777.0) for mode in Mode}
+    request = request_of([0.0] * 3 + [9.0] * 5, reported=reported)
+
+    def run(fit: ContactFit) -> list[Hypothesis]:
+        theta = np.array([1.0, 1.0, 0.03, -1.0, 0.0, 1.0, 0.0])
+        found = Hypothesis(odds, misfit, after[Mode.RIGID], 0.01, 0.02, 0.03, 0.004, theta)
+        return [found, found._replace(evidence=0.0, belief=after[Mode.FLEXIBLE])]
+
+    monkeypatch.setattr(ContactFit, "run", run)
+    fitter = ContactFitter(VEHICLE)
+    answer = fitter.answer(request, 0)
+    assert answer.wall is not None, answer.problem
+    return fitter, answer.wall, after
 
 
 @pytest.mark.parametrize(
@@ -399,12 +442,13 @@ def judged(
     ],
 )
 def test_a_mode_is_felt_where_the_odds_are_sure_and_the_fit_is_one(
-    odds: float, misfit: float, felt: Mode | None
+    monkeypatch: pytest.MonkeyPatch, odds: float, misfit: float, felt: Mode | None
 ) -> None:
+    begins_us = 4000 - round((VEHICLE.imu.tick_s + VEHICLE.imu.filter_lag_s) * 1e6)
     for reported in (None, *Mode):
-        _, found, _ = judged(odds, misfit, reported)
+        _, found, _ = judged(monkeypatch, odds, misfit, reported)
         assert (found.mode_felt, found.mode_reported) == (felt, reported)
-        assert found.plane_offset_m == pytest.approx(0.02 + 1.0 * 0.01 - 0.03)
+        assert found.plane_offset_m == pytest.approx(0.02 + (24_000 - begins_us) * 1e-6 - 0.03)
 
 
 @pytest.mark.parametrize(
@@ -418,13 +462,63 @@ def test_a_mode_is_felt_where_the_odds_are_sure_and_the_fit_is_one(
     ],
 )
 def test_what_was_felt_is_kept_for_the_mode_that_is_likely(
-    odds: float, reported: Mode | None, kept: Mode | None
+    monkeypatch: pytest.MonkeyPatch, odds: float, reported: Mode | None, kept: Mode | None
 ) -> None:
-    estimator, found, after = judged(odds, 0.5, reported)
+    fitter, found, after = judged(monkeypatch, odds, 0.5, reported)
     assert found.k_n_per_m == 777.0
-    wall = Wall("w", (1.0, 0.0), (-1.0, 0.0), 2.0, "wood")
     for mode in Mode:
-        assert (estimator._belief(wall, mode) == after[mode]) is (mode is kept)
+        assert (fitter._belief(AT_WALL, mode) == after[mode]) is (mode is kept)
+
+
+@pytest.mark.parametrize(
+    ("inside", "velocity", "problem"),
+    [
+        (3, (1.0, 0.0), "too few readings"),
+        (12, (0.01, 0.5), "not flown at the wall"),
+        (12, (-1.0, 0.0), "not flown at the wall"),
+    ],
+)
+def test_a_contact_that_says_nothing_says_why(
+    inside: int, velocity: tuple[float, float], problem: str
+) -> None:
+    answer = ContactFitter(VEHICLE).answer(request_of([0.0] * 3 + [9.0] * inside, velocity=velocity), 5)
+    assert (answer.body, answer.wall) == (None, None)
+    assert answer.problem == f"contact not fitted: {problem}"
+
+
+def samples_of(contact: Contact, **changes: Any) -> ContactRequest:
+    """The samples of a synthetic contact, by the lag of the IMU later."""
+    readings = contact.ticks
+    request = request_of(
+        readings.normal[:, 0].tolist(), velocity=(1.0, 0.0), along_n=readings.along[:, 0].tolist(), **changes
+    )
+    onset = msgspec.structs.replace(
+        request.onset, velocity_mission=(-contact.velocity[0], -contact.velocity[1], 0.0)
+    )
+    return msgspec.structs.replace(request, onset=onset)
+
+
+def test_a_contact_without_a_plan_is_fitted_too_and_says_nothing_of_a_wall() -> None:
+    """Its direction by the force is known to 15 degrees, and no wall is believed of."""
+    contact = pulse(VEHICLE.materials["acrylic"].rigid, -1.0)
+    fitter = ContactFitter(VEHICLE)
+    answer = fitter.answer(samples_of(contact, wall=None), 0)
+    assert answer.body is not None, answer.problem
+    assert (answer.wall, answer.body.final, answer.body.side) == (None, True, ContactSide.BOTH)
+    assert abs(answer.body.incidence_rad) < 3.0 * answer.body.incidence_sigma_rad
+    assert fitter._beliefs == {}
+    planned = fitter.answer(samples_of(contact), 0)
+    assert planned.wall is not None
+    assert planned.wall.wall == "w"
+    assert len(fitter._beliefs) == 1
+
+
+@pytest.mark.parametrize(("planned", "degrees"), [(True, 4.0), (False, 15.0)])
+def test_the_direction_is_known_as_well_as_the_plan_says(planned: bool, degrees: float) -> None:
+    """docs/torque.md: the attitude against a planned wall is known to 4 degrees, to another one to 15."""
+    request = request_of([0.0] * 3 + [9.0] * 8)
+    fit, _ = ContactFitter(VEHICLE)._fit(request if planned else msgspec.structs.replace(request, wall=None))
+    assert math.degrees(fit.contact.angle_sd) == pytest.approx(degrees)
 
 
 # --- flights ----------------------------------------------------------------------------------------------
@@ -439,44 +533,27 @@ def test_a_lock_that_lies_is_found_out(tmp_path: Path) -> None:
     for row in rows:
         assert row["mode_reported"] != row["true_mode"]
         assert row["mode_felt"] == row["true_mode"]
-        assert row["after_ms"] <= 60.0
+        assert row["after_ms"] <= 150.0  # a plan that needs the answer waits so long
         assert abs(row["plane_error_m"]) < 0.01
         value, sd, true = row["coefficients"]["k"]
         assert abs(true / value - 1.0) <= 2.0 * sd
 
 
-@pytest.mark.parametrize("count", [36, 37, 100, 200])
+@pytest.mark.parametrize("count", [36, 37, 100, 160])
 def test_many_readings_are_merged_into_few_that_say_the_same_together(count: int) -> None:
     """Where none is at full scale; such a one stays what it is."""
     rng = random.Random(count)
-
-    def some() -> float:
-        return rng.gauss(0.0, 1.0)
-
-    ticks = [
-        ContactReading(
-            rng.choice((0.002, 0.004)),
-            some(),
-            some(),
-            some(),
-            some(),
-            some(),
-            i == 20,
-            some(),
-            some(),
-            some(),
-        )
-        for i in range(count)
+    rows = [
+        (rng.choice((0.002, 0.004)), *(rng.gauss(0.0, 1.0) for _ in range(8)), i == 20) for i in range(count)
     ]
-    merged = _merged(ticks)
-    assert len(merged) <= 36 + 2
-    assert (merged == ticks) is (count <= 36)
-    assert [t for t in merged if t.bound] == [ticks[20]]
-    assert sum(t.samples for t in merged) == count
-    assert sum(t.h for t in merged) == pytest.approx(sum(t.h for t in ticks))
-    for name in (
-        *("normal", "along", "up", "push_normal", "push_along"),
-        *("turned", "turning", "torque"),
-    ):
-        together, alone = (sum(t.h * getattr(t, name) for t in each) for each in (merged, ticks))
-        assert together == pytest.approx(alone)
+    ticks = ticks_of(rows)  # type: ignore[arg-type]
+    merged = ticks.merged()
+    assert len(merged.h) <= 36 + 2
+    assert (merged is ticks) is (count <= 36)
+    assert merged.bound.sum() == 1
+    (alone,) = np.flatnonzero(merged.bound)
+    assert [values[alone].tolist() for values in merged] == [values[20].tolist() for values in ticks]
+    assert merged.samples.sum() == count
+    assert merged.h.sum() == pytest.approx(ticks.h.sum())
+    for together, apart in zip(merged[1:9], ticks[1:9], strict=True):
+        assert merged.h @ together == pytest.approx(ticks.h @ apart)

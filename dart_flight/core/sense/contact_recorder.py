@@ -1,0 +1,181 @@
+"""Records a contact for the planner, which fits it: a request at its end, then the answer or its absence.
+
+The fit (`dart_flight.planning.contact_fit`) runs outside of the core's step: a `ContactRequest` goes out with
+the other outputs, a `ContactAnswer` comes in like any other input, or never does. A planned contact without
+an answer leaves mode and wall undecided.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import Final, NamedTuple
+
+import msgspec
+
+from dart_flight.base.geometry import Quaternion, Vec2, Vec3
+from dart_flight.base.records import (
+    ContactAnswer,
+    ContactEnd,
+    ContactRequest,
+    ForceEstimate,
+    ImpactBody,
+    ImpactOnset,
+    ImpactPeak,
+    LockPhase,
+    TorqueEstimate,
+    WallEstimate,
+)
+from dart_flight.base.walls import Wall
+from dart_flight.config.vehicle import VehicleConfig
+from dart_flight.core.sense.detector import Events, ExpectedContact
+from dart_flight.core.sense.state import FlightState
+
+ANSWER_WITHIN_US: Final = 300_000  # of a contact's end: before the next approach from rest is planned
+_BEFORE: Final = 4  # samples of the contact from before the first one that was over the noise
+_MAX: Final = 160  # samples of a contact
+_MET_SD_M: Final = 0.03  # of a plane that only the onset tells: late detection, and a body that is no circle
+
+
+class ContactSample(NamedTuple):
+    """One IMU sample of a contact: the last columns of `ContactRequest`, in their order."""
+
+    t_us: int
+    force_mission: Vec3
+    push_mission: Vec2
+    clipped: bool
+    torque_frd: Vec3
+    q_frd_to_ned: Quaternion
+    rate_frd: Vec3
+
+
+class ContactRecorder:
+    """The samples of the contact under way, the requests for its fit, and what their answers say.
+
+    Args:
+        vehicle: its materials and modes.
+
+    Attributes:
+        unanswered: requests by number.
+    """
+
+    def __init__(self, vehicle: VehicleConfig) -> None:
+        self._vehicle = vehicle
+        self._samples: deque[ContactSample] = deque(maxlen=_MAX)
+        self._noise: tuple[float, Vec3] = (0.0, (0.0, 0.0, 0.0))
+        self._begun: ContactRequest | None = None
+        self._number = 0
+        self.unanswered: dict[int, ContactRequest] = {}
+
+    def add(self, force: ForceEstimate, torque: TorqueEstimate, q: Quaternion, rate_frd: Vec3) -> None:
+        """Take the next IMU sample."""
+        self._noise = force.noise_n, torque.noise_frd_nm
+        push, torque_frd = force.push_mission, torque.torque_frd
+        self._samples.append(
+            ContactSample(force.t_us, force.force_mission, push, force.clipped, torque_frd, q, rate_frd)
+        )
+
+    def update(
+        self, state: FlightState, slow: Vec2, events: Events, expected: ExpectedContact
+    ) -> ContactRequest | None:
+        """Follow the detector; returns a request at the end of a contact.
+
+        Args:
+            state: lock and frame.
+            slow: horizontal force that is there all the time, mission frame, newton.
+            events: of the detector, at the newest sample.
+            expected: by the mission; counts at the onset.
+        """
+        for event in events:
+            if isinstance(event, ImpactOnset):
+                self._begun = self._begin(event, state, slow, expected.wall if event.planned else None)
+            elif isinstance(event, ImpactPeak) and self._begun is not None:
+                self._begun = msgspec.structs.replace(self._begun, normal=event.normal)
+            elif isinstance(event, ContactEnd) and self._begun is not None:
+                return self._end(self._begun)
+        return None
+
+    def _begin(
+        self, onset: ImpactOnset, state: FlightState, slow: Vec2, wall: Wall | None
+    ) -> ContactRequest | None:
+        if state.frame is None:
+            return None
+        self._number += 1
+        return ContactRequest(
+            t_us=onset.t_us,
+            number=self._number,
+            onset=onset,
+            wall=wall,
+            normal=(0.0, 0.0) if wall is None else wall.normal,
+            mode_reported=state.lock.mode if state.lock.phase is LockPhase.SETTLED else None,
+            frame_heading_rad=state.frame.heading_rad,
+            slow_force=slow,
+            noise_n=self._noise[0],
+            noise_frd_nm=self._noise[1],
+        )
+
+    def _end(self, begun: ContactRequest) -> ContactRequest:
+        samples = list(self._samples)
+        earlier = sum(s.t_us < begun.onset.first_us for s in samples)
+        columns = zip(*samples[max(0, earlier - _BEFORE) :], strict=True)
+        names = ContactRequest.__struct_fields__[-len(ContactSample._fields) :]
+        request = msgspec.structs.replace(
+            begun, t_us=samples[-1].t_us, **dict(zip(names, columns, strict=True))
+        )
+        self.unanswered[request.number], self._begun = request, None
+        return request
+
+    def accept(self, answer: ContactAnswer) -> tuple[ImpactBody | None, WallEstimate | None]:
+        """Return what an answer says of the body and of the wall; nothing if it is late or of no request."""
+        request = self.unanswered.pop(answer.number, None)
+        if request is None:
+            return None, None
+        if request.wall is None:
+            return answer.body, None
+        if answer.wall is None or answer.wall.wall != request.wall.name:
+            return answer.body, undecided(
+                request, request.wall, self._vehicle, answer.problem or "no estimate"
+            )
+        return answer.body, answer.wall
+
+    def overdue(self, now_us: int) -> WallEstimate | None:
+        """Return the undecided estimate of a contact whose answer has not come in time, once."""
+        for number, request in self.unanswered.items():
+            if now_us - request.t_us > ANSWER_WITHIN_US:
+                del self.unanswered[number]
+                wall, late = request.wall, f"no answer within {ANSWER_WITHIN_US * 1e-3:.0f} ms"
+                return None if wall is None else undecided(request, wall, self._vehicle, late)
+        return None
+
+
+def undecided(request: ContactRequest, wall: Wall, vehicle: VehicleConfig, problem: str = "") -> WallEstimate:
+    """Return what is known without a fit: coefficients and plane as before, or where it was met."""
+    onset, mode = request.onset, request.mode_reported or vehicle.modes[-1]
+    c, sd = vehicle.materials[wall.material].of(mode), vehicle.estimation.walls.spread
+    is_met = wall.sought or wall.is_uncertain
+    (x, y, _), (vx, vy, _) = onset.position_mission, onset.velocity_mission
+    place, late_s = (x, y), (onset.t_us - onset.first_us) * 1e-6
+    return WallEstimate(
+        t_us=request.t_us,
+        first_us=onset.first_us,
+        wall=wall.name,
+        mode_reported=request.mode_reported,
+        mode_felt=None,
+        log_odds=0.0,
+        k_n_per_m=c.k,
+        f_ns_per_m=c.f,
+        mu_s_per_m=c.mu,
+        nu_n=c.nu,
+        k_sd=sd,
+        f_sd=sd,
+        mu_sd=sd,
+        nu_sd=sd,
+        incidence_rad=0.0,
+        incidence_sigma_rad=wall.yaw_sd_rad or 0.0,
+        plane_offset_m=wall.signed_distance(place) if is_met else 0.0,
+        plane_offset_sigma_m=_MET_SD_M if is_met else float(wall.plane_sd_m(place)),
+        plane_point_mission=place if is_met else None,
+        plane_normal_mission=wall.normal if is_met else None,
+        plane_normal_sigma_rad=wall.yaw_sd_rad if is_met else None,
+        centre_mission=(x - late_s * vx, y - late_s * vy),
+        problem=problem,
+    )

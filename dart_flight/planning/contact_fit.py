@@ -1,0 +1,648 @@
+"""What a contact says of its wall, of the arms, and of how it met the body: one fit of the contact law.
+
+With x the signed distance of the vehicle's centre to the wall's plane, a side's two guards g = 1 (right), -1
+(left) at `guard_along_m` (a) beside its middle, `contact_distance_m` (d) ahead, and i the angle of incidence,
+positive turned left,
+
+    x_g = x - g a sin i + d (1 - cos i)        depth of a guard
+    F   = sum of max(0, -(k x_g + f dx_g/dt)/2)
+    T   = -mu F (v_t + b d di/dt)              b the share of the lever at which friction acts
+    M   = a cos(i) (F_1 - F_-1) - d sin(i) F - b d T              torque, positive turns to the right
+    m dv/dt = force + push by thrust and drag
+
+i is what attitude and gyro give, less the angle by which the wall stands off the plan. Unknown are k, f and
+mu relative to their prior, that angle, and distance and velocity at the beginning. Both modes are the same
+law with other coefficients, so both are fitted. Levenberg's steps from several angles go to the most probable
+values; all modes, starts, dampings and derivatives are lanes of one array. The evidence is Laplace's:
+
+    2 ln p(readings) = -(misfit + prior) - ln det(curvature) + ln det(curvature of the prior)
+
+`ContactFitter` answers the core's `ContactRequest`, in a process of its own (`run.planner_process`) or in
+simulated time (docs/felt.md, docs/torque.md).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from typing import Final, NamedTuple
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from dart_flight.base.geometry import Quaternion, Vec2, wrap_angle, yaw_ned_of
+from dart_flight.base.records import (
+    ContactAnswer,
+    ContactRequest,
+    ContactSide,
+    ImpactBody,
+    Mode,
+    WallEstimate,
+)
+from dart_flight.base.walls import Wall
+from dart_flight.config.vehicle import Coefficients, VehicleConfig
+from dart_flight.contact.law import Onset
+from dart_flight.core.sense.arm_vibration import ArmFilter
+from dart_flight.core.sense.contact_recorder import undecided
+
+Array = NDArray[np.float64]
+
+FIT_US: Final = 50_000  # of a fit where time is simulated (docs/felt.md)
+HIT_SCATTER: Final = 0.05  # of k, f, mu and nu from one hit to the next at the same wall, relative
+SURE_LOG_ODDS: Final = 5.3  # 200 to 1; at most one mode in a thousand is wrong (docs/felt.md)
+_FEWEST: Final = 4  # readings in contact
+_SLOWEST_M_S: Final = 0.02
+_POSITION_M: Final = 0.01  # deviation of PX4's position against the walls' frame
+_PLACE_M: Final = 0.1  # at least: how far off the plan a wall may stand: loosely held, the force tells
+_WALL_RAD: Final = math.radians(
+    4.0
+)  # at least: how well a planned wall's direction and the attitude are known
+_UNPLANNED_RAD: Final = math.radians(15.0)  # of another wall, whose normal is the force's direction
+_UNKNOWN_SPREAD: Final = 0.8  # of the coefficients of a wall of unknown material, relative
+_KNOWN_MATERIAL: Final = 6.0  # sum of three squared deviations: beyond it a wall is of no known material
+_MAX_MISFIT: Final = 2.0  # mean square of the residuals over their errors: beyond it this is no such contact
+_VELOCITY_M_S: Final = 0.04  # deviation of PX4's velocity, at rest and of the speed
+_VELOCITY_SHARE: Final = 0.02
+_VERTICAL_N: Final = 1.0  # deviation of the vertical force's mean over a contact
+_LEVER_SHARE: Final = 0.3  # at which friction is expected to act, in distances to the wall
+_LEVER_SD: Final = 0.3
+# Errors of the model, relative to the largest force, to the largest friction, and to the largest torque.
+_MODEL_ERROR: Final = 0.015
+_FRICTION_ERROR: Final = 0.03
+_TORQUE_ERROR: Final = 0.1  # much the same in all ticks
+_SURE_SIGMA: Final = 5.0  # of the sum of the readings: below it they are of no contact
+_MIN_FACTOR: Final = 0.1  # no coefficient is believed to be below this share of its prior
+_MAX_ANGLE_RAD: Final = 0.6
+_STARTS_RAD = np.radians(
+    [0.0, *(s * d for d in (1.5, 4.0, 7.0, 10.0, 14.0, 19.0) for s in (-1.0, 1.0))]
+)  # incidence
+_SCREENED: Final = 2  # steps, after which only the best starts go on
+_KEPT: Final = 4
+_STEPS: Final = 10
+_SETTLED: Final = 1e-2  # a smaller gain of the cost ends the search
+_DAMPINGS = np.array([1.0, 10.0, 100.0])  # tried together at every step
+_DIFFERENCE: Final = 1e-5  # of a parameter, for the derivatives
+_SUBSTEPS: Final = 2  # of a tick
+_FINE: Final = 4  # likewise, for the torque's peak
+_MAX_TICKS: Final = 36  # more are merged
+_QUADRATIC = np.array([-3.0, 12.0, 17.0, 12.0, -3.0]) / 35.0
+_NEAR_TOP: Final = 0.6  # share of the torque's top from which on a sample tells how large it is
+_SURE_TORQUE: Final = 4.0  # a fitted torque below this many times the noise does not give the peak's shape
+_QUARTER: Final = 0.5 * math.pi
+_K, _F, _X, _V, _D, _MU, _W = range(7)  # k, f, place, velocity, angle, mu, velocity along
+_FACTORS = [_K, _F, _MU]
+_ESTIMATED = (
+    "k_n_per_m",
+    "f_ns_per_m",
+    "mu_s_per_m",
+    "nu_n",
+    "k_sd",
+    "f_sd",
+    "mu_sd",
+    "nu_sd",
+)  # of a belief
+
+
+class Belief(NamedTuple):
+    """Coefficients of a wall in a mode (`Coefficients`), each with its relative standard deviation."""
+
+    k: float
+    f: float
+    mu: float
+    nu: float
+    k_sd: float
+    f_sd: float
+    mu_sd: float
+    nu_sd: float
+
+
+class Ticks(NamedTuple):
+    """The readings of a contact; arrays over the ticks (T,), or over ticks and modes (T, M).
+
+    Attributes:
+        h: length, s.
+        normal, along: mean force along the planned wall's axes, N, as each mode has it (T, M).
+        up: mean vertical force, N.
+        push_normal, push_along: force of thrust and drag, N.
+        turned: angle since the first tick at its middle, rad, positive to the left; `turning`: its rate.
+        torque: about the vertical, N m, positive where it turns the vehicle to the right.
+        samples: how many are in it.
+        bound: at full scale: the true force is larger.
+    """
+
+    h: Array
+    normal: Array
+    along: Array
+    up: Array
+    push_normal: Array
+    push_along: Array
+    turned: Array
+    turning: Array
+    torque: Array
+    samples: Array
+    bound: NDArray[np.bool_]
+
+    def merged(self) -> Ticks:
+        """Return neighbours as one where there are many; what is at full scale stays alone."""
+        size = -(-len(self.h) // _MAX_TICKS)
+        if size == 1:
+            return self
+        alone = self.bound | np.roll(self.bound, 1)
+        starts = np.flatnonzero(alone | (np.arange(len(self.h)) % size == 0))
+        h = np.add.reduceat(self.h, starts)
+
+        def mean(values: Array) -> Array:
+            return (np.add.reduceat((values.T * self.h).T, starts).T / h).T
+
+        count, bound = np.add.reduceat(self.samples, starts), np.logical_or.reduceat(self.bound, starts)
+        return Ticks._make([h, *map(mean, self[1:9]), count, bound])
+
+
+class Contact(NamedTuple):
+    """A contact as the fit takes it.
+
+    Attributes:
+        ticks: from a few before the first touch to a little after the last.
+        touched_s: first touch after the first tick's beginning, about.
+        velocity: along the planned wall's axes then, as PX4 has it, m/s.
+        incidence_rad: leading edge against the planned wall then.
+        noise_n, noise_nm: of a reading, and of its torque.
+        place_sd, angle_sd: how well the wall's place (m) and direction (rad) are known beforehand.
+    """
+
+    ticks: Ticks
+    touched_s: float
+    velocity: Vec2
+    incidence_rad: float
+    noise_n: float
+    noise_nm: float
+    place_sd: float = _PLACE_M
+    angle_sd: float = _WALL_RAD
+
+
+class Hypothesis(NamedTuple):
+    """A mode fitted to a contact.
+
+    Attributes:
+        evidence: natural logarithm, up to what both modes share.
+        misfit: mean square of the residuals over their errors.
+        belief: of the wall in this mode, after the contact.
+        incidence_rad, incidence_sd: at the first tick.
+        place_m, place_sd: signed distance of the centre to the wall's plane at the first tick's beginning.
+        theta: all parameters.
+    """
+
+    evidence: float
+    misfit: float
+    belief: Belief
+    incidence_rad: float
+    incidence_sd: float
+    place_m: float
+    place_sd: float
+    theta: Array
+
+
+class ContactFit:
+    """The contact law fitted to a contact's readings, once for each mode.
+
+    Args:
+        contact: the readings.
+        before: prior of the wall in each mode.
+        vehicle: its body.
+        scatter: of one hit's coefficients, relative.
+
+    Raises:
+        ValueError: the readings are those of no contact.
+    """
+
+    def __init__(
+        self, contact: Contact, before: list[Belief], vehicle: VehicleConfig, scatter: float = HIT_SCATTER
+    ) -> None:
+        self.contact, self.before, self._vehicle, self._scatter = contact, before, vehicle, scatter
+        self._mass, self._along = vehicle.airframe.mass_kg, vehicle.airframe.guard_along_m
+        self._out = vehicle.airframe.contact_distance_m
+        self._ticks = t = contact.ticks.merged()
+        noise2, count = contact.noise_n**2 / t.samples[:, None], t.samples.sum()
+        with np.errstate(all="ignore"):
+            sure = t.samples @ t.normal > _SURE_SIGMA * contact.noise_n * math.sqrt(count)
+        if not (sure.all() and np.isfinite(np.concatenate([c.ravel() for c in t])).all()):
+            raise ValueError("no force")
+        top, rub = t.normal.max(axis=0), np.abs(t.along).max(axis=0)
+        model2 = (_MODEL_ERROR * top) ** 2
+        along2 = (_FRICTION_ERROR * rub) ** 2 + 0.04 * model2
+        torque2 = (_TORQUE_ERROR * self._along * top) ** 2 + (_LEVER_SD * self._out * rub) ** 2
+        torque_noise2 = contact.noise_nm**2 / t.samples[:, None]
+        self._weights = [e**-0.5 for e in (noise2 + model2, noise2 + along2, torque_noise2 + torque2)]
+        vn, vt = contact.velocity
+        speed_sd = _VELOCITY_M_S + _VELOCITY_SHARE * math.hypot(vn, vt)
+        spread = np.hypot([[b.k_sd, b.f_sd, b.mu_sd] for b in before], scatter).T
+        self._sd = np.full((7, len(before)), speed_sd)
+        self._sd[_FACTORS], self._sd[_X], self._sd[_D] = spread, contact.place_sd, contact.angle_sd
+
+    def run(self) -> list[Hypothesis]:
+        """Fit every mode; returns the most probable parameters of each."""
+        modes, starts = len(self.before), 2 * len(_STARTS_RAD)
+        mode = np.repeat(np.arange(modes), starts)
+        believed = np.tile(np.arange(starts) < len(_STARTS_RAD), modes)
+        theta = self._begin(np.tile(_STARTS_RAD, 2 * modes), believed, mode)
+        cost, jacobian, residuals = self._linearized(theta[:, :, None], mode)
+        cost, jacobian, residuals = cost[:, 0], jacobian[..., 0], residuals[..., 0]
+        damping = np.full(len(mode), 1e-3)
+        for step in range(_STEPS):
+            if step == _SCREENED:
+                order = np.argsort(cost.reshape(modes, starts), axis=1)[:, :_KEPT]
+                kept = (order + starts * np.arange(modes)[:, None]).ravel()
+                theta, mode, cost, damping = theta[:, kept], mode[kept], cost[kept], damping[kept]
+                jacobian, residuals = jacobian[:, :, kept], residuals[:, kept]
+            curvature = np.einsum("prl,qrl->lpq", jacobian, jacobian)
+            gradient = -np.einsum("prl,rl->lp", jacobian, residuals)
+            tried_damping = damping[:, None] * _DAMPINGS[: 1 if step < _SCREENED else None]
+            scale = np.einsum("lpp->lp", curvature)[:, None] * tried_damping[:, :, None]
+            damped = curvature[:, None] + scale[..., None] * np.eye(7)
+            steps = np.linalg.solve(damped, gradient[:, None, :, None])[..., 0]
+            tried = _moved(theta[:, :, None], np.moveaxis(steps, 2, 0))
+            costs, jacobians, new = self._linearized(tried, mode)
+            best, lane = costs.argmin(axis=1), np.arange(len(mode))
+            better = costs[lane, best] <= cost
+            gain = np.where(better, cost - costs[lane, best], 0.0)
+            damping = np.where(better, 0.1 * tried_damping[lane, best], 1e3 * damping)
+            took, of = np.flatnonzero(better), best[better]
+            theta[:, took], cost[took] = tried[:, took, of], costs[took, of]
+            jacobian[:, :, took], residuals[:, took] = jacobians[:, :, took, of], new[:, took, of]
+            if step > _SCREENED and (gain <= _SETTLED * (1.0 + 0.01 * cost))[damping < 1e4].all():
+                break
+        found = []
+        for m in range(modes):
+            lanes = np.flatnonzero(mode == m)
+            one = lanes[cost[lanes].argmin()]
+            found.append(self._hypothesis(m, theta[:, one], float(cost[one]), jacobian[:, :, one]))
+        return found
+
+    def _begin(self, lead: Array, believed: NDArray[np.bool_], mode: NDArray[np.intp]) -> Array:
+        """Return parameters with the wall turned to be met at the incidence `lead`.
+
+        The first half of the starts has k as believed, the other that of the peak force, v (k m)^0.5 for a
+        point.
+        """
+        c, (vn, vt), before = self.contact, self.contact.velocity, np.array(self.before)[mode].T
+        angle = c.incidence_rad - lead
+        normal, along = _turned(vn, vt, np.cos(angle), np.sin(angle))
+        k = (self._ticks.normal.max(axis=0)[mode] / vn) ** 2 / self._mass
+        k = np.where(believed, before[0], np.clip(k, 0.5 * before[0], 2.0 * before[0]))
+        place = -normal * (c.touched_s + before[1] / k) + self._along * np.sin(np.abs(lead))
+        one = np.ones_like(lead)
+        return np.stack([k / before[0], one, place, normal, angle, one, along])
+
+    def _linearized(self, theta: Array, mode: NDArray[np.intp]) -> tuple[Array, Array, Array]:
+        """Cost (L, D), Jacobian (7, R, L, D) and residuals (R, L, D) at parameters (7, L, D)."""
+        shifts = np.concatenate([np.zeros((7, 1)), _DIFFERENCE * np.eye(7)], axis=1)
+        shifted = theta[..., None] + shifts[:, None, None, :]
+        lanes = np.broadcast_to(mode[:, None, None], shifted.shape[1:])
+        residuals = self._residuals(shifted.reshape(7, -1), lanes.ravel()).reshape(-1, *shifted.shape[1:])
+        at = residuals[..., 0]
+        cost = np.nan_to_num((at * at).sum(axis=0), nan=math.inf)
+        jacobian = np.moveaxis((residuals[..., 1:] - at[..., None]) / _DIFFERENCE, 3, 0)
+        return cost, jacobian, at
+
+    def _residuals(self, theta: Array, mode: NDArray[np.intp]) -> Array:
+        """Readings less model, then the parameters less their prior; over errors."""
+        t, c = self._ticks, self.contact
+        co, so = np.cos(theta[_D]), np.sin(theta[_D])
+        force, along, torque = (part.mean(axis=1) for part in self.forces(t, theta, mode, _SUBSTEPS))
+        # The readings along the wall as it stands.
+        read_n, read_t = _turned(t.normal[:, mode], t.along[:, mode], co, so)
+        bound = t.bound[:, None]
+        off = np.where(bound & (read_n <= force), 0.0, read_n - force)
+        turning = np.where(bound, 0.0, t.torque[:, None] - torque)
+        parts = [w[:, mode] * r for w, r in zip(self._weights, (off, read_t - along, turning), strict=True)]
+        # The measured velocity turns with the wall.
+        (vn, vt), one = c.velocity, np.ones_like(co)
+        normal, sliding = _turned(vn, vt, co, so)
+        means = np.stack([one, one, -vn * c.touched_s * one, normal, 0.0 * one, one, sliding])
+        return np.concatenate([*parts, (theta - means) / self._sd[:, mode]])
+
+    def forces(
+        self, t: Ticks, theta: Array, mode: NDArray[np.intp], substeps: int
+    ) -> tuple[Array, Array, Array]:
+        """Integrate the motion by leapfrog steps; the damping of the kick is implicit.
+
+        Args:
+            t: ticks.
+            theta: parameters of the lanes (7, L).
+            mode: their modes (L,).
+            substeps: of a tick (S).
+
+        Returns:
+            Normal force, friction and torque, (T, S, L).
+        """
+        m, a, out, touch = self._mass, self._along, self._out, Onset(self._vehicle.onset) is Onset.TOUCH
+        before = np.array(self.before)[mode].T
+        k, f, mu = 0.5 * before[0] * theta[_K], 0.5 * before[1] * theta[_F], before[2] * theta[_MU]
+        x, v, w = theta[_X], theta[_V], theta[_W]
+        co, so = np.cos(theta[_D]) / m, np.sin(theta[_D]) / m
+        push, drive = _turned(t.push_normal[:, None], t.push_along[:, None], co, so)
+        i = self.contact.incidence_rad - theta[_D] + t.turned[:, None]
+        si, ci, turning = np.sin(i), np.cos(i), t.turning[:, None]
+        # Depth and speed of either guard beside the centre's; the right one first.
+        sides = np.array([-1.0, 1.0])[:, None]
+        depth = (out * (1.0 - ci))[:, None] + sides * (a * si)[:, None]
+        own = k * depth + f * ((out * si)[:, None] + sides * (a * ci)[:, None]) * turning[:, None]
+        h = t.h / substeps
+        bears = np.empty((len(h), substeps, 2, len(mode)))
+        for n, h_n in enumerate(h):
+            half, own_n, push_n = 0.5 * h_n, own[n], h_n * push[n]
+            damp = half / m * f
+            for s in range(substeps):
+                mid = x + half * v
+                pull = k * mid + own_n
+                on = pull + f * v < 0.0
+                if touch:
+                    on &= mid + depth[n] < 0.0
+                held = np.where(on, pull, 0.0)
+                beta = damp * on.sum(axis=0)
+                new = (v * (1.0 - beta) - (h_n / m) * (held[0] + held[1]) + push_n) / (1.0 + beta)
+                bears[n, s] = -(held + on * (0.5 * f * (v + new)))
+                v = new
+                x = mid + half * v
+        force = bears.sum(axis=2)
+        # Friction: the speed along the wall decays with the normal impulse.
+        h_s = h[:, None, None]
+        decay = np.exp(-mu / m * h_s * np.maximum(0.0, force))
+        slip = (_LEVER_SHARE * out * turning * ci)[:, None]
+        added = h_s * drive[:, None] * np.sqrt(decay) - slip * (1.0 - decay)
+        speeds = np.empty((len(h) * substeps + 1, len(mode)))
+        speeds[0] = w
+        kept, gained = decay.reshape(-1, len(mode)), added.reshape(-1, len(mode))
+        for n in range(len(kept)):
+            speeds[n + 1] = speeds[n] * kept[n] + gained[n]
+        along = m * (np.diff(speeds, axis=0).reshape(force.shape) / h_s - drive[:, None])
+        uneven = a * ci[:, None] * (bears[:, :, 0] - bears[:, :, 1]) - out * si[:, None] * force
+        return force, along, uneven - _LEVER_SHARE * out * along
+
+    def _hypothesis(self, m: int, theta: Array, cost: float, jacobian: Array) -> Hypothesis:
+        t, b, sd = self._ticks, self.before[m], self._sd[:, m]
+        misfit = cost / (3 * len(t.h))
+        curvature = jacobian @ jacobian.T
+        # Where the model is off by more than it should be, the readings say less.
+        spread = np.minimum(max(1.0, misfit) * np.diag(np.linalg.inv(curvature)), sd * sd)
+        evidence = -0.5 * (cost + np.linalg.slogdet(curvature)[1]) - np.log(sd).sum()
+        force = self.forces(t, theta[:, None], np.array([m]), _SUBSTEPS)[0].mean(axis=1)[:, 0]
+        (k, k_sd), (f, f_sd), (mu, mu_sd) = (
+            self._of_wall(theta[p], spread[p], before) for p, before in zip(_FACTORS, b[4:7], strict=True)
+        )
+        nu, nu_sd, seen = self._vertical(b, force)
+        belief = Belief(b.k * k, b.f * f, b.mu * mu, b.nu * nu, k_sd, f_sd, mu_sd, nu_sd)
+        incidence = self.contact.incidence_rad - theta[_D]
+        at = (float(incidence), math.sqrt(spread[_D]), float(theta[_X]), math.sqrt(spread[_X]))
+        return Hypothesis(float(evidence + seen), misfit, belief, *at, theta)
+
+    def _of_wall(self, factor: float, variance: float, before_sd: float) -> tuple[float, float]:
+        """Return factor and relative deviation of the wall itself, from those of one hit.
+
+        A hit's coefficient is the wall's times its own scatter; with s2 both variances before the hit,
+        G = sd2/s2, the wall's variance is sd2 - G2 (s2 - variance).
+        """
+        wall2 = before_sd * before_sd
+        hit2 = wall2 + (self._scatter * factor) ** 2
+        gain = wall2 / hit2
+        mean = max(_MIN_FACTOR, 1.0 + gain * (factor - 1.0))
+        after = wall2 - gain * gain * max(0.0, hit2 - variance)
+        return float(mean), math.sqrt(after) / float(mean)
+
+    def _vertical(self, b: Belief, force: Array) -> tuple[float, float, float]:
+        """Factor, deviation and evidence by the vertical force, nu F/(1 + F) on the mean over the contact."""
+        t, touching = self._ticks, force > 0.0
+        time_s = float(t.h[touching].sum())
+        if time_s <= 0.0 or b.nu <= 0.0:
+            return 1.0, b.nu_sd, 0.0
+        share = (t.h * force / (1.0 + force))[touching].sum() / time_s
+        slope = -self._vehicle.vertical_force_sign * b.nu * float(share)
+        prior2 = b.nu_sd**2 + self._scatter**2
+        variance = _VERTICAL_N**2 + prior2 * slope * slope
+        off = float((t.h * t.up)[touching].sum()) / time_s - slope
+        factor = 1.0 + prior2 * slope / variance * off
+        nu, nu_sd = self._of_wall(factor, prior2 - prior2 * prior2 * slope * slope / variance, b.nu_sd)
+        return nu, nu_sd, -0.5 * (off * off / variance + math.log(variance))
+
+
+class ContactFitter:
+    """Fits the contacts of one flight; what a contact has taught is the prior of the next.
+
+    Args:
+        vehicle: its body, and what is believed of the materials.
+    """
+
+    def __init__(self, vehicle: VehicleConfig) -> None:
+        self._vehicle = vehicle
+        self._beliefs: dict[tuple[str, Mode], Belief] = {}
+
+    def answer(self, request: ContactRequest, received_us: int) -> ContactAnswer:
+        """Return what a contact says; its `problem` says why it says nothing.
+
+        A fault of the fit is a problem like any other: it must not be the flight's.
+        """
+        answer = ContactAnswer(received_us, request.number)
+        try:
+            with np.errstate(all="ignore"):
+                body, wall = self._judge(request)
+        except Exception as error:
+            return msgspec.structs.replace(answer, problem=f"contact not fitted: {error}")
+        return msgspec.structs.replace(answer, body=body, wall=wall)
+
+    def _judge(self, request: ContactRequest) -> tuple[ImpactBody, WallEstimate | None]:
+        modes, reported = self._vehicle.modes, request.mode_reported
+        fit, begin_us = self._fit(request)
+        fits = fit.run()
+        if not all(math.isfinite(h.evidence) for h in fits):
+            raise ValueError("no solution")
+        odds, felt = 0.0, None
+        if len(fits) == len(Mode):  # else there is nothing to tell apart
+            misfit = min(h.misfit for h in fits)
+            odds = (fits[0].evidence - fits[1].evidence) / max(1.0, misfit)
+            if abs(odds) >= SURE_LOG_ODDS and misfit <= _MAX_MISFIT:
+                felt = Mode.RIGID if odds > 0.0 else Mode.FLEXIBLE
+        likely = Mode.RIGID if odds > 0.0 else modes[-1]
+        told = felt or reported or likely
+        index = modes.index(told)
+        found, onset, wall = fits[index], request.onset, request.wall
+        lead = 2.0 * self._vehicle.airframe.guard_along_m * math.sin(found.incidence_rad)
+        top = _torque_peak(request, fit, found, index)
+        body = ImpactBody(
+            t_us=request.t_us,
+            first_us=onset.first_us,
+            final=True,
+            side=ContactSide.of_lead(lead),
+            lead_m=lead,
+            incidence_rad=found.incidence_rad,
+            incidence_sigma_rad=found.incidence_sd,
+            torque_peak_frd=(float(top[0]), float(top[1]), float(top[2])),
+            peak_torque_nm=float(np.linalg.norm(top)),
+        )
+        if wall is None:
+            return body, None
+        # Else the readings speak against the mode that the lock reports, though not loudly enough.
+        if told is likely:
+            self._beliefs[wall.name, told] = found.belief
+        c = fit.contact
+        back_s = (onset.t_us - begin_us) * 1e-6
+        there = wall.signed_distance(onset.position_mission) - c.velocity[0] * back_s
+        normal = wall.turned(c.incidence_rad - found.incidence_rad).normal
+        (x, y, _), (vx, vy, _), away = onset.position_mission, onset.velocity_mission, found.place_m
+        estimate = msgspec.structs.replace(
+            undecided(request, wall, self._vehicle),
+            mode_felt=felt,
+            log_odds=odds,
+            incidence_rad=found.incidence_rad,
+            incidence_sigma_rad=found.incidence_sd,
+            plane_offset_m=there - found.place_m,
+            plane_offset_sigma_m=math.hypot(found.place_sd, _POSITION_M),
+            plane_point_mission=(x - back_s * vx - away * normal[0], y - back_s * vy - away * normal[1]),
+            plane_normal_mission=normal,
+            plane_normal_sigma_rad=found.incidence_sd,
+            material=None if wall.material_known else self._likely_material(found.belief, told),
+            **dict(zip(_ESTIMATED, found.belief, strict=True)),
+        )
+        return body, estimate
+
+    def _fit(self, request: ContactRequest) -> tuple[ContactFit, int]:
+        """Return the fit of a request's samples, and the time at which the first tick begins.
+
+        Raises:
+            ValueError: the readings are too few, or the vehicle did not fly at the wall.
+        """
+        onset, wall, imu = request.onset, request.wall, self._vehicle.imu
+        (nx, ny), (vx, vy, _) = request.normal, onset.velocity_mission
+        velocity = (vx * nx + vy * ny, vx * ny - vy * nx)
+        if sum(t_us >= onset.first_us for t_us in request.sample_us) < _FEWEST:
+            raise ValueError("too few readings")
+        if velocity[0] > -_SLOWEST_M_S:
+            raise ValueError("not flown at the wall")
+        begin_us = request.sample_us[0] - round((imu.tick_s + imu.filter_lag_s) * 1e6)
+        place_sd, angle_sd = _PLACE_M, _UNPLANNED_RAD
+        if wall is not None:
+            place_sd = max(_PLACE_M, float(wall.plane_sd_m(onset.position_mission)))
+            angle_sd = max(_WALL_RAD, wall.yaw_sd_rad or 0.0)
+        contact = Contact(
+            self._ticks(request),
+            (onset.first_us - begin_us) * 1e-6 - 0.75 * imu.tick_s,
+            velocity,
+            seen_incidence(request.frame_heading_rad, request.q_frd_to_ned[0], request.normal),
+            max(1e-2, request.noise_n),
+            max(1e-4, abs(request.noise_frd_nm[2])),
+            place_sd,
+            angle_sd,
+        )
+        before = [self._belief(wall, mode) for mode in self._vehicle.modes]
+        return ContactFit(contact, before, self._vehicle), begin_us
+
+    def _ticks(self, request: ContactRequest) -> Ticks:
+        """Return the readings, with the arms' swinging taken out where they swing."""
+        arms, mass = self._vehicle.estimation.arm_vibration, self._vehicle.airframe.mass_kg
+        tick_s, (nx, ny) = self._vehicle.imu.tick_s, request.normal
+        t_us, force = np.array(request.sample_us), np.array(request.force_mission)
+        h = np.diff(t_us, prepend=t_us[0] - round(tick_s * 1e6)) * 1e-6
+        force[:, :2] -= request.slow_force
+        push = np.array(request.push_mission) + request.slow_force
+        down = _down(request.q_frd_to_ned)
+        turning = -(down * request.rate_frd).sum(axis=1)  # the mission's z points up
+        read = np.empty((len(h), len(self._vehicle.modes), 2))
+        taken_out = request.mode_reported is not Mode.RIGID
+        for m, mode in enumerate(self._vehicle.modes):
+            read[:, m], swings = force[:, :2], mode is Mode.FLEXIBLE
+            if arms is not None and taken_out != swings:
+                turn, moved = ArmFilter(arms, tick_s), force[:, :2] / mass
+                for n, ((ax, ay), h_n) in enumerate(zip(moved.tolist(), h.tolist(), strict=True)):
+                    read[n, m] = turn.remove(ax, ay, h_n) if swings else turn.add(ax, ay)
+                read[:, m] *= mass
+        return Ticks(
+            h,
+            read @ (nx, ny),
+            read @ (ny, -nx),
+            force[:, 2],
+            push @ (nx, ny),
+            push @ (ny, -nx),
+            np.cumsum(h * turning) - 0.5 * h * turning,
+            turning,
+            (down * request.torque_frd).sum(axis=1),
+            np.ones(len(h)),
+            np.array(request.clipped),
+        )
+
+    def _belief(self, wall: Wall | None, mode: Mode) -> Belief:
+        found = None if wall is None else self._beliefs.get((wall.name, mode))
+        if found is not None:
+            return found
+        if wall is None or not wall.material_known:
+            c, sd = middle_of(m.of(mode) for m in self._vehicle.materials.values()), _UNKNOWN_SPREAD
+        else:
+            c, sd = self._vehicle.materials[wall.material].of(mode), self._vehicle.estimation.walls.spread
+        return Belief(c.k, c.f, c.mu, c.nu, sd, sd, sd, sd)
+
+    def _likely_material(self, felt: Belief, mode: Mode) -> str | None:
+        """Return the material of the table that the coefficients fit best, or None if none does."""
+        spread2 = self._vehicle.estimation.walls.spread**2
+
+        def misfit(name: str) -> float:
+            c = self._vehicle.materials[name].of(mode)
+            pairs = ((felt.k, felt.k_sd, c.k), (felt.f, felt.f_sd, c.f), (felt.mu, felt.mu_sd, c.mu))
+            return sum(math.log(value / of) ** 2 / (sd * sd + spread2) for value, sd, of in pairs if of > 0.0)
+
+        best = min(self._vehicle.materials, key=misfit)
+        return best if misfit(best) <= _KNOWN_MATERIAL else None
+
+
+def _torque_peak(request: ContactRequest, fit: ContactFit, found: Hypothesis, mode: int) -> Array:
+    """Return the largest torque, FRD.
+
+    The largest of noisy samples is biased, and a tick's mean cuts the top off where the second point meets
+    the wall. So the model gives the shape about the vertical, the samples near its top say how large it is,
+    and what they have beside it is smoothed.
+    """
+    torque, down = np.array(request.torque_frd), _down(request.q_frd_to_ned)
+    model = fit.forces(fit.contact.ticks, found.theta[:, None], np.array([mode]), _FINE)[2][:, :, 0]
+    mean = model.mean(axis=1)
+    top = mean[np.abs(mean).argmax()]
+    near = mean * top >= _NEAR_TOP * top * top
+    share = 0.0
+    if abs(top) > _SURE_TORQUE * 0.6 * float(np.linalg.norm(request.noise_frd_nm)):
+        share = float((mean * (torque * down).sum(axis=1))[near].sum() / (mean[near] ** 2).sum())
+    beside = torque - share * mean[:, None] * down
+    smooth = beside.copy()
+    if len(beside) > 4:
+        smooth[2:-2] = np.stack([np.convolve(column, _QUADRATIC, "valid") for column in beside.T], axis=1)
+    peaks = (smooth[:, None] + share * model[:, :, None] * down[:, None]).reshape(-1, 3)
+    largest: Array = peaks[np.linalg.norm(peaks, axis=1).argmax()]
+    return largest
+
+
+def seen_incidence(frame_heading_rad: float, q: Quaternion, normal: Vec2) -> float:
+    """Return the angle of incidence of the edge nearest to a wall, by attitude and the wall's normal."""
+    seen = wrap_angle(frame_heading_rad - yaw_ned_of(q) - math.atan2(-normal[1], -normal[0]))
+    return seen - _QUARTER * round(seen / _QUARTER)
+
+
+def middle_of(coefficients: Iterable[Coefficients]) -> Coefficients:
+    """Return the geometric mean over the materials: what is expected of a wall that is in no plan."""
+    every = np.array([[c.k, c.f, c.mu, c.nu] for c in coefficients])
+    return Coefficients(*np.exp(np.log(np.maximum(every, 1e-6)).mean(axis=0)).tolist())
+
+
+def _down(q: Sequence[Quaternion]) -> Array:
+    """Return the unit vector down in body axes, for quaternions (T, 4)."""
+    w, x, y, z = np.array(q).T
+    return np.stack([2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)], axis=1)
+
+
+def _turned(normal: Array | float, along: Array | float, co: Array, so: Array) -> tuple[Array, Array]:
+    """Return components along normal and tangent of a wall that is turned counter-clockwise."""
+    return normal * co - along * so, along * co + normal * so
+
+
+def _moved(theta: Array, step: Array) -> Array:
+    """Return the parameters a step further, within what can be: a factor at most halves or doubles."""
+    moved = theta + step
+    old = theta[_FACTORS]
+    moved[_FACTORS] = np.clip(moved[_FACTORS], np.maximum(0.5 * old, _MIN_FACTOR), 2.0 * old)
+    moved[_D] = np.clip(moved[_D], -_MAX_ANGLE_RAD, _MAX_ANGLE_RAD)
+    return moved

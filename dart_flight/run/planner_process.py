@@ -1,0 +1,134 @@
+"""A planner of a flight in real time: a process of its own, so that its computing costs the core nothing.
+
+Requests, and what changes their answers, go in and answers come out as lines of JSON. One process plans, a
+second one fits contacts, so that a plan never waits behind a fit. A planner that dies or hangs is a planner
+that does not answer: the flight goes on by the paper's setpoint, and walls and modes stay as they were.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import sys
+from collections.abc import Callable
+from typing import BinaryIO
+
+import msgspec
+
+from dart_flight.base.processes import ChildProcess
+from dart_flight.base.records import (
+    ContactAnswer,
+    ContactRequest,
+    FrameAnchor,
+    PlanAnswer,
+    PlanRequest,
+    WallEstimate,
+)
+from dart_flight.config.mission import Mission
+from dart_flight.planning.contact_fit import ContactFitter
+from dart_flight.planning.replanner import Replanner
+from dart_flight.vehicle.clock import host_us
+
+_NICE = 5  # below the flight: setpoints go first
+_END_S = 1.0
+# What a line holds; the first line has the kind of request that is answered, and the mission.
+_KINDS: dict[type, bytes] = {
+    ContactRequest: b"c",
+    FrameAnchor: b"a",
+    PlanRequest: b"p",
+    WallEstimate: b"w",
+}
+
+
+class PlannerProcess:
+    """Planner of one mission, or fitter of its contacts.
+
+    Args:
+        mission: what is flown.
+        kind: of request that it answers.
+        deliver: takes every answer, on a thread of the planner's; must not block.
+        host_us: function that returns the host's time in microseconds, or simulated time in lockstep.
+
+    Raises:
+        OSError: the process cannot be started.
+    """
+
+    def __init__(
+        self,
+        mission: Mission,
+        kind: type[PlanRequest | ContactRequest],
+        deliver: Callable[[PlanAnswer | ContactAnswer], None],
+        host_us: Callable[[], int] = host_us,
+    ) -> None:
+        self._deliver, self._host_us = deliver, host_us
+        self._answer: type[PlanAnswer | ContactAnswer] = PlanAnswer if kind is PlanRequest else ContactAnswer
+        self._open: dict[int, PlanRequest | ContactRequest] = {}
+        self.process = ChildProcess(__name__, _KINDS[kind] + msgspec.json.encode(mission), self._take)
+
+    def send(self, item: PlanRequest | ContactRequest | WallEstimate | FrameAnchor) -> None:
+        """Send a request, or pass on what a contact has taught or moved the frame by; never blocks.
+
+        Where there is no planner any more the answer to a request says so at once.
+        """
+        if isinstance(item, PlanRequest | ContactRequest):
+            self._open[item.number] = item
+        if self.process.poll() is not None or not self.process.send(
+            _KINDS[type(item)] + msgspec.json.encode(item)
+        ):
+            self._answer_open()
+
+    def stop(self) -> None:
+        """End it."""
+        self.process.end(_END_S)
+
+    def _answer_open(self) -> None:
+        """Answer the requests that were open when the planner died."""
+        while self._open:
+            with contextlib.suppress(KeyError):  # another thread has answered the request
+                number, request = self._open.popitem()
+                now_us, problem = self._host_us(), "the planner has died"
+                if isinstance(request, PlanRequest):
+                    self._deliver(PlanAnswer(now_us, number, request.begin_us, problem=problem))
+                else:
+                    self._deliver(ContactAnswer(now_us, number, problem=problem))
+
+    def _take(self, line: bytes) -> None:
+        if not line:
+            self._answer_open()
+            return
+        with contextlib.suppress(msgspec.MsgspecError):
+            answer = msgspec.json.decode(line, type=self._answer)
+            self._open.pop(answer.number, None)
+            self._deliver(msgspec.structs.replace(answer, received_us=self._host_us()))
+
+
+def serve(requests: BinaryIO, answers: BinaryIO) -> None:
+    """Answer requests until there are no more; the first line is their kind and the mission."""
+    first = requests.readline()
+    mission = msgspec.json.decode(first[1:], type=Mission)
+    plans = first.startswith(_KINDS[PlanRequest])
+    replanner = Replanner(mission) if plans else None
+    fitter = None if plans else ContactFitter(mission.vehicle)
+    kinds = {letter: kind for kind, letter in _KINDS.items()}
+    for line in requests:
+        item: object = msgspec.json.decode(line[1:], type=kinds[line[:1]])
+        answer: PlanAnswer | ContactAnswer
+        if isinstance(item, ContactRequest) and fitter is not None:
+            answer = fitter.answer(item, 0)
+        elif isinstance(item, PlanRequest) and replanner is not None:
+            answer = replanner.answer(item, 0)
+        else:
+            if isinstance(item, WallEstimate) and replanner is not None:
+                replanner.update_wall(item)
+            elif isinstance(item, FrameAnchor) and replanner is not None:
+                replanner.move_frame(item)
+            continue
+        answers.write(msgspec.json.encode(answer) + b"\n")
+        answers.flush()
+
+
+if __name__ == "__main__":
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    os.nice(_NICE)
+    serve(sys.stdin.buffer, sys.stdout.buffer)

@@ -1,0 +1,135 @@
+"""Flights whose contacts are not fitted, or too late, or from one on: as if a contact said nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TypeVar
+
+import msgspec
+import pytest
+
+from dart_flight.base.records import (
+    ContactAnswer,
+    FrameAnchor,
+    ImpactBody,
+    Outcome,
+    PlanAnswer,
+    ProbeEnd,
+    Record,
+    WallEstimate,
+)
+from dart_flight.config.mission import Mission, load_mission
+from dart_flight.config.vehicle import packaged
+from dart_flight.recording.reader import Log, read_log
+from dart_flight.recording.verdict import Verdict
+from dart_flight.run.fast import FastFlight, fly_fast
+from dart_flight.run.replay import replay
+
+R = TypeVar("R", bound=Record)
+Deliver = Callable[[FastFlight, int, PlanAnswer | ContactAnswer], None]
+DELIVER: Deliver = FastFlight._answer
+LATE_US = 450_000  # more than the 300 ms that an answer has
+
+
+def never(flight: FastFlight, due_us: int, answer: PlanAnswer | ContactAnswer) -> None:
+    if isinstance(answer, PlanAnswer):
+        DELIVER(flight, due_us, answer)
+
+
+def late(flight: FastFlight, due_us: int, answer: PlanAnswer | ContactAnswer) -> None:
+    DELIVER(flight, due_us if isinstance(answer, PlanAnswer) else due_us + LATE_US, answer)
+
+
+def dead_after_the_first(flight: FastFlight, due_us: int, answer: PlanAnswer | ContactAnswer) -> None:
+    if isinstance(answer, ContactAnswer) and answer.number > 1:
+        answer = ContactAnswer(due_us, answer.number, problem="the planner has died")
+    DELIVER(flight, due_us, answer)
+
+
+def flown(
+    mission: Mission, deliver: Deliver, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> tuple[Verdict, Log]:
+    """A flight whose replay is the same to the bit."""
+    monkeypatch.setattr(FastFlight, "_answer", deliver)
+    verdict = fly_fast(mission, 1, folder)
+    log = read_log(str(verdict.log))
+    assert replay(log).equal
+    return verdict, log
+
+
+def all_of(log: Log, kind: type[R]) -> list[R]:
+    return [entry.record for entry in log.entries if isinstance(entry.record, kind)]
+
+
+def shipped(name: str) -> Mission:
+    return load_mission(packaged("missions", f"{name}.yaml"))
+
+
+@pytest.mark.parametrize("mission", ["paper_dual_collision", "dual_collision_replan"])
+@pytest.mark.parametrize(
+    ("deliver", "problems"),
+    [
+        (never, ["no answer within 300 ms"] * 2),
+        (late, ["no answer within 300 ms"] * 2),
+        (dead_after_the_first, ["", "the planner has died"]),
+    ],
+)
+def test_a_contact_without_an_answer_is_undecided_and_the_flight_goes_on(
+    mission: str,
+    deliver: Deliver,
+    problems: list[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    verdict, log = flown(shipped(mission), deliver, tmp_path, monkeypatch)
+    assert verdict.outcome is Outcome.COMPLETED, verdict.reason
+    assert [felt.problem for felt in all_of(log, WallEstimate)] == problems
+    assert [hit.mode_felt is None for hit in verdict.collisions] == [bool(says) for says in problems]
+    assert len(all_of(log, ImpactBody)) == problems.count("")
+    assert len(all_of(log, ContactAnswer)) == (0 if deliver is never else 2)
+    for felt in all_of(log, WallEstimate):
+        assert (felt.plane_point_mission is None) is bool(felt.problem)
+
+
+@pytest.mark.parametrize("deliver", [never, late, dead_after_the_first])
+def test_a_sought_wall_that_was_met_stands_where_the_onset_was(
+    deliver: Deliver, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The other probe is left out, and the wall is hit again."""
+    mission = shipped("find_a_wall")
+    verdict, log = flown(mission, deliver, tmp_path, monkeypatch)
+    assert verdict.outcome is Outcome.COMPLETED, verdict.reason
+    assert [(hit.wall, hit.mode) for hit in verdict.collisions] == [("east", "rigid"), ("east", "flexible")]
+    assert [e.what for e in all_of(log, ProbeEnd)] == ["collision 3 left out: wall east was met"]
+    (board,) = mission.simulated_walls
+    (east,) = verdict.walls
+    assert abs(board.signed_distance(east.point_m)) < 0.05
+    if deliver is dead_after_the_first:
+        first, second = all_of(log, WallEstimate)
+        assert (first.problem, second.problem) == ("", "the planner has died")
+
+
+def test_without_an_answer_no_contact_moves_the_frame(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    mission = shipped("dual_collision_gps")
+    _, log = flown(mission, never, tmp_path / "never", monkeypatch)
+    assert all_of(log, WallEstimate)
+    assert not all_of(log, FrameAnchor)
+    _, log = flown(mission, dead_after_the_first, tmp_path / "dead", monkeypatch)
+    (anchor,) = all_of(log, FrameAnchor)
+    felt = all_of(log, WallEstimate)
+    assert (anchor.wall, felt[0].problem) == (felt[0].wall, "")
+    assert all(one.problem == "the planner has died" for one in felt[1:])
+
+
+def test_an_answer_that_is_not_needed_for_a_plan_delays_none(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The dual collision goes to another wall: it is planned at the contact's end, answer or not."""
+    plans = []
+    for name, deliver in (("answered", DELIVER), ("never", never)):
+        _, log = flown(shipped("dual_collision_replan"), deliver, tmp_path / name, monkeypatch)
+        plans.append([msgspec.structs.replace(a, received_us=0) for a in all_of(log, PlanAnswer)][:1])
+    assert plans[0] == plans[1]
