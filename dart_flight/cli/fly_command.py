@@ -28,7 +28,7 @@ from dart_flight.cli.vehicle_line import say_vehicle
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission, Waypoint
 from dart_flight.config.provenance import display_path
-from dart_flight.recording.armed_span import armed_span
+from dart_flight.recording.about import armed_span
 from dart_flight.recording.reader import read_log
 from dart_flight.recording.verdict import Verdict
 from dart_flight.run.drone import fly_vehicle

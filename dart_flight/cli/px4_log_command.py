@@ -12,8 +12,7 @@ from dart_flight.cli.options import link_of, whole_number
 from dart_flight.cli.terminal import emit_json, messages, print_status
 from dart_flight.config.document import InputError
 from dart_flight.config.provenance import display_path
-from dart_flight.recording.about import flown_mission
-from dart_flight.recording.armed_span import armed_span
+from dart_flight.recording.about import armed_span, flown_mission
 from dart_flight.recording.found import PX4_LOG, logs_in
 from dart_flight.recording.reader import read_log
 from dart_flight.run.px4_log_download import fetch_px4_log

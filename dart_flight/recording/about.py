@@ -10,19 +10,19 @@ import contextlib
 import platform
 import subprocess
 import time
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from functools import lru_cache
 from pathlib import Path
 
 import msgspec
 
 from dart_flight import __version__
-from dart_flight.base.records import World
+from dart_flight.base.records import StatusSample, World
 from dart_flight.config.document import Document, InputError
 from dart_flight.config.mission import Mission, parse_mission
 from dart_flight.config.retired_keys import changed_retired, leave_out_retired, take_out_retired
 from dart_flight.config.vehicle import VehicleConfig
-from dart_flight.recording.reader import NothingInItError
+from dart_flight.recording.reader import Log, NothingInItError
 
 
 def describe_flight(mission: Mission, world: World, seed: int | None) -> dict[str, str]:
@@ -124,3 +124,18 @@ def parse_written(mission: Document, vehicle: Document) -> Mission:
     """
     leave_out_retired(vehicle)
     return parse_mission(mission, vehicle.convert(VehicleConfig))
+
+
+def armed_span(log: Log) -> tuple[datetime, datetime] | None:
+    """Return when a recorded flight was armed, and when last, by the host's calendar; None if not known."""
+    started, monotonic = log.about.get("started_utc"), log.about.get("started_monotonic_us", "")
+    armed = [
+        e.record.received_us for e in log.entries if isinstance(e.record, StatusSample) and e.record.armed
+    ]
+    if started is None or not armed or not monotonic.isdigit() or log.world is World.FAST:
+        return None
+    try:
+        begin = datetime.fromisoformat(started) - timedelta(microseconds=int(monotonic))
+        return begin + timedelta(microseconds=armed[0]), begin + timedelta(microseconds=armed[-1])
+    except (ValueError, OverflowError):
+        return None

@@ -18,7 +18,7 @@ from dart_flight.cli import fly_command, main
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import load_mission
 from dart_flight.config.vehicle import packaged
-from dart_flight.recording.armed_span import armed_span
+from dart_flight.recording.about import armed_span
 from dart_flight.recording.found import px4_logs_in
 from dart_flight.recording.reader import read_log
 from dart_flight.run.px4_log_download import fetch_px4_log, list_px4_logs

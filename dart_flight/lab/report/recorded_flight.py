@@ -29,8 +29,7 @@ from dart_flight.lab.flight_arrays import Array, FlightArrays
 from dart_flight.lab.predict.path import ContactMotion, HitHistory, trajectory
 from dart_flight.lab.report.tracks import Angles, angles
 from dart_flight.planning.predicted_flight import PredictedFlight, predict_mission
-from dart_flight.recording.about import flown_mission
-from dart_flight.recording.armed_span import armed_span
+from dart_flight.recording.about import armed_span, flown_mission
 from dart_flight.recording.flown_impact import FlownImpact, Velocities
 from dart_flight.recording.reader import Log, read_log
 from dart_flight.recording.verdict import judge
