@@ -94,7 +94,8 @@ def read_differences(
     if restored is not None:
         says = f"as in {restored.name}"
         wanted = {
-            name: msgspec.structs.replace(p, reason=says) for name, p in load_parameters(restored).items()
+            name: msgspec.structs.replace(p, reason=p.reason or says)
+            for name, p in load_parameters(restored).items()
         }
     else:
         source = claimed or _source(link, mission)

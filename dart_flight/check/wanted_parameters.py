@@ -39,7 +39,8 @@ METADATA = "/etc/extras/parameters.json.xz"  # on the flight controller, by MAVL
 # Marked @reboot_required in PX4's source (release/1.18 of 2026-08-08), of those that are written here.
 _RESTART = (
     "CBRK_FLIGHTTERM EKF2_EV_DELAY EKF2_GPS_DELAY EKF2_HGT_REF EKF2_MAG_TYPE IMU_GYRO_RATEMAX IMU_INTEG_RATE "
-    "SDLOG_PROFILE SENS_GPS0_DELAY SYS_HAS_GPS SYS_HAS_MAG SYS_HITL"
+    "MAV_0_FORWARD MAV_1_CONFIG MAV_1_FLOW_CTRL MAV_1_FORWARD MAV_1_MODE MAV_1_RATE SDLOG_PROFILE "
+    "SENS_GPS0_DELAY SER_TEL2_BAUD SYS_HAS_GPS SYS_HAS_MAG SYS_HITL"
 )
 RESTART: frozenset[str] = frozenset(_RESTART.split())
 RESTART_SOURCE = "@reboot_required in the source of PX4 release/1.18, 2026-08-08"

@@ -58,7 +58,9 @@ def _write_delay(arguments: argparse.Namespace, source: str | None, delay_ms: fl
     except InputError as error:
         print_status(f"  set mocap.delay_ms to {delay_ms:g} yourself: {error.one_line()}")
     else:
-        print_status(f"  wrote mocap.delay_ms {delay_ms:g} into {path}; set EKF2_EV_DELAY to it")
+        print_status(
+            f"  wrote mocap.delay_ms {delay_ms:g} into {path}; `parameters --write` sets EKF2_EV_DELAY to it"
+        )
 
 
 def run(arguments: argparse.Namespace) -> int:

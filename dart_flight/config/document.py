@@ -270,7 +270,7 @@ class Document:
         try:
             return msgspec.convert(self.tree, type_)
         except msgspec.ValidationError as error:
-            key, text = _innermost(self.tree, type_, (), str(error))
+            key, text = _locate_error(self.tree, type_, (), str(error))
             raise self.error(key, text) from None
 
     # -- parsing --
@@ -282,22 +282,22 @@ class Document:
             if isinstance(event, yaml.DocumentStartEvent):
                 documents += 1
                 if documents > 1:
-                    raise self._at(event, "more than one YAML document in the file")
+                    raise self._error_at(event, "more than one YAML document in the file")
             elif isinstance(event, yaml.NodeEvent):
                 result = self._node(event, events, ())
         return result
 
     def _node(self, event: yaml.Event, events: Iterator[yaml.Event], key: Key) -> Any:
         if len(key) > _MAX_DEPTH:
-            raise self._at(event, f"nested deeper than {_MAX_DEPTH} levels")
+            raise self._error_at(event, f"nested deeper than {_MAX_DEPTH} levels")
         self.lines.setdefault(key, self._line(event))
         if isinstance(event, yaml.AliasEvent):
-            raise self._at(event, "anchors and aliases are not supported; write the value out", key)
+            raise self._error_at(event, "anchors and aliases are not supported; write the value out", key)
         if getattr(event, "anchor", None) is not None:
-            raise self._at(event, "anchors and aliases are not supported; write the value out", key)
+            raise self._error_at(event, "anchors and aliases are not supported; write the value out", key)
         tag = getattr(event, "tag", None)
         if tag is not None:
-            raise self._at(event, f"tags are not supported: {tag}", key)
+            raise self._error_at(event, f"tags are not supported: {tag}", key)
         if isinstance(event, yaml.ScalarEvent):
             return self._scalar(event, key)
         if isinstance(event, yaml.SequenceStartEvent):
@@ -315,10 +315,10 @@ class Document:
             if isinstance(event, yaml.MappingEndEvent):
                 break
             if not isinstance(event, yaml.ScalarEvent) or event.anchor is not None or event.tag is not None:
-                raise self._at(event, "keys must be plain names", key)
+                raise self._error_at(event, "keys must be plain names", key)
             name = event.value
             if name in values:
-                raise self._at(event, "this key is given twice", (*key, name))
+                raise self._error_at(event, "this key is given twice", (*key, name))
             self.lines[(*key, name)] = self._line(event)
             values[name] = self._node(next(events), events, (*key, name))
         return values
@@ -332,21 +332,21 @@ class Document:
             value = _SPECIAL[lowered]
         elif _INTEGER.match(text):
             if len(text) > 18:
-                raise self._at(event, "number too large", key)
+                raise self._error_at(event, "number too large", key)
             value = int(text)
         elif _NUMBER.match(text):
             value = float(text)
         else:
             return text
         if isinstance(value, float) and not math.isfinite(value):
-            raise self._at(event, f"numbers must be finite, not {text}", key)
+            raise self._error_at(event, f"numbers must be finite, not {text}", key)
         return value
 
     @staticmethod
     def _line(event: yaml.Event) -> int:
         return event.start_mark.line + 1 if event.start_mark else 1
 
-    def _at(self, event: yaml.Event, message: str, key: Key = ()) -> InputError:
+    def _error_at(self, event: yaml.Event, message: str, key: Key = ()) -> InputError:
         return InputError(message, source=self.source, line=self._line(event), key=key)
 
 
@@ -391,7 +391,7 @@ def _name(name: Any, key: Key, source: str) -> str:
 # --- the smallest part that does not convert ---------------------------------------------------------
 
 
-def _innermost(value: Any, type_: Any, key: Key, text: str) -> tuple[Key, str]:
+def _locate_error(value: Any, type_: Any, key: Key, text: str) -> tuple[Key, str]:
     """Return key and message of the smallest part of a value that fails to convert.
 
     msgspec's own path hides the names of dictionary keys (`$.walls[...].normal`), so each part is converted
@@ -404,7 +404,7 @@ def _innermost(value: Any, type_: Any, key: Key, text: str) -> tuple[Key, str]:
         try:
             msgspec.convert(part, part_type)
         except msgspec.ValidationError as error:
-            return _innermost(part, part_type, (*key, part_key), str(error))
+            return _locate_error(part, part_type, (*key, part_key), str(error))
     return key, _explain(text, type_) + _range(type_, value, key)
 
 
@@ -445,13 +445,13 @@ def _field_names(type_: Any) -> list[str]:
     ]
 
 
-def _allowed(type_: Any) -> list[Any]:
+def _allowed_values(type_: Any) -> list[Any]:
     """Return the values of an enum or a Literal, including those inside a union."""
     if get_origin(type_) is Literal:
         return list(get_args(type_))
     if isinstance(type_, type) and issubclass(type_, Enum):
         return [member.value for member in type_]
-    return [value for part in get_args(type_) for value in _allowed(part)]
+    return [value for part in get_args(type_) for value in _allowed_values(part)]
 
 
 _WORDS = {
@@ -491,7 +491,7 @@ def _limits(type_: Any) -> Iterator[msgspec.Meta]:
 def _explain(text: str, type_: Any) -> str:
     """Return an error of msgspec in the terms of a YAML file."""
     if text.startswith("Invalid enum value"):
-        allowed = ", ".join(str(value) for value in _allowed(type_))
+        allowed = ", ".join(str(value) for value in _allowed_values(type_))
         return f"{text[len('Invalid enum value ') :]} is not allowed, only: {allowed}"
     missing = re.match(r"Object missing required field `(.+)`", text)
     if missing:

@@ -84,7 +84,7 @@ def refuse_other_kind(path: str | Path, *wanted: FileKind) -> None:
     """Raise an error if a file is of another known kind.
 
     Raises:
-        InputError: it is; the message says what to do with it.
+        InputError: it is; the message explains its use.
     """
     kind = kind_of_file(path)
     if kind is not None and kind not in wanted:

@@ -101,7 +101,7 @@ class Collision(CollisionKeys, frozen=True, kw_only=True, forbid_unknown_fields=
         impact: Vec2 | None = self.impact_point
         if self.wall.post_radius_m > 0.0:
             impact = self.wall.point
-        elif self.approach_m_s is not None and impact == _impact_meant(self, start):
+        elif self.approach_m_s is not None and impact == _default_impact(self, start):
             impact = None
         along = None
         if self.wall.sought and self.impact_point is not None:
@@ -447,7 +447,7 @@ def _resolve_waypoints(
     found = []
     for i, one in enumerate(spec.waypoints):
         key: Key = ("waypoints", i)
-        _check_place_in_order(one, flown, spec, key, document)
+        _check_order(one, flown, spec, key, document)
         flown = one.after
         wall_at = None if one.at_wall is None else (walls | sought)[one.at_wall.wall]
         if one.pause is None:
@@ -474,9 +474,7 @@ def _resolve_waypoints(
     return tuple(found)
 
 
-def _check_place_in_order(
-    one: WaypointSpec, flown: int, spec: MissionFile, key: Key, document: Document
-) -> None:
+def _check_order(one: WaypointSpec, flown: int, spec: MissionFile, key: Key, document: Document) -> None:
     """Raise InputError if a waypoint and a pause are mixed, or `after` is out of order."""
     if [one.position_m, one.at_wall, one.pause].count(None) != 2:
         raise document.error(key, "give exactly one of position_m, at_wall (waypoints) and pause")
@@ -495,7 +493,7 @@ def _check_place_in_order(
         raise document.error(("collisions", one.after), text)
 
 
-def _mode_of(spec: CollisionSpec, vehicle: VehicleConfig, key: Key, document: Document) -> Mode:
+def _collision_mode(spec: CollisionSpec, vehicle: VehicleConfig, key: Key, document: Document) -> Mode:
     """Return the mode of a collision: the given one, or the only one of the vehicle."""
     if spec.mode is None:
         if vehicle.has_lock:
@@ -517,7 +515,7 @@ def _resolve_collision(
     if spec.wall not in walls:
         raise document.error((*key, "wall"), unknown_name(spec.wall, [*walls, *mission.posts]))
     wall = walls[spec.wall]
-    mode = _mode_of(spec, vehicle, key, document)
+    mode = _collision_mode(spec, vehicle, key, document)
     if spec.probe is not None:
         probe, probe_m_s, met = resolve_probe(i, spec, mission, wall, document)
         return Collision(
@@ -662,7 +660,7 @@ def _impact_point(
     if along is None:
         if wall.signed_distance(start) <= 0.0:
             raise document.error((*key, "approach"), f"start is not in front of wall {wall.name}")
-        return _ray_meets_wall(start, wall, approach_m_s)
+        return _project_onto_wall(start, wall, approach_m_s)
     (x, y), (tx, ty), reach = wall.point, wall.tangent, 0.5 * wall.length_m
     if abs(along) > reach:
         text = f"{along:g}, the wall reaches from {-reach:g} to {reach:g}"
@@ -670,15 +668,15 @@ def _impact_point(
     return (x + along * tx, y + along * ty)
 
 
-def _impact_meant(collision: Collision, start: Vec2) -> Vec2:
+def _default_impact(collision: Collision, start: Vec2) -> Vec2:
     """Return the impact point of a collision that specifies none."""
     assert collision.approach_m_s is not None
     if collision.trajectory is not None:
         return collision.wall.foot(collision.trajectory.states()[-1].position)
-    return _ray_meets_wall(start, collision.wall, collision.approach_m_s)
+    return _project_onto_wall(start, collision.wall, collision.approach_m_s)
 
 
-def _ray_meets_wall(start: Vec2, wall: Wall, approach_m_s: Vec2) -> Vec2:
+def _project_onto_wall(start: Vec2, wall: Wall, approach_m_s: Vec2) -> Vec2:
     """Return the point where the ray from `start` along the approach velocity crosses the wall's plane."""
     v = wall.from_collision((approach_m_s[0], approach_m_s[1], 0.0))
     t = wall.signed_distance(start) / -approach_m_s[0]

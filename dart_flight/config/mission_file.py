@@ -307,7 +307,7 @@ class TrajectoryPieces(Section, frozen=True):
             found.append(
                 MotionState(
                     begin + t,
-                    (_carried(x, vx, ax, jx, t), _carried(y, vy, ay, jy, t)),
+                    (_advance_position(x, vx, ax, jx, t), _advance_position(y, vy, ay, jy, t)),
                     (vx + t * (ax + 0.5 * t * jx), vy + t * (ay + 0.5 * t * jy)),
                     (ax + t * jx, ay + t * jy),
                 )
@@ -315,7 +315,7 @@ class TrajectoryPieces(Section, frozen=True):
         return found
 
 
-def _carried(p: float, v: float, a: float, j: float, t: float) -> float:
+def _advance_position(p: float, v: float, a: float, j: float, t: float) -> float:
     """Return the position after a time at constant jerk."""
     return p + t * (v + t * (a / 2.0 + t * j / 6.0))
 

@@ -168,6 +168,7 @@ def format_parameters(values: Mapping[str, Value], head: Iterable[str]) -> str:
     lines = [
         f"# {line}" for line in (*head, "vehicle-id\tcomponent-id\tname\tvalue\ttype (6 INT32, 9 REAL32)")
     ]
+    lines.append("")  # the head is no parameter's reason
     for name, value in values.items():
         text, kind = (str(value), 6) if isinstance(value, int) else (f"{value:.9g}", 9)
         lines.append(f"1\t1\t{name}\t{text}\t{kind}")

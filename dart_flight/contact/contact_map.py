@@ -209,7 +209,7 @@ def _acot(y: Array, zeta: Array) -> Array:
     return np.where(np.abs(w2) < _NEAR_CRITICAL, series, np.where(w2 < 0.0, over, np.arctan(w / y) / w))
 
 
-def _free(s: _Shape, normal: Array, tangential: Array) -> tuple[Array, ...]:
+def _solve_without_push(s: _Shape, normal: Array, tangential: Array) -> tuple[Array, ...]:
     speed = np.maximum(-normal, 0.0)
     hits = normal < 0.0
     mu_speed = s.mu * speed
@@ -229,7 +229,7 @@ def _free(s: _Shape, normal: Array, tangential: Array) -> tuple[Array, ...]:
 # --- with a constant other acceleration along the normal ----------------------------------------------------
 
 
-def _pushed(
+def _solve_with_push(
     c: CoefficientArrays, mass: Array, onset: Onset, state: tuple[Array, Array, Array]
 ) -> tuple[tuple[Array, ...], Array]:
     """Return the eight arrays of `WallHit`, and the largest outward speed in contact.
@@ -290,7 +290,7 @@ def _pushed_friction_peak(c: Oscillation, events: ContactTimes, rub: Array) -> A
 # --- the public functions -------------------------------------------------------------------------------
 
 
-def _require(c: CoefficientArrays, mass: Array, *inputs: Array) -> None:
+def _validate(c: CoefficientArrays, mass: Array, *inputs: Array) -> None:
     if not all(bool(np.isfinite(v).all()) for v in (*c, mass, *inputs)):
         raise ValueError("velocities, accelerations, masses and coefficients must be finite")
     if bool((c.k <= 0.0).any()) or bool((mass <= 0.0).any()):
@@ -371,7 +371,7 @@ def contact_map(
     inputs: tuple[Array, ...] = (normal, tangential)
     if acceleration_m_s2 is not None:
         inputs = (normal, tangential, np.asarray(acceleration_m_s2, dtype=float))
-    _require(coefficients, mass, *inputs)
+    _validate(coefficients, mass, *inputs)
     batch = _Batch(coefficients, mass, rows, inputs)
     out = np.empty((len(WallHit._fields), batch.size))
     shape = _shape(batch.table, batch.mass, onset) if batch.is_table else None
@@ -379,13 +379,13 @@ def contact_map(
         values = [v[part] for v in batch.inputs]
         if acceleration_m_s2 is not None:
             c, m = batch.coefficients(part)
-            results, _ = _pushed(c, m, onset, (values[0], values[1], values[2]))
+            results, _ = _solve_with_push(c, m, onset, (values[0], values[1], values[2]))
         elif shape is None:
-            results = _free(_shape(*batch.coefficients(part), onset), values[0], values[1])
+            results = _solve_without_push(_shape(*batch.coefficients(part), onset), values[0], values[1])
         elif batch.rows is None:
-            results = _free(shape, values[0], values[1])
+            results = _solve_without_push(shape, values[0], values[1])
         else:
-            results = _free(_Shape(*(v[batch.rows[part]] for v in shape)), values[0], values[1])
+            results = _solve_without_push(_Shape(*(v[batch.rows[part]] for v in shape)), values[0], values[1])
         for target, result in zip(out, results, strict=True):
             target[part] = result
     return WallHit(*(v.reshape(batch.shape) for v in out))
@@ -459,7 +459,7 @@ def drop_map(
         ValueError: as `contact_map`, or a height is not positive.
     """
     height, mass = np.asarray(height_m, dtype=float), np.asarray(mass_kg, dtype=float)
-    _require(coefficients, mass, height)
+    _validate(coefficients, mass, height)
     if bool((height <= 0.0).any()):
         raise ValueError("the height of a drop must be positive")
     time, speed = fall(coefficients, mass, height, onset)
@@ -469,7 +469,7 @@ def drop_map(
         c, m = batch.coefficients(part)
         normal = batch.inputs[0][part]
         still, g = np.zeros_like(normal), np.full_like(normal, -GRAVITY_M_S2)
-        hit, fastest = _pushed(c, m, onset, (normal, still, g))
+        hit, fastest = _solve_with_push(c, m, onset, (normal, still, g))
         r = WallHit(*hit)
         results = (r.contact_time_s, fastest, r.peak_normal_force_n, r.penetration_m, r.impulse_n_s)
         for target, result in zip(out, results, strict=True):

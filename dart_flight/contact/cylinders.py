@@ -126,8 +126,8 @@ def nearest_point(
     x = (-distance if inside else distance) - cylinder.radius_m
     share, deflections = _bar_load(first, second, fraction)
     guard = PropellerGuard(
-        _between(first.guard.at, second.guard.at, fraction),
-        _between(first.guard.friction_at, second.guard.friction_at, fraction),
+        _interpolate(first.guard.at, second.guard.at, fraction),
+        _interpolate(first.guard.friction_at, second.guard.friction_at, fraction),
     )
     return NearestPoint(x, normal, guard, share, deflections)
 
@@ -214,7 +214,7 @@ class PostContact:
             return UNTOUCHED
         total, forces = _press([point], q, onset, velocity, rate_frd, vertical_sign, vertical_lever_m)
         self.contact.settle(near, forces[0])
-        _deflect(self.depths, near, forces[0])
+        _update_deflections(self.depths, near, forces[0])
         return total
 
 
@@ -258,7 +258,7 @@ class WallWithEnds:
 
     def arrive(self, q: Quaternion, position: Vec3) -> None:
         """Initialise the contact state: guards behind the surface did not pass through it."""
-        self.beside = {i for i, h, _ in self._feet(q, position) if h < 0.0}
+        self.beside = {i for i, h, _ in self._foot_points(q, position) if h < 0.0}
         for edge, near in self.nearest(q, position):
             edge.share, edge.stood_in = None, near.x_m < 0.0
 
@@ -268,7 +268,7 @@ class WallWithEnds:
         If none can, update the stored contact state as `touch` would.
         """
         end = self.plane.half_length_m + within_m
-        feet = list(self._feet(q, position))
+        feet = list(self._foot_points(q, position))
         if any(
             abs(along) <= end and height <= within_m and not (i in self.beside and height < -within_m)
             for i, height, along in feet
@@ -309,7 +309,7 @@ class WallWithEnds:
         points: list[ContactPoint] = []
         pressed: set[int] = set()
         self.depths = [0.0] * len(self._guards)
-        for i, height, along in self._feet(q, position):
+        for i, height, along in self._foot_points(q, position):
             beyond = abs(along) > plane.half_length_m
             if height > 0.0:
                 self.beside.discard(i)
@@ -335,12 +335,12 @@ class WallWithEnds:
                 pressed |= numbers  # one edge per bar: at a narrower wall the first edge carries it
                 loaded.append((near, force))
         for near, force in loaded:
-            _deflect(self.depths, near, force)
+            _update_deflections(self.depths, near, force)
         if not points:
             return UNTOUCHED
         return _press(points, q, onset, velocity, rate_frd, vertical_sign, vertical_lever_m)[0]
 
-    def _feet(self, q: Quaternion, position: Vec3) -> Iterator[tuple[int, float, float]]:
+    def _foot_points(self, q: Quaternion, position: Vec3) -> Iterator[tuple[int, float, float]]:
         """Yield number, height over the surface, and position along it from the middle of every guard."""
         o = self.plane.point
         offset = (position[0] - o[0], position[1] - o[1], position[2] - o[2])
@@ -413,7 +413,7 @@ def _bar_load(first: Corner, second: Corner, s: float) -> tuple[float, tuple[tup
     )
 
 
-def _deflect(depths: list[float], near: NearestPoint, force_n: float) -> None:
+def _update_deflections(depths: list[float], near: NearestPoint, force_n: float) -> None:
     """Update the deflections of the guards that carry a point."""
     if force_n > 0.0 and near.x_m < 0.0:
         for number, per_depth in near.deflections:
@@ -424,7 +424,7 @@ def _scaled(c: Coefficients, share: float) -> Coefficients:
     return Coefficients(share * c.k, share * c.f, c.mu, c.nu)
 
 
-def _between(a: Vec3, b: Vec3, s: float) -> Vec3:
+def _interpolate(a: Vec3, b: Vec3, s: float) -> Vec3:
     return (a[0] + s * (b[0] - a[0]), a[1] + s * (b[1] - a[1]), a[2] + s * (b[2] - a[2]))
 
 

@@ -98,14 +98,14 @@ class FlightCore:
         if sensed.contact:
             known += sensed.contact
         try:
-            known += self._dispose(item, sensed, proposal)
+            known += self._review(item, sensed, proposal)
             return known
         except Exception:
             # The guard itself has failed: suppress the commands of this step, and land if possible.
             self._fault = _fault()
             return known + [o for o in proposal.outputs if not o.topic.startswith("/out/")]
 
-    def _dispose(self, item: Input, sensed: Sensed, proposal: Proposal) -> list[Output]:
+    def _review(self, item: Input, sensed: Sensed, proposal: Proposal) -> list[Output]:
         if self._fault is not None:
             proposal.findings.append(self._fault)
         guard, executive, state = self._guard, self._executive, self._senses.state

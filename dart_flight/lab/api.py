@@ -301,7 +301,7 @@ class PlanResult:
 
     def _plan(self, rank: int) -> Plan:
         if not 1 <= rank <= len(self.plans):
-            raise InputError(f"{rank}, there are plans 1 to {len(self.plans)}", key=("rank",))
+            raise InputError(f"{rank}; there are plans 1 to {len(self.plans)}", key=("rank",))
         return self.plans[rank - 1]
 
 

@@ -152,7 +152,7 @@ def save_figure(figure: Any, path: Path) -> None:
     """
     if path.suffix.lower() not in (".png", ".svg", ".pdf"):
         raise InputError("a picture is a file .png, .svg or .pdf", source=str(path))
-    drawn = io.BytesIO()  # a drawing that fails leaves the last picture alone
+    drawn = io.BytesIO()  # a failed drawing keeps the previous picture
     with _styled(PAGE):
         figure.savefig(drawn, format=path.suffix.lower()[1:], dpi=200)
     with writing(path):

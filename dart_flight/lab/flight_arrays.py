@@ -43,9 +43,9 @@ class PoseArrays(NamedTuple):
     """Poses of the motion capture, before PX4's estimator.
 
     Attributes:
-        time_s: (n,), when they were measured.
+        time_s: (n,), time of measurement.
         position: (n, 3), m, in the mission frame.
-        is_timed: whether the age of a pose is known, and taken off its time of receipt.
+        is_timed: whether the age of the poses is known and subtracted from their time of receipt.
     """
 
     time_s: Array
@@ -102,7 +102,7 @@ class FlightArrays:
         tracked: list[PoseSample] = [s for s in samples.records if isinstance(s, PoseSample) and s.tracked]
         received = np.array([s.t_us for s in tracked], dtype=float)
         stamps = [s.source_us for s in tracked if s.source_us is not None]
-        if stamps and len(stamps) == len(tracked):  # they do not jitter; the clocks differ by a constant
+        if stamps and len(stamps) == len(tracked):  # free of jitter; the clocks differ by a constant
             own = np.array(stamps, dtype=float)
             received = own + (received - own).min()
         rising = np.diff(np.maximum.accumulate(received), prepend=-np.inf) > 0.0

@@ -1,8 +1,8 @@
 """The lock's state machine: its known state, and the commands that it permits.
 
 This file performs no I/O and reads no clock: every input carries its time, integer microseconds of the core's
-time base. Only `_go` changes the phase, by the table `TRANSITIONS`. `docs/lock.md` shows the table as a
-diagram.
+time base. Only `_transition` changes the phase, by the table `TRANSITIONS`. `docs/lock.md` shows the table as
+a diagram.
 
 The servo has no position feedback. `settled` means that the driver accepted the command, that the travel time
 with its margin is over, and that a later reading still shows the commanded pulse. Only a limit switch sets
@@ -126,7 +126,7 @@ def status_text(state: LockState) -> str:
     return f"lock {describe(state)}".encode("ascii", "replace")[:50].decode()
 
 
-def _since(before_us: int | None, t_us: int) -> int:
+def _run_start(before_us: int | None, t_us: int) -> int:
     """Return the start of an unbroken run of readings: the stored start, or now."""
     return t_us if before_us is None else before_us
 
@@ -230,7 +230,7 @@ class LockStateMachine:
 
     def driver_failed(self, t_us: int, reason: str) -> None:
         """Report that the driver could not execute a command or could not be read."""
-        self._go(t_us, LockEvent.DRIVER_FAILED, reason=reason)
+        self._transition(t_us, LockEvent.DRIVER_FAILED, reason=reason)
 
     def reading(self, t_us: int, reading: DriverReading) -> None:
         """Process a driver's reading; `t_us` is the time before the reading."""
@@ -245,11 +245,11 @@ class LockStateMachine:
         """Advance the time and check the timeouts."""
         phase = self._state.phase
         if phase is LockPhase.TRAVELLING and t_us - self._begun_us >= self.config.timeout_s * 1e6:
-            self._go(t_us, LockEvent.TIMED_OUT, reason=self._timeout_reason())
+            self._transition(t_us, LockEvent.TIMED_OUT, reason=self._timeout_reason())
         elif phase is LockPhase.SETTLED and self._state.feedback:
             silent_s = (t_us - self._last_reading_us) * 1e-6
             if silent_s > self.config.timeout_s:
-                self._go(t_us, LockEvent.DRIVER_FAILED, reason=f"no reading for {silent_s:.1f} s")
+                self._transition(t_us, LockEvent.DRIVER_FAILED, reason=f"no reading for {silent_s:.1f} s")
 
     # -- evaluation of readings --
 
@@ -257,20 +257,20 @@ class LockStateMachine:
         target, due_us = self._target, self.due_us
         if target is None or self._sent_us is None or due_us is None or t_us < self._sent_us:
             return  # read before the driver had the command
-        if self._wrong_for(t_us, not self._pulses_off and reading.pulse_us is None):
-            self._go(
+        if self._fault_has_lasted(t_us, not self._pulses_off and reading.pulse_us is None):
+            self._transition(
                 t_us, LockEvent.DISPLACED, reason=self._fault_reason("the controller lost the pulse", reading)
             )
             return
         own, other = reading.switch(target), reading.switch(target.other)
-        self._closed_since_us = _since(self._closed_since_us, t_us) if own else None
+        self._closed_since_us = _run_start(self._closed_since_us, t_us) if own else None
         if other or not self._pulse_is_expected(reading):
             return
         if own is None:
             if t_us >= due_us:
-                self._go(t_us, LockEvent.ARRIVED, feedback=False)
-        elif self._closed_since_us is not None and self._lasted(self._closed_since_us, t_us):
-            self._go(t_us, LockEvent.ARRIVED, feedback=True)
+                self._transition(t_us, LockEvent.ARRIVED, feedback=False)
+        elif self._closed_since_us is not None and self._has_lasted(self._closed_since_us, t_us):
+            self._transition(t_us, LockEvent.ARRIVED, feedback=True)
 
     def _read_settled(self, t_us: int, reading: DriverReading) -> None:
         target = self._target
@@ -285,15 +285,15 @@ class LockStateMachine:
             fault = "the controller lost the pulse"
         elif not self._pulse_is_expected(reading):
             fault = f"the controller puts out {reading.pulse_us:.0f} us"
-        if self._wrong_for(t_us, bool(fault)):
-            self._go(t_us, LockEvent.DISPLACED, reason=self._fault_reason(fault, reading))
+        if self._fault_has_lasted(t_us, bool(fault)):
+            self._transition(t_us, LockEvent.DISPLACED, reason=self._fault_reason(fault, reading))
 
-    def _wrong_for(self, t_us: int, wrong: bool) -> bool:
+    def _fault_has_lasted(self, t_us: int, wrong: bool) -> bool:
         """Return whether a fault has lasted for the debounce time."""
-        self._wrong_since_us = _since(self._wrong_since_us, t_us) if wrong else None
-        return self._wrong_since_us is not None and self._lasted(self._wrong_since_us, t_us)
+        self._wrong_since_us = _run_start(self._wrong_since_us, t_us) if wrong else None
+        return self._wrong_since_us is not None and self._has_lasted(self._wrong_since_us, t_us)
 
-    def _lasted(self, since_us: int, t_us: int) -> bool:
+    def _has_lasted(self, since_us: int, t_us: int) -> bool:
         return t_us - since_us >= self.config.debounce_s * 1e6
 
     def _pulse_is_expected(self, reading: DriverReading) -> bool:
@@ -354,9 +354,9 @@ class LockStateMachine:
         self._begun_us = t_us
         self._sent_us = None
         self._closed_since_us = None
-        self._go(t_us, event, commanded_us=commanded_us, reason=reason)
+        self._transition(t_us, event, commanded_us=commanded_us, reason=reason)
 
-    def _go(
+    def _transition(
         self,
         t_us: int,
         event: LockEvent,

@@ -157,19 +157,19 @@ class Constraints:
         walls = self.walls if walls is None else walls
         obstacles = [wall for wall in walls if target is None or wall.name != target.name]
         for wall in obstacles:
-            bad |= _touches(wall, w)
+            bad |= _touches_wall(wall, w)
         posts = [post for post in self._posts if target is None or post.name != target.name]
         for post in posts:
-            bad |= _meets(post, self._corner_m, w)
+            bad |= _hits_post(post, self._corner_m, w)
         bad &= np.arange(w.times.size) < until[:, None]
         codes = np.zeros(until.size, dtype=np.int8)
         rows = np.flatnonzero(bad.any(axis=1))
         if rows.size:  # few, so only these are examined closely
             part = GridWindow(w.times, *(v[rows] for v in (w.x, w.y, w.vx, w.vy)))
-            codes[rows] = self._why(part, until[rows], obstacles, posts, begins)
+            codes[rows] = self._classify(part, until[rows], obstacles, posts, begins)
         return codes
 
-    def _why(
+    def _classify(
         self, w: GridWindow, until: NDArray[np.intp], obstacles: list[Wall], posts: list[Post], begins: bool
     ) -> Codes:
         """Return the code of the broken rule, or 0, for each candidate."""
@@ -177,7 +177,7 @@ class Constraints:
         alive = np.arange(w.times.size) < until[:, None]
         over = w.vx * w.vx + w.vy * w.vy > self.limits.speed_m_s**2
         self.mark(codes, (over & alive).any(axis=1), Refusal.SPEED)
-        self.mark(codes, (self._leaves(w) & alive).any(axis=1), Refusal.BOUNDS)
+        self.mark(codes, (self._leaves_bounds(w) & alive).any(axis=1), Refusal.BOUNDS)
         if begins:
             alive[:, 0] = False
         for wall in obstacles:
@@ -186,13 +186,13 @@ class Constraints:
             place = (w.x, w.y)
             # A place behind a wall is not inside it: only a passage through the front counts.
             before = wall.end_distance_m(place) >= -end_margin_m(wall, place)
-            touched = _touches(wall, w) & before & (depth > -_THICK_M)
+            touched = _touches_wall(wall, w) & before & (depth > -_THICK_M)
             self.mark(codes, (touched & alive).any(axis=1), Refusal.OBSTACLE)
         for post in posts:
-            self.mark(codes, (_meets(post, self._corner_m, w) & alive).any(axis=1), Refusal.OBSTACLE)
+            self.mark(codes, (_hits_post(post, self._corner_m, w) & alive).any(axis=1), Refusal.OBSTACLE)
         return codes
 
-    def _leaves(self, w: GridWindow) -> NDArray[np.bool_]:
+    def _leaves_bounds(self, w: GridWindow) -> NDArray[np.bool_]:
         """Return where the bounds are left, now or before stopping; a wall ahead stops earlier (guard)."""
         share = stop_share(self.walls, (w.x, w.y), (w.vx, w.vy))
         leaves = _outside(self.bounds.x, w.x, share * w.vx)
@@ -281,7 +281,7 @@ def _outside(limits: tuple[float, float], x: NDArray[Any], v: NDArray[Any]) -> N
     return outside
 
 
-def _touches(wall: Wall, w: GridWindow) -> NDArray[np.bool_]:
+def _touches_wall(wall: Wall, w: GridWindow) -> NDArray[np.bool_]:
     """Return whether the plane of a wall is behind the vehicle, or will be within `_TOUCH_S`."""
     (nx, ny), (px, py) = wall.normal, wall.point
     soon, offset = np.float32(_TOUCH_S), np.float32(nx * px + ny * py)
@@ -296,7 +296,7 @@ def _touches(wall: Wall, w: GridWindow) -> NDArray[np.bool_]:
     return touches
 
 
-def _meets(post: Post, corner_m: float, w: GridWindow) -> NDArray[np.bool_]:
+def _hits_post(post: Post, corner_m: float, w: GridWindow) -> NDArray[np.bool_]:
     """Return whether the vehicle approaches a post too closely, with any heading; departures are free.
 
     Between two grid points the flight is taken as straight, because they may be far apart compared with the

@@ -137,7 +137,7 @@ def flights_with(mission: Mission, draws: Sequence[UncertaintyDraw | None]) -> l
     for group in _groups(mission.collisions):
         if group[0].trajectory is not None:
             for planned in found:
-                _follow_written(planned, mission, group)
+                _add_written(planned, mission, group)
             continue
         flight, begin, all_arrivals = _fly(mission, group, draws)
         impact = group[0].impact_point
@@ -148,11 +148,11 @@ def flights_with(mission: Mission, draws: Sequence[UncertaintyDraw | None]) -> l
         for planned, arrivals in zip(found, all_arrivals, strict=True):
             planned.approaches[group[0].index] = line
             if arrivals is not None and mission.standoff_m is None:
-                _follow(planned, group, flight, arrivals, last)
+                _add_prediction(planned, group, flight, arrivals, last)
     return found
 
 
-def _follow(
+def _add_prediction(
     planned: PredictedFlight, group: Sequence[Collision], flight: FreeFlight, arrivals: Arrivals, last: bool
 ) -> None:
     """Add the prediction that follows from one approach; `last`: the goal is next."""
@@ -172,7 +172,7 @@ def _follow(
         planned.goal_miss_m = float(arrivals.miss_m[0])
 
 
-def _follow_written(planned: PredictedFlight, mission: Mission, group: Sequence[Collision]) -> None:
+def _add_written(planned: PredictedFlight, mission: Mission, group: Sequence[Collision]) -> None:
     """Add impacts and trajectories as the mission specifies them."""
     first = group[0]
     assert first.trajectory is not None

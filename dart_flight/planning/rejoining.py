@@ -82,8 +82,8 @@ class RejoiningTrajectories(NamedTuple):
             before = first < settled - 0.5 * _SAME_S
             more, at_s = (self.added, 0.0) if before else (self.kept, settled_s)
             for axis, written in enumerate((planned.x, planned.y)):
-                shape = _moved(written[6 * i : 6 * i + 6], since)
-                added = _moved(tuple(more[axis, row]), slower * (first - begin) - at_s)
+                shape = _shift_polynomial(written[6 * i : 6 * i + 6], since)
+                added = _shift_polynomial(tuple(more[axis, row]), slower * (first - begin) - at_s)
                 slowed = [c / slower**k for k, c in enumerate(shape)]
                 axes[axis].extend(float(c + d) for c, d in zip(slowed, added, strict=True))
             pieces.append(slower * (last - first))
@@ -157,7 +157,7 @@ def _derivative(coefficients: Array, times: Array, order: int, per_time: bool = 
     return value
 
 
-def _moved(coefficients: tuple[float, ...], by: float) -> list[float]:
+def _shift_polynomial(coefficients: tuple[float, ...], by: float) -> list[float]:
     """Return a polynomial's coefficients about another time."""
     return [
         sum(math.comb(n, k) * coefficients[n] * by ** (n - k) for n in range(k, len(coefficients)))

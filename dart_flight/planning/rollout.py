@@ -124,25 +124,29 @@ class _Released(NamedTuple):
         return _Released._make((*(v[rows] for v in self[:5]), self.leg.take(rows), hits))
 
 
-def _merged(fronts: list[_Released]) -> _Released:
+def _merge(fronts: list[_Released]) -> _Released:
     """Merge the candidates of several fronts at the same wall."""
     if len(fronts) == 1:
         return fronts[0]
     hits = tuple(
         Hits._make(
-            (same[0].wall, *_joined([hit[1:-1] for hit in same]), _joined_legs([hit.leg for hit in same]))
+            (
+                same[0].wall,
+                *_concatenate([hit[1:-1] for hit in same]),
+                _concatenate_legs([hit.leg for hit in same]),
+            )
         )
         for same in zip(*(front.hits for front in fronts), strict=True)
     )
-    legs = _joined_legs([front.leg for front in fronts])
-    return _Released._make((*_joined([front[:5] for front in fronts]), legs, hits))
+    legs = _concatenate_legs([front.leg for front in fronts])
+    return _Released._make((*_concatenate([front[:5] for front in fronts]), legs, hits))
 
 
-def _joined(columns: list[Any]) -> list[Any]:
+def _concatenate(columns: list[Any]) -> list[Any]:
     return [np.concatenate(same) for same in zip(*columns, strict=True)]
 
 
-def _joined_legs(legs: list[SetpointResponse]) -> SetpointResponse:
+def _concatenate_legs(legs: list[SetpointResponse]) -> SetpointResponse:
     return SetpointResponse(*(np.concatenate(same, axis=-1) for same in zip(*legs, strict=True)))
 
 
@@ -234,8 +238,8 @@ class Rollout:
         fronts = [front for front in firsts if front is not None]
         for number, wall in enumerate(self.walls[1:], start=2):
             if fronts:
-                fronts = self._next(stages, _merged(fronts), wall, number)
-        return self._arrive(_merged(fronts)) if fronts else []
+                fronts = self._next(stages, _merge(fronts), wall, number)
+        return self._arrive(_merge(fronts)) if fronts else []
 
     def _weight(self, collision: int) -> int:
         """Return the number of candidates per approach once the first `collision` modes are fixed."""

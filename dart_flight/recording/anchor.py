@@ -15,7 +15,7 @@ class MissionFrameReader:
     Attributes:
         frame: the mission frame in local NED, or None before the mission leaves `READYING` at its take-off
             point. It is anchored again at arming if the estimate has moved, and moved by contacts if the
-            mission says so.
+            mission is anchored by touch.
     """
 
     def __init__(self, mission: Mission) -> None:

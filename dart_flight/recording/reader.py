@@ -168,12 +168,12 @@ def read_entries(
         EndOfFile: the log is cut off here, or still grows.
         DamagedLogError: the log is damaged here.
     """
-    with _as_damage():
+    with _convert_damage():
         yield from _read_entries(stream, about, end, topics, source, begun)
 
 
 @contextlib.contextmanager
-def _as_damage() -> Iterator[None]:
+def _convert_damage() -> Iterator[None]:
     """Convert the libraries' exceptions for damaged bytes to `DamagedLogError`."""
     try:
         yield

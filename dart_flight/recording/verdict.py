@@ -207,7 +207,7 @@ class VerdictBuilder:
         self._true_modes: set[Mode] = set()
         anchor, walls = self._anchor.take, self._walls.take
         # By kind: most records are irrelevant here, and one look-up skips them.
-        self.takers = _joined(
+        self.takers = _merge_handlers(
             {OdometrySample: anchor, PhaseChange: anchor, FrameAnchor: anchor},
             {WallEstimate: walls, TruthContact: walls, FrameAnchor: walls},
             self._impacts.takers,
@@ -359,7 +359,7 @@ class VerdictBuilder:
         return len(self._true_modes) == len(Mode)
 
 
-def _joined(*parts: Mapping[type, Callable[[Any], None]]) -> dict[type, Callable[[Any], None]]:
+def _merge_handlers(*parts: Mapping[type, Callable[[Any], None]]) -> dict[type, Callable[[Any], None]]:
     """Return for each kind of record one function that calls the handlers of all parts, in order."""
     by_kind: dict[type, list[Callable[[Any], None]]] = {}
     for part in parts:

@@ -42,6 +42,7 @@ from dart_flight.core.sense.detector import ExpectedContact
 from dart_flight.core.sense.senses import Senses
 from dart_flight.lock.state_machine import status_text
 from dart_flight.recording.follow import LogFollower
+from dart_flight.vehicle import messages
 from dart_flight.vehicle.clock import host_us
 from dart_flight.vehicle.motion_capture.bridge import forwarding
 from dart_flight.vehicle.motion_capture.pose_statistics import PoseFigures, PoseStatistics
@@ -54,6 +55,7 @@ _STREAM_OF = {
     ActuatorSample: "actuator",
 }
 _RATE_WINDOW_S = 1.0
+_HEARTBEAT_S = 2.0  # longest wait; one comes each second
 _WORK_S = 0.05  # nobody sees more pictures a second; a log's writer hands over as often
 _INPUTS = get_args(Input)
 
@@ -269,6 +271,14 @@ async def _raise_rates(watcher: TelemetryMonitor, session: VehicleSession) -> No
     await session.set_rates(slow, watching=True)
 
 
+async def _may_forward(watcher: TelemetryMonitor, session: VehicleSession) -> bool:
+    """Whether to forward poses: another program forwards already if the vehicle is armed."""
+    if watcher.mocap.url is None:
+        return False
+    beat = await asyncio.to_thread(session.next, messages.HEARTBEAT, _HEARTBEAT_S)
+    return beat is None or not beat.armed
+
+
 async def monitor_vehicle(
     watcher: TelemetryMonitor,
     url: str,
@@ -294,7 +304,10 @@ async def monitor_vehicle(
         shown_s = time.monotonic()
         poses = contextlib.ExitStack()
         try:
-            poses.enter_context(forwarding(watcher.mocap, session.send_message, session.clock, watcher.take))
+            if await _may_forward(watcher, session):
+                poses.enter_context(
+                    forwarding(watcher.mocap, session.send_message, session.clock, watcher.take)
+                )
             while end is None or time.monotonic() < end:
                 await asyncio.sleep(_WORK_S)
                 watcher.work()

@@ -97,14 +97,14 @@ class StandbyState(NamedTuple):
         missions: their names, in the order of their numbers.
         has_lock: whether the vehicle has a lock.
         travelling: mode to which the lock travels, None while it rests.
-        armed: whether the motors may turn.
+        armed: whether the motors may turn, None before PX4's first heartbeat.
         remote_control: whether PX4 receives the remote control.
     """
 
     missions: Sequence[str]
     has_lock: bool = True
     travelling: Mode | None = None
-    armed: bool = False
+    armed: bool | None = None
     remote_control: bool = False
 
 
@@ -129,8 +129,8 @@ class StandbyButtons:
         count, number = len(state.missions), press.value
         if number not in range(1, count + 1) and not (button is Button.CHECK and number == 0):
             return _denied(f"there is no mission {number}: 1 to {count}")
-        if state.armed:
-            return _denied("the vehicle is armed")
+        if state.armed is not False:
+            return _denied("the vehicle is armed" if state.armed else "PX4 has sent no heartbeat yet")
         if button is Button.CHECK:
             chosen = (number,) if number else tuple(range(1, count + 1))
             return Reply(Result.ACCEPTED, "checking", Errand(False, chosen))

@@ -63,28 +63,29 @@ class StandbyDesk:
     """
 
     def __init__(self, missions: Sequence[str], rc_channel: int | None, has_lock: bool) -> None:
-        self._state = StandbyState(tuple(missions), has_lock)
-        self._channel = rc_channel
-        self._buttons, self._switch = StandbyButtons(), RcSwitch()
-        self._radio_s = -math.inf  # when PX4 last said that it has a remote control
+        self._missions, self._has_lock, self._channel = tuple(missions), has_lock, rc_channel
+        self.take_link()
 
     def take_link(self) -> None:
-        """Begin afresh: the switch may have moved while another process had the link."""
-        self._buttons, self._switch, self._radio_s = StandbyButtons(), RcSwitch(), -math.inf
+        """Begin afresh: everything may have changed while another process had the link."""
+        self._buttons, self._switch = StandbyButtons(), RcSwitch()
+        self._radio_s = -math.inf  # when PX4 last said that it has a remote control
+        self._armed: bool | None = None
+        self._travelling: Mode | None = None
 
     def press(self, press: Press, now_s: float) -> Reply:
         """Return the answer to a button."""
         radio = now_s - self._radio_s <= _RADIO_S
-        return self._buttons.reply(press, self._state._replace(remote_control=radio), now_s)
+        state = StandbyState(self._missions, self._has_lock, self._travelling, self._armed, radio)
+        return self._buttons.reply(press, state, now_s)
 
     def take_lock(self, state: LockState) -> None:
         """Note the lock's state."""
-        travels = state.phase is LockPhase.TRAVELLING
-        self._state = self._state._replace(travelling=state.mode if travels else None)
+        self._travelling = state.mode if state.phase is LockPhase.TRAVELLING else None
 
     def take_armed(self, armed: bool) -> None:
         """Note whether the motors may turn."""
-        self._state = self._state._replace(armed=armed)
+        self._armed = armed
 
     def take_sensors(self, present: int, now_s: float) -> None:
         """Note the sensors that PX4 has: with a valid remote control its receiver is one of them."""
@@ -176,7 +177,7 @@ class Standby:
                         self._say("problem", f"{problem}; trying again")
                     await self._rest(_RETRY_S)
                 errand, self._errand = self._errand, None
-                if errand is not None:
+                if errand is not None and not self._stops:
                     await self._run_errand(errand)
         finally:
             alive.cancel()

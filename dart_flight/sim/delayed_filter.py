@@ -101,7 +101,7 @@ class DelayedFilter:
             self._of.ok = False
         self._of.rate = rate_frd
         f = subtract(specific_force_frd, self._accelerometer_bias)
-        self._of.position, self._of.velocity, self._of.q = _moved(
+        self._of.position, self._of.velocity, self._of.q = _integrate(
             self._of.position, self._of.velocity, self._of.q, f, add(rate_frd, self._turn), dt_s
         )
         self._ticks.append((specific_force_frd, rate_frd))
@@ -136,7 +136,9 @@ class DelayedFilter:
     def _step(self, t_s: float, specific_force_frd: Vec3, rate_frd: Vec3) -> None:
         f = subtract(specific_force_frd, self._accelerometer_bias)
         self._strongest_m_s2 = max(norm(f), self._strongest_m_s2 * (1.0 - _STEP_S / _BIAS_MEMORY_S))
-        self._at_p, self._at_v, self._at_q = _moved(self._at_p, self._at_v, self._at_q, f, rate_frd, _STEP_S)
+        self._at_p, self._at_v, self._at_q = _integrate(
+            self._at_p, self._at_v, self._at_q, f, rate_frd, _STEP_S
+        )
         self._grow(f)
         pose = None
         while self._poses and self._poses[0][0] <= t_s:
@@ -219,7 +221,7 @@ class DelayedFilter:
         self._of.position, self._of.velocity = add(self._of.position, by_p), add(self._of.velocity, by_v)
 
 
-def _moved(
+def _integrate(
     p: Vec3, v: Vec3, q: Quaternion, f: Vec3, rate: Vec3, dt_s: float
 ) -> tuple[Vec3, Vec3, Quaternion]:
     """Return position, velocity and attitude after `dt_s` of specific force and rate, FRD."""

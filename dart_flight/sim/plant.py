@@ -290,10 +290,10 @@ class Plant:
             self._folded = self._fold()
         else:
             self._folded = None
-            contact = self._stand(pushed) if near_ground else self._fly(pushed)
-            self._turn(torque)
+            contact = self._move_on_ground(pushed) if near_ground else self._move_freely(pushed)
+            self._rotate_body(torque)
         self.time_s += STEP_S
-        sx, sy = self._shake(contact)
+        sx, sy = self._arm_vibration(contact)
         return (pushed[0] + contact[0] + sx, pushed[1] + contact[1] + sy, pushed[2] + contact[2])
 
     def _motors(self, commands: Sequence[float]) -> tuple[float, Vec3]:
@@ -327,16 +327,16 @@ class Plant:
         x, y, z = frame.vector_from_ned((v[0] - w[0], v[1] - w[1], v[2] - w[2]))
         return frame.vector_to_ned((-bx * x, -by * y, -bz * z))
 
-    def _turn(self, torque: Vec3) -> None:
+    def _rotate_body(self, torque: Vec3) -> None:
         ix, iy, iz = self._inertia
         p, q, r = self.rate
         if self.on_ground:
-            torque = self._legs(torque)
+            torque = self._landing_gear_torque(torque)
         roll, pitch, yaw = subtract(torque, gyroscopic_torque(self._inertia, self.rate))
         self.rate = (p + STEP_S * roll / ix, q + STEP_S * pitch / iy, r + STEP_S * yaw / iz)
         self.q = quaternion_normalise(advance_attitude(self.q, self.rate, STEP_S))
 
-    def _legs(self, torque: Vec3) -> Vec3:
+    def _landing_gear_torque(self, torque: Vec3) -> Vec3:
         """Add the torque of the landing gear, which levels a resting vehicle and stops its rotation."""
         down = rotate_back(self.q, (0.0, 0.0, 1.0))
         k, c = 3.0, 0.3  # N m/rad and N m s/rad: stiff and well damped for 0.0125 kg m2
@@ -416,15 +416,15 @@ class Plant:
         g = 0.5 * h
         before = self.velocity
         if near_ground and self.on_ground:
-            torque = self._legs(torque)
+            torque = self._landing_gear_torque(torque)
         self.on_ground = False
         p, v, q, w = self.position, self.velocity, self.q, self.rate
-        a, b, touches = self._touching(p, v, q, w, free, torque, obstacles, near_ground)
+        a, b, touches = self._contact_accelerations(p, v, q, w, free, torque, obstacles, near_ground)
         for i in range(steps):
             mid_p = (p[0] + g * v[0], p[1] + g * v[1], p[2] + g * v[2])
             mid_v = (v[0] + g * a[0], v[1] + g * a[1], v[2] + g * a[2])
             mid_w = (w[0] + g * b[0], w[1] + g * b[1], w[2] + g * b[2])
-            a, b, _ = self._touching(
+            a, b, _ = self._contact_accelerations(
                 mid_p, mid_v, advance_attitude(q, w, g), mid_w, free, torque, obstacles, near_ground
             )
             v_before = v
@@ -433,7 +433,7 @@ class Plant:
             self.rate = w = (w[0] + h * b[0], w[1] + h * b[1], w[2] + h * b[2])
             self.q = q = quaternion_normalise(advance_attitude(q, mid_w, h))
             # Forces at the end of this step and the beginning of the next.
-            a, b, touches = self._touching(p, v, q, w, free, torque, obstacles, near_ground)
+            a, b, touches = self._contact_accelerations(p, v, q, w, free, torque, obstacles, near_ground)
             for (obstacle, c), one in zip(obstacles, touches, strict=True):
                 self._note_contact(obstacle, c, one, self.time_s + i * h, v_before)
         return (
@@ -464,15 +464,15 @@ class Plant:
         """Return the share of a guard's penetration by which its arm yields at an incidence in radians."""
         if abs(incidence) >= math.radians(self.vehicle.airframe.incidence_rigid_deg):
             return 0.0
-        return self.body.fold_share * self._freedom()
+        return self.body.fold_share * self._arm_freedom()
 
-    def _freedom(self) -> float:
+    def _arm_freedom(self) -> float:
         """Return 1 for unlocked arms, 0 for locked ones, and a value between for half-engaged rods."""
         if self.mode is Mode.FLEXIBLE:
             return 1.0
         return _HALF_ENGAGED if self._half_engaged else 0.0
 
-    def _touching(
+    def _contact_accelerations(
         self,
         p: Vec3,
         v: Vec3,
@@ -505,7 +505,7 @@ class Plant:
         roll, pitch, yaw = subtract(add(torque, turned), gyroscopic_torque(self._inertia, w))
         return acceleration, (roll / ix, pitch / iy, yaw / iz), touches
 
-    def _stand(self, pushed: Vec3) -> Vec3:
+    def _move_on_ground(self, pushed: Vec3) -> Vec3:
         """Move the centre of mass near the ground only; return the mean acceleration by the ground, NED."""
         self.contact_force_ned = self.contact_torque_frd = _NO_FORCE
         free = (pushed[0], pushed[1], pushed[2] + GRAVITY_M_S2)
@@ -514,10 +514,10 @@ class Plant:
         before = self.velocity
         for _ in range(_GROUND_STEPS):
             p, v = self.position, self.velocity
-            a = self._pushed_up(p, v, free)
+            a = self._ground_acceleration(p, v, free)
             mid_p = (p[0] + g * v[0], p[1] + g * v[1], p[2] + g * v[2])
             mid_v = (v[0] + g * a[0], v[1] + g * a[1], v[2] + g * a[2])
-            a = self._pushed_up(mid_p, mid_v, free)
+            a = self._ground_acceleration(mid_p, mid_v, free)
             self.position = (p[0] + h * mid_v[0], p[1] + h * mid_v[1], p[2] + h * mid_v[2])
             self.velocity = (v[0] + h * a[0], v[1] + h * a[1], v[2] + h * a[2])
         v = self.velocity
@@ -527,12 +527,12 @@ class Plant:
             (v[2] - before[2]) / STEP_S - free[2],
         )
 
-    def _pushed_up(self, p: Vec3, v: Vec3, free: Vec3) -> Vec3:
+    def _ground_acceleration(self, p: Vec3, v: Vec3, free: Vec3) -> Vec3:
         x, y, z = self._ground_force(p, v)
         m = self.mass
         return (free[0] + x / m, free[1] + y / m, free[2] + z / m)
 
-    def _fly(self, pushed: Vec3) -> Vec3:
+    def _move_freely(self, pushed: Vec3) -> Vec3:
         """Move the centre of mass without contact; return no acceleration by contact."""
         self.on_ground = False
         self.contact_force_ned = self.contact_torque_frd = _NO_FORCE
@@ -688,7 +688,7 @@ class Plant:
             )
         )
 
-    def _shake(self, contact: Vec3) -> Vec2:
+    def _arm_vibration(self, contact: Vec3) -> Vec2:
         """Return the acceleration of the body about the common centre of mass by the arms' vibration, NED.
 
         The vibration is an internal motion: it moves the IMU, not the centre of mass, so the truth follows
@@ -696,7 +696,7 @@ class Plant:
         body is at -s q from the centre of mass. A contact drives q'' = -w^2 q - 2 zeta w q' - a, and the IMU
         measures -s q''.
         """
-        freedom = self._freedom() if self._arm_share else 0.0
+        freedom = self._arm_freedom() if self._arm_share else 0.0
         if freedom == 0.0:
             self._arm = _AT_REST
             return (0.0, 0.0)

@@ -35,6 +35,8 @@ from dart_flight.check.telemetry_check import (
 from dart_flight.check.vehicle_check import judge_lock, judge_mode, judge_observation
 from dart_flight.check.wanted_parameters import IMU_POSITION
 from dart_flight.cli import main
+from dart_flight.cli.check_command import show
+from dart_flight.cli.terminal import messages
 from dart_flight.config.document import Document, InputError
 from dart_flight.config.mission import Mission, parse_mission
 from dart_flight.config.mission_file import BoundsSpec, CollisionPrediction
@@ -106,6 +108,22 @@ def test_a_lock_that_cannot_be_in_time_is_a_no_go() -> None:
     ]
     rushed = msgspec.structs.replace(plain, collisions=tuple(with_times))
     assert "servo_2" in no_goes(check_mission(rushed))
+
+
+@pytest.mark.parametrize(
+    ("finding", "points"),
+    [
+        (CheckFinding("NAV_RCL_ACT", False, ""), True),
+        (CheckFinding("EKF2_EV_DELAY", True, "", remark=True), True),
+        (CheckFinding("NAV_RCL_ACT", True, ""), False),
+        (CheckFinding("battery", False, ""), False),
+    ],
+)
+def test_a_parameter_that_differs_points_to_the_command(
+    finding: CheckFinding, points: bool, capsys: pytest.CaptureFixture[str]
+) -> None:
+    show(decide(mission(), [finding]), messages())
+    assert ("dart-flight parameters" in capsys.readouterr().err) is points
 
 
 def test_only_a_no_go_can_be_overruled() -> None:

@@ -1,13 +1,20 @@
-"""`fly` asks before it flies."""
+"""`fly` asks before it flies, and says in JSON why it does not."""
 
 from __future__ import annotations
 
+import argparse
 import io
+import json
 import sys
+from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 
+from dart_flight.check.findings import CheckFinding
+from dart_flight.cli.fly_command import fly_if_go
 from dart_flight.cli.terminal import confirm
+from dart_flight.run.prepare import load_flyable
 
 
 class Terminal(io.StringIO):
@@ -26,3 +33,17 @@ def test_only_a_yes_flies(answer: str, flies: bool, monkeypatch: pytest.MonkeyPa
 def test_without_a_terminal_the_answer_is_no(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "stdin", io.StringIO("y\n"))
     assert not confirm("Fly?")
+
+
+@pytest.mark.parametrize("as_json", [True, False])
+def test_a_no_go_is_an_object_too(as_json: bool, capsys: pytest.CaptureFixture[str]) -> None:
+    mission = load_flyable(Path(__file__).parents[2] / "missions" / "hover.yaml")
+    arguments = argparse.Namespace(json=as_json, overrule=[], yes=True)
+    found = [CheckFinding("battery", False, "12.1 V")]
+    assert fly_if_go(arguments, mission, "udpin://127.0.0.1:1", Mock(), found) is None
+    printed = capsys.readouterr().out
+    if not as_json:
+        assert printed == ""
+        return
+    report = json.loads(printed)
+    assert (report["go"], report["findings"][0]["says"]) == (False, "12.1 V")

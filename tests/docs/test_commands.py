@@ -27,12 +27,14 @@ from tests.shared_flights import LiveFlights, SharedFlights
 
 # What is not run here, and why. What calls dart-flight is still parsed.
 NOT_RUN: list[tuple[str, str]] = [
-    (r"^(sudo|journalctl) ", "needs root and systemd"),
+    (r"^(sudo|journalctl) |> /srv/", "needs root and systemd"),
+    (r"^dart-flight standby", "waits for a ground station"),
     (r"^make ", "sets up a virtual environment of its own"),
     (r"--px4", "needs a PX4 build"),
     (r"--scheduler tcp://host|^dask ", "needs a Dask scheduler"),
     (
         r"--connection serial:|^dart-flight (calibrate airframe --connection|monitor|mocap)|"
+        r"^dart-flight (parameters|px4-log)|"
         r"^dart-flight fly missions/\S+( --standoff \S+)?$",
         "needs the vehicle",
     ),

@@ -26,6 +26,7 @@ class OperatorStation:
     Attributes:
         texts: the program's STATUSTEXTs, whole.
         beats: number of the program's heartbeats.
+        poses: number of poses that the program sent to the vehicle.
         armed: whether the vehicle's motors may turn.
     """
 
@@ -40,7 +41,7 @@ class OperatorStation:
         self._answers: list[int] = []
         self._parts: dict[int, str] = {}
         self.texts: list[str] = []
-        self.beats = self._systems = 0
+        self.beats = self.poses = 0
         self._vehicle_system, self.armed = 1, False
         self._transmits = False
         self._stop = threading.Event()
@@ -144,6 +145,8 @@ class OperatorStation:
             return
         if kind == "HEARTBEAT":
             self.beats += 1
+        elif kind == "ODOMETRY":
+            self.poses += 1
         elif kind == "COMMAND_ACK" and message.command == _BUTTONS:
             if message.target_system == self._mav.srcSystem:
                 self._answers.append(message.result)

@@ -39,7 +39,8 @@ def test_every_packaged_parameter_has_its_reason(path: Path) -> None:
 def test_all_packaged_files_are_used() -> None:
     used = {path.name for source in PositionSource for path in parameter_files(source)}
     assert hitl_parameters() == load_parameters(packaged("configs", "px4", "hitl.params"))
-    assert used | {"hitl.params"} == {path.name for path in FILES}
+    # What `parameters --restore` writes beside those: of the link, and for the table.
+    assert used | {"hitl.params", "link.params"} == {path.name for path in FILES}
 
 
 def test_a_vehicle_gets_nothing_of_the_simulations() -> None:

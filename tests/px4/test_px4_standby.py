@@ -57,6 +57,7 @@ def test_every_button_in_standby_and_in_a_flight(px4_dir: Path, tmp_path: Path) 
         with standing_by(tmp_path, url, "one.yaml", "--driver", "px4"):
             station.wait_for("standby", timeout_s=120.0)
             station.wait_for_program()
+            time.sleep(2.0)  # until standby has heard PX4's heartbeat
             assert station.press(Button.FLY, 1) == NO
             station.wait_for("denied: PX4 receives no remote control")
             assert [station.press(b) for b in (Button.CONTINUE, Button.LAND)] == [NO, NO]

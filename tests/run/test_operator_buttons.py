@@ -22,7 +22,7 @@ from dart_flight.vehicle.command_server import Press, Result
 
 OK, LATER, NO = Result.ACCEPTED, Result.TEMPORARILY_REJECTED, Result.DENIED
 MISSIONS = ("wall", "square", "hairpin")
-READY = StandbyState(MISSIONS, remote_control=True)
+READY = StandbyState(MISSIONS, armed=False, remote_control=True)
 
 
 # --- in flight ---------------------------------------------------------------------------------------------
@@ -80,6 +80,7 @@ def test_no_button_ever_releases_the_vehicle(button: int, value: int, phase: Pha
         (Press(5, 4), READY, NO, None),
         (Press(5), READY._replace(remote_control=False), OK, Errand(False, (1, 2, 3))),
         (Press(5), READY._replace(armed=True), NO, None),
+        (Press(6, 1), READY._replace(armed=None), NO, None),
         (Press(5), StandbyState(()), NO, None),
         (Press(6, 1), READY, OK, None),  # the first press asks
         (Press(6, 0), READY, NO, None),

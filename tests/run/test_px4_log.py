@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from mavsdk.plugins.log_files import Entry
 
 from dart_flight.base.errors import FlightError
-from dart_flight.cli import main
+from dart_flight.cli import fly_command, main
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import load_mission
 from dart_flight.config.vehicle import packaged
@@ -184,3 +184,47 @@ def test_logs_beside_flights(tmp_path: Path) -> None:
     assert px4_logs_in([other]) == [other]
     with pytest.raises(InputError, match="px4-log"):
         px4_logs_in([tmp_path])
+
+
+# --- after a flight -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "error",
+    [KeyboardInterrupt(), DownloadError("no data for 15 s"), InputError("in use", source="udpin://x")],
+)
+def test_a_failed_download_costs_two_lines_and_not_the_flight(
+    error: BaseException,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    def fail(*arguments: object, **options: object) -> Path:
+        raise error
+
+    monkeypatch.setattr(fly_command, "download_px4_log", fail)
+    shutil.copy(FLIGHT, tmp_path / "flight.mcap")
+    mission = load_mission(packaged("missions", "paper_single_wall.yaml"))
+    assert fly_command._downloaded(mission, "udpin://x", tmp_path / "flight.mcap", None) is None
+    said = capsys.readouterr().err.splitlines()
+    assert len(said) == 2
+    assert said[1] == f"later: dart-flight px4-log {tmp_path}"
+
+
+def test_what_was_downloaded_is_in_the_verdict_s_form(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[object] = []
+
+    def fetch(url: str, timeout_s: float, folder: Path, armed: object, *, before: object) -> Path:
+        asked.extend((folder, armed, before))
+        return folder / "px4.ulg"
+
+    monkeypatch.setattr(fly_command, "download_px4_log", fetch)
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "one").mkdir()
+    shutil.copy(FLIGHT, tmp_path / "one" / "flight.mcap")
+    mission = load_mission(packaged("missions", "paper_single_wall.yaml"))
+    before = [log(0, None)]
+    assert fly_command._downloaded(mission, "udpin://x", Path("one/flight.mcap"), before) == "one/px4.ulg"
+    assert asked == [Path("one"), armed_span(read_log(FLIGHT)), before]

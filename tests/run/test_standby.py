@@ -29,7 +29,9 @@ CENTRED = (1500,) * 8
 
 
 def desk(channel: int | None = 7) -> StandbyDesk:
-    return StandbyDesk(("one", "two"), channel, has_lock=True)
+    standby = StandbyDesk(("one", "two"), channel, has_lock=True)
+    standby.take_armed(False)
+    return standby
 
 
 # --- the desk ----------------------------------------------------------------------------------------------
@@ -61,7 +63,9 @@ def test_the_link_back_in_hand_everything_begins_afresh() -> None:
     standby.take_sensors(RECEIVER, 10.0)
     standby.press(FLY, 10.1)
     standby.take_link()
-    assert standby.press(FLY, 10.4).result == NO, "of the remote control nothing is known yet"
+    assert standby.press(FLY, 10.2).text == "PX4 has sent no heartbeat yet"
+    standby.take_armed(False)
+    assert standby.press(FLY, 10.4).text == "PX4 receives no remote control"
     standby.take_sensors(RECEIVER, 10.5)
     assert standby.press(FLY, 10.6).effect is None, "a press before it counts no more"
 

@@ -6,6 +6,7 @@ import contextlib
 import json
 import os
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -89,9 +90,11 @@ class Laboratory:
 
 
 @pytest.fixture
-def laboratory(tmp_path: Path) -> Iterator[Laboratory]:
+def laboratory(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Laboratory]:
     config = patient((ROOT / "configs" / "dart.yaml").read_text())
     config = config.replace("rc_channel: null", f"rc_channel: {CHANNEL}")
+    if (poses := getattr(request, "param", None)) is not None:
+        config = config.replace("\nmocap:", f"\nmocap:\n  url: udp://127.0.0.1:{poses}/dart", 1)
     (tmp_path / "dart.yaml").write_text(config)
     for name, x in (("one", 0.0), ("two", 0.0), ("three", 1.5)):
         (tmp_path / f"{name}.yaml").write_text(MISSION.format(name=name, x=x))
@@ -131,7 +134,7 @@ def test_a_day(laboratory: Laboratory) -> None:
     assert station.press(Button.FLY, 9) == NO
     laboratory.fly(3)
     station.wait_for("three: no-go", timeout_s=120.0)
-    station.wait_for("place: vehicle at ")
+    station.wait_for("place: vehicle is 1.50 m from start")
     laboratory.is_standing_by(3)
     # Three flights, and one whose process is killed between them.
     laboratory.fly(1)
@@ -165,3 +168,19 @@ def test_to_end_standby_lands_its_flight(laboratory: Laboratory) -> None:
     assert laboratory.standby.wait(60.0) == 0
     (end,) = (line for line in laboratory.said() if line.startswith("two: aborted"))
     assert "landing requested" in end
+
+
+POSES = free_udp_port()
+
+
+@pytest.mark.parametrize("laboratory", [POSES], indirect=True)
+def test_standby_forwards_motion_capture(laboratory: Laboratory) -> None:
+    laboratory.is_standing_by(1)
+    pose = json.dumps({"position_m": [0.0, 0.0, 0.0], "quaternion_wxyz": [1.0, 0.0, 0.0, 0.0]}).encode()
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as camera:
+        for _ in range(100):
+            camera.sendto(pose, ("127.0.0.1", POSES))
+            time.sleep(0.02)
+            if laboratory.station.poses:
+                break
+    assert laboratory.station.poses, "the vehicle passes them on: so it has them"

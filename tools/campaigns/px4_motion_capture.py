@@ -1,4 +1,6 @@
-"""Flights on forwarded motion-capture poses: systems, latencies, faults (docs/results/motion_capture.md)."""
+"""Campaign: flights on forwarded motion-capture poses, with systems, latencies and faults
+(docs/results/motion_capture.md).
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,7 @@ from dart_flight.sim.px4.launch import ENVIRONMENT
 from tools.campaigns.px4 import spread
 from tools.campaigns.results import markdown
 
-_OWN = "simulator"  # the simulator sends the poses to PX4 by itself
+_OWN = "simulator"  # the simulator itself sends the poses to PX4
 _MISSIONS = ("dual_collision", "shuttle", "survey")
 _TOUCH_M_S = 0.5
 _FAULTS = (
@@ -35,7 +37,7 @@ _FAULTS = (
 
 
 class PoseFlight(msgspec.Struct, frozen=True):
-    """One flight; `rules` are those that the guard applied, in order."""
+    """One flight; `rules` are the guard rules that fired, in order."""
 
     outcome: str
     reason: str
@@ -47,7 +49,7 @@ class PoseFlight(msgspec.Struct, frozen=True):
 
 
 def cases() -> list[dict[str, str]]:
-    """Return the parts: systems and missions, latencies, faults."""
+    """Return the cases of all parts: systems and missions, latencies, faults."""
     systems = (_OWN, "optitrack", "qualisys", "vicon")
     flown = [_case("systems", m, mocap=s) for m in _MISSIONS for s in systems]
     late = [_case("latency", "dual_collision", delay_ms=d) for d in ("5", "20", "50")]
@@ -90,7 +92,7 @@ def fly(point: Point, seed: int) -> PoseFlight:
 
 
 def page(rows: Sequence[JudgedRow]) -> str:
-    """Return a table for each part; median (least to most)."""
+    """Return a table for each part, with median (minimum to maximum)."""
     parts: dict[str, list[JudgedRow]] = {}
     for row in rows:
         parts.setdefault(row.values["part"], []).append(row)

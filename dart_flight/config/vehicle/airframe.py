@@ -206,7 +206,7 @@ class Thrust(Section, frozen=True):
         if curve is not None:
             return [curve.force_n(command) for command in commands]
         points = self._points()
-        return [_between(points, max(0.0, min(1.0, command)), 0) for command in commands]
+        return [_interpolate(points, max(0.0, min(1.0, command)), 0) for command in commands]
 
     def command_for(self, force_n: float) -> float:
         """Return the command, 0 to 1, for a steady thrust; it saturates."""
@@ -218,10 +218,10 @@ class Thrust(Section, frozen=True):
         if curve is not None:
             return [curve.command_for(force) for force in forces_n]
         points, most = self._points(), self.max_thrust_n
-        return [_between(points, max(0.0, min(most, force)), 1) for force in forces_n]
+        return [_interpolate(points, max(0.0, min(most, force)), 1) for force in forces_n]
 
 
-def _between(points: tuple[tuple[float, float], ...], x: float, given: int) -> float:
+def _interpolate(points: tuple[tuple[float, float], ...], x: float, given: int) -> float:
     """Interpolate a rising polyline: return the other coordinate where the coordinate `given` is `x`."""
     i = max(1, bisect_left(points, x, key=itemgetter(given)))
     before, after = points[i - 1], points[i]

@@ -142,14 +142,14 @@ def default_config_path() -> Path:
     last = [path for path in there if path not in bases]
     if len(last) == 1:
         return last[0]
-    if any(not _is_as_packaged(path) for path in last):
+    if any(not _is_unchanged(path) for path in last):
         names = ", ".join(path.name for path in last)
         text = f"contains several vehicles ({names}): choose one by --config or $DART_FLIGHT_CONFIG"
         raise InputError(text, source=str(local.parent))
     return local if local.exists() else packaged("configs", "dart.yaml")
 
 
-def _is_as_packaged(path: Path) -> bool:
+def _is_unchanged(path: Path) -> bool:
     """Return whether a file is an unchanged packaged file or no vehicle configuration at all."""
     try:
         text = read_text(path)
@@ -190,7 +190,7 @@ def load_vehicle(
         document = path
     else:
         document = Document.load(path or default_config_path())
-    document = _with_base(document)
+    document = _merge_base(document)
     apply_settings(settings, document)
     return vehicle_of(document)
 
@@ -248,7 +248,7 @@ def _refuse_unflyable(config: VehicleConfig, document: Document) -> None:
         raise document.error(("airframe", "motors"), text)
 
 
-def _with_base(document: Document, seen: tuple[Path, ...] = ()) -> Document:
+def _merge_base(document: Document, seen: tuple[Path, ...] = ()) -> Document:
     """Return a configuration's document, merged over the file that it extends."""
     if EXTENDS not in document.tree:
         return document
@@ -260,7 +260,7 @@ def _with_base(document: Document, seen: tuple[Path, ...] = ()) -> Document:
     below = path.parent / base
     if below.resolve() in seen:
         raise document.error((EXTENDS,), "a configuration cannot extend itself")
-    merged = _with_base(Document.load(below), seen)
+    merged = _merge_base(Document.load(below), seen)
     for key, value in leaves_of(document.tree):
         node = merged.tree
         for part in key[:-1]:

@@ -61,7 +61,7 @@ class EstimatorResets:
         before, self._odometry = self._odometry, item
         if before is None or not 0 < item.t_us - before.t_us <= _JUMP_REACH_US:
             return 0.0, 0.0
-        away_m = math.dist(item.position_ned, _carried(before, item))
+        away_m = math.dist(item.position_ned, _extrapolate(before, item))
         faster_m_s = math.dist(item.velocity_ned, before.velocity_ned)
         self._steps.append((item.t_us, away_m, faster_m_s))
         if self.newest is not None:
@@ -97,7 +97,7 @@ class EstimatorResets:
             reset.heading_rad = step
 
 
-def _carried(before: OdometrySample, after: OdometrySample) -> Vec3:
+def _extrapolate(before: OdometrySample, after: OdometrySample) -> Vec3:
     """Return the position predicted from the mean of the two velocities."""
     dt = (after.t_us - before.t_us) * 1e-6
     p, v, w = before.position_ned, before.velocity_ned, after.velocity_ned

@@ -131,7 +131,7 @@ class Guard:
                 return events
             if self._watch.mode_change_unexplained:  # a pilot may already fly
                 outputs = [o for o in outputs if not isinstance(o, _COMMANDS)]
-            self._remember(outputs)
+            self._track_outputs(outputs)
             return outputs + events
         kept: list[Output] = [o for o in proposal.outputs if not isinstance(o, _COMMANDS_AND_LOCK)]
         kept += events
@@ -164,7 +164,7 @@ class Guard:
                 if detail is not None:
                     self._fire(rule.name, detail, state, events)
             elif rank == self._rank and rule.explains:
-                self._explain(rule, cause(self._watch), state, events)
+                self._apply_explanation(rule, cause(self._watch), state, events)
             elif rule.noted and self._should_record(rule):
                 detail = cause(self._watch)
                 if detail is not None:
@@ -176,7 +176,9 @@ class Guard:
         again = rule is self._rule or rule.name in self._noted
         return not again and not self._watch.status_unreliable
 
-    def _explain(self, rule: Rule, detail: str | None, state: FlightState, events: list[Output]) -> None:
+    def _apply_explanation(
+        self, rule: Rule, detail: str | None, state: FlightState, events: list[Output]
+    ) -> None:
         """Replace the rule in force by the rule that explains its cause, which then gives the reason."""
         if detail is not None and self._rule is not None and self._rule.name in rule.explains:
             if rule.of_streams:
@@ -222,7 +224,7 @@ class Guard:
         self._since_us = state.now_us
         self._sent_us = None
 
-    def _remember(self, outputs: list[Output]) -> None:
+    def _track_outputs(self, outputs: list[Output]) -> None:
         for one in outputs:
             if isinstance(one, Setpoint):
                 self._yaw_ned = one.yaw_ned_rad
@@ -254,7 +256,7 @@ class Guard:
             # After a jump of the estimate, hold the place of the new estimate.
             jumped = bool(self._watch.estimator.jump) and "estimator_jump" in self._rules
             if self._hold is None or again or jumped or self._has_stopped_elsewhere(state, self._hold):
-                self._hold, self._held_impact = self._clear_of_walls(state), impact
+                self._hold, self._held_impact = self._hold_point(state), impact
             out.append(
                 Setpoint(
                     t_us=item.t_us,
@@ -290,7 +292,7 @@ class Guard:
             return False
         return state.now_us - self._down_us >= DOWN_US
 
-    def _clear_of_walls(self, state: FlightState) -> Vec3:
+    def _hold_point(self, state: FlightState) -> Vec3:
         """Return the present place at the mission's altitude, moved away from walls to the retreat distance.
 
         This applies to the mission's walls, and to an unknown wall that was just touched.

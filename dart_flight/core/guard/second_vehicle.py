@@ -93,10 +93,10 @@ class SecondPositionDetector:
         if here is None or sample.received_us - here.received_us > _REACH_US:
             self._other = None  # the vehicle may be anywhere after a gap
             return
-        if self._belongs(sample, here):
+        if self._is_same_vehicle(sample, here):
             return
         self._other, self.odd_us = here, sample.received_us
-        if other is not None and self._belongs(sample, other):
+        if other is not None and self._is_same_vehicle(sample, other):
             self._turns.append(sample.received_us)
 
     def apart_m(self, now_us: int) -> float | None:
@@ -107,7 +107,7 @@ class SecondPositionDetector:
         assert self._other is not None
         return math.dist(self._here.position_ned, self._other.position_ned)
 
-    def _belongs(self, sample: OdometrySample, before: OdometrySample) -> bool:
+    def _is_same_vehicle(self, sample: OdometrySample, before: OdometrySample) -> bool:
         age_us = sample.received_us - before.received_us
         if age_us > _REACH_US:
             return False

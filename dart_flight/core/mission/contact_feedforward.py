@@ -26,7 +26,7 @@ LONGEST_S: Final = 0.25
 # Share of the lean that would balance a vehicle that does not rotate (docs/results/faster_hits.md).
 _BALANCED: Final = 0.9
 _MOST_LEAN: Final = 0.3  # tangent of the angle
-_AGAINST_PLAN: Final = 1.3  # factor into a wall if the plan leans off it
+_AGAINST_PLAN: Final = 1.3  # factor on a lean into the wall if the plan leans off it
 
 
 def balancing_m_s2(height_m: float | None, out_m: float, planned: Mode | None = None) -> float:

@@ -181,11 +181,11 @@ class Executive:
         if change.action is not None:
             self._send_action(change.action, state, p)
         if change.cue is not None:
-            self._go(change.cue, state, p, change.reason)
+            self._transition(change.cue, state, p, change.reason)
         if change.end is not None:
             p.end = change.end
 
-    def _go(self, cue: PhaseTrigger, state: FlightState, p: Proposal, reason: str = "") -> None:
+    def _transition(self, cue: PhaseTrigger, state: FlightState, p: Proposal, reason: str = "") -> None:
         """Change the phase, and record it."""
         p.outputs.append(self._change_phase(cue, state.now_us, reason or cue.value))
 
@@ -306,17 +306,17 @@ class Executive:
             waypoint = waypoint_now(waypoint, self.progress.walls)
         if waypoint is not None and waypoint.position is None:
             waits = f"waiting for the operator (Enter or SIGUSR1); landing after {waypoint.hold_s:g} s"
-            self._go(PhaseTrigger.NEXT_PAUSE, state, p, waits)
+            self._transition(PhaseTrigger.NEXT_PAUSE, state, p, waits)
         elif waypoint is not None and waypoint.position is not None:
-            self._go(PhaseTrigger.NEXT_WAYPOINT, state, p, waypoint.name)
+            self._transition(PhaseTrigger.NEXT_WAYPOINT, state, p, waypoint.name)
             self.progress.reached_us = None
             course = self.progress.course
             self.progress.course = course.fly_to_waypoint(waypoint.position, self._flying, waypoint.speed_m_s)
         elif self.progress.collision is not None:
-            self._go(cue, state, p)
+            self._transition(cue, state, p)
             self._begin_transit(state, p)
         else:
-            self._go(PhaseTrigger.NEXT_GOAL, state, p)
+            self._transition(PhaseTrigger.NEXT_GOAL, state, p)
             self._fly_to_goal()
 
     def _skip_legs(self, state: FlightState, p: Proposal) -> None:
@@ -370,11 +370,11 @@ class Executive:
         collision = self.progress.collision
         assert collision is not None
         if collision.wall.sought or collision.probe is not None or self.progress.anchors is not None:
-            self._plan_approach_now(collision, state, p)
+            self._replan_approach(collision, state, p)
         begin = self.progress.approaches[collision.index].begin
         self.progress.course = self.progress.course.fly_to(begin[:2], self._flying)
 
-    def _plan_approach_now(self, collision: Collision, state: FlightState, p: Proposal) -> None:
+    def _replan_approach(self, collision: Collision, state: FlightState, p: Proposal) -> None:
         """Plan the approach to a wall in its estimated position; a probe at a fixed place keeps its line."""
         if collision.trajectory is not None:
             return
@@ -392,18 +392,18 @@ class Executive:
 
     def _transit(self, state: FlightState, sensed: Sensed, p: Proposal) -> None:
         if self._has_arrived(state):
-            self._set_off(state, p)
+            self._leave_run_up_point(state, p)
         elif self.progress.is_late(state, self.progress.course.duration_s):
             p.add_finding("transit_timeout", "run-up point not reached")
 
-    def _set_off(self, state: FlightState, p: Proposal) -> None:
+    def _leave_run_up_point(self, state: FlightState, p: Proposal) -> None:
         """Continue at the run-up point: with the lock first, if there is one."""
         collision = self.progress.collision
         assert collision is not None
         if self.mission.vehicle.has_lock:
-            self._go(PhaseTrigger.ARRIVED, state, p)
+            self._transition(PhaseTrigger.ARRIVED, state, p)
         else:
-            self._go(PhaseTrigger.NO_LOCK, state, p)
+            self._transition(PhaseTrigger.NO_LOCK, state, p)
             self._begin_approach(collision)
 
     def _has_arrived(self, state: FlightState) -> bool:
@@ -423,7 +423,7 @@ class Executive:
         assert collision is not None
         lock = self.mission.vehicle.lock
         if self._move_lock(collision.mode, state, p):
-            self._go(PhaseTrigger.MODE_SETTLED, state, p)
+            self._transition(PhaseTrigger.MODE_SETTLED, state, p)
             self._begin_approach(collision)
         elif lock is not None and self.progress.takes_longer_than(lock.timeout_s + 2.0, state):
             p.add_finding(
@@ -462,7 +462,7 @@ class Executive:
         p.outputs.append(ProbeEnd(state.now_us, f"nothing met on the probe for wall {collision.wall.name}"))
         self.progress.course = self.progress.course.hold(state.position)
         self.progress.lock = self.progress.lock.contact_ends(state.now_us)
-        self._go(PhaseTrigger.NOT_MET, state, p)
+        self._transition(PhaseTrigger.NOT_MET, state, p)
         self.progress.index += 1
 
     def _check_contact_due(
@@ -574,7 +574,7 @@ class Executive:
         if passed or timed_out:
             p.outputs.append(GoalPassed(state.now_us, self.progress.least_miss_m, not passed))
             self._head_for_goal(state, miss)
-            self._go(PhaseTrigger.PASSED if passed else PhaseTrigger.TIMED_OUT, state, p)
+            self._transition(PhaseTrigger.PASSED if passed else PhaseTrigger.TIMED_OUT, state, p)
 
     def _head_for_goal(self, state: FlightState, distance_m: float) -> None:
         """Hold the goal; if a step would be faster than a transit, fly a transit."""
@@ -602,4 +602,4 @@ class Executive:
             self.progress.captured_us = state.now_us
         elif state.now_us - self.progress.captured_us >= goal.hold_s * 1e6:
             self.progress.final_error_m = distance
-            self._go(PhaseTrigger.HELD, state, p)
+            self._transition(PhaseTrigger.HELD, state, p)

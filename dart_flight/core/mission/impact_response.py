@@ -48,7 +48,7 @@ class ImpactResponse:
         if (
             collision is None
             or not _is_expected(progress, collision)
-            or self._is_at_wall_just_hit(progress, state.position, state)
+            or self._is_bounce(progress, state.position, state)
         ):
             return _ANY_WALL if watching else _NO_WALL
         wall, before = collision.wall, progress.expected
@@ -65,7 +65,7 @@ class ImpactResponse:
 
     def on_onset(self, event: ImpactOnset, progress: MissionState, state: FlightState) -> Change:
         """Respond to an onset: proceed if it was planned, get clear after a bounce, or report a finding."""
-        if self._is_at_wall_just_hit(progress, event.position_mission, state):
+        if self._is_bounce(progress, event.position_mission, state):
             return self._on_bounce(event, progress, state)
         change, collision = Change(replan=progress.replan.contact_begins()), progress.collision
         if collision is None or not self._is_due(progress, collision) or not event.planned:
@@ -81,7 +81,7 @@ class ImpactResponse:
             return change._replace(finding=MissionFinding("lock_not_settled", text))
         return change._replace(cue=PhaseTrigger.ONSET)
 
-    def _is_at_wall_just_hit(self, progress: MissionState, place: Vec3, state: FlightState) -> bool:
+    def _is_bounce(self, progress: MissionState, place: Vec3, state: FlightState) -> bool:
         """Return whether a contact here would be a bounce: at the last wall, soon after its impact."""
         if progress.phase is not Phase.RECOVERY or progress.elapsed_us(state) > _BOUNCES_US:
             return False

@@ -27,7 +27,7 @@ class Rehearsal(Executive):
 
     def _approach(self, state: FlightState, sensed: Sensed, p: Proposal) -> None:
         if self._has_arrived(state):
-            self._go(PhaseTrigger.STOOD_OFF, state, p)
+            self._transition(PhaseTrigger.STOOD_OFF, state, p)
             self._stand_off(state)
         elif self.progress.is_late(state):
             p.add_finding("transit_timeout", "standoff point not reached")
@@ -47,9 +47,9 @@ class Rehearsal(Executive):
             self._start_next(PhaseTrigger.RESTED, state, p)
         elif following is None:
             self.progress.course = self.progress.course.fly_to(self.mission.goal.position_m, self._flying)
-            self._go(PhaseTrigger.PASSED, state, p)
+            self._transition(PhaseTrigger.PASSED, state, p)
         elif following.approach_m_s is not None:
-            self._go(PhaseTrigger.RESTED, state, p)
+            self._transition(PhaseTrigger.RESTED, state, p)
             self._begin_transit(state, p)
         elif not self.progress.course.on_transit:
             if locked:

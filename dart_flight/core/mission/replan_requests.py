@@ -60,10 +60,14 @@ class ReplanRequests:
             coasts: whether only thrust is commanded, without a setpoint ahead.
         """
         replan = progress.replan
-        again = self._is_time_again(replan, state.now_us)
+        again = self._should_repeat(replan, state.now_us)
         if not self._enabled or not (replan.asked is None or again):
             return NO_CHANGE
-        if sensed.estimate is None or sensed.in_contact or self._waits_for_wall(progress, replan, state):
+        if (
+            sensed.estimate is None
+            or sensed.in_contact
+            or self._should_wait_for_wall(progress, replan, state)
+        ):
             return NO_CHANGE
         following = progress.collision
         along = following is not None and following.trajectory is not None
@@ -93,7 +97,7 @@ class ReplanRequests:
         )
         return Change(outputs=(asked,), replan=replan)
 
-    def _waits_for_wall(self, progress: MissionState, replan: Replan, state: FlightState) -> bool:
+    def _should_wait_for_wall(self, progress: MissionState, replan: Replan, state: FlightState) -> bool:
         """Return whether the estimate of the last wall is worth waiting for.
 
         It is if that wall is next again, or if contacts correct the frame: a trajectory planned in the old
@@ -104,7 +108,7 @@ class ReplanRequests:
         since_us = state.now_us - (progress.lock.contact_end_us or 0)
         return (returns or self._mission.is_anchored) and not replan.felt and since_us < _FELT_WITHIN_US
 
-    def _is_time_again(self, replan: Replan, now_us: int) -> bool:
+    def _should_repeat(self, replan: Replan, now_us: int) -> bool:
         """Return whether to repeat the request.
 
         The mission's own trajectory must have been flown for a while and not be nearly over. The request is
@@ -150,7 +154,7 @@ class ReplanRequests:
             return NO_CHANGE
         flown = len(self._mission.collisions) if answer.collision is None else answer.collision - 1
         trajectory = Trajectory.from_plan(answer, self._mission.altitude_at(flown))
-        refusal = _not_flyable(replan, trajectory, answer, state)
+        refusal = _rejection(replan, trajectory, answer, state)
         taken = PlanTaken(state.now_us, answer.number, not refusal, refusal)
         if refusal:
             return Change(outputs=(taken,), replan=replan._replace(answer=None))
@@ -205,9 +209,9 @@ def _is_consistent(answer: PlanAnswer, asked: PlanRequest, from_rest: bool) -> b
     )
 
 
-def _not_flyable(replan: Replan, trajectory: Trajectory, answer: PlanAnswer, state: FlightState) -> str:
+def _rejection(replan: Replan, trajectory: Trajectory, answer: PlanAnswer, state: FlightState) -> str:
     """Return the reason not to fly a trajectory from here, or ""."""
-    if _is_on_a_quicker(replan, trajectory, answer, state):
+    if _active_is_faster(replan, trajectory, answer, state):
         return "the trajectory flown is quicker"
     at = trajectory.at((state.now_us - answer.begin_us) * 1e-6)
     beside_m = math.dist(at.position[:2], state.position[:2])
@@ -217,7 +221,7 @@ def _not_flyable(replan: Replan, trajectory: Trajectory, answer: PlanAnswer, sta
     return f"vehicle is {beside_m:.2f} m and {beside_m_s:.2f} m/s off the start of the trajectory"
 
 
-def _is_on_a_quicker(replan: Replan, trajectory: Trajectory, answer: PlanAnswer, state: FlightState) -> bool:
+def _active_is_faster(replan: Replan, trajectory: Trajectory, answer: PlanAnswer, state: FlightState) -> bool:
     """Return whether the vehicle holds an active trajectory that ends well before another one."""
     flown = replan.trajectory
     if flown is None or not replan.quickest:

@@ -104,7 +104,7 @@ class SetpointSelection:
         if phase in _SILENT or (in_contact and progress.takes_longer_than(LONGEST_S, state)):
             return None, heading
         since_us = self._trajectory_since_us(progress)
-        wall = None if in_contact else self._wall_coasted_to(progress, state, since_us)
+        wall = None if in_contact else self._wall_ahead(progress, state, since_us)
         along: tuple[Vec2, ...] = ()
         if in_contact or (since_us is None and self.coasts(progress, state)):
             thrust = _NONE if in_contact else self._thrust_after_contact(progress, state)
@@ -120,7 +120,9 @@ class SetpointSelection:
         free = self._free_axes(frame, sample, along) if along else None
         if wall is not None and free is not None and since_us is not None:
             since_s = (sample.t_us - since_us) * 1e-6
-            across_m_s2 = self._push_off_m_s2(progress, wall) + self._in_time_m_s2(progress, since_s, free)
+            across_m_s2 = self._push_off_m_s2(progress, wall) + self._timing_correction_m_s2(
+                progress, since_s, free
+            )
             added = (across_m_s2 * wall.normal[0], across_m_s2 * wall.normal[1], 0.0)
         trigger = SetpointTrigger(sample.t_us, sample.received_us)
         return make_setpoint(frame, trigger, reference, heading.commanded, free, added), heading
@@ -130,7 +132,7 @@ class SetpointSelection:
 
         A distant recovery setpoint would wind up PX4's integrator and push the vehicle off that trajectory.
         """
-        if progress.phase is not Phase.RECOVERY or self._written_next(progress) is None:
+        if progress.phase is not Phase.RECOVERY or self._next_trajectory(progress) is None:
             return False
         end_us = progress.lock.contact_end_us
         return end_us is None or state.now_us - end_us < _COASTS_US
@@ -141,7 +143,7 @@ class SetpointSelection:
             return progress.entered_us
         return progress.replan.since_us if progress.phase is Phase.RECOVERY else None
 
-    def _written_next(self, progress: MissionState) -> Trajectory | None:
+    def _next_trajectory(self, progress: MissionState) -> Trajectory | None:
         """Return the mission's own trajectory to the next leg."""
         collision = progress.collision
         return self._written.get(None if collision is None else collision.index)
@@ -152,7 +154,7 @@ class SetpointSelection:
         It is zero during a contact, and if the vehicle is already as fast, for example because it leans off
         the wall.
         """
-        trajectory, end_us = self._written_next(progress), progress.lock.contact_end_us
+        trajectory, end_us = self._next_trajectory(progress), progress.lock.contact_end_us
         if trajectory is None or end_us is None:
             return _NONE
         since_s = (state.now_us - end_us) * 1e-6
@@ -161,9 +163,7 @@ class SetpointSelection:
         x, y, _ = self._lead(trajectory, since_s).acceleration
         return (x, y, 0.0)
 
-    def _wall_coasted_to(
-        self, progress: MissionState, state: FlightState, since_us: int | None
-    ) -> Wall | None:
+    def _wall_ahead(self, progress: MissionState, state: FlightState, since_us: int | None) -> Wall | None:
         """Return the wall that a trajectory of the mission is about to meet.
 
         A vehicle that is late must not lean into it to catch up: a contact rolls a leaning vehicle over.
@@ -185,7 +185,7 @@ class SetpointSelection:
         out_m = self._airframe.contact_distance_m
         return 0.0 if leaned else balancing_m_s2(progress.contact_height_m, out_m, collision.mode)
 
-    def _in_time_m_s2(self, progress: MissionState, since_s: float, free: FreeAxes) -> float:
+    def _timing_correction_m_s2(self, progress: MissionState, since_s: float, free: FreeAxes) -> float:
         """Return the thrust across a wall at the vehicle's own time to impact, minus the present thrust.
 
         A vehicle ahead of its trajectory meets the wall before the trajectory leans off it.

@@ -201,7 +201,7 @@ class Curve(msgspec.Struct):
             np.ones(len(p.force)) if self.reference is None else (p.volts / self.reference) ** self.exponent
         )
 
-    def of(self, p: Points) -> Array:
+    def force(self, p: Points) -> Array:
         """Return the force at some points."""
         shape: Array = self.factor * p.square + (1.0 - self.factor) * p.linear
         return self.full * shape * self.by_volts(p)
@@ -286,7 +286,7 @@ def _fitter(factor: float, fitted: bool, by_volts: bool) -> Callable[[Points], C
     def fit(p: Points) -> Curve:
         curve = fit_curve(p, factor, None if by_volts else 0.0, fit_factor=fitted)
         # The median ignores a single window with an undetected bump.
-        curve.full *= float(np.median(p.force / np.maximum(curve.of(p), 1e-6)))
+        curve.full *= float(np.median(p.force / np.maximum(curve.force(p), 1e-6)))
         return curve
 
     return fit
@@ -299,7 +299,7 @@ def _held_out(points: Points, fit: Callable[[Points], Curve]) -> float:
     for fold in np.unique(part):
         train, test = points.chosen(part != fold), points.chosen(part == fold)
         if len(train.force):
-            squares.append((fit(train).of(test) - test.force) ** 2)
+            squares.append((fit(train).force(test) - test.force) ** 2)
     return float(np.sqrt(np.concatenate(squares).mean()) / points.force.mean())
 
 
@@ -333,7 +333,7 @@ def calibrate_thrust(tracks: Iterable[Track], vehicle: VehicleConfig) -> ThrustC
     curve = fit_curve(p, share, kept if flat else None, fit_factor=True)
     if curve.factor_error is None or curve.factor_error >= _FACTOR_ERROR:  # not determined by the flights
         curve = fit_curve(p, share, kept if flat else None)
-    residual = (p.force - curve.of(p)) / curve.by_volts(p)
+    residual = (p.force - curve.force(p)) / curve.by_volts(p)
     command = p.linear / p.motors
     return ThrustCalibration(
         segments=len(p.force),

@@ -38,7 +38,7 @@ ROWS = tuple(
     for name in (kind.name for kind in KINDS)
     for row in (name, *(f"{name}={value}" for value in _VALUES.get(name, ())))
 )
-# PX4 aligns itself with what the motion capture reports from the start on: no fault shows there.
+# A motion-capture fault before take-off has no effect, because PX4 aligns itself with it.
 _MOCAP_PHASES = ("take-off", "transit", "approach", "contact", "recovery", "goal")
 CELLS = tuple(
     (row, phase) for row in ROWS for phase in (_MOCAP_PHASES if row.startswith("mocap-") else PHASES)

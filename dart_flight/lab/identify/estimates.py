@@ -70,7 +70,7 @@ class TrialFit(NamedTuple):
     set_aside: SetAside
 
     @classmethod
-    def of_hit(cls, hit: MeasuredImpact) -> TrialFit:
+    def from_hit(cls, hit: MeasuredImpact) -> TrialFit:
         """Return the result for a trial whose samples are not fitted."""
         return cls(
             name=hit.name,

@@ -68,7 +68,7 @@ def identify(trials: Sequence[Trial], mass_kg: float, onset: Onset) -> Identific
         coefficients=coefficients,
         plane_m=result.plane_m,
         residuals=result.residuals,
-        trials=[result.trials.get(i) or TrialFit.of_hit(hit) for i, hit in enumerate(hits)],
+        trials=[result.trials.get(i) or TrialFit.from_hit(hit) for i, hit in enumerate(hits)],
         vertical_side=result.vertical_side,
         notes=notes,
         restitution={mode: restitution(own) for mode, own in members.items()},

@@ -60,10 +60,10 @@ def assess_fit(
         for name, error, limit in zip(("peak", "speed out"), errors, _MOST, strict=True):
             if error is not None and limit is not None:
                 off[f"{mode} {name}"], most[f"{mode} {name}"] = error, limit
-    return judge(off, most)
+    return compare_residuals(off, most)
 
 
-def judge(off: Mapping[str, float], expected: Mapping[str, float]) -> FitQuality:
+def compare_residuals(off: Mapping[str, float], expected: Mapping[str, float]) -> FitQuality:
     """Compare residuals with those of a good fit; a quantity without an expectation is skipped."""
     compared = {name: value for name, value in off.items() if name in expected}
     sentences = [

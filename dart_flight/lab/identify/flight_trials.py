@@ -15,7 +15,7 @@ from dart_flight.recording.measured_walls import WallMeasurements
 from dart_flight.recording.reader import Log, NothingInItError
 
 _BEFORE_S, _AFTER_S = 0.5, 0.4
-_POSES = 40  # least number within 0.4 s of an onset: at 50 Hz a contact falls between two poses
+_POSES = 40  # poses required within 0.4 s of an onset; at 50 Hz a contact falls between two poses
 _LONGEST_S = 0.15  # duration of a contact whose end was not detected
 # Systematic relative errors measured on simulated flights (docs/results/flight_identification.md): PX4's
 # velocity loop also brakes during the contact.
@@ -25,10 +25,10 @@ ALLOWANCE = {"k": 0.03, "f": 0.15, "mu": 0.08, "nu": 0.6}
 def trials_of(log: Log, material: str | None = None, mode: str = UNLABELLED) -> dict[str, list[Trial]]:
     """Return the planned collisions of a flight with this material in this mode, by material of the wall.
 
-    The position is that of the motion capture's poses if their age is known, otherwise PX4's estimate, which
-    smears a contact. The force is the flight core's estimate. All series are in the wall's collision frame
-    and on the autopilot's clock. The plane is the mission's; for a probed wall it is the plane measured by the
-    contact. The vehicle is the one that flew.
+    The position is that of the motion capture's poses if their age is known, otherwise PX4's estimate,
+    which smears a contact. The force is the flight core's estimate. All series are in the wall's collision
+    frame and on the autopilot's clock. The plane is the mission's; for a probed wall it is the plane measured
+    by the contact. The vehicle is the one that flew.
 
     Raises:
         InputError: the log does not contain its mission.

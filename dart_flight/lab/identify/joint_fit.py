@@ -138,7 +138,7 @@ def conclude(fit: SampleFit, theta: Array, places: Sequence[int]) -> SampleResul
             )
     for mode in fit.parameters.modes:
         members = [i for i, trial in enumerate(fit.trials) if trial.mode == mode]
-        at = [fit.parameters.of_mode(mode)[name] for name in ("k", "f")]
+        at = [fit.parameters.mode_indices(mode)[name] for name in ("k", "f")]
         found, unknown = stiffness_and_damping(theta[at], halves[at], _WIDEST_LOG)
         result.notes += [f"{mode}: {note}" for note in unknown]
         found["mu"] = _friction(fit, theta, halves, members)
@@ -149,7 +149,7 @@ def conclude(fit: SampleFit, theta: Array, places: Sequence[int]) -> SampleResul
 
 
 def _friction(fit: SampleFit, theta: Array, halves: Array, members: list[int]) -> Estimate | None:
-    at = fit.parameters.of_mode(fit.trials[members[0]].mode)["mu"]
+    at = fit.parameters.mode_indices(fit.trials[members[0]].mode)["mu"]
     moving = False
     change = 0.0  # exponent of the deceleration per s/m of mu, the influence of mu
     for i in members:
@@ -168,7 +168,7 @@ def _vertical(
     fit: SampleFit, theta: Array, halves: Array, members: list[int]
 ) -> tuple[Estimate | None, int | None]:
     """Return the magnitude of nu and the side on which the force acts."""
-    at = fit.parameters.of_mode(fit.trials[members[0]].mode)["nu"]
+    at = fit.parameters.mode_indices(fit.trials[members[0]].mode)["nu"]
     if not any("z0" in fit.parameters.own[i] for i in members):
         return None, None
     value, half = abs(float(theta[at])), float(halves[at])
@@ -207,7 +207,7 @@ def _trial_fit(fit: SampleFit, theta: Array, i: int, hit: MeasuredImpact) -> Tri
     own, window = fit.parameters.own[i], fit.windows[i]
     before, after = (float(theta[own[f"n_{when}"]]) if "n_after" in own else 0.0 for when in PUSHES)
     gone = {name: window.counts[name] == 0.0 for name in window.series}
-    return TrialFit.of_hit(hit)._replace(
+    return TrialFit.from_hit(hit)._replace(
         used="samples",
         onset_s=float(theta[own["onset"]]),
         normal_m_s=-float(theta[own["speed"]]),

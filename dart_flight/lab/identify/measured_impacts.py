@@ -158,7 +158,7 @@ def _measure_motion(trial: Trial) -> MeasuredImpact:
     for _ in range(3):
         found = _flights(trial.normal, begin, end, spans, bend, bend_sd)
         if found is None:
-            raise InputError("too few samples about the impact", source=trial.name)
+            raise InputError("too few samples around the impact", source=trial.name)
         flights = found
         begin, end = _extent(trial.normal, impact.turn_s, flights, impact.noise_m, step)
     before, after = flights

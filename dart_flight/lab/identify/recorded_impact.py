@@ -56,8 +56,8 @@ def refuse_unusable(trial: Trial) -> None:
     step = float(np.median(np.diff(time)))
     if step > _LONGEST_STEP_S:
         raise InputError(
-            f"one sample every {1e3 * step:.0f} ms, at most {1e3 * _LONGEST_STEP_S:.0f} ms: a contact takes "
-            "50 to 180 ms and needs several (seconds in time_s?)",
+            f"one sample every {1e3 * step:.0f} ms, but a contact of 50 to 180 ms needs one every "
+            f"{1e3 * _LONGEST_STEP_S:.0f} ms or less; is time_s in seconds?",
             source=trial.name,
             key=("time_s",),
         )
@@ -115,13 +115,13 @@ def find_impact(trial: Trial) -> TrialImpact:
         )
     if impact.deepest_m < -_DEEPEST_M:
         raise InputError(
-            f"turns {-impact.deepest_m:.2f} m behind the plane, at most {_DEEPEST_M:g} m is an impact",
+            f"turns {-impact.deepest_m:.2f} m behind the plane; an impact turns within {_DEEPEST_M:g} m",
             source=trial.name,
         )
     if impact.deepest_m > _NEAREST_M:
         raise InputError(
-            f"turns {impact.deepest_m:.2f} m before the plane of first touch; distances of the centre from "
-            "the surface itself need --contact-distance",
+            f"turns {impact.deepest_m:.2f} m before the plane of first touch; for distances from the surface "
+            "give --contact-distance",
             source=trial.name,
         )
     return impact

@@ -68,14 +68,14 @@ class Parameters:
             self.own.append({name: self.size + i for i, name in enumerate(names)})
             self.size += len(names)
 
-    def of_mode(self, mode: str) -> dict[str, int]:
+    def mode_indices(self, mode: str) -> dict[str, int]:
         """Return the indices of k and f (logarithms), mu and nu of a mode."""
         first = 1 + 4 * self.modes.index(mode)
         return {name: first + i for i, name in enumerate(("k", "f", "mu", "nu"))}
 
-    def of_trial(self, i: int, mode: str) -> list[int]:
+    def trial_indices(self, i: int, mode: str) -> list[int]:
         """Return the indices of everything that trial i depends on."""
-        return [0, *self.of_mode(mode).values(), *self.own[i].values()]
+        return [0, *self.mode_indices(mode).values(), *self.own[i].values()]
 
 
 @functools.lru_cache(maxsize=64)  # most parameters of a Jacobian do not change the contact
@@ -136,7 +136,7 @@ class SampleFit:
 
     def contact(self, theta: Array, i: int) -> ContactMotion:
         """Return the contact of trial i under a parameter vector."""
-        shared, own = self.parameters.of_mode(self.trials[i].mode), self.parameters.own[i]
+        shared, own = self.parameters.mode_indices(self.trials[i].mode), self.parameters.own[i]
         law = (float(theta[shared[name]]) for name in ("k", "f", "mu"))
         push = float(theta[own["n_in"]]) if "n_in" in own else 0.0
         push += self.trials[i].acceleration_m_s2
@@ -144,7 +144,7 @@ class SampleFit:
 
     def predict(self, theta: Array, i: int) -> dict[str, Array]:
         """Return the model at the samples of trial i, by channel."""
-        shared, own = self.parameters.of_mode(self.trials[i].mode), self.parameters.own[i]
+        shared, own = self.parameters.mode_indices(self.trials[i].mode), self.parameters.own[i]
         contact, onset = self.contact(theta, i), float(theta[own["onset"]])
         delay = float(theta[own["delay"]]) if "delay" in own else 0.0
         out: dict[str, Array] = {}
@@ -185,7 +185,7 @@ class SampleFit:
         """Return the residuals of the priors: the plane's position, and weak ones on the coefficients."""
         weak = []
         for mode in self.parameters.modes:
-            at = self.parameters.of_mode(mode)
+            at = self.parameters.mode_indices(mode)
             weak += [
                 (theta[at["k"]] - 7.5) / 20.0, (theta[at["f"]] - 2.5) / 20.0,
                 theta[at["mu"]] / 1e3, theta[at["nu"]] / 1e4,
@@ -208,7 +208,7 @@ class SampleFit:
         for i, trial in enumerate(self.trials):
             rows = self.block(theta, i).size
             block = np.zeros((rows, theta.size))
-            for j in self.parameters.of_trial(i, trial.mode):
+            for j in self.parameters.trial_indices(i, trial.mode):
                 block[:, j] = difference(theta, j, functools.partial(self.block, i=i))
             blocks.append(block)
         prior = np.stack([difference(theta, j, self.prior) for j in range(theta.size)], axis=1)
@@ -287,7 +287,7 @@ class SampleFit:
         """Return bounds that contain every plausible impact and keep the search near the data."""
         low, high = np.full(self.parameters.size, -np.inf), np.full(self.parameters.size, np.inf)
         for mode in self.parameters.modes:
-            at = self.parameters.of_mode(mode)
+            at = self.parameters.mode_indices(mode)
             low[at["k"]], high[at["k"]] = math.log(LOWEST_K), math.log(HIGHEST_K)
             low[at["f"]], high[at["f"]] = math.log(LOWEST_F), math.log(HIGHEST_F)
             low[at["mu"]], high[at["mu"]] = 0.0, 1e3
@@ -313,7 +313,7 @@ class SampleFit:
                     line = self._line_before(i, name)
                     theta[own[place]], theta[own["v" + place[0]]] = line
         for mode in self.parameters.modes:
-            at = self.parameters.of_mode(mode)
+            at = self.parameters.mode_indices(mode)
             members = [i for i, trial in enumerate(self.trials) if trial.mode == mode]
             theta[at["mu"]] = 1.0
             best, cost = theta, math.inf

@@ -44,7 +44,7 @@ def read_trials(path: str | Path, reading: TrialReading) -> list[Trial]:
     reader = READERS.get(Path(path).suffix.lower())
     if reader is None:
         refuse_other_kind(path, FileKind.TRIAL, FileKind.ULOG, FileKind.FLIGHT_LOG)
-        raise InputError(f"unknown kind of trial, known: {', '.join(READERS)}", source=str(path))
+        raise InputError(f"unknown kind of trial; known kinds: {', '.join(READERS)}", source=str(path))
     trials = reader(Path(path), reading)
     for trial in trials:
         refuse_unusable(trial)
@@ -94,11 +94,11 @@ def read_csv(path: Path, reading: TrialReading) -> list[Trial]:
         if wanted in header:
             places[name] = header.index(wanted)
         elif name in reading.columns:
-            raise InputError(f"no column {wanted!r}, there are: {', '.join(header)}", source=source, line=1)
+            raise InputError(f"no column {wanted!r}; columns are: {', '.join(header)}", source=source, line=1)
     if not any(name in places for name in _ANY_OF) or _TIME not in places:
         name = "normal_m" if _TIME in places else _TIME
         raise InputError(
-            f"missing column {name} (map others with --columns {name}=...), there are: {', '.join(header)}",
+            f"missing column {name} (map it with --columns {name}=...); columns are: {', '.join(header)}",
             source=source,
             line=lines[0][0],
         )

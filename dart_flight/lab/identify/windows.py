@@ -59,7 +59,7 @@ def cut(trial: Trial, begin: float, end: float) -> TrialWindow:
             time, value = trial.series[name]
             inside = (time >= begin) & (time <= end)
             if name == "normal_m" and inside.sum() < 8:
-                raise InputError("too few samples about the impact", source=trial.name)
+                raise InputError("too few samples around the impact", source=trial.name)
             if inside.any():
                 series[name] = Series(time[inside], value[inside])
                 counts[name] = np.ones(int(inside.sum()))

@@ -104,7 +104,7 @@ class ContactMotion:
         acceleration_m_s2: constant other acceleration along the normal, before, in and after the contact.
 
     Attributes:
-        met: whether there is a contact.
+        has_contact: whether there is a contact.
         end_s: time of the release; infinite if the vehicle never leaves the wall, 0 without a contact.
         peak_s: time of the largest normal force.
         turn_s: time of the largest outward speed in contact.
@@ -127,10 +127,10 @@ class ContactMotion:
         self._course = enter(CoefficientArrays.of(coefficients), *state, onset, push)
         events = find_contact_times(self._course)
         self._omega = float(self._course.omega)
-        self.met = bool(self._course.hits)
-        self.end_s = float(events.end) / self._omega if self.met else 0.0
-        self.peak_s = float(events.peak) / self._omega if self.met else 0.0
-        self.turn_s = float(events.turn) / self._omega if self.met else 0.0
+        self.has_contact = bool(self._course.hits)
+        self.end_s = float(events.end) / self._omega if self.has_contact else 0.0
+        self.peak_s = float(events.peak) / self._omega if self.has_contact else 0.0
+        self.turn_s = float(events.turn) / self._omega if self.has_contact else 0.0
         early = onset is Onset.LCP
         self.onset_m = -coefficients.lead_s * normal_m_s if early else 0.0
         # Quadrature stops when the force has decayed, which near critical damping is long before the release.
@@ -142,7 +142,7 @@ class ContactMotion:
         """Return position m, velocity m/s and force N along the normal, with free flight before and after."""
         t = np.asarray(time_s, dtype=float)
         a = self.acceleration_m_s2
-        if not self.met:
+        if not self.has_contact:
             still = np.zeros_like(t)
             return self.onset_m + (self.normal_m_s + 0.5 * a * t) * t, self.normal_m_s + a * t, still
         c = self._course
@@ -157,7 +157,7 @@ class ContactMotion:
     def impulse(self, time_s: ArrayLike) -> Array:
         """Return the normal impulse since the onset, N s."""
         t = np.asarray(time_s, dtype=float)
-        if not self.met:
+        if not self.has_contact:
             return np.zeros_like(t)
         c = self._course
         tau = self._omega * np.clip(t, 0.0, self.end_s)
@@ -167,7 +167,7 @@ class ContactMotion:
     def slip(self, time_s: ArrayLike) -> Array:
         """Return the velocity along the wall over that at the onset."""
         t = np.asarray(time_s, dtype=float)
-        if not self.met:
+        if not self.has_contact:
             return np.ones_like(t)
         left: Array = np.exp(-self.coefficients.mu / self.mass_kg * self.impulse(t))
         return left
@@ -175,17 +175,17 @@ class ContactMotion:
     def way(self, time_s: ArrayLike) -> Array:
         """Return the displacement along the wall over the tangential velocity at the onset, s."""
         t = np.asarray(time_s, dtype=float)
-        return self._slipped.once(t) if self.met else t.copy()
+        return self._slipped.once(t) if self.has_contact else t.copy()
 
     def rise(self, time_s: ArrayLike) -> Array:
         """Return the velocity m/s due to the vertical force per newton of nu, along that force."""
         t = np.asarray(time_s, dtype=float)
-        return self._raised.once(t) if self.met else np.zeros_like(t)
+        return self._raised.once(t) if self.has_contact else np.zeros_like(t)
 
     def lift(self, time_s: ArrayLike) -> Array:
         """Return the displacement m due to the vertical force per newton of nu, along that force."""
         t = np.asarray(time_s, dtype=float)
-        return self._raised.twice(t) if self.met else np.zeros_like(t)
+        return self._raised.twice(t) if self.has_contact else np.zeros_like(t)
 
     # The integrals are cached because a fit evaluates them at many times.
     @cached_property

@@ -68,7 +68,7 @@ class Broadcast:
         )
         self.port = self._server.port
 
-    def take(self, line: bytes) -> None:
+    def publish(self, line: bytes) -> None:
         """Publish one record."""
         topic, _, data = line.partition(b" ")
         record = decode(data, DECODERS[topic.decode()])
@@ -98,7 +98,7 @@ def serve(records: BinaryIO, output: BinaryIO) -> int:
         return 1
     _report_status(output, PortStatus(broadcast.port))
     for line in records:
-        broadcast.take(line)
+        broadcast.publish(line)
     broadcast.close()
     return 0
 

@@ -366,7 +366,7 @@ def _sequences(spec: ScenarioFile, document: Document) -> tuple[tuple[str, ...],
     sequence = tuple(spec.sequence)
     most = _MAX_QUICKEST if spec.objective is Objective.QUICKEST else _MAX_COLLISIONS
     if not 1 <= len(sequence) <= most:
-        raise document.error(key, f"one to {most} walls, not {len(sequence)}; or: any")
+        raise document.error(key, f"expected 1 to {most} walls or any, not {len(sequence)}")
     for i, name in enumerate(sequence):
         if name not in spec.walls:
             raise document.error((*key, i), unknown_name(name, list(spec.walls)))

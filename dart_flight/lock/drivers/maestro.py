@@ -80,7 +80,7 @@ class MaestroDriver:
             )
         except (OSError, ValueError, termios.error) as error:
             # pyserial's SerialException is an OSError; its texts name the port themselves.
-            raise DriverError(f"cannot open {name}: {_plain(error)}", key) from None
+            raise DriverError(f"cannot open {name}: {_short_message(error)}", key) from None
         self._query_errors()  # clears old errors and verifies that a Maestro answers
         speed = round(self._config.speed_limit_us_s / SPEED_UNIT_US_S)
         self._command(SET_SPEED, speed)
@@ -124,7 +124,7 @@ class MaestroDriver:
             bits = self._query_errors()
             if not bits & SERIAL_ERRORS:
                 return
-        raise self._lost(f"the controller reports {', '.join(error_names(bits))}")
+        raise self._connection_error(f"the controller reports {', '.join(error_names(bits))}")
 
     def _query_position(self) -> int:
         query = bytes((GET_POSITION, self._config.channel))
@@ -136,7 +136,7 @@ class MaestroDriver:
             plausible = max(first, second) <= _MAX_POSITION and (first == 0) == (second == 0)
             if plausible and abs(first - second) <= _MAX_RAMP_BETWEEN:
                 return second
-        raise self._lost("no sensible answer about the position")
+        raise self._connection_error("no sensible answer about the position")
 
     def _query_errors(self) -> int:
         """Return the error bits; query twice, because the first answer clears the bits for the second."""
@@ -147,7 +147,7 @@ class MaestroDriver:
             first, second = (int.from_bytes(answer[i : i + 2], "little") for i in (0, 2))
             if max(first, second) < 1 << len(ERRORS) and second & ~first == 0:
                 return first
-        raise self._lost("no sensible answer about errors")
+        raise self._connection_error("no sensible answer about errors")
 
     def _query(self, query: bytes, size: int) -> bytes | None:
         """Return the answer to a query, or None if it is short or other bytes are on the line."""
@@ -157,27 +157,27 @@ class MaestroDriver:
             left_over = port.in_waiting
         except (OSError, termios.error, TypeError) as error:
             # pyserial raises TypeError after the descriptor is gone.
-            raise self._lost(_plain(error)) from None
+            raise self._connection_error(_short_message(error)) from None
         return answer if len(answer) == size and not left_over else None
 
     def _write(self, message: bytes, *, clear: bool = False) -> serial.Serial:
         port = self._port
         if port is None:
-            raise self._lost("not connected")
+            raise self._connection_error("not connected")
         try:
             if clear:
                 port.reset_input_buffer()
             port.write(message)
         except (OSError, termios.error, TypeError) as error:
-            raise self._lost(_plain(error)) from None
+            raise self._connection_error(_short_message(error)) from None
         return port
 
-    def _lost(self, why: str) -> DriverError:
+    def _connection_error(self, why: str) -> DriverError:
         self.close()
         return DriverError(f"servo controller at {self._config.port}: {why}")
 
 
-def _plain(error: Exception) -> str:
+def _short_message(error: Exception) -> str:
     """Return a system error as short text."""
     number = getattr(error, "errno", None)
     if isinstance(error, termios.error):

@@ -199,13 +199,13 @@ class HitlLink:
             if self.answered:
                 self._check_gap(now_s - self._fed_s, self.controls.armed)
             self._fed_s = now_s
-        self._keep_up()
+        self._send_periodic()
         self.receive()
         if self.answered and self.silent_s > SILENCE_S:
             raise Px4LostError(f"flight controller sent no actuator outputs for {SILENCE_S:g} s")
         return self.controls
 
-    def _keep_up(self) -> None:
+    def _send_periodic(self) -> None:
         """Send the periodic messages: a heartbeat, and queries of the outputs."""
         now_s = time.monotonic()
         if now_s - self._beat_s >= _HEARTBEAT_S:

@@ -221,7 +221,7 @@ class Px4Simulator:
         if self._vehicle.armed is not self._armed:
             self._armed = self._vehicle.armed
             self._disarmed_at_s = None if self._armed else time.monotonic()
-            self._report("PX4 armed" if self._armed else f"PX4 disarmed at {_where(plant.truth())}")
+            self._report("PX4 armed" if self._armed else f"PX4 disarmed at {_format_position(plant.truth())}")
         return plant
 
     def is_over(self, alone_s: float) -> bool:
@@ -235,6 +235,6 @@ class Px4Simulator:
         return not self._armed and down_s > _LANDED_S
 
 
-def _where(truth: TruthSample) -> str:
+def _format_position(truth: TruthSample) -> str:
     x, y, z = truth.position_mission
     return f"({x:.2f}, {y:.2f}, {z:.2f})"

@@ -76,7 +76,7 @@ class QualisysSource:
         self._thread = threading.Thread(target=self._loop.run_forever, name="mocap", daemon=True)
         self._thread.start()
         self._connection: Any = None
-        self._streaming: Any = None
+        self._streaming: asyncio.Task[None] | None = None
         try:
             self._call(self._connect())
         except (ValueError, OSError, TimeoutError) as error:
@@ -129,16 +129,24 @@ class QualisysSource:
     def start(self, deliver: Callable[[RawPose], None]) -> None:
         """Deliver every pose from now on, on the source's thread."""
         self._deliver = deliver
-        self._streaming = asyncio.run_coroutine_threadsafe(self._stream(), self._loop)
+        self._call(self._begin())
+
+    async def _begin(self) -> None:
+        self._streaming = asyncio.create_task(self._stream())
 
     def stop(self) -> None:
         """Stop delivering and close the connection."""
         self._deliver = lambda _: None
+        with contextlib.suppress(TimeoutError):
+            self._call(self._finish())
+        self._end()
+
+    async def _finish(self) -> None:
         if self._streaming is not None:
             self._streaming.cancel()
-        with contextlib.suppress(TimeoutError):
-            self._call(self._disconnect())
-        self._end()
+            with contextlib.suppress(asyncio.CancelledError):
+                await self._streaming
+        await self._disconnect()
 
     async def _stream(self) -> None:
         """Stream until stopped; connect again when the connection is lost."""

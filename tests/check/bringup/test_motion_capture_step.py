@@ -12,12 +12,14 @@ import pytest
 from dart_flight.base.geometry import Quaternion, Vec3
 from dart_flight.base.records import AttitudeSample, ImuSample, PoseSample
 from dart_flight.check.bringup.judgements import StepFinding, StepOutcome, judge_motion
-from dart_flight.check.bringup.pose_motion import MotionEstimate
+from dart_flight.check.bringup.pose_motion import MotionEstimate, estimate_motion
 from dart_flight.check.bringup.steps import Bringup
 from dart_flight.cli.bringup_command import _write_delay
 from dart_flight.config.mission import Mission, load_mission
 from dart_flight.config.vehicle import load_vehicle, packaged
 from dart_flight.config.vehicle.mocap import MotionCapture
+from dart_flight.run.fast import FastFlight
+from dart_flight.run.prepare import with_simulated_mocap
 from tests.check.bringup.test_pose_motion import Hand, Room, samples
 
 MISSION = load_mission(packaged("missions", "single_wall.yaml"))
@@ -193,3 +195,45 @@ def test_the_packaged_configuration_is_never_written(capsys: pytest.CaptureFixtu
     _write_delay(argparse.Namespace(config=None), str(path), 31.5)
     assert path.read_bytes() == before
     assert "yourself" in capsys.readouterr().err
+
+
+# --- a flight ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("delay_s", [0.005, 0.05])
+def test_the_age_of_a_simulated_flights_poses_is_found(delay_s: float) -> None:
+    """Contacts included; the poses leave at the next tick of 4 ms."""
+    settings = [
+        f"simulation.pose_delay_s={delay_s}",
+        "mocap.up=y",
+        "mocap.heading_deg=65",
+        "mocap.body_yaw_deg=20",
+    ]
+    mission = load_mission(packaged("missions", "single_wall.yaml"), settings=settings)
+    flight = FastFlight(with_simulated_mocap(mission, "optitrack"), 1)
+    inputs: list[Any] = []
+    step = flight.core.step
+
+    def both(item: Any) -> Any:
+        inputs.append(item)
+        return step(item)
+
+    flight.core.step = both  # type: ignore[method-assign]
+    flight.run()
+    imu = [item for item in inputs if isinstance(item, ImuSample)]
+    poses = [item for item in inputs if isinstance(item, PoseSample)]
+    room = mission.vehicle.mocap.room_frame()
+    shown = [room.pose_to_ned(p.position_room, p.q_body_to_room) for p in poses]
+    found = estimate_motion(
+        np.array([1e-6 * p.t_us for p in poses]),
+        np.array([position for position, _ in shown]),
+        np.array([q for _, q in shown]),
+        np.array([1e-6 * s.t_us for s in imu]),
+        np.array([s.rate_frd for s in imu]),
+        np.array([s.specific_force_frd for s in imu]),
+    )
+    assert found.latency_s == pytest.approx(delay_s, abs=0.004)
+    assert found.rate_correlation > 0.99
+    assert found.force_correlation > 0.99
+    assert found.scale == pytest.approx(1.0, abs=0.02)
+    assert found.body_to_frd == pytest.approx(np.eye(3), abs=0.02)

@@ -343,7 +343,7 @@ def test_unusable_trials(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> 
     assert "no impact found" in written(time, 1.0 + 0.0005 * np.sin(900.0 * time))
     assert "millimetres" in written(time, 1000.0 * value)
     assert "metres" in written(time, 60.0 * value)
-    assert "seconds in time_s" in written(1000.0 * time, value)
+    assert "is time_s in seconds?" in written(1000.0 * time, value)
     holes = value.copy()
     holes[40] = np.nan
     assert ":42: normal_m: 'nan' is not a number" in written(time, holes)

@@ -66,7 +66,7 @@ def test_draws_have_their_walls_where_these_may_stand(dual: Mission) -> None:
         assert np.std(directions) == pytest.approx(np.radians(yaw_deg), rel=0.3, abs=1e-9)
     told = dual.replace({"walls.wood.position_sd_m": 0.05})
     words = prediction_lines(told, predict_mission(told), predict_with_draws(told, 20))
-    assert any("Possible positions of wood" in line for line in words)
+    assert any("The positions of wood are varied" in line for line in words)
 
 
 def heights_in_the_side_view(mission: Mission) -> tuple[dict[str, float], list[float]]:

@@ -2,6 +2,8 @@
 
 import json
 import queue
+import subprocess
+import sys
 
 import pytest
 from hypothesis import given
@@ -49,6 +51,15 @@ def test_a_missing_client_names_the_extra(system: str, monkeypatch: pytest.Monke
     monkeypatch.setattr("importlib.import_module", missing)
     with pytest.raises(InputError, match=r"needs the extra: pip install 'dart-flight\[mocap\]'"):
         open_source(f"{system}://127.0.0.1/dart")
+
+
+def test_a_flight_without_motion_capture_loads_no_client() -> None:
+    code = (
+        "import sys, dart_flight.run.app, dart_flight.check.checks, dart_flight.cli.mocap_command;"
+        "print([name for name in ('natnet', 'qtm_rt') if name in sys.modules])"
+    )
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert found.stdout.strip() == "[]"
 
 
 def test_a_json_pose_is_decoded() -> None:

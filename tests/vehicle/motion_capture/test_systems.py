@@ -4,7 +4,9 @@ import asyncio
 import contextlib
 import math
 import queue
+import socket
 import struct
+import threading
 import time
 from collections.abc import Callable, Iterator
 from itertools import product
@@ -30,6 +32,7 @@ from dart_flight.vehicle.motion_capture import vicon
 from dart_flight.vehicle.motion_capture.optitrack import ServerInfo, decode_server_info
 from dart_flight.vehicle.motion_capture.qualisys import attitude_of_matrix, body_names
 from dart_flight.vehicle.motion_capture.source import PoseSource, RawPose, open_source
+from tests.doubles.ports import free_udp_port
 
 BODY = "my dart"
 POSITION = (1.25, -2.5, 0.75)
@@ -199,6 +202,88 @@ def test_the_qtm_client_understands_the_emulated_server() -> None:
     assert packet.timestamp == 5_000_000
 
 
+GROUP = (239, 255, 42, 99)
+
+
+class OldMotive:
+    """A Motive 2 by hand: NatNet 3.1, without sizes of lists, with markers, a skeleton and a force plate."""
+
+    def __init__(self, data_port: int = 0) -> None:
+        self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self.socket.bind(("127.0.0.1", 0))
+        self.socket.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, socket.inet_aton("127.0.0.1"))
+        self.data_port = data_port  # of multicast; 0: unicast
+        self.client: tuple[str, int] | None = None
+        threading.Thread(target=self.answer, daemon=True).start()
+
+    def answer(self) -> None:
+        with contextlib.suppress(OSError):
+            while True:
+                data, sender = self.socket.recvfrom(65535)
+                kind = data[0]
+                if kind == 0:
+                    info = b"Motive".ljust(256, b"\0") + bytes((2, 2, 0, 0, 3, 1, 0, 0))
+                    info += struct.pack("<QHB4B", 1_000_000, self.data_port, self.data_port != 0, *GROUP)
+                    self.send(1, info, sender)
+                elif kind == 4:
+                    self.send(5, self.model(), sender)
+                elif kind == 10:
+                    self.client = sender
+
+    def send(self, kind: int, payload: bytes, to: tuple[str, int]) -> None:
+        self.socket.sendto(struct.pack("<HH", kind, len(payload)) + payload, to)
+
+    @staticmethod
+    def body(name: bytes, number: int, markers: int) -> bytes:
+        data = name + b"\0" + struct.pack("<ii3fI", number, -1, 0, 0, 0, markers)
+        return data + struct.pack(f"<{3 * markers}f{markers}I", *[0.1] * 3 * markers, *[0] * markers)
+
+    def model(self) -> bytes:
+        marker_set = struct.pack("<I", 0) + b"all\0" + struct.pack("<I", 1) + b"m1\0"
+        skeleton = struct.pack("<I", 2) + b"man\0" + struct.pack("<II", 1, 1) + self.body(b"hip", 1, 0)
+        bodies = struct.pack("<I", 1) + self.body(b"cat", 2, 3)
+        bodies += struct.pack("<I", 1) + self.body(BODY.encode(), 3, 4)
+        return struct.pack("<I", 4) + marker_set + skeleton + bodies
+
+    def frame(self, number: int, stamp_us: int) -> bytes:
+        def rigid_body(identity: int, *pose: float) -> bytes:
+            return struct.pack("<I7ffH", identity, *pose, 1e-4, 1)
+
+        w, x, y, z = ATTITUDE
+        data = struct.pack("<II", number, 1) + b"all\0" + struct.pack("<I3f", 1, 0.1, 0.2, 0.3)
+        data += struct.pack("<I6f", 2, *[0.5] * 6)
+        data += (
+            struct.pack("<I", 2) + rigid_body(2, 9, 9, 9, 0, 0, 0, 1) + rigid_body(3, *POSITION, x, y, z, w)
+        )
+        data += struct.pack("<III", 1, 1, 1) + rigid_body(1, 8, 8, 8, 0, 0, 0, 1)
+        data += struct.pack("<II3ffHf", 1, 0x10001, 0.1, 0.2, 0.3, 0.01, 2, 1e-4)
+        data += struct.pack("<IIII2f", 1, 1, 1, 2, 5.0, 6.0) + struct.pack("<I", 0)
+        return data + struct.pack("<IIdQQQHI", 0, 0, 1e-6 * stamp_us, stamp_us, stamp_us, stamp_us, 0, 0)
+
+
+@pytest.mark.parametrize("multicast", [False, True])
+def test_a_natnet_3_frame_among_other_things_is_read(multicast: bool) -> None:
+    motive = OldMotive(free_udp_port() if multicast else 0)
+    poses: queue.Queue[RawPose] = queue.Queue()
+    source = open_source(f"optitrack://127.0.0.1:{motive.socket.getsockname()[1]}/my%20dart")
+    source.start(poses.put)
+    try:
+        client = (".".join(map(str, GROUP)), motive.data_port)
+        if not multicast:
+            until(lambda: motive.client)
+            assert motive.client is not None
+            client = motive.client
+        motive.send(7, motive.frame(41, 2_000_000), client)
+        pose = poses.get(timeout=30)
+    finally:
+        source.stop()
+        motive.socket.close()
+    assert pose[:2] == (BODY, True)
+    assert pose.position_room == pytest.approx(POSITION)
+    assert angle(pose.q_body_to_room, ATTITUDE) < 1e-6
+    assert (pose.frame_number, pose.source_us) == (41, 2_000_000)
+
+
 # --- packets by hand -----------------------------------------------------------------------------------
 
 
@@ -260,6 +345,14 @@ def test_a_matrix_by_columns_is_its_attitude(vector: tuple[float, float, float])
 def test_a_matrix_that_is_not_a_rotation_is_refused() -> None:
     with pytest.raises(ValueError, match="not a rotation"):
         attitude_of_matrix([math.nan] * 9)
+
+
+def test_a_qtm_frame_with_another_number_of_bodies_is_lost_and_named() -> None:
+    with fed("qualisys") as (server, source, poses):
+        source._all = source._enabled = ["wand", "hat", BODY]  # type: ignore[attr-defined]
+        server.publish(0, POSITION, ATTITUDE)
+        assert not poses.get(timeout=30).tracked
+        assert source.problem == "QTM sends 2 bodies and names 3: restart the stream"
 
 
 def test_disabled_qtm_bodies_are_known() -> None:

@@ -77,7 +77,7 @@ def motion(flight: RecordedFlight, *, look: Look = PAGE) -> Any:
 
 @in_style
 def poses(flight: RecordedFlight, *, look: Look = PAGE) -> Any:
-    """Horizontal position by motion capture and by PX4's estimate, and the distance between them."""
+    """Draw the horizontal position by motion capture and by PX4's estimate, and their distance."""
     figure, axes = new_figure(look, 4.2, 3, 1, sharex=True)
     raw, estimated = flight.course.posed, flight.course.estimated
     for j in (0, 1):
