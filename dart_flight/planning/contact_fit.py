@@ -55,9 +55,7 @@ _FEWEST: Final = 4  # readings in contact
 _SLOWEST_M_S: Final = 0.02
 _POSITION_M: Final = 0.01  # deviation of PX4's position against the walls' frame
 _PLACE_M: Final = 0.1  # at least: how far off the plan a wall may stand: loosely held, the force tells
-_WALL_RAD: Final = math.radians(
-    4.0
-)  # at least: how well a planned wall's direction and the attitude are known
+_WALL_RAD: Final = math.radians(4.0)  # at least: of a planned wall's direction and of the attitude
 _UNPLANNED_RAD: Final = math.radians(15.0)  # of another wall, whose normal is the force's direction
 _UNKNOWN_SPREAD: Final = 0.8  # of the coefficients of a wall of unknown material, relative
 _KNOWN_MATERIAL: Final = 6.0  # sum of three squared deviations: beyond it a wall is of no known material
@@ -74,9 +72,8 @@ _TORQUE_ERROR: Final = 0.1  # much the same in all ticks
 _SURE_SIGMA: Final = 5.0  # of the sum of the readings: below it they are of no contact
 _MIN_FACTOR: Final = 0.1  # no coefficient is believed to be below this share of its prior
 _MAX_ANGLE_RAD: Final = 0.6
-_STARTS_RAD = np.radians(
-    [0.0, *(s * d for d in (1.5, 4.0, 7.0, 10.0, 14.0, 19.0) for s in (-1.0, 1.0))]
-)  # incidence
+# Incidences at which a fit begins.
+_STARTS_RAD = np.radians([-19, -14, -10, -7, -4, -1.5, 0, 1.5, 4, 7, 10, 14, 19])
 _SCREENED: Final = 2  # steps, after which only the best starts go on
 _KEPT: Final = 4
 _STEPS: Final = 10
@@ -92,16 +89,8 @@ _SURE_TORQUE: Final = 4.0  # a fitted torque below this many times the noise doe
 _QUARTER: Final = 0.5 * math.pi
 _K, _F, _X, _V, _D, _MU, _W = range(7)  # k, f, place, velocity, angle, mu, velocity along
 _FACTORS = [_K, _F, _MU]
-_ESTIMATED = (
-    "k_n_per_m",
-    "f_ns_per_m",
-    "mu_s_per_m",
-    "nu_n",
-    "k_sd",
-    "f_sd",
-    "mu_sd",
-    "nu_sd",
-)  # of a belief
+# Fields of a `WallEstimate` in the order of a `Belief`.
+_ESTIMATED = ("k_n_per_m", "f_ns_per_m", "mu_s_per_m", "nu_n", "k_sd", "f_sd", "mu_sd", "nu_sd")
 
 
 class Belief(NamedTuple):
