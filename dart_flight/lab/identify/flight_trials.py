@@ -27,8 +27,8 @@ def trials_of(log: Log, material: str | None = None, mode: str = UNLABELLED) -> 
 
     The position is that of the motion capture's poses if their age is known, otherwise PX4's estimate, which
     smears a contact. The force is the flight core's estimate. All series are in the wall's collision frame
-    and on the autopilot's clock. The plane is the mission's; for a probed wall it is the plane measured by the
-    contact. The vehicle is the one that flew.
+    and on the autopilot's clock. The plane is the mission's; for a probed wall it is the plane that the
+    contact measured. The vehicle is the one that flew.
 
     Raises:
         InputError: the log does not contain its mission.
