@@ -30,7 +30,7 @@ SQUARE, NEAR = ROOT / "missions/square.yaml", ROOT / "tests/data/near_wall.yaml"
 POSE = RawPose("dart", True, (1.0, 2.0, 3.0), (1.0, 0.0, 0.0, 0.0), 1, 1_000, "10.0.0.1:1511")
 
 
-class Source:
+class ScriptedSource:
     """A pose source that delivers what a test says."""
 
     problem: str | None = None
@@ -64,9 +64,9 @@ class ArmedFlight(Flight):
 
 
 def flown(
-    monkeypatch: pytest.MonkeyPatch, looks: int, at_end: Callable[[FlightApp, Source], None]
-) -> tuple[ArmedFlight, Source, list[Any]]:
-    source, records = Source(), list[Any]()
+    monkeypatch: pytest.MonkeyPatch, looks: int, at_end: Callable[[FlightApp, ScriptedSource], None]
+) -> tuple[ArmedFlight, ScriptedSource, list[Any]]:
+    source, records = ScriptedSource(), list[Any]()
     monkeypatch.setattr(module, "open_source", lambda url: source)
     monkeypatch.setattr(module, "_LOOK_PERIOD_S", 0.01)
     mission = with_mocap(load_flyable(SQUARE), "udp://127.0.0.1:9763/dart")
@@ -86,7 +86,7 @@ def flown(
 def test_a_pose_goes_to_px4_and_to_the_core_until_the_core_withholds_it(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    def at_end(app: FlightApp, source: Source) -> None:
+    def at_end(app: FlightApp, source: ScriptedSource) -> None:
         assert source.deliver is not None
         source.deliver(POSE)
         app.execute(PosesWithheld(1, "another body"))
