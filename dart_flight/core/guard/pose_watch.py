@@ -5,9 +5,8 @@ estimate by 0.02 m in 0.5 s, which no phase minds. A contact on the way costs up
 the vehicle must not meet a wall without poses: in an approach the limit is shorter. A contact and its
 recovery are finished first: breaking off would turn the vehicle away from a recovery that works by the IMU.
 
-Poses of another body are withheld from PX4 at once. PX4 rejects them for a second, and then resets its
-position to them; without them it dead-reckons long enough to land. Poses of swapped markers go on: their
-position is right, and PX4 rejects their attitude for longer than a landing takes.
+Poses of another body, or of swapped markers, are withheld from PX4 at once. PX4 rejects them for a second,
+and then resets its position or heading to them; without them it dead-reckons long enough to land.
 """
 
 from __future__ import annotations
@@ -132,7 +131,7 @@ class PoseWatch:
         """Return why PX4 must not get these poses any longer, as text, once in a flight."""
         if self._wrong or phase in ON_GROUND:
             return None
-        self._wrong, self._withheld_us = self._jump, self._now_us
+        self._wrong, self._withheld_us = self._jump or self._turned(_TURNED_S) or "", self._now_us
         return self._wrong or None
 
     # -- causes --
@@ -232,7 +231,7 @@ def _present(v: Any) -> str | None:
 
 def _blind(v: Any) -> str | None:
     watch: PoseWatch | None = v.poses
-    if watch is None or v.phase in _FINISHED_FIRST:
+    if watch is None or v.phase in _FINISHED_FIRST or v.phase is Phase.LANDING:
         return None
     return watch.blind(bool(v.estimator.jump or v.estimator.reset_step()), v.phase)
 
@@ -245,7 +244,7 @@ POSE_RULES: tuple[Rule, ...] = (
     Rule("pose_source_ground", Override.GIVE_UP, Scope.GROUND, Judge(
         "poses that this program forwards: body lost or jumped, poses slow, late, from two senders, or far "
         "from PX4's estimate", f"{_GROUND_LOST_S:g} s, mocap.rate_hz", _present)),
-    Rule("pose_source_blind", Override.LAND, Scope.GUIDED, Judge(
+    Rule("pose_source_blind", Override.LAND, Scope.AIR, Judge(
         "the same, and PX4's estimate has jumped with the poses, or the body has been lost for long",
         f"{LOST_LAND_S:g} s", _blind), (OdometrySample,), explains=_DEAD_RECKONING),
     Rule("pose_source", Override.BREAK_OFF, Scope.FLYING, Judge(
