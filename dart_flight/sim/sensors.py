@@ -28,6 +28,7 @@ IMU_BIAS_M_S2: Final = 0.05
 GYRO_NOISE_RAD_S: Final = 0.01
 POSE_NOISE_M: Final = 0.001
 ATTITUDE_NOISE_RAD: Final = 0.002
+_ROUNDING_S: Final = 1e-9  # a pose that is due at a tick is not a tick late
 
 
 class ImuSensor:
@@ -116,7 +117,7 @@ class PoseSensor:
             twist = quaternion_from_rotation_vector(self._noise.three(ATTITUDE_NOISE_RAD))
             position = add(add(plant.position, self.offset_ned), self._noise.three(POSE_NOISE_M))
             self._pending.append((now, position, quaternion_multiply(plant.q, twist)))
-        if self._pending and self._pending[0][0] + self._delay_s <= now:
+        if self._pending and self._pending[0][0] + self._delay_s <= now + _ROUNDING_S:
             return self._pending.popleft()
         return None
 

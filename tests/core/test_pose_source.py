@@ -143,7 +143,7 @@ def test_an_estimate_that_jumps_with_the_poses_leaves_no_position_to_fly_by(feed
     feed.hover(0.1, away=(0.0, 1.0, 0.0))
     blind = feed.watch.blind(True, Phase.TRANSIT)
     assert blind is not None
-    assert blind.endswith("swapped markers; PX4's estimate has followed")
+    assert blind.endswith("swapped markers; PX4's estimate has stepped since")
 
 
 def test_two_senders_are_named_and_one_that_takes_over_is_not(feed: Feed) -> None:

@@ -6,7 +6,7 @@ the vehicle must not meet a wall without poses: in an approach the limit is shor
 recovery are finished first: breaking off would turn the vehicle away from a recovery that works by the IMU.
 
 Poses of another body, or of swapped markers, are withheld from PX4 at once. PX4 rejects them for a second,
-and then resets its position to them; without them it dead-reckons long enough to land.
+and then resets its position or heading to them; without them it dead-reckons long enough to land.
 """
 
 from __future__ import annotations
@@ -45,6 +45,7 @@ _INTERVALS: Final = 9  # whose median is the rate's: a gap among them is a loss,
 LATER_S: Final = 0.04  # PX4's estimate swings by centimetres if EKF2_EV_DELAY is off by so much
 _AGE_US: Final = 250_000
 _SENDERS_US: Final = 1_000_000
+_RECENT_US: Final = 5_000_000  # PX4's estimate follows poses within this time
 _FINISHED_FIRST: Final = (Phase.CONTACT, Phase.RECOVERY)
 
 
@@ -66,6 +67,7 @@ class PoseWatch:
         self._jump = ""
         self._wrong = ""  # why poses are withheld
         self._withheld_us = 0
+        self._recent, self._recent_us = "", -_RECENT_US  # newest fault
         self._apart_us: int | None = None
         self._turned_us: int | None = None
         self._apart_m = self._turned_deg = 0.0
@@ -103,7 +105,7 @@ class PoseWatch:
         """Return what is wrong with the poses in a phase, as text."""
         ground = phase in ON_GROUND
         lost_s = LOST_APPROACH_S if phase is Phase.APPROACH else LOST_S
-        return (
+        text = (
             self._wrong
             or self._lost(_GROUND_LOST_S if ground else lost_s)
             or self._jump
@@ -113,12 +115,14 @@ class PoseWatch:
             or self._late()
             or self._slow()
         )
+        if text is not None:
+            self._recent, self._recent_us = text, self._now_us
+        return text
 
     def blind(self, estimate_steps: bool, phase: Phase) -> str | None:
         """Return why PX4's position is worth nothing, as text; `estimate_steps`: it has just jumped."""
-        if estimate_steps:
-            fault = self.fault(phase)
-            return None if fault is None else f"{fault}; PX4's estimate has followed"
+        if estimate_steps and (self.fault(phase) or self._now_us - self._recent_us < _RECENT_US):
+            return f"{self._recent}; PX4's estimate has stepped since"
         if self._wrong and (self._now_us - self._withheld_us) * 1e-6 > LOST_LAND_S:
             return self._wrong
         return self._lost(LOST_LAND_S)
@@ -227,19 +231,22 @@ def _present(v: Any) -> str | None:
 
 def _blind(v: Any) -> str | None:
     watch: PoseWatch | None = v.poses
-    if watch is None or v.phase in _FINISHED_FIRST:
+    if watch is None or v.phase in _FINISHED_FIRST or v.phase is Phase.LANDING:
         return None
     return watch.blind(bool(v.estimator.jump or v.estimator.reset_step()), v.phase)
 
+
+# PX4's own words for a position without poses.
+_DEAD_RECKONING: Final = frozenset({"position_uncertain", "estimator_flags", "odometry_silent"})
 
 # fmt: off
 POSE_RULES: tuple[Rule, ...] = (
     Rule("pose_source_ground", Override.GIVE_UP, Scope.GROUND, Judge(
         "poses that this program forwards: body lost or jumped, poses slow, late, from two senders, or far "
         "from PX4's estimate", f"{_GROUND_LOST_S:g} s, mocap.rate_hz", _present)),
-    Rule("pose_source_blind", Override.LAND, Scope.GUIDED, Judge(
+    Rule("pose_source_blind", Override.LAND, Scope.AIR, Judge(
         "the same, and PX4's estimate has jumped with the poses, or the body has been lost for long",
-        f"{LOST_LAND_S:g} s", _blind), (OdometrySample,)),
+        f"{LOST_LAND_S:g} s", _blind), (OdometrySample,), explains=_DEAD_RECKONING),
     Rule("pose_source", Override.BREAK_OFF, Scope.FLYING, Judge(
         "the same, at once in an approach, but not before the end of a contact and its recovery",
         f"{LOST_APPROACH_S:g} s, {LOST_S:g} s, mocap.rate_hz", _present)),
