@@ -363,7 +363,10 @@ def test_plan_says_what_the_hit_is_worth(capsys: pytest.CaptureFixture[str], tmp
             {"objective": "nearest", "posts": {"mast": POST}, "visits": [], "search": SEARCH},
             "posts: is only allowed with",
         ),
-        ({"objective": "nearest", "touch_m_s": 0.5, "visits": [], "search": SEARCH}, "touch_m_s: is only allowed with"),
+        (
+            {"objective": "nearest", "touch_m_s": 0.5, "visits": [], "search": SEARCH},
+            "touch_m_s: is only allowed with",
+        ),
         ({"posts": {"mast": POST | {"centre_m": [0.0, 0.0]}}}, "lies in or at post mast"),
         ({"posts": {"east": POST}}, "a wall has the name east"),
         ({"visits": [{"position_m": [9.0, 0.0], "within_m": 0.1}]}, "outside bounds_m"),
