@@ -19,11 +19,13 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Flight",
+    "FlightSetpoint",
     "Identification",
     "InputError",
     "Log",
     "Mission",
     "PlanResult",
+    "Simulation",
     "Trial",
     "VehicleConfig",
     "Verdict",

@@ -28,6 +28,7 @@ FLOORS = {
 }
 # Inside the lab likewise.
 LAB = (
+    "stepwise",
     "holes",
     "ulog",
     "figure_style",
@@ -45,6 +46,7 @@ LAB = (
     "scene",
     "paper",
     "api",
+    "gym_shuttle",
     "commands",
 )
 # Inside the core likewise: what is known, what is proposed, what is allowed.
@@ -60,6 +62,7 @@ DOORS = {
     "mcap": ("recording/",),
     "foxglove": ("lab/scene/",),
     "jinja2": ("lab/report/render.py",),
+    "gymnasium": ("lab/gym_shuttle.py",),
 }
 
 

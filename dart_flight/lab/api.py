@@ -37,6 +37,8 @@ from dart_flight.lab.search.mission_writer import mission_text, planned_mission,
 from dart_flight.lab.search.plan_table import with_objective
 from dart_flight.lab.search.scenario import Objective, Scenario
 from dart_flight.lab.search.search import Plan, SearchResult, search
+from dart_flight.lab.stepwise import FlightSetpoint
+from dart_flight.lab.stepwise import SteppedSimulation as Simulation
 from dart_flight.recording.reader import Log, read_log
 from dart_flight.recording.verdict import Verdict, verdict_of
 from dart_flight.run.fast import fly_fast
@@ -425,11 +427,13 @@ def _trials_in(source: Source, surface: str | None, mode: str) -> list[Trial]:
 
 __all__ = [
     "Flight",
+    "FlightSetpoint",
     "Identification",
     "InputError",
     "Log",
     "Mission",
     "PlanResult",
+    "Simulation",
     "Trial",
     "VehicleConfig",
     "Verdict",
