@@ -44,6 +44,7 @@ class Laboratory:
     def __init__(self, folder: Path, station: OperatorStation, port: int) -> None:
         self.station, self._folder, self._port = station, folder, port
         self.lines: list[str] = []
+        self.poses_port = 0  # UDP port on which standby expects poses
 
     @property
     def standby(self) -> subprocess.Popen[str]:
@@ -93,8 +94,9 @@ class Laboratory:
 def laboratory(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Laboratory]:
     config = patient((ROOT / "configs" / "dart.yaml").read_text())
     config = config.replace("rc_channel: null", f"rc_channel: {CHANNEL}")
-    if (poses := getattr(request, "param", None)) is not None:
-        config = config.replace("\nmocap:", f"\nmocap:\n  url: udp://127.0.0.1:{poses}/dart", 1)
+    poses_port = free_udp_port()
+    if getattr(request, "param", "") == "poses":
+        config = config.replace("\nmocap:", f"\nmocap:\n  url: udp://127.0.0.1:{poses_port}/dart", 1)
     (tmp_path / "dart.yaml").write_text(config)
     for name, x in (("one", 0.0), ("two", 0.0), ("three", 1.5)):
         (tmp_path / f"{name}.yaml").write_text(MISSION.format(name=name, x=x))
@@ -107,6 +109,7 @@ def laboratory(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Labor
         subprocess.Popen(command, cwd=ROOT, stdout=log) as vehicle,
     ):
         laboratory = Laboratory(tmp_path, station, port)
+        laboratory.poses_port = poses_port
         try:
             with laboratory.standing_by():
                 yield laboratory
@@ -170,16 +173,13 @@ def test_to_end_standby_lands_its_flight(laboratory: Laboratory) -> None:
     assert "landing requested" in end
 
 
-POSES = free_udp_port()
-
-
-@pytest.mark.parametrize("laboratory", [POSES], indirect=True)
+@pytest.mark.parametrize("laboratory", ["poses"], indirect=True)
 def test_standby_forwards_motion_capture(laboratory: Laboratory) -> None:
     laboratory.is_standing_by(1)
     pose = json.dumps({"position_m": [0.0, 0.0, 0.0], "quaternion_wxyz": [1.0, 0.0, 0.0, 0.0]}).encode()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as camera:
         for _ in range(100):
-            camera.sendto(pose, ("127.0.0.1", POSES))
+            camera.sendto(pose, ("127.0.0.1", laboratory.poses_port))
             time.sleep(0.02)
             if laboratory.station.poses:
                 break
