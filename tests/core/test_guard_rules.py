@@ -15,6 +15,7 @@ from dart_flight.base.geometry import Vec3, quaternion_from_euler
 from dart_flight.base.records import (
     ActuatorSample,
     AttitudeSample,
+    ContactRequest,
     DetectionFloor,
     EstimatorSample,
     FlightMode,
@@ -60,6 +61,7 @@ from dart_flight.core.mission.replan import Replan
 from dart_flight.core.mission.trajectories import Trajectory
 from dart_flight.core.sense.senses import Sensed
 from dart_flight.core.sense.state import FlightState
+from dart_flight.planning.contact_fit import ContactFitter
 from tests.core.conftest import TELEPORTING, HandFedCore
 
 CAUSES: dict[str, Callable[[HandFedCore], object]] = {}
@@ -483,6 +485,8 @@ def rigid_pulse(c: HandFedCore) -> None:
     c.at_the_wood()
     c.pulse((0.0, -41.0), 0.056)
     c.run(0.08)
+    request = next(o for o in c.outputs if isinstance(o, ContactRequest))
+    c.give(ContactFitter(c.core.mission.vehicle).answer(request, c.t_us))
 
 
 @cause_with({"mode_mismatch": "land"})

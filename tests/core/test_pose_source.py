@@ -181,7 +181,7 @@ def test_a_flight_with_latency_noise_and_occlusion_has_no_fault(data: st.DataObj
         turn_to = data.draw(st.tuples(*(st.floats(-3.5, 3.5),) * 2))
         change = [(target - now) / 8 for target, now in zip(turn_to, velocity[:2], strict=True)]
         wrong = data.draw(st.integers(0, 60))
-        gap = data.draw(st.integers(0, 60))
+        gap = data.draw(st.integers(2, 8) | st.just(60))  # apart from the gap before
         for i in range(30):
             if i < 8:  # 80 ms: a contact
                 velocity = (velocity[0] + change[0], velocity[1] + change[1], 0.0)
