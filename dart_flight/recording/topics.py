@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator
 from enum import Enum
 from typing import Any, NamedTuple, Union, get_args, get_origin, get_type_hints
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -139,6 +140,8 @@ def _array(values: list[Any], hint: Any) -> NDArray[Any]:
         if kind.optional or kind.type is float:
             return np.array([np.nan if value is None else value for value in values], dtype=float)
         return np.array(values, dtype=kind.type)
+    if isinstance(kind.type, type) and issubclass(kind.type, msgspec.Struct):  # a record within a record
+        return _objects(values)
     words = [value.value if isinstance(value, Enum) else value for value in values]
     return _objects(words) if kind.optional else np.array(words, dtype=np.str_)
 

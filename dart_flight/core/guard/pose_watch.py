@@ -46,7 +46,7 @@ LATER_S: Final = 0.04  # PX4's estimate swings by centimetres if EKF2_EV_DELAY i
 _AGE_US: Final = 250_000
 _SENDERS_US: Final = 1_000_000
 _RECENT_US: Final = 5_000_000  # PX4's estimate follows poses within this time
-_FINISHED_FIRST: Final = (Phase.CONTACT, Phase.RECOVERY)
+_FINISHED_FIRST: Final = frozenset((Phase.CONTACT, Phase.RECOVERY))
 
 
 class PoseWatch:

@@ -56,7 +56,7 @@ def test_command_line_writes_the_configuration(
     said = json.loads(capsys.readouterr().out)
     assert load_vehicle(config).thrust.full_n == pytest.approx(said["full_n"], abs=1e-3)
     assert said["full_n"] == pytest.approx(7.0, rel=0.04)
-    assert "# at full command, at the voltage estimation.battery.reference_v\n" in config.read_text()
+    assert "# thrust at full command, at the voltage\n" in config.read_text()
 
 
 def ulog(
