@@ -1,11 +1,11 @@
-"""Batteries of one vehicle: the newest reading of each, and the choice of the one to judge."""
+"""The batteries of one vehicle: the newest reading of each, and the choice of the battery to judge."""
 
 from __future__ import annotations
 
 from dart_flight.base.text import battery_figures
 from dart_flight.vehicle.messages import BatteryReading
 
-# A supply that never exceeds this share of the landing voltage is no flight battery.
+# A battery that never exceeds this share of the landing voltage is no flight battery.
 _LEAST_SHARE = 0.5
 
 
