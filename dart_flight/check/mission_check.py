@@ -349,7 +349,7 @@ def _check_recovery(
 
 
 def _begins_after_recovery(mission: Mission, leg: TransitSegment, collision: Collision) -> bool:
-    """Whether a leg begins where the recovery from a collision ends."""
+    """Return whether a leg begins at the end of the recovery from a collision."""
     if leg.begin is not None:
         return False
     ends = [w.after for w in mission.waypoints if w.name == leg.name]

@@ -225,10 +225,10 @@ def judge_parameters(
 def _is_absent(
     missing: Parameter, wanted: Mapping[str, Parameter], values: Mapping[str, float], version: Version | None
 ) -> bool:
-    """Whether this version of PX4 lacks a parameter; without a version, decide by the other parameters."""
+    """Return whether this PX4 lacks a parameter; without a version, decide by the other parameters."""
     if version is not None:
         return missing.is_absent_in(version)
-    # A parameter is present that replaced the missing one, or that the missing one would replace.
+    # The parameter is absent if its successor or its predecessor is present.
     when = {"before": "after", "after": "before"}.get(missing.absent.partition(" ")[0])
     return any(
         one.absent.startswith(f"{when} ") and (one.name in values) for one in wanted.values() if one.absent

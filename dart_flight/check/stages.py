@@ -54,7 +54,7 @@ Context = TypeVar("Context", bound=CheckContext[Any])
 
 
 class Check(NamedTuple, Generic[Context, Found]):
-    """One check.
+    """A check of a list.
 
     Attributes:
         name: name, unique within the stage.

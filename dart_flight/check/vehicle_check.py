@@ -40,16 +40,16 @@ def judge_observation(observed: Observation) -> list[CheckFinding]:
     ]
     if observed.other_vehicle is not None:
         findings.append(CheckFinding("second_vehicle", False, observed.other_vehicle))
-    said = ", ".join(dict.fromkeys([*observed.blocking, *observed.texts]))
+    reasons = ", ".join(dict.fromkeys([*observed.blocking, *observed.texts]))
     says = "local position valid"
     if not observed.local_position_ok:
         says = "; ".join(["no valid local position", *observed.found_here])
-        says += f"; PX4 says: {said}" if said else ""
+        says += f"; PX4 says: {reasons}" if reasons else ""
     findings.append(CheckFinding("estimator", observed.local_position_ok, says))
     if observed.blocking or observed.texts:
         # Only a remark: PX4 judges its present mode, but `fly` arms in offboard mode.
         begin = "PX4 would refuse to arm: " if observed.blocking else "PX4 says: "
-        findings.append(CheckFinding("px4_checks", True, begin + said, remark=True))
+        findings.append(CheckFinding("px4_checks", True, begin + reasons, remark=True))
     return findings
 
 

@@ -91,7 +91,7 @@ def _check_collision(
 
 
 def _target_wall_problems(mission: Mission, collision: Collision, place: Vec2) -> Iterator[str]:
-    """Yield a phrase for each place where the wall to be hit must not be but may be."""
+    """Yield a phrase for each unacceptable place of the wall to be hit within its standard deviations."""
     wall = collision.wall
     if not wall.is_uncertain:
         return
@@ -132,7 +132,7 @@ def _blocking_walls(mission: Mission, collision: Collision) -> Iterator[str]:
 
 
 def _crosses(wall: Wall, a: Vec2, b: Vec2) -> bool:
-    """Whether a short straight path crosses a wall."""
+    """Return whether a short straight path crosses a wall."""
     here, there = wall.signed_distance(a), wall.signed_distance(b)
     if here * there >= 0.0:
         return False

@@ -130,7 +130,7 @@ class Autopilot:
     # -- MAVLink commands --
 
     def arm(self, force: bool = False) -> bool:
-        """Arm if PX4 would: the estimator is ready and the mode permits a take-off. Return whether armed."""
+        """Arm and return True if the estimator is ready and the mode permits a take-off, like PX4."""
         if self.armed:
             return True
         if self._killed_at_s is not None:
@@ -176,7 +176,7 @@ class Autopilot:
         return True
 
     def take_off(self, altitude_m: float | None = None) -> bool:
-        """Climb to the take-off altitude and hold, like PX4's take-off mode; return whether acknowledged."""
+        """Climb to the take-off altitude and hold, like PX4's take-off mode; return the acknowledgement."""
         if not self.armed:
             return True  # PX4 acknowledges a take-off while disarmed but does nothing
         self.set_mode(FlightMode.TAKEOFF)

@@ -1,8 +1,9 @@
 """The embedded autopilot's state estimator: it integrates the IMU and corrects by late poses or GPS fixes.
 
 The estimator replaces PX4's EKF2. It uses fixed gains for motion capture, and for GPS a small Kalman filter
-weighted by PX4's parameters. It is not a copy of the EKF2 but has the same kinds of error: noise, delay, the
-velocity error after a clipped accelerometer, and a position that follows a wandering receiver or drifts.
+weighted by PX4's parameters. It is no copy of the EKF2, but it has the same kinds of error. Poses and fixes
+are noisy and late, and a clipped accelerometer causes a velocity error. With GPS the position follows a
+wandering receiver, or drifts with the measured velocity.
 """
 
 from __future__ import annotations

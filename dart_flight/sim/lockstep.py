@@ -1,9 +1,9 @@
 """Lockstep with the application: simulated time does not advance until the application has answered.
 
 The world counts the messages that it has sent. The application reports in `Stepped` which of them it has
-stepped, and the messages that it has sent itself. Time does not advance while the core has telemetry or a
-pose to step, while a setpoint or a pose is in transit to the autopilot, or while a command, a lock order or
-a plan is outstanding. A busy computer therefore makes a simulated flight slower but never different.
+stepped, and the messages that it has sent itself. Time waits for telemetry and poses that the core has not
+stepped, for setpoints and poses in transit to the autopilot, and for outstanding commands, lock orders and
+plans. A busy computer therefore makes a simulated flight slower but never different.
 
 A message also counts as stepped if a newer message of its stream has been stepped. A lost datagram therefore
 delays the world only by `_LOST_S`: then time advances by one tick, and the next message replaces the lost

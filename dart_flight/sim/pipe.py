@@ -92,8 +92,8 @@ class Stepped(msgspec.Struct, tag="stepped"):
     Attributes:
         streams: newest stamp that the core has stepped on each telemetry stream, microseconds; for poses,
             number of the newest frame.
-        sent: last message of each kind passed to MAVSDK, None for unused numbers: `setpoint` with position,
-            velocity and acceleration, `pose` with the position of a forwarded pose, local NED.
+        sent: numbers of the last message of each kind passed to MAVSDK, None if unused. `setpoint` has
+            position, velocity and acceleration; `pose` has the position of a forwarded pose, local NED.
         commands: number of requests to the autopilot without a result.
         plan_due_us: due time of the planner's answer, or None without an open request.
         batch_us: span of samples that the core steps together; the world does not wait within it.

@@ -201,7 +201,7 @@ class DownloadTime:
     """
 
     def __init__(self, size_bytes: int, began_s: float) -> None:
-        self._size_bytes, self._began_s, self._said = size_bytes, began_s, False
+        self._size_bytes, self._began_s, self._is_reported = size_bytes, began_s, False
 
     def line(self, share: float, now_s: float) -> str | None:
         """Return text with the expected remaining time once it is known, otherwise None.
@@ -210,9 +210,9 @@ class DownloadTime:
             share: received share, 0 to 1.
             now_s: present time on the clock of `began_s`, seconds.
         """
-        taken_s = now_s - self._began_s
-        if self._said or taken_s < _RATED_S or share <= 0.0:
+        elapsed_s = now_s - self._began_s
+        if self._is_reported or elapsed_s < _RATED_S or share <= 0.0:
             return None
-        self._said = True
-        rate = share * self._size_bytes / taken_s
+        self._is_reported = True
+        rate = share * self._size_bytes / elapsed_s
         return f"{(1.0 - share) * self._size_bytes / rate / 60.0:.1f} min to go, at {rate / 1e3:.0f} kB/s"

@@ -80,7 +80,7 @@ class Outputs(NamedTuple):
 
 
 class EscGroup(NamedTuple):
-    """Speeds of four motors, revolutions per minute; `first` is the number of the first one, from 0."""
+    """Speeds of four motors, revolutions per minute; `first` is the number of the first motor, from 0."""
 
     t_us: int
     first: int

@@ -221,20 +221,27 @@ def judge_push(push: Vec2, force: Vec2) -> StepFinding:
         push: acceleration measured by the IMU, FRD x and y, m/s2.
         force: estimated external force at the same time, FRD x and y, newton.
     """
-    felt, told = math.degrees(math.atan2(push[1], push[0])), math.degrees(math.atan2(force[1], force[0]))
+    push_deg, force_deg = (
+        math.degrees(math.atan2(push[1], push[0])),
+        math.degrees(math.atan2(force[1], force[0])),
+    )
     size = math.hypot(*force)
     measured: Measured = {
-        "push_direction_deg": round(felt, 1),
-        "force_direction_deg": round(told, 1),
+        "push_direction_deg": round(push_deg, 1),
+        "force_direction_deg": round(force_deg, 1),
         "force_n": round(size, 1),
     }
-    if abs(felt) > 2.0 * _AXIS_DEG:
+    if abs(push_deg) > 2.0 * _AXIS_DEG:
         says = (
-            f"the push came from {_side(felt)}, not from behind: repeat; if it was from behind, see imu_axes"
+            f"the push came from {_side(push_deg)}, not from behind: repeat; "
+            "if it was from behind, see imu_axes"
         )
         return failed(says, **measured)
-    if abs(wrap_deg(told - felt)) > _AXIS_DEG:
-        says = f"the force points {_side(told)} while the push went {_side(felt)}: attitude or yaw is wrong"
+    if abs(wrap_deg(force_deg - push_deg)) > _AXIS_DEG:
+        says = (
+            f"the force points {_side(force_deg)} while the push went {_side(push_deg)}: "
+            "attitude or yaw is wrong"
+        )
         return failed(says, **measured)
     return passed("a push forward is felt as a force forward", **measured)
 
@@ -247,12 +254,12 @@ def judge_servo(config: LockConfig, moves: Sequence[tuple[Mode, LockState, bool 
 
     Args:
         config: configuration of the lock.
-        moves: for each move the commanded mode, the final state, and whether the operator confirms that the
-            arms are in the mode, or None if a limit switch confirms it.
+        moves: commanded mode, final state and confirmation of each move. The confirmation is the operator's
+            answer whether the arms are in the mode, or None if a limit switch has reported it.
     """
     measured: Measured = {}
     wrong = []
-    for mode, state, seen in moves:
+    for mode, state, confirmed in moves:
         measured[f"{mode}_travel_s"] = None
         if state.settled_us is not None and state.commanded_us is not None:
             measured[f"{mode}_travel_s"] = round((state.settled_us - state.commanded_us) * 1e-6, 3)
@@ -261,7 +268,7 @@ def judge_servo(config: LockConfig, moves: Sequence[tuple[Mode, LockState, bool 
                 f"{mode}: {state.reason or state.phase}; look at supply, cable and `dart-flight lock status`"
             )
             return failed(says, **measured)
-        if seen is False:
+        if confirmed is False:
             wrong.append(mode)
     measured["travel_by"] = "switch" if all(state.feedback for _, state, _ in moves) else "configured time"
     if len(wrong) == len(moves):

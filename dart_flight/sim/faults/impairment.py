@@ -43,16 +43,16 @@ class LossyLink(Generic[T]):
 
     def push(self, now_s: float, message: T) -> None:
         """Add a message at a time."""
-        is_, chance = self.impairment, self._random.random
-        if is_.down or (is_.loss > 0.0 and chance() < is_.loss):
+        impairment, chance = self.impairment, self._random.random
+        if impairment.down or (impairment.loss > 0.0 and chance() < impairment.loss):
             return
-        copies = 2 if is_.duplicate > 0.0 and chance() < is_.duplicate else 1
+        copies = 2 if impairment.duplicate > 0.0 and chance() < impairment.duplicate else 1
         for _ in range(copies):
-            late_s = is_.delay_s
-            if is_.reorder > 0.0 and chance() < is_.reorder:
-                late_s += is_.reorder_s
-            if is_.jitter_s > 0.0:
-                late_s += is_.jitter_s * chance()
+            late_s = impairment.delay_s
+            if impairment.reorder > 0.0 and chance() < impairment.reorder:
+                late_s += impairment.reorder_s
+            if impairment.jitter_s > 0.0:
+                late_s += impairment.jitter_s * chance()
             self._number += 1
             heapq.heappush(self._waiting, (now_s + late_s, self._number, message))
 
