@@ -108,7 +108,7 @@ def _hit_times_s(mission: Mission) -> dict[int, float]:
         else:
             try:
                 approach = plan_approach(mission, collision)
-            except NoApproachError:  # a finding of its own
+            except NoApproachError:  # `check_collisions` reports it
                 return dict.fromkeys((c.index for c in mission.collisions), math.nan)
             way_m = 0.0 if here is None else math.dist(here, approach.begin[:2])
             transit_s = transit_time_s(

@@ -228,7 +228,7 @@ def _is_absent(
     """Return whether this PX4 lacks a parameter; without a version, decide by the other parameters."""
     if version is not None:
         return missing.is_absent_in(version)
-    # The parameter is absent if its successor or its predecessor is present.
+    # A newer parameter is absent if a parameter of older versions only is present, and vice versa.
     when = {"before": "after", "after": "before"}.get(missing.absent.partition(" ")[0])
     return any(
         one.absent.startswith(f"{when} ") and (one.name in values) for one in wanted.values() if one.absent

@@ -120,7 +120,7 @@ def _blocking_walls(mission: Mission, collision: Collision) -> Iterator[str]:
     try:
         approach = plan_approach(mission, collision)
     except NoApproachError:
-        return  # a finding of its own
+        return  # `check_collisions` reports it
     impact, first = collision.impact_point, collision.index == 1
     assert impact is not None
     legs = segments_to_impact(mission.start, approach.begin[:2], impact, collision.wall, first)

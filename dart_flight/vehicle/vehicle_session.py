@@ -149,9 +149,7 @@ class VehicleSession:
         self._sent: tuple[object, ...] | None = None  # values of the last setpoint sent
         self._sent_us = 0
         self._events = Events(self._raw)
-        self._requests_us: deque[int] = deque(
-            maxlen=_MAX_REQUESTS
-        )  # host time of TIMESYNC requests, microseconds
+        self._requests_us: deque[int] = deque(maxlen=_MAX_REQUESTS)  # host times of TIMESYNC requests
         self._text_id = 0
         self._server: CommandServer | None = None
         self._other: int | None = None  # system id of another autopilot on the link

@@ -22,7 +22,7 @@ _VISION: Final = 2  # MAV_ESTIMATOR_TYPE; PX4's EKF2 ignores the type MOCAP
 _POSITION_SD_M: Final = 0.01  # PX4 uses EKF2_EVP_NOISE if that is larger
 _ANGLE_SD_RAD: Final = 0.01
 _EARLY: Final = 0.125  # share of a period by which a frame may be early because of jitter
-_DIAGONAL: Final = (0, 6, 11, 15, 18, 20)  # of the upper triangle of a 6 x 6 matrix, by rows
+_DIAGONAL: Final = (0, 6, 11, 15, 18, 20)  # indices in the upper triangle of a 6 x 6 matrix
 
 
 def _covariance() -> list[float]:
