@@ -56,7 +56,7 @@ def judge_place(
     wrong = list(_departure_problems(mission, place, off_m))
     if wrong:
         says = f"{'; '.join(wrong)}: check frame, normals and the vehicle's place. {says}"
-    behind = list(_walls_seen_from_behind(mission, place))
+    behind = list(_walls_facing_away(mission, place))
     if behind:
         says += f"; the vehicle is behind the face of wall {', '.join(behind)}: check the sign of its normal"
     doubtful = not wrong and (off_m > START_SD_M or bool(behind))
@@ -105,7 +105,7 @@ def _departure_problems(mission: Mission, place: Vec2, off_m: float) -> Iterator
             yield f"post {post.name} is between vehicle and start"
 
 
-def _walls_seen_from_behind(mission: Mission, place: Vec2) -> Iterator[str]:
+def _walls_facing_away(mission: Mission, place: Vec2) -> Iterator[str]:
     """Yield the walls that the vehicle is behind, except walls that are hit after the first collision."""
     later = {collision.wall.name for collision in mission.collisions[1:]}
     for wall in mission.walls:

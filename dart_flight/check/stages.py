@@ -11,7 +11,7 @@ from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
 
 
 class Stage(StrEnum):
-    """The equipment that a check needs."""
+    """The stage of a check, by the inputs that the check needs."""
 
     FILE = "file"  # the mission alone
     COMPUTER = "computer"  # the onboard computer

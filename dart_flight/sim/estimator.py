@@ -141,7 +141,7 @@ class Estimator:
         Args:
             t_s: time of the measurement, which may be in the past.
             position_ned, velocity_ned: measured position (m) and velocity (m/s).
-            weights: noise that the filter assumes for them.
+            weights: noise and bias that the filter assumes.
         """
         self._updates += 1
         if self._gps is None or not self._history:

@@ -24,7 +24,7 @@ from dart_flight.sim.pipe import Stepped
 
 _SILENT_S: Final = 10.0  # host time without an answer until the flight ends
 _LOST_S: Final = 1.0  # host time until an unanswered message is considered lost
-_LOOK_S: Final = 0.05  # host time between two polls if no descriptor wakes the world
+_POLL_S: Final = 0.05  # host time between two polls if no descriptor wakes the world
 _STEP_MAX_S: Final = 0.2  # longest counted host time between two polls; beyond it, this process did not run
 _SENDER_S: Final = 0.2  # host time for a sender to catch up
 _SENDER: Final = "the autopilot to send its telemetry"
@@ -139,7 +139,7 @@ class Lockstep:
         Raises:
             SilentParticipantError: nothing came from the application for 10 s of host time.
         """
-        looked_s, waited_s = time.monotonic(), 0.0
+        polled_s, waited_s = time.monotonic(), 0.0
         while look():
             # Read first, because data that has been read no longer wakes `select`.
             self._autopilot.rest()
@@ -148,7 +148,7 @@ class Lockstep:
                 return
             now_s = time.monotonic()
             # Do not count time in which this process did not run.
-            step_s, looked_s = min(now_s - looked_s, _STEP_MAX_S), now_s
+            step_s, polled_s = min(now_s - polled_s, _STEP_MAX_S), now_s
             waited_s += step_s
             if self._report is not None:
                 self._unanswered_s += step_s
@@ -158,7 +158,7 @@ class Lockstep:
                     return
                 if missing is _SENDER and waited_s > _SENDER_S:
                     return
-            select.select(wake, [], [], _LOOK_S)
+            select.select(wake, [], [], _POLL_S)
 
     def _has_arrived(self, kind: str, wanted: Sequence[float | None]) -> bool:
         arrived = self._autopilot.arrived.get(kind, ())

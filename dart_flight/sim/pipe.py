@@ -1,7 +1,7 @@
 """The messages between the application and a simulated vehicle in a separate process, one JSON line each.
 
 The first line of the vehicle's standard input is a `SimulatorSpec`; `WorldInput`s follow. Its standard output
-contains `WorldOutput`s. Every simulated world uses these messages, for any autopilot.
+contains `WorldOutput`s. All worlds in a separate process use these messages, whichever autopilot they run.
 """
 
 from __future__ import annotations

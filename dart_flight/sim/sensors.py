@@ -230,8 +230,8 @@ class GpsReceiver:
         if now >= self._next_s:
             self._next_s += self._period_s
             q = self.quality
-            self._wander = self._later(self._wander, q.wander_m, self._decay)
-            drift = self._later(self._velocity_wander, q.velocity_wander_m_s, self._velocity_decay)
+            self._wander = self._advance_error(self._wander, q.wander_m, self._decay)
+            drift = self._advance_error(self._velocity_wander, q.velocity_wander_m_s, self._velocity_decay)
             self._velocity_wander = drift
             position = add(add(plant.position, self._wander), self._noise.three(q.noise_m))
             velocity = add(add(plant.velocity, drift), self._noise.three(q.velocity_noise_m_s))
@@ -240,7 +240,7 @@ class GpsReceiver:
             return self._pending.popleft()[1]
         return None
 
-    def _later(self, wander: Vec3, sd: float, decay: float) -> Vec3:
+    def _advance_error(self, wander: Vec3, sd: float, decay: float) -> Vec3:
         """Return a first-order Gauss-Markov error advanced by one fix."""
         return add(scale(wander, decay), self._scaled(sd * math.sqrt(1.0 - decay * decay)))
 

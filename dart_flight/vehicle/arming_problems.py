@@ -40,8 +40,8 @@ def severity(log_level: Any) -> str:
 def of_checks(report: Any) -> Report:
     """Return a report from PX4's health and arming checks by MAVSDK; skip messages below a warning."""
     mode = report.current_mode_intention
-    blocking = () if mode.can_arm_or_run else _words(mode.problems)
-    others = tuple(word for word in _words(report.all_problems) if word not in blocking)
+    blocking = () if mode.can_arm_or_run else _problem_texts(mode.problems)
+    others = tuple(word for word in _problem_texts(report.all_problems) if word not in blocking)
     return bool(mode.can_arm_or_run), blocking, others
 
 
@@ -54,6 +54,6 @@ def of_sys_status(sensors: Sensors) -> Report:
     return not refused, ("preflight checks failed",) if refused else (), words
 
 
-def _words(problems: Any) -> tuple[str, ...]:
+def _problem_texts(problems: Any) -> tuple[str, ...]:
     found = (p.message.strip() for p in problems if int(p.log_level) <= _BAD_AT_MAX)
     return tuple(dict.fromkeys(word for word in found if word))

@@ -366,7 +366,7 @@ def judge_motion(
         )
     elif motion.force_correlation < -_SAME_FORCES:
         wrong = "the room is mirrored: its axes are left-handed; exchange the sign of one axis at the source"
-    elif _apart_deg(motion.up_room, (0.0, 0.0, -1.0)) > _POSE_AXIS_DEG:
+    elif _angle_deg(motion.up_room, (0.0, 0.0, -1.0)) > _POSE_AXIS_DEG:
         axis = _axis_of_room(motion.up_room, config)
         wrong = f"wrong axis: the room's {axis} axis points up, mocap.up is {config.up}"
     elif body_tilt_deg > _POSE_AXIS_DEG:
@@ -401,7 +401,7 @@ def judge_motion(
     return passed(f"poses are {delay_ms:.0f} ms old when they reach PX4", **measured)
 
 
-def _apart_deg(a: Vec3, b: Vec3) -> float:
+def _angle_deg(a: Vec3, b: Vec3) -> float:
     return math.degrees(math.acos(max(-1.0, min(1.0, sum(x * y for x, y in zip(a, b, strict=True))))))
 
 

@@ -168,7 +168,7 @@ class Bringup(CheckContext[StepFinding]):
             return failed(f"not seen within {self._wait_s:g} s: {error}")
         if isinstance(error, NoAnswerError):
             return failed(f"{error.message}: is the wire to the flight controller (TX) open?")
-        return failed(self._why_silent(str(error)))
+        return failed(self._explain_silence(str(error)))
 
     def close(self) -> None:
         """Close the link."""
@@ -187,7 +187,7 @@ class Bringup(CheckContext[StepFinding]):
             self._rates = stream_rates(observed.rates_hz, unusable_streams(observed.sources))
         return self._link
 
-    def _why_silent(self, says: str) -> str:
+    def _explain_silence(self, says: str) -> str:
         """Return the reason why no autopilot answers, from the bytes that arrive on a serial port."""
         link = parse_link(self._url)
         if link is None or link.kind != "serial":
@@ -332,7 +332,7 @@ class Bringup(CheckContext[StepFinding]):
         )
         return judgements.judge_motion(motion, config, link.round_trip_s(), self._heading_offset(motion))
 
-    def _shown_poses(self) -> tuple[Array, Array, Array]:
+    def _tracked_poses(self) -> tuple[Array, Array, Array]:
         """Return times of receipt (s), positions (m) and attitudes of the tracked poses, local NED."""
         room = self._mission.vehicle.mocap.room_frame()
         poses = [p for p in list(self._telemetry.poses) if p.tracked]
@@ -343,14 +343,14 @@ class Bringup(CheckContext[StepFinding]):
     def _estimate_motion(self) -> MotionEstimate:
         imu = list(self._telemetry.imu)
         return estimate_motion(
-            *self._shown_poses(),
+            *self._tracked_poses(),
             np.array([1e-6 * s.t_us for s in imu]),
             np.array([s.rate_frd for s in imu]),
             np.array([s.specific_force_frd for s in imu]),
         )
 
     def _heading_offset(self, motion: MotionEstimate) -> float | None:
-        times_s, _, shown = self._shown_poses()
+        times_s, _, shown = self._tracked_poses()
         own = list(self._telemetry.attitude)
         own_s = np.array([1e-6 * s.t_us for s in own])
         return heading_offset_deg(

@@ -121,7 +121,7 @@ class OptiTrackSource:
         if not self._has_model:
             raise InputError(f"mocap URL {self._address.url}: {self._sender} does not list its bodies")
         if self._body_id() is None:
-            raise InputError(f"mocap URL {self._address.url}: {self._no_body()}")
+            raise InputError(f"mocap URL {self._address.url}: {self._describe_missing_body()}")
 
     def _body_id(self) -> int | None:
         body = self._address.body
@@ -129,7 +129,7 @@ class OptiTrackSource:
             return self._ids[body]
         return int(body) if body.isdecimal() and int(body) in self._ids.values() else None
 
-    def _no_body(self) -> str:
+    def _describe_missing_body(self) -> str:
         names = ", ".join(f"{name} ({number})" for name, number in sorted(self._ids.items()))
         return f"Motive streams no rigid body {self._address.body}, only {names or 'none'}"
 
@@ -164,7 +164,7 @@ class OptiTrackSource:
         else:
             source_us = round(1e6 * frame.suffix.timestamp)
         body = next((body for body in frame.rigid_bodies if body.id_num == wanted), None)
-        self.problem = None if body is not None else self._no_body()
+        self.problem = None if body is not None else self._describe_missing_body()
         if body is None or body.tracking_valid is False or not any(body.rot):
             self._deliver(lost_pose(self._address.body, number, source_us, self._sender))
             return

@@ -86,9 +86,9 @@ class QualisysSource:
         if address.body not in self._all:
             self._call(self._disconnect())
             self._end()
-            raise InputError(f"mocap URL {address.url}: {self._no_body()}")
+            raise InputError(f"mocap URL {address.url}: {self._describe_missing_body()}")
 
-    def _no_body(self) -> str:
+    def _describe_missing_body(self) -> str:
         return f"QTM has no 6DOF body {self._address.body}, only {', '.join(sorted(self._all)) or 'none'}"
 
     def _call(self, routine: Any) -> None:
