@@ -1,7 +1,7 @@
-"""`dart-flight check`: everything that can be known on the ground, as findings that end in go or no-go.
+"""The checks before a flight, as findings that end in go or no-go, for `check`, `fly` and `survey`.
 
-`checks` is the list of all checks by stage, `stages` what walks it. `mission_check` judges a mission alone:
-bounds, walls, speeds, forces, servo times, coefficients. With a connection `vehicle_reading` measures and
-reads; `telemetry_check`, `vehicle_check` and `place_check` judge; `px4_parameters` explains those of PX4's
-parameters that matter to a vehicle that flies into walls and compares the rest with `configs/px4/`.
+`checks` lists all checks by stage, and `stages` runs them. `mission_check` judges a mission alone: bounds,
+walls, speeds, forces, servo times, coefficients. With a connection, `vehicle_reading` reads the vehicle's
+parameters and telemetry; `telemetry_check`, `vehicle_check` and `place_check` judge them. `px4_parameters`
+explains the PX4 parameters that matter in a collision and compares the others with `configs/px4/`.
 """

@@ -1,7 +1,7 @@
 """The checks of `check`, `fly`, `survey` and hardware in the loop: one list, by stage.
 
-A command chooses stages (`checks_of`), makes a `FlightContext`, and shows what `run_checks` finds. A further
-check is one line here. The steps on the bench are a list of their own: `bringup.steps.STEPS`.
+A command chooses stages (`checks_of`), creates a `FlightContext` and shows the findings of `run_checks`. To
+add a check, add one line to `CHECKS`. The steps on the bench have their own list, `bringup.steps.STEPS`.
 """
 
 from __future__ import annotations
@@ -60,15 +60,15 @@ from dart_flight.planning.predicted_flight import PredictedFlight
 
 @dataclass
 class FlightContext(CheckContext[CheckFinding]):
-    """The things that the checks before a flight look at.
+    """The inputs of the checks before a flight.
 
     Attributes:
-        mission: to be flown.
-        log_dir: where its log goes.
-        url: MAVSDK connection URL of the vehicle, None without one.
-        position_from: what the operator claims; None: as the vehicle's parameters say.
-        reading: what the vehicle says; the first check of a stage with a vehicle reads it.
-        found: what earlier checks have found.
+        mission: the mission to be flown.
+        log_dir: the folder of the flight log.
+        url: MAVSDK connection URL of the vehicle, or None without a vehicle.
+        position_from: the position source that the operator claims, or None to use the vehicle's parameters.
+        reading: the vehicle's reports, read by the first check of a stage with a vehicle.
+        found: the findings of the earlier checks.
     """
 
     mission: Mission
@@ -80,7 +80,7 @@ class FlightContext(CheckContext[CheckFinding]):
 
     @functools.cached_property
     def planned(self) -> PredictedFlight | None:
-        """The flight by the planner's model, None if it cannot be predicted."""
+        """The flight that the planner's model predicts, or None if it cannot be predicted."""
         return predict_flight_path(self.mission)
 
     @property
@@ -90,7 +90,7 @@ class FlightContext(CheckContext[CheckFinding]):
         return self.reading
 
     def read(self, reader: Callable[[Mission, str], VehicleReading]) -> list[CheckFinding]:
-        """Read once what the checks of a stage with a vehicle need; return no finding."""
+        """Read the vehicle once for the checks of a stage; return no finding."""
         if self.reading is None and self.url is not None:
             self.reading = reader(self.mission, self.url)
         return []
@@ -98,7 +98,7 @@ class FlightContext(CheckContext[CheckFinding]):
     # -- checks that need more than one line --
 
     def check_claim(self) -> list[CheckFinding]:
-        """Judge the operator's claim on the position if there is no vehicle to ask."""
+        """Judge the position source that the operator claims, if no vehicle is connected."""
         if self.url is not None or self.position_from is None:
             return []
         return judge_claim(self.mission, self.position_from)
@@ -109,7 +109,7 @@ class FlightContext(CheckContext[CheckFinding]):
         return judge_parameters(self.mission, v.values, self.position_from or v.position_from, v.version)
 
     def check_own_parameters(self) -> list[CheckFinding]:
-        """Judge the vehicle's own parameters if all else is ready for hardware in the loop."""
+        """Judge the vehicle's own parameters if every other check for hardware in the loop has passed."""
         if not all(finding.go for finding in self.found):
             return []
         return judge_own_parameters(self.mission, self.vehicle.values, self.position_from)
@@ -175,5 +175,5 @@ CHECKS: tuple[FlightCheck, ...] = (
 
 
 def checks_of(*stages: Stage) -> list[FlightCheck]:
-    """Return the checks of some stages, in their order."""
+    """Return the checks of the given stages, in the order of `CHECKS`."""
     return [check for check in CHECKS if check.stage in stages]

@@ -1,4 +1,4 @@
-"""Whether the computer has time for a flight, and is well."""
+"""Checks of the onboard computer: lateness, speed of the core, temperature, power supply and clock."""
 
 from __future__ import annotations
 
@@ -23,16 +23,18 @@ from dart_flight.run.computer import read_computer
 from dart_flight.run.prepare import flight_core_of
 
 _SAMPLES, _WARM = 550, 50
-_HOT_C, _TOO_HOT_C = 70.0, 80.0  # a Raspberry Pi 4 holds its clock back from 80 on
-# The step that finds a contact's peak, over the mean of the IMU samples: 11.7 by instructions on aarch64
-# (docs/results/raspberry_pi.md). The recovery waits for it.
+_HOT_C, _TOO_HOT_C = 70.0, 80.0  # a Raspberry Pi 4 throttles its clock from 80 °C
+# Cost of the step that finds a contact's peak, relative to a mean step (docs/results/raspberry_pi.md).
 _PEAK_FACTOR = 12.0
-_FLIGHT_FACTOR = 2.5  # a sample of recorded flights (0.07 to 0.08 ms) over one at rest (0.03)
-_LEAST_MARGIN = 4.0  # below, the core with log and link has no processor of its own any more
+_FLIGHT_FACTOR = 2.5  # cost of a step in flight (0.07 to 0.08 ms) relative to one at rest (0.03 ms)
+_LEAST_MARGIN = 4.0  # below this, core, log and link together need more than one processor
 
 
 def check_lateness(mission: Mission) -> CheckFinding:
-    """Measure for half a second how late this program runs: a no-go where the guard would see silence."""
+    """Measure for half a second how late this program runs.
+
+    The finding is a no-go if the lateness exceeds the guard's `stream_timeout_s`.
+    """
     late_s = measure_lateness_s()
     says = f"this program lags by up to {late_s * 1e3:.0f} ms"
     if late_s <= LATE_S:
@@ -43,10 +45,10 @@ def check_lateness(mission: Mission) -> CheckFinding:
 
 
 def check_core_speed(mission: Mission, found: Sequence[CheckFinding] = ()) -> CheckFinding:
-    """Measure what the core needs for the inputs of one IMU sample, against the time until the next.
+    """Measure the core's processor time per IMU sample and compare it with the sample interval.
 
-    A mission that the core refuses to fly is a no-go. It has the core's reason, or names the item of `found`
-    that has it.
+    If the core refuses the mission, the finding is a no-go. It gives the core's reason, or names the finding
+    in `found` that already gives it.
     """
     interval_s = 1.0 / mission.vehicle.imu.rate_hz
     try:
@@ -59,11 +61,11 @@ def check_core_speed(mission: Mission, found: Sequence[CheckFinding] = ()) -> Ch
 
 
 def judge_core_speed(step_s: float, interval_s: float) -> CheckFinding:
-    """Whether a core keeps up, and finds a peak before the next sample.
+    """Return whether the core keeps up, and whether it finds a contact's peak before the next sample.
 
     Args:
-        step_s: processor time of one sample in free flight, mean.
-        interval_s: between two samples.
+        step_s: mean processor time of one sample in free flight, seconds.
+        interval_s: time between two samples, seconds.
     """
     margin = interval_s / step_s
     says = f"core needs {step_s * 1e3:.2f} of {interval_s * 1e3:.1f} ms a sample, margin {margin:.0f}"
@@ -79,9 +81,9 @@ def judge_core_speed(step_s: float, interval_s: float) -> CheckFinding:
 
 
 def measure_step_s(mission: Mission) -> float:
-    """Return the processor time per IMU sample with the other inputs of its period, in flight, seconds.
+    """Return the processor time in flight per IMU sample and the other inputs of its period, seconds.
 
-    The measurement is the mean over two seconds on the ground, scaled to flight.
+    The result is the mean over two seconds of inputs on the ground, scaled to flight.
 
     Raises:
         InputError: the mission cannot be flown.
@@ -98,7 +100,7 @@ def measure_step_s(mission: Mission) -> float:
 
 
 def _inputs_at(k: int, period_us: int, motors: int) -> list[Input]:
-    """What a vehicle at rest sends with one IMU sample."""
+    """Return the telemetry of a vehicle at rest for one IMU period."""
     t_us = 1_000_000 + k * period_us
     inputs: list[Input] = [StatusSample(t_us, t_us, local_position_ok=True)] if k % 60 == 0 else []
     inputs.append(ImuSample(t_us, t_us, (0.0, 0.0, -GRAVITY_M_S2), (0.0, 0.0, 0.0)))
@@ -110,7 +112,7 @@ def _inputs_at(k: int, period_us: int, motors: int) -> list[Input]:
 
 
 def check_computer(sample: ComputerSample | None = None) -> list[CheckFinding]:
-    """Temperature, supply and clock as the kernel tells; nothing where it does not."""
+    """Return findings about temperature, power supply and clock, for each value that the kernel reports."""
     now = read_computer() if sample is None else sample
     findings = []
     if now.temperature_c is not None:

@@ -1,4 +1,7 @@
-"""Findings and the decision from them: a no-go has a name, and only by that name can it be overruled."""
+"""Findings of the checks before a flight and the decision from them.
+
+Every no-go has a name. The operator overrules a no-go by that name only.
+"""
 
 from __future__ import annotations
 
@@ -12,15 +15,15 @@ from dart_flight.config.provenance import VehicleSource
 
 
 class CheckFinding(msgspec.Struct, frozen=True):
-    """One thing that was looked at.
+    """The result of one check.
 
     Attributes:
-        item: its name, for `--overrule`.
-        go: False: a reason not to fly.
-        says: what was found, in words.
-        remark: go, but not as it is recommended.
-        overruled: a no-go that the operator has taken upon himself.
-        figures: what was computed, units in the names.
+        item: name of the finding, for `--overrule`.
+        go: whether the finding allows the flight.
+        says: the finding as text for the operator.
+        remark: whether the finding allows the flight but deviates from the recommendation.
+        overruled: whether the operator has overruled this no-go.
+        figures: computed values; their names contain the units.
     """
 
     item: str
@@ -32,7 +35,7 @@ class CheckFinding(msgspec.Struct, frozen=True):
 
 
 class CheckReport(msgspec.Struct, frozen=True):
-    """All findings, and what follows."""
+    """All findings and the decision."""
 
     mission: str
     go: bool
@@ -41,7 +44,7 @@ class CheckReport(msgspec.Struct, frozen=True):
 
 
 def decide(mission: Mission, findings: Iterable[CheckFinding], overrule: Iterable[str] = ()) -> CheckReport:
-    """Go or no-go.
+    """Return the findings with the decision, go or no-go.
 
     Raises:
         InputError: an item to overrule is not a no-go.

@@ -1,6 +1,6 @@
-"""Whether a flight controller is set up for hardware in the loop, on a table, with propellers off.
+"""Checks that a flight controller is set up for hardware in the loop, on a table, with propellers off.
 
-`configs/px4/hitl.params` holds what has to be set beside the vehicle's own parameters, a reason each.
+`configs/px4/hitl.params` lists the parameters that this mode adds to the vehicle's own, with reasons.
 """
 
 from __future__ import annotations
@@ -15,20 +15,20 @@ from dart_flight.config.vehicle import LockDriver, packaged
 from dart_flight.vehicle.ground_link import HeartbeatMode
 
 HITL = "SYS_HITL"
-ON_A_BOARD = "HIL_ACT_FUNC1"  # SITL's simulated outputs are PWM_MAIN_FUNC1 and on
-BOARD = "SYS_USB_AUTO"  # no POSIX build has it
-WITH_IO = "PWM_AUX_FUNC1"  # only where MAIN is a PX4IO are a board's own outputs AUX
+ON_A_BOARD = "HIL_ACT_FUNC1"  # in SITL the simulated outputs begin at PWM_MAIN_FUNC1
+BOARD = "SYS_USB_AUTO"  # absent from POSIX builds
+WITH_IO = "PWM_AUX_FUNC1"  # a board names its own outputs AUX only if a PX4IO provides MAIN
 IO_OUTPUTS = [f"PWM_MAIN_FUNC{k}" for k in range(1, 9)]
 _MOTORS = range(101, 113)  # output functions "Motor 1" to "Motor 12"
 
 
 def hitl_parameters() -> dict[str, Parameter]:
-    """What hardware in the loop needs beside the vehicle's own parameters, by name."""
+    """Return by name the parameters that hardware in the loop adds to the vehicle's own."""
     return load_parameters(packaged("configs", "px4", "hitl.params"))
 
 
 def judge_hitl_parameters(values: Mapping[str, float]) -> list[CheckFinding]:
-    """Return a no-go for each parameter that is not as hardware in the loop needs it."""
+    """Return a no-go for each parameter that differs from `hitl.params`."""
     wanted = hitl_parameters()
     return [
         CheckFinding(d.name, False, f"{d.line()} (param set {d.name} {d.wanted:g}, restart)")
@@ -40,13 +40,13 @@ def judge_hitl_parameters(values: Mapping[str, float]) -> list[CheckFinding]:
 def judge_own_parameters(
     mission: Mission, values: Mapping[str, float], position_from: PositionSource | None
 ) -> list[CheckFinding]:
-    """Judge the vehicle's own parameters as before a flight, without those that this mode sets."""
+    """Judge the vehicle's own parameters as before a flight, except those that this mode sets."""
     wanted = hitl_parameters()
     return [f for f in judge_parameters(mission, values, position_from) if f.item not in wanted]
 
 
 def judge_hitl_mode(values: Mapping[str, float], mode: HeartbeatMode | None) -> list[CheckFinding]:
-    """Return whether it is disarmed, and has been restarted into this mode."""
+    """Return whether the flight controller is disarmed and was restarted into this mode."""
     if mode is None:
         return [CheckFinding("heartbeat", False, "no heartbeat with a mode within 3 s")]
     if mode.armed:
@@ -59,7 +59,10 @@ def judge_hitl_mode(values: Mapping[str, float], mode: HeartbeatMode | None) -> 
 
 
 def judge_hitl_outputs(values: Mapping[str, float]) -> list[CheckFinding]:
-    """There must be simulated ones; a PX4IO goes on in this mode, and its motors turn (v1.18, its source)."""
+    """Return a no-go if the firmware lacks simulated outputs, or if a PX4IO would drive real motors.
+
+    A PX4IO keeps its outputs active in this mode (source of PX4 v1.18).
+    """
     turning = [name for name in IO_OUTPUTS if round(values.get(name, 0)) in _MOTORS]
     if BOARD in values and ON_A_BOARD not in values:
         says = "this firmware has no simulated outputs: build it with CONFIG_MODULES_SIMULATION_PWM_OUT_SIM=y"
@@ -71,7 +74,7 @@ def judge_hitl_outputs(values: Mapping[str, float]) -> list[CheckFinding]:
 
 
 def judge_hitl_lock(mission: Mission) -> CheckFinding:
-    """Return whether the lock has a servo that moves in this mode."""
+    """Return whether the lock's servo can move in this mode."""
     lock = mission.vehicle.lock
     if lock is not None and lock.driver is LockDriver.PX4:
         return CheckFinding(

@@ -1,4 +1,4 @@
-"""Check of the values that a vehicle other than DART inherits from another vehicle's file."""
+"""The check of the values that a vehicle file inherits from another vehicle's file."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dart_flight.config.mission import Mission
 
 
 def check_inherited(mission: Mission) -> list[CheckFinding]:
-    """Return a remark that lists the inherited values, contradictions first, if there are any."""
+    """Return a remark that lists the inherited values, contradictions first, or nothing if there are none."""
     source = mission.vehicle_source
     if source is None:
         return []

@@ -1,4 +1,4 @@
-"""Whether the disk has room for the log of the longest flight that a mission can become."""
+"""The check that the disk has room for the log of the mission's longest possible flight."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from dart_flight.config.mission import Mission
 from dart_flight.core.mission.approach import transit_of, transit_segments
 from dart_flight.recording.writer import BYTES_PER_S
 
-_WAITS_FIRST = 4  # telemetry, offboard mode, arming, climb
+_WAITS_FIRST = 4  # for telemetry, offboard mode, arming and climb
 _LANDING_S = 60.0
 
 
 def check_log_space(mission: Mission, log_dir: Path) -> CheckFinding:
-    """Compare the room left where the log goes with the log of the longest flight."""
+    """Compare the free space of the log folder's disk with the log size of the longest flight."""
     there = next(folder for folder in (log_dir.absolute(), *log_dir.absolute().parents) if folder.exists())
     try:
         left = shutil.disk_usage(there).free
@@ -31,7 +31,7 @@ def check_log_space(mission: Mission, log_dir: Path) -> CheckFinding:
 
 
 def longest_flight_s(mission: Mission) -> float:
-    """How long a mission lasts where everything in it takes the longest that it may."""
+    """Return the duration of a mission in which every phase lasts until its timeout, seconds."""
     vehicle, limits = mission.vehicle, mission.limits
     wait_s = vehicle.flying.ready_timeout_s
     lock_s = 0.0 if vehicle.lock is None else vehicle.lock.timeout_s

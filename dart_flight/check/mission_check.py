@@ -1,4 +1,4 @@
-"""What can be judged of a mission without a vehicle."""
+"""The checks of a mission alone, without a vehicle: places, path, collisions, recoveries, materials."""
 
 from __future__ import annotations
 
@@ -42,16 +42,19 @@ from dart_flight.planning.predicted_flight import (
     predicted_segments,
 )
 
-_CLEARANCE_M = 0.15  # of start and goal from a wall's plane
-_WEAK = 1.3  # an impact below this many thresholds may be missed
+_CLEARANCE_M = 0.15  # required distance of start and goal from a wall's plane
+_WEAK = 1.3  # multiple of the detection threshold; a weaker impact may be missed
 _SAME_M = 1e-6
 _LEG_POINTS = 50
-_PEAK_SPEED = 1.875  # over the mean, of a transit
+_PEAK_SPEED = 1.875  # ratio of a transit's peak speed to its mean speed
 
 
 def predict_flight_path(mission: Mission) -> PredictedFlight | None:
-    """The flight by the planner's model; None where an approach cannot even be flown, which is a finding, or
-    where it depends on walls that nobody knows yet."""
+    """Return the flight that the planner's model predicts.
+
+    The result is None if an approach cannot be flown, or if a wall has not been found yet. Other checks
+    report an approach that cannot be flown.
+    """
     if any(c.wall.sought for c in mission.collisions):
         return None
     try:
@@ -65,7 +68,7 @@ def predict_flight_path(mission: Mission) -> PredictedFlight | None:
 
 
 def check_places(mission: Mission) -> list[CheckFinding]:
-    """Whether start, goal, waypoints and walls lie within the bounds, clear of each other."""
+    """Check that start, goal, waypoints and walls lie within the bounds and clear of each other."""
     findings = []
     places = [("start", mission.start), ("goal", mission.goal.position_m)]
     places += [(w.name, w.position[:2]) for w in mission.waypoints if w.position is not None]
@@ -102,7 +105,7 @@ def check_places(mission: Mission) -> list[CheckFinding]:
 
 
 def check_waypoints(mission: Mission, planned: PredictedFlight | None) -> list[CheckFinding]:
-    """Whether no wall stands between waypoints, and the legs can be flown as asked."""
+    """Check that no wall is between waypoints and that each leg reaches its requested speed."""
     legs = predicted_segments(mission, {} if planned is None else planned.hits)
     if not legs:
         return []
@@ -135,7 +138,7 @@ def check_waypoints(mission: Mission, planned: PredictedFlight | None) -> list[C
 
 
 def check_collisions(mission: Mission, planned: PredictedFlight | None) -> Iterator[CheckFinding]:
-    """Judge each collision: its way, force, noise, envelope, recovery, and the lock's time."""
+    """Judge each collision: approach, force, noise, envelope, recovery and time for the lock."""
     for collision in mission.collisions:
         if collision.wall.sought and collision.probe is None:
             yield from check_found(collision)
@@ -191,14 +194,14 @@ def _check_force(mission: Mission, collision: Collision) -> list[CheckFinding]:
         return [CheckFinding(item, False, weak)]
     clipping = clipping_warning(mission, collision)
     if clipping is not None:
-        # At full scale the recovery is too weak and PX4's estimate is shaken; just below it is a remark.
+        # Beyond full scale the recovery is too weak and PX4's estimate is disturbed.
         go = force <= full_scale_n(mission)
         return [CheckFinding(item, go, clipping, remark=go)]
     return [CheckFinding(item, True, f"{says}, limit {limit:g} N")]
 
 
 def _check_noise(mission: Mission, collision: Collision) -> list[CheckFinding]:
-    """Whether the hit could be told from the vibration that is assumed until one is measured in flight."""
+    """Compare the predicted force with the vibration that is assumed until one is measured in flight."""
     hit, vehicle = expected_hit(mission, collision), mission.vehicle
     if hit is None:
         return []
@@ -214,7 +217,7 @@ def _check_noise(mission: Mission, collision: Collision) -> list[CheckFinding]:
 
 
 def _check_envelope(mission: Mission, collision: Collision) -> list[CheckFinding]:
-    """Whether an impact so fast, so oblique and so far from the centre has been recovered from."""
+    """Check that flights have recovered from impacts of this speed, incidence and guard height."""
     warnings = {
         "speed": speed_warning(collision),
         "incidence": incidence_warning(mission, collision),
@@ -228,7 +231,7 @@ def _check_envelope(mission: Mission, collision: Collision) -> list[CheckFinding
 
 
 def check_path(mission: Mission, planned: PredictedFlight | None) -> list[CheckFinding]:
-    """Whether the vehicle stays within the bounds, and would if it were told to stop: as the guard judges."""
+    """Check, like the guard, that the vehicle stays within the bounds and could stop within them."""
     if planned is None:
         return []
     worst, where, stops = 0.0, (0.0, 0.0), False
@@ -252,7 +255,7 @@ def check_path(mission: Mission, planned: PredictedFlight | None) -> list[CheckF
 
 
 def check_goal(mission: Mission, planned: PredictedFlight | None) -> list[CheckFinding]:
-    """Whether the last recovery is predicted to reach the goal; one that only passes it is a remark."""
+    """Check that the last recovery is predicted to reach the goal; return a remark if it passes the goal."""
     if planned is None or not mission.recovers_to_goal or mission.standoff_m is not None:
         return []
     if planned.goal_miss_m is None:
@@ -266,7 +269,7 @@ def check_goal(mission: Mission, planned: PredictedFlight | None) -> list[CheckF
 
 
 def _states(mission: Mission, planned: PredictedFlight) -> Iterator[tuple[float, float, float, float]]:
-    """Positions and velocities of the planned flight: steady runs to the walls, then the free flights."""
+    """Yield positions (m) and velocities (m/s) of the planned flight: steady runs, free flights, transits."""
     for collision in mission.collisions:
         if collision.impact_point is not None:
             vx, vy, _ = collision.approach_velocity()
@@ -288,7 +291,7 @@ def _states(mission: Mission, planned: PredictedFlight) -> Iterator[tuple[float,
 def _check_recovery(
     mission: Mission, collision: Collision, planned: PredictedFlight | None
 ) -> list[CheckFinding]:
-    """Where the recovery leads: to the next wall where that is the plan, and not into one otherwise."""
+    """Check that the recovery leads to the next wall if that is planned, and into no wall otherwise."""
     hit, item = expected_hit(mission, collision), f"recovery_{collision.index}"
     place = collision.impact_point or (collision.predicted.position_m if collision.predicted else None)
     velocity = impact_velocity(collision)
@@ -303,7 +306,7 @@ def _check_recovery(
         normal_n, friction_n = met.normal_n, abs(met.tangential_n)
     else:
         return []
-    along = math.copysign(friction_n, -velocity[1])  # friction is against the motion
+    along = math.copysign(friction_n, -velocity[1])  # friction opposes the motion
     target = recovery_point(
         (place[0], place[1], 0.0),
         collision.wall.normal,
@@ -313,16 +316,20 @@ def _check_recovery(
     )
     says = f"setpoint after wall {collision.wall.name} near ({target[0]:.2f}, {target[1]:.2f})"
     following = next((c for c in mission.collisions if c.index == collision.index + 1), None)
-    leg = next((one for one in transit_segments(mission) if _begins_behind(mission, one, collision)), None)
+    leg = next(
+        (one for one in transit_segments(mission) if _begins_after_recovery(mission, one, collision)), None
+    )
     if (mission.goal_trajectory if following is None else following.trajectory) is not None:
-        return [_outside(mission, item, target, f"{says}, until a trajectory is planned from there", "it")]
+        return [
+            _judge_setpoint(mission, item, target, f"{says}, until a trajectory is planned from there", "it")
+        ]
     if following is not None and following.approach_m_s is None:
         beyond = following.wall.signed_distance(target)
         if beyond > 0.0:
             short = f"{says}: {beyond:.2f} m short of wall {following.wall.name}, which it should lead to"
             return [CheckFinding(item, False, short)]
         leads = f"{says}, leads to wall {following.wall.name}"
-        return [_outside(mission, item, target, leads, "that wall")]
+        return [_judge_setpoint(mission, item, target, leads, "that wall")]
     for wall in mission.walls:
         if wall is not collision.wall and leads_behind(wall, (place[0], place[1]), (target[0], target[1])):
             return [
@@ -338,19 +345,23 @@ def _check_recovery(
         if leg is not None and is_post_in_the_way(mission, post, target[:2], leg.end[:2]):
             says = f"{says}: from there post {post.name} is in the way to {leg.name}"
             return [CheckFinding(item, False, says)]
-    return [_outside(mission, item, target, says, "the goal" if leg is None else leg.name)]
+    return [_judge_setpoint(mission, item, target, says, "the goal" if leg is None else leg.name)]
 
 
-def _begins_behind(mission: Mission, leg: TransitSegment, collision: Collision) -> bool:
-    """Whether a leg begins where the recovery from a collision has led to."""
+def _begins_after_recovery(mission: Mission, leg: TransitSegment, collision: Collision) -> bool:
+    """Return whether a leg begins at the end of the recovery from a collision."""
     if leg.begin is not None:
         return False
     ends = [w.after for w in mission.waypoints if w.name == leg.name]
     return (ends[0] if ends else len(mission.collisions)) == collision.index
 
 
-def _outside(mission: Mission, item: str, target: Vec3, says: str, first: str) -> CheckFinding:
-    """A setpoint outside of the bounds only pulls where something comes before it; far out it is a slip."""
+def _judge_setpoint(mission: Mission, item: str, target: Vec3, says: str, first: str) -> CheckFinding:
+    """Return a finding about the recovery setpoint's distance outside the bounds.
+
+    A setpoint slightly outside is a remark, because the vehicle reaches `first` before it. A setpoint far
+    outside is a no-go, because its alpha is probably a mistake.
+    """
     outside = setpoint_outside_m(mission.bounds, target[0], target[1])
     if outside > SETPOINT_OUTSIDE_M:
         far = f"{says}, {outside:.2f} m outside bounds_m, more than {SETPOINT_OUTSIDE_M:g} m"
@@ -363,7 +374,7 @@ def _outside(mission: Mission, item: str, target: Vec3, says: str, first: str) -
 
 
 def _check_servo(mission: Mission, collision: Collision) -> list[CheckFinding]:
-    """Whether the lock can be in the next mode before the wall that the recovery leads to."""
+    """Check that the lock can switch to the next mode before the wall that the recovery leads to."""
     following = next((c for c in mission.collisions if c.index == collision.index + 1), None)
     if following is None or following.approach_m_s is not None or following.mode is collision.mode:
         return []
@@ -377,7 +388,7 @@ def _check_servo(mission: Mission, collision: Collision) -> list[CheckFinding]:
         free = there.t_s - here.t_s - here.contact_time_s
         how = "predicted"
     elif hit is not None and collision.impact_point is not None:
-        # The quickest that the way can be flown within the mission's speed limit.
+        # The shortest flight time within the mission's speed limit.
         way = following.wall.signed_distance(collision.impact_point)
         free = way / mission.limits.speed_m_s
         how = "at least"
@@ -391,7 +402,7 @@ def _check_servo(mission: Mission, collision: Collision) -> list[CheckFinding]:
 
 
 def check_flown(mission: Mission) -> CheckFinding:
-    """Return how the mission flew in simulation, and whether it has changed since."""
+    """Return the result of the simulated flights, and whether the mission has changed since."""
     flown = mission.flown
     again = f"dart-flight dry-run {shlex.quote(mission.source)} --fast --runs 20 --vary all"
     if flown is None:
@@ -414,7 +425,7 @@ def check_flown(mission: Mission) -> CheckFinding:
 
 
 def check_materials(mission: Mission) -> list[CheckFinding]:
-    """Return where the coefficients of each material are from."""
+    """Return the source of the coefficients of each material."""
     findings = []
     for name in sorted({c.wall.material for c in mission.collisions if c.wall.material_known}):
         source = mission.vehicle.materials[name].source

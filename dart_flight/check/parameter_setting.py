@@ -1,4 +1,4 @@
-"""Read a vehicle's parameters that are not as wanted, and write them: `dart-flight parameters`."""
+"""Reading and writing of the PX4 parameters that differ from the wanted values: `dart-flight parameters`."""
 
 from __future__ import annotations
 
@@ -37,20 +37,20 @@ from dart_flight.vehicle.downloads import DownloadError
 from dart_flight.vehicle.ground_link import GroundLink
 from dart_flight.vehicle.vehicle_session import VehicleError
 
-_SOURCES = ("EKF2_EV_CTRL", "EKF2_GPS_CTRL")  # by which it is known where the position comes from
+_SOURCES = ("EKF2_EV_CTRL", "EKF2_GPS_CTRL")  # they determine the position source
 _FIX_S = 1.5
 
-Progress = Callable[[int, int], None]  # parameters read, of how many
+Progress = Callable[[int, int], None]  # number of parameters read, total number
 
 
 class ParameterReading(msgspec.Struct, frozen=True):
-    """The parameters of a vehicle that are not as wanted.
+    """The parameters of a vehicle that differ from the wanted values.
 
     Attributes:
-        rows: one for each.
-        position_from: where the position is to come from; None for a file that is written back.
-        version: of PX4; empty if not reported.
-        restart_source: where it is known from which parameters need a restart; None without rows.
+        rows: one row for each of these parameters.
+        position_from: the wanted position source, or None if a file is written back.
+        version: PX4's version, empty if not reported.
+        restart_source: source of the list of parameters that need a restart, or None without rows.
     """
 
     rows: list[ParameterRow]
@@ -74,17 +74,17 @@ def read_differences(
     """Read a vehicle's parameters and compare them with the wanted ones.
 
     Args:
-        link: to the vehicle.
-        mission: for its vehicle and its frame.
-        claimed: where the position comes from; None: motion capture if the configuration has some, otherwise
-            as the vehicle is set.
-        restored: a parameter file that is wanted instead.
-        progress: takes the number of parameters read, and of how many.
+        link: connection to the vehicle.
+        mission: provides the vehicle and the frame.
+        claimed: position source; None selects motion capture if the configuration has a motion capture,
+            otherwise the source that the vehicle's parameters select.
+        restored: parameter file whose values are wanted instead, or None.
+        progress: receives the number of parameters read and the total number.
 
     Raises:
         InputError: the file is wrong.
         VehicleError: another autopilot answers.
-        NoAnswerError: the vehicle answers no request.
+        NoAnswerError: the vehicle does not answer requests.
     """
     wrong = judge_autopilot(link.heartbeat_mode())
     if wrong:
@@ -123,7 +123,7 @@ def _source(link: GroundLink, mission: Mission) -> PositionSource | None:
 
 
 def _restart_names(link: GroundLink) -> tuple[frozenset[str], str]:
-    """Return the parameters that need a restart, and where that is known from."""
+    """Return the parameters that need a restart, and the source of this list."""
     try:
         return restart_names(link.read_file(METADATA)), "the parameter metadata of this PX4"
     except (DownloadError, MetadataError):
@@ -131,13 +131,13 @@ def _restart_names(link: GroundLink) -> tuple[frozenset[str], str]:
 
 
 def save_former(rows: Iterable[ParameterRow], folder: Path, head: str, now: datetime | None = None) -> Path:
-    """Save the vehicle's own values to a dated file that QGroundControl can load; return its path.
+    """Save the vehicle's present values to a dated file that QGroundControl can load; return its path.
 
     Args:
         rows: the parameters.
-        folder: where the file goes.
-        head: the vehicle, in a line.
-        now: the time in the file's name; None: the present.
+        folder: folder of the file.
+        head: description of the vehicle, one line.
+        now: time for the file's name, or None for the present.
 
     Raises:
         InputError: the file cannot be written.
@@ -155,10 +155,10 @@ def save_former(rows: Iterable[ParameterRow], folder: Path, head: str, now: date
 def write_rows(
     link: GroundLink, rows: Iterable[ParameterRow], progress: Progress = lambda done, of: None
 ) -> dict[str, str]:
-    """Write parameters and read them back; return the reason by name for those that were not taken.
+    """Write parameters and read them back; return the reason by name for each that was not accepted.
 
     Raises:
-        NoAnswerError: the vehicle answers no request.
+        NoAnswerError: the vehicle does not answer requests.
     """
     rows, refused = list(rows), {}
     for done, row in enumerate(rows):

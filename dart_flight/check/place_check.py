@@ -1,4 +1,7 @@
-"""Check of a connected vehicle's place in the mission's frame, for the operator to compare with the room."""
+"""The check of a connected vehicle's place in the mission's frame.
+
+The operator compares its finding with the room before take-off.
+"""
 
 from __future__ import annotations
 
@@ -12,14 +15,14 @@ from dart_flight.config.mission import Mission
 from dart_flight.core.mission.anchors import START_SD_M
 from dart_flight.core.mission.approach import is_blocked, is_post_in_the_way
 
-START_TOLERANCE_M: Final = 1.0  # a vehicle placed by hand is nearer to the mission's start than this
+START_TOLERANCE_M: Final = 1.0  # largest distance between a vehicle placed by hand and the mission's start
 _FITS_DEG, _MISFITS_DEG = 15.0, 30.0  # largest error of a matching heading, smallest of another one
 _NEAR_RAD: Final = 0.01  # tolerance for rounded values such as 1.57 and 3.14
 _SIDES: Final = ("ahead", "right", "behind", "left")
 
 
 def check_heading(mission: Mission) -> list[CheckFinding]:
-    """Return a remark if `frame.heading_deg` looks like an angle in radians; needs no vehicle."""
+    """Return a remark if `frame.heading_deg` looks like an angle in radians."""
     given = mission.frame.heading_deg
     eighths = round(given / (0.25 * math.pi))
     if eighths == 0 or abs(eighths) > 8 or abs(given - eighths * 0.25 * math.pi) > _NEAR_RAD:
@@ -50,10 +53,10 @@ def judge_place(
     for name, distance_m, bearing_deg, side in _surroundings(mission, frame, place, yaw_ned):
         says += f"; {name} {distance_m:.2f} m at {bearing_deg:.0f} deg ({side})"
         figures |= {f"{name}_distance_m": distance_m, f"{name}_bearing_deg": bearing_deg}
-    wrong = list(_wrong(mission, place, off_m))
+    wrong = list(_departure_problems(mission, place, off_m))
     if wrong:
         says = f"{'; '.join(wrong)}: check frame, normals and the vehicle's place. {says}"
-    behind = list(_walls_seen_from_behind(mission, place))
+    behind = list(_walls_facing_away(mission, place))
     if behind:
         says += f"; the vehicle is behind the face of wall {', '.join(behind)}: check the sign of its normal"
     doubtful = not wrong and (off_m > START_SD_M or bool(behind))
@@ -68,7 +71,7 @@ def _surroundings(
 ) -> Iterator[tuple[str, float, float, str]]:
     """Yield name, distance, bearing in degrees and side of the vehicle for every wall and post.
 
-    Distances are to the surface, where a tape measure ends, so the operator notices a missing
+    Distances are to the surface, like a tape measure's, so that the operator notices a missing
     `given_at: surface`.
     """
     to_surface_m = mission.vehicle.airframe.contact_distance_m
@@ -85,8 +88,8 @@ def _surroundings(
         yield name, math.hypot(dx, dy) - radius_m, math.degrees(bearing) % 360.0, side
 
 
-def _wrong(mission: Mission, place: Vec2, off_m: float) -> Iterator[str]:
-    """Yield a phrase for each reason not to take off from a place."""
+def _departure_problems(mission: Mission, place: Vec2, off_m: float) -> Iterator[str]:
+    """Yield one phrase for each reason not to take off from a place."""
     excess_m = mission.bounds.excess2(place)
     if excess_m > 0.0:
         yield f"vehicle is {excess_m:.2f} m outside of bounds_m"
@@ -102,8 +105,8 @@ def _wrong(mission: Mission, place: Vec2, off_m: float) -> Iterator[str]:
             yield f"post {post.name} is between vehicle and start"
 
 
-def _walls_seen_from_behind(mission: Mission, place: Vec2) -> Iterator[str]:
-    """Yield the walls that have the vehicle at their back although no later hit explains it."""
+def _walls_facing_away(mission: Mission, place: Vec2) -> Iterator[str]:
+    """Yield the walls that the vehicle is behind, except walls that are hit after the first collision."""
     later = {collision.wall.name for collision in mission.collisions[1:]}
     for wall in mission.walls:
         if wall.name not in later and wall.spans(place) and wall.signed_distance(place) < 0.0:

@@ -1,4 +1,4 @@
-"""Checks of the motion capture whose poses this program forwards."""
+"""The check of the motion capture whose poses this program forwards to PX4."""
 
 from __future__ import annotations
 
@@ -8,17 +8,17 @@ from dart_flight.vehicle.ground_link import Observation
 from dart_flight.vehicle.motion_capture.pose_statistics import GAP_US
 
 _ITEM = "pose_source"
-_RATE_SHARE = 0.8  # of mocap.rate_hz
-_LOST = 0.05  # share of the poses
+_RATE_SHARE = 0.8  # required share of mocap.rate_hz
+_LOST = 0.05  # allowed share of poses without a tracked body
 _AGE_MS, _GROWTH_MS = 100.0, 20.0
-_APART_M, _APART_DEG = 0.2, 10.0  # PX4's estimate of a resting vehicle
+_APART_M, _APART_DEG = 0.2, 10.0  # allowed deviation of PX4's estimate from the poses, at rest
 _ARRIVES_HZ = 0.2
 
 
 def judge_poses(config: MotionCapture, observed: Observation) -> list[CheckFinding]:
-    """Return a finding for each defect of the poses, or one that they are in order.
+    """Return a finding for each defect of the poses, or one finding that they are in order.
 
-    Nothing is judged if this program forwards no poses.
+    Return nothing if this program forwards no poses.
 
     Args:
         config: the configured motion capture.

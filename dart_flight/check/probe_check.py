@@ -1,4 +1,4 @@
-"""Probes, and hits of walls that are found or anchored in flight: what can be judged on the ground."""
+"""The checks of probes, and of collisions with walls that are found or anchored in flight."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from dart_flight.core.mission.course import ARRIVED_S
 from dart_flight.core.mission.trajectories import transit_time_s
 from dart_flight.core.mission.wall_uncertainty import SURE_SD, position_margin_m
 
-_REST_S, _RECOVERY_S = 1.5, 1.5  # from a contact to rest, and to the next wall that a recovery leads to
-_LEAST_FLEXIBLE_M_S = 0.3  # slower, flexible arms push too little to be told from noise
+_REST_S, _RECOVERY_S = 1.5, 1.5  # time from a contact to rest, and to the next wall of a recovery
+_LEAST_FLEXIBLE_M_S = 0.3  # at lower speeds the force of flexible arms is lost in the noise
 
 
 def check_probe(mission: Mission, collision: Collision, probe: Probe) -> Iterator[CheckFinding]:
-    """Whether a probe's hit is felt and borne, and the probe long enough for a wall of the mission."""
+    """Check that a probe's contact is detectable, stays below the force limit and reaches the wall."""
     wall, item = collision.wall, f"probe_{collision.index}"
     (bx, by), (ex, ey) = probe.begin, probe.end
     length_m = math.hypot(ex - bx, ey - by)
@@ -49,7 +49,10 @@ def check_probe(mission: Mission, collision: Collision, probe: Probe) -> Iterato
 
 
 def _largest_force_n(mission: Mission, collision: Collision, probe: Probe) -> float:
-    """Of a square hit in the probe's mode: on the wall's material, else on any of the table."""
+    """Return the peak normal force of a perpendicular contact in the probe's mode, N.
+
+    If the wall's material is unknown, the result is the largest force over all materials of the vehicle.
+    """
     vehicle, wall = mission.vehicle, collision.wall
     names = [wall.material] if wall.material_known else list(vehicle.materials)
     mass_kg, onset = vehicle.airframe.mass_kg, Onset(vehicle.onset)
@@ -61,7 +64,7 @@ def _largest_force_n(mission: Mission, collision: Collision, probe: Probe) -> fl
 
 
 def check_found(collision: Collision) -> Iterator[CheckFinding]:
-    """A hit of a wall that a probe looks for."""
+    """Return a finding about a collision with a wall that a probe locates in flight."""
     assert collision.approach_m_s is not None
     says = f"wall {collision.wall.name} is hit at {math.hypot(*collision.approach_m_s):.2f} m/s once a probe "
     says += "has found it; room for the run-up is judged then"
@@ -69,7 +72,7 @@ def check_found(collision: Collision) -> Iterator[CheckFinding]:
 
 
 def check_anchors(mission: Mission) -> Iterator[CheckFinding]:
-    """Whether walls that are hit where the frame drifts, or parallel ones, have been touched before."""
+    """Check that each wall, or a parallel one, is probed before it is hit if the frame drifts."""
     if not mission.is_anchored:
         return
     touched: list[Collision] = []
@@ -93,7 +96,7 @@ def check_anchors(mission: Mission) -> Iterator[CheckFinding]:
 
 
 def _hit_times_s(mission: Mission) -> dict[int, float]:
-    """About when each wall is hit, by index, from the first run-up's beginning on."""
+    """Return the approximate time of each collision after the start of the first run-up, by index, s."""
     times, now_s = {}, 0.0
     flying = mission.vehicle.flying
     here: Vec2 | None = None
@@ -105,7 +108,7 @@ def _hit_times_s(mission: Mission) -> dict[int, float]:
         else:
             try:
                 approach = plan_approach(mission, collision)
-            except NoApproachError:  # a finding of its own
+            except NoApproachError:  # `check_collisions` reports it
                 return dict.fromkeys((c.index for c in mission.collisions), math.nan)
             way_m = 0.0 if here is None else math.dist(here, approach.begin[:2])
             transit_s = transit_time_s(

@@ -1,7 +1,7 @@
-"""PX4's parameters that matter to a vehicle that flies into walls.
+"""The checks of the PX4 parameters that matter in a collision, and of the position source.
 
-Those that can hurt are explained in words and may be a no-go (`PARAMETERS`); other position gains than the
-configuration's are a no-go; every other one that is not as wanted (`wanted_parameters`) is a remark.
+`PARAMETERS` lists the dangerous parameters: each is explained and may be a no-go. Position gains that differ
+from the configuration are a no-go. Any other difference from `wanted_parameters` is a remark.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ _RC_LOSS_ACTIONS = {
 }
 
 
-def _of_loss(value: float, mission: Mission) -> tuple[bool, str]:
+def _offboard_loss(value: float, mission: Mission) -> tuple[bool, str]:
     whole = value + mission.vehicle.guard.deadman_s
     return value <= 1.5, (
         f"without setpoints PX4's offboard-loss failsafe acts after {value:g} s; with the deadman, a hung "
@@ -142,12 +142,12 @@ def _disarm_land(value: float, _: Mission) -> tuple[bool, str]:
     )
 
 
-# PX4's parameters that matter to a vehicle that collides: whether a value is a go, and what it means.
+# Each function returns whether the value allows the flight, and its meaning as text.
 PARAMETERS: dict[str, Callable[[float, Mission], tuple[bool, str]]] = {
-    "COM_OF_LOSS_T": _of_loss,
+    "COM_OF_LOSS_T": _offboard_loss,
     "COM_OBL_RC_ACT": _loss_action,
     "COM_RC_OVERRIDE": _rc_override,
-    "MAN_OVERRIDE_SPD": _stick_speed,  # in its place from v1.18 on
+    "MAN_OVERRIDE_SPD": _stick_speed,  # replaces COM_RC_OVERRIDE from v1.18
     "NAV_RCL_ACT": _rc_loss,
     "COM_RCL_EXCEPT": _rc_exception,
     "FD_FAIL_P": _attitude_limit,
@@ -159,11 +159,11 @@ PARAMETERS: dict[str, Callable[[float, Mission], tuple[bool, str]]] = {
     "COM_DISARM_LAND": _disarm_land,
     "SYS_HITL": _hitl,
 }
-_LOCKDOWN, _LOCKDOWN_UNTIL = "COM_LKDOWN_TKO", (1, 17)  # nothing takes its place
+_LOCKDOWN, _LOCKDOWN_UNTIL = "COM_LKDOWN_TKO", (1, 17)  # removed after v1.17 without a replacement
 
 
 def names_to_read(version: Version | None = None) -> list[str]:
-    """Every parameter that the judgements here look at and a version of PX4 may have."""
+    """Return the parameters that these checks need, except those that a version of PX4 does not have."""
     names, absent = [*PARAMETERS, *GAINS, *IMU_POSITION], set[str]()
     for source in PositionSource:
         parameters = vehicle_parameters(source)
@@ -175,7 +175,7 @@ def names_to_read(version: Version | None = None) -> list[str]:
 
 
 def other_names(values: Mapping[str, float]) -> list[str]:
-    """By what names versions of PX4 have the parameters that could not be read."""
+    """Return the names that other versions of PX4 use for the parameters that could not be read."""
     return [
         parameter.renamed
         for source in PositionSource
@@ -190,13 +190,13 @@ def judge_parameters(
     source: PositionSource | None,
     version: Version | None = None,
 ) -> list[CheckFinding]:
-    """Parameters as read: explained, compared with the configuration and with `configs/px4/`.
+    """Explain the parameters and compare them with the configuration and with `configs/px4/`.
 
     Args:
-        mission: for its limits and its vehicle.
-        values: as read from the vehicle.
-        source: where its position comes from; None: only what every vehicle needs is compared.
-        version: of PX4; None: not told, and every parameter is expected that any version has.
+        mission: provides the limits and the vehicle.
+        values: parameters read from the vehicle.
+        source: position source; None compares only the parameters that every vehicle needs.
+        version: PX4's version; None expects the parameters of every version.
     """
     wanted = wanted_parameters(mission, source)
     different = {d.name: d for d in differences(wanted, values)}
@@ -207,7 +207,7 @@ def judge_parameters(
             newer = "MAN_OVERRIDE_SPD" in values if version is None else version > _LOCKDOWN_UNTIL
             if name == _LOCKDOWN and newer:
                 continue
-            if name in wanted and _is_elsewhere(wanted[name], wanted, values, version):
+            if name in wanted and _is_absent(wanted[name], wanted, values, version):
                 continue
             findings.append(CheckFinding(name, False, "cannot be read: PX4's behaviour is unknown"))
             continue
@@ -222,13 +222,13 @@ def judge_parameters(
     return findings
 
 
-def _is_elsewhere(
+def _is_absent(
     missing: Parameter, wanted: Mapping[str, Parameter], values: Mapping[str, float], version: Version | None
 ) -> bool:
-    """Whether this PX4 goes without a parameter: by its version, or where that is not told by what it has."""
+    """Return whether this PX4 lacks a parameter; without a version, decide by the other parameters."""
     if version is not None:
         return missing.is_absent_in(version)
-    # It has one that came when this one went, or lacks one that went when this one came.
+    # A newer parameter is absent if a parameter of older versions only is present, and vice versa.
     when = {"before": "after", "after": "before"}.get(missing.absent.partition(" ")[0])
     return any(
         one.absent.startswith(f"{when} ") and (one.name in values) for one in wanted.values() if one.absent
@@ -236,7 +236,7 @@ def _is_elsewhere(
 
 
 def _judge_configured(different: dict[str, ParameterDifference]) -> list[CheckFinding]:
-    """Judge gains and IMU position, and remove them from the differences; what was not read is not judged."""
+    """Judge gains and IMU position, and remove them from the differences; skip values that were not read."""
     findings = []
     for name in (*GAINS, *IMU_POSITION):
         difference = different.pop(name, None)
@@ -259,9 +259,9 @@ def _judge_configured(different: dict[str, ParameterDifference]) -> list[CheckFi
 def _judge_pose_delay(
     mission: Mission, delay_ms: float, difference: ParameterDifference | None
 ) -> CheckFinding:
-    """Compare PX4's assumed pose delay with the measured one.
+    """Compare the pose delay that PX4 assumes with the measured one.
 
-    `difference` is to PX4's usual value, for the case that no measurement exists.
+    Without a measurement, the text reports `difference`, the deviation from PX4's usual value.
     """
     measured_ms = mission.vehicle.mocap.delay_ms
     if measured_ms is None:
@@ -278,18 +278,18 @@ def _judge_pose_delay(
     return CheckFinding(POSE_DELAY, apart_ms <= _POSE_DELAY_TOLERANCE_MS, says)
 
 
-# --- where the position comes from -----------------------------------------------------------------------
+# --- position source -------------------------------------------------------------------------------------
 
 
 def position_source(values: Mapping[str, float], gps_fix: str | None) -> PositionSource | None:
-    """Where a vehicle's position comes from, by what PX4 fuses and what the receiver says of its fix.
+    """Return the position source that PX4 fuses, with the quality of the GPS fix.
 
     Args:
-        values: parameters as read.
-        gps_fix: MAVLink's type of fix in small letters, such as `rtk_fixed`; None: nothing heard.
+        values: parameters read from the vehicle.
+        gps_fix: MAVLink's fix type in lower case, such as `rtk_fixed`, or None if no receiver reports.
 
     Returns:
-        Motion capture wherever it is fused; None where neither it nor GPS is.
+        Motion capture if PX4 fuses it; None if PX4 fuses neither motion capture nor GPS.
     """
     if round(values.get("EKF2_EV_CTRL", 0)) & _HORIZONTAL:
         return PositionSource.MOCAP
@@ -304,13 +304,13 @@ def judge_position(
     gps_fix: str | None,
     claimed: PositionSource | None,
 ) -> list[CheckFinding]:
-    """Whether the position is good enough for a wall, and is what the operator believes it to be.
+    """Check that the position is accurate enough for a collision and that its source is as claimed.
 
     Args:
-        mission: for its frame.
-        found: by `position_source`.
-        gps_fix: as there.
-        claimed: by the operator; None: not claimed.
+        mission: provides the frame.
+        found: result of `position_source`.
+        gps_fix: argument of `position_source`.
+        claimed: the operator's claim, or None.
     """
     item, fix = "position_source", (gps_fix or "no fix").replace("_", " ")
     if found is None:
@@ -332,7 +332,7 @@ def judge_position(
 
 
 def judge_claim(mission: Mission, source: PositionSource, addition: str = "") -> list[CheckFinding]:
-    """What a source of position means for a mission; `addition` goes to what is said of plain GPS."""
+    """Judge a position source for a mission; append `addition` to the text about plain GPS."""
     findings = []
     source = source_for(mission, source)
     if source is PositionSource.ANCHORED:

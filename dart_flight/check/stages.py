@@ -1,6 +1,6 @@
-"""The mechanism of all checks before a flight: a check belongs to a stage, and one function walks a list.
+"""The mechanism of the checks: each check belongs to a stage, and `run_checks` runs a list of checks.
 
-The lists are `checks.CHECKS` and, on the bench, `bringup.steps.STEPS`.
+The lists are `checks.CHECKS` before a flight and `bringup.steps.STEPS` on the bench.
 """
 
 from __future__ import annotations
@@ -11,11 +11,11 @@ from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
 
 
 class Stage(StrEnum):
-    """Where a check can be made."""
+    """The stage of a check, by the inputs that the check needs."""
 
-    FILE = "file"  # of the mission alone
-    COMPUTER = "computer"  # that flies it
-    DESK = "desk"  # what nobody has measured, and what the operator claims
+    FILE = "file"  # the mission alone
+    COMPUTER = "computer"  # the onboard computer
+    DESK = "desk"  # values that are not measured, and the operator's claims
     VEHICLE = "vehicle"
     BENCH = "bench"
     HITL = "hardware in the loop"
@@ -33,18 +33,18 @@ class EndOfStageError(Exception, Generic[Found]):
 
 
 class CheckContext(Generic[Found]):
-    """The things that the checks of a list look at.
+    """The inputs of the checks of a list.
 
     Attributes:
-        found: what earlier checks have found.
-        own_errors: the errors with which a check fails instead of finding something.
+        found: the findings of the earlier checks.
+        own_errors: exceptions of a check that `explain` converts to a finding.
     """
 
     found: list[Found]
     own_errors: ClassVar[tuple[type[Exception], ...]] = ()
 
     def explain(self, error: Exception) -> Found:
-        """Return the finding that an own error stands for."""
+        """Return the finding for one of `own_errors`."""
         raise NotImplementedError(
             f"{type(self).__name__} has own errors and does not explain them"
         ) from error
@@ -54,14 +54,14 @@ Context = TypeVar("Context", bound=CheckContext[Any])
 
 
 class Check(NamedTuple, Generic[Context, Found]):
-    """One check.
+    """A check of a list.
 
     Attributes:
-        name: within its stage.
-        stage: where it can be made.
-        run: returns the findings.
-        what: what it looks at, for the operator.
-        by_hand: whether it needs somebody at the vehicle.
+        name: name, unique within the stage.
+        stage: stage of the check.
+        run: function that returns the findings.
+        what: the subject of the check, as text for the operator.
+        by_hand: whether the check needs an operator at the vehicle.
     """
 
     name: str
@@ -72,9 +72,9 @@ class Check(NamedTuple, Generic[Context, Found]):
 
 
 def run_checks(checks: Iterable[Check[Context, Found]], context: Context) -> list[Found]:
-    """Run checks in their order and return what they find, their own errors included.
+    """Run checks in order and return their findings, including those for `own_errors`.
 
-    A check that raises `EndOfStageError` ends its stage.
+    After `EndOfStageError`, skip the remaining checks of that stage.
     """
     first, ended = len(context.found), set[Stage]()
     for check in checks:

@@ -16,18 +16,18 @@ from dart_flight.vehicle.batteries import describe_reading
 from dart_flight.vehicle.ground_link import Observation, Source, unusable_streams
 
 LOOPBACK = "MAV_ODOM_LP"  # PX4 before 1.14
-_REST_TOLERANCE = 0.3  # share of g; an accelerometer in another unit is off by a factor of ten or more
-_ARRIVES_HZ = 0.2  # slower: one or two messages, not a stream
+_REST_TOLERANCE = 0.3  # share of g; a wrong unit gives an error of a factor of ten or more
+_ARRIVES_HZ = 0.2  # below this rate, the messages are not a stream
 
 
 class StreamRate(NamedTuple):
-    """How fast usable samples of a stream arrive.
+    """The rate of usable samples of a stream.
 
     Attributes:
-        name: in the stream table.
-        rate_hz: of usable samples.
-        enough: whether that is what a mission needs.
-        unusable: why messages bring no usable samples, if that is why there are too few.
+        name: name in the stream table.
+        rate_hz: rate of usable samples.
+        enough: whether the rate is sufficient for a mission.
+        unusable: the reason why messages are unusable, if the rate is too low for that reason.
     """
 
     name: str
@@ -37,16 +37,16 @@ class StreamRate(NamedTuple):
 
     @property
     def says(self) -> str:
-        """The rate and what is needed, or why there is none."""
+        """The rate and the required rate, or the reason why messages are unusable."""
         return self.unusable or f"{self.rate_hz:.0f} Hz, needs {BY_NAME[self.name].expected_hz:g}"
 
 
 def stream_rates(rates_hz: Mapping[str, float], unusable: Mapping[str, str]) -> list[StreamRate]:
-    """Compare the rates of usable samples with what a mission needs.
+    """Compare the rates of usable samples with the rates that a mission needs.
 
     Args:
-        rates_hz: by the stream table's names.
-        unusable: reason by stream, for streams with a message that is not usable.
+        rates_hz: rate by name in the stream table.
+        unusable: reason by stream, for streams with an unusable message.
     """
     slow = {name: rate < BY_NAME[name].expected_hz for name, rate in rates_hz.items()}
     return [
@@ -56,7 +56,7 @@ def stream_rates(rates_hz: Mapping[str, float], unusable: Mapping[str, str]) -> 
 
 
 def judge_rates(observed: Observation, values: Mapping[str, float]) -> list[CheckFinding]:
-    """Return a finding for each stream: enough usable samples, or the reason why not.
+    """Return a finding for each stream: a sufficient rate, or the reason for a lower one.
 
     Args:
         observed: rates and senders.
@@ -103,7 +103,7 @@ def _describe(source: Source) -> str:
 
 
 def judge_battery(mission: Mission, observed: Observation) -> CheckFinding:
-    """Return whether the worst flight battery is charged."""
+    """Return whether the worst flight battery is sufficiently charged."""
     guard, left, volts = mission.vehicle.guard, observed.battery_remaining, observed.battery_v
     low = (left is not None and left < 2.0 * guard.battery_remaining) or (
         volts is not None and volts < guard.battery_v
@@ -130,9 +130,9 @@ def judge_resting_force(observed: Observation) -> list[CheckFinding]:
 
 # --- motor outputs -----------------------------------------------------------------------------------------
 
-_BANKS = ("PWM_MAIN", "PWM_AUX", "UAVCAN_EC")  # in the order in which PX4 starts them
+_BANKS = ("PWM_MAIN", "PWM_AUX", "UAVCAN_EC")  # in PX4's start order
 _MOTOR_1 = 101  # output function
-_SLOWEST_DSHOT = -2  # PWM_<bank>_TIM<n>: DShot from -2 down, -1 is OneShot
+_SLOWEST_DSHOT = -2  # value of PWM_<bank>_TIM<n>: -2 and below is DShot, -1 is OneShot
 
 
 def motor_output_names(values: Mapping[str, float], motors: int) -> list[str]:

@@ -1,4 +1,7 @@
-"""What a vehicle on the ground is judged by, beside its parameters, its telemetry and its place."""
+"""The checks of a vehicle on the ground: round trip, estimator, autopilot, mode, airframe and lock.
+
+Parameters, telemetry and place have their own modules.
+"""
 
 from __future__ import annotations
 
@@ -15,12 +18,12 @@ from dart_flight.vehicle.ground_link import HeartbeatMode, Observation
 
 
 def round_trip_limit_s(mission: Mission) -> float:
-    """Return how long a round trip may take if samples are to come in time."""
+    """Return the longest round trip with which samples are still in time, seconds."""
     return 2.0 * mission.vehicle.guard.telemetry_late_s
 
 
 def judge_round_trip(mission: Mission, seconds: float | None) -> CheckFinding:
-    """Whether samples come in time, as far as a round trip tells; None: no request for it was answered."""
+    """Judge by the round trip whether samples are in time; `seconds` is None if no request was answered."""
     item, limit_s = "round_trip", round_trip_limit_s(mission)
     if seconds is None:
         return CheckFinding(item, True, "vehicle does not answer TIMESYNC", remark=True)
@@ -37,21 +40,21 @@ def judge_observation(observed: Observation) -> list[CheckFinding]:
     ]
     if observed.other_vehicle is not None:
         findings.append(CheckFinding("second_vehicle", False, observed.other_vehicle))
-    said = ", ".join(dict.fromkeys([*observed.blocking, *observed.texts]))
+    reasons = ", ".join(dict.fromkeys([*observed.blocking, *observed.texts]))
     says = "local position valid"
     if not observed.local_position_ok:
         says = "; ".join(["no valid local position", *observed.found_here])
-        says += f"; PX4 says: {said}" if said else ""
+        says += f"; PX4 says: {reasons}" if reasons else ""
     findings.append(CheckFinding("estimator", observed.local_position_ok, says))
     if observed.blocking or observed.texts:
-        # No no-go: PX4 judges its present mode, and `fly` arms in offboard.
+        # Only a remark: PX4 judges its present mode, but `fly` arms in offboard mode.
         begin = "PX4 would refuse to arm: " if observed.blocking else "PX4 says: "
-        findings.append(CheckFinding("px4_checks", True, begin + said, remark=True))
+        findings.append(CheckFinding("px4_checks", True, begin + reasons, remark=True))
     return findings
 
 
 def judge_autopilot(mode: HeartbeatMode | None) -> list[CheckFinding]:
-    """Return a no-go for an autopilot that is not PX4, with its name."""
+    """Return a no-go with the autopilot's name if it is not PX4."""
     if mode is None or not mode.not_px4:
         return []
     says = f"heartbeats arrive, none {mode.not_px4}: this program supports PX4 only"
@@ -59,7 +62,7 @@ def judge_autopilot(mode: HeartbeatMode | None) -> list[CheckFinding]:
 
 
 def judge_mode(mode: HeartbeatMode | None) -> list[CheckFinding]:
-    """Whether it flies from simulated sensors since its last start, whatever SYS_HITL says by now."""
+    """Return a no-go if the vehicle has used simulated sensors since its start, whatever SYS_HITL is now."""
     if mode is None or not mode.hil:
         return []
     says = "the vehicle flies from simulated sensors (hardware in the loop): restart it with SYS_HITL 0"
@@ -67,14 +70,14 @@ def judge_mode(mode: HeartbeatMode | None) -> list[CheckFinding]:
 
 
 def judge_airframe(mission: Mission, values: Mapping[str, float]) -> list[CheckFinding]:
-    """Whether PX4 flies the motors that the configuration describes.
+    """Compare PX4's motors with those of the configuration.
 
-    Thrust is summed over the motors and their torque taken off motor by motor: another number, order or
-    direction makes both wrong. Other distances only scale the torque, and PX4's own may be in any unit.
+    A different number, order or direction of the motors invalidates the estimated thrust and torque.
+    Different distances only scale the torque, and PX4 accepts distances in any unit.
 
     Args:
-        mission: for its vehicle.
-        values: PX4's parameters as read.
+        mission: provides the vehicle.
+        values: PX4's parameters.
     """
     item, motors = "airframe", mission.vehicle.airframe.motors
     try:
@@ -91,7 +94,7 @@ def judge_airframe(mission: Mission, values: Mapping[str, float]) -> list[CheckF
 
 
 def judge_lock(mission: Mission, values: Mapping[str, float]) -> list[CheckFinding]:
-    """Whether the lock's servo would move; nothing where there is none."""
+    """Return whether the lock's servo can move, or nothing if the vehicle has no lock."""
     lock = mission.vehicle.lock
     if lock is None:
         return []

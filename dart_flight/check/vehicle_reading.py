@@ -23,13 +23,13 @@ _MEASURE_S = 3.0
 
 
 class VehicleReading(msgspec.Struct, frozen=True):
-    """A vehicle's reports of itself.
+    """The parameters and telemetry of a vehicle on the ground.
 
     Attributes:
-        mode: of its heartbeat, None if there was none.
-        values: PX4's parameters as read.
-        observed: its telemetry over a few seconds.
-        round_trip_s: shortest round trip, None if no request was answered.
+        mode: mode in the heartbeat, or None without a heartbeat.
+        values: PX4's parameters.
+        observed: telemetry over a few seconds.
+        round_trip_s: shortest round trip, or None if no request was answered.
     """
 
     mode: HeartbeatMode | None
@@ -39,29 +39,29 @@ class VehicleReading(msgspec.Struct, frozen=True):
 
     @property
     def version(self) -> Version | None:
-        """Major and minor of PX4; None if not reported, as 0.0.0."""
+        """PX4's major and minor version, or None if not reported (0.0.0)."""
         return release_of(self.observed.version)
 
     @property
     def position_from(self) -> PositionSource | None:
-        """Where its position comes from."""
+        """The position source that PX4 fuses, or None."""
         return position_source(self.values, self.observed.gps_fix)
 
     @property
     def motors(self) -> tuple[Motor, ...] | None:
-        """The motors of its parameters; None if it has none."""
+        """The motors that PX4's parameters describe, or None if they describe none."""
         if not rotor_names(self.values.get(COUNT, 0.0)):
             return None
         return motors_of(self.values, "the flight controller")
 
 
 def read_vehicle(mission: Mission, url: str) -> VehicleReading:
-    """Read what the checks of a vehicle need.
+    """Read the parameters and telemetry that the checks of a vehicle need.
 
     Raises:
-        EndOfStageError: another autopilot answers, or the link is too slow for the rest.
-        VehicleError: nothing answers at the URL.
-        NoAnswerError: what answers there does not answer requests.
+        EndOfStageError: another autopilot answers, or the link is too slow to read the parameters.
+        VehicleError: no autopilot is found at the URL.
+        NoAnswerError: the autopilot does not answer requests.
     """
     lock = mission.vehicle.lock
     with GroundLink(url, mission.vehicle.connection.timeout_s, mocap=mission.vehicle.mocap) as link:
@@ -72,7 +72,7 @@ def read_vehicle(mission: Mission, url: str) -> VehicleReading:
         round_trip_s = link.round_trip_s()
         late = judge_round_trip(mission, round_trip_s)
         if not late.go:
-            raise EndOfStageError([late])  # over such a link the rest would take minutes, and tell nothing
+            raise EndOfStageError([late])  # over such a link, reading the parameters takes minutes
         observed = link.observe(mission.vehicle, _MEASURE_S)
         names = [*names_to_read(release_of(observed.version)), COUNT]
         if lock is not None and lock.driver is LockDriver.PX4:
@@ -87,7 +87,7 @@ def read_vehicle(mission: Mission, url: str) -> VehicleReading:
 
 
 def _read_outputs(link: GroundLink, motors: int) -> dict[str, float]:
-    """Read the parameters of the motors' outputs, without those that the vehicle does not have."""
+    """Read the parameters of the motors' outputs that the vehicle has."""
     values: dict[str, float] = {}
     while names := motor_output_names(values, motors):
         values |= dict.fromkeys(names, math.nan) | link.read_parameters(names)
@@ -95,25 +95,25 @@ def _read_outputs(link: GroundLink, motors: int) -> dict[str, float]:
 
 
 def read_for_hitl(mission: Mission, url: str) -> VehicleReading:
-    """Read a flight controller over the app's link, before anything is fed to it.
+    """Read a flight controller over the application's link before it receives simulated sensors.
 
     Raises:
-        VehicleError: nothing answers at the URL.
-        NoAnswerError: what answers there does not answer requests.
+        VehicleError: no autopilot is found at the URL.
+        NoAnswerError: the autopilot does not answer requests.
     """
     with GroundLink(url, mission.vehicle.connection.timeout_s) as link:
         mode = link.heartbeat_mode()
         values = link.read_parameters([*hitl_parameters(), COUNT])
         values |= link.read_parameters([WITH_IO, *IO_OUTPUTS] if ON_A_BOARD in values else [BOARD])
         if round(values.get(HITL, 0)) == 1:
-            # Elsewhere the rest would take a minute, and a restart comes first.
+            # Without HITL, the flight controller must be restarted first, and the rest takes a minute.
             values |= link.read_parameters([name for name in names_to_read() if name not in values])
             values |= link.read_parameters(rotor_names(values.get(COUNT, 0.0)))
     return VehicleReading(mode, values)
 
 
 def release_of(text: str) -> Version | None:
-    """Return major and minor of a version in words; None if there is none, as in 0.0.0."""
+    """Return major and minor of a version string, or None without a version (empty or 0.0.0)."""
     major, _, rest = text.partition(".")
     minor = rest.partition(".")[0]
     return (int(major), int(minor)) if major.isdigit() and minor.isdigit() and int(major) else None

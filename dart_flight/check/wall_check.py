@@ -1,4 +1,4 @@
-"""Walls that are not surveyed to the millimetre: whether a mission bears what they leave open."""
+"""The check that a mission tolerates the standard deviations of its walls' positions and directions."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ _INCIDENCE_SD = 2.0
 
 
 def check_walls(mission: Mission, planned: PredictedFlight | None) -> list[CheckFinding]:
-    """What the walls' own standard deviations lead to; nothing for walls that have none.
+    """Check each collision against the standard deviations of the walls, and its distance from wall ends.
 
     Args:
-        mission: whose walls they are.
-        planned: its flight by the planner's model, for the places of hits that a recovery leads to.
+        mission: provides the walls.
+        planned: the predicted flight, for the places of collisions that a recovery leads to.
     """
     hits = {} if planned is None else planned.hits
     known = [c for c in mission.collisions if c.probe is None and not c.wall.sought]
@@ -32,7 +32,10 @@ def check_walls(mission: Mission, planned: PredictedFlight | None) -> list[Check
 
 
 def _check_ends(mission: Mission, hits: Mapping[int, PredictedImpact]) -> Iterator[CheckFinding]:
-    """Whether every wall is met far enough from its end for the whole vehicle to meet it; a post has none."""
+    """Return a finding about the collision nearest to a wall's end: the whole vehicle must meet the wall.
+
+    Posts have no ends and are skipped.
+    """
     walls = [c for c in mission.collisions if not c.wall.post_radius_m and not c.wall.sought]
     places = [(c, impact_place(c, hits)) for c in walls]
     if not places:
@@ -63,7 +66,10 @@ def _check_collision(
     mission: Mission, collision: Collision, hits: Mapping[int, PredictedImpact]
 ) -> Iterator[CheckFinding]:
     wall, item = collision.wall, f"survey_{collision.index}"
-    problems = [*_amiss(mission, collision, impact_place(collision, hits)), *_in_the_way(mission, collision)]
+    problems = [
+        *_target_wall_problems(mission, collision, impact_place(collision, hits)),
+        *_blocking_walls(mission, collision),
+    ]
     if problems:
         yield CheckFinding(item, False, f"by {SURE_SD:g} standard deviations {', '.join(problems)}")
     elif wall.is_uncertain:
@@ -75,9 +81,7 @@ def _check_collision(
         max_incidence_deg(mission.vehicle, collision.mode),
     )
     off_deg = planned_deg + _INCIDENCE_SD * math.degrees(wall.yaw_sd_rad or 0.0)
-    if (
-        planned_deg <= most_deg < off_deg
-    ):  # what is planned beyond it is a finding without the wall's own deviation
+    if planned_deg <= most_deg < off_deg:  # `check_collisions` reports a planned incidence beyond the limit
         yield CheckFinding(
             f"incidence_{collision.index}",
             False,
@@ -86,8 +90,8 @@ def _check_collision(
         )
 
 
-def _amiss(mission: Mission, collision: Collision, place: Vec2) -> Iterator[str]:
-    """Where the wall that is to be hit may stand and must not."""
+def _target_wall_problems(mission: Mission, collision: Collision, place: Vec2) -> Iterator[str]:
+    """Yield a phrase for each unacceptable place of the wall to be hit within its standard deviations."""
     wall = collision.wall
     if not wall.is_uncertain:
         return
@@ -101,14 +105,14 @@ def _amiss(mission: Mission, collision: Collision, place: Vec2) -> Iterator[str]
             yield f"wall {wall.name} may stand beyond wall {other.name}"
 
 
-def _in_the_way(mission: Mission, collision: Collision) -> Iterator[str]:
-    """Which other walls may stand in the way of the run-up, or of the trajectory."""
+def _blocking_walls(mission: Mission, collision: Collision) -> Iterator[str]:
+    """Yield a phrase for each other wall that may block the run-up or the trajectory."""
     if collision.trajectory is not None:
         places = [state.position for state in collision.trajectory.states()]
         for wall in mission.walls:
             if wall.is_uncertain and wall.name != collision.wall.name:
                 slack_m = max(float(position_margin_m(wall, place)) for place in places)
-                if any(_passes(wall.moved(slack_m), a, b) for a, b in itertools.pairwise(places)):
+                if any(_crosses(wall.moved(slack_m), a, b) for a, b in itertools.pairwise(places)):
                     yield f"wall {wall.name} may stand in the way to wall {collision.wall.name}"
         return
     if collision.approach_m_s is None:
@@ -116,7 +120,7 @@ def _in_the_way(mission: Mission, collision: Collision) -> Iterator[str]:
     try:
         approach = plan_approach(mission, collision)
     except NoApproachError:
-        return  # a finding of its own
+        return  # `check_collisions` reports it
     impact, first = collision.impact_point, collision.index == 1
     assert impact is not None
     legs = segments_to_impact(mission.start, approach.begin[:2], impact, collision.wall, first)
@@ -127,8 +131,8 @@ def _in_the_way(mission: Mission, collision: Collision) -> Iterator[str]:
                 yield f"wall {wall.name} may stand in the way of the run-up to wall {collision.wall.name}"
 
 
-def _passes(wall: Wall, a: Vec2, b: Vec2) -> bool:
-    """Whether a short straight way goes through a wall."""
+def _crosses(wall: Wall, a: Vec2, b: Vec2) -> bool:
+    """Return whether a short straight path crosses a wall."""
     here, there = wall.signed_distance(a), wall.signed_distance(b)
     if here * there >= 0.0:
         return False

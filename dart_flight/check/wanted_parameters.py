@@ -1,6 +1,6 @@
-"""The wanted values of a vehicle's PX4 parameters: `configs/px4/`, the configuration, and what was measured.
+"""The wanted values of a vehicle's PX4 parameters, from `configs/px4/`, configuration and measurements.
 
-`check` judges by them, `dart-flight parameters` lists and writes them.
+`check` compares the vehicle's parameters with them; `dart-flight parameters` lists and writes them.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ from dart_flight.lock.drivers.px4_output import required_parameters
 from dart_flight.planning.positioning import source_for
 
 POSE_DELAY = "EKF2_EV_DELAY"
-# The prediction of where a recovery leads rests on these.
+# The prediction of a recovery depends on these.
 GAINS = ("MPC_XY_P", "MPC_XY_VEL_P_ACC", "MPC_XY_VEL_D_ACC", "MPC_VELD_LP", "MPC_TILTMAX_AIR", "MPC_Z_P")
-# Forward, right, down of the centre of mass, as imu.position_m.
+# Forward, right and down from the centre of mass, like imu.position_m.
 IMU_POSITION = ("EKF2_IMU_POS_X", "EKF2_IMU_POS_Y", "EKF2_IMU_POS_Z")
 _FAILURE_ANGLES = ("FD_FAIL_P", "FD_FAIL_R")
 _HITL, _OFFBOARD_LOSS = "SYS_HITL", "COM_OF_LOSS_T"
@@ -36,7 +36,7 @@ _POSITION_TOLERANCE_M = 0.005
 _DELAY_TOLERANCE_MS = 0.5
 
 METADATA = "/etc/extras/parameters.json.xz"  # on the flight controller, by MAVLink FTP
-# Marked @reboot_required in PX4's source (release/1.18 of 2026-08-08), of those that are written here.
+# Parameters written by this program that PX4's source marks @reboot_required (release/1.18, 2026-08-08).
 _RESTART = (
     "CBRK_FLIGHTTERM EKF2_EV_DELAY EKF2_GPS_DELAY EKF2_HGT_REF EKF2_MAG_TYPE IMU_GYRO_RATEMAX IMU_INTEG_RATE "
     "MAV_0_FORWARD MAV_1_CONFIG MAV_1_FLOW_CTRL MAV_1_FORWARD MAV_1_MODE MAV_1_RATE SDLOG_PROFILE "
@@ -47,16 +47,16 @@ RESTART_SOURCE = "@reboot_required in the source of PX4 release/1.18, 2026-08-08
 
 
 class MetadataError(FlightError):
-    """PX4's parameter metadata has another form than known here."""
+    """PX4's parameter metadata has an unknown format."""
 
 
 class ParameterRow(msgspec.Struct, frozen=True):
-    """A parameter that is not as wanted.
+    """A parameter that differs from its wanted value.
 
     Attributes:
-        name: PX4's.
-        vehicle: the vehicle's value; an int is an INT32. None: the vehicle has no such parameter.
-        wanted: in the vehicle's type.
+        name: PX4's name of the parameter.
+        vehicle: the vehicle's value (an int is an INT32), or None if the vehicle lacks the parameter.
+        wanted: the wanted value, in the vehicle's type.
         why: the reason for the wanted value.
         restart: whether a new value takes effect only after a restart of the flight controller.
     """
@@ -69,11 +69,11 @@ class ParameterRow(msgspec.Struct, frozen=True):
 
 
 def wanted_parameters(mission: Mission, source: PositionSource | None) -> dict[str, Parameter]:
-    """Return the wanted parameters by name; measured values win over the placeholders of the files.
+    """Return the wanted parameters by name; measured values replace the placeholders of the files.
 
     Args:
-        mission: for its vehicle and its frame.
-        source: where the position comes from; None: only what every vehicle needs.
+        mission: provides the vehicle and the frame.
+        source: position source; None returns only the parameters that every vehicle needs.
     """
     vehicle = mission.vehicle
     wanted = dict(vehicle_parameters(None if source is None else source_for(mission, source)))
@@ -102,9 +102,9 @@ def with_lock_output(
     """Add the parameters of the lock's output on PX4, if the lock has one.
 
     Args:
-        mission: for its lock.
+        mission: provides the lock.
         wanted: the other wanted parameters.
-        values: the vehicle's own; their bits that do not matter here stay.
+        values: the vehicle's values, whose bits outside a parameter's mask are kept.
     """
     lock, found = mission.vehicle.lock, dict(wanted)
     if lock is None or lock.driver is not LockDriver.PX4:
@@ -120,11 +120,11 @@ def with_lock_output(
 def rows_of(
     wanted: Mapping[str, Parameter], values: Mapping[str, Value], restart: Collection[str]
 ) -> list[ParameterRow]:
-    """Return the parameters that are not as wanted, in the order of the files.
+    """Return the parameters that differ from their wanted values, in the order of the files.
 
     Args:
-        wanted: by name.
-        values: the vehicle's own, in its types.
+        wanted: wanted parameters by name.
+        values: the vehicle's values, in its types.
         restart: names of the parameters that need a restart.
     """
     return [
@@ -136,7 +136,7 @@ def rows_of(
 
 
 def _in_type_of(actual: Value | None, wanted: Value) -> Value:
-    """Return a wanted value in the vehicle's own type."""
+    """Return a wanted value in the type of the vehicle's value."""
     if isinstance(actual, float):
         return float(wanted)
     return round(wanted) if isinstance(actual, int) and float(wanted).is_integer() else wanted
@@ -146,7 +146,7 @@ def restart_names(metadata: bytes) -> frozenset[str]:
     """Return the parameters that need a restart, from PX4's metadata file (`METADATA`).
 
     Raises:
-        MetadataError: the file has another form.
+        MetadataError: the file has an unknown format.
     """
     try:
         tree = msgspec.json.decode(lzma.decompress(metadata))

@@ -1,7 +1,7 @@
-"""The embedded autopilot: a small PX4 look-alike on top of the plant, without I/O and without a clock.
+"""The embedded autopilot: a small imitation of PX4 on the plant, without I/O and without a clock.
 
-One `step` is one tick of 4 ms: plant, sensors, estimator, modes and failsafes, control. Two worlds use it:
-`run.fast` in process, `sim.mavlink_endpoint` behind MAVLink in a process of its own.
+One `step` is a tick of 4 ms: plant, sensors, estimator, modes and failsafes, control. `run.fast` uses the
+autopilot in the same process, `sim.embedded_simulator` over MAVLink in a separate process.
 """
 
 from __future__ import annotations
@@ -35,11 +35,11 @@ _POSITION_EVERY: Final = 2  # ticks: PX4's position controller runs with its est
 _FAILSAFE_HOLD_S: Final = 5.0
 _IDLE: Final = 0.05
 _KILL_DISARM_S: Final = 5.0  # PX4's COM_KILL_DISARM
-_OFFBOARD_PROOF_S: Final = 0.5  # setpoints must be this fresh for the mode to be accepted
+_OFFBOARD_PROOF_S: Final = 0.5  # largest age of a setpoint with which offboard mode is accepted
 
 
 class ImuReading:
-    """One tick of the IMU as the autopilot reports it."""
+    """The IMU sample of one tick as the autopilot reports it."""
 
     __slots__ = ("rate_frd", "specific_force_frd", "t_us")
 
@@ -48,11 +48,11 @@ class ImuReading:
 
 
 class Autopilot:
-    """Arming, modes, failsafes and control of the simulated vehicle.
+    """The simulated vehicle's autopilot: arming, modes, failsafes and control.
 
     Args:
         plant: the body and its world.
-        seed: of every sensor's noise.
+        seed: seed of the noise of all sensors.
         say: receives (severity, text) of every STATUSTEXT.
         position_from: motion capture or a GPS receiver.
     """
@@ -84,11 +84,11 @@ class Autopilot:
         self.motors: tuple[float, ...] = self._stopped
         self._killed_at_s: float | None = None
         self.actuator_set: list[float] = [math.nan] * 6
-        self.pose: tuple[float, Vec3, Quaternion] | None = None  # that motion capture reports at this tick
-        self.fuses_own_pose = True  # else poses arrive by `take_pose`
+        self.pose: tuple[float, Vec3, Quaternion] | None = None  # pose by motion capture at this tick
+        self.fuses_own_pose = True  # False if poses arrive by `take_pose`
         self.imu = ImuReading(0, (0.0, 0.0, -GRAVITY_M_S2), (0.0, 0.0, 0.0))
         self.failsafe: str | None = None
-        self.imu_stuck = False  # faults: the reported IMU hangs, the flying one does not
+        self.imu_stuck = False  # fault: the reported IMU repeats its sample, the estimator's does not
         self.battery_left: float | None = None
         self._offboard: TrajectorySetpoint | None = None
         self._offboard_at_s = -math.inf
@@ -96,24 +96,24 @@ class Autopilot:
         self._failsafe_since_s: float | None = None
         self._quiet_since_s = 0.0
         self._tick = 0
-        # PX4 has been up for a while when a client connects, and its clock is not the host's.
+        # PX4 runs for a while before a client connects, and its clock differs from the host's.
         plant.time_offset_us = 7_000_000
 
-    # -- what telemetry reads --
+    # -- telemetry --
 
     @property
     def now_s(self) -> float:
-        """Time since the simulation began."""
+        """Time since the start of the simulation, seconds."""
         return self.plant.time_s
 
     @property
     def time_us(self) -> int:
-        """The autopilot's clock."""
+        """The autopilot's clock, microseconds."""
         return round(self.plant.time_s * 1e6) + self.plant.time_offset_us
 
     @property
     def system_status(self) -> SystemStatus:
-        """State in the heartbeat, composed like PX4's."""
+        """The system status in the heartbeat, derived like PX4's."""
         if self._killed_at_s is not None:
             return SystemStatus.FLIGHT_TERMINATION
         if not self.armed:
@@ -122,15 +122,15 @@ class Autopilot:
 
     @property
     def battery_remaining(self) -> float:
-        """Charge left, 0 to 1: a quarter of an hour of flight."""
+        """The remaining charge, 0 to 1; a full battery lasts 15 minutes."""
         if self.battery_left is not None:
             return self.battery_left
         return max(0.0, 1.0 - self.plant.time_s / 900.0)
 
-    # -- commands, as MAVLink brings them --
+    # -- MAVLink commands --
 
     def arm(self, force: bool = False) -> bool:
-        """Arm where PX4 would: estimator ready, and in a mode that can take off without GPS."""
+        """Arm and return True if the estimator is ready and the mode permits a take-off, like PX4."""
         if self.armed:
             return True
         if self._killed_at_s is not None:
@@ -150,7 +150,7 @@ class Autopilot:
         return True
 
     def disarm(self, force: bool = False) -> bool:
-        """Disarm on the ground, or anywhere when forced."""
+        """Disarm on the ground, or anywhere if forced; return whether the vehicle is disarmed."""
         if self.armed and self.landed is not LandedState.ON_GROUND and not force:
             self.say("critical", "Disarming denied: not landed")
             return False
@@ -160,11 +160,11 @@ class Autopilot:
         return True
 
     def kill(self) -> None:
-        """The pilot's kill switch: motors off at once, disarmed as late as PX4 does it."""
+        """Stop the motors at once, like the pilot's kill switch; disarm 5 s later, like PX4."""
         self._killed_at_s = self.now_s
 
     def set_mode(self, mode: FlightMode) -> bool:
-        """Change the flight mode; offboard needs a fresh stream of setpoints."""
+        """Change the flight mode and return whether it was accepted; offboard mode needs fresh setpoints."""
         if mode is FlightMode.OFFBOARD and self.now_s - self._offboard_at_s > _OFFBOARD_PROOF_S:
             self.say("critical", "Switching to offboard is not possible: no setpoints")
             return False
@@ -176,9 +176,9 @@ class Autopilot:
         return True
 
     def take_off(self, altitude_m: float | None = None) -> bool:
-        """Climb to the take-off altitude and hold, PX4's take-off mode."""
+        """Climb to the take-off altitude and hold, like PX4's take-off mode; return the acknowledgement."""
         if not self.armed:
-            return True  # PX4 acknowledges a take-off while disarmed, and does nothing
+            return True  # PX4 acknowledges a take-off while disarmed but does nothing
         self.set_mode(FlightMode.TAKEOFF)
         climb = altitude_m if altitude_m is not None else self.parameters["MIS_TAKEOFF_ALT"]
         p = self.estimator.position
@@ -186,27 +186,30 @@ class Autopilot:
         return True
 
     def set_trajectory(self, setpoint: TrajectorySetpoint) -> None:
-        """A SET_POSITION_TARGET_LOCAL_NED."""
+        """Store the setpoint of a SET_POSITION_TARGET_LOCAL_NED."""
         self._offboard = setpoint
         self._offboard_at_s = self.now_s
 
     def expect_poses(self) -> None:
-        """From now on fuse the poses of `take_pose`, and not those of the simulated motion capture itself."""
+        """Switch from the poses of the simulated motion capture to the poses of `take_pose`."""
         self.fuses_own_pose = False
         self.estimator.assume_delay(self.now_s, 1e-3 * float(self.parameters["EKF2_EV_DELAY"]))
 
     def take_pose(self, position_ned: Vec3, q_frd_to_ned: Quaternion) -> None:
-        """Fuse a pose that arrives from outside, if the vehicle has no other."""
+        """Fuse an external pose, if the vehicle does not fuse its own."""
         if not self.fuses_own_pose:
             self.estimator.correct(self.now_s, position_ned, q_frd_to_ned)
 
     def set_actuator(self, index: int, value: float) -> None:
-        """DO_SET_ACTUATOR: a peripheral's output, -1 to 1; it moves only when armed."""
+        """Set a peripheral output, -1 to 1 (DO_SET_ACTUATOR); the output moves only while armed."""
         if 1 <= index <= 6:
             self.actuator_set[index - 1] = value
 
     def lock_pulse_us(self) -> float | None:
-        """Pulse of the lock's output; None without a lock, or while PX4 keeps it at its disarmed value."""
+        """Return the pulse of the lock's output, microseconds.
+
+        The result is None without a lock, or while PX4 holds the output at its disarmed value.
+        """
         lock = self.vehicle.lock
         if lock is None:
             return None
@@ -229,7 +232,7 @@ class Autopilot:
         self.estimator.predict(self.now_s, measured, rate, TICK_S)
         pose = self.pose = self.pose_sensor.measure(self.plant)
         if self.gps is not None:
-            self._take_gps(self.gps, pose)
+            self._correct_by_gps(self.gps, pose)
         elif pose is not None and self.fuses_own_pose:
             self.estimator.correct(*pose)
         self._tick += 1
@@ -241,7 +244,7 @@ class Autopilot:
             return
         self._check_offboard()
         setpoint = self._setpoint()
-        if self._resting(setpoint):
+        if self._is_resting(setpoint):
             self.cascade.reset()
             self.motors = self._idle
             return
@@ -252,8 +255,8 @@ class Autopilot:
             )
         self.motors = self.cascade.update_attitude(e.q, e.rate, TICK_S)
 
-    def _take_gps(self, receiver: GpsReceiver, pose: tuple[float, Vec3, Quaternion] | None) -> None:
-        """Position and velocity by GPS; attitude as with motion capture."""
+    def _correct_by_gps(self, receiver: GpsReceiver, pose: tuple[float, Vec3, Quaternion] | None) -> None:
+        """Correct position and velocity by GPS, and the attitude as with motion capture."""
         if pose is not None:
             self.estimator.correct_attitude(pose[0], pose[2])
         fix = receiver.measure(self.plant)
@@ -283,9 +286,9 @@ class Autopilot:
         return self._hold
 
     def _hold_here(self) -> None:
-        """Hold where the vehicle would come to rest, at the present heading."""
+        """Hold the position at which the vehicle would stop, at the present heading."""
         e = self.estimator
-        # PX4 brakes before it holds; its stopping distance at 0.95 1/s and 1.8 1/s is about 0.5 s of flight.
+        # PX4 brakes before it holds; with the gains 0.95 1/s and 1.8 1/s that takes about 0.5 s of flight.
         ahead = 0.5 if self.armed and self.landed is not LandedState.ON_GROUND else 0.0
         self._hold = TrajectorySetpoint(
             (
@@ -296,8 +299,8 @@ class Autopilot:
             yaw=yaw_ned_of(e.q),
         )
 
-    def _resting(self, setpoint: TrajectorySetpoint) -> bool:
-        """On the ground with nothing that asks to leave it: motors idle."""
+    def _is_resting(self, setpoint: TrajectorySetpoint) -> bool:
+        """Return whether the vehicle is on the ground and the setpoint does not demand a climb."""
         if self.landed is not LandedState.ON_GROUND:
             return False
         wants_up = setpoint.position[2] < self.estimator.position[2] - 0.05 or setpoint.velocity[2] < -0.05
@@ -342,9 +345,9 @@ class Autopilot:
 def default_parameters(
     vehicle: VehicleConfig, position_from: PositionSource = PositionSource.MOCAP
 ) -> dict[str, Value]:
-    """PX4 parameters of the embedded autopilot: those of the configuration and what describes the rest.
+    """Return the embedded autopilot's PX4 parameters: the configuration's and those of a typical vehicle.
 
-    An int is one of PX4's INT32 parameters, a float a REAL32.
+    An int is an INT32 parameter of PX4, a float a REAL32 parameter.
     """
     parameters: dict[str, Value] = {
         field.encode_name: float(getattr(vehicle.px4, field.name))
@@ -355,12 +358,11 @@ def default_parameters(
     parameters |= rotor_parameters(vehicle.airframe.motors)
     parameters["SYS_AUTOSTART"] = 4001
     parameters["MAV_SYS_ID"] = 1
-    # What `check` asks a vehicle in motion capture for, but what this one does: hold when offboard is lost,
-    # land after a while, and no sticks.
-    # It has the GPS's parameters as well: one that does not answer is asked for again and again.
+    # The values that `check` wants, including GPS parameters: a missing parameter is requested repeatedly.
     for source in (PositionSource.RTK, PositionSource.MOCAP, position_from):
         parameters |= {p.name: p.value for p in vehicle_parameters(source).values()}
     parameters |= vehicle.mocap.measured_parameters()
+    # This autopilot's own failsafes: hold if offboard is lost, then land; no remote control.
     parameters |= {
         "COM_OBL_RC_ACT": 5,
         "COM_FAIL_ACT_T": _FAILSAFE_HOLD_S,
@@ -368,13 +370,13 @@ def default_parameters(
         "COM_LKDOWN_TKO": 3.0,
         "SYS_HITL": 0,
     }
-    # Where the IMU is, in [forward, right, down].
+    # Position of the IMU: forward, right, down.
     parameters |= {f"EKF2_IMU_POS_{axis}": p for axis, p in zip("XYZ", vehicle.imu.position_m, strict=True)}
-    # The motors are the first outputs, on PWM as in PX4's defaults.
+    # The motors are the first PWM outputs, as in PX4's defaults.
     for k in range(1, len(vehicle.airframe.motors) + 1):
         parameters |= {f"PWM_MAIN_FUNC{k}": 100 + k, f"PWM_MAIN_MIN{k}": 1000, f"PWM_MAIN_MAX{k}": 2000}
     parameters["PWM_MAIN_TIM0"] = 400
-    # The lock's servo hangs on the output that the configuration names, set up as it asks.
+    # The lock's servo is on the output that the configuration names.
     if vehicle.lock is not None:
         for required in required_parameters(vehicle.lock):
             parameters[required.name] = required.value
@@ -382,5 +384,5 @@ def default_parameters(
 
 
 def make_autopilot(mission: Mission, seed: int, say: Callable[[str, str], None] | None = None) -> Autopilot:
-    """The simulated vehicle standing on the ground below a mission's start."""
+    """Return a simulated vehicle on the ground below a mission's start."""
     return Autopilot(make_plant(mission, seed=seed), seed, say, simulated_source(mission))

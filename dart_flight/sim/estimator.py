@@ -1,9 +1,9 @@
-"""The embedded autopilot's state estimator: dead reckoning on the IMU, corrected by late poses or GPS fixes.
+"""The embedded autopilot's state estimator: it integrates the IMU and corrects by late poses or GPS fixes.
 
-It stands where PX4 has its EKF2: with fixed gains for motion capture, with a small Kalman filter for GPS,
-whose weights are those of PX4's parameters. Enough to have PX4's kinds of error (noise, delay, the velocity
-error that a clipped accelerometer leaves behind, a position that follows a wandering receiver or drifts by
-its velocity), not a copy of it.
+The estimator replaces PX4's EKF2. It uses fixed gains for motion capture, and for GPS a small Kalman filter
+weighted by PX4's parameters. It is no copy of the EKF2, but it has the same kinds of error. Poses and fixes
+are noisy and late, and a clipped accelerometer causes a velocity error. With GPS the position follows a
+wandering receiver, or drifts with the measured velocity.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from dart_flight.base.geometry import (
 from dart_flight.sim.delayed_filter import DelayedFilter
 from dart_flight.sim.gps_filter import GpsFilter, GpsWeights
 
-# Per pose update at 100 Hz: about 0.1 s to follow a position error, 0.2 s for a velocity error.
+# Per pose at 100 Hz; the time constants are about 0.1 s for position and 0.2 s for velocity.
 _POSITION_GAIN: Final = 0.12
 _VELOCITY_GAIN: Final = 0.8
 _ATTITUDE_GAIN: Final = 0.05
@@ -37,7 +37,16 @@ _HISTORY_S: Final = 0.25
 
 
 class Estimator:
-    """Position, velocity (NED) and attitude (FRD to NED)."""
+    """The state estimator.
+
+    Attributes:
+        position: NED, metres.
+        velocity: NED, m/s.
+        q: attitude, FRD to NED.
+        rate: body rate, FRD, rad/s.
+        ok: whether the estimate has converged.
+        resets: ODOMETRY's reset counter.
+    """
 
     def __init__(self) -> None:
         self.position: Vec3 = (0.0, 0.0, 0.0)
@@ -45,20 +54,20 @@ class Estimator:
         self.q: Quaternion = IDENTITY
         self.rate: Vec3 = (0.0, 0.0, 0.0)
         self.ok = False
-        self.resets = 0  # ODOMETRY's reset counter
+        self.resets = 0
         self._history: deque[tuple[float, Vec3, Vec3, Quaternion]] = deque()
         self._updates = 0
         self._gps: GpsFilter | None = None
         self._delayed: DelayedFilter | None = None
-        self._bias: Vec3 = (0.0, 0.0, 0.0)  # of the accelerometer, NED
+        self._bias: Vec3 = (0.0, 0.0, 0.0)  # accelerometer bias, NED, m/s2
 
     @property
     def position_sd_m(self) -> float | None:
-        """Of the horizontal position, by the filter itself; None with motion capture."""
+        """The filter's standard deviation of the horizontal position, metres; None with motion capture."""
         return None if self._gps is None else self._gps.position_sd_m
 
     def predict(self, t_s: float, specific_force_frd: Vec3, rate_frd: Vec3, dt_s: float) -> None:
-        """One IMU tick ending at `t_s`."""
+        """Predict the state by one IMU tick that ends at `t_s`."""
         if self._delayed is not None:
             self._delayed.predict(t_s, specific_force_frd, rate_frd, dt_s)
             return
@@ -81,7 +90,7 @@ class Estimator:
             self._history.popleft()
 
     def shift(self, by_ned: Vec3) -> None:
-        """Jump, as an EKF does at a reset."""
+        """Shift the position by a step, like a reset of an EKF, metres."""
         if self._delayed is not None:
             self._delayed.shift(by_ned)
             return
@@ -90,18 +99,18 @@ class Estimator:
         self._history = deque((t, add(p, by_ned), v, q) for t, p, v, q in self._history)
 
     def turn(self, by_rad: float) -> None:
-        """Step the heading, like a reset of an EKF; positive clockwise from above."""
+        """Turn the heading by a step, like a reset of an EKF; positive is clockwise from above."""
         self.resets += 1
         turn = quaternion_from_rotation_vector((0.0, 0.0, by_rad))
         self.q = quaternion_multiply(turn, self.q)
         self._history = deque((t, p, v, quaternion_multiply(turn, q)) for t, p, v, q in self._history)
 
     def assume_delay(self, now_s: float, delay_s: float) -> None:
-        """From now on take every pose for `delay_s` old when it arrives, as PX4 does with EKF2_EV_DELAY."""
+        """Assume that every further pose is `delay_s` old on arrival, like PX4 with EKF2_EV_DELAY."""
         self._delayed = DelayedFilter(self, self._updates > 0, now_s, delay_s)
 
     def correct(self, t_s: float, position_ned: Vec3, q: Quaternion) -> None:
-        """A pose measured at `t_s`, which may lie in the past."""
+        """Correct by a pose measured at `t_s`, which may be in the past."""
         if self._delayed is not None:
             self._delayed.correct(t_s, position_ned, q)
             return
@@ -116,9 +125,9 @@ class Estimator:
         self.ok = self._updates > 50
 
     def correct_attitude(self, t_s: float, q: Quaternion) -> None:
-        """An attitude alone, as from gravity and magnetometer, measured at `t_s`.
+        """Correct by an attitude measured at `t_s`, as from gravity and magnetometer.
 
-        It is newer than the next fix, so the predictions before it are kept.
+        Keep the predictions before `t_s`, because the next GPS fix may be older.
         """
         if self._history:
             then = min(reversed(self._history), key=lambda one: abs(one[0] - t_s))
@@ -127,12 +136,12 @@ class Estimator:
             self.q = q
 
     def correct_gps(self, t_s: float, position_ned: Vec3, velocity_ned: Vec3, weights: GpsWeights) -> None:
-        """A fix of a GPS receiver measured at `t_s`.
+        """Correct by a fix of a GPS receiver.
 
         Args:
-            t_s: may lie in the past.
-            position_ned, velocity_ned: as measured.
-            weights: what the filter believes of them.
+            t_s: time of the measurement, which may be in the past.
+            position_ned, velocity_ned: measured position (m) and velocity (m/s).
+            weights: noise and bias that the filter assumes.
         """
         self._updates += 1
         if self._gps is None or not self._history:
@@ -148,10 +157,9 @@ class Estimator:
         self.ok = self._updates > 5
 
     def _at(self, t_s: float) -> tuple[float, Vec3, Vec3, Quaternion]:
-        """The prediction nearest to a time.
+        """Return the prediction nearest to a time; discard older predictions.
 
-        Measurements come in the order in which they were made: what lies before this one is done with, and
-        the few entries that are left are cheap to move.
+        Measurements arrive in the order of their times, so older predictions are not needed again.
         """
         history = self._history
         while len(history) > 1 and abs(history[1][0] - t_s) < abs(history[0][0] - t_s):
@@ -165,10 +173,9 @@ class Estimator:
         self.q = quaternion_normalise(quaternion_multiply(self.q, quaternion_from_rotation_vector(twist)))
 
     def _move(self, by_ned: Vec3, faster_ned: Vec3) -> None:
-        """Correct position and velocity; old predictions move with them, so that one error is not corrected
-        twice."""
+        """Correct position and velocity, and the stored predictions, so that no error is corrected twice."""
         self.position = add(self.position, by_ned)
         self.velocity = add(self.velocity, faster_ned)
         if self._gps is None:
-            faster_ned = (0.0, 0.0, 0.0)  # at 100 Hz the fixed gains allow for it
+            faster_ned = (0.0, 0.0, 0.0)  # the fixed gains at 100 Hz already allow for the velocity
         self._history = deque((t, add(p, by_ned), add(v, faster_ned), q) for t, p, v, q in self._history)

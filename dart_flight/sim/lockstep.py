@@ -1,12 +1,13 @@
 """Lockstep with the application: simulated time does not advance until the application has answered.
 
-The world counts the messages that it has sent. The application reports which of them it has stepped, and
-what it has sent itself (`Stepped`). Time does not advance while the core has telemetry or a pose to step, a
-setpoint or a pose is on its way to the autopilot, a lock order is not carried out, or a plan is due. A busy
-computer therefore makes a simulated flight slower and never different.
+The world counts the messages that it has sent. The application reports in `Stepped` which of them it has
+stepped, and the messages that it has sent itself. Time waits for telemetry and poses that the core has not
+stepped, for setpoints and poses in transit to the autopilot, and for outstanding commands, lock orders and
+plans. A busy computer therefore makes a simulated flight slower but never different.
 
-A message also counts as stepped when a newer one of its stream has been stepped. A lost datagram therefore
-delays the world by `_LOST_S` only: then time advances by one tick, and the next message replaces it.
+A message also counts as stepped if a newer message of its stream has been stepped. A lost datagram therefore
+delays the world only by `_LOST_S`: then time advances by one tick, and the next message replaces the lost
+message.
 """
 
 from __future__ import annotations
@@ -21,11 +22,11 @@ from dart_flight.base.errors import FlightError
 from dart_flight.sim.embedded_autopilot import TICK_US
 from dart_flight.sim.pipe import Stepped
 
-_SILENT_S: Final = 10.0  # host time without an answer, after which the flight ends
-_LOST_S: Final = 1.0  # host time after which an unanswered message may have been lost
-_LOOK_S: Final = 0.05  # host time between two polls if no descriptor wakes the world
-_STEP_MAX_S: Final = 0.2  # a longer host time between two polls means that this process did not run
-_SENDER_S: Final = 0.2  # host time that a sender gets to catch up
+_SILENT_S: Final = 10.0  # host time without an answer until the flight ends
+_LOST_S: Final = 1.0  # host time until an unanswered message is considered lost
+_POLL_S: Final = 0.05  # host time between two polls if no descriptor wakes the world
+_STEP_MAX_S: Final = 0.2  # longest counted host time between two polls; beyond it, this process did not run
+_SENDER_S: Final = 0.2  # host time for a sender to catch up
 _SENDER: Final = "the autopilot to send its telemetry"
 _TELEMETRY: Final = "the application to step its telemetry"
 _SETPOINT_TOLERANCE: Final = 1e-5  # relative; MAVLink carries single precision
@@ -36,22 +37,22 @@ class SilentParticipantError(FlightError):
 
 
 class LinkEnd(Protocol):
-    """The autopilot's side of the link, as far as lockstep looks at it."""
+    """The part of the autopilot's side of the link that lockstep uses."""
 
     @property
     def sent_us(self) -> Mapping[str, int]:
-        """Newest stamp that was sent on each telemetry stream, microseconds."""
+        """The newest stamp sent on each telemetry stream, microseconds."""
 
     @property
     def arrived(self) -> Mapping[str, Sequence[float]]:
-        """Last message of each kind that has arrived from the application, as in `Stepped.sent`."""
+        """The last message of each kind received from the application, as in `Stepped.sent`."""
 
     def rest(self) -> None:
         """Answer requests that have arrived while time stands still."""
 
 
 class Lockstep:
-    """Rule that decides whether simulated time may advance.
+    """The rule that decides whether simulated time may advance.
 
     Args:
         autopilot: the autopilot's side of the link.
@@ -70,7 +71,7 @@ class Lockstep:
         self._report: Stepped | None = None
         self._unanswered_s = 0.0  # host time waited since the last report
         self._from_us: dict[str, int] = {}
-        self._published: dict[str, int] = {}  # newest number on each stream that is not the autopilot's
+        self._published: dict[str, int] = {}  # newest number on each stream outside the autopilot
 
     @property
     def engaged(self) -> bool:
@@ -91,7 +92,7 @@ class Lockstep:
         self._report, self._unanswered_s = report, 0.0
 
     def publish(self, stream: str, number: int) -> None:
-        """Count a message that the world has sent beside the autopilot's; `number` increases."""
+        """Count a message that the world, not the autopilot, has sent; `number` increases."""
         self._published[stream] = number
 
     def _sent(self) -> dict[str, int]:
@@ -138,16 +139,16 @@ class Lockstep:
         Raises:
             SilentParticipantError: nothing came from the application for 10 s of host time.
         """
-        looked_s, waited_s = time.monotonic(), 0.0
+        polled_s, waited_s = time.monotonic(), 0.0
         while look():
-            # First: what it reads no longer wakes `select`.
+            # Read first, because data that has been read no longer wakes `select`.
             self._autopilot.rest()
             missing = self.outstanding(next_us)
             if missing is None:
                 return
             now_s = time.monotonic()
-            # Time in which this process itself did not run does not count.
-            step_s, looked_s = min(now_s - looked_s, _STEP_MAX_S), now_s
+            # Do not count time in which this process did not run.
+            step_s, polled_s = min(now_s - polled_s, _STEP_MAX_S), now_s
             waited_s += step_s
             if self._report is not None:
                 self._unanswered_s += step_s
@@ -157,7 +158,7 @@ class Lockstep:
                     return
                 if missing is _SENDER and waited_s > _SENDER_S:
                     return
-            select.select(wake, [], [], _LOOK_S)
+            select.select(wake, [], [], _POLL_S)
 
     def _has_arrived(self, kind: str, wanted: Sequence[float | None]) -> bool:
         arrived = self._autopilot.arrived.get(kind, ())

@@ -1,8 +1,8 @@
-"""The embedded autopilot's MAVLink side: what PX4 would send and answer, over UDP.
+"""The embedded autopilot's MAVLink side: it sends and answers like PX4, over UDP.
 
-Message rates are PX4's onboard defaults until a client asks for others (`SET_MESSAGE_INTERVAL`), and snap to
-ticks of 4 ms as PX4's do. One endpoint has one or more links, each a UDP socket that sends to a fixed port:
-14540 for a companion, 14550 for a ground station.
+Message rates are PX4's onboard defaults until a client requests others by SET_MESSAGE_INTERVAL. Like PX4's,
+they are rounded to ticks of 4 ms. An endpoint has one or more links. Each link is a UDP socket that sends to
+a fixed port: 14540 for a companion computer, 14550 for a ground station.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ from dart_flight.sim.embedded_autopilot import TICK_US, Autopilot
 from dart_flight.sim.faults.impairment import Impairment, LossyLink
 
 _PX4 = 12  # MAV_AUTOPILOT_PX4
-_AUTOPILOT = 1  # its component
-_VERSION = (1 << 24) | (16 << 16) | (0 << 8) | 255  # says v1.16.0, the version whose behaviour this imitates
+_AUTOPILOT = 1  # component id
+_VERSION = (1 << 24) | (16 << 16) | (0 << 8) | 255  # v1.16.0, the version that this endpoint imitates
 _HOME_LAT, _HOME_LON, _HOME_ALT = 33.4242, -111.9281, 360.0
 _EARTH_M_PER_DEG = 111_320.0
 # PX4 custom mode: main mode and, for the automatic modes, sub mode.
 _MODES: dict[FlightMode, tuple[int, int]] = {
-    FlightMode.MANUAL: (3, 0),  # position control: what a pilot switches to
+    FlightMode.MANUAL: (3, 0),  # position control, the mode that a pilot selects
     FlightMode.READY: (4, 1),
     FlightMode.TAKEOFF: (4, 2),
     FlightMode.HOLD: (4, 3),
@@ -65,11 +65,11 @@ _STREAM_NAMES = {
     mavlink.MAVLINK_MSG_ID_ACTUATOR_OUTPUT_STATUS: "actuator",
 }
 
-_ESC_THRUST_N_PER_RPM2 = 1.1e-8  # where the configuration has none, example value
+_ESC_THRUST_N_PER_RPM2 = 1.1e-8  # example value, for a configuration without one
 
 
 class Link:
-    """One UDP socket, its peer and the rates asked for on it; `local_port` 0: any."""
+    """A UDP socket with its peer and its requested rates; `local_port` 0 selects any port."""
 
     def __init__(self, remote_port: int, host: str = "127.0.0.1", local_port: int = 0) -> None:
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -79,15 +79,15 @@ class Link:
         self.period_ticks: dict[int, int] = {}
         for message, (rate, _) in MESSAGES.items():
             self.set_rate(message, rate)
-        self.seen: set[tuple[int, int]] = set()  # systems and components that send on it
+        self.seen: set[tuple[int, int]] = set()  # systems and components that send on this link
         self.parser = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
         self.parser.robust_parsing = True
-        # Faults of the link: what leaves and what arrives goes through these.
+        # All sent and received messages pass these queues, which apply the faults of the link.
         self.to_app: LossyLink[bytes] = LossyLink(remote_port)
         self.from_app: LossyLink[bytes] = LossyLink(remote_port + 1)
 
     def set_rate(self, message: int, rate_hz: float) -> None:
-        """Rate of a message; 0 stops it. Rates snap to whole ticks."""
+        """Set the rate of a message, rounded to whole ticks; 0 stops the message."""
         if rate_hz <= 0.0:
             self.period_ticks.pop(message, None)
         else:
@@ -99,13 +99,13 @@ class Link:
 
 
 class MavlinkEndpoint:
-    """Answers MAVLink for one autopilot.
+    """The MAVLink endpoint of one autopilot.
 
     Args:
-        autopilot: stepped by the caller, one tick before every `exchange`.
-        ports: remote UDP ports on this host, one link each.
-        local_port: of the first link; 0: any.
-        system: its MAVLink system id; what is meant for another one is not taken.
+        autopilot: the autopilot; the caller steps it one tick before every `exchange`.
+        ports: remote UDP ports on this host, one for each link.
+        local_port: local port of the first link; 0 selects any port.
+        system: MAVLink system id; messages to another system are ignored.
     """
 
     def __init__(
@@ -113,18 +113,18 @@ class MavlinkEndpoint:
     ) -> None:
         self.autopilot, self._system = autopilot, system
         self.links = [Link(port, local_port=0 if i else local_port) for i, port in enumerate(ports)]
-        self.stopped: set[int] = set()  # messages that a fault keeps back
+        self.stopped: set[int] = set()  # ids of the messages that a fault suppresses
         self._pack = mavlink.MAVLink(None, srcSystem=system, srcComponent=1)
         self._tick = 0
         self._texts: list[tuple[str, str]] = []
-        self._heartbeat_s = -math.inf  # host time of the last one
-        # What lockstep looks at (`sim.lockstep.LinkEnd`), of the first link.
+        self._heartbeat_s = -math.inf  # host time of the last heartbeat
+        # State of the first link for lockstep (`sim.lockstep.LinkEnd`).
         self.sent_us: dict[str, int] = {}
         self.arrived: dict[str, tuple[float, ...]] = {}
-        self._rc_us = [1500] * 8  # channels of the transmitter, which is on; a ground station overrides them
+        self._rc_us = [1500] * 8  # channels of the remote control, which a ground station may override
         self._type = MAV_TYPES.get(len(autopilot.motors), MAV_TYPES[4])
         self._builders: dict[int, Callable[[], Any]] = {
-            message: getattr(self, build.__name__)  # a subclass may say it otherwise
+            message: getattr(self, build.__name__)  # allows a subclass to override a builder
             for message, (_, build) in MESSAGES.items()
         }
         self._commands: dict[int, Callable[[Any], int]] = {
@@ -142,12 +142,12 @@ class MavlinkEndpoint:
         self._texts.append((severity, text))
 
     def impair(self, impairment: Impairment) -> None:
-        """From now on the links are this bad."""
+        """Apply an impairment to all links."""
         for link in self.links:
             link.to_app.impairment = link.from_app.impairment = impairment
 
     def stop_imu(self) -> None:
-        """No more HIGHRES_IMU."""
+        """Stop sending HIGHRES_IMU."""
         self.stopped.add(mavlink.MAVLINK_MSG_ID_HIGHRES_IMU)
 
     def close(self) -> None:
@@ -159,7 +159,7 @@ class MavlinkEndpoint:
 
     @property
     def sockets(self) -> list[int]:
-        """Return the descriptors that become readable when data has arrived."""
+        """The descriptors that become readable when data has arrived."""
         return [link.socket.fileno() for link in self.links]
 
     def rest(self) -> None:
@@ -177,7 +177,7 @@ class MavlinkEndpoint:
         self._flush()
 
     def exchange(self) -> None:
-        """Read what has arrived, then send what is due at this tick."""
+        """Process the received messages, then send the messages that are due at this tick."""
         for link in self.links:
             self._receive(link)
         self._tick += 1
@@ -189,11 +189,11 @@ class MavlinkEndpoint:
         cache: dict[int, Any] = {}
         for link in self.links:
             for message_id, period in link.period_ticks.items():
-                # Each message has its own phase, so that the slow ones do not all fall into one tick.
+                # Each message has its own phase, so that slow messages are not all due at the same tick.
                 if (self._tick + message_id) % period or message_id in self.stopped:
                     continue
                 if link is self.links[0] and message_id in _STREAM_NAMES:
-                    # ATTITUDE_QUATERNION is stamped in milliseconds; so are the ticks.
+                    # ATTITUDE_QUATERNION has stamps in milliseconds; a tick is a multiple of 1 ms.
                     self.sent_us[_STREAM_NAMES[message_id]] = self.autopilot.time_us
                 if message_id == mavlink.MAVLINK_MSG_ID_HEARTBEAT:
                     self._heartbeat_s = time.monotonic()
@@ -204,7 +204,7 @@ class MavlinkEndpoint:
         self._flush()
 
     def _flush(self) -> None:
-        """What the links let through by now."""
+        """Send the messages whose delay has passed."""
         now_s = self.autopilot.now_s
         for link in self.links:
             for packed in link.to_app.pop(now_s):
@@ -219,7 +219,7 @@ class MavlinkEndpoint:
         link.to_app.push(self.autopilot.now_s, packed)
 
     def _receive(self, link: Link) -> None:
-        for _ in range(100):  # a flood must not stop the flight
+        for _ in range(100):  # limited, so that a flood of messages does not stop the flight
             arrived = receive_datagram(link.socket)
             if arrived is None:
                 break
@@ -228,20 +228,20 @@ class MavlinkEndpoint:
 
     def _parse(self, link: Link) -> None:
         for data in link.from_app.pop(self.autopilot.now_s):
-            # The parser raises struct.error on lengths its checksum let through: such a frame is noise.
+            # The parser raises struct.error for noise that passes its checksum.
             with contextlib.suppress(mavlink.MAVError, struct.error):
                 for message in link.parser.parse_buffer(data) or []:
-                    self._take(link, message)
+                    self._handle_message(link, message)
 
     def _forward(self, link: Link, message: Any, system: int, component: int) -> None:
-        """Pass a message to the other links as PX4 does with MAV_x_FORWARD: where its target was heard."""
+        """Forward a message to the other links on which its target sends, like PX4 with MAV_x_FORWARD."""
         link.seen.add((message.get_srcSystem(), message.get_srcComponent()))
         for other in self.links:
             known = any(system in (0, s) and component in (0, c) for s, c in other.seen)
             if other is not link and known:
                 self._send_bytes(other, bytes(message.get_msgbuf()))
 
-    def _take(self, link: Link, message: Any) -> None:
+    def _handle_message(self, link: Link, message: Any) -> None:
         system, component = getattr(message, "target_system", 0), getattr(message, "target_component", 0)
         kind = message.get_type()
         if kind != "BAD_DATA" and (system, component) != (self._system, _AUTOPILOT):
@@ -323,7 +323,7 @@ class MavlinkEndpoint:
         for mode, numbers in _MODES.items():
             if numbers == wanted or (wanted[0] != 4 and numbers[0] == wanted[0]):
                 return _result(self.autopilot.set_mode(mode))
-        if wanted[0] in (1, 2, 5, 7, 8):  # the other modes that sticks fly
+        if wanted[0] in (1, 2, 5, 7, 8):  # other modes with remote control
             self.autopilot.set_mode(FlightMode.MANUAL)
             return int(mavlink.MAV_RESULT_ACCEPTED)
         return int(mavlink.MAV_RESULT_DENIED)
@@ -337,7 +337,7 @@ class MavlinkEndpoint:
         return int(mavlink.MAV_RESULT_ACCEPTED)
 
     def _do_return(self, _message: Any) -> int:
-        # Indoors there is no home to return to: PX4's fallback is to land.
+        # Indoors there is no home position, so PX4 lands instead.
         self.autopilot.set_mode(FlightMode.LAND)
         return int(mavlink.MAV_RESULT_ACCEPTED)
 
@@ -346,7 +346,7 @@ class MavlinkEndpoint:
             value = getattr(message, f"param{index}")
             if not math.isnan(value):
                 self.autopilot.set_actuator(index, value)
-        return int(mavlink.MAV_RESULT_ACCEPTED)  # always, mapped or not, as PX4 does
+        return int(mavlink.MAV_RESULT_ACCEPTED)  # PX4 accepts even an actuator without an output
 
     def _position_target(self, message: Any) -> None:
         if message.coordinate_frame != mavlink.MAV_FRAME_LOCAL_NED:
@@ -370,7 +370,7 @@ class MavlinkEndpoint:
         )
 
     def _external_pose(self, message: Any) -> None:
-        """Fuse a pose; like PX4, ignore one in a frame or of an estimator that it does not read."""
+        """Fuse a pose; like PX4, ignore poses in other frames or of other estimator types."""
         local = message.frame_id in (mavlink.MAV_FRAME_LOCAL_NED, mavlink.MAV_FRAME_LOCAL_FRD)
         if local and message.estimator_type == mavlink.MAV_ESTIMATOR_TYPE_VISION:
             w, x, y, z = message.q
@@ -403,7 +403,7 @@ class MavlinkEndpoint:
             return
         value = message.param_value
         whole = message.param_type == mavlink.MAV_PARAM_TYPE_INT32
-        # One of the other kind is answered with the value as it stays.
+        # A value of the wrong type is ignored and answered with the present value.
         if isinstance(self.autopilot.parameters[name], int) is whole and (whole or math.isfinite(value)):
             self.autopilot.parameters[name] = (
                 struct.unpack("<i", struct.pack("<f", value))[0] if whole else value
@@ -459,7 +459,7 @@ class MavlinkEndpoint:
 
     def _battery_status(self) -> Any:
         a = self.autopilot
-        # Cells that are not known: the whole voltage in the first, what does not fit there in the second.
+        # For unknown cells, the first value is the total voltage and the second the part above its range.
         volts = round(a.vehicle.simulation.battery_v * 1000)
         cells = [min(volts, 65534), volts - 65534 if volts > 65534 else 65535] + [65535] * 8
         return mavlink.MAVLink_battery_status_message(
@@ -553,7 +553,7 @@ class MavlinkEndpoint:
         )
 
     def _actuator_output_status(self) -> Any:
-        """Motor and servo outputs as PWM, microseconds."""
+        """Return the motor and servo outputs as PWM, microseconds."""
         a = self.autopilot
         span = MOTOR_FULL_US - MOTOR_STOP_US
         outputs = [MOTOR_STOP_US + span * u for u in a.motors] if a.armed else [_DISARMED_US] * len(a.motors)
@@ -580,7 +580,7 @@ class MavlinkEndpoint:
         )
 
 
-# message -> its default rate in Hz on PX4's onboard link, 0: only where it is asked for; what it says
+# message -> default rate on PX4's onboard link (Hz, 0 for a message on request only) and builder
 MESSAGES: dict[int, tuple[float, Callable[[MavlinkEndpoint], Any]]] = {
     mavlink.MAVLINK_MSG_ID_HEARTBEAT: (1.0, MavlinkEndpoint._heartbeat),
     mavlink.MAVLINK_MSG_ID_SYS_STATUS: (5.0, MavlinkEndpoint._sys_status),
@@ -606,7 +606,7 @@ def _result(accepted: bool) -> int:
 
 
 def _whole(value: float) -> int:
-    """A command's parameter as a whole number; unused ones are NaN on the wire."""
+    """Return a command's parameter as an integer; unused parameters are NaN."""
     return int(value) if math.isfinite(value) else 0
 
 

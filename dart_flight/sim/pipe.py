@@ -1,7 +1,7 @@
-"""What the app and a simulated vehicle in a process of its own tell each other: one JSON object a line.
+"""The messages between the application and a simulated vehicle in a separate process, one JSON line each.
 
-The first line of the vehicle's standard input is a `SimulatorSpec`; then come `WorldInput`s, and on its
-standard output `WorldOutput`s. Both simulated worlds speak it, whichever autopilot flies the plant.
+The first line of the vehicle's standard input is a `SimulatorSpec`; `WorldInput`s follow. Its standard output
+contains `WorldOutput`s. All worlds in a separate process use these messages, whichever autopilot they run.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ FULL_SPEED = 1e6  # simulated seconds per second; in practice no limit
 
 
 class Px4SimulatorSpec(msgspec.Struct):
-    """How to run a real PX4 on the plant.
+    """The settings of a real PX4 that flies the plant.
 
     Attributes:
-        directory: holds PX4's bin/px4 and etc/.
-        folder: of the flight; PX4 works in a folder below it.
-        parameters: PX4 parameters to set before it starts to fly, by name.
+        directory: folder that contains PX4's bin/px4 and etc/.
+        folder: folder of the flight; PX4 works in a subfolder.
+        parameters: PX4 parameters to set before the flight, by name.
         position_from: motion capture (indoors, no GPS) or a GPS receiver.
     """
 
@@ -42,12 +42,12 @@ class Px4SimulatorSpec(msgspec.Struct):
 
 
 class HitlSpec(msgspec.Struct):
-    """How to feed a flight controller in hardware-in-the-loop mode.
+    """The settings of a flight controller in hardware-in-the-loop mode.
 
     Attributes:
-        url: of its port, `serial:///dev/ttyACM0:921600` or UDP.
-        motors: where its parameters have them; None: as the configuration.
-        position_from: motion capture or a GPS receiver, simulated.
+        url: URL of its port, `serial:///dev/ttyACM0:921600` or UDP.
+        motors: motors in its parameters, or None for the motors of the configuration.
+        position_from: simulated motion capture or GPS receiver.
     """
 
     url: str
@@ -56,28 +56,28 @@ class HitlSpec(msgspec.Struct):
 
 
 class SimulatorSpec(msgspec.Struct):
-    """What the process is told on its first line of input; `ports` is the embedded autopilot's."""
+    """The specification of a simulated flight, the first line of the process's input."""
 
-    mission: Mission  # what the app has, whatever file it came from
+    mission: Mission  # the application's mission
     seed: int
-    ports: list[int]
+    ports: list[int]  # remote UDP ports of the embedded autopilot
     log: str | None = None
     px4: Px4SimulatorSpec | None = None
     hitl: HitlSpec | None = None
-    spreads: dict[str, float] = msgspec.field(default_factory=dict)  # what differs from the mission (`draws`)
+    spreads: dict[str, float] = msgspec.field(default_factory=dict)  # deviations from the mission (`draws`)
     speed: float = 1.0  # highest number of simulated seconds per second
     lockstep: bool = False  # whether simulated time waits for the application (`sim.lockstep`)
     mocap: str | None = None  # kind of the emulated motion capture that provides the autopilot's position
 
 
 class Horn(msgspec.Struct, tag="horn"):
-    """The mock servo's modelled horn, as a pulse in microseconds."""
+    """The position of the mock servo's simulated horn, as a pulse in microseconds."""
 
     pulse_us: float
 
 
 class Ping(msgspec.Struct, tag="ping"):
-    """Nothing; a line that keeps the pipe alive."""
+    """An empty message that keeps the pipe alive."""
 
 
 class FaultLine(msgspec.Struct, tag="fault"):
@@ -87,13 +87,13 @@ class FaultLine(msgspec.Struct, tag="fault"):
 
 
 class Stepped(msgspec.Struct, tag="stepped"):
-    """Progress of the application; sent whenever it has no work left (`sim.lockstep`).
+    """The progress of the application, sent whenever it has no work left (`sim.lockstep`).
 
     Attributes:
-        streams: newest stamp that the core has stepped on each telemetry stream, microseconds; of poses the
+        streams: newest stamp that the core has stepped on each telemetry stream, microseconds; for poses,
             number of the newest frame.
-        sent: last message of each kind passed to MAVSDK, None for unused numbers: `setpoint` with position,
-            velocity and acceleration, `pose` with the position of a forwarded pose, local NED.
+        sent: numbers of the last message of each kind passed to MAVSDK, None if unused. `setpoint` has
+            position, velocity and acceleration; `pose` has the position of a forwarded pose, local NED.
         commands: number of requests to the autopilot without a result.
         plan_due_us: due time of the planner's answer, or None without an open request.
         batch_us: span of samples that the core steps together; the world does not wait within it.
@@ -112,27 +112,28 @@ WorldInput = Horn | Ping | FaultLine | Stepped
 
 
 class Ready(msgspec.Struct, tag="ready"):
-    """The autopilot sends from now on; `port` is the UDP port it sends to where it chose that itself.
+    """The first message of a simulated vehicle: the autopilot now sends telemetry.
 
-    `mocap_url` is where an emulated motion-capture server sends its poses.
+    `port` is the UDP port to which the autopilot sends if it has chosen the port itself. `mocap_url` is the
+    URL of an emulated motion-capture server.
     """
 
     time_us: int
     port: int | None = None
     version: str | None = None
-    pid: int | None = None  # of the autopilot's own process, where it has one
+    pid: int | None = None  # process id of the autopilot, if it has its own process
     mocap_url: str | None = None
 
 
 class Truth(msgspec.Struct, tag="truth"):
-    """A truth record on its way to the app."""
+    """A truth record for the application."""
 
     state: TruthSample | None = None
     contact: TruthContact | None = None
 
 
 class SimulatorDied(msgspec.Struct, tag="died"):
-    """The vehicle cannot go on; the process ends after this."""
+    """The simulated vehicle cannot continue; the process ends after this message."""
 
     cause: str
 
@@ -141,7 +142,7 @@ WorldOutput = Ready | Truth | SimulatorDied
 
 
 class LineWriter:
-    """Lines to a pipe from a thread of their own: a hung reader must not stop the flight."""
+    """A writer of lines to a pipe in its own thread, so that a hung reader does not stop the flight."""
 
     def __init__(self, stream: IO[bytes]) -> None:
         self._stream = stream
@@ -157,7 +158,7 @@ class LineWriter:
         self._wake.set()
 
     def finish(self, timeout_s: float = 1.0) -> None:
-        """Wait until what is queued has been written."""
+        """Wait until all queued lines have been written, or until the timeout."""
         if self._lines:
             self._idle.wait(timeout_s)
 
@@ -165,7 +166,7 @@ class LineWriter:
         while True:
             self._wake.wait()
             self._wake.clear()
-            with contextlib.suppress(OSError, ValueError):  # the reader is gone
+            with contextlib.suppress(OSError, ValueError):  # the reader has closed the pipe
                 while self._lines:
                     self._stream.write(self._lines[0] + b"\n")
                     self._lines.popleft()
@@ -174,10 +175,11 @@ class LineWriter:
 
 
 class LineReader:
-    """Reader of lines from the app; `closed` once the app has left.
+    """A reader of lines from the application, in its own thread.
 
     Attributes:
         items: received items that have not been processed.
+        closed: whether the application has closed the pipe.
         wake: descriptor that is readable after new items, until `clear`.
     """
 
@@ -204,7 +206,7 @@ class LineReader:
 
 
 def need_mavlink() -> None:
-    """Make sure that the process of the simulated vehicle will find what it imports.
+    """Check that the packages of the simulated vehicle's process are installed.
 
     Raises:
         InputError: a package is not installed.

@@ -1,4 +1,4 @@
-"""The poses that leave the simulated motion capture, for a source or an emulated server, and their faults."""
+"""The output of the simulated motion capture, and its faults; a pose source or an emulated server uses it."""
 
 from __future__ import annotations
 
@@ -19,25 +19,25 @@ from dart_flight.sim.faults.fault_table import Fault
 from dart_flight.sim.motion_capture import BODY, make_server
 from dart_flight.sim.plant import Plant
 
-Pose = tuple[float, Vec3, Quaternion]  # seconds of the measurement, position NED, attitude FRD to NED
+Pose = tuple[float, Vec3, Quaternion]  # time of measurement (s), position NED (m), attitude FRD to NED
 
 
 class PosePublisher(Protocol):
-    """An emulated server, or a source in the same process."""
+    """A receiver of frames: an emulated server, or a source in the same process."""
 
     def publish(
         self, t_us: int, position_room: Vec3, q_body_to_room: Quaternion, tracked: bool = True
     ) -> None:
-        """Send one frame."""
+        """Send a frame."""
 
 
 class PoseFeed:
-    """Converter of the pose sensor's output into frames of the room.
+    """A converter of the pose sensor's output to frames in the room's axes.
 
     Args:
         mocap: axes of room and marker body.
-        publisher: takes each frame.
-        other_ned: a place on the floor, for another vehicle's body.
+        publisher: receives each frame.
+        other_ned: position of another vehicle's body, NED, metres.
 
     Attributes:
         frames: number of frames published.
@@ -48,7 +48,7 @@ class PoseFeed:
         self.frames = 0
         self._fault: Fault | None = None
         self._began_s = 0.0
-        self._waiting: deque[tuple[float, Pose]] = deque()  # due times, and late poses
+        self._waiting: deque[tuple[float, Pose]] = deque()  # due time (s) and pose
         self._sent_s = -math.inf
 
     def begin_fault(self, fault: Fault, now_s: float) -> None:
@@ -56,7 +56,7 @@ class PoseFeed:
         self._fault, self._began_s = fault, now_s
 
     def tick(self, now_s: float, pose: Pose | None) -> bool:
-        """Advance to a time; `pose` is the sensor's at this tick. Return whether a frame was published."""
+        """Advance to a time with the sensor's pose of this tick; return whether a frame was published."""
         name, value = ("", 0.0) if self._fault is None else (self._fault.name, self._fault.value)
         if pose is not None:
             self._waiting.append((now_s + (1e-3 * value if name == "mocap-late" else 0.0), pose))
@@ -78,16 +78,16 @@ class PoseFeed:
 
 
 class EmulatedMotionCapture:
-    """An emulated server that sends the poses of a world in a process of its own.
+    """An emulated server that sends the poses of a world in a separate process.
 
     Args:
-        kind: of `motion_capture.KINDS`.
-        mission: whose vehicle and start it tracks.
-        plant: the body.
+        kind: element of `motion_capture.KINDS`.
+        mission: provides the configuration of the motion capture.
+        plant: the tracked body.
 
     Attributes:
-        url: of the pose source that it feeds.
-        feed: the poses on their way to the server.
+        url: URL of the pose source for this server.
+        feed: converter that feeds the server.
     """
 
     def __init__(self, kind: str, mission: Mission, plant: Plant) -> None:
@@ -98,7 +98,7 @@ class EmulatedMotionCapture:
         self._heard = False
 
     def publish(self, now_s: float, pose: Pose | None) -> int | None:
-        """Publish what is due; return the number of the frame if a program listens to it."""
+        """Publish the frame that is due; return its number if a client has connected, otherwise None."""
         if now_s <= self._published_s:
             return None  # time has not advanced
         self._published_s = now_s

@@ -1,6 +1,6 @@
-"""What the simulated vehicle can measure of itself, with noise, bias and delay.
+"""The sensors of the simulated vehicle, with noise, bias and delay.
 
-IMU and motion capture for both autopilots; barometer, magnetometer and GPS for PX4, which wants them.
+Both autopilots use IMU, motion capture and GPS; PX4 also uses barometer and magnetometer.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ from dart_flight.config.vehicle import ImuRinging, VehicleConfig
 from dart_flight.sim.noise import GaussianNoise
 from dart_flight.sim.plant import Plant
 
-# Standard deviations per axis, of a Pixhawk's sensors and a motion capture of a millimetre.
+# Standard deviations per axis of a Pixhawk's sensors and of a motion capture with millimetre accuracy.
 IMU_BIAS_M_S2: Final = 0.05
 GYRO_NOISE_RAD_S: Final = 0.01
 POSE_NOISE_M: Final = 0.001
 ATTITUDE_NOISE_RAD: Final = 0.002
-_ROUNDING_S: Final = 1e-9  # a pose that is due at a tick is not a tick late
+_ROUNDING_S: Final = 1e-9  # tolerance, so that rounding does not delay a pose by one tick
 
 
 class ImuSensor:
-    """Accelerometer and gyro: tick averages with noise, a constant residual bias, saturated at full scale."""
+    """Accelerometer and gyro: tick averages with noise and a constant bias, saturated at full scale."""
 
     def __init__(self, vehicle: VehicleConfig, noise: GaussianNoise) -> None:
         s = vehicle.simulation
@@ -46,9 +46,9 @@ class ImuSensor:
     def measure(
         self, specific_force_frd: Vec3, rate_frd: Vec3, motors_turn: bool = True
     ) -> tuple[Vec3, Vec3]:
-        """(specific force m/s2, body rate rad/s), FRD, as reported for one tick.
+        """Return the reported specific force (m/s2) and body rate (rad/s) of one tick, FRD.
 
-        Motors that stand still shake nothing; PX4 aligns its estimator then, and would not in ringing.
+        Stopped motors cause no ringing; PX4 aligns its estimator meanwhile, which ringing would prevent.
         """
         noisy = add(add(specific_force_frd, self.bias), self._noise.three(self._sigma))
         if self._ringing is not None and motors_turn:
@@ -59,9 +59,9 @@ class ImuSensor:
 
 
 class _Ringing:
-    """White noise, and one tone whose frequency wanders; the axes differ in phase."""
+    """A vibration of white noise and a tone with a wandering frequency; the axes differ in phase."""
 
-    _WANDER_S = 1.0  # over which the tone crosses its band
+    _WANDER_S = 1.0  # time in which the tone's frequency crosses its band
 
     def __init__(self, config: ImuRinging, tick_s: float, noise: GaussianNoise) -> None:
         self._config, self._tick_s, self._noise = config, tick_s, noise
@@ -72,7 +72,7 @@ class _Ringing:
         self._shift = (rng.uniform(0.0, math.tau), rng.uniform(0.0, math.tau), rng.uniform(0.0, math.tau))
 
     def next(self) -> Vec3:
-        """The next tick's, m/s2, FRD."""
+        """Return the vibration of the next tick, m/s2, FRD."""
         c = self._config
         white = self._noise.three(c.white_m_s2)
         if c.tone_m_s2 <= 0.0:
@@ -91,26 +91,26 @@ class _Ringing:
 
 
 def _saturate(true: float, noisy: float, scale: float) -> float:
-    """One axis at full scale `scale`: where the whole tick was beyond it, noise and bias are lost with it."""
+    """Return one axis saturated at `scale`; if the true value exceeds it, noise and bias have no effect."""
     if abs(true) >= scale:
         return math.copysign(scale, true)
     return max(-scale, min(scale, noisy))
 
 
 class PoseSensor:
-    """Motion capture: position and attitude at a rate, with noise, reported after a delay."""
+    """A motion capture: position and attitude at a fixed rate, with noise and delay."""
 
     def __init__(self, vehicle: VehicleConfig, noise: GaussianNoise) -> None:
         s = vehicle.simulation
         self._noise = noise
         self._period_s = 1.0 / s.pose_rate_hz
         self._delay_s = s.pose_delay_s
-        self.offset_ned: Vec3 = (0.0, 0.0, 0.0)  # of the motion capture's origin; a fault moves it
+        self.offset_ned: Vec3 = (0.0, 0.0, 0.0)  # offset of the origin, moved by a fault
         self._next_s = 0.0
         self._pending: deque[tuple[float, Vec3, Quaternion]] = deque()
 
     def measure(self, plant: Plant) -> tuple[float, Vec3, Quaternion] | None:
-        """(time of the measurement in s, position NED, attitude), or None where none arrives at this tick."""
+        """Return time of measurement (s), position (NED, m) and attitude, or None if no pose arrives now."""
         now = plant.time_s
         if now >= self._next_s:
             self._next_s += self._period_s
@@ -123,7 +123,7 @@ class PoseSensor:
 
 
 class Barometer:
-    """Static pressure by the standard atmosphere, with noise."""
+    """A barometer: static pressure of the standard atmosphere, with noise."""
 
     SIGMA_HPA = 0.01  # about 8 cm
 
@@ -131,28 +131,28 @@ class Barometer:
         self._noise, self._home = noise, home_altitude_m
 
     def measure(self, plant: Plant) -> tuple[float, float]:
-        """(static pressure in hPa, pressure altitude in m)."""
+        """Return static pressure (hPa) and pressure altitude (m)."""
         true_hpa = pressure_hpa(self._home - plant.position[2])
         measured = true_hpa + self._noise.one(self.SIGMA_HPA)
         return measured, altitude_m(measured)
 
 
 def pressure_hpa(altitude_amsl_m: float) -> float:
-    """International standard atmosphere below 11 km."""
+    """Return the pressure of the international standard atmosphere below 11 km, hPa."""
     return float(1013.25 * (1.0 - 2.25577e-5 * altitude_amsl_m) ** 5.25588)
 
 
 def altitude_m(pressure: float) -> float:
-    """Inverse of `pressure_hpa`: hPa to metres above mean sea level."""
+    """Return the altitude of a pressure in hPa, metres above mean sea level; inverse of `pressure_hpa`."""
     return float((1.0 - (pressure / 1013.25) ** (1.0 / 5.25588)) / 2.25577e-5)
 
 
 class Magnetometer:
-    """The earth's field in the body frame, with noise.
+    """A magnetometer: the earth's magnetic field in the body frame, with noise.
 
     Args:
-        noise: numbers for it.
-        field_ned_gauss: the field at home, north, east, down.
+        noise: source of the noise.
+        field_ned_gauss: magnetic field at home: north, east, down.
     """
 
     SIGMA_GAUSS = 0.002
@@ -161,20 +161,22 @@ class Magnetometer:
         self._noise, self._field = noise, field_ned_gauss
 
     def measure(self, plant: Plant) -> Vec3:
-        """Field in gauss, FRD."""
+        """Return the magnetic field in gauss, FRD."""
         body = rotate(quaternion_conjugate(plant.q), self._field)
         return add(body, self._noise.three(self.SIGMA_GAUSS))
 
 
 class GpsQuality(NamedTuple):
-    """How good a receiver is; errors wander (first-order Gauss-Markov) and have white noise on top.
+    """The accuracy of a receiver, whose error is a first-order Gauss-Markov process plus white noise.
 
     Attributes:
         fix_type: MAVLink's GPS_FIX_TYPE: 3 for 3D, 6 for RTK fixed.
-        wander_m, wander_s: standard deviation (horizontal; vertical is 1.5 times that) and correlation time.
-        noise_m, velocity_noise_m_s: white noise of a fix.
-        velocity_wander_m_s, velocity_wander_s: of the Doppler velocity likewise, which white noise flatters.
-        eph_m, epv_m: what the receiver says of itself.
+        wander_m, wander_s: standard deviation and correlation time of the position's wandering error. The
+            standard deviation is horizontal; the vertical one is 1.5 times larger.
+        noise_m, velocity_noise_m_s: standard deviations of the white noise.
+        eph_m, epv_m: horizontal and vertical accuracy that the receiver reports.
+        velocity_wander_m_s, velocity_wander_s: standard deviation and correlation time of the wandering error
+            of the Doppler velocity.
     """
 
     fix_type: int
@@ -188,7 +190,7 @@ class GpsQuality(NamedTuple):
     velocity_wander_s: float = 20.0
 
 
-# Standard deviation in all: 0.02 m for RTK, 1 m without corrections.
+# The total standard deviation is 0.02 m for RTK and 1 m without corrections.
 GPS_QUALITIES: Final[dict[str, GpsQuality]] = {
     "rtk": GpsQuality(6, 0.0173, 20.0, 0.01, 0.03, 0.02, 0.03),
     "plain": GpsQuality(3, 1.0, 60.0, 0.05, 0.1, 0.9, 1.5, 0.03),
@@ -199,8 +201,7 @@ GPS_QUALITIES["anchored"] = GPS_QUALITIES["plain"]
 
 
 class GpsFix(NamedTuple):
-    """Position and velocity in the plant's NED, metres and m/s, reported after the receiver's delay; and when
-    they were measured."""
+    """A fix: time of measurement (s), and position (m) and velocity (m/s) in the plant's NED frame."""
 
     t_s: float
     position_ned: Vec3
@@ -208,7 +209,7 @@ class GpsFix(NamedTuple):
 
 
 class GpsReceiver:
-    """A GPS receiver: fixes at a rate, with wandering error, noise and delay."""
+    """A GPS receiver: fixes at a fixed rate, with wandering error, noise and delay."""
 
     RATE_HZ = 10.0
     DELAY_S = 0.1
@@ -224,13 +225,13 @@ class GpsReceiver:
         self._pending: deque[tuple[float, GpsFix]] = deque()
 
     def measure(self, plant: Plant) -> GpsFix | None:
-        """The fix that arrives at this tick, or None."""
+        """Return the fix that arrives at this tick, or None."""
         now = plant.time_s
         if now >= self._next_s:
             self._next_s += self._period_s
             q = self.quality
-            self._wander = self._later(self._wander, q.wander_m, self._decay)
-            drift = self._later(self._velocity_wander, q.velocity_wander_m_s, self._velocity_decay)
+            self._wander = self._advance_error(self._wander, q.wander_m, self._decay)
+            drift = self._advance_error(self._velocity_wander, q.velocity_wander_m_s, self._velocity_decay)
             self._velocity_wander = drift
             position = add(add(plant.position, self._wander), self._noise.three(q.noise_m))
             velocity = add(add(plant.velocity, drift), self._noise.three(q.velocity_noise_m_s))
@@ -239,8 +240,8 @@ class GpsReceiver:
             return self._pending.popleft()[1]
         return None
 
-    def _later(self, wander: Vec3, sd: float, decay: float) -> Vec3:
-        """A first-order Gauss-Markov error one fix later."""
+    def _advance_error(self, wander: Vec3, sd: float, decay: float) -> Vec3:
+        """Return a first-order Gauss-Markov error advanced by one fix."""
         return add(scale(wander, decay), self._scaled(sd * math.sqrt(1.0 - decay * decay)))
 
     def _scaled(self, sigma: float) -> Vec3:

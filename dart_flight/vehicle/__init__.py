@@ -1,1 +1,1 @@
-"""The only access to PX4: nothing else imports mavsdk; `link` says which program has the link."""
+"""The connection to PX4, the only package that imports mavsdk; `link` grants the link to one program."""

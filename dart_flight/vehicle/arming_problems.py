@@ -1,4 +1,4 @@
-"""Why PX4 does not do what it is asked: its health and arming checks, else SYS_STATUS, in words."""
+"""Text reasons why PX4 refuses to arm or to change mode, from its arming checks or from SYS_STATUS."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from dart_flight.vehicle.messages import SEVERITIES, Sensors
 _BAD_AT_MAX = 4  # log level: warning; 0 is emergency
 SEVERE = frozenset(SEVERITIES[: _BAD_AT_MAX + 1])
 _PREARM = 1 << 28  # MAV_SYS_STATUS_PREARM_CHECK
-# MAV_SYS_STATUS_SENSOR, as far as a vehicle like this has them.
+# MAV_SYS_STATUS_SENSOR, the bits that apply to a vehicle like this.
 _SENSORS = {
     0: "gyro",
     1: "accelerometer",
@@ -28,32 +28,32 @@ _SENSORS = {
     29: "obstacle avoidance",
 }
 
-Report = tuple[bool, tuple[str, ...], tuple[str, ...]]  # can arm, what blocks, what else is wrong
+Report = tuple[bool, tuple[str, ...], tuple[str, ...]]  # can arm, blocking problems, other problems
 
 
 def severity(log_level: Any) -> str:
-    """An event's log level by the name that STATUSTEXT has for it."""
+    """Return the STATUSTEXT severity name of an event's log level."""
     level = int(log_level)
     return SEVERITIES[level] if 0 <= level < len(SEVERITIES) else "debug"
 
 
 def of_checks(report: Any) -> Report:
-    """MAVSDK's report of PX4's health and arming checks; what is only told and not amiss is left out."""
+    """Return a report from PX4's health and arming checks by MAVSDK; skip messages below a warning."""
     mode = report.current_mode_intention
-    blocking = () if mode.can_arm_or_run else _words(mode.problems)
-    others = tuple(word for word in _words(report.all_problems) if word not in blocking)
+    blocking = () if mode.can_arm_or_run else _problem_texts(mode.problems)
+    others = tuple(word for word in _problem_texts(report.all_problems) if word not in blocking)
     return bool(mode.can_arm_or_run), blocking, others
 
 
 def of_sys_status(sensors: Sensors) -> Report:
-    """Return a report from SYS_STATUS, for a PX4 without health reports: unhealthy sensors in use."""
+    """Return a report from SYS_STATUS for a PX4 without health reports: the enabled but unhealthy sensors."""
     bad = sensors.enabled & ~sensors.healthy
     words = tuple(f"{name} not healthy" for bit, name in _SENSORS.items() if bad & 1 << bit)
     refused = not sensors.healthy & _PREARM  # PX4 v1.14 sets this bit only in `healthy`
-    # The sensors need not be what the checks fail on.
+    # The checks may fail for a reason other than the unhealthy sensors.
     return not refused, ("preflight checks failed",) if refused else (), words
 
 
-def _words(problems: Any) -> tuple[str, ...]:
+def _problem_texts(problems: Any) -> tuple[str, ...]:
     found = (p.message.strip() for p in problems if int(p.log_level) <= _BAD_AT_MAX)
     return tuple(dict.fromkeys(word for word in found if word))

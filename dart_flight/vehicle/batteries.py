@@ -1,11 +1,11 @@
-"""Batteries of one vehicle: the newest reading of each, and the choice of the one to judge."""
+"""The batteries of one vehicle: the newest reading of each, and the choice of the battery to judge."""
 
 from __future__ import annotations
 
 from dart_flight.base.text import battery_figures
 from dart_flight.vehicle.messages import BatteryReading
 
-# A supply that never exceeds this share of the landing voltage is no flight battery.
+# A battery that never exceeds this share of the landing voltage is no flight battery.
 _LEAST_SHARE = 0.5
 
 
@@ -36,7 +36,7 @@ class Batteries:
 
     def counted(self) -> list[BatteryReading]:
         """Return the flight batteries, or all batteries if there is no flight battery."""
-        able = [reading for reading in self._readings.values() if self._carries(reading)]
+        able = [reading for reading in self._readings.values() if self._is_flight_battery(reading)]
         return able or list(self._readings.values())
 
     def others(self) -> list[BatteryReading]:
@@ -48,7 +48,7 @@ class Batteries:
         """Return the battery to judge: below the lowest voltage first, then with the least charge."""
         return min(self.counted(), key=self._rank, default=None)
 
-    def _carries(self, reading: BatteryReading) -> bool:
+    def _is_flight_battery(self, reading: BatteryReading) -> bool:
         highest_v = self._highest_v.get(reading.id)
         return reading.flies and (highest_v is None or highest_v >= _LEAST_SHARE * self._lowest_v)
 

@@ -1,7 +1,7 @@
-"""Whether MAVLink arrives on a serial port, and at which baud rate: for a link on which no autopilot answers.
+"""Detection of MAVLink and its baud rate on a serial port, for a link on which no autopilot answers.
 
-A wrong rate shows as bytes of which none make a frame. A frame begins with 0xFD and says how long it is, so
-where one ends the next begins; three in a row are no accident (1 in 10^7 for noise).
+At a wrong rate, bytes arrive but contain no frames. A frame begins with 0xFD and contains its length, so the
+next frame begins at its end. Noise produces three consecutive frames with a probability of 1 in 10^7.
 """
 
 from __future__ import annotations
@@ -16,19 +16,19 @@ USUAL_BAUDS = (57600, 115200, 230400, 460800, 500000, 921600, 1000000, 1500000, 
 _START, _HEADER, _CHECKSUM, _SIGNATURE = 0xFD, 10, 2, 13
 _IN_A_ROW = 3
 _LISTEN_S = 0.6
-_SPEED = 4, 5  # in termios' list: input and output speed
+_SPEED = 4, 5  # indices of input and output speed in the termios list
 
 
 _CONSOLE_BAUDS = (115200, 57600)  # of login consoles and of PX4's shell
 
 
 class PortFinding(msgspec.Struct, frozen=True):
-    """What arrives on a serial port.
+    """The data received on a serial port.
 
     Attributes:
-        received: bytes at the rate that was asked for.
-        baud: the rate at which there is MAVLink; None: at none of the usual ones.
-        console: a console's answer to an empty line, such as `login:`; empty if there is none.
+        received: number of bytes received at the requested rate.
+        baud: rate at which MAVLink arrives, or None if it arrives at none of the usual rates.
+        console: a console's answer to an empty line, such as `login:`, or an empty string.
     """
 
     received: int
@@ -37,7 +37,7 @@ class PortFinding(msgspec.Struct, frozen=True):
 
 
 def listen_for_mavlink(device: str, baud: int) -> PortFinding:
-    """Listen at a rate, and where there is no MAVLink at the other usual ones, 0.6 s each.
+    """Listen for MAVLink at a rate, then at the other usual rates, 0.6 s each; then look for a console.
 
     Raises:
         OSError: the port cannot be opened.
@@ -70,7 +70,7 @@ def console_line(data: bytes) -> str:
 
 
 def has_frames(data: bytes) -> bool:
-    """Whether three MAVLink 2 frames follow each other somewhere in the data."""
+    """Return whether the data contains three consecutive MAVLink 2 frames."""
     for first in range(len(data)):
         at, count = first, 0
         while at + 2 < len(data) and data[at] == _START:
@@ -81,7 +81,7 @@ def has_frames(data: bytes) -> bool:
     return False
 
 
-def _listen(port: int, baud: int, asked: bytes = b"") -> bytes:
+def _listen(port: int, baud: int, sent: bytes = b"") -> bytes:
     speed = getattr(termios, f"B{baud}", None)
     if speed is None:
         return b""
@@ -92,8 +92,8 @@ def _listen(port: int, baud: int, asked: bytes = b"") -> bytes:
         settings[k] = speed
     termios.tcsetattr(port, termios.TCSANOW, settings)
     termios.tcflush(port, termios.TCIFLUSH)
-    if asked:
-        os.write(port, asked)
+    if sent:
+        os.write(port, sent)
     data, end_s = b"", time.monotonic() + _LISTEN_S
     while time.monotonic() < end_s:
         try:

@@ -1,8 +1,7 @@
-"""MAVSDK's callback thread, as the interpreter knows it.
+"""The interpreter's thread state of MAVSDK's callback thread.
 
-Python was not the one to start that thread. So with every callback the interpreter makes a state for it, maps
-memory for its stack, and unmaps both when the callback returns: a third of what an empty callback costs
-(docs/latency.md).
+Python did not start that thread. The interpreter therefore creates a thread state for every callback and
+releases it on return, which takes a third of the time of an empty callback (docs/latency.md).
 """
 
 from __future__ import annotations
@@ -10,13 +9,12 @@ from __future__ import annotations
 import ctypes
 import threading
 
-_own = threading.local()  # goes with the interpreter's state of a thread
+_own = threading.local()  # is released with the thread state
 
 
 def pin_thread_state() -> None:
-    """Let the interpreter keep its state of the calling thread until the thread's end; cheap when it does."""
+    """Keep the interpreter's state of the calling thread until the thread ends; repeated calls are cheap."""
     if not hasattr(_own, "kept"):
         _own.kept = True
-        # One more than is ever released; with the last of them the state would go. A state is small, and
-        # there is one of these threads per connection.
+        # This reference is never released, so the state stays; there is one such thread per connection.
         ctypes.pythonapi.PyGILState_Ensure()

@@ -1,4 +1,4 @@
-"""The autopilot's clock and the host's: two clocks in real flight, one clock in lockstep."""
+"""The relation of the autopilot's clock to the host's: two clocks in real flight, one in lockstep."""
 
 from __future__ import annotations
 
@@ -8,20 +8,20 @@ from typing import Protocol
 
 from dart_flight.base.records import RoundTrip
 
-_WINDOW = 8  # seconds, one best value each
+_WINDOW = 8  # seconds, with the best value of each second
 _LOCKSTEP_STEP_US = 2000
 _LEAP_US = 1_000_000
-_LEAPS_BELIEVED = 50
-_STEP_US = 200  # smaller changes of the estimate are not worth an input
+_LEAPS_ACCEPTED = 50  # consecutive stamps after a leap until the leap is accepted
+_STEP_US = 200  # smaller changes of the estimate are not reported
 
 
 def host_us() -> int:
-    """The host's monotonic time in microseconds."""
+    """Return the host's monotonic time in microseconds."""
     return time.monotonic_ns() // 1000
 
 
 class Clock(Protocol):
-    """Relation of autopilot time to host time."""
+    """The relation of autopilot time to host time."""
 
     def host_us(self) -> int:
         """Return the host's time in microseconds, monotonic; simulated time in lockstep."""
@@ -34,23 +34,23 @@ class Clock(Protocol):
 
     @property
     def offset_us(self) -> int | None:
-        """Autopilot time minus host time; None before the first stamp."""
+        """Autopilot time minus host time in microseconds, or None before the first stamp."""
 
     def update(self, t_us: int, received_us: int) -> int | None:
-        """Take one stamped message; returns the new offset where it has changed noticeably."""
+        """Process a stamped message; return the new offset if it has changed noticeably, otherwise None."""
 
     def to_autopilot(self, host_time_us: int) -> int:
-        """Host time as autopilot time."""
+        """Return a host time converted to autopilot time, microseconds."""
 
 
 class _RealHost:
-    """A clock whose host time is the computer's."""
+    """A clock with the computer's monotonic time as host time."""
 
     host_us = staticmethod(host_us)
-    _PACE_KNOWN = True  # the autopilot's time advances as the host's does
+    _PACE_KNOWN = True  # whether the autopilot's time advances at the host's pace
 
     def round_trip(self, sent_us: int, received_us: int, autopilot_us: int | None) -> RoundTrip:
-        """Return the record, without the autopilot's time if that may advance at another pace."""
+        """Return the record, without the autopilot's time if that time may advance at another pace."""
         return RoundTrip(received_us, sent_us, autopilot_us if self._PACE_KNOWN else None)
 
     @staticmethod
@@ -60,10 +60,10 @@ class _RealHost:
 
 
 class ClockEstimate(_RealHost):
-    """Autopilot time minus host time, from stamps and receipts.
+    """An estimate of autopilot time minus host time, from stamps and times of receipt.
 
-    Every message is late by an unknown, positive delay, so the largest difference of the last seconds is the
-    nearest to the truth; the window lets it follow a drifting clock.
+    Every message has an unknown positive delay, so the largest difference of the last seconds is the best
+    estimate. The window allows the estimate to follow a drifting clock.
     """
 
     def __init__(self) -> None:
@@ -75,16 +75,16 @@ class ClockEstimate(_RealHost):
 
     @property
     def offset_us(self) -> int | None:
-        """Autopilot time minus host time; None before the first stamp."""
+        """Autopilot time minus host time in microseconds, or None before the first stamp."""
         return self._offset_us
 
     def update(self, t_us: int, received_us: int) -> int | None:
-        """Take one stamped message; returns the new estimate where it has changed noticeably."""
+        """Process a stamped message; return the new estimate if it has changed noticeably, otherwise None."""
         difference = t_us - received_us
         if self._offset_us is not None and difference - self._offset_us > _LEAP_US:
-            # Another vehicle's, on the same link, as long as ours comes in between.
+            # While stamps of this vehicle arrive in between, a leap is another vehicle's stamp.
             self._leaps += 1
-            if self._leaps < _LEAPS_BELIEVED:
+            if self._leaps < _LEAPS_ACCEPTED:
                 return None
         self._leaps = 0
         second = received_us // 1_000_000
@@ -93,7 +93,7 @@ class ClockEstimate(_RealHost):
             self._best.append(difference)
         elif difference > self._best[-1]:
             self._best[-1] = difference
-        else:  # as of nearly every message
+        else:  # nearly every message
             return None
         offset = self._offset_us = max(self._best)
         if self._reported is None or abs(offset - self._reported) >= _STEP_US:
@@ -102,7 +102,7 @@ class ClockEstimate(_RealHost):
         return None
 
     def to_autopilot(self, host_time_us: int) -> int:
-        """Host time as autopilot time; the host's own until the first stamp has come."""
+        """Return a host time converted to autopilot time; unchanged before the first stamp."""
         return host_time_us + (self._offset_us or 0)
 
 
@@ -151,11 +151,11 @@ class SimulatedTime:
 class LockstepClock(_RealHost):
     """The clock of an autopilot in lockstep with a simulator that does not wait for the application.
 
-    Its time goes at any pace and stands still when the simulator does, so the newest stamp is the best
-    estimate, carried on at the wanted pace for a few milliseconds only.
+    The autopilot's time advances at any pace and stops with the simulator. The newest stamp is therefore the
+    best estimate, extrapolated at the target pace for at most 50 ms.
 
     Args:
-        speed: simulated seconds per second that the simulator aims at.
+        speed: the simulator's target pace, simulated seconds per second.
     """
 
     _REACH_US = 50_000
@@ -168,11 +168,11 @@ class LockstepClock(_RealHost):
 
     @property
     def offset_us(self) -> int | None:
-        """Autopilot time minus host time at the newest stamp; None before the first."""
+        """Autopilot time minus host time at the newest stamp in microseconds, or None before the first."""
         return self._newest[0] - self._newest[1] if self._newest is not None else None
 
     def update(self, t_us: int, received_us: int) -> int | None:
-        """Take one stamped message; returns the new offset where it has changed noticeably."""
+        """Process a stamped message; return the new offset if it has changed noticeably, otherwise None."""
         if self._newest is not None and t_us <= self._newest[0]:
             return None
         self._newest = (t_us, received_us)
@@ -183,7 +183,7 @@ class LockstepClock(_RealHost):
         return None
 
     def to_autopilot(self, host_time_us: int) -> int:
-        """Host time as autopilot time; the host's own until the first stamp has come."""
+        """Return a host time converted to autopilot time; unchanged before the first stamp."""
         if self._newest is None:
             return host_time_us
         t_us, received_us = self._newest

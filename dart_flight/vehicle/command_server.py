@@ -1,6 +1,6 @@
-"""The operator's commands from a ground station: `MAV_CMD_USER_1`, sent to this program's component.
+"""The receiver of the operator's commands from a ground station: `MAV_CMD_USER_1` to this component.
 
-MAVSDK leaves the acknowledgement of a subscribed command to the subscriber.
+MAVSDK does not acknowledge a subscribed command, so this module sends the acknowledgement.
 """
 
 from __future__ import annotations
@@ -12,12 +12,12 @@ from typing import Any, Final, NamedTuple
 import msgspec
 from mavsdk.plugins.mavlink_direct_server import MavlinkDirectServer, MavlinkMessage
 
-COMPONENT: Final = 195  # of this program; MAVSDK's default server component is another
+COMPONENT: Final = 195  # of this program; differs from MAVSDK's default server component
 USER_COMMAND: Final = 31010  # MAV_CMD_USER_1
 
 
 class Result(IntEnum):
-    """Answers to a command, as MAV_RESULT numbers them."""
+    """The answer to a command, with MAV_RESULT's values."""
 
     ACCEPTED = 0
     TEMPORARILY_REJECTED = 1
@@ -28,7 +28,7 @@ _PREFIX: Final = {Result.ACCEPTED: "", Result.TEMPORARILY_REJECTED: "not now: ",
 
 
 class Press(NamedTuple):
-    """A command as it came: param1, param2, and whether its sender says that it repeats it."""
+    """A received command: param1, param2, and whether the sender marks it as a repetition."""
 
     button: int
     value: int = 0
@@ -42,16 +42,17 @@ class _Fields(msgspec.Struct):
 
 
 class CommandServer:
-    """Receiver of the commands of one ground station; answers each at once, on MAVSDK's thread.
+    """A receiver of the commands of one ground station; it answers on MAVSDK's thread.
 
     Args:
         mavsdk: the connection.
-        system_id: of the ground station that is obeyed.
-        answer: returns the result and its reason for a press.
-        note: takes a line about every command, for log and ground station; one line in all about others'.
+        system_id: system id of the ground station that may command.
+        answer: function that returns the result of a press and its reason.
+        note: receives a line about every command, for log and ground station. Only the first command of
+            other systems gives a line.
 
     Attributes:
-        refused: number of commands of other systems, which are denied.
+        refused: number of denied commands of other systems.
     """
 
     def __init__(
@@ -65,9 +66,9 @@ class CommandServer:
         self._server = MavlinkDirectServer(raw.server_component_by_id(COMPONENT))
         self._system_id, self._answer, self._note = system_id, answer, note
         self.refused = 0
-        self._server.subscribe_command(USER_COMMAND, self._take)
+        self._server.subscribe_command(USER_COMMAND, self._handle_command)
 
-    def _take(self, message: Any, _: Any) -> None:
+    def _handle_command(self, message: Any, _: Any) -> None:
         if message.system_id != self._system_id:
             self.refused += 1
             result = Result.DENIED
@@ -96,5 +97,5 @@ def _press_of(fields_json: str) -> Press:
 
 
 def _whole(value: float | None) -> int:
-    """Return a parameter as a number of the table; -1 for one that is no whole number, 0 for NaN."""
+    """Return a parameter as an integer: -1 if it is not a whole number, 0 for NaN."""
     return 0 if value is None else int(value) if float(value).is_integer() else -1

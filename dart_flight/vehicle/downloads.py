@@ -1,4 +1,4 @@
-"""Files of the flight controller, by MAVLink FTP and by PX4's log protocol."""
+"""Downloads from the flight controller: files by MAVLink FTP, logs by MAVLink's log protocol."""
 
 from __future__ import annotations
 
@@ -19,12 +19,10 @@ from mavsdk.plugins.log_files import Entry, LogFiles
 
 from dart_flight.base.errors import FlightError
 
-_SILENT_S = 3.0  # without progress
-_LOG_SILENT_S = 15.0  # a lossy link asks again for every chunk
-_RATED_S = 2.0  # after the begin of a download, before its duration is estimated
-_CLOCK_SET = datetime(
-    2020, 1, 1, tzinfo=UTC
-)  # an earlier date is that of a flight controller without a clock
+_SILENT_S = 3.0  # timeout without progress
+_LOG_SILENT_S = 15.0  # same for a log, because a lossy link repeats every chunk
+_RATED_S = 2.0  # time after the start of a download until its duration is estimated
+_CLOCK_SET = datetime(2020, 1, 1, tzinfo=UTC)  # earlier dates come from flight controllers without a clock
 _ULOG_MAGIC = b"ULog\x01\x12\x35"
 
 
@@ -38,10 +36,16 @@ def wait_for_end(
     progress: Callable[[Any], None] = lambda data: None,
     silent_s: float = _SILENT_S,
 ) -> None:
-    """Wait for the end of a download, whose callback puts results and progress.
+    """Wait for the end of a download.
+
+    Args:
+        arrived: queue of (result, progress), filled by the download's callback.
+        what: name of the download, for error messages.
+        progress: receives each progress report.
+        silent_s: timeout without progress, seconds.
 
     Raises:
-        DownloadError: it failed, or made no progress for `silent_s`.
+        DownloadError: the download failed, or made no progress for `silent_s`.
     """
     moved_s, before = time.monotonic(), None
     while True:
@@ -61,10 +65,10 @@ def wait_for_end(
 
 
 def download_file(system: Any, path: str) -> bytes:
-    """Return the content of a small file of the flight controller, by MAVLink FTP.
+    """Return the content of a small file on the flight controller, by MAVLink FTP.
 
     Raises:
-        DownloadError: there is no such file, or the flight controller has no FTP.
+        DownloadError: the file does not exist, or the flight controller does not support FTP.
     """
     arrived: queue.SimpleQueue[tuple[Any, Any]] = queue.SimpleQueue()
     ftp = Ftp(system)
@@ -81,9 +85,9 @@ class Px4LogEntry(msgspec.Struct, frozen=True):
     """A log on the flight controller.
 
     Attributes:
-        id: its number in the flight controller's list, which changes with the list.
-        ended: last change, None if the flight controller had no clock.
-        size_bytes: its size.
+        id: number in the flight controller's list; it changes with the list.
+        ended: time of the last change, or None if the flight controller had no clock.
+        size_bytes: size of the log.
     """
 
     id: int
@@ -91,13 +95,13 @@ class Px4LogEntry(msgspec.Struct, frozen=True):
     size_bytes: int
 
     def line(self) -> str:
-        """Return the log in a line."""
+        """Return one line that describes the log."""
         date = "no date" if self.ended is None else f"ended {self.ended:%Y-%m-%d %H:%M:%S} UTC"
         return f"{self.id}: {date}, {self.size_bytes / 1e6:.1f} MB"
 
 
 def entry_of(entry: Entry) -> Px4LogEntry:
-    """Return an entry of MAVSDK's list."""
+    """Return an entry of MAVSDK's list as `Px4LogEntry`."""
     ended = None
     with contextlib.suppress(ValueError):
         date = datetime.fromisoformat(str(entry.date).replace("Z", "+00:00"))
@@ -110,19 +114,19 @@ def logs_of_flight(
     armed: tuple[datetime, datetime] | None,
     before: Collection[Px4LogEntry] | None,
 ) -> list[Px4LogEntry]:
-    """Return the logs that may be a flight's, the only one if it is known.
+    """Return the logs that may belong to a flight; a single log if it can be identified.
 
     Args:
-        entries: the logs on the flight controller.
-        armed: the flight's arming and its end, None if not known.
-        before: the logs there before the flight, None if not known.
+        entries: logs on the flight controller.
+        armed: times of the flight's arming and end, or None if unknown.
+        before: logs on the flight controller before the flight, or None if unknown.
     """
     found = [entry for entry in entries if entry.size_bytes]
     if before is not None:
         known = {(entry.ended, entry.size_bytes) for entry in before}
         found = [entry for entry in found if (entry.ended, entry.size_bytes) not in known]
     if armed is not None and len(found) > 1:
-        # PX4 ends a log seconds after disarming, or goes on until it is switched off.
+        # PX4 ends a log seconds after disarming, or continues it until power-off.
         dated = [entry for entry in found if entry.ended is not None and entry.ended >= armed[1]]
         if dated:
             first = min(entry.ended for entry in dated if entry.ended is not None)
@@ -131,16 +135,16 @@ def logs_of_flight(
 
 
 class Px4Logs:
-    """PX4's logs by MAVLink's log protocol, over an open connection."""
+    """Access to PX4's logs by MAVLink's log protocol, over an open connection."""
 
     def __init__(self, system: Any) -> None:
         self._plugin = LogFiles(system)
 
     def entries(self) -> list[Px4LogEntry]:
-        """Return the logs on the flight controller; an empty list if there is none.
+        """Return the logs on the flight controller, or an empty list if there are none.
 
         Raises:
-            DownloadError: it does not answer.
+            DownloadError: the flight controller does not answer.
         """
         try:
             return [entry_of(entry) for entry in self._plugin.get_entries()]
@@ -152,15 +156,15 @@ class Px4Logs:
             raise DownloadError(f"PX4's list of logs cannot be read: {says}") from None
 
     def download(self, entry: Px4LogEntry, path: Path, progress: Callable[[float], None]) -> None:
-        """Download a log; the file appears when it is whole, also after Ctrl-C there is no part of it.
+        """Download a log to a file, which exists only after a complete download, even after Ctrl-C.
 
         Args:
-            entry: from `entries` of this connection.
-            path: of the file.
-            progress: takes the share received, 0 to 1.
+            entry: element of `entries` of this connection.
+            path: path of the file.
+            progress: receives the received share, 0 to 1.
 
         Raises:
-            DownloadError: the download failed, or what came is no ULog.
+            DownloadError: the download failed, or the data is not a ULog.
         """
         part = path.with_name(path.name + ".part")
         part.unlink(missing_ok=True)
@@ -184,26 +188,31 @@ class Px4Logs:
             part.unlink(missing_ok=True)
 
     def close(self) -> None:
-        """End the plugin."""
+        """Close the MAVSDK plugin."""
         self._plugin.destroy()
 
 
 class DownloadTime:
-    """Estimates the duration of a download once, from its first seconds.
+    """An estimator of a download's remaining time, which reports once, after its first seconds.
 
     Args:
-        size_bytes: of the whole.
-        began_s: time of its begin, on any clock.
+        size_bytes: size of the whole download.
+        began_s: start time, on any clock, seconds.
     """
 
     def __init__(self, size_bytes: int, began_s: float) -> None:
-        self._size_bytes, self._began_s, self._said = size_bytes, began_s, False
+        self._size_bytes, self._began_s, self._is_reported = size_bytes, began_s, False
 
     def line(self, share: float, now_s: float) -> str | None:
-        """Return the expected duration, the first time that it is known, otherwise None."""
-        taken_s = now_s - self._began_s
-        if self._said or taken_s < _RATED_S or share <= 0.0:
+        """Return text with the expected remaining time once it is known, otherwise None.
+
+        Args:
+            share: received share, 0 to 1.
+            now_s: present time on the clock of `began_s`, seconds.
+        """
+        elapsed_s = now_s - self._began_s
+        if self._is_reported or elapsed_s < _RATED_S or share <= 0.0:
             return None
-        self._said = True
-        rate = share * self._size_bytes / taken_s
+        self._is_reported = True
+        rate = share * self._size_bytes / elapsed_s
         return f"{(1.0 - share) * self._size_bytes / rate / 60.0:.1f} min to go, at {rate / 1e3:.0f} kB/s"

@@ -1,4 +1,7 @@
-"""A blocking connection for work on the ground: move an output, read parameters."""
+"""A blocking connection for work on the ground: parameters, outputs, logs and a few seconds of telemetry.
+
+The commands on the ground use it, such as `check`, `parameters`, `bringup`, `lock` and `px4-log`.
+"""
 
 from __future__ import annotations
 
@@ -51,17 +54,17 @@ from dart_flight.vehicle.vehicle_session import NoAnswerError, Sender, VehicleEr
 
 
 class Source(msgspec.Struct, frozen=True):
-    """One sender of a message, with its rates over the observation."""
+    """A sender of a message, with its rates during the observation."""
 
     sender: Sender
     arriving_hz: float
     usable_hz: float
-    is_vehicle: bool  # the autopilot's component of the connected vehicle
-    reason: str  # why its messages are unusable; empty if they are usable
+    is_vehicle: bool  # whether the sender is the connected vehicle's autopilot component
+    reason: str  # reason why its messages are unusable, or empty
 
 
 def unusable_streams(sources: Iterable[Source]) -> dict[str, str]:
-    """Return the reason by stream, for the vehicle's streams without a usable message."""
+    """Return the reason by stream for each of the vehicle's streams without a usable message."""
     found: dict[str, Source] = {}
     for source in sources:
         stream = messages.STREAM_OF[source.sender.message]
@@ -83,25 +86,25 @@ class Observation(msgspec.Struct):
     battery_v: float | None = None
     battery_remaining: float | None = None  # 0 to 1
     local_position_ok: bool = False
-    gps_fix: str | None = None  # MAVLink's type of fix in small letters; None: no receiver heard
-    blocking: tuple[str, ...] = ()  # what keeps PX4 from arming in its present mode, in its words
-    other_vehicle: str | None = None  # another vehicle on the same link, in words
-    texts: list[str] = []  # its texts and events, warnings and worse
-    found_here: list[str] = []  # what this program finds on the link
+    gps_fix: str | None = None  # MAVLink's fix type in lower case; None if no receiver reports
+    blocking: tuple[str, ...] = ()  # PX4's reasons for not arming in its present mode
+    other_vehicle: str | None = None  # description of another vehicle on the same link
+    texts: list[str] = []  # PX4's texts and events of severity warning or higher
+    found_here: list[str] = []  # this program's own findings on the link
     sources: tuple[Source, ...] = ()
     battery_id: int | None = None
     batteries: tuple[BatteryReading, ...] = ()  # flight batteries
     other_batteries: tuple[BatteryReading, ...] = ()
-    motor_scale: OutputScale | None = None  # from the values; None if all outputs were 0
+    motor_scale: OutputScale | None = None  # inferred from the values; None if all outputs were 0
     specific_force_m_s2: float | None = None  # mean magnitude
-    position_ned: Vec3 | None = None  # local, metres, the newest
-    q_frd_to_ned: Quaternion | None = None  # attitude, the newest
+    position_ned: Vec3 | None = None  # newest local position, metres
+    q_frd_to_ned: Quaternion | None = None  # newest attitude
     poses: PoseFigures | None = None  # of the motion capture that this program forwards
-    pose_problem: str | None = None  # why no poses arrive
+    pose_problem: str | None = None  # reason why no poses arrive
 
 
 class HeartbeatMode(msgspec.Struct, frozen=True):
-    """Mode of the autopilot in a HEARTBEAT.
+    """The autopilot's mode in a HEARTBEAT.
 
     Attributes:
         armed: whether the motors may turn.
@@ -115,16 +118,16 @@ class HeartbeatMode(msgspec.Struct, frozen=True):
 
 
 _HEARTBEAT_S = 3.0
-_REPORT_S = 5.0  # on top, where something is amiss: until MAVSDK has fetched the words for it
+_REPORT_S = 5.0  # additional wait for PX4's reasons, whose texts MAVSDK must fetch first
 _ROUND_TRIPS_S, _ROUND_TRIP_MAX_S = 1.0, 5.0
-_MAX_UNANSWERED = 2  # requests, where none has been answered; MAVSDK asks for each of them for seconds
-_PARAMETERS_S = 90.0  # for all parameters; a few that a build does not have take 3 s each
-_FUSION_S = 10.0  # until PX4 has a position from the poses that this program forwards
+_MAX_UNANSWERED = 2  # unanswered requests before giving up; MAVSDK repeats each for seconds
+_PARAMETERS_S = 90.0  # timeout of all parameters; each one that a build lacks takes 3 s
+_FUSION_S = 10.0  # timeout until PX4 has a position from the forwarded poses
 _RATED = ("imu", "attitude", "odometry", "actuator")  # streams whose rates are reported
 
 
 class _Listener:
-    """Takes the records of a session, as the core does in flight, and keeps what tells about the vehicle."""
+    """A receiver of a session's records that collects the vehicle's `Observation`."""
 
     def __init__(self, mocap: MotionCapture) -> None:
         self.seen = Observation()
@@ -134,8 +137,8 @@ class _Listener:
         self._places = SecondPositionDetector(POSITION_JUMP_M)
         self._forces_m_s2, self._imu_samples = 0.0, 0
 
-    def take(self, record: Input) -> None:
-        """Take a record; on MAVSDK's thread, or that of the motion capture."""
+    def update(self, record: Input) -> None:
+        """Process a record, on MAVSDK's thread or the motion capture's."""
         seen = self.seen
         self.poses.update(record)
         if isinstance(record, PoseSample):
@@ -171,15 +174,20 @@ class _Listener:
 
 
 class GroundLink:
-    """`with GroundLink(url, timeout_s) as link: link.set_actuator(1, 0.5)`.
+    """A blocking connection: `with GroundLink(url, timeout_s) as link: link.set_actuator(1, 0.5)`.
 
-    `viewer` sees every record once `observe` has asked for them, on MAVSDK's thread. While the link is open,
-    the poses of `mocap.url` are forwarded to PX4.
+    While the link is open, the poses of `mocap.url` are forwarded to PX4.
+
+    Args:
+        url: MAVSDK connection URL.
+        timeout_s: timeout of the first heartbeat, seconds.
+        viewer: receives every record after `observe` has subscribed, on MAVSDK's thread.
+        mocap: configuration of the motion capture.
 
     Raises:
-        VehicleError: on entering, when the URL cannot be opened or no autopilot answers.
-        InputError: on entering, when the motion capture cannot be opened.
-        NoAnswerError: on a request, when the vehicle has answered none, or has fallen silent.
+        VehicleError: on entering, if the URL cannot be opened or no autopilot answers.
+        InputError: on entering, if the motion capture cannot be opened.
+        NoAnswerError: on a request, if the vehicle has answered no request or has stopped sending.
     """
 
     def __init__(
@@ -194,8 +202,8 @@ class GroundLink:
         self._forwarding = contextlib.ExitStack()
         self._bridge: MotionCaptureBridge | None = None
         self._mavsdk: Any = None
-        self._answered = False  # whether any request was
-        self._unanswered: list[str] = []  # requests, while none was
+        self._answered = False  # whether the vehicle has answered any request
+        self._unanswered: list[str] = []  # names of unanswered requests
 
     def __enter__(self) -> GroundLink:
         sdk_log.redirect()
@@ -211,11 +219,11 @@ class GroundLink:
             raise VehicleError(f"no autopilot on {self._url} within {self._timeout_s:g} s")
         self._system, self._system_id = system, system.get_system_id()
         self._param, self._info = Param(system), Info(system)
-        self._heard = _Listener(self._mocap)
-        self._session = session = VehicleSession(self._mavsdk, system, self._take)
+        self._listener = _Listener(self._mocap)
+        self._session = session = VehicleSession(self._mavsdk, system, self._handle_record)
         try:
             self._bridge = self._forwarding.enter_context(
-                forwarding(self._mocap, session.send_message, session.clock, self._take)
+                forwarding(self._mocap, session.send_message, session.clock, self._handle_record)
             )
         except InputError:
             self._close()
@@ -232,13 +240,13 @@ class GroundLink:
         with sdk_log.closing():
             self._mavsdk.destroy()
 
-    def _take(self, record: Input) -> None:
-        self._heard.take(record)
+    def _handle_record(self, record: Input) -> None:
+        self._listener.update(record)
         self._viewer(record)
 
     @property
     def pose_problem(self) -> str | None:
-        """Why no poses arrive from the motion capture; None while they do, or without one."""
+        """The reason why no poses arrive, or None while they arrive or without a motion capture."""
         return self._bridge.problem if self._bridge is not None else None
 
     def newest(self, entry: MessageEntry, seconds: float) -> Any:
@@ -246,10 +254,10 @@ class GroundLink:
         return self._session.newest(entry, seconds)
 
     def round_trip_s(self) -> float | None:
-        """The shortest of some TIMESYNC requests with their answers, seconds; None: no answer within 5 s.
+        """Return the shortest TIMESYNC round trip, seconds, or None without an answer within 5 s.
 
         Raises:
-            NoAnswerError: no other request was answered either.
+            NoAnswerError: another request was not answered either.
         """
         return asyncio.run(self._round_trip_s())
 
@@ -262,15 +270,15 @@ class GroundLink:
             raise NoAnswerError(f"the vehicle {says}: {', '.join(unanswered)}", source=self._url)
         with contextlib.suppress(TimeoutError):
             await asyncio.wait_for(self._session.keep_measuring(), _ROUND_TRIPS_S)
-        found = self._heard.round_trips_us
+        found = self._listener.round_trips_us
         return min(found) * 1e-6 if found else None
 
-    def _ask(self, what: str, request: Callable[[], Any]) -> Any:
-        """Make a request; `what` names it.
+    def _perform(self, what: str, request: Callable[[], Any]) -> Any:
+        """Perform a request and return its answer; `what` names the request in messages.
 
         Raises:
-            NoAnswerError: no use in asking on.
-            Exception: MAVSDK's own, for a refusal, or for no answer from a vehicle that answers others.
+            NoAnswerError: the vehicle answers no requests, or has stopped sending.
+            Exception: MAVSDK's exception for a refusal, or for a single unanswered request.
         """
         try:
             answer = request()
@@ -290,7 +298,7 @@ class GroundLink:
         return answer
 
     def heartbeat_mode(self) -> HeartbeatMode | None:
-        """What the next HEARTBEAT of the autopilot says; None: none within 3 s."""
+        """Return the mode in the autopilot's next HEARTBEAT, or None if none arrives within 3 s."""
         beat = self._session.next(messages.HEARTBEAT, _HEARTBEAT_S)
         if beat is not None:
             return HeartbeatMode(armed=beat.armed, hil=beat.hil)
@@ -298,7 +306,7 @@ class GroundLink:
         return HeartbeatMode(armed=False, hil=False, not_px4=other) if other else None
 
     def require_disarmed(self) -> None:
-        """Raise VehicleError if the vehicle is armed, or does not report that it is not."""
+        """Raise VehicleError if the vehicle is armed or sends no heartbeat."""
         mode = self.heartbeat_mode()
         if mode is None or mode.armed:
             raise VehicleError(
@@ -306,23 +314,26 @@ class GroundLink:
             )
 
     def px4_logs(self) -> Px4Logs:
-        """Return PX4's logs; the caller closes them before the link."""
+        """Return access to PX4's logs; the caller must close it before the link."""
         return Px4Logs(self._system)
 
     def kill(self) -> None:
-        """Disarm at once, in the air, too; raises what MAVSDK raises where that is refused."""
+        """Disarm at once, even in the air; raise MAVSDK's exception if PX4 refuses."""
         Action(self._system).kill()
 
     def set_actuator(self, index: int, value: float) -> None:
-        """Command a peripheral output, -1 to 1; an acknowledgement says nothing about movement."""
+        """Command a peripheral output, -1 to 1; an acknowledgement does not prove movement."""
         self._session.set_actuator(index, value)
 
     def read_parameters(
         self, names: Iterable[str], progress: Callable[[int], None] = lambda done: None
     ) -> dict[str, Value]:
-        """Return the parameters that the vehicle has, an INT32 as an int; others are left out.
+        """Return the values of the parameters that the vehicle has; an INT32 is an int.
 
-        `progress` takes the number of parameters that were asked for.
+        `progress` receives the number of parameters requested so far.
+
+        Raises:
+            NoAnswerError: the vehicle does not answer, or the parameters take more than 90 s.
         """
         values: dict[str, Value] = {}
         end_s = time.monotonic() + _PARAMETERS_S
@@ -333,35 +344,35 @@ class GroundLink:
                 raise NoAnswerError(says, source=self._url)
             for read in (self._param.get_param_int, self._param.get_param_float):
                 try:
-                    values[name] = self._ask(f"parameter {name}", partial(read, name))
+                    values[name] = self._perform(f"parameter {name}", partial(read, name))
                 except NoAnswerError:
                     raise
                 except MavsdkError as error:
                     if getattr(error, "result", None) in (ParamResult.WRONG_TYPE, ParamResult.TYPE_MISMATCH):
                         continue
-                    break  # not there: MAVSDK has asked for it for seconds
+                    break  # the vehicle lacks the parameter
                 break
         return values
 
     def write_parameter(self, name: str, value: Value) -> None:
-        """Set a parameter, an INT32 by an int.
+        """Set a parameter; give an int for an INT32.
 
         Raises:
-            NoAnswerError: no use in asking on.
-            VehicleError: the vehicle refuses it.
+            NoAnswerError: the vehicle does not answer requests.
+            VehicleError: the vehicle refuses the value.
         """
         write = self._param.set_param_int if isinstance(value, int) else self._param.set_param_float
         try:
-            self._ask(f"parameter {name}", partial(write, name, value))
+            self._perform(f"parameter {name}", partial(write, name, value))
         except MavsdkError as error:
             refusal = getattr(getattr(error, "result", None), "name", str(error)).lower().replace("_", " ")
             raise VehicleError(f"{name} was not set to {value:g}: {refusal}") from None
 
     def read_file(self, path: str) -> bytes:
-        """Return the content of a small file of the flight controller.
+        """Return the content of a small file on the flight controller.
 
         Raises:
-            DownloadError: there is no such file, or the flight controller has no FTP.
+            DownloadError: the file does not exist, or the flight controller does not support FTP.
         """
         return download_file(self._system, path)
 
@@ -373,19 +384,19 @@ class GroundLink:
         return ""
 
     def observe(self, vehicle: VehicleConfig, seconds: float) -> Observation:
-        """Ask for the rates of the stream table and listen, as in a flight; blocks for that long.
+        """Request the rates of the stream table, listen for `seconds` and return the observation.
 
-        Where PX4 has no position or would not arm, up to 5 s more until it has said why.
+        If PX4 has no position or would not arm, wait up to 5 s more for its reasons.
         """
-        seen, session = self._heard.seen, self._session
+        seen, session = self._listener.seen, self._session
 
-        def take_fix(fix: str, _: int) -> None:
+        def store_fix(fix: str, _: int) -> None:
             seen.gps_fix = fix
 
         asyncio.run(session.set_rates(_RATED))  # a refusal shows in the measured rates
         motors, lowest_v = len(vehicle.airframe.motors), vehicle.guard.battery_v
         session.subscribe(vehicle.estimation, motors, lowest_battery_v=lowest_v)
-        session.listen(messages.GPS_RAW_INT, take_fix)
+        session.listen(messages.GPS_RAW_INT, store_fix)
         if self._bridge is not None:
             self._wait_for_position()
         began = time.monotonic()
@@ -393,7 +404,7 @@ class GroundLink:
         time.sleep(seconds)
         seen.sources = self._sources(before, time.monotonic() - began)
         if self._bridge is not None:
-            seen.poses = self._heard.poses.figures(session.clock.host_us())
+            seen.poses = self._listener.poses.figures(session.clock.host_us())
             seen.pose_problem = self.pose_problem
         seen.rates_hz = {
             name: sum(
@@ -416,13 +427,13 @@ class GroundLink:
         return seen
 
     def _wait_for_position(self) -> None:
-        """Block until PX4 has a position from the forwarded poses, or 10 s."""
+        """Block until PX4 has a position from the forwarded poses, for at most 10 s."""
         end_s = time.monotonic() + _FUSION_S
-        while self._heard.seen.position_ned is None and time.monotonic() < end_s:
+        while self._listener.seen.position_ned is None and time.monotonic() < end_s:
             time.sleep(0.05)
 
     def _sources(self, before: dict[Any, tuple[int, int]], elapsed_s: float) -> tuple[Source, ...]:
-        """Return the senders observed, with their rates, by message."""
+        """Return the observed senders with their rates, sorted by message."""
         found = []
         for key, count in sorted(self._session.senders.items()):
             sender, (messages_then, usable_then) = Sender(*key), before.get(key, (0, 0))

@@ -1,10 +1,10 @@
-"""Which program has a link: one vehicle, one program.
+"""Leases of links, so that only one program uses a vehicle.
 
-MAVSDK opens UDP ports so that others can open them, too, and a serial device without asking anybody: a second
-program takes half of the datagrams or bytes away, and the flight with them. So every command of this software
-that talks to a vehicle takes a `LinkLease` first. It is an advisory lock in the state folder, one file per
-link, that the kernel gives back when its process ends; the file says who has it, and where the flight's log
-is, for `monitor`. Other people's programs are found by what they have open.
+MAVSDK opens UDP ports and serial devices without excluding other programs. A second program would receive
+half of the datagrams or bytes, and the flight would fail. Every command that talks to a vehicle therefore
+acquires a `LinkLease` first. A lease is an advisory lock on one file per link in the state folder; the kernel
+releases it when the process ends. The file names the holder and the flight's log, for `monitor`. Other
+programs are found by their open ports and devices.
 """
 
 from __future__ import annotations
@@ -37,13 +37,13 @@ class LinkTakenError(InputError):
 
 
 class Holder(msgspec.Struct, frozen=True):
-    """Who has a link.
+    """The process that holds a link.
 
     Attributes:
-        pid: of the process.
-        command: of this software, such as `fly`.
-        url: as the operator wrote it.
-        log: the flight's log, absolute; None: there is none, or not yet.
+        pid: process id.
+        command: command of this software, such as `fly`.
+        url: URL as the operator wrote it.
+        log: absolute path of the flight's log, or None if there is none yet.
     """
 
     pid: int
@@ -52,17 +52,18 @@ class Holder(msgspec.Struct, frozen=True):
     log: str | None = None
 
     def describe(self) -> str:
-        """Such as "fly, process 1234"."""
+        """Return text such as "fly, process 1234"."""
         return f"{self.command}, process {self.pid}"
 
 
 class LinkEndpoint(msgspec.Struct, frozen=True):
-    """Where a URL leads, as far as sharing goes: two URLs with one `key` cannot be used at once.
+    """The resource that a URL uses; two URLs with the same `key` exclude each other.
 
     Attributes:
-        key: part of a file name.
-        udp_port: that this side binds; None: none.
-        device: serial device; None: none.
+        key: part of the lease's file name.
+        udp_port: UDP port that this side binds, or None.
+        host: host of that port.
+        device: serial device, or None.
     """
 
     key: str
@@ -72,12 +73,15 @@ class LinkEndpoint(msgspec.Struct, frozen=True):
 
 
 def endpoint_of(url: str) -> LinkEndpoint:
-    """Where a MAVSDK connection URL leads; what is no such URL gets a key all the same, MAVSDK refuses it."""
+    """Return the resource that a MAVSDK connection URL uses.
+
+    An invalid URL gets a key as well, because MAVSDK refuses it later.
+    """
     link = parse_link(url)
     if link is None:
         return LinkEndpoint("url-" + re.sub(r"[^A-Za-z0-9.]+", "-", url)[:80])
     if link.kind == "serial":
-        # /dev/serial0, /dev/ttyAMA0 and /dev/serial/by-id/... may be one device.
+        # /dev/serial0, /dev/ttyAMA0 and /dev/serial/by-id/... may be the same device.
         device = Path(os.path.realpath(link.place))
         return LinkEndpoint("serial-" + str(device).strip("/").replace("/", "-"), device=device)
     kind, host, port = link
@@ -87,61 +91,67 @@ def endpoint_of(url: str) -> LinkEndpoint:
 
 
 def feed_of(port: int) -> str:
-    """What a simulated vehicle leases: the sending to a UDP port. A program that receives leases its URL."""
+    """Return the name that a simulated vehicle leases to send to a UDP port; a receiver leases its URL."""
     return f"feed:{port}"
 
 
 def link_folder() -> Path:
-    """Where the leases are."""
+    """Return the folder of the lease files."""
     return state_dir() / "links"
 
 
 class LinkLease(Lease):
-    """The right to use one link, for as long as the process lives or until it is released.
+    """The exclusive right to use one link, until it is released or the process ends.
 
     Args:
         url: MAVSDK connection URL.
-        command: of this software that wants it.
-        log: the flight's log.
+        command: command of this software that requests the link.
+        log: path of the flight's log.
 
     Raises:
-        LinkTakenError: on entering, when another program has it; names it.
-        InputError: on entering, when the state folder cannot be used.
+        LinkTakenError: on entering, if another program has the link; the message names that program.
+        InputError: on entering, if the state folder cannot be used.
     """
 
     def __init__(self, url: str, command: str, log: Path | None = None) -> None:
         self._url = url
-        self._place = endpoint_of(url)
+        self._endpoint = endpoint_of(url)
         self._file = HeldFile(_file_of(url))
-        self._holder = Holder(os.getpid(), command, printable(url), None if log is None else _name_of(log))
+        self._holder = Holder(os.getpid(), command, printable(url), None if log is None else _path_text(log))
         self._device: int | None = None
 
     def acquire(self) -> None:
-        """Take the link."""
+        """Acquire the link.
+
+        Raises:
+            LinkTakenError: another program has the link; the message names that program.
+            InputError: the state folder or the serial device cannot be used.
+        """
         try:
-            self._file.acquire(self._says())
+            self._file.acquire(self._content())
         except HeldError as error:
             holder = _decoded(error.content)
             words = holder.describe() if holder is not None else "another dart-flight"
             raise LinkTakenError(f"in use by {words}", source=self._url) from None
         try:
-            self._look_for_others()
-            if self._place.device is not None:
-                self._lock_device(self._place.device)
+            self._check_port()
+            if self._endpoint.device is not None:
+                self._lock_device(self._endpoint.device)
         except InputError:
             self.release()
             raise
 
     def note_log(self, log: Path) -> None:
-        """Say where the flight's log is, for `monitor`."""
-        self._holder = msgspec.structs.replace(self._holder, log=_name_of(log))
-        self._file.write(self._says())
+        """Store the path of the flight's log in the lease, for `monitor`."""
+        self._holder = msgspec.structs.replace(self._holder, log=_path_text(log))
+        self._file.write(self._content())
 
     def close_device(self) -> None:
-        """Once MAVSDK has opened a serial device: nobody else may open it, but root, and its reads wait.
+        """Lock the serial device exclusively and make its reads blocking.
 
-        MAVSDK 4 sets VMIN 0, with which a read of nothing is no "not yet" but an end: its thread asks again
-        at once and takes a whole core. The setting is the device's, not the opener's.
+        Call after MAVSDK has opened the device. MAVSDK 4 sets VMIN to 0, so that its reads return at once
+        and its thread occupies a whole core. The setting belongs to the device, so it can be changed here.
+        Root can still open a locked device.
         """
         if self._device is not None:
             with contextlib.suppress(OSError, termios.error):
@@ -151,7 +161,7 @@ class LinkLease(Lease):
                 termios.tcsetattr(self._device, termios.TCSANOW, settings)
 
     def release(self) -> None:
-        """Give the link back; harmless when it is not held."""
+        """Release the link; do nothing if it is not held."""
         if self._device is not None:
             with contextlib.suppress(OSError):
                 fcntl.ioctl(self._device, termios.TIOCNXCL)
@@ -159,18 +169,18 @@ class LinkLease(Lease):
             self._device = None
         self._file.release()
 
-    def _says(self) -> bytes:
+    def _content(self) -> bytes:
         return msgspec.json.encode(self._holder)
 
-    def _look_for_others(self) -> None:
-        port = self._place.udp_port
+    def _check_port(self) -> None:
+        port = self._endpoint.udp_port
         if port is None:
             return
-        # A `simulate` that is just starting listens there for a moment, for other senders.
+        # A starting `simulate` listens on the port briefly to detect other senders.
         end = time.monotonic() + (_STARTING_S if holder_of(feed_of(port)) is not None else 0.0)
-        while not udp_port_is_free(port, self._place.host) and time.monotonic() < end:
+        while not udp_port_is_free(port, self._endpoint.host) and time.monotonic() < end:
             time.sleep(_PAUSE_S)
-        if not udp_port_is_free(port, self._place.host):
+        if not udp_port_is_free(port, self._endpoint.host):
             raise LinkTakenError(f"UDP port {port} is in use by {owner_of_udp_port(port)}", source=self._url)
 
     def _lock_device(self, device: Path) -> None:
@@ -185,15 +195,15 @@ class LinkLease(Lease):
             raise InputError(f"cannot open {device}: {error.strerror}", source=self._url) from None
         others = _owners_of_device(device, besides=os.getpid())
         free = lock_file(self._device, device, "connect through another device")
-        if not free or others != _SOMEBODY:
+        if not free or others != _UNKNOWN_OWNER:
             raise LinkTakenError(f"{device} is in use by {others}", source=self._url)
 
 
 def free_link(command: str, log: Path | None = None) -> tuple[int, LinkLease]:
-    """A UDP port of the loopback that nothing uses, and its lease, held.
+    """Return an unused UDP port of the loopback interface and its acquired lease.
 
     Raises:
-        LinkTakenError: all ports that were tried are in use by other programs.
+        LinkTakenError: all tried ports are in use by other programs.
         InputError: the state folder cannot be used.
     """
     attempts = _FREE_LINK_ATTEMPTS
@@ -205,19 +215,19 @@ def free_link(command: str, log: Path | None = None) -> tuple[int, LinkLease]:
         try:
             lease.acquire()
             return port, lease
-        except LinkTakenError:  # another program has opened or leased the port meanwhile
+        except LinkTakenError:  # another program has opened or leased the port in the meantime
             attempts -= 1
             if not attempts:
                 raise
 
 
 def holder_of(url: str) -> Holder | None:
-    """Which program of this software has a link now; None: none."""
+    """Return the program of this software that holds a link, or None."""
     return _holder_in(_file_of(url))
 
 
 def held_links() -> Iterator[Holder]:
-    """The programs of this software that have a link now."""
+    """Yield the programs of this software that hold a link."""
     for path in sorted(link_folder().glob(f"*{_network()}.json")):
         holder = _holder_in(path)
         if holder is not None:
@@ -233,7 +243,7 @@ def _holder_in(path: Path) -> Holder | None:
     return None if content is None else _decoded(content)
 
 
-def _name_of(log: Path) -> str:
+def _path_text(log: Path) -> str:
     return printable(str(log.resolve()))
 
 
@@ -244,7 +254,7 @@ def _decoded(content: bytes) -> Holder | None:
 
 
 def _network() -> str:
-    """Ports are those of one network namespace: containers that share a home do not share them."""
+    """Return a suffix for the network namespace: containers that share a home do not share ports."""
     with contextlib.suppress(OSError):
         return f"@{os.stat('/proc/self/ns/net').st_ino}"
     return "@"
@@ -252,11 +262,11 @@ def _network() -> str:
 
 # --- ports and devices -------------------------------------------------------------------------------
 
-_SOMEBODY = "another program"
+_UNKNOWN_OWNER = "another program"
 
 
 def udp_port_is_free(port: int, host: str = "") -> bool:
-    """Return whether nothing is bound to a UDP port; a bind that shares it, as MAVSDK's, counts as bound.
+    """Return whether no socket is bound to a UDP port, not even one that shares it, like MAVSDK's.
 
     Raises:
         InputError: the port cannot be bound for another reason, such as an address of another computer.
@@ -274,7 +284,7 @@ def udp_port_is_free(port: int, host: str = "") -> bool:
 
 
 def owner_of_udp_port(port: int) -> str:
-    """The program that has a UDP port, as far as this user may see it."""
+    """Return text that names the programs with a UDP port open, as far as this user may list them."""
     wanted = f":{port:04X}"
     inodes = set()
     for table in ("/proc/net/udp", "/proc/net/udp6"):
@@ -291,7 +301,7 @@ def _owners_of_device(device: Path, besides: int | None = None) -> str:
 
 
 def _owners(targets: set[str], besides: int | None = None) -> str:
-    """Which processes have one of these open, in words."""
+    """Return text that names the processes with one of these files or sockets open."""
     found = []
     for process in Path("/proc").iterdir():
         if not process.name.isdigit() or int(process.name) == besides:
@@ -299,4 +309,4 @@ def _owners(targets: set[str], besides: int | None = None) -> str:
         with contextlib.suppress(OSError):
             if any(os.readlink(entry) in targets for entry in (process / "fd").iterdir()):
                 found.append(f"{(process / 'comm').read_text().strip()}, process {process.name}")
-    return " and ".join(sorted(found)) or _SOMEBODY
+    return " and ".join(sorted(found)) or _UNKNOWN_OWNER

@@ -22,7 +22,7 @@ _MAX_RATE_RAD_S: Final = 75.0  # 4000 deg/s give 70
 _UNIT_TOLERANCE: Final = 0.01
 _MAX_POSITION_M: Final = 10_000.0
 _MAX_SPEED_M_S: Final = 100.0
-_MIN_BATTERY_V, _MAX_BATTERY_V = 3.0, 150.0  # one cell; a lower reading is a sensor without a battery
+_MIN_BATTERY_V, _MAX_BATTERY_V = 3.0, 150.0  # a reading below one cell comes from a sensor without a battery
 _MAX_RPM: Final = 200_000
 _MAX_SD_M: Final = 10_000.0
 _ESCS: Final = 4  # in one message
@@ -31,7 +31,7 @@ SEVERITIES: Final = ("emergency", "alert", "critical", "error", "warning", "noti
 
 
 class Unusable(NamedTuple):
-    """The reason why a message is no sample, as the end of "none ...", such as "with a velocity"."""
+    """The reason why a message is not usable, as the end of "none ...", such as "with a velocity"."""
 
     reason: str
 
@@ -80,7 +80,7 @@ class Outputs(NamedTuple):
 
 
 class EscGroup(NamedTuple):
-    """Speeds of four motors, revolutions per minute; `first` is the number of the first one, from 0."""
+    """Speeds of four motors, revolutions per minute; `first` is the number of the first motor, from 0."""
 
     t_us: int
     first: int
@@ -107,9 +107,9 @@ class EstimatorState(NamedTuple):
 
 
 class Sensors(NamedTuple):
-    """Sensors in use, healthy and present, bits of MAV_SYS_STATUS_SENSOR; errors of the autopilot's links.
+    """Enabled, healthy and present sensors (bits of MAV_SYS_STATUS_SENSOR) and errors of the links.
 
-    `drop_rate_comm` is in 0.01 %.
+    `drop_rate_comm` is in units of 0.01 %.
     """
 
     enabled: int
@@ -120,7 +120,7 @@ class Sensors(NamedTuple):
 
 
 class TextChunk(NamedTuple):
-    """Part of a text; with `id` 0 the part is a complete text."""
+    """A part of a text; if `id` is 0, the part is a complete text."""
 
     severity: str
     id: int
@@ -234,7 +234,7 @@ class _GpsRawIntFields(msgspec.Struct):
     fix_type: int
 
 
-_RC_CHANNELS: Final = 18  # in a message; those that the receiver lacks are 65535
+_RC_CHANNELS: Final = 18  # in a message; channels that the receiver lacks are 65535
 _RcChannelsFields = msgspec.defstruct(
     "_RcChannelsFields",
     [("chancount", int), ("rssi", int), *((f"chan{n}_raw", int, 65535) for n in range(1, _RC_CHANNELS + 1))],
@@ -361,7 +361,7 @@ def _landed(m: _ExtendedSysStateFields) -> LandedState | Unusable:
 
 
 def _outputs(m: _ActuatorOutputStatusFields) -> Outputs | Unusable:
-    # PX4 sends the outputs of the first bank; `active` 0 means that it is not set.
+    # PX4 sends the outputs of the first bank; `active` 0 means that PX4 does not set the field.
     values = m.actuator[: m.active] if m.active else m.actuator
     return Outputs(m.time_usec, values)
 

@@ -1,6 +1,6 @@
-"""MAVSDK's own messages: to Python's logging, and not to standard output, which belongs to `--json`.
+"""Redirection of MAVSDK's log to Python's logging; standard output is reserved for `--json`.
 
-What it says again and again is said once, and how often it came when the connection is closed.
+A repeated message is logged once. When the connection is closed, the number of repetitions is logged.
 """
 
 from __future__ import annotations
@@ -15,27 +15,25 @@ from typing import Any
 from mavsdk.logging import log_subscribe
 
 _LEVELS = {0: logging.DEBUG, 1: logging.INFO, 2: logging.WARNING, 3: logging.ERROR}
-# When a UDP connection is closed, MAVSDK 4.1 may take its socket away from under a receive. Nothing is lost:
-# there is no listener any more. The same words while a connection is in use would be an error.
+# MAVSDK 4.1 may close a UDP socket during a receive. That is harmless only while a connection is closed.
 _SOCKET_CLOSED = "Bad file descriptor"
 
 _logger = logging.getLogger("dart_flight.mavsdk")
 _lock = threading.Lock()
 _closing = 0  # connections that are being closed
 _NUMBER = re.compile(r"\d+")
-_MAX_KINDS = 1000  # of messages remembered; what a damaged link brings about need not end
-_repeated: dict[
-    str, tuple[int, str, int]
-] = {}  # less its numbers -> level, first words, how often it came again
+_MAX_KINDS = 1000  # kinds of messages stored; a damaged link may produce new ones without end
+# Message without its numbers -> level, first text, number of repetitions.
+_repeated: dict[str, tuple[int, str, int]] = {}
 
 
 def redirect() -> None:
-    """Have every message from now on go to the logger `dart_flight.mavsdk` alone."""
+    """Send every further message to the logger `dart_flight.mavsdk` only."""
     log_subscribe(take)
 
 
 def take(level: Any, message: str, _file: str | None, _line: int) -> bool:
-    """MAVSDK's callback, on its threads; True: do not print it."""
+    """Log a message, as MAVSDK's callback on its threads; return True so that MAVSDK does not print it."""
     number = _LEVELS.get(int(level), logging.INFO)
     if _closing and _SOCKET_CLOSED in message:
         number = logging.DEBUG
@@ -51,9 +49,9 @@ def take(level: Any, message: str, _file: str | None, _line: int) -> bool:
     return True
 
 
-def _tell_repeated() -> None:
+def _log_repetitions() -> None:
     with _lock:
-        found = [told for told in _repeated.values() if told[2]]
+        found = [entry for entry in _repeated.values() if entry[2]]
         _repeated.clear()
     for number, message, again in found:
         _logger.log(number, "%s (%d times)", message, again + 1)
@@ -61,7 +59,7 @@ def _tell_repeated() -> None:
 
 @contextmanager
 def closing() -> Iterator[None]:
-    """While a connection is closed: what its socket says of that is no error."""
+    """Enclose the closing of a connection: errors of its socket are not reported."""
     global _closing  # noqa: PLW0603  (MAVSDK has one log for the whole process)
     with _lock:
         _closing += 1
@@ -70,4 +68,4 @@ def closing() -> Iterator[None]:
     finally:
         with _lock:
             _closing -= 1
-        _tell_repeated()
+        _log_repetitions()

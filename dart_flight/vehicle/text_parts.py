@@ -1,4 +1,4 @@
-"""Parts of a STATUSTEXT: a text longer than 50 bytes is several messages with one id."""
+"""Splitting and assembly of STATUSTEXTs: a text longer than 50 bytes is several messages with one id."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dart_flight.vehicle.messages import TextChunk
 
 _CUT = "..."  # replaces a lost part
 _PART = 50  # bytes
-_LONGEST = 199  # four parts: PX4 forwards from a small buffer
+_LONGEST = 199  # four parts; PX4's forwarding buffer is small
 _INFO = 6  # MAV_SEVERITY
 
 
@@ -17,7 +17,7 @@ def split_text(text: str, number: int) -> list[dict[str, Any]]:
     plain = text.encode("ascii", "replace").decode()[:_LONGEST]
     if len(plain) <= _PART:
         return [{"severity": _INFO, "text": plain, "id": 0, "chunk_seq": 0}]
-    # A part of fewer than 50 bytes ends the text, if need be an empty one.
+    # A part of fewer than 50 bytes ends the text; it may be empty.
     starts = range(0, len(plain) + 1, _PART)
     return [
         {"severity": _INFO, "text": plain[start : start + _PART], "id": number, "chunk_seq": i}
@@ -26,7 +26,7 @@ def split_text(text: str, number: int) -> list[dict[str, Any]]:
 
 
 class TextAssembler:
-    """Assembler of texts from their parts, one text at a time in PX4's order."""
+    """An assembler of texts from their parts, one text at a time in PX4's order."""
 
     def __init__(self) -> None:
         self._severity, self._id, self._next = "", 0, 0

@@ -1,8 +1,8 @@
-"""A MAVSDK connection to one autopilot: telemetry to samples, setpoints and commands out.
+"""A MAVSDK connection to one autopilot: it delivers telemetry as records and sends setpoints and commands.
 
-MAVSDK's callbacks come on its own thread: they build one record and hand it to `deliver`, nothing else.
-Acknowledgements prove nothing (a take-off while disarmed is acknowledged): what commands have done is seen in
-telemetry, by the core.
+MAVSDK's callbacks run on MAVSDK's thread; each builds one record and passes it to `deliver`. An
+acknowledgement does not prove success: PX4 acknowledges a take-off even while disarmed. The core therefore
+detects the effect of a command in the telemetry.
 """
 
 from __future__ import annotations
@@ -63,9 +63,9 @@ _ACTION_TIMEOUT_S = 5.0
 _SYSTEM_STATUS = re.compile(r'"system_status":\s*(\d+)')
 _RESULT = re.compile(r'"result":\s*(\d+)')
 _SET_MESSAGE_INTERVAL = 511  # MAV_CMD
-_REPEATED_US = 100_000  # a setpoint that stays the same leaves as often
-_ASK_PERIOD_S = 0.1  # the round trip
-_MAX_ASKED = 256  # requests remembered; their answers may come seconds later
+_REPEATED_US = 100_000  # interval at which an unchanged setpoint is sent again
+_REQUEST_PERIOD_S = 0.1  # interval of the TIMESYNC requests
+_MAX_REQUESTS = 256  # requests stored; an answer may arrive seconds later
 _MAX_TEXT_ID = 65535
 _AIRBORNE = (LandedState.IN_AIR, LandedState.TAKING_OFF)
 _REPORTED_US = 3_000_000  # between reports that a stream is unusable
@@ -73,7 +73,7 @@ _ENOUGH_MESSAGES = 10  # consecutive unusable messages before a report
 
 
 class Sender(NamedTuple):
-    """Origin of a message: several instances may be in one component."""
+    """The origin of a message; a component may have several instances."""
 
     message: str
     system: int
@@ -82,7 +82,7 @@ class Sender(NamedTuple):
 
 
 class SenderCount(msgspec.Struct):
-    """Counts of one sender's messages and usable messages, and the reason of the last unusable one."""
+    """The counts of a sender's messages and usable messages, and the reason of the last unusable one."""
 
     messages: int = 0
     usable: int = 0
@@ -91,7 +91,7 @@ class SenderCount(msgspec.Struct):
 
 
 def _without_stamps(s: Setpoint) -> tuple[object, ...]:
-    """What a setpoint says to the vehicle, without its stamps."""
+    """Return the values of a setpoint without its stamps."""
     return (s.position_ned, s.yaw_ned_rad, s.velocity_ned, s.acceleration_ned)
 
 
@@ -100,7 +100,7 @@ class VehicleError(FlightError):
 
 
 class NoAnswerError(InputError):
-    """The vehicle sends, but does not answer what it is asked: nothing can be flown over such a link."""
+    """The vehicle sends telemetry but does not answer requests, so the link cannot be used for a flight."""
 
 
 class VehicleSession:
@@ -108,14 +108,16 @@ class VehicleSession:
 
     Args:
         mavsdk: the connection, kept open by the caller.
-        system: the autopilot on it.
-        deliver: takes every record, on MAVSDK's thread.
-        clock: relates the autopilot's time and the host's.
+        system: the autopilot on the connection.
+        deliver: receives every record, on MAVSDK's thread.
+        clock: relation of the autopilot's time to the host's.
 
     Attributes:
-        senders: counts by sender of a subscribed message; only the autopilot's component is used.
+        senders: counts by sender of each subscribed message, including senders that are not used.
         batteries: the newest reading of each battery.
         motor_outputs: decoder of the motor outputs, or None before `subscribe`.
+        clock: relation of the autopilot's time to the host's.
+        checked: whether PX4 has sent a report of its arming checks.
     """
 
     def __init__(
@@ -127,15 +129,15 @@ class VehicleSession:
         self._offboard = Offboard(self._raw)
         self._action = Action(self._raw)
         self._direct = MavlinkDirect(self._raw)
-        self._extra: list[Stream] = []  # beside the table, as the configuration asks
+        self._extra: list[Stream] = []  # streams that the configuration adds to the table
         self._motors = 0
         self.senders: dict[tuple[str, int, int, int], SenderCount] = {}
         self.batteries = Batteries()
         self.motor_outputs: MotorOutputDecoder | None = None
         self._texts = TextAssembler()
-        self._reported_us: dict[str, int] = {}  # streams without a usable message
+        self._reported_us: dict[str, int] = {}  # time of the last report, by unusable message
         self._reports_unusable = False
-        self._rpm: list[float] = []  # of one stamp; a message has four motors
+        self._rpm: list[float] = []  # speeds with the same stamp; a message contains four motors
         self._rpm_us: int | None = None
         self._reset_counter: int | None = None
         self.clock: Clock = clock if clock is not None else ClockEstimate()
@@ -144,14 +146,14 @@ class VehicleSession:
         self._has_position = False  # whether a usable ODOMETRY has arrived
         self._estimator_ok = True  # from ESTIMATOR_STATUS, which not every vehicle sends
         self._silent = False
-        self._sent: tuple[object, ...] | None = None  # the last setpoint, and when it left
+        self._sent: tuple[object, ...] | None = None  # values of the last setpoint sent
         self._sent_us = 0
         self._events = Events(self._raw)
-        self._asked: deque[int] = deque(maxlen=_MAX_ASKED)  # host time of TIMESYNC requests, microseconds
+        self._requests_us: deque[int] = deque(maxlen=_MAX_REQUESTS)  # host times of TIMESYNC requests
         self._text_id = 0
         self._server: CommandServer | None = None
         self._other: int | None = None  # system id of another autopilot on the link
-        self.checked = False  # whether PX4 has sent a report of its checks
+        self.checked = False
         self._health: tuple[bool, tuple[str, ...], tuple[str, ...]] | None = None
 
     # -- telemetry --
@@ -159,12 +161,12 @@ class VehicleSession:
     def subscribe(
         self, estimation: Estimation, motors: int, guarded: bool = True, lowest_battery_v: float = 0.0
     ) -> None:
-        """Subscribe to the streams of the table and to the slow state.
+        """Subscribe to the streams of the table and to status messages.
 
         Args:
-            estimation: which sources of thrust it uses.
-            motors: how many the vehicle has.
-            guarded: also to what only the guard asks for.
+            estimation: selects the sources of thrust.
+            motors: number of the vehicle's motors.
+            guarded: whether to subscribe also to messages that only the guard needs.
             lowest_battery_v: lowest voltage at which the vehicle may fly (`guard.battery_v`).
         """
         self._motors, self.motor_outputs = motors, MotorOutputDecoder(motors)
@@ -197,7 +199,7 @@ class VehicleSession:
         Args:
             entry: the message.
             on_value: callback for each usable value of the autopilot's component and its time of receipt;
-                returns None, or `Unusable` if the value is no sample after all.
+                it returns None, or `Unusable` if the value cannot be used.
             on_unusable: callback for the instance of each unusable message of the autopilot's component.
         """
         decode, counts, name = entry.reader(), self.senders, entry.message
@@ -271,11 +273,12 @@ class VehicleSession:
             self._deliver(StatusText(t_us, received, "error", text, found_here=True))
 
     async def set_rates(self, names: Collection[str] | None = None, watching: bool = False) -> list[str]:
-        """Ask for the rates of the table; returns the names of the streams that were refused.
+        """Request the rates of the table; return the names of the streams that PX4 refused.
 
         Args:
-            names: only of these of the table; None: all. Further ones subscribed to are always asked for.
-            watching: no faster than is needed to watch.
+            names: streams of the table to request, or None for all. Subscribed streams outside the table are
+                always requested.
+            watching: whether to request the lower rates that suffice for a display.
         """
         t = self._telemetry
         calls = {
@@ -296,24 +299,24 @@ class VehicleSession:
                 refused.append(stream.name)
         for stream in self._extra:
             interval_us = round(1e6 / stream.rate_hz)
-            if not await asyncio.to_thread(self._ask_interval, MESSAGE_ID[stream.message], interval_us):
+            if not await asyncio.to_thread(self._request_interval, MESSAGE_ID[stream.message], interval_us):
                 refused.append(stream.name)
         return refused
 
     async def stop_messages(self, numbers: Iterable[int]) -> None:
-        """Ask not to be sent these messages on this link; refused, they go on coming."""
+        """Request that PX4 does not send these messages on this link; ignore a refusal."""
         for number in numbers:
-            await asyncio.to_thread(self._ask_interval, number, -1)
+            await asyncio.to_thread(self._request_interval, number, -1)
 
     async def measure_link(self, timeout_s: float) -> list[str]:
-        """Wait for the first round trip; returns the requests that were not answered, none where one was.
+        """Wait for the first round trip; return the unanswered requests, or an empty list after an answer.
 
-        By TIMESYNC, and by another request's answer where the vehicle does not know that.
+        Use TIMESYNC, and a rate request if the vehicle does not answer TIMESYNC.
         """
         loop, heard = asyncio.get_running_loop(), asyncio.Event()
 
         def handle(answer: messages.Timesync, received: int) -> Unusable | None:
-            refused = self._take_answer(answer, received)
+            refused = self._handle_answer(answer, received)
             if refused is None and not heard.is_set():  # later answers may outlive the loop
                 loop.call_soon_threadsafe(heard.set)
             return refused
@@ -337,22 +340,25 @@ class VehicleSession:
         return []
 
     async def keep_measuring(self) -> None:
-        """Ask for the round trip again and again; what `measure_link` has subscribed to takes the answers."""
+        """Request the round trip periodically; the subscription of `measure_link` handles the answers."""
         while True:
             now = host_us()  # identifies the request even in lockstep, where time may not advance
-            self._asked.append(now)
-            with contextlib.suppress(Exception):  # a link that takes nothing shows by its silence
+            self._requests_us.append(now)
+            with contextlib.suppress(Exception):  # a broken link is detected by missing answers
                 self._direct.send_message(request(now))
-            await asyncio.sleep(_ASK_PERIOD_S)
+            await asyncio.sleep(_REQUEST_PERIOD_S)
 
-    def _take_answer(self, answer: messages.Timesync, _: int) -> Unusable | None:
-        if answer.sent_us not in self._asked:
+    def _handle_answer(self, answer: messages.Timesync, _: int) -> Unusable | None:
+        if answer.sent_us not in self._requests_us:
             return Unusable("with an answer to a request of this program")
         self._deliver(self.clock.round_trip(answer.sent_us, host_us(), answer.autopilot_us))
         return None
 
-    def _ask_interval(self, number: int, interval_us: int) -> bool:
-        """SET_MESSAGE_INTERVAL for a message without a rate in the telemetry plugin; blocking."""
+    def _request_interval(self, number: int, interval_us: int) -> bool:
+        """Send SET_MESSAGE_INTERVAL, blocking; return whether PX4 accepted it.
+
+        Use it for messages whose rate the telemetry plugin cannot set.
+        """
         fields = {
             "target_system": self._raw.get_system_id(),
             "target_component": 1,
@@ -426,7 +432,7 @@ class VehicleSession:
 
     def _on_status(self, **changes: Any) -> None:
         received = self._host_us()
-        pin_thread_state()  # here, where it is seldom asked: all callbacks come on one thread
+        pin_thread_state()  # all callbacks run on one thread, and this call is infrequent
         self._status = msgspec.structs.replace(
             self._status, t_us=self.clock.to_autopilot(received), received_us=received, **changes
         )
@@ -463,7 +469,7 @@ class VehicleSession:
         self._deliver(StatusText(self.clock.to_autopilot(received), received, *text))
 
     async def look_for_others(self) -> None:
-        """Deliver another autopilot on the link, once; its messages are told apart by its system id."""
+        """Deliver a record of another autopilot on the link, once; its system id identifies its messages."""
         if self._other is not None:
             return
         own = self._raw.get_system_id()
@@ -476,13 +482,13 @@ class VehicleSession:
                 return
 
     def _subscribe_events(self) -> None:
-        """PX4's reasons: what it says as events and not as texts, and its health and arming checks.
+        """Subscribe to PX4's events and to its health and arming checks.
 
-        MAVSDK fetches the words from the vehicle, or from its cache; a vehicle without them has only texts
-        and the sensors of SYS_STATUS.
+        MAVSDK reads the event texts from the vehicle or from its cache. A vehicle without event texts
+        provides only STATUSTEXT and SYS_STATUS.
         """
         self.listen(messages.SYS_STATUS, self._on_sys_status)
-        with contextlib.suppress(Exception):  # of no use to a flight that has the rest
+        with contextlib.suppress(Exception):  # a flight does not depend on the events
             self._events.subscribe_events(self._on_event)
             self._events.subscribe_health_and_arming_checks(self._on_checks)
 
@@ -517,19 +523,19 @@ class VehicleSession:
     # -- commands --
 
     def send(self, setpoint: Setpoint) -> None:
-        """Send a setpoint at once; any thread. MAVSDK repeats it at 20 Hz until the next.
+        """Send a setpoint at once, from any thread; MAVSDK repeats it at 20 Hz until the next one.
 
-        One that it is repeating already is left to that, for a tenth of a second at most and in offboard mode
-        only: seeing another mode MAVSDK stops, and then refuses to start offboard for want of a setpoint.
-        That of an impact always leaves.
+        In offboard mode, skip an unchanged setpoint for 0.1 s, because MAVSDK repeats it. In other modes
+        MAVSDK stops repeating, and without a setpoint it refuses to start offboard mode. A recovery setpoint
+        is never skipped.
         """
         if self._silent:
             return
-        said, now_us = _without_stamps(setpoint), self._host_us()
+        values, now_us = _without_stamps(setpoint), self._host_us()
         repeats = self._status.flight_mode is FlightMode.OFFBOARD and now_us - self._sent_us < _REPEATED_US
-        if repeats and said == self._sent and not setpoint.recovery:
+        if repeats and values == self._sent and not setpoint.recovery:
             return
-        self._sent, self._sent_us = said, now_us
+        self._sent, self._sent_us = values, now_us
         yaw = math.degrees(setpoint.yaw_ned_rad)
         position = PositionNedYaw(*setpoint.position_ned, yaw)
         v, a = setpoint.velocity_ned, setpoint.acceleration_ned
@@ -543,7 +549,7 @@ class VehicleSession:
             )
 
     async def perform(self, action: VehicleAction) -> str:
-        """Carry out an action; returns "" or what PX4 said against it."""
+        """Perform an action; return an empty string, or the result with which PX4 refused it."""
         if self._silent:
             return "silent"
         calls: dict[VehicleAction, Callable[..., Any]] = {
@@ -553,7 +559,7 @@ class VehicleSession:
             VehicleAction.DISARM: self._action.disarm_async,
             VehicleAction.KILL: self._action.kill_async,
         }
-        # Callbacks and not the blocking calls: those never return once the connection is closed under them.
+        # Use callbacks: the blocking calls never return if the connection is closed meanwhile.
         loop = asyncio.get_running_loop()
         answer: asyncio.Future[str] = loop.create_future()
 
@@ -569,24 +575,24 @@ class VehicleSession:
         return "" if name == "SUCCESS" else name
 
     def send_message(self, message: MavlinkMessage) -> None:
-        """Send a raw message from any thread; a link that refuses it shows by its silence."""
+        """Send a raw message from any thread; ignore errors, because missing answers reveal a broken link."""
         with contextlib.suppress(MavsdkError):
             self._direct.send_message(message)
 
     @property
     def armed(self) -> bool:
-        """Whether the vehicle is armed, by its newest heartbeat."""
+        """Whether the vehicle is armed, according to the newest heartbeat."""
         return self._status.armed
 
     def silence(self) -> None:
-        """Send nothing more. MAVSDK stops repeating by itself once it sees another mode than offboard."""
+        """Send nothing more; MAVSDK stops repeating a setpoint once PX4 leaves offboard mode."""
         self._silent = True
 
     def set_actuator(self, index: int, value: float) -> None:
-        """Command a peripheral output of PX4, blocking; an acknowledgement says nothing about movement.
+        """Command a peripheral output of PX4, blocking; an acknowledgement does not prove movement.
 
         Raises:
-            VehicleError: PX4 refuses it or does not answer.
+            VehicleError: PX4 refuses the command or does not answer.
         """
         try:
             self._action.set_actuator(index, value)
@@ -594,7 +600,7 @@ class VehicleSession:
             raise VehicleError(str(error)) from error
 
     def tell_ground(self, text: str) -> None:
-        """Send a STATUSTEXT for the ground station, where the link allows; a long one in parts."""
+        """Send a text to the ground station as STATUSTEXT, in parts if it is long; ignore errors."""
         self._text_id = self._text_id % _MAX_TEXT_ID + 1
         with contextlib.suppress(Exception):
             for fields in split_text(text, self._text_id):
@@ -603,9 +609,13 @@ class VehicleSession:
                 )
 
     def serve_operator(self, system_id: int, answer: Callable[[Press], tuple[Result, str]]) -> None:
-        """Answer the buttons of a ground station, on MAVSDK's thread (`CommandServer`).
+        """Answer the commands of a ground station, on MAVSDK's thread (`CommandServer`).
 
         Each answer becomes a text on the ground station and a record.
+
+        Args:
+            system_id: system id of the ground station.
+            answer: function that returns the result of a press and its reason.
         """
 
         def note(text: str) -> None:
@@ -618,7 +628,7 @@ class VehicleSession:
 
 
 class Connection:
-    """Async context of a MAVSDK instance connected to one autopilot."""
+    """An async context of a MAVSDK instance that is connected to one autopilot."""
 
     def __init__(
         self,
@@ -670,14 +680,14 @@ def connect(
 
     Args:
         url: MAVSDK connection URL.
-        timeout_s: how long to wait for a heartbeat.
-        deliver: takes every record, on MAVSDK's thread.
-        ground: appear as a ground station instead of a companion computer. On the vehicle a companion: a
-            ground station's heartbeat from the vehicle itself may hide the loss of the real one.
-        clock: of an autopilot whose time is not real time (`LockstepClock`).
-        opened: called once MAVSDK has the link open and an autopilot answers.
+        timeout_s: timeout of the first heartbeat, seconds.
+        deliver: receives every record, on MAVSDK's thread.
+        ground: whether to appear as a ground station instead of a companion computer. Use False on the
+            vehicle: a ground station's heartbeat from the vehicle may hide the loss of the real one.
+        clock: clock of an autopilot whose time is not real time, such as `LockstepClock`.
+        opened: called once MAVSDK has opened the link and an autopilot answers.
 
     Raises:
-        VehicleError: on entering, when the URL cannot be opened or no autopilot answers.
+        VehicleError: on entering, if the URL cannot be opened or no autopilot answers.
     """
     return Connection(url, timeout_s, deliver, ground, clock, opened)

@@ -26,7 +26,7 @@ class _LogEndpoint(MavlinkEndpoint):
     sends_bytes: float
     _queue: deque[Any]
 
-    def _take(self, link: Link, message: Any) -> None:
+    def _handle_message(self, link: Link, message: Any) -> None:
         kind = message.get_type()
         if kind == "LOG_REQUEST_LIST":
             for k, (time_utc, content) in enumerate(self.logs):
@@ -46,7 +46,7 @@ class _LogEndpoint(MavlinkEndpoint):
         elif kind == "LOG_REQUEST_END":
             self._queue.clear()
         else:
-            super()._take(link, message)
+            super()._handle_message(link, message)
 
     def send_logs(self) -> None:
         """Send what is due of a log."""

@@ -22,7 +22,7 @@ MISSION = Path(__file__).parents[2] / "missions" / "single_wall.yaml"
 class MuteEndpoint(MavlinkEndpoint):
     """Takes nothing of what arrives."""
 
-    def _take(self, link: Link, message: Any) -> None:
+    def _handle_message(self, link: Link, message: Any) -> None:
         pass
 
 

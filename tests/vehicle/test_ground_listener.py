@@ -20,8 +20,8 @@ def listened(ahead_us: int, north_m: float, both: bool = True) -> _Listener:
         t_us = tick * _TICK_US
         stamp_us = t_us + (ahead_us if second else 0)
         place = (north_m if second else 0.0, 0.0, 0.0)
-        listener.take(ImuSample(stamp_us, t_us, (0.0, 0.0, -9.8), ORIGIN))
-        listener.take(OdometrySample(stamp_us, t_us, place, ORIGIN))
+        listener.update(ImuSample(stamp_us, t_us, (0.0, 0.0, -9.8), ORIGIN))
+        listener.update(OdometrySample(stamp_us, t_us, place, ORIGIN))
     return listener
 
 

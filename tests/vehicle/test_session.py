@@ -435,7 +435,7 @@ def test_a_link_that_only_sends_is_named_by_what_it_does_not_answer(monkeypatch:
 
 def test_while_it_is_measured_requests_go_on_and_then_they_end(monkeypatch: pytest.MonkeyPatch) -> None:
     """The flight asks by itself afterwards: not twice as often."""
-    monkeypatch.setattr(module, "_ASK_PERIOD_S", 0.001)
+    monkeypatch.setattr(module, "_REQUEST_PERIOD_S", 0.001)
     rig = Rig(monkeypatch, {})
     asked: list[Any] = []
 

@@ -1,1 +1,1 @@
-"""Bringing a vehicle up on the bench, step by step, each measured and judged (docs/field.md)."""
+"""The bring-up of a vehicle on the bench in measured and judged steps (docs/bringup.md)."""

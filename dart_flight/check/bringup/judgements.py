@@ -1,7 +1,7 @@
-"""What the steps of a bring-up make of what was measured: pure, from samples to a finding in words.
+"""Pure functions that convert the samples of a bring-up step to a finding; `steps` uses them.
 
-Axes are the vehicle's, FRD: x forward, y to the right, z down. An accelerometer at rest reads what holds it
-up: level (0, 0, -g), nose down a negative x, right side down a negative y.
+Axes are the vehicle's, FRD: x forward, y to the right, z down. An accelerometer at rest measures the support
+force: level (0, 0, -g), nose down a negative x, right side down a negative y.
 """
 
 from __future__ import annotations
@@ -30,24 +30,24 @@ from dart_flight.check.telemetry_check import StreamRate
 from dart_flight.config.vehicle import LockConfig
 from dart_flight.config.vehicle.mocap import MotionCapture
 
-_WINDOW_US = 500_000  # held still for so long
-_STILL_M_S2 = 0.6  # standard deviation of a hand's steadiness
+_WINDOW_US = 500_000  # time for which the vehicle must be held still
+_STILL_M_S2 = 0.6  # standard deviation of the force in a steady hand
 _TILTED_DEG = (20.0, 60.0)
-_AXIS_DEG = 30.0  # a hand's aim
+_AXIS_DEG = 30.0  # tolerance of a direction shown by hand
 _LEVEL_DEG = 12.0
 _PUSH_M_S2 = 3.0
-_PUSH_US = 30_000  # averaged: less than a push takes, more than a bump
+_PUSH_US = 30_000  # averaging time: shorter than a push, longer than a bump
 _CARRIED_M = 0.4
 _RESTING_M_S = 0.15
-_TURNED_RAD_S, _TILTING_RAD_S, _CARRIED_M_S2 = 0.3, 0.15, 0.5  # least motion that shows all axes
-_SAME_RATES, _SAME_FORCES = 0.9, 0.7  # correlations; other motions by hand reached 0.8 in rates
+_TURNED_RAD_S, _TILTING_RAD_S, _CARRIED_M_S2 = 0.3, 0.15, 0.5  # smallest motion that shows all axes
+_SAME_RATES, _SAME_FORCES = 0.9, 0.7  # correlations; unrelated motions by hand reached 0.8 in rates
 _POSE_AXIS_DEG = 10.0
 _SCALE = 0.1
 _OLDEST_POSE_MS = 100.0
 
 
 class StepOutcome(StrEnum):
-    """How a step ended."""
+    """The outcome of a step."""
 
     PASS = "pass"
     FAIL = "fail"
@@ -59,7 +59,7 @@ Measured = dict[str, float | str | None]
 
 
 class StepFinding(msgspec.Struct, frozen=True):
-    """One step: how it ended, what was measured (units in the names), and what that means."""
+    """The outcome of a step, its explanation and the measured values, with units in their names."""
 
     result: StepOutcome
     message: str
@@ -67,12 +67,12 @@ class StepFinding(msgspec.Struct, frozen=True):
 
 
 def passed(message: str, **measured: float | str | None) -> StepFinding:
-    """A step that is well."""
+    """Return the finding of a passed step."""
     return StepFinding(StepOutcome.PASS, message, measured)
 
 
 def failed(message: str, **measured: float | str | None) -> StepFinding:
-    """A step that is not, with what to do about it."""
+    """Return the finding of a failed step; the message names the remedy."""
     return StepFinding(StepOutcome.FAIL, message, measured)
 
 
@@ -82,12 +82,12 @@ def failed(message: str, **measured: float | str | None) -> StepFinding:
 def judge_link(
     rates: Sequence[StreamRate], round_trip_s: float | None, limit_s: float, errors: Mapping[str, float]
 ) -> StepFinding:
-    """Whether the streams of a mission come fast enough, and answers soon enough.
+    """Judge the rates of a mission's streams, the round trip and the link's errors.
 
     Args:
-        rates: of the streams that a mission needs.
-        round_trip_s: the shortest; None: TIMESYNC was not answered.
-        limit_s: of the round trip.
+        rates: rates of the streams that a mission needs.
+        round_trip_s: shortest round trip, or None if TIMESYNC was not answered.
+        limit_s: limit of the round trip.
         errors: `drop_rate_comm` (0.01 %) and `errors_comm` of SYS_STATUS.
     """
     measured: Measured = {f"{stream.name}_hz": round(stream.rate_hz, 1) for stream in rates}
@@ -121,7 +121,10 @@ def judge_link(
 
 
 def mean_while_still(samples: Sequence[ImuSample]) -> Vec3 | None:
-    """Mean specific force over the last half second, m/s2, FRD; None: not that long, or it moves."""
+    """Return the mean specific force of the last half second, m/s2, FRD.
+
+    The result is None if the samples span less time or the vehicle moves.
+    """
     if not samples or samples[-1].t_us - samples[0].t_us < _WINDOW_US:
         return None
     since = samples[-1].t_us - _WINDOW_US
@@ -133,18 +136,18 @@ def mean_while_still(samples: Sequence[ImuSample]) -> Vec3 | None:
 
 
 def tilt_between_deg(level: Vec3, now: Vec3) -> float:
-    """Angle between two readings at rest, degrees."""
+    """Return the angle between two readings at rest, degrees."""
     cosine = sum(a * b for a, b in zip(level, now, strict=True)) / max(1e-9, norm(level) * norm(now))
     return math.degrees(math.acos(max(-1.0, min(1.0, cosine))))
 
 
 def is_tilted(level: Vec3, now: Vec3) -> bool:
-    """Whether it is held at an angle at which the axis can be told."""
+    """Return whether the vehicle's tilt is large enough to identify the axis, and not too large."""
     return _TILTED_DEG[0] <= tilt_between_deg(level, now) <= _TILTED_DEG[1]
 
 
 def judge_level(level: Vec3) -> StepFinding | None:
-    """What is wrong with the reading of a level vehicle; None: nothing."""
+    """Return what is wrong with the reading of a level vehicle, or None if it is correct."""
     tilt = math.degrees(math.atan2(math.hypot(level[0], level[1]), -level[2]))
     measured: Measured = {f"level_{axis}_m_s2": round(v, 2) for axis, v in zip("xyz", level, strict=True)}
     if tilt > 180.0 - 3 * _LEVEL_DEG:
@@ -161,15 +164,15 @@ def judge_level(level: Vec3) -> StepFinding | None:
 
 
 def judge_axes(level: Vec3, nose_down: Vec3, right_down: Vec3) -> StepFinding:
-    """Whether forward and right are where they should be.
+    """Judge the IMU's forward and right axes.
 
     Args:
-        level, nose_down, right_down: mean specific force of the vehicle held so, m/s2.
+        level, nose_down, right_down: mean specific force of the vehicle in each attitude, m/s2, FRD.
     """
     wrong = judge_level(level)
     if wrong is not None:
         return wrong
-    # The reading leans against where the vehicle was tilted to: nose down to -x, right side down to -y.
+    # The reading tilts away from the lowered side: nose down gives -x, right side down gives -y.
     forward = _heading_deg(subtract(nose_down, level)) - 180.0
     right = _heading_deg(subtract(right_down, level)) + 90.0
     forward, right = wrap_deg(forward), wrap_deg(right)
@@ -190,14 +193,14 @@ def judge_axes(level: Vec3, nose_down: Vec3, right_down: Vec3) -> StepFinding:
 
 
 class Push(msgspec.Struct, frozen=True):
-    """A push as the IMU has it: when it was found, and its acceleration along x and y, FRD."""
+    """A push measured by the IMU: time of detection, and acceleration along x and y, FRD."""
 
     t_us: int
     acceleration_m_s2: Vec2
 
 
 def first_push(samples: Sequence[ImuSample], level: Vec3) -> Push | None:
-    """The first horizontal acceleration that is no bump; None: not pushed yet."""
+    """Return the first push, a horizontal acceleration longer than a bump, or None."""
     start = 0
     for end, last in enumerate(samples):
         while last.t_us - samples[start].t_us > _PUSH_US:
@@ -212,26 +215,33 @@ def first_push(samples: Sequence[ImuSample], level: Vec3) -> Push | None:
 
 
 def judge_push(push: Vec2, force: Vec2) -> StepFinding:
-    """Whether a push forward is felt as a force forward.
+    """Judge whether the estimated force of a forward push points forward.
 
     Args:
-        push: acceleration felt by the IMU, FRD x and y, m/s2.
+        push: acceleration measured by the IMU, FRD x and y, m/s2.
         force: estimated external force at the same time, FRD x and y, newton.
     """
-    felt, told = math.degrees(math.atan2(push[1], push[0])), math.degrees(math.atan2(force[1], force[0]))
+    push_deg, force_deg = (
+        math.degrees(math.atan2(push[1], push[0])),
+        math.degrees(math.atan2(force[1], force[0])),
+    )
     size = math.hypot(*force)
     measured: Measured = {
-        "push_direction_deg": round(felt, 1),
-        "force_direction_deg": round(told, 1),
+        "push_direction_deg": round(push_deg, 1),
+        "force_direction_deg": round(force_deg, 1),
         "force_n": round(size, 1),
     }
-    if abs(felt) > 2.0 * _AXIS_DEG:
+    if abs(push_deg) > 2.0 * _AXIS_DEG:
         says = (
-            f"the push came from {_side(felt)}, not from behind: repeat; if it was from behind, see imu_axes"
+            f"the push came from {_side(push_deg)}, not from behind: repeat; "
+            "if it was from behind, see imu_axes"
         )
         return failed(says, **measured)
-    if abs(wrap_deg(told - felt)) > _AXIS_DEG:
-        says = f"the force points {_side(told)} while the push went {_side(felt)}: attitude or yaw is wrong"
+    if abs(wrap_deg(force_deg - push_deg)) > _AXIS_DEG:
+        says = (
+            f"the force points {_side(force_deg)} while the push went {_side(push_deg)}: "
+            "attitude or yaw is wrong"
+        )
         return failed(says, **measured)
     return passed("a push forward is felt as a force forward", **measured)
 
@@ -240,16 +250,16 @@ def judge_push(push: Vec2, force: Vec2) -> StepFinding:
 
 
 def judge_servo(config: LockConfig, moves: Sequence[tuple[Mode, LockState, bool | None]]) -> StepFinding:
-    """Whether the lock goes where it is told, and how long that takes.
+    """Judge whether the lock reaches the commanded modes, and report its travel times.
 
     Args:
-        config: of the lock.
-        moves: mode asked for, state at the end, and the operator's word that the arms are so; None: a limit
-            switch has said it.
+        config: configuration of the lock.
+        moves: commanded mode, final state and confirmation of each move. The confirmation is the operator's
+            answer whether the arms are in the mode, or None if a limit switch has reported it.
     """
     measured: Measured = {}
     wrong = []
-    for mode, state, seen in moves:
+    for mode, state, confirmed in moves:
         measured[f"{mode}_travel_s"] = None
         if state.settled_us is not None and state.commanded_us is not None:
             measured[f"{mode}_travel_s"] = round((state.settled_us - state.commanded_us) * 1e-6, 3)
@@ -258,7 +268,7 @@ def judge_servo(config: LockConfig, moves: Sequence[tuple[Mode, LockState, bool 
                 f"{mode}: {state.reason or state.phase}; look at supply, cable and `dart-flight lock status`"
             )
             return failed(says, **measured)
-        if seen is False:
+        if confirmed is False:
             wrong.append(mode)
     measured["travel_by"] = "switch" if all(state.feedback for _, state, _ in moves) else "configured time"
     if len(wrong) == len(moves):
@@ -278,11 +288,14 @@ def judge_servo(config: LockConfig, moves: Sequence[tuple[Mode, LockState, bool 
 
 
 def carried(samples: Sequence[OdometrySample], q: Quaternion) -> Vec2 | None:
-    """How far the vehicle was carried until it rests, in its own axes at the start, m; None: not yet.
+    """Return the displacement of a carried vehicle at rest, or None before it is carried and at rest.
 
     Args:
-        samples: since the start.
+        samples: odometry since the start.
         q: attitude at the start, FRD to NED.
+
+    Returns:
+        Displacement forward and to the right, relative to the heading at the start, metres.
     """
     if not samples:
         return None
@@ -295,7 +308,7 @@ def carried(samples: Sequence[OdometrySample], q: Quaternion) -> Vec2 | None:
 
 
 def judge_position(forward: Vec2, right: Vec2) -> StepFinding:
-    """Whether the position goes where the vehicle is carried: forward first, then to its right."""
+    """Judge the estimated displacements of a vehicle carried forward and then to its right, metres."""
     f = math.degrees(math.atan2(forward[1], forward[0]))
     r = wrap_deg(math.degrees(math.atan2(right[1], right[0])) - 90.0)
     measured: Measured = {
@@ -317,7 +330,7 @@ def judge_position(forward: Vec2, right: Vec2) -> StepFinding:
 
 
 def is_moved_enough(motion: MotionEstimate) -> bool:
-    """Return whether a motion by hand shows every axis."""
+    """Return whether a motion by hand moves every axis enough."""
     x, y, z = motion.turned_rad_s
     return z > _TURNED_RAD_S and min(x, y) > _TILTING_RAD_S and motion.carried_m_s2 > _CARRIED_M_S2
 
@@ -325,13 +338,14 @@ def is_moved_enough(motion: MotionEstimate) -> bool:
 def judge_motion(
     motion: MotionEstimate, config: MotionCapture, round_trip_s: float | None, heading_off_deg: float | None
 ) -> StepFinding:
-    """Judge the poses of a motion by hand.
+    """Judge the motion-capture poses by a motion of the vehicle by hand.
 
     Args:
-        motion: estimated from poses, gyro and accelerometer.
-        config: with which the poses were converted.
-        round_trip_s: of the link, None if unknown; the pose's way to PX4 and the IMU's way here.
-        heading_off_deg: PX4's heading minus that of the poses, None if unknown.
+        motion: estimate from poses, gyro and accelerometer.
+        config: configuration with which the poses were converted.
+        round_trip_s: the link's round trip, or None if unknown: the delay of a pose to PX4 plus the delay of
+            an IMU sample to this program.
+        heading_off_deg: PX4's heading minus the heading of the poses, or None if unknown.
     """
     delay_ms = 1e3 * max(0.0, motion.latency_s + (round_trip_s or 0.0))
     body_yaw_deg = math.degrees(math.atan2(motion.body_to_frd[1, 0], motion.body_to_frd[0, 0]))
@@ -352,7 +366,7 @@ def judge_motion(
         )
     elif motion.force_correlation < -_SAME_FORCES:
         wrong = "the room is mirrored: its axes are left-handed; exchange the sign of one axis at the source"
-    elif _apart_deg(motion.up_room, (0.0, 0.0, -1.0)) > _POSE_AXIS_DEG:
+    elif _angle_deg(motion.up_room, (0.0, 0.0, -1.0)) > _POSE_AXIS_DEG:
         axis = _axis_of_room(motion.up_room, config)
         wrong = f"wrong axis: the room's {axis} axis points up, mocap.up is {config.up}"
     elif body_tilt_deg > _POSE_AXIS_DEG:
@@ -387,12 +401,12 @@ def judge_motion(
     return passed(f"poses are {delay_ms:.0f} ms old when they reach PX4", **measured)
 
 
-def _apart_deg(a: Vec3, b: Vec3) -> float:
+def _angle_deg(a: Vec3, b: Vec3) -> float:
     return math.degrees(math.acos(max(-1.0, min(1.0, sum(x * y for x, y in zip(a, b, strict=True))))))
 
 
 def _axis_of_room(direction_ned: Vec3, config: MotionCapture) -> str:
-    """Return the room's axis that is next to a direction, such as -y."""
+    """Return the room's axis nearest to a direction, such as -y."""
     room = RoomFrame(config.up == "y", math.radians(config.heading_deg))
     parts = room.pose_from_ned(direction_ned, IDENTITY)[0]
     k = max(range(3), key=lambda i: abs(parts[i]))
@@ -403,7 +417,7 @@ def _axis_of_room(direction_ned: Vec3, config: MotionCapture) -> str:
 
 
 def judge_remote(received: bool, modes: Collection[str]) -> StepFinding:
-    """Whether there is a remote control, and its mode switch does something."""
+    """Judge whether a remote control is received and its mode switch changes the mode."""
     measured: Measured = {"modes": ", ".join(modes)}
     if not received:
         return failed(
@@ -423,6 +437,6 @@ def _heading_deg(v: Vec3) -> float:
 
 
 def _side(angle_deg: float) -> str:
-    """Where a direction in the vehicle's axes points."""
+    """Return the name of the side nearest to a direction in the vehicle's axes."""
     names = ("forward", "right", "back", "left")
     return names[round(wrap_deg(angle_deg) / 90.0) % 4]

@@ -1,14 +1,14 @@
-"""Estimates from a vehicle turned and carried by hand: age, axes, scale and handedness of its poses.
+"""Estimates of age, axes, scale and handedness of the poses of a vehicle that the operator moves by hand.
 
-The gyro and the accelerometer are the reference, because they need neither axes of a room nor a clock of the
-cameras. Let R be the attitude (FRD to NED), f the specific force and w the body rate. Poses of a room that is
-turned by A, of a marker body turned by B, show the attitude A R B, the rate B'w and the acceleration
-A (R f + g). So the rates give the age and B; then the accelerations give scale and A g, the room's vertical.
-A mirrored room turns mirrored, which as a rotation of the body looks proper (a rate is an axial vector), but
-its accelerations point the other way: their sign is its sign.
+Gyro and accelerometer are the reference, because they depend neither on the room's axes nor on the cameras'
+clock. Let R be the attitude (FRD to NED), f the specific force and w the body rate. If the room is rotated by
+A and the marker body by B, the poses show the attitude A R B, the rate B'w and the acceleration A (R f + g).
+Therefore the rates give the age and B. The accelerations then give the scale and A g, the room's vertical.
+A mirrored room does not change the rates, because a rate is an axial vector. It does reverse the
+accelerations, so a negative correlation of the accelerations reveals it.
 
-Rates and accelerations are compared through one Gaussian filter: a noisy position is differentiated twice by
-the filter's second derivative. The constant parts are left out, because gravity is one.
+Rates and accelerations pass the same Gaussian filter. The filter's second derivative differentiates the noisy
+position twice. Constant parts are removed, because gravity is constant.
 """
 
 from __future__ import annotations
@@ -25,24 +25,24 @@ Array = NDArray[np.float64]
 _STEP_S: Final = 0.005
 _RATE_FILTER_S: Final = 0.04  # standard deviation of the Gaussian
 _FORCE_FILTER_S: Final = 0.12
-_LATENCY_S: Final = (-0.1, 0.5)  # searched
+_LATENCY_S: Final = (-0.1, 0.5)  # search range
 _COARSE_S: Final = 0.01
-_GAP_S: Final = 0.1  # longer without a pose: not interpolated
-_MIN_S: Final = 5.0  # of comparable motion
+_GAP_S: Final = 0.1  # longest gap between poses that is interpolated
+_MIN_S: Final = 5.0  # shortest duration of comparable motion
 
 
 class MotionEstimate(NamedTuple):
     """The result of `estimate_motion`.
 
     Attributes:
-        latency_s: receipt of a pose minus the time of the motion that it shows.
-        rate_correlation: of the pose's and the gyro's rates at that latency, -1 to 1.
+        latency_s: time of receipt of a pose minus the time of the motion that it shows.
+        rate_correlation: correlation of the pose's and the gyro's rates at that latency, -1 to 1.
         turned_rad_s: root mean square of the gyro's rates about the axes, FRD.
         body_to_frd: rotation from the pose's body axes to the gyro's, 3 x 3; identity if they agree.
-        up_room: the vertical in the poses' frame; (0, 0, -1) if that is NED.
-        force_correlation: of the accelerations; negative if the room is mirrored.
-        carried_m_s2: root mean square of the horizontal acceleration by the IMU.
-        scale: length by the poses per length by the accelerometer; meaningful if correlated.
+        up_room: upward vertical in the poses' frame; (0, 0, -1) in NED.
+        force_correlation: correlation of the accelerations; negative if the room is mirrored.
+        carried_m_s2: root mean square of the horizontal acceleration measured by the IMU.
+        scale: length by the poses per length by the accelerometer; valid only if both correlate.
     """
 
     latency_s: float
@@ -56,24 +56,24 @@ class MotionEstimate(NamedTuple):
 
 
 class NotEnoughMotionError(ValueError):
-    """The samples cannot be compared; the text says what is missing."""
+    """The samples cannot be compared; the text names the missing data."""
 
 
 def estimate_motion(
     pose_s: Array, position: Array, q_body: Array, imu_s: Array, rate_frd: Array, force_frd: Array
 ) -> MotionEstimate:
-    """Estimate what relates poses to the gyro and the accelerometer of the same motion.
+    """Estimate the relation of poses to the gyro and the accelerometer during the same motion.
 
     Args:
-        pose_s: receipt of the poses, seconds on the IMU's clock, shape (n,).
-        position: in the poses' frame, metres, (n, 3).
-        q_body: attitude, body to the poses' frame, (n, 4).
-        imu_s: stamps of the IMU's samples, (m,).
-        rate_frd: rad/s, (m, 3).
-        force_frd: m/s2, (m, 3).
+        pose_s: times of receipt of the poses, seconds on the IMU's clock, shape (n,).
+        position: positions in the poses' frame, metres, (n, 3).
+        q_body: attitudes, body to the poses' frame, (n, 4).
+        imu_s: stamps of the IMU's samples, seconds, (m,).
+        rate_frd: body rates, rad/s, (m, 3).
+        force_frd: specific forces, m/s2, (m, 3).
 
     Raises:
-        NotEnoughMotionError: the samples overlap by too little.
+        NotEnoughMotionError: the poses and the IMU samples overlap for too short a time.
     """
     pose_s, unique = np.unique(pose_s, return_index=True)
     position, q_body = position[unique], _continuous(q_body[unique])
@@ -113,7 +113,7 @@ def estimate_motion(
     up = mean_force / max(1e-9, float(np.linalg.norm(mean_force)))
     by_imu, by_pose = by_imu - mean_force, by_pose - by_pose.mean(axis=0)
     power = float((by_imu**2).sum())
-    # Noise is in the pose's acceleration mostly: regress that on the IMU's.
+    # Most of the noise is in the pose's acceleration, so regress that on the IMU's.
     scale = float((by_imu * by_pose).sum()) / max(1e-9, power)
     sideways = by_imu - np.outer(by_imu @ up, up)
     turned_rad_s = np.sqrt((reference**2).mean(axis=0))
@@ -132,10 +132,12 @@ def estimate_motion(
 def heading_offset_deg(pose_s: Array, q_body: Array, attitude_s: Array, q_frd: Array) -> float | None:
     """Return the median heading of the vehicle's attitudes minus that of the poses, degrees.
 
+    The result is None if the poses and the attitudes do not overlap.
+
     Args:
-        pose_s: times of the motion that the poses show, (n,).
-        q_body: attitude by the poses, (n, 4).
-        attitude_s: stamps of the vehicle's attitudes, (m,), in order.
+        pose_s: times of the motion that the poses show, seconds, (n,).
+        q_body: attitudes of the poses, (n, 4).
+        attitude_s: stamps of the vehicle's attitudes, seconds, (m,), increasing.
         q_frd: the vehicle's attitudes, (m, 4).
     """
     if len(pose_s) < 2 or len(attitude_s) < 2:
@@ -147,14 +149,14 @@ def heading_offset_deg(pose_s: Array, q_body: Array, attitude_s: Array, q_frd: A
     forward, own = _matrices(shown)[:, :2, 0], _matrices(q_frd[within])[:, :2, 0]
     across = forward[:, 0] * own[:, 1] - forward[:, 1] * own[:, 0]
     along = (forward * own).sum(axis=1)
-    # The median of angles has no meaning across a full turn: turn the mean direction to zero first.
+    # The median of angles is undefined across a full turn, so rotate the mean direction to zero first.
     mean = math.atan2(float(across.sum()), float(along.sum()))
     apart = np.angle(np.exp(1j * (np.arctan2(across, along) - mean)))
     return math.degrees(mean + float(np.median(apart)))
 
 
 def _best_latency(pose_rate: Array, gyro_at: Callable[[float], Array]) -> float:
-    """Return the latency at which the rates agree best after the best rotation, to a fraction of a step."""
+    """Return the latency at which the rates agree best after the best rotation, seconds."""
 
     def agreement(latency_s: float) -> float:
         # The sum of the singular values, signed for a proper rotation, is Kabsch's best inner product.
@@ -166,7 +168,7 @@ def _best_latency(pose_rate: Array, gyro_at: Callable[[float], Array]) -> float:
     coarse = np.arange(_LATENCY_S[0], _LATENCY_S[1] + 0.5 * _COARSE_S, _COARSE_S)
     best = coarse[int(np.argmax([agreement(x) for x in coarse]))]
     step = _COARSE_S
-    for _ in range(3):  # a parabola through three points, on ever smaller steps
+    for _ in range(3):  # fit a parabola through three points, with decreasing steps
         before, here, after = (agreement(best + k * step) for k in (-1, 0, 1))
         curvature = before - 2.0 * here + after
         if curvature < 0.0:
@@ -176,7 +178,7 @@ def _best_latency(pose_rate: Array, gyro_at: Callable[[float], Array]) -> float:
 
 
 def _rotation_between(a: Array, b: Array) -> Array:
-    """Return the proper rotation that turns the vectors `a` into `b` best (Kabsch)."""
+    """Return the proper rotation that best maps the vectors `a` to `b` (Kabsch)."""
     u, _, vt = np.linalg.svd(b.T @ a)
     return np.asarray(u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt, dtype=np.float64)
 
@@ -190,7 +192,7 @@ def _resample(at_s: Array, times_s: Array, values: Array) -> Array:
 
 
 def _without_gaps(grid: Array, times_s: Array, reach_s: float) -> NDArray[np.bool_]:
-    """Return where the filter's reach contains no gap."""
+    """Return a mask of the times at which no gap is within the filter's reach."""
     whole = np.ones(len(grid), dtype=np.bool_)
     for k in np.flatnonzero(np.diff(times_s) > _GAP_S):
         whole &= (grid < times_s[k] - reach_s) | (grid > times_s[k + 1] + reach_s)
@@ -198,7 +200,7 @@ def _without_gaps(grid: Array, times_s: Array, reach_s: float) -> NDArray[np.boo
 
 
 def _continuous(q: Array) -> Array:
-    """Return the quaternions with the signs that make neighbours close."""
+    """Return the quaternions with signs chosen so that consecutive ones are close."""
     signs = np.sign((q[1:] * q[:-1]).sum(axis=1))
     signs[signs == 0.0] = 1.0
     return np.asarray(q * np.concatenate([[1.0], np.cumprod(signs)])[:, None], dtype=np.float64)
@@ -245,7 +247,7 @@ def _smooth(values: Array, sigma_s: float) -> Array:
 def _second_derivative(values: Array, sigma_s: float) -> Array:
     t, gaussian = _kernel(sigma_s)
     kernel = gaussian * (t**2 / sigma_s**4 - 1.0 / sigma_s**2)
-    # Exact for a parabola, whatever the kernel's finite length.
+    # Make the truncated kernel exact for a parabola.
     kernel -= kernel.mean()
     kernel /= 0.5 * float((kernel * t**2).sum())
     return _filtered(values - values[0], kernel)

@@ -1,4 +1,4 @@
-"""What has been brought up: remembered, so that one can stop and go on, and as a page to file."""
+"""The stored progress of a bring-up, so that the operator can resume it, and its printable page."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from dart_flight.config.provenance import VehicleSource
 
 
 class StepRecord(msgspec.Struct, frozen=True):
-    """One step as it was last carried out; `date` is local time, empty where it never was."""
+    """The last result of one step; `date` is local time, or empty if the step was never run."""
 
     name: str
     result: StepOutcome
@@ -25,7 +25,7 @@ class StepRecord(msgspec.Struct, frozen=True):
 
 
 class BringupRecord(msgspec.Struct):
-    """All steps of one vehicle, in their order."""
+    """All steps of one vehicle, in order."""
 
     vehicle: VehicleSource
     connection: str
@@ -38,16 +38,16 @@ class BringupRecord(msgspec.Struct):
 
 
 def fresh(vehicle: VehicleSource, connection: str) -> BringupRecord:
-    """A bring-up of which nothing has been done."""
+    """Return a bring-up without completed steps."""
     steps = [StepRecord(step.name, StepOutcome.NEEDS_OPERATOR, "not done yet") for step in STEPS]
     return BringupRecord(vehicle, connection, steps)
 
 
 def load(folder: Path, vehicle: VehicleSource, connection: str) -> BringupRecord:
-    """What is remembered in a folder of this vehicle; else a fresh one.
+    """Return this vehicle's stored bring-up from a folder, or a new one if none is stored.
 
     Raises:
-        InputError: the file is there and cannot be read.
+        InputError: the file exists but cannot be read.
     """
     path = folder / "bringup.json"
     try:
@@ -65,14 +65,14 @@ def load(folder: Path, vehicle: VehicleSource, connection: str) -> BringupRecord
 
 
 def note(record: BringupRecord, name: str, finding: StepFinding) -> None:
-    """Put a finding in its place."""
+    """Store a step's finding with the present time."""
     date = datetime.now().astimezone().isoformat(timespec="seconds")
     done = StepRecord(name, finding.result, finding.message, finding.measured, date)
     record.steps = [done if step.name == name else step for step in record.steps]
 
 
 def save(record: BringupRecord, folder: Path) -> tuple[Path, Path]:
-    """Write what is remembered, and today's record and page; returns the last two.
+    """Write the stored progress, today's record and today's page; return the paths of the last two.
 
     Raises:
         InputError: the folder cannot be written.
@@ -88,7 +88,7 @@ def save(record: BringupRecord, folder: Path) -> tuple[Path, Path]:
 
 
 def page(record: BringupRecord, date: str) -> str:
-    """The record as a page that prints on one sheet."""
+    """Return the record as an HTML page that prints on one sheet."""
     rows, what = [], {step.name: step.what for step in STEPS}
     for step in record.steps:
         figures = ", ".join(f"{name} {value}" for name, value in step.measured.items())

@@ -1,7 +1,7 @@
-"""The steps of a bring-up carried out: say what to do, wait until it is done, measure, judge.
+"""The steps of a bring-up: instruct the operator, wait for the action, measure and judge.
 
-What a step waits for shows in the telemetry itself (held still, tilted, pushed, carried), so that the
-operator needs his hands for the vehicle and none for the keyboard.
+Each step detects the operator's action in the telemetry (held still, tilted, pushed, carried). The operator
+therefore keeps both hands on the vehicle and does not need the keyboard.
 """
 
 from __future__ import annotations
@@ -56,32 +56,32 @@ _OBSERVE_S = 3.0
 WAIT_S = 60.0
 _CONNECT_S = 10.0
 _ATTITUDE_S = 2.0
-_STATUS_S = 1.5  # SYS_STATUS comes once a second at least
+_STATUS_S = 1.5  # SYS_STATUS arrives at least once per second
 _RADIO_S = 2.0
 _POLL_S = 0.05
-_KEPT = 4000  # samples of a stream
-_MOTION_S = 12.0  # by hand, to be compared with the poses
-_NEW_MOTION_S = 2.0  # between two attempts to compare
+_KEPT = 4000  # samples kept of a stream
+_MOTION_S = 12.0  # duration of the motion by hand that is compared with the poses
+_NEW_MOTION_S = 2.0  # interval between two comparisons
 
 Found = TypeVar("Found")
 
 
 class Operator(Protocol):
-    """Who stands at the vehicle."""
+    """The operator at the vehicle."""
 
     def tell(self, text: str) -> None:
-        """Say what to do, or what was found."""
+        """Show an instruction or a finding."""
 
     def confirm(self, question: str) -> bool:
-        """Ask a question that is answered by yes or no."""
+        """Ask a yes-or-no question and return whether the answer is yes."""
 
 
 class NotDoneError(Exception):
-    """What a step waits for has not happened; the text says what that was."""
+    """The operator's action was not detected in time; the text names the action."""
 
 
 class Telemetry:
-    """What has come since it was last cleared, by stream; and the force estimate from it."""
+    """The samples received since the last `clear`, by stream, and the force estimated from them."""
 
     def __init__(self, mission: Mission) -> None:
         self._mission = mission
@@ -93,7 +93,7 @@ class Telemetry:
         self._all: deque[Input] = deque(maxlen=4 * _KEPT)
 
     def take(self, record: Input) -> None:
-        """A record of the telemetry, on MAVSDK's thread, or a pose, on that of the motion capture."""
+        """Store a telemetry record, on MAVSDK's thread, or a pose, on the motion capture's thread."""
         if isinstance(record, PoseSample):
             self.poses.append(record)
             return
@@ -108,13 +108,13 @@ class Telemetry:
             self.modes.setdefault(record.flight_mode.value)
 
     def clear(self) -> None:
-        """Forget the samples; the mode last seen stays."""
+        """Discard the samples; keep the newest mode."""
         for kept in (self.imu, self.attitude, self.odometry, self.poses):
             kept.clear()
         self.modes = dict.fromkeys(list(self.modes)[-1:])
 
     def force_at(self, t_us: int) -> Vec2 | None:
-        """The core's own estimate of the external force at a moment, in the vehicle's x and y; newton."""
+        """Return the core's estimate of the external force at a time, FRD x and y, newton, or None."""
         senses, frame = Senses(self._mission), self._mission.frame_at((0.0, 0.0, 0.0))
         senses.state.anchor(frame)
         found = None
@@ -130,18 +130,18 @@ class Telemetry:
 
 
 def attitude_at(samples: Sequence[AttitudeSample], t_us: int) -> Quaternion | None:
-    """The last attitude up to a moment; None: there is none."""
+    """Return the newest attitude up to a time, or None if there is none."""
     return next((s.q_frd_to_ned for s in reversed(list(samples)) if s.t_us <= t_us), None)
 
 
 class Bringup(CheckContext[StepFinding]):
-    """What the steps look at: one vehicle, and who stands beside it. The link stays open for the next step.
+    """The inputs of the steps: one vehicle and its operator. The link stays open between steps.
 
     Args:
-        mission: its vehicle, and what streams it needs.
+        mission: provides the vehicle and the required streams.
         url: MAVSDK connection URL.
-        operator: who stands at the vehicle.
-        wait_s: for what the operator is to do.
+        operator: the operator at the vehicle.
+        wait_s: timeout of the operator's actions, seconds.
         opened: called once the link is open (`LinkLease.close_device`).
     """
 
@@ -158,37 +158,37 @@ class Bringup(CheckContext[StepFinding]):
         self._mission, self._url, self._operator, self._wait_s = mission, url, operator, wait_s
         self._opened = opened
         self._telemetry = Telemetry(mission)
-        self._ground: GroundLink | None = None
+        self._link: GroundLink | None = None
         self._rates: list[StreamRate] = []
         self.found: list[StepFinding] = []
 
     def explain(self, error: Exception) -> StepFinding:
-        """Return why a step could not be carried out."""
+        """Return the finding of a step that could not be completed."""
         if isinstance(error, NotDoneError):
             return failed(f"not seen within {self._wait_s:g} s: {error}")
         if isinstance(error, NoAnswerError):
             return failed(f"{error.message}: is the wire to the flight controller (TX) open?")
-        return failed(self._why_silent(str(error)))
+        return failed(self._explain_silence(str(error)))
 
     def close(self) -> None:
         """Close the link."""
-        if self._ground is not None:
-            self._ground.__exit__(None, None, None)
-            self._ground = None
+        if self._link is not None:
+            self._link.__exit__(None, None, None)
+            self._link = None
 
     def _connect(self) -> GroundLink:
-        """The link, opened and its streams asked for at the first call."""
-        if self._ground is None:
+        """Return the link; the first call opens it and requests the streams."""
+        if self._link is None:
             timeout_s, mocap = min(self._wait_s, _CONNECT_S), self._mission.vehicle.mocap
             link = GroundLink(self._url, timeout_s, self._telemetry.take, mocap)
-            self._ground = link.__enter__()
+            self._link = link.__enter__()
             self._opened()
             observed = link.observe(self._mission.vehicle, _OBSERVE_S)
             self._rates = stream_rates(observed.rates_hz, unusable_streams(observed.sources))
-        return self._ground
+        return self._link
 
-    def _why_silent(self, says: str) -> str:
-        """What is wrong with a link on which no autopilot answers, as far as its port tells."""
+    def _explain_silence(self, says: str) -> str:
+        """Return the reason why no autopilot answers, from the bytes that arrive on a serial port."""
         link = parse_link(self._url)
         if link is None or link.kind != "serial":
             return says
@@ -212,7 +212,7 @@ class Bringup(CheckContext[StepFinding]):
     # -- steps --
 
     def judge_link(self) -> StepFinding:
-        """Judge rates, errors and round trip of the link."""
+        """Judge the rates, errors and round trip of the link."""
         link = self._connect()
         round_trip_s = link.round_trip_s()
         status = link.newest(messages.SYS_STATUS, _STATUS_S)
@@ -222,23 +222,25 @@ class Bringup(CheckContext[StepFinding]):
         return judgements.judge_link(self._rates, round_trip_s, round_trip_limit_s(self._mission), errors)
 
     def judge_axes(self) -> StepFinding:
-        """Judge the IMU's axes from readings level, nose down and right side down."""
+        """Judge the IMU's axes from readings with the vehicle level, nose down and right side down."""
         self._connect()
-        level = self._held("Put the vehicle level and leave it alone.", lambda force: True)
+        level = self._wait_until_held("Put the vehicle level and leave it alone.", lambda force: True)
         wrong = judgements.judge_level(level)
         if wrong is not None:
             return wrong
         tilted = partial(judgements.is_tilted, level)
-        nose = self._held("Lift its tail: nose down by some 30 degrees, and hold it so.", tilted)
-        self._held("Put it level again.", lambda force: not tilted(force))
-        right = self._held("Lift its left side: right side down by some 30 degrees, and hold it so.", tilted)
+        nose = self._wait_until_held("Lift its tail: nose down by some 30 degrees, and hold it so.", tilted)
+        self._wait_until_held("Put it level again.", lambda force: not tilted(force))
+        right = self._wait_until_held(
+            "Lift its left side: right side down by some 30 degrees, and hold it so.", tilted
+        )
         return judgements.judge_axes(level, nose, right)
 
     def judge_force(self) -> StepFinding:
-        """Judge the direction of the force of a push."""
+        """Judge the direction of the estimated force of a push."""
         self._connect()
         self._telemetry.clear()
-        level = self._held("Hold the vehicle level and still.", lambda force: True)
+        level = self._wait_until_held("Hold the vehicle level and still.", lambda force: True)
         t = self._telemetry
         push = self._wait(
             "Push it forward, sharply, from behind.", lambda: judgements.first_push(list(t.imu), level)
@@ -249,7 +251,7 @@ class Bringup(CheckContext[StepFinding]):
         return judgements.judge_push(push.acceleration_m_s2, force)
 
     def judge_servo(self) -> StepFinding:
-        """Move the lock to both ends and judge it."""
+        """Move the lock to both ends and judge the moves."""
         config = self._mission.vehicle.lock
         if config is None:
             return StepFinding(StepOutcome.SKIPPED, "this vehicle has no lock")
@@ -271,7 +273,7 @@ class Bringup(CheckContext[StepFinding]):
                     driver.close()
         except (DriverError, ServoTakenError) as error:
             return failed(f"{error}")
-        return judgements.judge_servo(config, moves[1:])  # the first has no known beginning
+        return judgements.judge_servo(config, moves[1:])  # the first move starts from an unknown position
 
     def _move(self, lock: GroundLock, mode: Mode) -> tuple[Mode, LockState, bool | None]:
         state = lock.move(mode)
@@ -281,15 +283,19 @@ class Bringup(CheckContext[StepFinding]):
         return mode, state, self._operator.confirm(f"Told to be {mode}. Are the arms {how}?")
 
     def judge_position(self) -> StepFinding:
-        """Judge the poses if there are any, and where the position goes when the vehicle is carried."""
+        """Judge the poses of a motion capture, if any, and the estimated position of a carried vehicle."""
         link = self._connect()
         poses = None
         if self._mission.vehicle.mocap.url is not None:
             poses = self._measure_poses(link)
             if poses.result is not StepOutcome.PASS:
                 return poses
-        forward = self._carry("Hold it level, walk half a metre straight ahead of its nose, and stand still.")
-        right = self._carry("Now half a metre to its right, without turning it, and stand still.")
+        forward = self._wait_until_carried(
+            "Hold it level, walk half a metre straight ahead of its nose, and stand still."
+        )
+        right = self._wait_until_carried(
+            "Now half a metre to its right, without turning it, and stand still."
+        )
         position = judgements.judge_position(forward, right)
         if poses is None:
             return position
@@ -297,7 +303,7 @@ class Bringup(CheckContext[StepFinding]):
         return StepFinding(position.result, f"{poses.message}; {position.message}", measured)
 
     def _measure_poses(self, link: GroundLink) -> StepFinding:
-        """Judge the poses by the gyro and the accelerometer while the operator moves the vehicle."""
+        """Judge the poses by gyro and accelerometer while the operator moves the vehicle."""
         t, config = self._telemetry, self._mission.vehicle.mocap
         t.clear()
         with contextlib.suppress(NotDoneError):
@@ -326,8 +332,8 @@ class Bringup(CheckContext[StepFinding]):
         )
         return judgements.judge_motion(motion, config, link.round_trip_s(), self._heading_offset(motion))
 
-    def _shown_poses(self) -> tuple[Array, Array, Array]:
-        """Return the tracked poses' receipt in seconds, and their positions and attitudes in local NED."""
+    def _tracked_poses(self) -> tuple[Array, Array, Array]:
+        """Return times of receipt (s), positions (m) and attitudes of the tracked poses, local NED."""
         room = self._mission.vehicle.mocap.room_frame()
         poses = [p for p in list(self._telemetry.poses) if p.tracked]
         shown = [room.pose_to_ned(p.position_room, p.q_body_to_room) for p in poses]
@@ -337,14 +343,14 @@ class Bringup(CheckContext[StepFinding]):
     def _estimate_motion(self) -> MotionEstimate:
         imu = list(self._telemetry.imu)
         return estimate_motion(
-            *self._shown_poses(),
+            *self._tracked_poses(),
             np.array([1e-6 * s.t_us for s in imu]),
             np.array([s.rate_frd for s in imu]),
             np.array([s.specific_force_frd for s in imu]),
         )
 
     def _heading_offset(self, motion: MotionEstimate) -> float | None:
-        times_s, _, shown = self._shown_poses()
+        times_s, _, shown = self._tracked_poses()
         own = list(self._telemetry.attitude)
         own_s = np.array([1e-6 * s.t_us for s in own])
         return heading_offset_deg(
@@ -363,8 +369,8 @@ class Bringup(CheckContext[StepFinding]):
 
     # -- waiting --
 
-    def _held(self, text: str, is_so: Callable[[Vec3], bool]) -> Vec3:
-        """Mean specific force once it is held still in the way asked for."""
+    def _wait_until_held(self, text: str, is_so: Callable[[Vec3], bool]) -> Vec3:
+        """Return the mean specific force, m/s2, once the vehicle is held still as instructed."""
         t = self._telemetry
         t.imu.clear()
 
@@ -374,7 +380,7 @@ class Bringup(CheckContext[StepFinding]):
 
         return self._wait(text, find)
 
-    def _carry(self, text: str) -> Vec2:
+    def _wait_until_carried(self, text: str) -> Vec2:
         t = self._telemetry
         t.odometry.clear()
         end_s = time.monotonic() + _ATTITUDE_S
@@ -392,10 +398,10 @@ class Bringup(CheckContext[StepFinding]):
         return self._wait(text, find)
 
     def _wait(self, text: str, find: Callable[[], Found | None]) -> Found:
-        """Say what to do and look until it is found.
+        """Show an instruction and poll `find` until it returns a result.
 
         Raises:
-            NotDoneError: it was not, in time.
+            NotDoneError: `find` returned no result in time.
         """
         self._operator.tell(text)
         end_s = time.monotonic() + self._wait_s

@@ -1,1 +1,1 @@
-"""What can go wrong in a simulated flight."""
+"""Faults of a simulated flight: the table of all faults, lossy links and a second vehicle."""

@@ -1,10 +1,10 @@
-"""The one table of what can go wrong in a simulated flight, and how it is brought about.
+"""The table of the faults of a simulated flight, their parser, and the faults of the simulated vehicle.
 
-`dry-run --fault NAME[=VALUE][@PHASE]`: the fault begins when the mission first reaches the phase (without:
-at once) and stays. Where a fault acts decides which part applies it: `plant`, `sensor` and `autopilot`
-belong to the simulated vehicle (`VehicleFault.apply`), `mocap` to the poses that the program forwards
-(`pose_feed`), `link` to the messages between vehicle and app, `lock` to the mock servo, `app` to the program
-itself.
+`dry-run --fault NAME[=VALUE][@PHASE]` adds a fault. It begins when the mission first reaches the phase, or
+at once without a phase, and it persists. The site of a fault decides which part applies it. `VehicleFault`
+applies faults of plant, sensors and autopilot, and `pose_feed` those of the forwarded poses (`mocap`).
+`link` faults act on the messages between vehicle and application, `lock` faults on the mock servo, and `app`
+faults on the program itself.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ from dart_flight.sim.faults.impairment import Impairment
 from dart_flight.sim.simulated_vehicle import SimulatedVehicle
 
 _GUST_S = 0.6
-_INTRUDER_EVERY = 12  # ticks: a second ground station sends at 20 Hz, as ours does
+_INTRUDER_EVERY = 12  # ticks; a second ground station sends at 20 Hz, like this program
 
 
 class FaultSite(StrEnum):
-    """Where a fault acts."""
+    """The part of a simulated flight on which a fault acts."""
 
     APP = "app"
     LINK = "link"
@@ -43,7 +43,16 @@ class FaultSite(StrEnum):
 
 
 class FaultKind(msgspec.Struct, frozen=True):
-    """One row of the table; `value` is the default, `low` to `high` what may be asked for."""
+    """A row of the fault table.
+
+    Attributes:
+        name: name of the fault, for `--fault`.
+        place: site of the fault.
+        what: description for the operator.
+        unit: unit of the value.
+        value: default value.
+        low, high: range of the value.
+    """
 
     name: str
     place: FaultSite
@@ -55,7 +64,7 @@ class FaultKind(msgspec.Struct, frozen=True):
 
     @property
     def of_real_time(self) -> bool:
-        """Whether the fault concerns the host's time or the link, and so needs a world that does not wait."""
+        """Whether the fault affects the host's time or the link, so that the world must not wait."""
         about_link = self.place is FaultSite.LINK or self.name == "clock-back"
         return about_link or (self.place is FaultSite.APP and self.name != "disk-full")
 
@@ -147,7 +156,7 @@ KINDS: tuple[FaultKind, ...] = (
 )
 BY_NAME = {kind.name: kind for kind in KINDS}
 
-# What people say -> the core's phase.
+# The name of a phase in `--fault` -> the core's phase.
 PHASES: dict[str, Phase] = {
     "take-off": Phase.CLIMB,
     "waypoint": Phase.WAYPOINT,
@@ -162,13 +171,13 @@ PHASES: dict[str, Phase] = {
 
 
 class Fault(msgspec.Struct, frozen=True):
-    """One fault of one flight.
+    """A fault of a flight.
 
     Attributes:
-        name: of the table.
-        value: in the table's unit.
-        phase: of `PHASES`; None: from the start.
-        after_s: how long after the phase began.
+        name: name in the table.
+        value: value in the table's unit.
+        phase: key of `PHASES`, or None for a fault from the start of the flight.
+        after_s: delay after the start of the phase, seconds.
     """
 
     name: str
@@ -178,7 +187,7 @@ class Fault(msgspec.Struct, frozen=True):
 
     @property
     def kind(self) -> FaultKind:
-        """The row of the table."""
+        """The row of the fault table."""
         return BY_NAME[self.name]
 
 
@@ -198,7 +207,7 @@ def parse_fault_of(mission: Mission, text: str) -> Fault:
 
 
 def parse_fault(text: str, has_lock: bool = True, has_mocap: bool = True) -> Fault:
-    """`NAME[=VALUE][@PHASE]` as a fault.
+    """Parse `NAME[=VALUE][@PHASE]` as a fault.
 
     Raises:
         InputError: the fault or phase does not exist, the value is out of range, or the vehicle lacks the
@@ -230,14 +239,14 @@ def parse_fault(text: str, has_lock: bool = True, has_mocap: bool = True) -> Fau
 
 
 class Trigger:
-    """Says when a fault begins: once the mission has reached its phase, and so long after that."""
+    """The trigger of a fault: the fault begins at a delay after the mission first reaches its phase."""
 
     def __init__(self, fault: Fault) -> None:
         self._fault = fault
         self._since_us: int | None = None
 
     def sees(self, record: Record) -> bool:
-        """Take a record of the flight; True once the phase has begun."""
+        """Process a record of the flight; return whether the phase has begun."""
         if self._since_us is None:
             first = self._fault.phase is None
             if first and hasattr(record, "t_us"):
@@ -247,17 +256,17 @@ class Trigger:
         return self._since_us is not None
 
     def due(self, now_us: int) -> bool:
-        """Whether it is time; one from the start on needs no record."""
+        """Return whether the fault begins now; a fault from the start needs no record."""
         if self._fault.phase is None and self._fault.after_s == 0.0:
             return True
         return self._since_us is not None and now_us - self._since_us >= self._fault.after_s * 1e6
 
 
-# --- what each place makes of it ---------------------------------------------------------------------------
+# --- application of the faults -----------------------------------------------------------------------------
 
 
 def impairment_of(fault: Fault) -> Impairment:
-    """What a fault of the link does to it."""
+    """Return the impairment of the link that a fault causes."""
     share = fault.value * 0.01
     return {
         "link-loss": Impairment(down=True),
@@ -272,7 +281,7 @@ def impairment_of(fault: Fault) -> Impairment:
 
 
 def mock_faults_of(fault: Fault) -> MockFaults:
-    """What a fault of the lock does to the mock servo."""
+    """Return the faults of the mock servo that a fault of the lock causes."""
     return {
         "servo-stuck": MockFaults(servo=ServoFaults(stuck=True)),
         "servo-slow": MockFaults(servo=ServoFaults(slow=fault.value or 1.0)),
@@ -281,7 +290,7 @@ def mock_faults_of(fault: Fault) -> MockFaults:
 
 
 class VehicleFault:
-    """A fault of plant, sensor or autopilot at work in a simulated vehicle; `tick` it once per 4 ms."""
+    """An active fault of plant, sensor or autopilot in a simulated vehicle; call `tick` every 4 ms."""
 
     def __init__(self, vehicle: SimulatedVehicle, fault: Fault) -> None:
         self._autopilot, self._fault = vehicle.autopilot, fault
@@ -290,7 +299,7 @@ class VehicleFault:
         getattr(self, "_begin_" + fault.name.replace("-", "_"))()
 
     def tick(self) -> None:
-        """What goes on for as long as the fault lasts."""
+        """Apply the effects of the fault that change over time."""
         self._ticks += 1
         a = self._autopilot
         if self._fault.name == "gust" and a.now_s - self._began_s > _GUST_S:
@@ -334,7 +343,7 @@ class VehicleFault:
         self._autopilot.kill()
 
     def _begin_second_gcs(self) -> None:
-        pass  # it acts tick by tick
+        pass  # `tick` applies this fault
 
     # -- plant --
 
@@ -347,7 +356,7 @@ class VehicleFault:
         here = plant.frame.point_from_ned(plant.position)
         for plane in plant.planes:
             if -1.0 < plane.wall.signed_distance(here) < d + 0.1:
-                continue  # it would stand inside the vehicle: walls are wrongly surveyed, they do not jump
+                continue  # skip a wall that would move into the vehicle: the fault is a wrong survey
             plane.move(d)
 
     def _begin_other_material(self) -> None:

@@ -1,4 +1,4 @@
-"""A link that loses, delays, reorders and duplicates: for datagrams, samples and setpoints alike."""
+"""A link that loses, delays, reorders and duplicates messages, such as datagrams, samples and setpoints."""
 
 from __future__ import annotations
 
@@ -12,14 +12,15 @@ T = TypeVar("T")
 
 
 class Impairment(msgspec.Struct, frozen=True):
-    """What is wrong with a link.
+    """The impairment of a link.
 
     Attributes:
-        loss, reorder, duplicate: share of the messages that it befalls, 0 to 1.
-        delay_s: every message comes this much later.
-        reorder_s: how much later than the others a reordered message comes.
-        jitter_s: every message comes up to this much later, each its own.
-        down: nothing comes through.
+        loss, reorder: share of the lost and of the reordered messages, 0 to 1.
+        delay_s: delay of every message, seconds.
+        reorder_s: additional delay of a reordered message, seconds.
+        jitter_s: largest random delay, drawn for each message, seconds.
+        duplicate: share of the messages that arrive twice.
+        down: whether the link loses every message.
     """
 
     loss: float = 0.0
@@ -32,7 +33,7 @@ class Impairment(msgspec.Struct, frozen=True):
 
 
 class LossyLink(Generic[T]):
-    """Messages in, messages out when they are due; the caller brings the time, any clock, seconds."""
+    """A queue of messages that applies an impairment; the caller provides the time, seconds on any clock."""
 
     def __init__(self, seed: int) -> None:
         self.impairment = Impairment()
@@ -41,22 +42,22 @@ class LossyLink(Generic[T]):
         self._number = 0
 
     def push(self, now_s: float, message: T) -> None:
-        """A message enters the link."""
-        is_, chance = self.impairment, self._random.random
-        if is_.down or (is_.loss > 0.0 and chance() < is_.loss):
+        """Add a message at a time."""
+        impairment, chance = self.impairment, self._random.random
+        if impairment.down or (impairment.loss > 0.0 and chance() < impairment.loss):
             return
-        copies = 2 if is_.duplicate > 0.0 and chance() < is_.duplicate else 1
+        copies = 2 if impairment.duplicate > 0.0 and chance() < impairment.duplicate else 1
         for _ in range(copies):
-            late_s = is_.delay_s
-            if is_.reorder > 0.0 and chance() < is_.reorder:
-                late_s += is_.reorder_s
-            if is_.jitter_s > 0.0:
-                late_s += is_.jitter_s * chance()
+            late_s = impairment.delay_s
+            if impairment.reorder > 0.0 and chance() < impairment.reorder:
+                late_s += impairment.reorder_s
+            if impairment.jitter_s > 0.0:
+                late_s += impairment.jitter_s * chance()
             self._number += 1
             heapq.heappush(self._waiting, (now_s + late_s, self._number, message))
 
     def pop(self, now_s: float) -> list[T]:
-        """What has arrived by now, in order of arrival."""
+        """Return the messages that have arrived by a time, in order of arrival."""
         arrived = []
         while self._waiting and self._waiting[0][0] <= now_s:
             arrived.append(heapq.heappop(self._waiting)[2])

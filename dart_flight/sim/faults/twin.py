@@ -1,4 +1,4 @@
-"""A second simulated vehicle on the link of the first: it stands beside it, under the same system id."""
+"""A second simulated vehicle on the link of the first one, with the same system id."""
 
 from __future__ import annotations
 
@@ -9,23 +9,23 @@ from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import LockDriver
 from dart_flight.sim.simulated_vehicle import SimulatedVehicle
 
-_APART_NED = (0.0, 4.0, 0.0)  # outside of the missions' flight space, on its own floor
+_APART_NED = (0.0, 4.0, 0.0)  # outside the missions' flight space
 _OTHER_SEED = 1000
 
 
 def make_second_vehicle(mission: Mission, seed: int, ahead_s: float, now_us: int) -> SimulatedVehicle:
-    """The vehicle, standing and disarmed.
+    """Return a second vehicle that is disarmed and on the ground.
 
     Args:
-        mission: of the first one.
-        seed: of the first one.
-        ahead_s: its clock less that of the first one.
-        now_us: the first one's clock.
+        mission: mission of the first vehicle.
+        seed: seed of the first vehicle.
+        ahead_s: clock of the second vehicle minus that of the first, seconds.
+        now_us: clock of the first vehicle, microseconds.
     """
     twin = SimulatedVehicle(msgspec.structs.replace(mission, walls=()), seed + _OTHER_SEED, LockDriver.PX4)
     plant, autopilot = twin.autopilot.plant, twin.autopilot
     plant.position = add(plant.position, _APART_NED)
-    # It has been on for a while: its estimator knows where it stands.
+    # The second vehicle has been on for a while, so its estimator has converged.
     autopilot.estimator.correct(0.0, plant.position, plant.q)
     twin.advance()
     while not autopilot.estimator.ok:

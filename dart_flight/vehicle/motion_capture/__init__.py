@@ -1,1 +1,1 @@
-"""Motion capture: pose sources of the vendors' systems, and the bridge that forwards their poses to PX4."""
+"""Motion capture: pose sources for the vendors' systems, and the bridge that forwards poses to PX4."""

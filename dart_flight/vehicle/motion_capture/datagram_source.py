@@ -1,4 +1,4 @@
-"""A pose source that listens for datagrams: the JSON and the Vicon source differ in how they decode one."""
+"""A pose source that receives datagrams; the JSON and Vicon sources add their decoders."""
 
 from __future__ import annotations
 
@@ -14,24 +14,26 @@ from dart_flight.config.document import InputError
 from dart_flight.vehicle.motion_capture.source import PoseAddress, RawPose
 
 _MAX_DATAGRAM: Final = 65535
-_POLL_S: Final = 0.2  # how soon the thread notices `stop`
-_MAX_REASONS: Final = 32  # distinct reasons counted: a hostile sender must not fill the memory
+_POLL_S: Final = 0.2  # the thread detects `stop` within this time
+_MAX_REASONS: Final = 32  # distinct reasons counted, so that a hostile sender cannot exhaust the memory
 
 Decoder = Callable[[bytes, str, str], RawPose | str]
 
 
 class DatagramSource:
-    """A source that decodes each datagram received at an address; a multicast address is joined.
+    """A source that decodes each datagram received at an address; it joins a multicast group.
 
     Args:
-        address: local address and port to listen at, and the body.
-        decode: from datagram, body and sender to a pose, or to the reason why the datagram has none.
+        address: local address and port, and the name of the body.
+        decode: function that converts datagram, body and sender to a pose, or to the reason why the datagram
+            contains none.
 
     Attributes:
         ignored: number of ignored datagrams by reason.
+        problem: the reason why no poses arrive, or None.
 
     Raises:
-        InputError: the address cannot be listened at.
+        InputError: the address cannot be bound.
     """
 
     def __init__(self, address: PoseAddress, decode: Decoder) -> None:
@@ -64,11 +66,11 @@ class DatagramSource:
 
     @property
     def port(self) -> int:
-        """The port listened at."""
+        """The local UDP port."""
         return int(self._socket.getsockname()[1])
 
     def start(self, deliver: Callable[[RawPose], None]) -> None:
-        """Deliver every pose from now on, on a thread of the source; drop what waits in the socket."""
+        """Deliver every further pose on a thread of the source; discard datagrams that already wait."""
         self._socket.settimeout(0.0)
         with contextlib.suppress(OSError):
             while True:

@@ -1,4 +1,4 @@
-"""Poses as one JSON object per datagram, for any other system (docs/motion_capture.md)."""
+"""A pose source for any other system: one JSON object per datagram (docs/motion_capture.md)."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from dart_flight.base.geometry import Quaternion, Vec3, quaternion_normalise
 from dart_flight.vehicle.motion_capture.datagram_source import DatagramSource
 from dart_flight.vehicle.motion_capture.source import PoseAddress, RawPose, lost_pose
 
-_MAX_M: Final = 1000.0  # no room is larger: the sender's unit is not the metre
+_MAX_M: Final = 1000.0  # no room is larger; beyond this the sender's unit is not the metre
 _MAX_S: Final = 1e11
 
 
@@ -29,7 +29,7 @@ _DECODER = msgspec.json.Decoder(_Pose)
 
 
 def decode(data: bytes, body: str, sender: str) -> RawPose | str:
-    """Return the pose in a datagram, or the reason why it has none."""
+    """Return the pose in a datagram, or the reason why the datagram contains none."""
     try:
         pose = _DECODER.decode(data)
     except (msgspec.DecodeError, RecursionError) as error:  # a ValidationError is a DecodeError
@@ -52,5 +52,5 @@ def decode(data: bytes, body: str, sender: str) -> RawPose | str:
 
 
 def open_source(address: PoseAddress) -> DatagramSource:
-    """Listen for datagrams at an address of this computer."""
+    """Open a source that listens for datagrams at an address of this computer."""
     return DatagramSource(address, decode)

@@ -1,4 +1,4 @@
-"""Poses from OptiTrack's Motive by the NatNet protocol, unicast or multicast as the server announces."""
+"""A pose source for OptiTrack's Motive (NatNet protocol), unicast or multicast as the server announces."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ from dart_flight.vehicle.motion_capture.source import PoseAddress, RawPose, lost
 
 _HEADER: Final = struct.Struct("<HH")
 _PING: Final = _HEADER.pack(NatNetClient.NAT_CONNECT, 5) + b"Ping\0"
-# After the header: application's name, its version, NatNet's; then since NatNet 3: the clock's ticks per
-# second, data port, whether multicast, multicast group.
+# After the header: name and version of the application, version of NatNet. NatNet 3 adds the clock's ticks
+# per second, the data port, whether the server uses multicast, and the multicast group.
 _SERVER: Final = struct.Struct("<256s4B4B")
 _TRANSMISSION: Final = struct.Struct("<QHB4B")
 _PINGS: Final = 3
 _PING_S: Final = 1.0
 _MODEL_S: Final = 3.0
 _POLL_S: Final = 0.02
-_SILENT_S: Final = 1.0  # then the server is asked whether it still answers
-_DEAD_S: Final = 3.0  # without an answer to that the connection is made anew
+_SILENT_S: Final = 1.0  # time without a frame until the server is queried
+_DEAD_S: Final = 3.0  # time without an answer until the connection is opened again
 
 
 class ServerInfo(NamedTuple):
-    """How a NatNet server transmits; the defaults are those of servers before NatNet 3."""
+    """The transmission settings of a NatNet server; the defaults apply to servers before NatNet 3."""
 
     ticks_per_s: int = 0
     data_port: int = 1511
@@ -39,7 +39,7 @@ class ServerInfo(NamedTuple):
 
 
 def decode_server_info(data: bytes) -> ServerInfo | None:
-    """Return the announcement in an answer to a connection request, or None if it is no such answer."""
+    """Return the announcement in an answer to a connection request, or None for other data."""
     start = _HEADER.size + _SERVER.size
     if len(data) < start or _HEADER.unpack_from(data)[0] != NatNetClient.NAT_SERVERINFO:
         return None
@@ -49,7 +49,7 @@ def decode_server_info(data: bytes) -> ServerInfo | None:
     return ServerInfo(ticks, port, bool(multicast), ".".join(map(str, group)))
 
 
-def _ask_server(address: PoseAddress) -> tuple[ServerInfo, str, str]:
+def _query_server(address: PoseAddress) -> tuple[ServerInfo, str, str]:
     """Return the server's announcement, its address and this computer's address towards it.
 
     Raises:
@@ -78,15 +78,15 @@ class OptiTrackSource:
     """A source that reads one rigid body from a NatNet server.
 
     Args:
-        address: the server's command port, and the body by its name or its streaming id.
+        address: the server's host and command port, and the body's name or streaming id.
 
     Raises:
-        InputError: no server answers, or it has no such body.
+        InputError: no server answers, or the server does not know the body.
     """
 
     def __init__(self, address: PoseAddress) -> None:
         self._address, self._sender = address, f"{address.host}:{address.port}"
-        self._info, server, local = _ask_server(address)
+        self._info, server, local = _query_server(address)
         self._client = NatNetClient(
             server, local, self._info.group, address.port, self._info.data_port, self._info.multicast
         )
@@ -114,14 +114,14 @@ class OptiTrackSource:
         end_s = time.monotonic() + _MODEL_S
         while not self._has_model and time.monotonic() < end_s:
             self._client.request_modeldef()
-            asked_s = time.monotonic()
-            while not self._has_model and time.monotonic() < asked_s + _PING_S:
+            requested_s = time.monotonic()
+            while not self._has_model and time.monotonic() < requested_s + _PING_S:
                 self._client.update_sync()
                 time.sleep(_POLL_S)
         if not self._has_model:
             raise InputError(f"mocap URL {self._address.url}: {self._sender} does not list its bodies")
         if self._body_id() is None:
-            raise InputError(f"mocap URL {self._address.url}: {self._no_body()}")
+            raise InputError(f"mocap URL {self._address.url}: {self._describe_missing_body()}")
 
     def _body_id(self) -> int | None:
         body = self._address.body
@@ -129,13 +129,13 @@ class OptiTrackSource:
             return self._ids[body]
         return int(body) if body.isdecimal() and int(body) in self._ids.values() else None
 
-    def _no_body(self) -> str:
+    def _describe_missing_body(self) -> str:
         names = ", ".join(f"{name} ({number})" for name, number in sorted(self._ids.items()))
         return f"Motive streams no rigid body {self._address.body}, only {names or 'none'}"
 
     def start(self, deliver: Callable[[RawPose], None]) -> None:
-        """Deliver every pose from now on, on a thread of the client."""
-        self._client.update_sync()  # drops the frames that wait in the socket
+        """Deliver every further pose on a thread of the client."""
+        self._client.update_sync()  # discards the frames that wait in the socket
         self._deliver = deliver
         self._answered_s = self._framed_s = time.monotonic()
         self._client.run_async()
@@ -164,7 +164,7 @@ class OptiTrackSource:
         else:
             source_us = round(1e6 * frame.suffix.timestamp)
         body = next((body for body in frame.rigid_bodies if body.id_num == wanted), None)
-        self.problem = None if body is not None else self._no_body()
+        self.problem = None if body is not None else self._describe_missing_body()
         if body is None or body.tracking_valid is False or not any(body.rot):
             self._deliver(lost_pose(self._address.body, number, source_us, self._sender))
             return
@@ -174,9 +174,9 @@ class OptiTrackSource:
         )
 
     def _reconnect(self) -> None:
-        """Ask a silent server whether it still answers; connect again if it does not.
+        """Query a silent server, and connect again if the server does not answer.
 
-        The client's threads end on a damaged datagram, and a server that restarts has forgotten its clients.
+        The client's threads end on a damaged datagram, and a restarted server does not know its clients.
         """
         while not self._stopped.wait(_SILENT_S):
             now_s = time.monotonic()

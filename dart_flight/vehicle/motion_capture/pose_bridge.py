@@ -1,4 +1,4 @@
-"""The bridge from a pose source to PX4: every pose is recorded, some are forwarded as ODOMETRY."""
+"""The bridge from a pose source to PX4: it delivers every pose and forwards a selection as ODOMETRY."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from dart_flight.vehicle.clock import Clock
 from dart_flight.vehicle.motion_capture.source import PoseSource, RawPose, open_source
 
 _LOCAL_NED: Final = 1  # MAV_FRAME
-_BODY_FRD: Final = 12  # of the velocities, which are not sent
-_VISION: Final = 2  # MAV_ESTIMATOR_TYPE; PX4's EKF2 does not read what comes as MOCAP
+_BODY_FRD: Final = 12  # frame of the velocities, which are not sent
+_VISION: Final = 2  # MAV_ESTIMATOR_TYPE; PX4's EKF2 ignores the type MOCAP
 _POSITION_SD_M: Final = 0.01  # PX4 uses EKF2_EVP_NOISE if that is larger
 _ANGLE_SD_RAD: Final = 0.01
-_EARLY: Final = 0.125  # of a period: a frame that jitter brought forward is still sent
-_DIAGONAL: Final = (0, 6, 11, 15, 18, 20)  # of the upper triangle of a 6 x 6 matrix, by rows
+_EARLY: Final = 0.125  # share of a period by which a frame may be early because of jitter
+_DIAGONAL: Final = (0, 6, 11, 15, 18, 20)  # indices in the upper triangle of a 6 x 6 matrix
 
 
 def _covariance() -> list[float]:
@@ -39,7 +39,7 @@ _UNKNOWN: Final[Sequence[float | None]] = [None] * 21
 def odometry(t_us: int, position_ned: Vec3, q_frd_to_ned: Quaternion) -> MavlinkMessage:
     """Return the ODOMETRY message of a pose; null velocities arrive as NaN, which PX4 does not fuse.
 
-    The reset counter stays 0: with another one PX4's estimate would follow a jump of the poses at once.
+    The reset counter stays 0. If it changed, PX4's estimate would follow a jump of the poses at once.
     """
     x, y, z = position_ned
     fields = {
@@ -61,7 +61,7 @@ def odometry(t_us: int, position_ned: Vec3, q_frd_to_ned: Quaternion) -> Mavlink
 
 
 class ForwardedPose(msgspec.Struct):
-    """The pose in a message of `odometry`: position in local NED, attitude FRD to NED."""
+    """The pose in a message of `odometry`: position in local NED, metres, and attitude FRD to NED."""
 
     x: float
     y: float
@@ -70,16 +70,16 @@ class ForwardedPose(msgspec.Struct):
 
 
 def forwarded_pose(message: Any) -> ForwardedPose:
-    """Return the pose in a message of `odometry`, for a simulated world."""
+    """Return the pose in a message of `odometry`; simulated worlds use it."""
     fields: str = message.fields_json
     return msgspec.json.decode(fields, type=ForwardedPose)
 
 
 class Decimation:
-    """Selection of frames at a mean rate, as even as the frames allow.
+    """A selection of frames at a mean rate, as evenly as the frames allow.
 
     Args:
-        rate_hz: mean rate of the selected frames; slower sources pass whole.
+        rate_hz: mean rate of the selected frames; all frames of a slower source are selected.
     """
 
     def __init__(self, rate_hz: float) -> None:
@@ -87,28 +87,28 @@ class Decimation:
         self._due_us: int | None = None
 
     def selects(self, t_us: int) -> bool:
-        """Return whether to forward the frame with this stamp, microseconds on any one clock."""
+        """Return whether to forward the frame with this stamp, microseconds on any clock."""
         period, due = self._period_us, self._due_us
         if due is not None and -2 * period < t_us - due < -_EARLY * period:
             return False
-        # After a gap or a leap of the source's clock, count from this frame.
+        # After a gap or a leap of the source's clock, restart the period at this frame.
         in_step = due is not None and abs(t_us - due) < period
         self._due_us = (due if due is not None and in_step else t_us) + period
         return True
 
 
 class MotionCaptureBridge:
-    """Forwarder of one source's poses to PX4; its methods run on the source's thread.
+    """A forwarder of one source's poses to PX4, on the source's thread.
 
     Args:
-        config: axes of the room and the rate of forwarding.
-        source: where the poses come from; `start` starts it.
-        send: takes each message to PX4.
-        clock: relates the host's time to PX4's.
-        deliver: takes each pose, tracked or not, as an input of the core.
+        config: axes of the room and forwarding rate.
+        source: source of the poses; `start` starts it.
+        send: sends a message to PX4.
+        clock: relation of the host's time to PX4's.
+        deliver: receives each pose, tracked or not, as an input of the core.
 
     Attributes:
-        sent: number of poses forwarded.
+        sent: number of forwarded poses.
     """
 
     def __init__(
@@ -128,21 +128,21 @@ class MotionCaptureBridge:
 
     @property
     def problem(self) -> str | None:
-        """Why no poses arrive; None while they do."""
+        """The reason why no poses arrive, or None while they arrive."""
         return self._source.problem
 
     def start(self) -> None:
-        """Start the source, and forward its poses from now on."""
+        """Start the source and the forwarding of its poses."""
         self._source.start(self.forward)
 
     def withhold(self) -> None:
-        """Send no pose to PX4 from now on; they are still delivered."""
+        """Stop sending poses to PX4; continue to deliver them."""
         with self._lock:
             self._withheld = True
 
     def stop(self) -> None:
         """Stop forwarding and close the source."""
-        with self._lock:  # nothing is sent over a connection that the caller closes next
+        with self._lock:  # send nothing over a connection that the caller closes next
             self._stopped = True
         self._source.stop()
 
@@ -168,7 +168,7 @@ def forwarding(
     clock: Clock,
     deliver: Callable[[PoseSample], None],
 ) -> Iterator[MotionCaptureBridge | None]:
-    """Forward the poses of `config.url` while the context is open; yields None without a URL.
+    """Forward the poses of `config.url` while the context is open; yield None without a URL.
 
     Raises:
         InputError: on entering, if the source cannot be opened.

@@ -1,4 +1,4 @@
-"""Figures of a stream of poses: rate, gaps, age, and the deviation of PX4's own estimate from them."""
+"""Statistics of a stream of poses: rate, gaps, age, and the deviation of PX4's estimate from the poses."""
 
 from __future__ import annotations
 
@@ -21,25 +21,25 @@ from dart_flight.base.geometry import (
 )
 from dart_flight.base.records import AttitudeSample, Input, OdometrySample, PoseSample
 
-GAP_US: Final = 100_000  # longer without a tracked pose: PX4 has missed five of 50 Hz
+GAP_US: Final = 100_000  # shortest gap: PX4 misses five poses at 50 Hz
 _RATE_US: Final = 2_000_000  # window of the rate and of the senders
-_BEST_S: Final = 60  # seconds whose shortest age counts: the clocks drift apart by a few milliseconds in it
-_AGE_POSES: Final = 25  # whose median age is shown
-_FRESH_US: Final = 500_000  # older estimates of PX4 are not compared
+_BEST_S: Final = 60  # window of the shortest age; in it, the clocks drift apart by a few milliseconds
+_AGE_POSES: Final = 25  # number of poses in the median age
+_FRESH_US: Final = 500_000  # oldest estimate of PX4 that is compared
 
 
 class PoseFigures(msgspec.Struct, frozen=True):
-    """Figures of a stream of poses; None: not measurable yet, or not with this source.
+    """The statistics of a stream of poses; None means not measurable yet, or not with this source.
 
     Attributes:
         rate_hz: tracked poses per second over the last 2 s.
         gaps: number of gaps of more than 0.1 s between tracked poses.
-        longest_gap_s: the longest time between two tracked poses, the present one included.
-        lost: share of the poses in which the body was not tracked.
-        age_ms: age of the newest poses: above the shortest by their stamps, plus `mocap.delay_ms`.
+        longest_gap_s: longest time between two tracked poses, including a gap that has not ended.
+        lost: share of poses without a tracked body.
+        age_ms: age of the newest poses: excess over the shortest age by stamps, plus `mocap.delay_ms`.
         age_growth_ms: growth of the age since the first poses.
-        distance_to_px4_m: from the newest pose to PX4's position.
-        angle_to_px4_deg: between the newest pose and PX4's attitude.
+        distance_to_px4_m: distance of PX4's position from the newest pose.
+        angle_to_px4_deg: angle between PX4's attitude and the newest pose.
         senders: addresses that have sent in the last 2 s.
     """
 
@@ -61,16 +61,16 @@ def angle_between(a: Quaternion, b: Quaternion) -> float:
 
 
 class PoseStatistics:
-    """Statistics of one source's poses, updated by inputs in the order of their receipt; any thread.
+    """The statistics of one source's poses, from inputs in the order of receipt, on any thread.
 
     Args:
         room: conversion of the poses to local NED.
-        delay_ms: shortest age of a pose, as measured (`mocap.delay_ms`), or None.
+        delay_ms: measured shortest age of a pose (`mocap.delay_ms`), or None.
     """
 
     def __init__(self, room: RoomFrame, delay_ms: float | None = None) -> None:
         self._room, self._delay_ms = room, delay_ms or 0.0
-        self._lock = threading.Lock()  # poses and PX4's messages come on different threads
+        self._lock = threading.Lock()  # poses and PX4's messages arrive on different threads
         self._poses = self._lost = self._gaps = 0
         self._tracked_us: deque[int] = deque()  # receipt, within the window
         self._first_us: int | None = None
@@ -85,7 +85,7 @@ class PoseStatistics:
         self._attitude: AttitudeSample | None = None
 
     def update(self, record: Input) -> None:
-        """Take a pose, or PX4's position or attitude; ignore other inputs."""
+        """Process a pose, or PX4's position or attitude; ignore other inputs."""
         if isinstance(record, PoseSample):
             with self._lock:
                 self._add(record)
@@ -129,7 +129,7 @@ class PoseStatistics:
         return 1e-3 * (statistics.median(self._late_us) - min(self._best_us))
 
     def figures(self, now_us: int) -> PoseFigures:
-        """Return the figures at a host time, microseconds."""
+        """Return the statistics at a host time, microseconds."""
         with self._lock:
             return self._figures(now_us)
 
@@ -140,7 +140,7 @@ class PoseStatistics:
             silent_us = max(0, now_us - times[-1])
             span_us = min(_RATE_US, max(now_us - self._first_us, 1))
             recent = sum(t > now_us - _RATE_US for t in times)
-            # The first pose begins the span and is no part of its count.
+            # The first pose starts the span and does not count.
             rate_hz = 1e6 * max(0, recent - (self._first_us > now_us - _RATE_US)) / span_us
         late_ms = self._late_ms() if self._late_us else None
         growth_ms = None

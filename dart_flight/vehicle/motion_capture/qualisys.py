@@ -1,4 +1,4 @@
-"""Poses from Qualisys Track Manager (QTM) by its real-time protocol."""
+"""A pose source for Qualisys Track Manager (QTM), by its real-time protocol."""
 
 from __future__ import annotations
 
@@ -35,13 +35,13 @@ def body_names(parameters_xml: str) -> tuple[list[str], list[str]]:
 
 
 def attitude_of_matrix(m: Sequence[float]) -> Quaternion:
-    """Return the attitude of a rotation matrix, given column by column as QTM sends it.
+    """Return the attitude of a rotation matrix, whose elements are in QTM's order, column by column.
 
     Raises:
-        ValueError: it is not a rotation.
+        ValueError: the matrix is not a rotation.
     """
     (r11, r21, r31, r12, r22, r32, r13, r23, r33) = m
-    # The largest part is found first, so that none is divided by a small number.
+    # Start from the largest component to avoid a division by a small number.
     squares = (1 + r11 + r22 + r33, 1 + r11 - r22 - r33, 1 - r11 + r22 - r33, 1 - r11 - r22 + r33)
     largest = max(range(4), key=squares.__getitem__)
     if not squares[largest] > 0.0:
@@ -59,10 +59,10 @@ class QualisysSource:
     """A source that reads one 6DOF body from QTM, in an event loop on its own thread.
 
     Args:
-        address: QTM's little-endian port, and the name of the body.
+        address: QTM's host and little-endian port, and the body's name.
 
     Raises:
-        InputError: QTM does not answer, or has no such body.
+        InputError: QTM does not answer, or does not know the body.
     """
 
     def __init__(self, address: PoseAddress) -> None:
@@ -86,9 +86,9 @@ class QualisysSource:
         if address.body not in self._all:
             self._call(self._disconnect())
             self._end()
-            raise InputError(f"mocap URL {address.url}: {self._no_body()}")
+            raise InputError(f"mocap URL {address.url}: {self._describe_missing_body()}")
 
-    def _no_body(self) -> str:
+    def _describe_missing_body(self) -> str:
         return f"QTM has no 6DOF body {self._address.body}, only {', '.join(sorted(self._all)) or 'none'}"
 
     def _call(self, routine: Any) -> None:
@@ -103,8 +103,8 @@ class QualisysSource:
         """Connect and read the names of the bodies.
 
         Raises:
-            ValueError: QTM does not answer as QTM does.
-            TimeoutError: it does not answer at all.
+            ValueError: the answer is not QTM's.
+            TimeoutError: nothing answers.
         """
         self._disconnected.clear()
         self._connection = await asyncio.wait_for(
@@ -127,7 +127,7 @@ class QualisysSource:
             await self._disconnected.wait()
 
     def start(self, deliver: Callable[[RawPose], None]) -> None:
-        """Deliver every pose from now on, on the source's thread."""
+        """Deliver every further pose on the source's thread."""
         self._deliver = deliver
         self._call(self._begin())
 
@@ -149,12 +149,12 @@ class QualisysSource:
         await self._disconnect()
 
     async def _stream(self) -> None:
-        """Stream until stopped; connect again when the connection is lost."""
+        """Stream until stopped; connect again if the connection is lost."""
         while True:
             try:
                 if self._connection is None or not self._connection.has_transport():
                     await self._connect()
-                # The client waits here for the first frame, which may come at any time.
+                # The client waits here for the first frame, which may arrive at any time.
                 with contextlib.suppress(TimeoutError):
                     await self._connection.stream_frames(components=["6d"], on_packet=self._on_packet)
                 await self._disconnected.wait()

@@ -1,7 +1,7 @@
-"""The interface of a pose source, and the URL that names one.
+"""The interface of a pose source, and the parser of a pose source's URL.
 
-A source reads one body from one motion-capture system and delivers each of its poses as a `RawPose`, on a
-thread of its own. Each system is one file beside this one; only that file imports the vendor's client.
+A source reads one body from one motion-capture system and delivers each pose as a `RawPose`, on its own
+thread. Each system has one module in this package, and only that module imports the vendor's client.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _EXAMPLES: Final = (
 
 
 class RawPose(NamedTuple):
-    """A pose of a marker body as a motion-capture system sent it, in metres and the axes of the room."""
+    """A pose of a marker body from a motion-capture system, in metres and the room's axes."""
 
     body: str
     tracked: bool
@@ -33,7 +33,7 @@ class RawPose(NamedTuple):
 
 
 def lost_pose(body: str, frame_number: int | None, source_us: int | None, sender: str) -> RawPose:
-    """Return the pose of a body that the source does not track."""
+    """Return the pose of a body that the source does not track at present."""
     return RawPose(body, False, (0.0, 0.0, 0.0), IDENTITY, frame_number, source_us, sender)
 
 
@@ -42,10 +42,10 @@ class PoseSource(Protocol):
 
     @property
     def problem(self) -> str | None:
-        """Why no poses of the body arrive, in one line; None while they do."""
+        """The reason why no poses of the body arrive, in one line, or None while they arrive."""
 
     def start(self, deliver: Callable[[RawPose], None]) -> None:
-        """Deliver every pose from now on, on a thread of the source."""
+        """Deliver every further pose on a thread of the source."""
 
     def stop(self) -> None:
         """Stop delivering and close the connection."""
@@ -60,7 +60,7 @@ class PoseAddress(NamedTuple):
     body: str
 
 
-# scheme: module beside this file, port if the URL has none
+# scheme: module in this package, default port
 _SYSTEMS: Final = {
     "optitrack": ("optitrack", 1510),
     "qualisys": ("qualisys", 22223),
@@ -70,10 +70,10 @@ _SYSTEMS: Final = {
 
 
 def parse_url(url: str) -> tuple[str, PoseAddress]:
-    """Return the scheme and the address that a URL names.
+    """Return the scheme and the address in a pose source's URL.
 
     Raises:
-        InputError: the URL is not one of a pose source.
+        InputError: the URL is not a pose source's.
     """
     try:
         parts = urlsplit(url)

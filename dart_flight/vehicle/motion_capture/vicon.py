@@ -1,10 +1,10 @@
-"""Poses from Vicon Tracker's UDP object stream (Tracker: Local Vicon System, UDP Object Stream).
+"""A pose source for Vicon Tracker's UDP object stream (Tracker: Local Vicon System, UDP Object Stream).
 
-Public readers of the stream agree on the layout below; Tracker's user guide itself was not at hand.
-A datagram is a block: frame number (u32) and number of items (u8); then for each item its id (u8, 0 for an
-object), the size of its data (u16), and the data: name (24 bytes, padded with zeros), translation (3 doubles,
-millimetres) and Euler angles XYZ (3 doubles, radians), all little-endian. A frame with many objects takes
-several datagrams, so an object that a datagram lacks is not lost. Zeros are an object that is not tracked.
+The layout is taken from public readers of the stream, not from Tracker's user guide. A datagram is one
+little-endian block: frame number (u32), number of items (u8), and the items. Each item has an id (u8, 0 for
+an object), the size of its data (u16) and the data. An object's data are its name (24 bytes, padded with
+zeros), translation (3 doubles, millimetres) and Euler angles XYZ (3 doubles, radians). A frame with many
+objects takes several datagrams, so a missing object is not lost. An object with zeros only is not tracked.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _BLOCK: Final = struct.Struct("<IB")
 _ITEM: Final = struct.Struct("<BH")
 _OBJECT: Final = struct.Struct("<24s6d")
 _OBJECT_ID: Final = 0
-_MAX_NAMES: Final = 5  # in a reason
+_MAX_NAMES: Final = 5  # names listed in a reason
 
 
 def attitude_of_euler(x_rad: float, y_rad: float, z_rad: float) -> Quaternion:
@@ -33,7 +33,7 @@ def attitude_of_euler(x_rad: float, y_rad: float, z_rad: float) -> Quaternion:
 
 
 def decode(data: bytes, body: str, sender: str) -> RawPose | str:
-    """Return the pose of a body in a block, or the reason why it has none."""
+    """Return the pose of a body in a block, or the reason why the block contains none."""
     if len(data) < _BLOCK.size:
         return "shorter than a block of Vicon's object stream"
     frame_number, items = _BLOCK.unpack_from(data)
@@ -65,5 +65,5 @@ def _pose(body: str, values: list[float], frame_number: int, sender: str) -> Raw
 
 
 def open_source(address: PoseAddress) -> DatagramSource:
-    """Listen for Tracker's object stream at an address of this computer."""
+    """Open a source that listens for Tracker's object stream at an address of this computer."""
     return DatagramSource(address, decode)
