@@ -356,7 +356,7 @@ class Replanner:
         )
 
     def _within_limits(self, x: Array, y: Array, duration_s: Array) -> tuple[Rows, Array]:
-        """Return the rows of the trajectories within the limits, and each one's greatest share of the tilt."""
+        """Return the rows of the trajectories within the limits, and the greatest tilt share of each."""
         times = duration_s[:, None] * np.linspace(0.0, 1.0, _PUSH_SAMPLES)
         push = np.hypot(_derivative(x, times, 2), _derivative(y, times, 2)).max(axis=1)
         rows = np.flatnonzero(push <= self._planned_m_s2)

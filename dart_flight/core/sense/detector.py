@@ -392,7 +392,7 @@ class ImpactDetector:
         return (sx / size, sy / size) if size > 0.0 else self._normal
 
     def _readings(self, reference_us: int) -> list[TickReading]:
-        """Return the contact's samples as means over ticks, in seconds from `reference_us`, without the lag."""
+        """Return the contact's samples as means over ticks, seconds from `reference_us`, without the lag."""
         nx, ny = self._normal
         lag_us = self._lag_s * 1e6
         out = []
