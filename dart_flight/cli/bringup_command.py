@@ -50,7 +50,7 @@ class _Terminal:
 
 
 def _write_delay(arguments: argparse.Namespace, source: str | None, delay_ms: float) -> None:
-    """Write the measured age of the poses into the configuration, or tell the operator to do so."""
+    """Write the measured age of the poses into the configuration, or print that the operator must do so."""
     path = Path(source or default_config_path())
     try:
         refuse_unwritable(arguments, path)

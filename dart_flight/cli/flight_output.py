@@ -97,7 +97,7 @@ def _in_a_line(verdict: Verdict) -> str:
 
 
 def wall_lines(verdict: Verdict) -> list[str]:
-    """Return a line for each wall whose place and direction were estimated from contacts."""
+    """Return a line for each wall with the place and direction estimated from contacts."""
     lines = []
     for wall in verdict.walls:
         if wall.yaw_sd_deg is None or wall.position_sd_m is None:

@@ -47,7 +47,7 @@ from dart_flight.sim.motion_capture import KINDS
 from dart_flight.vehicle.link import LinkLease
 
 _SPEED_M_S = 0.5
-_DIRECTIONS, _MOST_FLIGHTS = 16, 4  # of probes for an unknown room
+_DIRECTIONS, _MOST_FLIGHTS = 16, 4  # probes per flight and flights for an unknown room
 
 
 def configure(parser: argparse.ArgumentParser) -> None:

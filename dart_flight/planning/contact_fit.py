@@ -1,6 +1,6 @@
 """Fit of the contact law to a contact, which yields the wall's coefficients and plane, and the arms' mode.
 
-Here x is the signed distance of the vehicle's centre to the wall's plane, and i the angle of incidence,
+Here x is the signed distance of the vehicle's centre to the wall's plane. The angle of incidence i is
 positive if the vehicle is turned left. A side has two guards, g = 1 (right) and -1 (left). They are
 `guard_along_m` (a) to the side of its middle and `contact_distance_m` (d) ahead of the centre:
 
@@ -52,7 +52,7 @@ Array = NDArray[np.float64]
 FIT_US: Final = 50_000  # duration of a fit in simulated time (docs/felt.md)
 HIT_SCATTER: Final = 0.05  # of k, f, mu and nu between contacts with the same wall, relative
 SURE_LOG_ODDS: Final = 5.3  # 200 to 1; at most one mode in a thousand is wrong (docs/felt.md)
-_FEWEST: Final = 4  # readings in contact
+_FEWEST: Final = 4  # readings in contact that a fit needs
 _SLOWEST_M_S: Final = 0.02
 _POSITION_M: Final = 0.01  # deviation of PX4's position against the walls' frame
 _PLACE_M: Final = (
@@ -80,7 +80,7 @@ _STARTS_RAD = np.radians([-19, -14, -10, -7, -4, -1.5, 0, 1.5, 4, 7, 10, 14, 19]
 _SCREENED: Final = 2  # steps, after which only the best starts are kept
 _KEPT: Final = 4
 _STEPS: Final = 10
-_SETTLED: Final = 1e-2  # a smaller gain of the cost ends the search
+_SETTLED: Final = 1e-2  # a smaller reduction of the cost ends the search
 _DAMPINGS = np.array([1.0, 10.0, 100.0])  # tried together at every step
 _DIFFERENCE: Final = 1e-5  # of a parameter, for the derivatives
 _SUBSTEPS: Final = 2  # of a tick

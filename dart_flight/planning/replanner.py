@@ -4,9 +4,9 @@ The replanner uses the contact stages and constraints of `plan` (`contact_stage`
 trajectory: one fifth-order polynomial per axis. The trajectory begins in the state that the vehicle will have
 when the answer arrives. It ends at the next wall with the planned velocity, or at rest at the goal. The
 replanner tries durations and places along the wall and discards the trajectories that violate a constraint.
-It prefers trajectories that are quick, gentle and near the planned place. If the mission has a trajectory of
-its own (`trajectory`, `goal_trajectory`), the replanner first tries to lead the vehicle back to it with an
-added polynomial (`planning.rejoining`).
+It prefers trajectories that are quick, gentle and near the planned place. A mission may have a trajectory of
+its own (`trajectory`, `goal_trajectory`). The replanner then first tries to lead the vehicle back to it with
+an added polynomial (`planning.rejoining`).
 
 A `WallEstimate` replaces the wall's configured coefficients and its planned plane. No other state is kept
 between requests, so an answer follows from the log. A collision that is approached from rest keeps its
@@ -59,15 +59,15 @@ _TILT_SHARE = 0.6
 _JERK_M_S3 = 25.0  # about 150 degrees of tilt a second: the attitude loop follows
 _GENTLE_S = 0.5  # cost of using the whole tilt limit, in seconds of flight
 _GENTLE_REJOINING_S = 0.05  # the same for rejoining, where the joined trajectory is within limits
-_LEADING_BACK = 1.25  # of the limit, which the planned trajectory may already use up
-_AS_FAST = 1.01  # planned speed over flown
+_REJOINING_ALLOWANCE = 1.25  # of the limit, which the planned trajectory may already use up
+_SPEED_TOLERANCE = 1.01  # planned speed over flown
 # Two errors turn the vehicle in a contact (docs/results/faster_hits.md): too much lean off the wall, in plans
 # for rigid arms, and a lean into the wall that begins so late that the lag removes it.
-_TAKEN_BACK = 0.5  # of the plan's final thrust off a rigid wall; the lag removes the rest
+_THRUST_OFF_SHARE = 0.5  # of the plan's final thrust off a rigid wall; the lag removes the rest
 _LEANS_IN_M_S3 = 8.0  # jerk into the wall at the end above which another trajectory is preferred
 _LEANS_IN_STEP_M_S3 = 5.0
-_PRESSED_IN_M = 0.15  # greatest depth from compressed arms and the error of a wall's place
-_BESIDE_S = 1.0  # cost of a contact as far from the planned place as the mission tolerates
+_COMPRESSED_M = 0.15  # greatest depth from compressed arms and the error of a wall's place
+_OFF_PLACE_S = 1.0  # cost of a contact as far from the planned place as the mission tolerates
 
 
 class _EndStates(NamedTuple):
@@ -202,8 +202,8 @@ class Replanner:
             out_m = self._mission.vehicle.airframe.contact_distance_m
             push_m_s2 = balancing_m_s2(request.contact_height_m, out_m)
             if collision.mode is Mode.RIGID:
-                taken_back = 1.0 if follows else _TAKEN_BACK
-                push_m_s2 -= taken_back * max(0.0, self._thrust_off(wall, written))
+                removed_share = 1.0 if follows else _THRUST_OFF_SHARE
+                push_m_s2 -= removed_share * max(0.0, self._thrust_off(wall, written))
             pushed = (push_m_s2 * wall.normal[0], push_m_s2 * wall.normal[1])
         rejoining = rejoin(written, self._start(request), moved, pushed, settled_s)
         if collision is not None:
@@ -215,7 +215,7 @@ class Replanner:
         fine = (push <= self._most_m_s2) & (jerk <= _JERK_M_S3)
         # Prefer the mission's limit of acceleration plus an allowance. Jerk has only the attitude loop's
         # limit, because the mission's limit would make a leg up to a tenth slower than planned.
-        over = push > _LEADING_BACK * self._planned_m_s2
+        over = push > _REJOINING_ALLOWANCE * self._planned_m_s2
         rejoining, over = rejoining.take(np.flatnonzero(fine)), over[fine]
         push = push[fine] / self._most_m_s2
         if rejoining.duration_s.size:
@@ -226,7 +226,7 @@ class Replanner:
             clear = self._constraints.path(window, until, wall, begins=True, walls=walls) == 0
             rejoining, push, over = rejoining.take(np.flatnonzero(clear)), push[clear], over[clear]
         # Prefer the planned impact speed: a slower impact is a different one.
-        slow = (rejoining.slower > _AS_FAST) & (collision is not None)
+        slow = (rejoining.slower > _SPEED_TOLERANCE) & (collision is not None)
         if request.under_way:  # the trajectory in progress is not better
             rejoining, push = rejoining.take(np.flatnonzero(~slow)), push[~slow]
             over, slow = over[~slow], slow[~slow]
@@ -291,7 +291,7 @@ class Replanner:
         fine = on_wall & (impact_s >= ready_s + SETTLED_BEFORE_S)
         goal = self._mission.goal.position_m
         rest_s = np.hypot(x - goal[0], y - goal[1]) / self._mission.vehicle.flying.transit_speed_m_s
-        rest_s += _BESIDE_S * (along / self._mission.tolerance.place_m) ** 2
+        rest_s += _OFF_PLACE_S * (along / self._mission.tolerance.place_m) ** 2
         one = np.ones(int(fine.sum()))
         return _EndStates(x[fine], y[fine], vx * one, vy * one, duration[fine], rest_s[fine])
 
@@ -366,15 +366,14 @@ class Replanner:
     def _obstacles(self, start: tuple[Array, Array], now_us: int) -> list[Wall]:
         """Return the known walls, for a trajectory from (position, velocity, acceleration) in x and y.
 
-        The vehicle may start slightly inside the plane of the wall that it has just left, because flexible
-        arms release while still compressed, and a wall's place is uncertain. Such a wall is moved to the
-        vehicle.
+        The vehicle may start slightly inside the plane of the wall that it has just left. Flexible arms
+        release while still compressed, and a wall's place is uncertain. Such a wall is moved to the vehicle.
         """
         place = (float(start[0][0]), float(start[1][0]))
         walls = []
         for wall in (self._survey.wall_now(one, now_us) for one in self._constraints.walls):
             depth_m = wall.signed_distance(place)
-            walls.append(wall.moved(depth_m) if -_PRESSED_IN_M < depth_m < 0.0 else wall)
+            walls.append(wall.moved(depth_m) if -_COMPRESSED_M < depth_m < 0.0 else wall)
         return walls
 
     def _stays_clear(

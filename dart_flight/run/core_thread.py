@@ -100,7 +100,7 @@ class CoreThread:
         self._stopping = True
         self._called.set()
         self.thread.join(timeout=_STOP_S)
-        self._owner.acquire(timeout=_STOP_S)  # for good
+        self._owner.acquire(timeout=_STOP_S)  # never released, so that no thread steps again
 
     def _run(self) -> None:
         while not self._stopping:

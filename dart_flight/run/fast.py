@@ -75,9 +75,11 @@ _HOST_OFFSET_US: Final = 7_001_000
 _HALF_RATE: Final = 2  # ticks: attitude, odometry, actuator outputs at 125 Hz
 _TRUTH_EVERY: Final = 2
 _STATUS_EVERY: Final = 50  # 5 Hz, and at once after a change
-_SURE_EVERY: Final = 250  # ticks between standard deviations of the position, if the estimator reports them
+_POSITION_SD_EVERY: Final = (
+    250  # ticks between standard deviations of the position, if the estimator reports them
+)
 _HOST_EVERY: Final = 5  # ticks of 4 ms: lock polled and host time reported at 50 Hz
-_ASK_EVERY: Final = 25  # ticks between measurements of the round trip, as in the app
+_TIMESYNC_EVERY: Final = 25  # ticks between measurements of the round trip, as in the app
 _REPEAT_US: Final = 50_000  # MAVSDK repeats the last setpoint at 20 Hz
 _LONGEST_S: Final = 180.0  # of a flight, without the holds of its mission
 _NAN3 = (math.nan, math.nan, math.nan)
@@ -113,7 +115,7 @@ class TelemetrySender:
                 yield OdometrySample(t_us, received, e.position, e.velocity)
             yield ActuatorSample(t_us, received, a.motors)
         yield ImuSample(a.imu.t_us, received, a.imu.specific_force_frd, a.imu.rate_frd)
-        if e.resets != self._resets or (e.position_sd_m is not None and ticks % _SURE_EVERY == 0):
+        if e.resets != self._resets or (e.position_sd_m is not None and ticks % _POSITION_SD_EVERY == 0):
             self._resets = e.resets
             yield EstimatorSample(t_us, received, e.resets, position_sd_m=e.position_sd_m)
         status = (a.armed, a.mode, a.landed, e.ok, a.system_status)
@@ -249,7 +251,7 @@ class FastFlight:
         self.vehicle.advance()
         self._ticks += 1
         self._truth()
-        if self._ticks % _ASK_EVERY == 1:
+        if self._ticks % _TIMESYNC_EVERY == 1:
             self._request_time()
         if self.faulted is not None and self.faulted.app_silent:
             self._repeat()  # MAVSDK's own thread still runs

@@ -1,4 +1,4 @@
-"""Download of PX4's own log from the flight controller into the flight's folder, for `fly` and `px4-log`."""
+"""Download of PX4's own log into the flight's folder, for `fly` and `px4-log`."""
 
 from __future__ import annotations
 

@@ -37,7 +37,11 @@ from dart_flight.vehicle.vehicle_session import VehicleError, VehicleSession, co
 _RETRY_S: Final = 5.0
 _CONNECT_S: Final = 5.0  # for the autopilot's heartbeat, before the next attempt
 _ALIVE_S: Final = 0.5
-_SYSTEMD: Final = ("NOTIFY_SOCKET", "WATCHDOG_USEC", "WATCHDOG_PID")  # of standby, not of its children
+_SYSTEMD: Final = (
+    "NOTIFY_SOCKET",
+    "WATCHDOG_USEC",
+    "WATCHDOG_PID",
+)  # systemd's variables, which child processes must not inherit
 _TEXT_PAUSE_S: Final = 0.3  # PX4 forwards texts from a buffer of about 580 bytes and drops the rest
 _LAST_WORDS_S: Final = 0.3  # for answers and texts, before the connection closes
 _RADIO_S: Final = 3.0  # SYS_STATUS older than this: no remote control

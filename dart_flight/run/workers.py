@@ -1,7 +1,7 @@
 """Parallel flights in a pool of processes, for campaigns and `dry-run --fast --runs`.
 
-If a process dies, its flight is retried. The processes come from a fork server, so that they do not inherit a
-lock which a thread of the parent holds, such as that of a progress bar.
+If a process dies, its flight is retried. The processes come from a fork server. Otherwise they could inherit
+a lock that a thread of the parent holds, such as a progress bar's.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Checks of the motion-capture poses that this program forwards to PX4, and the guard's rules about them.
 
 Without poses PX4 uses only its IMU. A bias of 0.05 m/s2 and a tilt error of half a degree then move the
-estimate by 0.02 m in 0.5 s, which every phase tolerates. A contact adds a velocity error of up to 1 m/s. The
+estimate by 0.02 m in 0.5 s. Every phase tolerates that. A contact adds a velocity error of up to 1 m/s. The
 vehicle must therefore not hit a wall without poses, and the limit is shorter in an approach. A contact and
 its recovery are finished first, because the recovery works with the IMU alone.
 
@@ -39,7 +39,7 @@ APART_M: Final = 0.3
 _APART_S: Final = 0.5
 _APART_LATENCY_S: Final = 0.1
 _GROUND_APART_S: Final = 3.0  # PX4 aligns its estimate with the first poses
-RATE_SHARE: Final = 0.5  # of the configured rate
+RATE_SHARE: Final = 0.5  # of the configured rate, below which poses are too slow
 _INTERVALS: Final = 9  # the median of this many gives the rate, so that a single gap does not count
 LATER_S: Final = 0.04  # PX4's estimate oscillates by centimetres if EKF2_EV_DELAY is off by this much
 _AGE_US: Final = 250_000

@@ -43,7 +43,7 @@ _TOP_REACH: Final = 4  # samples on either side, at most
 _BEFORE: Final = 8  # samples kept from before the crossing
 _FAR_SIGMA: Final = 4.6  # threshold over the noise of one sample above which two samples in a row suffice
 # Added for one and for two samples: noise crosses a threshold there more often than in a long mean.
-_OFTEN_SIGMA: Final = 1.0
+_SHORT_SIGMA: Final = 1.0
 _MARGIN_SIGMA: Final = 1.0  # margin over the threshold from which detection is guaranteed
 _NOISY_BASELINE: Final = 0.4  # of its usual rate: a faster baseline would follow the vibration
 _LONGEST_CONTACT_S: Final = 0.5  # noise may hide the end of a contact
@@ -114,13 +114,13 @@ class ImpactDetector:
         self._windows = [WindowMean(s, noise_n, round(s / tick_s)) for s in lengths]
         # A window holds the samples that are younger than its length.
         self._held = [max(1, math.ceil(s / tick_s - 1e-9)) for s in lengths]
-        self._by_mean: WindowMean | None = None  # the window that detected the current contact, if any
+        self._detecting_window: WindowMean | None = None  # that detected the current contact, if any
         self._threshold = self._config.force_threshold_n  # the threshold that detected it
         most = max(_BEFORE, round(LONG_WINDOW_S / tick_s) + _BEFORE)
         self._before: deque[_Sample] = deque(maxlen=most)
         self._samples: list[_Sample] = []
         self._last_us = 0
-        self._previous: tuple[Vec2, Vec2] = ((0.0, 0.0), (0.0, 0.0))  # forces of the two samples before
+        self._previous: tuple[Vec2, Vec2] = ((0.0, 0.0), (0.0, 0.0))  # forces of the two previous samples
         self._armed = True  # the force has been below the release level since the last contact
         self._noise = 0.0
         self._normal: Vec2 = (1.0, 0.0)
@@ -178,9 +178,9 @@ class ImpactDetector:
         size = max(abs(fx), abs(fy)) if self._per_axis else math.sqrt(fx * fx + fy * fy)
         threshold, release, force = self._threshold_n, self._release_n, estimate.force_mission
         over = size >= threshold
-        drowned = self._noise_hides_release(release)
+        hidden = self._noise_hides_release(release)
         # A rotating vibration never drops below the release level in a single sample, so compare its mean.
-        if size < release or (drowned and self._size_of(2) < release):
+        if size < release or (hidden and self._size_of(2) < release):
             self._armed = True
         sample = _Sample(self._last_us, dt_us, fx, fy, estimate.push_mission, estimate.clipped)
         watching = self._expected.watching and self._armed and self.stage == "watching"
@@ -191,7 +191,7 @@ class ImpactDetector:
         if self.stage == "watching":
             for window in self._windows:
                 window.learn(dt_us * 1e-6)
-        if drowned:
+        if hidden:
             # Leaving out the samples that noise lifts over the threshold would bias the baseline.
             over = self._size_of(2) >= threshold
             (fx, fy), base = self._windows[2].mean, self.slow_force.value
@@ -206,7 +206,7 @@ class ImpactDetector:
         """Whether the sample, the mean of the newest two or three, or a longer mean is over its threshold."""
         one, two, short, long = self.thresholds_n()
         threshold = self._threshold_n
-        self._by_mean, self._threshold = None, threshold
+        self._detecting_window, self._threshold = None, threshold
         if over:
             # One sample is sufficient if noise cannot have lifted it; otherwise use two or three in a row.
             if size >= max(threshold + SURE_SIGMA * self._noise, one):
@@ -216,10 +216,10 @@ class ImpactDetector:
         if two <= threshold:
             return False
         if self._windows[2].full and self._size_of(2) >= short:
-            self._by_mean, self._threshold = self._windows[2], short
+            self._detecting_window, self._threshold = self._windows[2], short
         elif short > threshold and self._windows[3].full and self._size_of(3) >= long:
-            self._by_mean, self._threshold = self._windows[3], long
-        return self._by_mean is not None
+            self._detecting_window, self._threshold = self._windows[3], long
+        return self._detecting_window is not None
 
     def thresholds_n(self) -> tuple[float, float, float, float]:
         """Return the thresholds of one sample, the mean of two, the short and the long window, newton.
@@ -229,8 +229,8 @@ class ImpactDetector:
         least, sigma = self._threshold_n, self._sigma
         one, two, short, long = self._windows
         return (
-            max(least, (sigma + _OFTEN_SIGMA) * one.noise_n),
-            max(least, (sigma + _OFTEN_SIGMA) * two.noise_n),
+            max(least, (sigma + _SHORT_SIGMA) * one.noise_n),
+            max(least, (sigma + _SHORT_SIGMA) * two.noise_n),
             max(least, sigma * short.noise_n),
             max(least, sigma * long.noise_n),
         )
@@ -286,7 +286,7 @@ class ImpactDetector:
     def _begin(
         self, estimate: ForceEstimate, sample: _Sample, received_us: int, state: FlightState
     ) -> ImpactOnset:
-        fx, fy = self._by_mean.mean if self._by_mean is not None else (sample.fx, sample.fy)
+        fx, fy = self._detecting_window.mean if self._detecting_window is not None else (sample.fx, sample.fy)
         size = max(math.sqrt(fx * fx + fy * fy), 1e-9)
         expected = self._expected.normal
         # Friction may hide the sign of the normal force, so only a force clearly into the wall is unplanned.
@@ -295,7 +295,7 @@ class ImpactDetector:
         planned = expected is not None and fx * expected[0] + fy * expected[1] > least
         self._normal = expected if expected is not None and planned else (fx / size, fy / size)
         before = list(self._before)
-        if self._by_mean is None:
+        if self._detecting_window is None:
             before = before[-_BEFORE:]
             rise = max(_RISE_SHARE * self._config.force_threshold_n, 2.0 * self._noise)
             first_us = sample.t_us
@@ -451,7 +451,7 @@ class ImpactDetector:
 
     def _end(self, t_us: int, fx: float, fy: float) -> ContactEnd | None:
         release = RELEASE_FRACTION * self._threshold
-        if self._by_mean is not None or self._noise_hides_release(release):
+        if self._detecting_window is not None or self._noise_hides_release(release):
             fx, fy = self._windows[2].mean
         assert self._onset is not None
         lasts = t_us - self._onset.first_us < _LONGEST_CONTACT_S * 1e6

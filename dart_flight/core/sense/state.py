@@ -75,7 +75,7 @@ class FlightState:
         self._ahead: dict[str, int] = {}  # samples in a row that are too far ahead, by stream
         self.health: HealthReport | None = None
         self._px4_texts: dict[str, int] = {}  # PX4's last warnings or worse, oldest first, with their times
-        self._found_on_link: dict[str, int] = {}  # this program's own warnings about the link, likewise
+        self._found_on_link: dict[str, int] = {}  # the same for this program's warnings about the link
         self._refused: dict[str, str] = {}  # command -> PX4's answer, while it is a refusal
 
     def take_odometry(self, sample: OdometrySample) -> bool:
