@@ -601,7 +601,7 @@ class FlightApp:
 
 
 def _in_background(terminal: int) -> bool:
-    """Whether another job has the terminal at present."""
+    """Return whether another job has the terminal at present."""
     try:
         return os.tcgetpgrp(terminal) != os.getpgrp()
     except OSError:  # not the terminal of this session, so there is no job control

@@ -107,7 +107,7 @@ class FlightRecord:
         return self.path.parent
 
     def __call__(self, record: Record, number: int) -> None:
-        """Record a record with the number of the input which it is or follows from."""
+        """Log a record and pass it on; `number` is that of the input which it is or follows from."""
         log = self._log
         if log is not None:
             log.put(record, number)

@@ -115,7 +115,7 @@ def fly_fast_many(
 def fly_one_by_one(
     fly: Callable[[int, Onlooker], Verdict], seeds: Iterable[int], done: Callable[[Verdict], None]
 ) -> list[Verdict]:
-    """Fly many flights one after the other, and return their verdicts.
+    """Fly one seed after the other and return the verdicts.
 
     Args:
         fly: function that flies one seed and passes its records to an onlooker.

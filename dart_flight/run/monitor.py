@@ -274,7 +274,7 @@ async def _raise_rates(watcher: TelemetryMonitor, session: VehicleSession) -> No
 
 
 async def _may_forward(watcher: TelemetryMonitor, session: VehicleSession) -> bool:
-    """Whether to forward poses: another program forwards already if the vehicle is armed."""
+    """Return whether to forward poses: another program forwards already if the vehicle is armed."""
     if watcher.mocap.url is None:
         return False
     beat = await asyncio.to_thread(session.next, messages.HEARTBEAT, _HEARTBEAT_S)

@@ -107,7 +107,7 @@ class SimulatorProcess:
         self.process.send(msgspec.json.encode(FaultLine(fault)))
 
     def close(self, timeout_s: float = 30.0) -> None:
-        """End the process; a vehicle in the air first flies until its failsafe has landed it."""
+        """End the process; a vehicle in the air first flies on until its failsafe acts."""
         self.process.end(timeout_s)
 
     def _receive(self, line: bytes) -> None:

@@ -203,7 +203,7 @@ class ImpactDetector:
         return []
 
     def _is_contact(self, fx: float, fy: float, size: float, over: bool) -> bool:
-        """Whether the sample, the mean of the newest two or three, or a longer mean is over its threshold."""
+        """Return whether a sample, the mean of two or three, or a longer mean is over its threshold."""
         one, two, short, long = self.thresholds_n()
         threshold = self._threshold_n
         self._detecting_window, self._threshold = None, threshold
@@ -278,7 +278,7 @@ class ImpactDetector:
         return max(abs(x), abs(y)) if self._per_axis else math.sqrt(x * x + y * y)
 
     def _mean_is_over(self, fx: float, fy: float, threshold: float) -> bool:
-        """Whether the mean of the newest samples, as many as the noise requires, is over the threshold."""
+        """Return whether the mean of as many samples as the noise requires is over the threshold."""
         x, y = confirmed_force(fx, fy, self._previous, self._noise, self._config)
         size = max(abs(x), abs(y)) if self._per_axis else math.sqrt(x * x + y * y)
         return size >= threshold
@@ -327,7 +327,7 @@ class ImpactDetector:
     # -- peak --
 
     def _peak_is_past(self, now_us: int) -> bool:
-        """Whether the normal force has dropped from its top by more than noise, or the wait has timed out."""
+        """Return whether the normal force has dropped by more than noise, or the wait has timed out."""
         assert self._onset is not None
         if now_us - self._onset.first_us >= self._config.peak_wait_s * 1e6:
             return True
@@ -467,7 +467,7 @@ class ImpactDetector:
         return ContactEnd(t_us=self._quiet_since_us, first_us=self._onset.first_us)
 
     def _noise_hides_release(self, release: float) -> bool:
-        """Whether the noise of a sample often exceeds the release level, so that the short mean is used."""
+        """Return whether the noise of a sample often exceeds the release level; then use the short mean."""
         return _DROP_SIGMA * self._noise > release
 
 

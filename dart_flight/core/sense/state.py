@@ -111,7 +111,7 @@ class FlightState:
 
     @staticmethod
     def is_plausible(sample: OdometrySample) -> bool:
-        """Whether position and velocity are within physical limits; other samples are discarded."""
+        """Return whether position and velocity are within physical limits; other samples are discarded."""
         (x, y, z), (u, v, w) = sample.position_ned, sample.velocity_ned
         return (
             abs(x) < _FURTHEST_M
@@ -224,7 +224,7 @@ class FlightState:
         received_us: int,
         previous: ImuSample | AttitudeSample | OdometrySample | ActuatorSample | None,
     ) -> bool:
-        """Whether a stamp is too far ahead for the elapsed time, so that it may be another vehicle's.
+        """Return whether a stamp is too far ahead for the elapsed time, so that it may be another vehicle's.
 
         If the clock has really jumped, its stamps are accepted after some samples in a row. The first sample
         of a stream is compared with the newest sample of the other streams.
@@ -323,5 +323,5 @@ class FlightState:
         return [text for text, t_us in texts.items() if self.now_us - t_us < _TEXT_AGE_US]
 
     def lock_is_in(self, mode: Mode) -> bool:
-        """Whether the lock reports that it has settled in a mode."""
+        """Return whether the lock reports that it has settled in a mode."""
         return self.lock.phase is LockPhase.SETTLED and self.lock.mode is mode
