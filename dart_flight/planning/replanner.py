@@ -227,7 +227,7 @@ class Replanner:
             rejoining, push, over = rejoining.take(np.flatnonzero(clear)), push[clear], over[clear]
         # Prefer the planned impact speed: a slower impact is a different one.
         slow = (rejoining.slower > _SPEED_TOLERANCE) & (collision is not None)
-        if request.under_way:  # the trajectory in progress is not better
+        if request.under_way:  # a slower one does not improve on the trajectory in progress
             rejoining, push = rejoining.take(np.flatnonzero(~slow)), push[~slow]
             over, slow = over[~slow], slow[~slow]
         if wall is not None:
