@@ -1,7 +1,7 @@
-"""The one table through which the flight part reaches the lab (docs/architecture.md).
+"""Table of the lab's entry points, the flight part's only access to the lab (docs/architecture.md).
 
-Nothing that flies imports `dart_flight.lab`. What a command line or a script asks of it is named here and
-imported when it is asked for, so that a flight loads none of it and runs where none of it would import.
+No module that flies imports `dart_flight.lab`. Commands and scripts load an entry by its name when they need
+it. A flight therefore loads nothing of the lab, and runs without the lab's packages.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import importlib
 from typing import Any, Final
 
-# Commands of the lab: each a module with `configure` and `run`, as those in `cli/`.
+# Commands of the lab; each is a module with `configure` and `run`, like those in `cli/`.
 COMMANDS: Final = {
     "campaign": "dart_flight.lab.commands.campaign_command",
     "plan": "dart_flight.lab.commands.plan_command",
@@ -21,7 +21,7 @@ COMMANDS: Final = {
     "identify": "dart_flight.lab.commands.identify_command",
     "tables": "dart_flight.lab.commands.tables_command",
 }
-# What commands of the flight part offer beside a flight.
+# Options of the flight part's commands that need the lab.
 LIVE_VIEW: Final = "dart_flight.lab.scene.live:open_live_view"  # --live
 MISSION_PICTURE: Final = "dart_flight.lab.report.figures.mission_figure:write_mission_picture"  # --plot
 ROOM_PICTURE: Final = "dart_flight.lab.report.figures.room_figure:write_room_picture"  # `survey --plot`
@@ -30,7 +30,7 @@ SCRIPT_NAMES: Final = "dart_flight.lab.api"  # `dart_flight.simulate` and the ot
 
 
 def load_entry(entry: str) -> Any:
-    """What an entry of this table names: a module, or with `module:name` something in it.
+    """Return the module of an entry, or the named object in it if the entry is `module:name`.
 
     Raises:
         ImportError: a package that only the lab needs is missing.

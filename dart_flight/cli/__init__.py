@@ -1,8 +1,8 @@
-"""The command line: one module per command, imported only when that command runs.
+"""Command line: one module per command, imported only when that command runs.
 
-Those of the lab stand in `lab/commands/` and are reached through `lab_entries`. A command module has
-`configure(parser)` and `run(arguments) -> int`. It parses, calls into the rooms and prints; it holds no
-logic. `InputError` becomes one line and exit status 2 here, for all of them.
+The lab's commands are in `lab/commands/` and are loaded through `lab_entries`. A command module has
+`configure(parser)` and `run(arguments) -> int`. It parses arguments, calls other rooms and prints, without
+logic of its own. `main` turns an `InputError` of any command into one line and exit status 2.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from dart_flight.config.retired_keys import RetiredKeyWarning
 from dart_flight.lab_entries import COMMANDS as LAB_COMMANDS
 from dart_flight.lab_entries import load_entry
 
-# command -> what it does, in the order of `dart-flight --help`
+# command -> help text, in the order of `dart-flight --help`
 COMMANDS = {
     "fly": "fly a mission on the vehicle",
     "dry-run": "fly a mission in simulation",
@@ -55,18 +55,18 @@ COMMANDS = {
     "completion": "print a completion script for bash, zsh or tcsh",
 }
 
-# commands that were renamed: the old name goes on working for one release, with a note
+# renamed commands: the old name works for one more release, with a note
 RENAMED = {"feel": "inspect"}
 
 EXIT_OK, EXIT_INCOMPLETE, EXIT_INPUT = 0, 1, 2
-EXIT_INTERRUPTED = 130  # as a shell has it for SIGINT
+EXIT_INTERRUPTED = 130  # a shell's status for SIGINT
 
 
 _WRONG_VALUE = re.compile(r"argument (?P<name>.+?): invalid (choice|\w+ value): (?P<value>'[^']*')")
 
 
 class _Parser(argparse.ArgumentParser):
-    """Errors of usage in one line, like every other wrong input, with the nearest word that is known."""
+    """Parser that prints an error of usage in one line, with the nearest valid word."""
 
     def error(self, message: str) -> None:  # type: ignore[override]
         self.exit(EXIT_INPUT, f"{self.prog}: {self._suggest_choice(message)} (see `{self.prog} --help`)\n")
@@ -79,7 +79,7 @@ class _Parser(argparse.ArgumentParser):
             print_status(message.rstrip("\n"))
 
     def parse_args(self, args=None, namespace=None):  # type: ignore[no-untyped-def]
-        """As argparse has it, but an option that does not exist is told with the nearest that does."""
+        """Parse arguments like argparse, but report an unknown option with the nearest valid one."""
         parsed, unknown = self.parse_known_args(args, namespace)
         if unknown:
             command = self._command(parsed)
@@ -92,7 +92,7 @@ class _Parser(argparse.ArgumentParser):
         return parsed
 
     def _command(self, parsed: argparse.Namespace) -> _Parser:
-        """The parser of the command that was given."""
+        """Return the parser of the given command."""
         for action in self._actions:
             if isinstance(action, argparse._SubParsersAction):
                 found = action.choices.get(getattr(parsed, action.dest))
@@ -100,7 +100,7 @@ class _Parser(argparse.ArgumentParser):
         return self
 
     def _suggest_choice(self, message: str) -> str:
-        """A wrong value with the nearest of those that are allowed."""
+        """Return a message about a wrong value with the nearest allowed value."""
         wrong = _WRONG_VALUE.match(message)
         if wrong is None:
             return message
@@ -114,12 +114,12 @@ class _Parser(argparse.ArgumentParser):
 
 
 def _names(action: argparse.Action) -> list[str]:
-    """What argparse may call an argument in its messages."""
+    """Return the names that argparse may use for an argument in its messages."""
     return ["/".join(action.option_strings), str(action.metavar), action.dest]
 
 
 def build_parser(wanted: Collection[str]) -> argparse.ArgumentParser:
-    """The parser; only the modules of the wanted commands are imported for their arguments."""
+    """Return the parser, with the arguments of the wanted commands only, so that no other is imported."""
     parser = _Parser(prog="dart-flight", description="Fly a dual-stiffness quadrotor into walls on purpose.")
     parser.add_argument("--version", action="version", version=f"dart-flight {__version__}")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
@@ -143,7 +143,7 @@ def _module(command: str) -> Any:
 
 
 def _renamed(arguments: list[str]) -> list[str]:
-    """The arguments with the new name of a command that was renamed."""
+    """Return the arguments with the new name of a renamed command."""
     if arguments and arguments[0] in RENAMED:
         new = RENAMED[arguments[0]]
         print_status(f"dart-flight: `{arguments[0]}` is now `{new}`")
@@ -152,11 +152,11 @@ def _renamed(arguments: list[str]) -> list[str]:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Entry point of `dart-flight`. Returns the exit status: 0 success, 1 not completed, 2 wrong input."""
+    """Run `dart-flight` and return the exit status: 0 success, 1 not completed, 2 wrong input."""
     arguments = _renamed(list(sys.argv[1:] if argv is None else argv))
     command = next((a for a in arguments if a in COMMANDS), None)
     open_closed_streams()
-    # For good, and so only in a process of its own: not where another program, or a test, calls this in its.
+    # Idle priority is permanent, so do not set it if another program or a test calls `main`.
     if argv is None and command == "monitor" and not any(a.startswith("--connection") for a in arguments):
         use_idle_priority()
     try:
@@ -197,7 +197,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _show_warning(
     message: Warning | str, category: type[Warning], filename: str, lineno: int, *rest: Any, **more: Any
 ) -> None:
-    """Print a warning about the user's file as one line, and another one as Python does."""
+    """Print a warning about the user's file as one line, and any other warning like Python."""
     if issubclass(category, RetiredKeyWarning):
         print_status(message)
     else:

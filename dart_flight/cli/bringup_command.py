@@ -1,4 +1,4 @@
-"""`dart-flight bringup [MISSION]`: from wiring to remote control on the bench, step by step."""
+"""`dart-flight bringup [MISSION]`: bring a vehicle up on the bench, from wiring to remote control."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from dart_flight.vehicle.link import LinkLease
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the command."""
+    """Add the arguments of the command."""
     parser.add_argument("mission", nargs="?", metavar="MISSION", help="for its vehicle and its frame")
     parser.add_argument("--connection", metavar="URL", help="the vehicle's link (default: connection.url)")
     parser.add_argument("--state", type=Path, metavar="DIR", help="where it is remembered and filed")
@@ -38,7 +38,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 class _Terminal:
-    """The operator at the keyboard; questions and answers go past `--json`."""
+    """The operator's terminal; questions are on standard error, so that they do not disturb `--json`."""
 
     def tell(self, text: str) -> None:
         print_status(f"  {text}")
@@ -50,7 +50,7 @@ class _Terminal:
 
 
 def _write_delay(arguments: argparse.Namespace, source: str | None, delay_ms: float) -> None:
-    """Write the measured age of the poses into the configuration, or print how to do it."""
+    """Write the measured age of the poses into the configuration, or print that the operator must do so."""
     path = Path(source or default_config_path())
     try:
         refuse_unwritable(arguments, path)
@@ -64,7 +64,7 @@ def _write_delay(arguments: argparse.Namespace, source: str | None, delay_ms: fl
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the command; returns 0 where no step has failed."""
+    """Run the command and return 0 if no step has failed."""
     config = arguments.config or (None if arguments.mission else default_config_path())
     mission = load_mission(arguments.mission or packaged("missions", "single_wall.yaml"), config)
     mission = with_mocap(with_driver(mission, arguments.driver), arguments.mocap)

@@ -34,7 +34,7 @@ _LOOK_S = 0.5
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the command."""
+    """Add the arguments of the command."""
     parser.add_argument("mission", metavar="MISSION", help="mission file, see missions/")
     parser.add_argument("--connection", metavar="URL", help="also check the vehicle that answers here")
     add_overrule_option(parser)
@@ -52,7 +52,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the command; returns the exit status."""
+    """Run the command and return the exit status."""
     if not arguments.watch:
         return _check(arguments)
     if arguments.json or arguments.connection is not None:
@@ -61,11 +61,11 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def keep_checking(check: Callable[[], int], sleep: Callable[[float], None] = time.sleep) -> int:
-    """Check whenever a file that was read is saved, until Ctrl-C; return the last exit status.
+    """Check again whenever an input file is saved, until Ctrl-C; return the last exit status.
 
     Args:
-        check: the check; returns its exit status, or raises InputError.
-        sleep: waits between two looks at the files.
+        check: function that returns an exit status, or raises InputError.
+        sleep: function that waits between two polls of the files.
     """
     status, watched = 2, dict[Path, Stamp]()
     try:
@@ -84,7 +84,7 @@ def keep_checking(check: Callable[[], int], sleep: Callable[[float], None] = tim
 
 
 def _wait_for_save(watched: dict[Path, Stamp], sleep: Callable[[float], None]) -> None:
-    """Wait until a file has changed and no file changes any more; update the stamps."""
+    """Wait until a file has changed and all files have settled; update the stamps."""
     changed = False
     while True:
         now = {path: stamp_of(path) for path in watched}
@@ -117,7 +117,7 @@ def _check(arguments: argparse.Namespace) -> int:
 
 
 def show(report: CheckReport, console: Console) -> None:
-    """The findings, no-goes in red, remarks in yellow, and the word at the end."""
+    """Print the findings with no-goes in red and remarks in yellow, then the result."""
     for finding in report.findings:
         word, style = ("go", "green") if finding.go else ("NO-GO", "red")
         if finding.remark:

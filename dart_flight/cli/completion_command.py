@@ -1,4 +1,4 @@
-"""`dart-flight completion SHELL`: the script that completes commands, options and file names."""
+"""`dart-flight completion SHELL`: print the script that completes commands, options and file names."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ _FOLDERS = {"DIR"}
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the command."""
+    """Add the arguments of the command."""
     parser.add_argument("shell", choices=SHELLS, help="the shell that reads the script")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the command; returns the exit status."""
+    """Run the command and return the exit status."""
     script = completion_script(arguments.shell)
     if arguments.json:
         emit_json({"shell": arguments.shell, "script": script})
@@ -28,7 +28,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def completion_script(shell: str) -> str:
-    """The script, generated from the parser of every command.
+    """Return the completion script, generated from the parsers of all commands.
 
     Args:
         shell: one of `SHELLS`.
@@ -43,7 +43,7 @@ def completion_script(shell: str) -> str:
 
 
 def _complete_paths(parser: argparse.ArgumentParser, by_metavar: dict[str, Any]) -> None:
-    """Arguments whose placeholder names a file or a folder complete to one."""
+    """Make arguments with a file or folder as placeholder complete to file or folder names."""
     for action in parser._actions:
         if isinstance(action, argparse._SubParsersAction):
             for sub in action.choices.values():

@@ -50,7 +50,7 @@ from dart_flight.sim.pipe import FULL_SPEED, need_mavlink
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the command."""
+    """Add the arguments of the command."""
     add_flight_options(parser)
     add_px4_options(parser)
     parser.add_argument(
@@ -86,12 +86,18 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def simulation_speed(text: str) -> float:
-    """Parse `--speed`: a number, or `max`."""
+    """Return the value of `--speed`: a number, or `FULL_SPEED` for `max`."""
     return FULL_SPEED if text == "max" else number(0.1, 10.0)(text)
 
 
 def flight_function(arguments: argparse.Namespace, mission: Mission) -> Callable[..., Verdict]:
-    """The function that flies one mission in the wanted world; seed, log_dir and progress by name."""
+    """Return the function that flies a mission in the selected world.
+
+    Its keywords are `seed`, `log_dir`, `progress` and, without --fast, `viewer`.
+
+    Raises:
+        InputError: the options do not fit together.
+    """
     position_from = source_for(mission, position_source_of(arguments))
     fault = None if arguments.fault is None else parse_fault_of(mission, arguments.fault)
     spreads = parse_vary(arguments.vary, mission.vehicle)
@@ -134,7 +140,7 @@ def flight_function(arguments: argparse.Namespace, mission: Mission) -> Callable
 
 
 def with_emulated_mocap(arguments: argparse.Namespace, mission: Mission) -> Mission:
-    """Return the mission as it is flown in simulation, with the motion capture of `--mocap` or without one.
+    """Return the mission for a simulation, with the motion capture of `--mocap` or without one.
 
     Raises:
         InputError: there is no such motion capture, or it does not fit the other options.
@@ -154,7 +160,7 @@ def is_realtime(arguments: argparse.Namespace, mission: Mission) -> bool:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the command; returns the exit status."""
+    """Run the command and return the exit status."""
     mission = load_flyable(arguments.mission, arguments.config, arguments.set)
     mission = as_rehearsal(with_driver(mission, arguments.driver), arguments.standoff)
     mission = with_emulated_mocap(arguments, mission)
@@ -195,7 +201,7 @@ def _fly_one(arguments: argparse.Namespace, mission: Mission, fly: Callable[...,
 
 
 def _fly_many(arguments: argparse.Namespace, mission: Mission, fly: Callable[..., Verdict]) -> int:
-    """Fly one seed after the other; an interrupt ends with what was flown."""
+    """Fly all seeds and show the summary; after an interrupt, that of the flights so far."""
     seeds = range(arguments.seed, arguments.seed + arguments.runs)
     with Progress(console=messages(), transient=True) as bar:
         task = bar.add_task("flights", total=arguments.runs)
@@ -221,7 +227,7 @@ def _fly_many(arguments: argparse.Namespace, mission: Mission, fly: Callable[...
 def _show_runs(
     arguments: argparse.Namespace, mission: Mission, verdicts: list[Verdict], interrupted: bool
 ) -> int:
-    """What came of the flights; returns the exit status."""
+    """Print the results of the flights and return the exit status."""
     console = messages()
     summary = summarise(verdicts)
     if interrupted:

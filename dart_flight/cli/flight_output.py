@@ -1,4 +1,4 @@
-"""How a flight shows on the terminal: a line per decision, a table at the end."""
+"""Terminal output of a flight: a line per decision, a table at the end."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ TOO_BUSY = "the computer cannot keep up with real time; omit --realtime, or use 
 
 
 class FlightLines:
-    """Prints the decisions of a flight as they come, with the time since its zero (`flight_time`).
+    """Onlooker that prints the decisions of a flight, with the flight time (`flight_time`).
 
     Args:
-        console: for messages.
-        verbose: also what matters little.
-        live_line: goes on below them.
+        console: console for messages.
+        verbose: whether to print minor events as well.
+        live_line: line that is updated below the decisions, or None.
     """
 
     def __init__(self, console: Console, verbose: bool = False, live_line: LiveLine | None = None) -> None:
@@ -48,25 +48,25 @@ class FlightLines:
         if event is None or (event.level is Level.DEBUG and not self._verbose):
             return
         self.close()
-        # When it was known, so that lines are in order: a peak and a nearest point lie before that.
+        # Use the time of detection, so that lines are in order: a peak is detected after its own stamp.
         self._newest_us = max(self._newest_us, getattr(record, "detected_us", getattr(record, "t_us", 0)))
         time_s = self._time.seconds(self._newest_us)
         shown = " " * 9 if time_s is None else f"{time_s:7.2f} s"
         self._console.print(styled((shown, "dim"), "  ", *_styled(record, event)), soft_wrap=True)
 
     def close(self) -> None:
-        """Take the live line away: the flight is over, or something else is to be printed."""
+        """Remove the live line, at the end of the flight or before other output."""
         if self._live_line is not None:
             self._live_line.clear()
 
 
 def live_line_for(mission: Mission, console: Console) -> LiveLine | None:
-    """The live line of a flight in real time, where messages go to a terminal."""
+    """Return a live line for a flight, or None if messages do not go to a terminal."""
     return LiveLine(mission, console.file) if console.is_terminal else None
 
 
 def show_end(verdict: Verdict, console: Console, as_json: bool) -> None:
-    """What a flight came to, where its log is, and what can be done with that."""
+    """Print the result of a flight, the path of its log, and commands that use the log."""
     with keep_status(_in_a_line(verdict)):
         if as_json:
             emit_json(verdict)
@@ -82,8 +82,8 @@ def show_end(verdict: Verdict, console: Console, as_json: bool) -> None:
         why = TOO_BUSY if simulated else "the computer was too busy (see docs/latency.md)"
         console.print(f"this program lagged by up to {late_ms:.0f} ms: {why}", style="yellow", soft_wrap=True)
     if verdict.log_failure is not None:
-        told = f"log: {verdict.log} is not complete: {verdict.log_failure}"
-        console.print(told, soft_wrap=True, style="red")
+        text = f"log: {verdict.log} is not complete: {verdict.log_failure}"
+        console.print(text, soft_wrap=True, style="red")
         return
     for line in [f"log: {verdict.log}", *(f"  {step}" for step in next_steps(verdict))]:
         console.print(line, soft_wrap=True)
@@ -97,25 +97,25 @@ def _in_a_line(verdict: Verdict) -> str:
 
 
 def wall_lines(verdict: Verdict) -> list[str]:
-    """The walls whose place or direction contacts have told, a line each."""
+    """Return a line for each wall with the place and direction estimated from contacts."""
     lines = []
     for wall in verdict.walls:
         if wall.yaw_sd_deg is None or wall.position_sd_m is None:
             continue
         (x, y), (nx, ny) = wall.point_m, wall.normal
-        says = f"wall {wall.name}: at ({x:.3f}, {y:.3f}) ± {wall.position_sd_m:.3f} m along its normal "
-        says += f"({nx:.3f}, {ny:.3f}) ± {wall.yaw_sd_deg:.2f} deg"
-        lines.append(says + (f", {wall.material}" if wall.material is not None else ", of no known material"))
+        text = f"wall {wall.name}: at ({x:.3f}, {y:.3f}) ± {wall.position_sd_m:.3f} m along its normal "
+        text += f"({nx:.3f}, {ny:.3f}) ± {wall.yaw_sd_deg:.2f} deg"
+        lines.append(text + (f", {wall.material}" if wall.material is not None else ", of no known material"))
     return lines
 
 
 def exit_status(verdict: Verdict) -> int:
-    """Of a command that has flown: 0 where the flight completed, and its log with it."""
+    """Return 0 if the flight and its log are complete, otherwise 1."""
     return 0 if verdict.outcome is Outcome.COMPLETED and verdict.log_failure is None else 1
 
 
 def next_steps(verdict: Verdict) -> list[str]:
-    """What can be done with a flight's log, as commands, by what is installed."""
+    """Return the commands that use a flight's log and whose packages are installed."""
     if verdict.log is None:
         return []
     log = shlex.quote(verdict.log)
@@ -142,7 +142,7 @@ def _styled(record: Record, event: Event) -> list[tuple[str, str]]:
 
 
 def verdict_table(verdict: Verdict) -> RenderableType:
-    """A flight: how it ended and why, its collisions planned, measured and true, and its figures."""
+    """Return the outcome of a flight, its collisions (planned, measured, true) and its figures as a table."""
     title = Text(f"{verdict.mission}, {verdict.world or 'unknown'}: {verdict.outcome}", style="italic")
     parts: list[RenderableType] = [title]
     if verdict.reason is not None:
@@ -173,7 +173,7 @@ def verdict_table(verdict: Verdict) -> RenderableType:
         parts.append(_resets_line(verdict))
     if verdict.goal_reached is not None and verdict.outcome is Outcome.COMPLETED:
         parts.append(_goal_line(verdict))
-    # Of a flight that was broken off the reason says what is to be known.
+    # If a flight was broken off, its reason is sufficient.
     if verdict.plan_followed is not None and verdict.outcome is Outcome.COMPLETED:
         parts.append(_plan_line(verdict))
     return Group(*parts)
@@ -190,17 +190,17 @@ def _resets_line(verdict: Verdict) -> Text:
 
 
 def _goal_line(verdict: Verdict) -> Text:
-    """Whether the goal was reached; where not, how far off it was predicted to be."""
+    """Return a line about the goal: reached, or the actual and predicted distance."""
     if verdict.goal_reached:
         return Text("goal reached")
-    said = "goal not reached"
+    text = "goal not reached"
     if verdict.goal_miss_m is not None and verdict.goal_miss_planned_m is not None:
-        said += f": passed at {verdict.goal_miss_m:.2f} m, {verdict.goal_miss_planned_m:.2f} m predicted"
-    return Text(said, style="yellow")
+        text += f": passed at {verdict.goal_miss_m:.2f} m, {verdict.goal_miss_planned_m:.2f} m predicted"
+    return Text(text, style="yellow")
 
 
 def _plan_line(verdict: Verdict) -> Text:
-    """Whether the plan was followed, and where it was left most."""
+    """Return a line about the plan: followed, or its largest deviations."""
     if verdict.plan_followed:
         return Text("plan followed")
     return Text(f"plan not followed: {format_departures(verdict.deviations)}", style="yellow")
@@ -232,12 +232,12 @@ def _add_collision(table: Table, c: CollisionVerdict) -> None:
 
 
 def figure_or_dash(value: float | None, digits: int) -> str:
-    """A number for a table; a dash where there is none."""
+    """Return a number for a table, or a dash for None."""
     return "-" if value is None else f"{value:.{digits}f}"
 
 
 def summary_table(summary: RunsSummary) -> Table:
-    """Many flights in a few rows."""
+    """Return a table with the summary of many flights."""
     table = Table(title=f"{summary.completed} of {summary.runs} completed", title_justify="left")
     for column in ("", "median", "least", "most"):
         table.add_column(column, justify="left" if not column else "right")

@@ -39,7 +39,7 @@ from dart_flight.vehicle.link import LinkLease
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the command."""
+    """Add the arguments of the command."""
     add_flight_options(parser)
     parser.add_argument(
         "--connection",
@@ -56,7 +56,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the command; returns the exit status."""
+    """Run the command and return the exit status."""
     mission = load_flyable(arguments.mission, arguments.config)
     mission = as_rehearsal(with_driver(mission, arguments.driver), arguments.standoff)
     mission = with_mocap(mission, arguments.mocap)
@@ -81,14 +81,14 @@ def _fly(arguments: argparse.Namespace, mission: Mission, url: str, lease: LinkL
     if verdict is None:
         return 1
     if arguments.px4_log and verdict.log is not None:
-        lease.release()  # the flight's lease keeps a serial device to itself
+        lease.release()  # the flight's lease holds a serial device exclusively
         verdict.px4_log = _downloaded(mission, url, Path(verdict.log), before)
     show_end(verdict, console, arguments.json)
     return exit_status(verdict)
 
 
 def _listed(mission: Mission, url: str) -> list[Px4LogEntry] | None:
-    """Return PX4's logs before the flight, None if they cannot be listed."""
+    """Return PX4's logs before the flight, or None if they cannot be listed."""
     try:
         return list_px4_logs(url, mission.vehicle.connection.timeout_s)
     except FlightError as error:
@@ -97,7 +97,7 @@ def _listed(mission: Mission, url: str) -> list[Px4LogEntry] | None:
 
 
 def _downloaded(mission: Mission, url: str, log: Path, before: list[Px4LogEntry] | None) -> str | None:
-    """Download PX4's log after a flight; a failure or Ctrl-C costs two lines, not the flight's result."""
+    """Download PX4's log and return its path, or print why not; a failure keeps the flight's result."""
     try:
         span = armed_span(read_log(log))
         timeout_s = mission.vehicle.connection.timeout_s
@@ -113,7 +113,7 @@ def _downloaded(mission: Mission, url: str, log: Path, before: list[Px4LogEntry]
 def fly_if_go(
     arguments: argparse.Namespace, mission: Mission, url: str, lease: LinkLease, findings: list[CheckFinding]
 ) -> Verdict | None:
-    """Fly on the vehicle where nothing found is in the way and the operator agrees; None: not flown."""
+    """Fly with the vehicle if the findings permit and the operator agrees; return None if not flown."""
     console = messages()
     report = decide(mission, findings, arguments.overrule)
     show(report, console)
@@ -130,13 +130,13 @@ def fly_if_go(
 
 
 def _flight_summary(mission: Mission, url: str) -> str:
-    """What is about to happen, in words."""
+    """Return a description of the flight that is about to begin."""
     lock = mission.vehicle.lock
     by = "" if lock is None else f", lock by {lock.driver.value}"
     lines = [f"{mission.name} on {url}{by}"]
     lines.append(f"  take off to {mission.altitude_m:g} m, to ({mission.start[0]:g}, {mission.start[1]:g})")
     stops = [(w.after, _stop(w)) for w in mission.waypoints]
-    lines += [says for after, says in stops if after == 0]
+    lines += [line for after, line in stops if after == 0]
     for c in mission.collisions:
         if c.approach_m_s is not None:
             normal, tangential = c.approach_m_s
@@ -145,7 +145,7 @@ def _flight_summary(mission: Mission, url: str) -> str:
             how = "reached by the recovery from the previous collision"
         mode = "" if lock is None else f" {c.mode.value}"
         lines.append(f"  hit {c.wall.name} ({c.wall.material}){mode}, {how}")
-        lines += [says for after, says in stops if after == c.index]
+        lines += [line for after, line in stops if after == c.index]
     goal = mission.goal.position_m
     lines.append(f"  hold ({goal[0]:g}, {goal[1]:g}) for {mission.goal.hold_s:g} s, land")
     return "\n".join(lines)

@@ -1,6 +1,6 @@
-"""What `dry-run --hitl` does before and after the flight: look at the flight controller, ask, say how to end.
+"""Steps of `dry-run --hitl` before and after the flight: checks, confirmation, and how to switch it off.
 
-The operator types that the propellers are off: arming is real.
+The operator must confirm that the propellers are off, because arming is real.
 """
 
 from __future__ import annotations
@@ -35,10 +35,10 @@ def prepare_hitl(
     position_from: PositionSource,
     spreads: Mapping[str, float],
 ) -> Callable[..., Verdict]:
-    """The function that flies on the flight controller, once that is ready and the operator has said so.
+    """Return the function that flies, after the checks of the flight controller and the confirmation.
 
     Raises:
-        InputError: the two links are one, or the operator does not say it.
+        InputError: the two links are the same, or the operator does not confirm.
         FlightError: the flight controller is not ready.
     """
     hitl_url = usable_link(arguments.hitl, "--hitl")
@@ -67,7 +67,7 @@ def prepare_hitl(
 
 
 def _confirm() -> None:
-    """The operator types that the propellers are off: arming is real, and a wrong parameter turns motors."""
+    """Ask the operator to confirm that the propellers are off, because motors may turn."""
     sys.stderr.write(f"Motors may turn. Take the propellers off, then type '{_WORD}': ")
     sys.stderr.flush()
     if sys.stdin.readline().strip().lower() != _WORD:
@@ -75,7 +75,7 @@ def _confirm() -> None:
 
 
 def say_how_to_end() -> None:
-    """How the vehicle becomes one that flies again."""
+    """Print how to switch hardware-in-the-loop off."""
     others = ", ".join(p.name for p in hitl_parameters().values() if p.name != "SYS_HITL")
     print_status(
         f"to switch it off: set SYS_HITL to 0, put back what you had in GPS_1_CONFIG, {others}, restart the "

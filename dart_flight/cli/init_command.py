@@ -1,4 +1,4 @@
-"""`dart-flight init DIR`: the configuration of a vehicle and its missions as files to start from."""
+"""`dart-flight init DIR`: copy the configuration and missions of a vehicle as files to start from."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from dart_flight.config.starter import DART, VEHICLES, first_mission, write_star
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the command."""
+    """Add the arguments of the command."""
     parser.add_argument("directory", type=Path, metavar="DIR", help="where the files go; made if need be")
     parser.add_argument(
         "--vehicle",
@@ -21,7 +21,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the command; returns the exit status."""
+    """Run the command and return the exit status."""
     written = write_starter(arguments.directory, arguments.vehicle)
     if arguments.json:
         files = [str(path) for path in written]

@@ -1,4 +1,4 @@
-"""One line at the bottom of the terminal: where the flight is while nothing else is to be told."""
+"""Live line at the bottom of the terminal: phase, position and state of a flight between its decisions."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ _CLEAR = "\r\x1b[K"
 
 
 class LiveLine:
-    """Phase, place, speed, force, lock and battery, five times a second.
+    """Line with phase, position, speed, force, lock and battery, updated five times per second.
 
-    Written by hand: a refresh of rich's Live takes half a millisecond of the interpreter that the core needs.
+    It does not use rich's Live, whose refresh takes half a millisecond of the core's interpreter.
 
     Args:
-        mission: what is flown.
-        terminal: to write to.
-        now_s: the host's clock, seconds.
+        mission: mission that is flown.
+        terminal: stream to write to.
+        now_s: function that returns the host's time, seconds.
     """
 
     def __init__(
@@ -44,41 +44,41 @@ class LiveLine:
         self._shown = False
         self._due_s = -math.inf
         self._phase, self._lock, self._battery, self._force_n = "", "", "", 0.0
-        self._takers: dict[type[Record], Callable[[Any], None]] = {
-            PhaseChange: self._take_phase,
-            LockState: self._take_lock,
-            StatusSample: self._take_status,
-            ForceEstimate: self._take_force,
-            OdometrySample: self._take_odometry,
+        self._handlers: dict[type[Record], Callable[[Any], None]] = {
+            PhaseChange: self._handle_phase,
+            LockState: self._handle_lock,
+            StatusSample: self._handle_status,
+            ForceEstimate: self._handle_force,
+            OdometrySample: self._handle_odometry,
         }
 
     def __call__(self, record: Record) -> None:
-        """Take a record of the flight."""
+        """Update the line with a record of the flight."""
         self._anchor.take(record)
-        taker = self._takers.get(type(record))
-        if taker is not None:
-            taker(record)
+        handler = self._handlers.get(type(record))
+        if handler is not None:
+            handler(record)
 
     def clear(self) -> None:
-        """Make room for another line."""
+        """Clear the line, so that another one can be printed."""
         if self._shown:
             self._shown = False
             self._terminal.write(_CLEAR)
             self._terminal.flush()
 
-    def _take_phase(self, change: PhaseChange) -> None:
+    def _handle_phase(self, change: PhaseChange) -> None:
         self._phase = change.after.value
 
-    def _take_lock(self, state: LockState) -> None:
+    def _handle_lock(self, state: LockState) -> None:
         self._lock = f"lock {describe(state)}".removesuffix(" (no feedback)")
 
-    def _take_status(self, status: StatusSample) -> None:
+    def _handle_status(self, status: StatusSample) -> None:
         self._battery = "" if status.battery_v is None else f"{status.battery_v:.1f} V"
 
-    def _take_force(self, estimate: ForceEstimate) -> None:
+    def _handle_force(self, estimate: ForceEstimate) -> None:
         self._force_n = max(self._force_n, norm(estimate.force_mission))
 
-    def _take_odometry(self, sample: OdometrySample) -> None:
+    def _handle_odometry(self, sample: OdometrySample) -> None:
         now, frame = self._now_s(), self._anchor.frame
         if now < self._due_s or frame is None:
             return

@@ -1,4 +1,4 @@
-"""`--live`: the flight in a viewer's 3D while it goes on."""
+"""Options `--live`, `--live-port` and `--live-host`: the live 3D view of a flight."""
 
 from __future__ import annotations
 
@@ -21,11 +21,10 @@ _LOCAL = ("127.0.0.1", "::1", "localhost")
 
 
 class LiveView:
-    """The lab's live view beside a flight: whatever fails in it is a line on the terminal, and the flight
-    goes on.
+    """The lab's live view of a flight; a failure in it prints one line and does not end the flight.
 
     Args:
-        view: what the lab opened; takes records.
+        view: view of the lab, to which records are passed.
     """
 
     def __init__(self, view: Any) -> None:
@@ -34,15 +33,15 @@ class LiveView:
         self._failed = False
 
     def __call__(self, record: Record) -> None:
-        """Take a record; any thread, never blocks."""
+        """Pass a record to the view; any thread, never blocks."""
         self._try(self._view, record)
 
     def feed(self, record: Record) -> None:
-        """Take a record, waiting where the view does not keep up."""
+        """Pass a record to the view, and wait if the view is slow."""
         self._try(self._view.feed, record)
 
     def close(self) -> None:
-        """The flight is over."""
+        """Close the view at the end of the flight."""
         self._failed = False
         self._try(self._view.close)
 
@@ -57,7 +56,7 @@ class LiveView:
 
 
 def add_live_options(parser: argparse.ArgumentParser) -> None:
-    """`--live` and where it listens."""
+    """Add `--live` and the options for its address."""
     group = parser.add_argument_group("live view (docs/live.md)")
     group.add_argument(
         "--live", action="store_true", help="show the flight live in 3D in Foxglove or Lichtblick"
@@ -84,10 +83,17 @@ def live_view(
     placed: bool = False,
     from_truth: bool = False,
 ) -> Iterator[LiveView | None]:
-    """The live view that was asked for, or None; says where viewers find it.
+    """Open the live view of `--live` as a context and print its address; the value is None without `--live`.
+
+    Args:
+        arguments: parsed arguments of the command.
+        mission: mission that is shown.
+        furnished: whether to show the mission's room.
+        placed: whether the mission frame lies as the mission specifies from the beginning.
+        from_truth: whether to show a simulated vehicle alone, at its true pose.
 
     Raises:
-        InputError: its port cannot be opened, or an option of it is given without `--live`.
+        InputError: the port cannot be opened, or another live option is given without `--live`.
     """
     if not arguments.live:
         for name in ("live_port", "live_host"):
@@ -115,7 +121,7 @@ def live_view(
 
 
 def _open(mission: Mission, host: str, port: int, *shown: bool) -> LiveView | None:
-    """None where the lab fails; what the operator can mend is raised, nothing has moved yet."""
+    """Return the view, or None if the lab fails; raise an InputError, which the operator can correct."""
     try:
         return LiveView(load_entry(LIVE_VIEW)(mission, host, port, *shown, print_status))
     except InputError:

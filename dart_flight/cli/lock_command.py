@@ -29,7 +29,7 @@ from dart_flight.vehicle.link import LinkLease
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """The command's arguments."""
+    """Add the arguments of the command."""
     parser.add_argument("action", choices=("rigid", "flexible", "toggle", "status", "calibrate"))
     add_driver_option(parser)
     parser.add_argument("--connection", metavar="URL", help="autopilot, for the px4 driver")
@@ -40,7 +40,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Carry the command out. Returns 0 when the lock is where it was asked to be."""
+    """Run the command and return 0 if the lock has reached the requested mode."""
     path = Path(arguments.config) if arguments.config else default_config_path()
     vehicle, source = find_vehicle(path)
     arguments.vehicle = source
@@ -162,7 +162,7 @@ def _report(
 
 
 def _taken(arguments: argparse.Namespace, config: LockConfig, error: ServoTakenError) -> int:
-    """The servo is another process's: `status` reports what that wrote down, all else is refused."""
+    """Report that another process owns the servo: `status` shows the last command, other actions fail."""
     print_status(f"lock: {error}")
     status = arguments.action == "status"
     if status or arguments.json:
@@ -208,7 +208,7 @@ def _unchanged(arguments: argparse.Namespace, config: LockConfig, why: str) -> i
 
 
 def _seek(steps: Calibration) -> bool:
-    """Lines from standard input until both ends are known; False: the operator quits."""
+    """Process lines from standard input until both ends are known; return False if the operator quits."""
     while steps.seeking is not None:
         print_status(f"{steps.seeking} end, now {steps.pulse_us:g} us:")
         line = sys.stdin.readline()

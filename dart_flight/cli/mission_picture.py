@@ -1,4 +1,4 @@
-"""The picture of a mission before it flies, for every command that offers one."""
+"""Option `--plot`: the picture of a mission before its flight, for `check` and `fly`."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from dart_flight.lab_entries import MISSION_PICTURE, load_entry
 
 
 def add_plot_option(parser: argparse.ArgumentParser) -> None:
-    """`--plot FILE`."""
+    """Add `--plot FILE`."""
     parser.add_argument(
         "--plot",
         type=Path,
@@ -23,11 +23,12 @@ def add_plot_option(parser: argparse.ArgumentParser) -> None:
 
 
 def write_picture(mission: Mission, path: Path) -> None:
-    """Draw a mission by the planner's flight model, and say where the picture is, or why there is none: a
-    failure of the drawing ends no flight.
+    """Draw a mission with the planner's flight model, and print the path of the picture.
+
+    Any failure except the following prints a message, so that it does not prevent the flight.
 
     Raises:
-        InputError: matplotlib is missing, or the file has an unknown ending or cannot be written.
+        InputError: matplotlib is missing, or the file has an unknown extension or cannot be written.
     """
     try:
         load_entry(MISSION_PICTURE)(mission, predict_flight_path(mission), path)

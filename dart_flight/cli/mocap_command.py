@@ -1,4 +1,4 @@
-"""`dart-flight mocap`: forward a motion capture's poses to PX4, and nothing else."""
+"""`dart-flight mocap`: forward a motion capture's poses to PX4 without a flight."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ _PERIOD_S = 0.2
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the command."""
+    """Add the arguments of the command."""
     parser.add_argument("--connection", metavar="URL", help="the vehicle's link (default: connection.url)")
     add_mocap_option(parser)
     parser.add_argument("--seconds", type=number(0.0, 1e6), metavar="S", help="stop after this many seconds")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the command until interrupted; returns 0. With --json: the last figures, at the end."""
+    """Run the command until interrupted and return 0; with --json, print the last figures at the end."""
     mission = load_mission(
         packaged("missions", "single_wall.yaml"), arguments.config or default_config_path()
     )

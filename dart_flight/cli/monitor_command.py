@@ -32,7 +32,7 @@ _BAR_N, _BAR_WIDTH = 40.0, 24
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the command."""
+    """Add the arguments of the command."""
     parser.add_argument(
         "--connection",
         metavar="URL",
@@ -46,7 +46,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the command; returns the exit status. With --json: the last view, at the end."""
+    """Run the command and return the exit status; with --json, print the last view at the end."""
     views: list[MonitorView] = []
 
     def keep(view: MonitorView) -> None:
@@ -67,9 +67,9 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _watch(arguments: argparse.Namespace, show: Callable[[MonitorView], None]) -> Mission:
-    """Watch a flight by its log, or the vehicle on the link; returns whose configuration was used."""
+    """Watch a flight by its log, or the vehicle on the link, and return the mission that was used."""
     placed = arguments.mission is not None
-    # Without a mission of its own the vehicle is this folder's, not that of the packaged mission.
+    # Without --mission, the vehicle is that of the working folder, not that of the packaged mission.
     config = arguments.config or (None if placed else default_config_path())
     mission = load_mission(arguments.mission if placed else packaged("missions", "single_wall.yaml"), config)
     connection = mission.vehicle.connection
@@ -90,7 +90,7 @@ def _watch(arguments: argparse.Namespace, show: Callable[[MonitorView], None]) -
     seconds, timeout_s = arguments.seconds, connection.timeout_s
     try:
         with live_view(arguments, mission, furnished=placed, placed=True) as live:
-            watcher = TelemetryMonitor(mission, placed, live or _nobody)
+            watcher = TelemetryMonitor(mission, placed, live or _ignore)
             asyncio.run(
                 monitor_vehicle(watcher, url, timeout_s, show, _PERIOD_S, seconds, lease.close_device)
             )
@@ -100,10 +100,10 @@ def _watch(arguments: argparse.Namespace, show: Callable[[MonitorView], None]) -
 
 
 def _flight(log: Path | None, url: str) -> tuple[Path, Callable[[], bool]] | None:
-    """The log of the flight under way, and whether it still is; None: there is none.
+    """Return the log of the flight in progress and a function that returns whether it still is, or None.
 
     Raises:
-        InputError: there are several, none of them on the configuration's link.
+        InputError: several flights are in progress, and not exactly one is on the configuration's link.
     """
     if log is not None:
         held = [holder for holder in held_links() if holder.log == printable(str(log.resolve()))]
@@ -124,20 +124,24 @@ def _still_held(flight: Holder) -> Callable[[], bool]:
     return lambda: holder_of(flight.url) == flight
 
 
-def _nobody(record: Record) -> None:
-    """There is no live view."""
+def _ignore(record: Record) -> None:
+    """Ignore a record, because there is no live view."""
 
 
 def _follow(
     log: Path, flying: Callable[[], bool], show: Callable[[MonitorView], None], arguments: argparse.Namespace
 ) -> Mission:
-    """Raises InputError: the log cannot be read."""
+    """Watch a flight by its log and return its mission.
+
+    Raises:
+        InputError: the log cannot be read.
+    """
     follower = LogFollower(log)
     first = follower.read()
     mission = flown_mission(follower.about, str(log))
     watcher = TelemetryMonitor(mission, placed=True)
     with live_view(arguments, mission) as live:
-        viewer = live.feed if live is not None else _nobody
+        viewer = live.feed if live is not None else _ignore
         for entry in first:
             watcher.take_record(entry.record)
             viewer(entry.record)
@@ -146,7 +150,7 @@ def _follow(
 
 
 def screen(view: MonitorView) -> Group:
-    """A view as tables."""
+    """Return a view as tables."""
     return Group(_force(view), _streams(view))
 
 

@@ -17,7 +17,7 @@ from dart_flight.sim.motion_capture import KINDS
 
 
 def add_flight_options(parser: argparse.ArgumentParser) -> None:
-    """What `fly` and `dry-run` share."""
+    """Add the arguments that `fly` and `dry-run` share."""
     parser.add_argument("mission", metavar="MISSION", help="mission file, see missions/")
     add_log_dir_option(parser)
     add_driver_option(parser)
@@ -30,14 +30,14 @@ def add_flight_options(parser: argparse.ArgumentParser) -> None:
 
 
 def add_log_dir_option(parser: argparse.ArgumentParser) -> None:
-    """Where the logs of flights go."""
+    """Add the option for the folder of the flight logs."""
     parser.add_argument(
         "--log-dir", type=Path, default=Path("flights"), metavar="DIR", help="default: flights"
     )
 
 
 def add_overrule_option(parser: argparse.ArgumentParser) -> None:
-    """What was found and is flown in spite of."""
+    """Add the option for failed checks that the operator overrules."""
     parser.add_argument(
         "--overrule",
         action="append",
@@ -48,7 +48,7 @@ def add_overrule_option(parser: argparse.ArgumentParser) -> None:
 
 
 def add_driver_option(parser: argparse.ArgumentParser) -> None:
-    """What moves the lock."""
+    """Add the option for the lock driver."""
     known = ", ".join(f"{kind.value} ({entry.words})" for kind, entry in DRIVERS.items())
     parser.add_argument(
         "--driver",
@@ -60,7 +60,7 @@ def add_driver_option(parser: argparse.ArgumentParser) -> None:
 
 
 def add_set_option(parser: argparse.ArgumentParser) -> None:
-    """Keys of the configuration, changed for this call."""
+    """Add the option that changes keys of the configuration for one run."""
     parser.add_argument(
         "--set",
         action="append",
@@ -71,7 +71,7 @@ def add_set_option(parser: argparse.ArgumentParser) -> None:
 
 
 def add_vary_option(parser: argparse.ArgumentParser) -> None:
-    """What of the simulated world is drawn anew by every seed."""
+    """Add the option for the quantities of the simulated world that every seed draws."""
     parser.add_argument(
         "--vary",
         action="append",
@@ -82,7 +82,7 @@ def add_vary_option(parser: argparse.ArgumentParser) -> None:
 
 
 def add_position_option(parser: argparse.ArgumentParser) -> None:
-    """Where the vehicle's position comes from."""
+    """Add the option for the source of PX4's position."""
     parser.add_argument(
         "--position-from",
         type=PositionSource,
@@ -105,7 +105,7 @@ def add_mocap_option(parser: argparse.ArgumentParser) -> None:
 
 
 def add_emulated_mocap_option(parser: argparse.ArgumentParser) -> None:
-    """Add the option for the motion capture that a simulated vehicle gets its position through."""
+    """Add the option for the emulated motion capture of a simulated vehicle."""
     parser.add_argument(
         "--mocap",
         metavar="KIND",
@@ -115,10 +115,10 @@ def add_emulated_mocap_option(parser: argparse.ArgumentParser) -> None:
 
 
 def link_of(arguments: argparse.Namespace, connection: ConnectionConfig) -> str:
-    """The URL of `--connection`, else the configuration's.
+    """Return the URL of `--connection`, or the configuration's without that option.
 
     Raises:
-        InputError: it has the wrong form, or names a serial port that is not there.
+        InputError: the URL is malformed, or names a serial port that does not exist.
     """
     if arguments.connection is not None:
         return usable_link(arguments.connection)
@@ -126,10 +126,10 @@ def link_of(arguments: argparse.Namespace, connection: ConnectionConfig) -> str:
 
 
 def refuse_unwritable(arguments: argparse.Namespace, path: Path) -> None:
-    """A calibration goes into a configuration of the user's own.
+    """Check that a calibration can be written into the configuration at `path`.
 
     Raises:
-        InputError: it is the packaged one, or cannot be written.
+        InputError: the configuration is the packaged one, or cannot be written.
     """
     if not arguments.config and path == packaged("configs", "dart.yaml"):
         raise InputError(
@@ -141,7 +141,7 @@ def refuse_unwritable(arguments: argparse.Namespace, path: Path) -> None:
 
 
 def whole_number(low: int, high: int) -> Callable[[str], int]:
-    """Argparse type: a whole number within limits."""
+    """Return an argparse type for a whole number within limits."""
 
     def convert(text: str) -> int:
         try:
@@ -156,7 +156,7 @@ def whole_number(low: int, high: int) -> Callable[[str], int]:
 
 
 def number(low: float, high: float) -> Callable[[str], float]:
-    """Argparse type: a finite number within limits."""
+    """Return an argparse type for a finite number within limits."""
 
     def convert(text: str) -> float:
         try:

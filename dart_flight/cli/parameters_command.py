@@ -1,4 +1,4 @@
-"""`dart-flight parameters MISSION`: PX4's parameters that are not as wanted, listed or written."""
+"""`dart-flight parameters MISSION`: list or write the PX4 parameters that differ from the wanted values."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from dart_flight.vehicle.link import LinkLease
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the command."""
+    """Add the arguments of the command."""
     parser.add_argument("mission", metavar="MISSION", help="for its vehicle and its frame")
     parser.add_argument("--connection", metavar="URL", help="the vehicle's link (default: connection.url)")
     parser.add_argument("--write", action="store_true", help="write the wanted values, disarmed only")
@@ -48,7 +48,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the command; returns 0 if nothing differs or all was written."""
+    """Run the command and return 0 if no parameter differs or all were written."""
     mission = load_mission(arguments.mission, arguments.config, arguments.set)
     mission = with_driver(mission, arguments.driver)
     url = link_of(arguments, mission.vehicle.connection)
@@ -75,10 +75,10 @@ def run(arguments: argparse.Namespace) -> int:
                 written = True
             else:
                 print_status("nothing written")
-    for says in refused.values():
-        print_status(says)
+    for problem in refused.values():
+        print_status(problem)
     if written:
-        _say_written([row for row in rows if row.name not in refused])
+        _report_written([row for row in rows if row.name not in refused])
     if arguments.json:
         emit_json(
             {
@@ -96,7 +96,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _show(found: ParameterReading) -> None:
-    """Print the parameters that differ, or that none does."""
+    """Print the parameters that differ, or a message if none does."""
     if found.position_from is not None:
         print_status(f"position from {found.position_from} (--position-from)")
     if not found.rows:
@@ -118,7 +118,7 @@ def _show(found: ParameterReading) -> None:
     print_status(f"restart: by {found.restart_source}")
 
 
-def _say_written(rows: list[ParameterRow]) -> None:
+def _report_written(rows: list[ParameterRow]) -> None:
     later = [row.name for row in rows if row.restart]
     print_status(f"{len(rows)} parameters written and read back")
     if later:
@@ -127,7 +127,7 @@ def _say_written(rows: list[ParameterRow]) -> None:
 
 @contextlib.contextmanager
 def _shown(what: str) -> Iterator[Callable[[int, int], None]]:
-    """Show progress on a terminal."""
+    """Show progress on a terminal within the context; the value is a callback for (done, total)."""
     from rich.progress import Progress  # slow to import
 
     console = messages()

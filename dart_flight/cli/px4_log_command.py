@@ -1,4 +1,4 @@
-"""`dart-flight px4-log FLIGHT`: PX4's own log of a flight, into the flight's folder."""
+"""`dart-flight px4-log FLIGHT`: download PX4's own log of a flight into the flight's folder."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from dart_flight.vehicle.link import LinkLease
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the command."""
+    """Add the arguments of the command."""
     parser.add_argument("flight", metavar="FLIGHT", help="flight log or its folder")
     parser.add_argument(
         "--connection", metavar="URL", help="the vehicle's link (default: that of the flight)"
@@ -33,7 +33,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the command; returns the exit status."""
+    """Run the command and return the exit status."""
     found = logs_in([arguments.flight])
     if len(found) != 1:
         raise InputError(f"{len(found)} flights below this folder, name one", source=arguments.flight)
@@ -59,17 +59,25 @@ def download_px4_log(
     before: Collection[Px4LogEntry] | None = None,
     log_id: int | None = None,
 ) -> Path:
-    """Download PX4's log of a flight, with progress on the terminal; `log_id` is the operator's choice.
+    """Download PX4's log of a flight with progress on the terminal, and return its path.
+
+    Args:
+        url: MAVLink URL of the vehicle, which must be disarmed.
+        timeout_s: timeout of the connection.
+        folder: folder of the flight.
+        armed: times of the flight's arming and of its end, or None if not known.
+        before: logs that existed before the flight, or None if not known.
+        log_id: log that the operator has chosen, or None to ask if several may be the flight's.
 
     Raises:
-        InputError: several logs may be the flight's and there is nobody to ask.
+        InputError: several logs may be the flight's, and there is no terminal or no valid choice.
         FlightError: as `fetch_px4_log`.
     """
     from rich.progress import Progress, TimeRemainingColumn  # slow to import
 
     def choose(found: list[Px4LogEntry]) -> Px4LogEntry:
         bar.stop()
-        chosen = _ask(found) if log_id is None else log_id
+        chosen = _choose_log(found) if log_id is None else log_id
         for entry in found:
             if entry.id == chosen:
                 return entry
@@ -100,8 +108,8 @@ def download_px4_log(
     return path
 
 
-def _ask(found: list[Px4LogEntry]) -> int:
-    """Ask which log is the flight's."""
+def _choose_log(found: list[Px4LogEntry]) -> int:
+    """Ask the operator for the flight's log and return its number, or -1 for an invalid answer."""
     print_status("several logs may be this flight's:", *(f"  {entry.line()}" for entry in found))
     if not sys.stdin.isatty():
         raise InputError("several logs may be this flight's: name its number", key=("--log-id",))

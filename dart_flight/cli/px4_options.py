@@ -1,4 +1,4 @@
-"""Options of `dry-run` that concern a real PX4, and what they mean together."""
+"""Options of `dry-run` and `survey` for a real PX4, and the position source that they select."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from dart_flight.planning.positioning import PLAIN_GPS
 
 
 def add_px4_options(parser: argparse.ArgumentParser, with_hitl: bool = True) -> None:
-    """`--px4` and what goes with it; `--hitl` where a command has it."""
+    """Add `--px4` and its related options, and `--hitl` if `with_hitl`."""
     group = parser.add_argument_group("real PX4 (docs/px4.md)")
     group.add_argument(
         "--px4",
@@ -45,7 +45,7 @@ def add_px4_options(parser: argparse.ArgumentParser, with_hitl: bool = True) -> 
 
 
 def position_source_of(arguments: argparse.Namespace) -> PositionSource:
-    """Where PX4's position comes from in the simulation.
+    """Return the source of PX4's position in the simulation.
 
     Raises:
         InputError: the options do not fit together.
@@ -75,5 +75,5 @@ def position_source_of(arguments: argparse.Namespace) -> PositionSource:
 
 
 def position_warnings(position_from: PositionSource) -> list[str]:
-    """What to say of a source of position before the flight, a line each."""
+    """Return the warnings about a position source before the flight, a line each."""
     return [PLAIN_GPS] if position_from is PositionSource.PLAIN else []

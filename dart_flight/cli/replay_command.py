@@ -1,4 +1,4 @@
-"""`dart-flight replay LOG...`: flights again through the same decisions."""
+"""`dart-flight replay LOG...`: replay recorded flights and compare the decisions."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _PARTS = re.compile(r", (?![^(]*\))")  # not the commas of a vector
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the command."""
+    """Add the arguments of the command."""
     parser.add_argument("logs", nargs="+", metavar="LOG", help="flight.mcap, or a folder of flights")
     parser.add_argument(
         "--set",
@@ -35,9 +35,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the command; returns the exit status: 0 all equal, 1 something differs.
+    """Run the command and return 0 if all decisions are equal, 1 if one differs.
 
-    With --json: one object; of several logs whether all are equal, and an object per log.
+    With --json, print one object. For several logs it contains whether all are equal, and an object per log.
     """
     paths = logs_in(arguments.logs)
     summaries: list[dict[str, Any]] = []
@@ -115,7 +115,7 @@ def _print(name: str, result: Replay) -> None:
 
 
 def _changes(before: str, after: str) -> tuple[str, str]:
-    """Of two forms of a decision the parts that differ; a decision of one side only as it is."""
+    """Return the parts in which two texts of a decision differ; a one-sided decision is unchanged."""
     one, other = _PARTS.split(before), _PARTS.split(after)
     if len(one) != len(other) or "-" in (before, after):
         return before, after

@@ -1,4 +1,4 @@
-"""`dart-flight simulate [MISSION]`: a simulated vehicle alone."""
+"""`dart-flight simulate [MISSION]`: run a standalone simulated vehicle."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ GROUND_STATION_PORT = 14550
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the command."""
+    """Add the arguments of the command."""
     parser.add_argument(
         "mission",
         metavar="MISSION",
@@ -37,12 +37,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the command; returns the exit status."""
+    """Run the command and return the exit status."""
     need_mavlink()
     from dart_flight.sim.standalone import VehiclePortLease, run_vehicle
 
     path = arguments.mission or packaged("missions", "dual_collision.yaml")
-    # Without a mission of its own the vehicle is this folder's, not that of the packaged mission.
+    # Without MISSION, the vehicle is that of the working folder, not that of the packaged mission.
     config = arguments.config or (None if arguments.mission else default_config_path())
     mission = load_mission(path, config, arguments.set)
     console = messages()
@@ -56,7 +56,7 @@ def run(arguments: argparse.Namespace) -> int:
                 held.enter_context(LinkLease(feed_of(GROUND_STATION_PORT), "simulate"))
                 ports.append(GROUND_STATION_PORT)
         except LinkTakenError as error:
-            # A ground station takes two vehicles of one system id for one, too.
+            # A ground station cannot distinguish two vehicles with the same system id.
             console.print(f"nothing goes to UDP {GROUND_STATION_PORT}: {error.message}", soft_wrap=True)
         lock = mission.vehicle.lock
         servo = (

@@ -18,7 +18,7 @@ from dart_flight.run.standby import Standby
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the command."""
+    """Add the arguments of the command."""
     parser.add_argument(
         "missions", metavar="MISSION", nargs="*", help="missions of the buttons Fly 1, Fly 2, ..., in order"
     )
@@ -28,7 +28,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the command until it is stopped; returns the exit status."""
+    """Run the command until it is stopped and return the exit status."""
     flown = [
         with_driver(load_flyable(path, arguments.config), arguments.driver) for path in arguments.missions
     ]
@@ -50,7 +50,7 @@ def run(arguments: argparse.Namespace) -> int:
         if getattr(arguments, option) is not None:
             options.append(f"--{option}={getattr(arguments, option)}")
 
-    def say(kind: str, text: str) -> None:
+    def report(kind: str, text: str) -> None:
         if arguments.json:
             write_output(msgspec.json.encode({"kind": kind, "text": text}).decode() + "\n")
         else:
@@ -58,6 +58,6 @@ def run(arguments: argparse.Namespace) -> int:
 
     missions = [(mission.name, path) for mission, path in zip(flown, arguments.missions, strict=True)]
     for number, (name, _) in enumerate(missions, 1):
-        say("standby", f"Fly {number}: {name}")
-    asyncio.run(Standby(missions, vehicle, url, options, say).run())
+        report("standby", f"Fly {number}: {name}")
+    asyncio.run(Standby(missions, vehicle, url, options, report).run())
     return 0

@@ -1,4 +1,4 @@
-"""`dart-flight survey MISSION`: touch its walls, and write the mission anew with the walls as met."""
+"""`dart-flight survey MISSION`: touch the walls and write the mission with the measured walls."""
 
 from __future__ import annotations
 
@@ -47,11 +47,11 @@ from dart_flight.sim.motion_capture import KINDS
 from dart_flight.vehicle.link import LinkLease
 
 _SPEED_M_S = 0.5
-_DIRECTIONS, _MOST_FLIGHTS = 16, 4  # of probes for an unknown room
+_DIRECTIONS, _MOST_FLIGHTS = 16, 4  # probes per flight and flights for an unknown room
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the command."""
+    """Add the arguments of the command."""
     parser.add_argument("mission", metavar="MISSION", help="mission file, see missions/")
     add_log_dir_option(parser)
     add_driver_option(parser)
@@ -84,7 +84,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the command; returns the exit status."""
+    """Run the command and return the exit status."""
     document = load_document(arguments.mission, FileKind.MISSION)
     mission = with_driver(load_flyable(arguments.mission, arguments.config, arguments.set), arguments.driver)
     if arguments.connection is not None:
@@ -93,7 +93,7 @@ def run(arguments: argparse.Namespace) -> int:
         mission = with_emulated_mocap(arguments, mission)
     output = arguments.output
     for path in (output, arguments.plot):
-        if path is not None and not path.absolute().parent.is_dir():  # said before the flight
+        if path is not None and not path.absolute().parent.is_dir():  # refuse it before the flight
             raise InputError("cannot write: no such folder", source=str(path))
     if not mission.flat_walls:
         return _survey_room(arguments, document.tree, mission)
@@ -127,13 +127,13 @@ def run(arguments: argparse.Namespace) -> int:
     if missed:
         console.print(f"not touched: {', '.join(missed)}", style="red", soft_wrap=True)
     if unfit is not None:
-        says = f"written, but it does not fit its walls as they were met; plan it anew: {unfit}"
-        console.print(says, style="red", soft_wrap=True)
+        text = f"written, but it does not fit its walls as they were met; plan it anew: {unfit}"
+        console.print(text, style="red", soft_wrap=True)
     return exit_status(verdict) or bool(missed or unfit)
 
 
 def _survey_room(arguments: argparse.Namespace, written: Any, mission: Mission) -> int:
-    """Look for the walls of a room that nobody knows, flight by flight, until its outline is closed."""
+    """Search for the walls of an unknown room, flight by flight, until its outline is closed."""
     console = messages()
     say_vehicle(mission.flown_vehicle(), arguments)
     directions = [2.0 * math.pi * k / _DIRECTIONS for k in range(_DIRECTIONS)]
@@ -148,13 +148,15 @@ def _survey_room(arguments: argparse.Namespace, written: Any, mission: Mission) 
         touches += touches_of(verdict.walls, directions)
         room = RoomFit(mission.start, touches, airframe.guard_along_m, airframe.contact_distance_m).fit()
         state = "closed" if room.is_closed else f"open in {len(room.gaps_rad)} directions"
-        says = f"flight {len(flights)}: {len(touches)} contacts, {len(room.walls)} walls, outline {state}"
-        console.print(says, soft_wrap=True)
+        text = f"flight {len(flights)}: {len(touches)} contacts, {len(room.walls)} walls, outline {state}"
+        console.print(text, soft_wrap=True)
         if room.is_closed or exit_status(verdict) or len(flights) == _MOST_FLIGHTS:
             break
         directions = sorted(room.gaps_rad)[:_DIRECTIONS]
-    told = [wall.material for flight in flights for wall in flight.walls if wall.material is not None]
-    material = max(set(told), key=told.count) if told else next(iter(mission.vehicle.materials))
+    materials = [wall.material for flight in flights for wall in flight.walls if wall.material is not None]
+    material = (
+        max(set(materials), key=materials.count) if materials else next(iter(mission.vehicle.materials))
+    )
     walls = room_keys(room, material) if room.is_closed else {}
     if arguments.plot is not None:
         load_entry(ROOM_PICTURE)(mission, room, touches, arguments.plot)
@@ -181,7 +183,7 @@ def _room_table(walls: dict[str, dict[str, Any]]) -> Table:
 
 
 def _fly(arguments: argparse.Namespace, mission: Mission) -> Verdict | None:
-    """Touch the walls in the wanted world, or with the vehicle; None where it is not flown."""
+    """Touch the walls in the selected world or with the vehicle; return None if not flown."""
     console = messages()
     refuse_unflyable(mission)
     if arguments.connection is not None:
@@ -199,10 +201,10 @@ def _fly(arguments: argparse.Namespace, mission: Mission) -> Verdict | None:
 def _write(
     arguments: argparse.Namespace, written: Any, walls: dict[str, MeasuredWall], mission: Mission
 ) -> str | None:
-    """The mission anew: what was written, with the walls as they were met.
+    """Write the mission with the measured walls.
 
     Returns:
-        Why it cannot be flown as it is, in words: a trajectory leads to where a wall is not; None: it can.
+        The reason why the new mission cannot be flown, such as a blocked trajectory, or None if it can.
     """
     path, tree = arguments.output, dict(written)
     tree["walls"] = {**tree.get("walls", {}), **surveyed_walls(mission, walls)}
@@ -223,7 +225,7 @@ def _write(
 
 
 def _coefficient_lines(wall: MeasuredWall) -> Iterator[str]:
-    """What the contacts have told of a wall's coefficients, for `materials` of the vehicle, a line a mode."""
+    """Yield a line per mode with a wall's estimated coefficients, for `materials` of the vehicle."""
     for mode, found in wall.coefficients.items():
         figures = ", ".join(f"{name} {value:.4g} ± {100.0 * sd:.0f} %" for name, (value, sd) in found.items())
         yield f"{wall.name}, {mode}: {figures}"

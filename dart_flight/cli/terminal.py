@@ -122,7 +122,7 @@ def open_closed_streams() -> None:
 
 
 def messages() -> Console:
-    """Console for progress and messages: standard error."""
+    """Return the console for progress and messages: standard error."""
     from rich.console import Console  # slow to import, and `--help` does not need it
 
     return Console(file=_MESSAGES, highlight=False, markup=False, emoji=False)
@@ -136,7 +136,7 @@ def print_status(*lines: object) -> None:
 
 
 def confirm(question: str) -> bool:
-    """Ask a question on the terminal; without one the answer is no."""
+    """Ask a question on the terminal and return the answer; without a terminal it is no."""
     if not sys.stdin.isatty():
         return False
     sys.stderr.write(f"{question} [y/N] ")
@@ -145,10 +145,10 @@ def confirm(question: str) -> bool:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a file, and say so.
+    """Write a file and print its path.
 
     Raises:
-        InputError: it cannot be written.
+        InputError: the file cannot be written.
     """
     with writing(path):
         path.write_text(text, encoding="utf-8", errors=ESCAPED)

@@ -1,4 +1,4 @@
-"""Which vehicle the numbers are for: a line on standard error, before them."""
+"""Line about the vehicle's configuration, printed by commands on standard error before their results."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from dart_flight.config.provenance import VehicleSource, passed_over
 
 
 def say_vehicle(source: VehicleSource | None, arguments: argparse.Namespace, *, flown: bool = False) -> None:
-    """Name the configuration and its mass; where the packaged one is taken and another is at hand, say so.
+    """Print the configuration and its mass, and a note if another configuration was found but not used.
 
     Args:
-        source: what was found; None says nothing.
-        arguments: of the command; where --config names the file nothing was passed over.
-        flown: nor where a log says the vehicle.
+        source: source of the configuration; if None, nothing is printed.
+        arguments: parsed arguments of the command; with --config there is no note.
+        flown: whether the configuration is from a log; there is no note then.
     """
     if source is None:
         return

@@ -1,8 +1,8 @@
-"""What a contact says of its wall, of the arms, and of how it met the body: one fit of the contact law.
+"""Fit of the contact law to a contact, which yields the wall's coefficients and plane, and the arms' mode.
 
-With x the signed distance of the vehicle's centre to the wall's plane, a side's two guards g = 1 (right), -1
-(left) at `guard_along_m` (a) beside its middle, `contact_distance_m` (d) ahead, and i the angle of incidence,
-positive turned left,
+Here x is the signed distance of the vehicle's centre to the wall's plane. The angle of incidence i is
+positive if the vehicle is turned left. A side has two guards, g = 1 (right) and -1 (left). They are
+`guard_along_m` (a) to the side of its middle and `contact_distance_m` (d) ahead of the centre:
 
     x_g = x - g a sin i + d (1 - cos i)        depth of a guard
     F   = sum of max(0, -(k x_g + f dx_g/dt)/2)
@@ -10,14 +10,15 @@ positive turned left,
     M   = a cos(i) (F_1 - F_-1) - d sin(i) F - b d T              torque, positive turns to the right
     m dv/dt = force + push by thrust and drag
 
-i is what attitude and gyro give, less the angle by which the wall stands off the plan. Unknown are k, f and
-mu relative to their prior, that angle, and distance and velocity at the beginning. Both modes are the same
-law with other coefficients, so both are fitted. Levenberg's steps from several angles go to the most probable
-values; all modes, starts, dampings and derivatives are lanes of one array. The evidence is Laplace's:
+The angle i follows from attitude and gyro, minus the angle between the real and the planned wall. Unknown are
+k, f and mu relative to their prior, the angle of the wall, and distance and velocity at the beginning.
+Rigid and flexible arms obey the same law with different coefficients, so both modes are fitted.
+Levenberg-Marquardt steps from several angles lead to the most probable values. All modes, starts, dampings
+and derivatives are lanes of one array. The evidence is Laplace's approximation:
 
     2 ln p(readings) = -(misfit + prior) - ln det(curvature) + ln det(curvature of the prior)
 
-`ContactFitter` answers the core's `ContactRequest`, in a process of its own (`run.planner_process`) or in
+`ContactFitter` answers the core's `ContactRequest`, in its own process (`run.planner_process`) or in
 simulated time (docs/felt.md, docs/torque.md).
 """
 
@@ -48,43 +49,45 @@ from dart_flight.core.sense.contact_recorder import undecided
 
 Array = NDArray[np.float64]
 
-FIT_US: Final = 50_000  # of a fit where time is simulated (docs/felt.md)
-HIT_SCATTER: Final = 0.05  # of k, f, mu and nu from one hit to the next at the same wall, relative
+FIT_US: Final = 50_000  # duration of a fit in simulated time (docs/felt.md)
+HIT_SCATTER: Final = 0.05  # of k, f, mu and nu between contacts with the same wall, relative
 SURE_LOG_ODDS: Final = 5.3  # 200 to 1; at most one mode in a thousand is wrong (docs/felt.md)
-_FEWEST: Final = 4  # readings in contact
+_FEWEST: Final = 4  # readings in contact that a fit needs
 _SLOWEST_M_S: Final = 0.02
 _POSITION_M: Final = 0.01  # deviation of PX4's position against the walls' frame
-_PLACE_M: Final = 0.1  # at least: how far off the plan a wall may stand: loosely held, the force tells
-_WALL_RAD: Final = math.radians(4.0)  # at least: of a planned wall's direction and of the attitude
-_UNPLANNED_RAD: Final = math.radians(15.0)  # of another wall, whose normal is the force's direction
+_PLACE_M: Final = (
+    0.1  # least deviation of a wall's place from the plan; wide, because the force determines it
+)
+_WALL_RAD: Final = math.radians(4.0)  # least deviation of a planned wall's direction and of the attitude
+_UNPLANNED_RAD: Final = math.radians(15.0)  # of an unplanned wall, whose normal is the force's direction
 _UNKNOWN_SPREAD: Final = 0.8  # of the coefficients of a wall of unknown material, relative
-_KNOWN_MATERIAL: Final = 6.0  # sum of three squared deviations: beyond it a wall is of no known material
-_MAX_MISFIT: Final = 2.0  # mean square of the residuals over their errors: beyond it this is no such contact
+_KNOWN_MATERIAL: Final = 6.0  # sum of three squared deviations above which the material is not in the table
+_MAX_MISFIT: Final = 2.0  # mean square of the normalised residuals above which the law does not fit
 _VELOCITY_M_S: Final = 0.04  # deviation of PX4's velocity, at rest and of the speed
 _VELOCITY_SHARE: Final = 0.02
 _VERTICAL_N: Final = 1.0  # deviation of the vertical force's mean over a contact
-_LEVER_SHARE: Final = 0.3  # at which friction is expected to act, in distances to the wall
+_LEVER_SHARE: Final = 0.3  # lever at which friction is expected to act, in distances to the wall
 _LEVER_SD: Final = 0.3
 # Errors of the model, relative to the largest force, to the largest friction, and to the largest torque.
 _MODEL_ERROR: Final = 0.015
 _FRICTION_ERROR: Final = 0.03
-_TORQUE_ERROR: Final = 0.1  # much the same in all ticks
-_SURE_SIGMA: Final = 5.0  # of the sum of the readings: below it they are of no contact
-_MIN_FACTOR: Final = 0.1  # no coefficient is believed to be below this share of its prior
+_TORQUE_ERROR: Final = 0.1  # correlated between ticks
+_SURE_SIGMA: Final = 5.0  # of the sum of the readings: below it there was no contact
+_MIN_FACTOR: Final = 0.1  # lower bound of a coefficient relative to its prior
 _MAX_ANGLE_RAD: Final = 0.6
 # Incidences at which a fit begins.
 _STARTS_RAD = np.radians([-19, -14, -10, -7, -4, -1.5, 0, 1.5, 4, 7, 10, 14, 19])
-_SCREENED: Final = 2  # steps, after which only the best starts go on
+_SCREENED: Final = 2  # steps, after which only the best starts are kept
 _KEPT: Final = 4
 _STEPS: Final = 10
-_SETTLED: Final = 1e-2  # a smaller gain of the cost ends the search
+_SETTLED: Final = 1e-2  # a smaller reduction of the cost ends the search
 _DAMPINGS = np.array([1.0, 10.0, 100.0])  # tried together at every step
 _DIFFERENCE: Final = 1e-5  # of a parameter, for the derivatives
 _SUBSTEPS: Final = 2  # of a tick
-_FINE: Final = 4  # likewise, for the torque's peak
+_FINE: Final = 4  # of a tick, for the torque's peak
 _MAX_TICKS: Final = 36  # more are merged
 _QUADRATIC = np.array([-3.0, 12.0, 17.0, 12.0, -3.0]) / 35.0
-_NEAR_TOP: Final = 0.6  # share of the torque's top from which on a sample tells how large it is
+_NEAR_TOP: Final = 0.6  # share of the torque's top above which samples determine its size
 _SURE_TORQUE: Final = 4.0  # a fitted torque below this many times the noise does not give the peak's shape
 _QUARTER: Final = 0.5 * math.pi
 _K, _F, _X, _V, _D, _MU, _W = range(7)  # k, f, place, velocity, angle, mu, velocity along
@@ -111,13 +114,13 @@ class Ticks(NamedTuple):
 
     Attributes:
         h: length, s.
-        normal, along: mean force along the planned wall's axes, N, as each mode has it (T, M).
+        normal, along: mean force along the planned wall's axes, N, for each mode (T, M).
         up: mean vertical force, N.
         push_normal, push_along: force of thrust and drag, N.
-        turned: angle since the first tick at its middle, rad, positive to the left; `turning`: its rate.
-        torque: about the vertical, N m, positive where it turns the vehicle to the right.
-        samples: how many are in it.
-        bound: at full scale: the true force is larger.
+        turned, turning: angle since the first tick at its middle, rad, positive to the left; its rate, rad/s.
+        torque: torque about the vertical, N m, positive if it turns the vehicle to the right.
+        samples: number of samples in the tick.
+        bound: whether the reading is at full scale, so that the true force is larger.
     """
 
     h: Array
@@ -133,7 +136,7 @@ class Ticks(NamedTuple):
     bound: NDArray[np.bool_]
 
     def merged(self) -> Ticks:
-        """Return neighbours as one where there are many; what is at full scale stays alone."""
+        """Return at most about `_MAX_TICKS` ticks by merging neighbours, except those at full scale."""
         size = -(-len(self.h) // _MAX_TICKS)
         if size == 1:
             return self
@@ -149,15 +152,15 @@ class Ticks(NamedTuple):
 
 
 class Contact(NamedTuple):
-    """A contact as the fit takes it.
+    """Input of the fit.
 
     Attributes:
-        ticks: from a few before the first touch to a little after the last.
-        touched_s: first touch after the first tick's beginning, about.
-        velocity: along the planned wall's axes then, as PX4 has it, m/s.
-        incidence_rad: leading edge against the planned wall then.
-        noise_n, noise_nm: of a reading, and of its torque.
-        place_sd, angle_sd: how well the wall's place (m) and direction (rad) are known beforehand.
+        ticks: readings from a few ticks before the first touch until shortly after the last.
+        touched_s: approximate time of the first touch after the beginning of the first tick.
+        velocity: PX4's velocity at the touch along the planned wall's axes, m/s.
+        incidence_rad: angle between the leading edge and the planned wall at the touch.
+        noise_n, noise_nm: standard deviation of a force reading and of a torque reading.
+        place_sd, angle_sd: prior standard deviation of the wall's place (m) and direction (rad).
     """
 
     ticks: Ticks
@@ -174,10 +177,10 @@ class Hypothesis(NamedTuple):
     """A mode fitted to a contact.
 
     Attributes:
-        evidence: natural logarithm, up to what both modes share.
+        evidence: natural logarithm, up to a constant that both modes share.
         misfit: mean square of the residuals over their errors.
-        belief: of the wall in this mode, after the contact.
-        incidence_rad, incidence_sd: at the first tick.
+        belief: posterior coefficients of the wall in this mode.
+        incidence_rad, incidence_sd: angle of incidence at the first tick and its standard deviation.
         place_m, place_sd: signed distance of the centre to the wall's plane at the first tick's beginning.
         theta: all parameters.
     """
@@ -193,16 +196,16 @@ class Hypothesis(NamedTuple):
 
 
 class ContactFit:
-    """The contact law fitted to a contact's readings, once for each mode.
+    """Fit of the contact law to a contact's readings, once for each mode.
 
     Args:
-        contact: the readings.
+        contact: readings of the contact.
         before: prior of the wall in each mode.
-        vehicle: its body.
-        scatter: of one hit's coefficients, relative.
+        vehicle: configuration with mass and geometry.
+        scatter: relative scatter of the coefficients between contacts.
 
     Raises:
-        ValueError: the readings are those of no contact.
+        ValueError: the force is too small for a contact.
     """
 
     def __init__(
@@ -230,7 +233,7 @@ class ContactFit:
         self._sd[_FACTORS], self._sd[_X], self._sd[_D] = spread, contact.place_sd, contact.angle_sd
 
     def run(self) -> list[Hypothesis]:
-        """Fit every mode; returns the most probable parameters of each."""
+        """Fit every mode and return the most probable parameters of each."""
         modes, starts = len(self.before), 2 * len(_STARTS_RAD)
         mode = np.repeat(np.arange(modes), starts)
         believed = np.tile(np.arange(starts) < len(_STARTS_RAD), modes)
@@ -269,10 +272,10 @@ class ContactFit:
         return found
 
     def _begin(self, lead: Array, believed: NDArray[np.bool_], mode: NDArray[np.intp]) -> Array:
-        """Return parameters with the wall turned to be met at the incidence `lead`.
+        """Return start parameters with the wall turned to an angle of incidence `lead`.
 
-        The first half of the starts has k as believed, the other that of the peak force, v (k m)^0.5 for a
-        point.
+        The starts flagged in `believed` use the prior of k. The others derive k from the peak force, which is
+        v (k m)^0.5 for a point mass.
         """
         c, (vn, vt), before = self.contact, self.contact.velocity, np.array(self.before)[mode].T
         angle = c.incidence_rad - lead
@@ -284,7 +287,7 @@ class ContactFit:
         return np.stack([k / before[0], one, place, normal, angle, one, along])
 
     def _linearized(self, theta: Array, mode: NDArray[np.intp]) -> tuple[Array, Array, Array]:
-        """Cost (L, D), Jacobian (7, R, L, D) and residuals (R, L, D) at parameters (7, L, D)."""
+        """Return cost (L, D), Jacobian (7, R, L, D) and residuals (R, L, D) at parameters (7, L, D)."""
         shifts = np.concatenate([np.zeros((7, 1)), _DIFFERENCE * np.eye(7)], axis=1)
         shifted = theta[..., None] + shifts[:, None, None, :]
         lanes = np.broadcast_to(mode[:, None, None], shifted.shape[1:])
@@ -295,17 +298,17 @@ class ContactFit:
         return cost, jacobian, at
 
     def _residuals(self, theta: Array, mode: NDArray[np.intp]) -> Array:
-        """Readings less model, then the parameters less their prior; over errors."""
+        """Return readings minus model, then parameters minus prior, each divided by its error."""
         t, c = self._ticks, self.contact
         co, so = np.cos(theta[_D]), np.sin(theta[_D])
         force, along, torque = (part.mean(axis=1) for part in self.forces(t, theta, mode, _SUBSTEPS))
-        # The readings along the wall as it stands.
+        # Rotate the readings to the axes of the real wall.
         read_n, read_t = _turned(t.normal[:, mode], t.along[:, mode], co, so)
         bound = t.bound[:, None]
         off = np.where(bound & (read_n <= force), 0.0, read_n - force)
         turning = np.where(bound, 0.0, t.torque[:, None] - torque)
         parts = [w[:, mode] * r for w, r in zip(self._weights, (off, read_t - along, turning), strict=True)]
-        # The measured velocity turns with the wall.
+        # Rotate the measured velocity to the same axes.
         (vn, vt), one = c.velocity, np.ones_like(co)
         normal, sliding = _turned(vn, vt, co, so)
         means = np.stack([one, one, -vn * c.touched_s * one, normal, 0.0 * one, one, sliding])
@@ -314,16 +317,16 @@ class ContactFit:
     def forces(
         self, t: Ticks, theta: Array, mode: NDArray[np.intp], substeps: int
     ) -> tuple[Array, Array, Array]:
-        """Integrate the motion by leapfrog steps; the damping of the kick is implicit.
+        """Integrate the motion by leapfrog steps with implicit damping.
 
         Args:
-            t: ticks.
+            t: ticks to integrate over.
             theta: parameters of the lanes (7, L).
-            mode: their modes (L,).
-            substeps: of a tick (S).
+            mode: modes of the lanes (L,).
+            substeps: number of steps per tick (S).
 
         Returns:
-            Normal force, friction and torque, (T, S, L).
+            Normal force, N, friction, N, and torque, N m, (T, S, L).
         """
         m, a, out, touch = self._mass, self._along, self._out, Onset(self._vehicle.onset) is Onset.TOUCH
         before = np.array(self.before)[mode].T
@@ -333,7 +336,7 @@ class ContactFit:
         push, drive = _turned(t.push_normal[:, None], t.push_along[:, None], co, so)
         i = self.contact.incidence_rad - theta[_D] + t.turned[:, None]
         si, ci, turning = np.sin(i), np.cos(i), t.turning[:, None]
-        # Depth and speed of either guard beside the centre's; the right one first.
+        # Depth and speed of each guard relative to the centre; the right guard is first.
         sides = np.array([-1.0, 1.0])[:, None]
         depth = (out * (1.0 - ci))[:, None] + sides * (a * si)[:, None]
         own = k * depth + f * ((out * si)[:, None] + sides * (a * ci)[:, None]) * turning[:, None]
@@ -373,12 +376,12 @@ class ContactFit:
         t, b, sd = self._ticks, self.before[m], self._sd[:, m]
         misfit = cost / (3 * len(t.h))
         curvature = jacobian @ jacobian.T
-        # Where the model is off by more than it should be, the readings say less.
+        # If the residuals exceed the noise model, widen the posterior by the same factor.
         spread = np.minimum(max(1.0, misfit) * np.diag(np.linalg.inv(curvature)), sd * sd)
         evidence = -0.5 * (cost + np.linalg.slogdet(curvature)[1]) - np.log(sd).sum()
         force = self.forces(t, theta[:, None], np.array([m]), _SUBSTEPS)[0].mean(axis=1)[:, 0]
         (k, k_sd), (f, f_sd), (mu, mu_sd) = (
-            self._of_wall(theta[p], spread[p], before) for p, before in zip(_FACTORS, b[4:7], strict=True)
+            self._wall_factor(theta[p], spread[p], before) for p, before in zip(_FACTORS, b[4:7], strict=True)
         )
         nu, nu_sd, seen = self._vertical(b, force)
         belief = Belief(b.k * k, b.f * f, b.mu * mu, b.nu * nu, k_sd, f_sd, mu_sd, nu_sd)
@@ -386,11 +389,12 @@ class ContactFit:
         at = (float(incidence), math.sqrt(spread[_D]), float(theta[_X]), math.sqrt(spread[_X]))
         return Hypothesis(float(evidence + seen), misfit, belief, *at, theta)
 
-    def _of_wall(self, factor: float, variance: float, before_sd: float) -> tuple[float, float]:
-        """Return factor and relative deviation of the wall itself, from those of one hit.
+    def _wall_factor(self, factor: float, variance: float, before_sd: float) -> tuple[float, float]:
+        """Return factor and relative deviation of the wall, from those of one contact.
 
-        A hit's coefficient is the wall's times its own scatter; with s2 both variances before the hit,
-        G = sd2/s2, the wall's variance is sd2 - G2 (s2 - variance).
+        A contact's coefficient is the wall's coefficient times a scatter. With sd2 the wall's prior variance,
+        s2 the sum with the scatter's variance and G = sd2/s2, the wall's posterior variance is
+        sd2 - G^2 (s2 - variance).
         """
         wall2 = before_sd * before_sd
         hit2 = wall2 + (self._scatter * factor) ** 2
@@ -400,7 +404,7 @@ class ContactFit:
         return float(mean), math.sqrt(after) / float(mean)
 
     def _vertical(self, b: Belief, force: Array) -> tuple[float, float, float]:
-        """Factor, deviation and evidence by the vertical force, nu F/(1 + F) on the mean over the contact."""
+        """Return factor, deviation and evidence of nu from the mean vertical force, nu F/(1 + F)."""
         t, touching = self._ticks, force > 0.0
         time_s = float(t.h[touching].sum())
         if time_s <= 0.0 or b.nu <= 0.0:
@@ -411,15 +415,15 @@ class ContactFit:
         variance = _VERTICAL_N**2 + prior2 * slope * slope
         off = float((t.h * t.up)[touching].sum()) / time_s - slope
         factor = 1.0 + prior2 * slope / variance * off
-        nu, nu_sd = self._of_wall(factor, prior2 - prior2 * prior2 * slope * slope / variance, b.nu_sd)
+        nu, nu_sd = self._wall_factor(factor, prior2 - prior2 * prior2 * slope * slope / variance, b.nu_sd)
         return nu, nu_sd, -0.5 * (off * off / variance + math.log(variance))
 
 
 class ContactFitter:
-    """Fits the contacts of one flight; what a contact has taught is the prior of the next.
+    """Fitter of the contacts of one flight; the posterior of a contact is the prior of the next.
 
     Args:
-        vehicle: its body, and what is believed of the materials.
+        vehicle: configuration with geometry and materials.
     """
 
     def __init__(self, vehicle: VehicleConfig) -> None:
@@ -427,33 +431,33 @@ class ContactFitter:
         self._beliefs: dict[tuple[str, Mode], Belief] = {}
 
     def answer(self, request: ContactRequest, received_us: int) -> ContactAnswer:
-        """Return what a contact says; its `problem` says why it says nothing.
+        """Return the fit of a contact, or an answer with a `problem` if the fit fails.
 
-        A fault of the fit is a problem like any other: it must not be the flight's.
+        An exception of the fit also becomes a `problem`, so that it does not end the flight.
         """
         answer = ContactAnswer(received_us, request.number)
         try:
             with np.errstate(all="ignore"):
-                body, wall = self._judge(request)
+                body, wall = self._estimate(request)
         except Exception as error:
             return msgspec.structs.replace(answer, problem=f"contact not fitted: {error}")
         return msgspec.structs.replace(answer, body=body, wall=wall)
 
-    def _judge(self, request: ContactRequest) -> tuple[ImpactBody, WallEstimate | None]:
+    def _estimate(self, request: ContactRequest) -> tuple[ImpactBody, WallEstimate | None]:
         modes, reported = self._vehicle.modes, request.mode_reported
         fit, begin_us = self._fit(request)
         fits = fit.run()
         if not all(math.isfinite(h.evidence) for h in fits):
             raise ValueError("no solution")
         odds, felt = 0.0, None
-        if len(fits) == len(Mode):  # else there is nothing to tell apart
+        if len(fits) == len(Mode):  # otherwise the vehicle has only one mode
             misfit = min(h.misfit for h in fits)
             odds = (fits[0].evidence - fits[1].evidence) / max(1.0, misfit)
             if abs(odds) >= SURE_LOG_ODDS and misfit <= _MAX_MISFIT:
                 felt = Mode.RIGID if odds > 0.0 else Mode.FLEXIBLE
         likely = Mode.RIGID if odds > 0.0 else modes[-1]
-        told = felt or reported or likely
-        index = modes.index(told)
+        mode = felt or reported or likely
+        index = modes.index(mode)
         found, onset, wall = fits[index], request.onset, request.wall
         lead = 2.0 * self._vehicle.airframe.guard_along_m * math.sin(found.incidence_rad)
         top = _torque_peak(request, fit, found, index)
@@ -470,9 +474,9 @@ class ContactFitter:
         )
         if wall is None:
             return body, None
-        # Else the readings speak against the mode that the lock reports, though not loudly enough.
-        if told is likely:
-            self._beliefs[wall.name, told] = found.belief
+        # Otherwise the readings weakly contradict the mode that the lock reports.
+        if mode is likely:
+            self._beliefs[wall.name, mode] = found.belief
         c = fit.contact
         back_s = (onset.t_us - begin_us) * 1e-6
         there = wall.signed_distance(onset.position_mission) - c.velocity[0] * back_s
@@ -489,13 +493,13 @@ class ContactFitter:
             plane_point_mission=(x - back_s * vx - away * normal[0], y - back_s * vy - away * normal[1]),
             plane_normal_mission=normal,
             plane_normal_sigma_rad=found.incidence_sd,
-            material=None if wall.material_known else self._likely_material(found.belief, told),
+            material=None if wall.material_known else self._likely_material(found.belief, mode),
             **dict(zip(_ESTIMATED, found.belief, strict=True)),
         )
         return body, estimate
 
     def _fit(self, request: ContactRequest) -> tuple[ContactFit, int]:
-        """Return the fit of a request's samples, and the time at which the first tick begins.
+        """Return the fit of a request's samples, and the stamp at which the first tick begins, microseconds.
 
         Raises:
             ValueError: the readings are too few, or the vehicle did not fly at the wall.
@@ -526,7 +530,7 @@ class ContactFitter:
         return ContactFit(contact, before, self._vehicle), begin_us
 
     def _ticks(self, request: ContactRequest) -> Ticks:
-        """Return the readings, with the arms' swinging taken out where they swing."""
+        """Return the readings, for each mode with the arms' vibration that belongs to it removed."""
         arms, mass = self._vehicle.estimation.arm_vibration, self._vehicle.airframe.mass_kg
         tick_s, (nx, ny) = self._vehicle.imu.tick_s, request.normal
         t_us, force = np.array(request.sample_us), np.array(request.force_mission)
@@ -582,11 +586,11 @@ class ContactFitter:
 
 
 def _torque_peak(request: ContactRequest, fit: ContactFit, found: Hypothesis, mode: int) -> Array:
-    """Return the largest torque, FRD.
+    """Return the largest torque, N m, FRD.
 
-    The largest of noisy samples is biased, and a tick's mean cuts the top off where the second point meets
-    the wall. So the model gives the shape about the vertical, the samples near its top say how large it is,
-    and what they have beside it is smoothed.
+    The largest of noisy samples is biased, and the mean over a tick lowers the top when the second guard
+    touches the wall. The model therefore gives the shape of the torque about the vertical. The samples near
+    its top give its size, and the remaining torque is smoothed.
     """
     torque, down = np.array(request.torque_frd), _down(request.q_frd_to_ned)
     model = fit.forces(fit.contact.ticks, found.theta[:, None], np.array([mode]), _FINE)[2][:, :, 0]
@@ -606,30 +610,30 @@ def _torque_peak(request: ContactRequest, fit: ContactFit, found: Hypothesis, mo
 
 
 def seen_incidence(frame_heading_rad: float, q: Quaternion, normal: Vec2) -> float:
-    """Return the angle of incidence of the edge nearest to a wall, by attitude and the wall's normal."""
+    """Return the angle of incidence of the edge nearest to a wall, rad, from attitude and normal."""
     seen = wrap_angle(frame_heading_rad - yaw_ned_of(q) - math.atan2(-normal[1], -normal[0]))
     return seen - _QUARTER * round(seen / _QUARTER)
 
 
 def middle_of(coefficients: Iterable[Coefficients]) -> Coefficients:
-    """Return the geometric mean over the materials: what is expected of a wall that is in no plan."""
+    """Return the geometric mean over the materials, the prior of an unplanned wall."""
     every = np.array([[c.k, c.f, c.mu, c.nu] for c in coefficients])
     return Coefficients(*np.exp(np.log(np.maximum(every, 1e-6)).mean(axis=0)).tolist())
 
 
 def _down(q: Sequence[Quaternion]) -> Array:
-    """Return the unit vector down in body axes, for quaternions (T, 4)."""
+    """Return the downward unit vectors in body axes, for quaternions (T, 4)."""
     w, x, y, z = np.array(q).T
     return np.stack([2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)], axis=1)
 
 
 def _turned(normal: Array | float, along: Array | float, co: Array, so: Array) -> tuple[Array, Array]:
-    """Return components along normal and tangent of a wall that is turned counter-clockwise."""
+    """Return the components along normal and tangent of a wall that is rotated counter-clockwise."""
     return normal * co - along * so, along * co + normal * so
 
 
 def _moved(theta: Array, step: Array) -> Array:
-    """Return the parameters a step further, within what can be: a factor at most halves or doubles."""
+    """Return the parameters after a step, within bounds: a factor at most halves or doubles."""
     moved = theta + step
     old = theta[_FACTORS]
     moved[_FACTORS] = np.clip(moved[_FACTORS], np.maximum(0.5 * old, _MIN_FACTOR), 2.0 * old)

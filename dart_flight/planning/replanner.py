@@ -1,18 +1,19 @@
-"""Planning again in flight: from the measured state after a contact on, with what was felt.
+"""Replanning in flight, from the measured state after a contact and with the estimates of the walls.
 
-The same contact stages and constraints as `plan` (`contact_stage`, `constraints`); what is chosen is not a
-setpoint but a trajectory: a polynomial of fifth order per axis from the state that the vehicle will have
-when the answer is there to the next wall at the planned velocity, or to rest at the goal. Of all durations
-and places along the wall those that may be flown are kept, and of these the quickest, gentlest and nearest to
-the planned place. Where the mission has a trajectory of its own from there (`trajectory`, `goal_trajectory`),
-that comes first, with a polynomial added that leads from the real state to it (`planning.rejoining`).
+The replanner uses the contact stages and constraints of `plan` (`contact_stage`, `constraints`). It chooses a
+trajectory: one fifth-order polynomial per axis. The trajectory begins in the state that the vehicle will have
+when the answer arrives. It ends at the next wall with the planned velocity, or at rest at the goal. The
+replanner tries durations and places along the wall and discards the trajectories that violate a constraint.
+It prefers trajectories that are quick, gentle and near the planned place. A mission may have a trajectory of
+its own (`trajectory`, `goal_trajectory`). The replanner then first tries to lead the vehicle back to it with
+an added polynomial (`planning.rejoining`).
 
-What contacts have taught of a wall (`WallEstimate`) stands in the place of the configuration's coefficients,
-and where its plane was seen in that of the mission's. Beside that there is no state between requests: an
-answer follows from the log. A collision with an approach of its own, flown from rest, keeps its approach,
-slower where the hit would be too hard by what was felt.
+A `WallEstimate` replaces the wall's configured coefficients and its planned plane. No other state is kept
+between requests, so an answer follows from the log. A collision that is approached from rest keeps its
+approach, at a lower speed if the estimated impact would be too hard.
 
-It runs outside of the core's step: in a process of its own (`run.planner_process`), or in simulated time.
+The replanner runs outside of the core's step: in its own process (`run.planner_process`), or in simulated
+time (`run.fast`).
 """
 
 from __future__ import annotations
@@ -47,30 +48,30 @@ from dart_flight.planning.task import MissionTask, drag_along
 
 _DURATIONS_S = np.arange(0.3, 4.01, 0.05)
 _ALONG_M = np.arange(-0.8, 0.81, 0.05)  # places along the wall, about the planned one
-_SPEED_SHARES = (1.0, 0.9, 0.8, 0.65, 0.5)  # of the planned velocity, where that cannot be reached
-# At constant velocity before the plane, so that the attitude has caught up; less where there is no room.
+_SPEED_SHARES = (1.0, 0.9, 0.8, 0.65, 0.5)  # of the planned velocity, tried in this order
+# Flight at constant velocity before the plane, so that the attitude settles; shorter if space is limited.
 _STRAIGHT_S = (0.3, 0.1)
 _SAMPLES = 24  # of a trajectory, for the constraints
 _LAST = 3  # of a trajectory's samples
-_PUSH_SAMPLES = 12  # for acceleration and jerk, which come first
-# Of PX4's tilt limit; the rest is for wind, errors and what the loop adds.
+_PUSH_SAMPLES = 12  # for acceleration and jerk, which are checked first
+# Of PX4's tilt limit; the rest is for wind, errors and the position loop's corrections.
 _TILT_SHARE = 0.6
 _JERK_M_S3 = 25.0  # about 150 degrees of tilt a second: the attitude loop follows
-_GENTLE_S = 0.5  # that a trajectory may last longer where it needs all of the tilt instead of none
-_GENTLE_REJOINING_S = 0.05  # likewise, back to a trajectory that is within limits as it is
-_LEADING_BACK = 1.25  # of the limit, which the trajectory that it leads back to uses up already
-_AS_FAST = 1.01  # planned speed over flown
-# What turns a vehicle that hits (docs/results/faster_hits.md): a lean off the wall, of which a plan for rigid
-# arms has more than the hit bears, and a lean into it that comes so late that the lag takes it away.
-_TAKEN_BACK = 0.5  # of the thrust off a rigid wall that a plan ends with; the lag takes the rest
-_LEANS_IN_M_S3 = 8.0  # into a wall at the end, before another trajectory is better
+_GENTLE_S = 0.5  # cost of using the whole tilt limit, in seconds of flight
+_GENTLE_REJOINING_S = 0.05  # the same for rejoining, where the joined trajectory is within limits
+_REJOINING_ALLOWANCE = 1.25  # of the limit, which the planned trajectory may already use up
+_SPEED_TOLERANCE = 1.01  # planned speed over flown
+# Two errors turn the vehicle in a contact (docs/results/faster_hits.md): too much lean off the wall, in plans
+# for rigid arms, and a lean into the wall that begins so late that the lag removes it.
+_THRUST_OFF_SHARE = 0.5  # of the plan's final thrust off a rigid wall; the lag removes the rest
+_LEANS_IN_M_S3 = 8.0  # jerk into the wall at the end above which another trajectory is preferred
 _LEANS_IN_STEP_M_S3 = 5.0
-_PRESSED_IN_M = 0.15  # at most: the arms at the end of a contact, and what a wall's place is off by
-_BESIDE_S = 1.0  # ... where another meets the wall as far from the planned place as the mission tolerates
+_COMPRESSED_M = 0.15  # greatest depth from compressed arms and the error of a wall's place
+_OFF_PLACE_S = 1.0  # cost of a contact as far from the planned place as the mission tolerates
 
 
 class _EndStates(NamedTuple):
-    """Where they may end; arrays (n,): position, velocity, duration of the polynomials, cost beside time."""
+    """End states of polynomials, arrays (n,): position, velocity, duration, cost added to the duration."""
 
     x: Array
     y: Array
@@ -81,10 +82,10 @@ class _EndStates(NamedTuple):
 
 
 class Replanner:
-    """One flight's planner.
+    """Planner of one flight.
 
     Args:
-        mission: what is flown.
+        mission: the mission that is flown.
     """
 
     def __init__(self, mission: Mission) -> None:
@@ -104,12 +105,12 @@ class Replanner:
         )
         self._constraints = Constraints(self._task, posts=mission.posts)
         loop = PositionLoop.of(mission.vehicle.px4)
-        self._felt: dict[tuple[str, Mode], Coefficients] = {}
+        self._coefficients: dict[tuple[str, Mode], Coefficients] = {}
         drift_m_s = mission.vehicle.estimation.position_drift_m_s
         self._anchors = FrameAnchors(drift_m_s) if mission.is_anchored else None
         self._survey = EstimatedWalls(self._anchors)
-        # By collision that it leads to; None: to the goal.
-        self._written: dict[int | None, Trajectory] = {
+        # By the collision that the trajectory leads to; None: to the goal.
+        self._trajectories: dict[int | None, Trajectory] = {
             led_to: Trajectory.from_mission(pieces, mission.altitude_at(len(mission.collisions)))
             for led_to, pieces in (
                 *((c.index, c.trajectory) for c in mission.collisions),
@@ -120,31 +121,30 @@ class Replanner:
         self._matrices = [loop_matrix(loop, b) for b in mission.vehicle.airframe.drag_per_s[:2]]
         tilt = math.radians(mission.vehicle.px4.mpc_tiltmax_air)
         self._most_m_s2 = _TILT_SHARE * GRAVITY_M_S2 * math.tan(tilt)
-        # What is planned anew keeps to the mission's limits; what only leads back to the mission's own
-        # trajectory, which uses all of them already, may need more.
+        # A new trajectory keeps to the mission's limits; rejoining the mission's trajectory may need more.
         limits = mission.limits
         self._planned_m_s2 = min(self._most_m_s2, limits.acceleration_m_s2 or math.inf)
         self._planned_m_s3 = min(_JERK_M_S3, limits.jerk_m_s3 or math.inf)
 
     def update_wall(self, felt: WallEstimate) -> None:
-        """Take what a contact has taught; what it cannot tell of which mode is left alone."""
+        """Store a wall estimate; its coefficients count only if mode and fit are valid."""
         self._survey.add_estimate(felt, self._walls[felt.wall])
         mode = felt.mode_felt or felt.mode_reported
         if mode is not None and not felt.problem:
-            self._felt[felt.wall, mode] = Coefficients(
+            self._coefficients[felt.wall, mode] = Coefficients(
                 felt.k_n_per_m, felt.f_ns_per_m, felt.mu_s_per_m, felt.nu_n
             )
 
     def move_frame(self, anchor: FrameAnchor) -> None:
-        """A contact has put the mission frame right: walls that were felt in the one before stay there."""
+        """Move the estimated walls into the mission frame that a contact has corrected."""
         self._survey.move_frame(anchor.moved_mission)
         if self._anchors is not None:
             self._anchors.follow(anchor)
 
     def answer(self, request: PlanRequest, received_us: int) -> PlanAnswer:
-        """The trajectory from a request's state on; its `problem` says where there is none.
+        """Return the trajectory from a request's state, or an answer with a `problem` if there is none.
 
-        A fault of the planner is a problem like any other: it must not be the flight's.
+        An exception of the planner also becomes a `problem`, so that it does not end the flight.
         """
         found = PlanAnswer(received_us, request.number, request.begin_us, collision=request.collision)
         try:
@@ -157,12 +157,12 @@ class Replanner:
             to_goal = self._rejoined(found, request, None)
             if to_goal is None and request.under_way:
                 return _no_plan(found, "no way back to the mission's trajectory")
-            to_goal = to_goal or self._best(found, request, self._to_goal(), None)
+            to_goal = to_goal or self._choose(found, request, self._to_goal(), None)
             return to_goal or _no_plan(found, "no trajectory to the goal within the limits")
         collision = self._mission.collisions[request.collision - 1]
         if request.lock_ready_us is None:
             return _no_plan(found, "lock fault")
-        velocity = self._wanted(collision)
+        velocity = self._planned_velocity(collision)
         if velocity is None:
             return _no_plan(found, f"no velocity is planned for wall {collision.wall.name}")
         if collision.approach_m_s is not None:
@@ -178,7 +178,7 @@ class Replanner:
             wanted = (share * velocity[0], share * velocity[1])
             straight_s -= slacks * slack / wanted[0]
             ends = self._to_wall(request, collision, wanted, straight_s)
-            best = self._best(found, request, ends, collision)
+            best = self._choose(found, request, ends, collision)
             if best is not None:
                 return self._with_hit(best, collision, wanted, straight_s)
         return _no_plan(found, f"no trajectory to wall {collision.wall.name} within the limits")
@@ -186,13 +186,13 @@ class Replanner:
     def _rejoined(
         self, answer: PlanAnswer, request: PlanRequest, collision: Collision | None
     ) -> PlanAnswer | None:
-        """Along the mission's own trajectory; None where there is none, or none from here within limits."""
-        written = self._written.get(request.collision)
+        """Return the answer that rejoins the mission's own trajectory, or None if that is not possible."""
+        written = self._trajectories.get(request.collision)
         if written is None:
             return None
         wall, moved, pushed, settled_s = None, (0.0, 0.0), (0.0, 0.0), 0.0
         if collision is not None:
-            # Where the attitude follows a trajectory to its end, that end is the plan's; else lag softens it.
+            # With a configured attitude delay the attitude follows the plan to its end; otherwise it lags.
             follows = bool(self._mission.vehicle.flying.attitude_delay_s)
             settled_s = SETTLED_S if follows else 0.0
             wall = self._survey.wall_now(collision.wall, request.t_us)
@@ -202,8 +202,8 @@ class Replanner:
             out_m = self._mission.vehicle.airframe.contact_distance_m
             push_m_s2 = balancing_m_s2(request.contact_height_m, out_m)
             if collision.mode is Mode.RIGID:
-                taken_back = 1.0 if follows else _TAKEN_BACK
-                push_m_s2 -= taken_back * max(0.0, self._thrust_off(wall, written))
+                removed_share = 1.0 if follows else _THRUST_OFF_SHARE
+                push_m_s2 -= removed_share * max(0.0, self._thrust_off(wall, written))
             pushed = (push_m_s2 * wall.normal[0], push_m_s2 * wall.normal[1])
         rejoining = rejoin(written, self._start(request), moved, pushed, settled_s)
         if collision is not None:
@@ -213,9 +213,9 @@ class Replanner:
         push = np.hypot(rejoining.acceleration[0], rejoining.acceleration[1]).max(axis=1, initial=0.0)
         jerk = np.hypot(rejoining.jerk[0], rejoining.jerk[1]).max(axis=1, initial=0.0)
         fine = (push <= self._most_m_s2) & (jerk <= _JERK_M_S3)
-        # Within the mission's limit of acceleration, with what leading back needs beside it, where that can
-        # be. Jerk is the attitude loop's: held to the mission's, a leg is up to a tenth slower than planned.
-        over = push > _LEADING_BACK * self._planned_m_s2
+        # Prefer the mission's limit of acceleration plus an allowance. Jerk has only the attitude loop's
+        # limit, because the mission's limit would make a leg up to a tenth slower than planned.
+        over = push > _REJOINING_ALLOWANCE * self._planned_m_s2
         rejoining, over = rejoining.take(np.flatnonzero(fine)), over[fine]
         push = push[fine] / self._most_m_s2
         if rejoining.duration_s.size:
@@ -225,9 +225,9 @@ class Replanner:
             walls = self._obstacles(self._start(request), request.t_us)
             clear = self._constraints.path(window, until, wall, begins=True, walls=walls) == 0
             rejoining, push, over = rejoining.take(np.flatnonzero(clear)), push[clear], over[clear]
-        # A wall is met as fast as planned where that can be: sooner and slower is another hit.
-        slow = (rejoining.slower > _AS_FAST) & (collision is not None)
-        if request.under_way:  # what is flown already does, or could not either
+        # Prefer the planned impact speed: a slower impact is a different one.
+        slow = (rejoining.slower > _SPEED_TOLERANCE) & (collision is not None)
+        if request.under_way:  # a slower one does not improve on the trajectory in progress
             rejoining, push = rejoining.take(np.flatnonzero(~slow)), push[~slow]
             over, slow = over[~slow], slow[~slow]
         if wall is not None:
@@ -250,13 +250,13 @@ class Replanner:
         return None
 
     def _thrust_off(self, wall: Wall, written: Trajectory) -> float:
-        """The thrust off a wall that the mission's trajectory to it ends with, m/s2."""
+        """Return the thrust off a wall at the end of the mission's trajectory to it, m/s2."""
         end = written.at(written.duration_s)
         drag_n, _ = drag_along(wall, self._mission.vehicle.airframe.drag_per_s)
         return wall.to_collision(end.acceleration)[0] + drag_n * wall.to_collision(end.velocity)[0]
 
     def _from_rest(self, answer: PlanAnswer, collision: Collision, velocity: Vec2) -> PlanAnswer:
-        """The approach of a collision that has one, as fast as the hit may be."""
+        """Return an answer for an approach from rest, at the highest speed that the limits allow."""
         hit = answer
         for share in _SPEED_SHARES:
             hit = self._with_hit(answer, collision, (share * velocity[0], share * velocity[1]), 0.0)
@@ -264,10 +264,10 @@ class Replanner:
                 return msgspec.structs.replace(hit, impact_s=None)
         return hit
 
-    # -- where trajectories may end --
+    # -- end states --
 
-    def _wanted(self, collision: Collision) -> Vec2 | None:
-        """(normal, tangential) velocity that the mission has planned for an impact."""
+    def _planned_velocity(self, collision: Collision) -> Vec2 | None:
+        """Return the planned (normal, tangential) velocity of an impact, m/s, or None if none is planned."""
         hit = self._planned.get(collision.index)
         if collision.predicted is None and hit is not None:
             return (hit.normal_m_s, hit.tangential_m_s)
@@ -276,7 +276,7 @@ class Replanner:
     def _to_wall(
         self, request: PlanRequest, collision: Collision, velocity: Vec2, straight_s: float
     ) -> _EndStates:
-        """Ends from which it is `straight_s` to the wall, at a velocity in its collision frame."""
+        """Return end states `straight_s` before the wall, at a velocity in its collision frame."""
         wall = self._survey.wall_now(collision.wall, request.t_us)
         vx, vy, _ = wall.from_collision((*velocity, 0.0))
         place = wall.foot(impact_place(collision, self._planned))
@@ -291,7 +291,7 @@ class Replanner:
         fine = on_wall & (impact_s >= ready_s + SETTLED_BEFORE_S)
         goal = self._mission.goal.position_m
         rest_s = np.hypot(x - goal[0], y - goal[1]) / self._mission.vehicle.flying.transit_speed_m_s
-        rest_s += _BESIDE_S * (along / self._mission.tolerance.place_m) ** 2
+        rest_s += _OFF_PLACE_S * (along / self._mission.tolerance.place_m) ** 2
         one = np.ones(int(fine.sum()))
         return _EndStates(x[fine], y[fine], vx * one, vy * one, duration[fine], rest_s[fine])
 
@@ -302,16 +302,16 @@ class Replanner:
     # -- trajectories --
 
     def _start(self, request: PlanRequest) -> tuple[Array, Array]:
-        """Position, velocity, acceleration per axis when it begins: the loop flies on until then."""
+        """Return position, velocity and acceleration per axis when the trajectory begins."""
         ahead_s = (request.begin_us - request.t_us) * 1e-6
         vectors = (request.position_mission, request.velocity_mission, request.acceleration_mission)
         place, speed, push = (np.array(vector[:2]) for vector in vectors)
-        if request.under_way:  # its reference changes little in so short a time
+        if request.under_way:  # the reference changes little in this time
             states = np.stack(
                 [place + ahead_s * (speed + 0.5 * ahead_s * push), speed + ahead_s * push, push]
             )
             return states[:, 0], states[:, 1]
-        if request.coasts:  # how a contact has tilted the vehicle is righted at once
+        if request.coasts:  # the vehicle levels at once after a contact
             lag, left = ATTITUDE_LAG_S, math.exp(-ahead_s / ATTITUDE_LAG_S)
             gained = lag * (1.0 - left) * push
             flown = ahead_s * speed + lag * (ahead_s * push - gained)
@@ -333,14 +333,14 @@ class Replanner:
             axes.append(np.array([state[0] + to, state[1], state[2] - drag * state[1]]))
         return axes[0], axes[1]
 
-    def _best(
+    def _choose(
         self, answer: PlanAnswer, request: PlanRequest, ends: _EndStates, collision: Collision | None
     ) -> PlanAnswer | None:
-        """The answer with the best trajectory to one of the ends; None where none may be flown."""
+        """Return the answer with the best trajectory to one of the ends, or None if none is allowed."""
         start = self._start(request)
         x = quintic(start[0], (ends.x, ends.vx, 0.0), ends.duration_s)
         y = quintic(start[1], (ends.y, ends.vy, 0.0), ends.duration_s)
-        rows, push = self._flyable(x, y, ends.duration_s)
+        rows, push = self._within_limits(x, y, ends.duration_s)
         wall = None if collision is None else collision.wall
         obstacles = self._obstacles(start, request.t_us)
         rows = rows[self._stays_clear(x[:, rows], y[:, rows], ends.duration_s[rows], wall, obstacles)]
@@ -355,8 +355,8 @@ class Replanner:
             y_mission=tuple(map(float, y[:, best])),
         )
 
-    def _flyable(self, x: Array, y: Array, duration_s: Array) -> tuple[Rows, Array]:
-        """Which trajectories the vehicle can follow, and the most that each asks of what tilt is allowed."""
+    def _within_limits(self, x: Array, y: Array, duration_s: Array) -> tuple[Rows, Array]:
+        """Return the rows of the trajectories within the limits, and the greatest tilt share of each."""
         times = duration_s[:, None] * np.linspace(0.0, 1.0, _PUSH_SAMPLES)
         push = np.hypot(_derivative(x, times, 2), _derivative(y, times, 2)).max(axis=1)
         rows = np.flatnonzero(push <= self._planned_m_s2)
@@ -364,22 +364,22 @@ class Replanner:
         return rows[jerk <= self._planned_m_s3], push / self._most_m_s2
 
     def _obstacles(self, start: tuple[Array, Array], now_us: int) -> list[Wall]:
-        """The walls as known by now, for a trajectory from (position, velocity, acceleration) in x and y.
+        """Return the known walls, for a trajectory from (position, velocity, acceleration) in x and y.
 
-        The one that the vehicle has just been released from may be behind it: flexible arms let go while they
-        are still pressed in, and a wall may stand a little elsewhere than at its middle.
+        The vehicle may start slightly inside the plane of the wall that it has just left. Flexible arms
+        release while still compressed, and a wall's place is uncertain. Such a wall is moved to the vehicle.
         """
         place = (float(start[0][0]), float(start[1][0]))
         walls = []
         for wall in (self._survey.wall_now(one, now_us) for one in self._constraints.walls):
             depth_m = wall.signed_distance(place)
-            walls.append(wall.moved(depth_m) if -_PRESSED_IN_M < depth_m < 0.0 else wall)
+            walls.append(wall.moved(depth_m) if -_COMPRESSED_M < depth_m < 0.0 else wall)
         return walls
 
     def _stays_clear(
         self, x: Array, y: Array, duration_s: Array, wall: Wall | None, obstacles: list[Wall]
     ) -> NDArray[np.bool_]:
-        """Which trajectories keep within bounds and speed and off the walls but the one that is to be hit."""
+        """Return a mask of the trajectories within bounds and speed that touch no wall except `wall`."""
         times = duration_s[:, None] * np.linspace(0.0, 1.0, _SAMPLES)
         states = (_derivative(c, times, order).astype(np.float32) for order in (0, 1) for c in (x, y))
         window = GridWindow(np.linspace(0.0, 1.0, _SAMPLES), *states)
@@ -391,11 +391,11 @@ class Replanner:
     def _with_hit(
         self, answer: PlanAnswer, collision: Collision, velocity: Vec2, straight_s: float
     ) -> PlanAnswer:
-        """The answer with the hit that it leads to; no answer where that may not be."""
+        """Return the answer with its impact, or with a `problem` if the impact violates a limit."""
         wall, vehicle = collision.wall, self._mission.vehicle
         vn, vt, zero = np.array([velocity[0]]), np.array([velocity[1]]), np.zeros(1)
         drag_n, drag_t = drag_along(wall, vehicle.airframe.drag_per_s)
-        coefficients = self._felt.get((wall.name, collision.mode))
+        coefficients = self._coefficients.get((wall.name, collision.mode))
         if coefficients is None:
             coefficients = vehicle.materials[wall.material].of(collision.mode)
         (stage,) = build_stages(vehicle, [coefficients], [self._task.alphas[wall.name]], [drag_n], [0.0])
@@ -415,7 +415,7 @@ class Replanner:
 
 
 def _leans_in_late(rejoining: RejoiningTrajectories, wall: Wall) -> Array:
-    """By how many steps each trajectory leans too fast into the wall that it ends at."""
+    """Return how far the final jerk into the wall exceeds its limit, in steps, for each trajectory."""
     (nx, ny), (jx, jy) = wall.normal, rejoining.jerk[:, :, -_LAST:]
     too_fast = np.max(-(nx * jx + ny * jy), axis=1, initial=0.0) - _LEANS_IN_M_S3
     steps: Array = np.maximum(np.ceil(too_fast / _LEANS_IN_STEP_M_S3), 0.0)
@@ -423,7 +423,7 @@ def _leans_in_late(rejoining: RejoiningTrajectories, wall: Wall) -> Array:
 
 
 def _straights(slack: float) -> list[tuple[float, float]]:
-    """Times straight before a plane, and how many times the slack of its place comes to them; best first."""
+    """Return times of straight flight before a plane, each with its multiple of the slack; best first."""
     if slack <= 0.0:
         return [(s, 0.0) for s in _STRAIGHT_S]
     return [(s, 1.0) for s in _STRAIGHT_S] + [(_STRAIGHT_S[-1], 0.0)]
@@ -434,7 +434,7 @@ def _no_plan(answer: PlanAnswer, problem: str) -> PlanAnswer:
 
 
 def _derivative(coefficients: Array, t: Array, order: int) -> Array:
-    """A derivative of polynomials (6, n) at times (n, k): (n, k)."""
+    """Return a derivative of polynomials (6, n) at times (n, k), as (n, k)."""
     for _ in range(order):
         coefficients = coefficients[1:] * np.arange(1, len(coefficients))[:, None]
     value = np.zeros_like(t)

@@ -1,1 +1,1 @@
-"""The shells around the core, one per world, and what runs many flights."""
+"""Shells around the core, one per world, and the runners of many flights."""

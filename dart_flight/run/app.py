@@ -1,9 +1,11 @@
-"""The shell around the core for worlds with a clock: streams -> queue -> core -> vehicle, lock, log.
+"""Shell around the core for flights over MAVSDK: streams -> queue -> core -> vehicle, lock, log.
 
-Threads: MAVSDK's own builds records and queues them; the core is stepped and setpoints are sent by its own
-thread, and near a wall by MAVSDK's (`core_thread`); the lock thread, where there is a lock, steps its state
-machine and may block on its driver; the log thread encodes and writes; asyncio owns connecting, arming and
-mode changes, signals and the terminal.
+Threads:
+    MAVSDK's thread builds records and queues them. Near a wall it also steps the core (`core_thread`).
+    The core thread steps the core and sends setpoints.
+    The lock thread, if there is a lock, steps the lock's state machine and may block on its driver.
+    The log thread encodes and writes records.
+    asyncio handles the connection, arming and mode changes, signals and the terminal.
 """
 
 from __future__ import annotations
@@ -73,44 +75,44 @@ from dart_flight.vehicle.motion_capture.pose_bridge import MotionCaptureBridge, 
 from dart_flight.vehicle.motion_capture.source import PoseSource, open_source
 from dart_flight.vehicle.vehicle_session import NoAnswerError, VehicleSession, connect
 
-_SHOW_PERIOD_S = 0.2  # as often as the live line changes
-_LOCK_PERIOD_S, _LOCK_REST_S = 0.01, 0.1  # while it travels, and otherwise
-_SWITCH_INTERVAL_S = 0.001  # a thread that computes gives way to MAVSDK's callbacks after a millisecond
+_SHOW_PERIOD_S = 0.2  # the update period of the live line
+_LOCK_PERIOD_S, _LOCK_REST_S = 0.01, 0.1  # while the lock travels, and otherwise
+_SWITCH_INTERVAL_S = 0.001  # a computing thread yields to MAVSDK's callbacks after a millisecond
 _KEY_PAUSE_S = 0.5
-_LOOK_PERIOD_S = 0.5  # for other vehicles, and for the end of the world
+_LOOK_PERIOD_S = 0.5  # for other vehicles, and for the end of the simulated world
 _END_GRACE_S = 0.3  # for the last truth and the log
 
 Progress = Callable[[Record], None]
 
 
 class Simulator(Protocol):
-    """What a simulated world offers the app beside MAVLink."""
+    """A simulated world, as the app uses it in addition to MAVLink."""
 
     @property
     def died(self) -> bool:
-        """Whether it has ended by itself."""
+        """Whether the world has ended by itself."""
 
     @property
     def cause(self) -> str:
-        """What died, in words."""
+        """Text that names what died."""
 
     def send_horn(self, pulse_us: float) -> None:
-        """Tell the plant where the mock servo's horn is."""
+        """Send the position of the mock servo's horn to the plant."""
 
     def send_line(self, line: bytes) -> object:
         """Send a lockstep report to the world."""
 
 
 class LockThread:
-    """The lock's state machine on the core's time base, with a driver that may block.
+    """Thread of the lock's state machine, on the core's time base and with a driver that may block.
 
     Args:
-        make_session: makes machine and driver's session, once the clock is known: a stamp from before would
-            be the host's, and whatever remembers it would wait for the autopilot's clock to get there.
-        states: what the session says, in order.
-        clock_known: whether the autopilot's time is known.
-        deliver: takes every state of the lock.
-        after_poll: called after every look at the driver.
+        make_session: function that makes the session of state machine and driver. It is called once the
+            autopilot's time is known, because stamps of the host's clock could lie in the future.
+        states: queue of the session's states, in order.
+        clock_known: function that returns whether the autopilot's time is known.
+        deliver: callback for every state of the lock.
+        after_poll: callback after every poll of the driver.
         lockstep: reporter to a simulated world that waits; the driver is then polled in simulated time.
     """
 
@@ -154,7 +156,7 @@ class LockThread:
             self._lockstep.open()
 
     def _run(self) -> None:
-        # The lock lives on the autopilot's clock: it begins to exist once that is known.
+        # The lock uses the autopilot's clock, so wait until that is known.
         while not self._clock_known():
             if self._stop.wait(_LOCK_PERIOD_S):
                 return
@@ -190,22 +192,22 @@ class FlightApp:
     """One flight over MAVSDK.
 
     Args:
-        mission: what to fly.
+        mission: mission to fly.
         url: MAVSDK connection URL.
-        observe: takes every record with its number, on the core thread.
-        world: the simulated world, where there is one.
-        progress: sees every record, on a thread of its own: a terminal may block.
-        clock: the autopilot's; that of a real-time vehicle by default.
-        deadman_note: start a deadman, which writes here why it killed the program; None: no deadman.
-        lock_faults: of the mock servo from the start on.
+        observe: callback for every record with its number, on the core thread.
+        world: simulated world, or None for a real vehicle.
+        progress: callback for every record, on its own thread, because a terminal may block.
+        clock: autopilot's clock; by default that of a real-time vehicle.
+        deadman_note: file in which the deadman reports why it killed the program, or None for no deadman.
+        lock_faults: faults of the mock servo from the start of the flight.
         opened: called once the link is open.
         unwanted: numbers of MAVLink messages that the vehicle is asked not to send on this link.
         lockstep: whether the world waits for this program, whose clock is then simulated time.
         mocap_url: pose source to forward from; None: the vehicle's `mocap.url`.
 
     Attributes:
-        loop: the event loop, while it flies.
-        mock: the driver of the mock servo, where the lock is driven by that.
+        loop: event loop during the flight.
+        mock: driver of the mock servo, or None if the lock has another driver.
     """
 
     def __init__(
@@ -248,7 +250,7 @@ class FlightApp:
         self._phase, self._lock_text = Phase.READYING, ""  # for the buttons of the ground station
         self._stopped = asyncio.Event()
         self._core = CoreThread(
-            CoreRunner(FlightCore(mission), self, self._see, self._host_us),
+            CoreRunner(FlightCore(mission), self, self._observe_record, self._host_us),
             lambda: self._feed(CORE),
             self._lockstep,
             self._after_step,
@@ -257,18 +259,18 @@ class FlightApp:
         self._planners: dict[type, PlannerProcess] = {}  # by the kind of request
 
     async def run(self) -> None:
-        """Fly; returns when the flight has ended.
+        """Fly, and return when the flight has ended.
 
         Raises:
-            VehicleError: no autopilot at the URL.
-            NoAnswerError: it does not answer what it is asked.
+            VehicleError: there is no autopilot at the URL.
+            NoAnswerError: the autopilot does not answer requests.
             InputError: the motion capture does not answer, or has no such body.
         """
         source = None if self._mocap_url is None else open_source(self._mocap_url)
         try:
             await self._fly(source)
         finally:
-            if source is not None and self._bridge is None:  # which would have stopped it
+            if source is not None and self._bridge is None:  # otherwise the bridge has stopped the source
                 source.stop()
 
     async def _fly(self, source: PoseSource | None) -> None:
@@ -290,9 +292,9 @@ class FlightApp:
             if self._mission.after_impact is AfterImpact.REPLAN:
                 kinds.append(PlanRequest)
             for kind in kinds:
-                self._planners[kind] = PlannerProcess(self._mission, kind, self._take_answer, self._host_us)
+                self._planners[kind] = PlannerProcess(self._mission, kind, self._handle_answer, self._host_us)
             sys.setswitchinterval(_SWITCH_INTERVAL_S)
-            # What is loaded by now stays: the collector need not walk it in flight.
+            # Keep the loaded objects out of garbage collections in flight.
             gc.collect()
             gc.freeze()
             terminal = threading.Thread(target=self._show, name="terminal", daemon=True)
@@ -337,22 +339,22 @@ class FlightApp:
                     task.cancel()
 
     def show(self, record: Record) -> None:
-        """Have a record shown that is none of the core's; any thread."""
+        """Show a record that is not from the core; any thread."""
         self._shown.append(record)
 
     def stop(self) -> None:
-        """The operator wants out: the first time leave the wall and land, the second time release."""
+        """End the flight: the first call leaves the wall and lands, the second releases the vehicle."""
         self._stops += 1
         self._stopped.set()
         request = Request.LAND if self._stops == 1 else Request.RELEASE
         self._core.put(OperatorRequest(self._host_us(), request))
 
     def resume(self) -> None:
-        """The operator's word that ends a pause; at any other time it means nothing."""
+        """End a pause of the mission; without effect at any other time."""
         self._core.put(OperatorRequest(self._host_us(), Request.CONTINUE))
 
     def _answer_button(self, press: Press) -> tuple[Result, str]:
-        """Answer a button of the ground station, and do what it asks."""
+        """Carry out a button of the ground station and return the answer."""
         reply = reply_in_flight(press, self._phase, self._lock_text)
         if isinstance(reply.effect, Request):
             self._core.put(OperatorRequest(self._host_us(), reply.effect))
@@ -365,7 +367,7 @@ class FlightApp:
             self._deadman.feed(part)
 
     async def _keep_alive(self) -> None:
-        """The event loop's own pulse: feeds the deadman, and systemd while the core thread is alive too."""
+        """Feed the deadman from the event loop, and systemd while the core thread is also alive."""
         systemd = SystemdNotice()
         systemd.ready(f"flying {self._mission.name}")
         starve_s = self._mission.vehicle.guard.deadman_s
@@ -384,7 +386,7 @@ class FlightApp:
             systemd.stopping()
 
     def _show(self) -> None:
-        """Looks now and then: waking up for every record would cost the core thread its latency."""
+        """Show records periodically, because waking up for every record would delay the core thread."""
         while not (self._ended.wait(_SHOW_PERIOD_S) and not self._shown):
             while self._shown:
                 with contextlib.suppress(OSError):
@@ -411,14 +413,14 @@ class FlightApp:
 
     def _listen_for_key(self) -> None:
         if self.loop is not None and sys.stdin is not None and sys.stdin.isatty():
-            self.loop.add_reader(sys.stdin.fileno(), self._take_key)
+            self.loop.add_reader(sys.stdin.fileno(), self._read_key)
 
-    def _take_key(self) -> None:
-        """Something was typed; Enter is the operator's word."""
+    def _read_key(self) -> None:
+        """Read what the operator typed; Enter ends a pause."""
         assert self.loop is not None
         terminal = sys.stdin.fileno()
         if _in_background(terminal):
-            # A program that reads its terminal from there is stopped, and that must not happen in flight.
+            # Reading the terminal in the background would stop this program in flight.
             self.loop.remove_reader(terminal)
             self.loop.call_later(_KEY_PAUSE_S, self._listen_for_key)
             return
@@ -426,7 +428,7 @@ class FlightApp:
             typed = os.read(terminal, 1024)
         except OSError:
             typed = b""
-        if not typed:  # the terminal has gone
+        if not typed:  # the terminal is closed
             self.loop.remove_reader(terminal)
         elif b"\n" in typed:
             self.resume()
@@ -441,7 +443,7 @@ class FlightApp:
             session.send_message(message)
 
         def deliver(pose: PoseSample) -> None:
-            if session.clock.offset_us is not None:  # until then the pose has no autopilot's time
+            if session.clock.offset_us is not None:  # otherwise the pose has no autopilot time
                 self._core.arrive(pose)
 
         bridge = MotionCaptureBridge(self._mission.vehicle.mocap, source, send, session.clock, deliver)
@@ -449,7 +451,7 @@ class FlightApp:
         return bridge
 
     async def _forward_until_disarmed(self, session: VehicleSession) -> None:
-        """Go on forwarding for a pilot who has taken over: PX4 has no other position."""
+        """Forward poses until disarmed, because a pilot who has taken over needs PX4's position."""
         if not session.armed:
             return
         now_us = self._host_us()
@@ -475,13 +477,13 @@ class FlightApp:
         )
         self.mock = driver if isinstance(driver, MockDriver) else None
         if self._world is not None and self.mock is None and config.driver is not LockDriver.PX4:
-            # A real servo beside a simulated vehicle: its modelled horn moves the simulated arms.
+            # With a real servo and a simulated vehicle, a modelled horn moves the simulated arms.
             driver = DriverWithModelledHorn(driver, config, clock_us)
         states: queue.SimpleQueue[LockState] = queue.SimpleQueue()
         sent: list[float] = []
 
         def after_poll() -> None:
-            # In a dry-run the modelled servo is part of the harness: its horn moves the simulated arms.
+            # In a dry-run the horn of the modelled servo moves the simulated arms.
             if self._world is not None and isinstance(driver, MockDriver | DriverWithModelledHorn):
                 pulse = driver.horn_pulse_us(clock_us())
                 if sent != [pulse]:
@@ -492,7 +494,7 @@ class FlightApp:
             lambda: LockSession(config, driver, clock_us, states.put),
             states,
             lambda: session.clock.offset_us is not None,
-            self._take_lock_state,
+            self._handle_lock_state,
             after_poll,
             self._lockstep,
         )
@@ -503,7 +505,7 @@ class FlightApp:
             self._lock.look()
         self._deliver_answers()
 
-    def _take_answer(self, answer: PlanAnswer | ContactAnswer) -> None:
+    def _handle_answer(self, answer: PlanAnswer | ContactAnswer) -> None:
         if self._lockstep is None:
             self._core.put(answer)
         else:
@@ -515,21 +517,21 @@ class FlightApp:
         for answer in self._lockstep.due_answers():
             self._core.put(msgspec.structs.replace(answer, received_us=self._host_us()))
 
-    def _take_lock_state(self, state: LockState) -> None:
+    def _handle_lock_state(self, state: LockState) -> None:
         self._core.put(state)
         self._lock_text = status_text(state)
         if state.phase is not LockPhase.TRAVELLING and self._session is not None:
             self._session.tell_ground(self._lock_text)
 
-    # -- what the core wants, on the core thread (`runner.CommandSink`) --
+    # -- commands of the core, on the core thread (`runner.CommandSink`) --
 
     def send(self, setpoint: Setpoint) -> None:
-        """Send a setpoint at once; one that does not leave is reported, once for each cause."""
+        """Send a setpoint at once, and report a failure once for each cause."""
         assert self._session is not None
         try:
             self._session.send(setpoint)
         except Exception as error:
-            # It is not a fault of the core: PX4 keeps the last setpoint, then its failsafe.
+            # Do not end the core: PX4 keeps the last setpoint, then its failsafe acts.
             self._report_unsent(f"setpoint not sent: {type(error).__name__}: {error}")
             return
         if self._lockstep is not None:
@@ -544,7 +546,7 @@ class FlightApp:
             self._core.put(StatusText(t_us, now_us, "critical", text, found_here=True))
 
     def execute(self, output: Output) -> None:
-        """Every other command, without waiting for it."""
+        """Start any other command without waiting for its completion."""
         assert self._session is not None
         assert self.loop is not None
         if isinstance(output, VehicleCommand):
@@ -567,7 +569,7 @@ class FlightApp:
                 self._bridge.withhold()
         elif isinstance(output, PhaseChange):
             self._phase = output.after
-            # For `monitor`; not on this thread, whose setpoints must not wait for it.
+            # For `monitor`; sent from the event loop, so that setpoints do not wait.
             self.loop.call_soon_threadsafe(self._session.tell_ground, f"phase {output.after}")
         elif isinstance(output, Silence):
             self._fall_silent()
@@ -593,14 +595,14 @@ class FlightApp:
         t_us = self._session.clock.to_autopilot(self._host_us())
         self._core.put(CommandResult(t_us, action.value, not problem, problem))
 
-    def _see(self, record: Record, number: int) -> None:
+    def _observe_record(self, record: Record, number: int) -> None:
         self._observe(record, number)
         self._shown.append(record)
 
 
 def _in_background(terminal: int) -> bool:
-    """Whether the terminal is at present another job's."""
+    """Return whether another job has the terminal at present."""
     try:
         return os.tcgetpgrp(terminal) != os.getpgrp()
-    except OSError:  # not the terminal of this session: no rule of jobs applies
+    except OSError:  # not the terminal of this session, so there is no job control
         return False

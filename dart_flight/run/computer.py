@@ -1,7 +1,7 @@
-"""How the computer is: temperature, supply and throttling, where the kernel tells.
+"""State of the computer for the flight's log: temperature, undervoltage and throttling.
 
-A Raspberry Pi says in one word of flags whether its supply is low and its clock held back, and whether that
-has happened since it was switched on; other computers have a temperature at most.
+A Raspberry Pi reports undervoltage and throttling in one word of flags, at present and since power-on. Other
+computers report at most a temperature.
 """
 
 from __future__ import annotations
@@ -17,17 +17,17 @@ from dart_flight.base.records import ComputerSample, Record
 from dart_flight.vehicle.clock import host_us
 
 _PERIOD_S = 1.0
-_FLAGS = "sys/devices/platform/soc/soc:firmware/get_throttled"  # as `vcgencmd get_throttled`
+_FLAGS = "sys/devices/platform/soc/soc:firmware/get_throttled"  # the word of `vcgencmd get_throttled`
 _ZONES = "sys/class/thermal"
 _UNDERVOLTAGE, _FREQUENCY_CAPPED, _THROTTLED, _SOFT_LIMIT = 1, 2, 4, 8
-_SINCE_START = 16  # bits further up
+_SINCE_START = 16  # shift of the same flags since power-on
 
 
 def read_computer(root: Path = Path("/")) -> ComputerSample:
-    """What the kernel tells now; None where it does not.
+    """Return the present state as reported by the kernel; fields that it does not report are None.
 
     Args:
-        root: of the file system.
+        root: root of the file system.
     """
     flags = None
     with contextlib.suppress(OSError, ValueError):
@@ -52,10 +52,14 @@ def _hottest_c(root: Path) -> float | None:
 
 
 class ComputerWatch:
-    """`with ComputerWatch(record.truth):` once a second how the computer is, from a thread of its own."""
+    """Context in which a thread samples the state of the computer once per second.
+
+    Args:
+        take: callback for every sample, on that thread.
+    """
 
     def __init__(self, take: Callable[[Record], None]) -> None:
-        self._take = take
+        self._deliver = take
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="computer", daemon=True)
 
@@ -73,4 +77,4 @@ class ComputerWatch:
         due_s = time.monotonic()
         while not self._stop.wait(max(0.0, due_s - time.monotonic())):
             due_s += _PERIOD_S
-            self._take(read_computer())
+            self._deliver(read_computer())

@@ -27,11 +27,11 @@ _STATE_STREAMS: Final = (AttitudeSample, OdometrySample, ActuatorSample)
 
 
 class CoreThread:
-    """Takes inputs from one queue and steps the core.
+    """Thread that steps the core with the inputs of one queue.
 
     Args:
-        runner: steps the core and hands out what follows.
-        alive: called at every turn, at least every 20 ms, as long as steps come to an end; feeds the deadman.
+        runner: runner that steps the core and hands out its outputs.
+        alive: callback that feeds the deadman, called at least every 20 ms unless a step hangs.
         lockstep: reporter to a simulated world that waits, or None in real time.
         after_step: callback after every step in lockstep, before the report.
     """
@@ -47,10 +47,10 @@ class CoreThread:
         self._lockstep, self._after_step = lockstep, after_step
         self._host_us = host_us if lockstep is None else lockstep.clock.host_us
         self._queue: queue.SimpleQueue[Input] = queue.SimpleQueue()
-        self._owner = threading.Lock()  # whoever holds it steps
+        self._owner = threading.Lock()  # the thread that holds it steps the core
         self._work: set[int] = set()  # identities of queued inputs that a world in lockstep waits for
         self._pace = Pace.BATCHED  # changed by the owner
-        self._called = threading.Event()  # the core's own thread is to come round now
+        self._called = threading.Event()  # wakes the core's own thread
         self._fault: BaseException | None = None
         self._stopping = False
         self._ticked_us = 0
@@ -58,7 +58,7 @@ class CoreThread:
         self.thread = threading.Thread(target=self._run, name="core", daemon=True)
 
     def age_s(self) -> float:
-        """How long ago the thread last came round, seconds."""
+        """Return the time since the thread's last turn, seconds."""
         return (host_us() - self._turned_us) * 1e-6
 
     def put(self, item: Input) -> None:
@@ -79,12 +79,12 @@ class CoreThread:
             self._step_now()
 
     def _step_now(self) -> None:
-        # Whoever steps looks into the queue again afterwards: what finds it owned is not forgotten.
+        # The owner checks the queue again after a step, so an input that finds it owned is not lost.
         while self._in_haste and not self._queue.empty() and self._owner.acquire(blocking=False):
             try:
                 self._step_queued()
             except BaseException as fault:
-                # MAVSDK's thread would swallow it: the core's own ends by it, and then the deadman acts.
+                # MAVSDK's thread would swallow it, so the core's thread raises it and the deadman acts.
                 self._fault, self._pace = fault, Pace.BATCHED
             finally:
                 self._owner.release()
@@ -96,11 +96,11 @@ class CoreThread:
         return self._pace is Pace.IMMEDIATE if self._lockstep is None else self._fault is None
 
     def stop(self) -> None:
-        """End the thread; what is queued is not stepped any more once this returns."""
+        """End the thread; no queued input is stepped after this returns."""
         self._stopping = True
         self._called.set()
         self.thread.join(timeout=_STOP_S)
-        self._owner.acquire(timeout=_STOP_S)  # for good
+        self._owner.acquire(timeout=_STOP_S)  # never released, so that no thread steps again
 
     def _run(self) -> None:
         while not self._stopping:
@@ -122,9 +122,9 @@ class CoreThread:
             self._runner.take(Tick(now_us))
 
     def _step_queued(self) -> None:
-        """Step what is queued; a backlog is coalesced, newest wins. Owner only."""
+        """Step the queued inputs; of a backlog, step only the newest state samples. Owner only."""
         items, queued = list[Input](), self._queue
-        while not queued.empty():  # nobody else takes from it
+        while not queued.empty():  # only the owner removes inputs
             items.append(queued.get_nowait())
         if len(items) > _BACKLOG and self._lockstep is None:
             newest = {type(item): i for i, item in enumerate(items)}

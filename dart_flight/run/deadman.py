@@ -1,12 +1,12 @@
-"""The deadman: a small process beside the app that ends it when it hangs.
+"""Deadman: a small process that kills the app if the app hangs.
 
-MAVSDK repeats the last setpoint from its own thread, so PX4 would never notice that the app behind it hangs,
-and a hang that holds the interpreter lock stops every watching thread. The core thread and the event loop
-must both feed this process through a pipe; when either starves, the app is killed (SIGKILL), the setpoints
-stop on the wire, and PX4's failsafe acts.
+MAVSDK repeats the last setpoint from its own thread, so PX4 would not notice a hang of the app. A hang that
+holds the interpreter lock also stops every watching thread. Therefore the core thread and the event loop feed
+a separate process through a pipe. If either stops, the process kills the app (SIGKILL). The setpoints then
+stop and PX4's failsafe acts.
 
-`SystemdNotice` is the second line: systemd's watchdog (`Type=notify`, `WatchdogSec`), fed from the event loop
-only while the core thread is alive too.
+`SystemdNotice` is the second protection: systemd's watchdog (`Type=notify`, `WatchdogSec`). The event loop
+feeds it only while the core thread is also alive.
 """
 
 from __future__ import annotations
@@ -24,31 +24,31 @@ from pathlib import Path
 
 CORE, LOOP = b"c", b"l"
 _ARM, _LET_GO = b"a", b"q"
-_OWN_PAUSES = 2.0  # periods: a watcher that did not run itself for so long has seen nothing
-FEED_PERIOD_S = 0.1  # at most: waking up is what it costs
+_OWN_PAUSES = 2.0  # periods: a watcher that did not run for longer restarts its timeouts
+FEED_PERIOD_S = 0.1  # longest period; each feed costs a wake-up
 _FEEDS = 5  # within `starve_s`: all but one of them may be late
 _MIN_S = 0.001
-_WORD = struct.Struct("=cd")  # what the app says, and when; so short a write is whole or is none
-_MAX_WORDS = 400  # at one look
+_WORD = struct.Struct("=cd")  # message and its time; a write this short is atomic
+_MAX_WORDS = 400  # in one read
 _MIN_PAUSE_S = 0.1
 
 
 class Deadman:
-    """The app's end.
+    """The app's side of the deadman.
 
     Args:
-        starve_s: how long either may be silent.
-        note: text file that gets a line when the app is killed; None for none.
+        starve_s: longest permitted time without a feed from the core thread or the event loop, seconds.
+        note: text file that gets a line when the app is killed, or None.
 
     Attributes:
-        feed_period_s: how often both should feed it.
+        feed_period_s: period at which both should feed the deadman, seconds.
 
     Raises:
         OSError: the process cannot be started.
     """
 
     def __init__(self, starve_s: float, note: Path | None = None) -> None:
-        # A handle and not a number: a number may belong to another process by the time it is used.
+        # A handle, because a process id may belong to another process by the time it is used.
         self._self = os.pidfd_open(os.getpid())
         self._arguments = [
             *(str(self._self), str(os.getpid()), str(starve_s)),
@@ -60,12 +60,12 @@ class Deadman:
         self._start()
 
     def _start(self) -> None:
-        # -I -S: the watcher needs nothing but the standard library and starts in tens of milliseconds.
+        # -I -S: the watcher needs only the standard library and starts in tens of milliseconds.
         self._process = subprocess.Popen(
             [sys.executable, "-I", "-S", __file__, *self._arguments],
             stdin=subprocess.PIPE,
             pass_fds=(self._self,),
-            start_new_session=True,  # Ctrl-C and a dropped terminal are the app's business
+            start_new_session=True,  # the app handles Ctrl-C and a closed terminal
         )
         assert self._process.stdin is not None
         self._pipe = self._process.stdin.fileno()
@@ -77,27 +77,27 @@ class Deadman:
         return self._process.pid
 
     def arm(self) -> None:
-        """From now on starving means the end."""
+        """Enable the kill on a missing feed."""
         self._armed = True
         self._write(_ARM)
 
     def feed(self, part: bytes) -> None:
-        """`CORE` or `LOOP` is alive; any thread, never blocks, cheap enough for every step."""
+        """Report that `CORE` or `LOOP` is alive; any thread, never blocks, cheap enough for every step."""
         now = time.monotonic()
         if now - self._fed_s[part] >= self.feed_period_s:
             self._fed_s[part] = now
             self._write(part)
 
     def restart_if_dead(self) -> None:
-        """Start another watcher where this one has died."""
+        """Start another watcher if this one has died."""
         if self._process.poll() is not None:
             self._start()
             if self._armed:
                 self._write(_ARM)
 
     def disarm(self) -> None:
-        """The flight is over: the watcher ends without harm."""
-        # The pipe stays open: the core thread may still feed, and must not write into a number used anew.
+        """End the watcher without killing the app, after the flight."""
+        # Keep the pipe open: the core thread may still write to its descriptor.
         self._write(_LET_GO)
         with contextlib.suppress(subprocess.TimeoutExpired):
             self._process.wait(2.0)
@@ -105,13 +105,13 @@ class Deadman:
             os.close(self._self)
 
     def _write(self, what: bytes) -> None:
-        # A full pipe has enough food in it; a broken one is mended by the event loop.
+        # A full pipe holds enough feeds; the event loop replaces a broken one.
         with contextlib.suppress(OSError, ValueError):
             os.write(self._pipe, _WORD.pack(what, time.monotonic()))
 
 
 class SystemdNotice:
-    """Messages to systemd (sd_notify) over $NOTIFY_SOCKET; nothing where that is not set."""
+    """Messages to systemd (sd_notify) over $NOTIFY_SOCKET; without effect if that is not set."""
 
     def __init__(self, environment: dict[str, str] | None = None) -> None:
         values = os.environ if environment is None else environment
@@ -127,11 +127,11 @@ class SystemdNotice:
         self._sent_s = -math.inf
 
     def ready(self, status: str) -> None:
-        """The app is up."""
+        """Report that the app is ready."""
         self._send(f"READY=1\nSTATUS={status}")
 
     def stopping(self) -> None:
-        """The app is about to end."""
+        """Report that the app is about to end."""
         self._send("STOPPING=1")
 
     def alive(self) -> None:
@@ -155,7 +155,7 @@ def _period_s(starve_s: float) -> float:
 
 
 def _watch(handle: int, pid: int, starve_s: float, note: str) -> int:
-    """Body of the process: reads the pipe until told to end, until it closes, or until it kills."""
+    """Read the pipe until the flight or the app ends, or kill the app; return the exit status."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
     os.set_blocking(0, False)
@@ -165,23 +165,22 @@ def _watch(handle: int, pid: int, starve_s: float, note: str) -> int:
     looked_s = time.monotonic()
     fed_s = {CORE: looked_s, LOOP: looked_s}
     while True:
-        # It does not wait for what is said: to be woken by every word is what it would cost. When a word was
-        # said is in the word.
+        # Poll, because waking up for every message is expensive; each message contains its time.
         left_s = min(fed_s.values()) + starve_s - time.monotonic() if armed else period_s
         time.sleep(max(_MIN_S, min(period_s, left_s)))
         now = time.monotonic()
         try:
-            words = _heard()
+            words = _read_messages()
         except EOFError:
             return 0
-        for word, said_s in words:
+        for word, sent_s in words:
             if word == _LET_GO:
                 return 0
             if word in fed_s:
-                fed_s[word] = max(fed_s[word], said_s)
+                fed_s[word] = max(fed_s[word], sent_s)
         arming = any(word == _ARM for word, _ in words)
         if arming or now - looked_s > own_pause_s:
-            # Just armed, or this process itself did not run: what happened meanwhile it cannot know.
+            # Just armed, or this process did not run itself: restart the timeouts.
             armed = armed or arming
             fed_s = dict.fromkeys(fed_s, now)
         looked_s = now
@@ -192,11 +191,11 @@ def _watch(handle: int, pid: int, starve_s: float, note: str) -> int:
             return 1
 
 
-def _heard() -> list[tuple[bytes, float]]:
-    """What the app has said since the last look.
+def _read_messages() -> list[tuple[bytes, float]]:
+    """Return the app's messages since the last call, with their times.
 
     Raises:
-        EOFError: it is gone.
+        EOFError: the app has ended.
     """
     words: list[tuple[bytes, float]] = []
     while True:
@@ -206,7 +205,7 @@ def _heard() -> list[tuple[bytes, float]]:
             return words
         if not food:
             if words:
-                return words  # the end is heard at the next look
+                return words  # the next call raises EOFError
             raise EOFError
         words += _WORD.iter_unpack(food)
 
@@ -214,7 +213,7 @@ def _heard() -> list[tuple[bytes, float]]:
 def _kill(handle: int, pid: int, why: str, note: str) -> None:
     with contextlib.suppress(OSError):
         signal.pidfd_send_signal(handle, signal.SIGKILL)
-    # Whether it hung, or only had no processor, cannot be told from here; how many wanted one can.
+    # The load helps to distinguish a hang from a busy computer.
     with contextlib.suppress(OSError):
         why += f" (load {os.getloadavg()[0]:.1f} on {os.cpu_count()} processors)"
     line = f"deadman: {why}, killed process {pid} at monotonic {time.monotonic():.3f} s\n"

@@ -1,4 +1,4 @@
-"""The drone: whatever answers at a connection URL, through MAVSDK, with a deadman."""
+"""Flight of the vehicle at a connection URL, through MAVSDK and with a deadman, for `fly` and `survey`."""
 
 from __future__ import annotations
 
@@ -24,15 +24,20 @@ def fly_vehicle(
     lease: LinkLease | None = None,
     viewer: Onlooker | None = None,
 ) -> Verdict:
-    """Fly on whatever answers at a connection URL.
+    """Fly a mission with the vehicle at a connection URL and return the verdict.
 
-    `lease` is the link's, held by the caller; it is told where the log is. None: one is taken for the flight.
-    `viewer` sees every record, on the thread that took it.
+    Args:
+        mission: mission to fly.
+        url: MAVSDK connection URL.
+        log_dir: folder for the flight's folder.
+        progress: callback for every record, on its own thread.
+        lease: lease of the link, in which the path of the log is noted; None: acquire one for the flight.
+        viewer: callback for every record, on the thread that processed it.
 
     Raises:
         InputError: the log cannot be written.
         LinkTakenError: another program has the link.
-        VehicleError: nothing answers.
+        VehicleError: no vehicle answers.
     """
     if lease is None:
         with LinkLease(url, "fly") as own:

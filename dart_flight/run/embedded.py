@@ -1,4 +1,4 @@
-"""The embedded world: our small autopilot on the plant, through MAVSDK over UDP, in real time or faster."""
+"""Embedded world: our small autopilot on the plant, through MAVSDK over UDP, in lockstep or in real time."""
 
 from __future__ import annotations
 
@@ -36,12 +36,19 @@ def fly_embedded(
     realtime: bool = False,
     viewer: Onlooker | None = None,
 ) -> Verdict:
-    """Fly through MAVSDK over UDP against the embedded autopilot.
+    """Fly through MAVSDK over UDP with the embedded autopilot and return the verdict.
 
-    `deadman` starts the process that kills this one when it hangs; `fault` is what goes wrong; `spreads`
-    are the standard deviations of quantities drawn by the seed (`sim.draws`). `speed` is the highest number
-    of simulated seconds per second. With `realtime` the world does not wait for this program, and timeouts
-    use the host's time. `viewer` receives every record, on the thread that produced it.
+    Args:
+        mission: mission to fly.
+        seed: seed of the sensor noise and of the draws.
+        log_dir: folder for the flight's folder.
+        progress: callback for every record, on its own thread.
+        deadman: whether to start the process that kills this one if it hangs; in real time only.
+        fault: fault to inject, or None.
+        spreads: standard deviations of the quantities that the seed draws (`sim.draws`).
+        speed: highest number of simulated seconds per second.
+        realtime: whether simulated time does not wait for this program; timeouts then use the host's time.
+        viewer: callback for every record, on the thread that produced it.
 
     Raises:
         InputError: the log cannot be written.

@@ -1,6 +1,7 @@
-"""The fast world: core, lock and simulated vehicle in one process and one thread, in simulated time.
+"""Fast world: core, lock and simulated vehicle in one process and one thread, in simulated time.
 
-The same decisions as everywhere else, as fast as the machine goes, the same for the same seed.
+It makes the same decisions as the other worlds, at the highest speed of the computer. A seed always gives the
+same flight. `dry-run --fast`, campaigns and scripts use it.
 """
 
 from __future__ import annotations
@@ -69,16 +70,18 @@ from dart_flight.vehicle.clock import SimulatedTime
 if TYPE_CHECKING:
     from dart_flight.run.fast_poses import FastPoses
 
-# The host reads its own clock; and a message takes 1 ms, the median of MAVSDK's callback over UDP.
+# The host has its own clock, and a message takes 1 ms, the median of MAVSDK's callback over UDP.
 _HOST_OFFSET_US: Final = 7_001_000
 _HALF_RATE: Final = 2  # ticks: attitude, odometry, actuator outputs at 125 Hz
 _TRUTH_EVERY: Final = 2
-_STATUS_EVERY: Final = 50  # 5 Hz, and at once when something changes
-_SURE_EVERY: Final = 250  # ticks: how sure the estimator is of its position, where it says so
+_STATUS_EVERY: Final = 50  # 5 Hz, and at once after a change
+_POSITION_SD_EVERY: Final = (
+    250  # ticks between standard deviations of the position, if the estimator reports them
+)
 _HOST_EVERY: Final = 5  # ticks of 4 ms: lock polled and host time reported at 50 Hz
-_ASK_EVERY: Final = 25  # ticks: as often as the app measures the round trip
+_TIMESYNC_EVERY: Final = 25  # ticks between measurements of the round trip, as in the app
 _REPEAT_US: Final = 50_000  # MAVSDK repeats the last setpoint at 20 Hz
-_LONGEST_S: Final = 180.0  # of a flight, beside the holds that its mission asks for
+_LONGEST_S: Final = 180.0  # of a flight, without the holds of its mission
 _NAN3 = (math.nan, math.nan, math.nan)
 FLIGHT_MODES: Final = {
     VehicleAction.OFFBOARD: FlightMode.OFFBOARD,
@@ -87,11 +90,11 @@ FLIGHT_MODES: Final = {
 
 
 class TelemetrySender:
-    """What one simulated vehicle sends, at the rates of the stream table.
+    """Telemetry of one simulated vehicle, at the rates of the stream table.
 
     Args:
         vehicle: the sender.
-        begins: it has only now been switched on, and says its state at once.
+        begins: whether the vehicle has just been switched on, so that it sends its status at once.
     """
 
     def __init__(self, vehicle: SimulatedVehicle, begins: bool = True) -> None:
@@ -102,17 +105,17 @@ class TelemetrySender:
         self._resets = -1
 
     def due(self, ticks: int, received: int) -> Iterator[Input]:
-        """The samples of a tick, received at a host time."""
+        """Yield the samples of a tick, received at a host time in microseconds."""
         a, t_us = self._autopilot, self._autopilot.time_us
         e = a.estimator
         if ticks % _HALF_RATE == 0:
-            # Stamped in milliseconds, as the MAVLink message is.
+            # The MAVLink message has a stamp in milliseconds.
             yield AttitudeSample(t_us // 1000 * 1000, received, e.q)
             if e.ok:
                 yield OdometrySample(t_us, received, e.position, e.velocity)
             yield ActuatorSample(t_us, received, a.motors)
         yield ImuSample(a.imu.t_us, received, a.imu.specific_force_frd, a.imu.rate_frd)
-        if e.resets != self._resets or (e.position_sd_m is not None and ticks % _SURE_EVERY == 0):
+        if e.resets != self._resets or (e.position_sd_m is not None and ticks % _POSITION_SD_EVERY == 0):
             self._resets = e.resets
             yield EstimatorSample(t_us, received, e.resets, position_sd_m=e.position_sd_m)
         status = (a.armed, a.mode, a.landed, e.ok, a.system_status)
@@ -142,14 +145,14 @@ class FastFlight:
     """One simulated flight.
 
     Args:
-        mission: what to fly.
-        seed: of every sensor's noise.
-        driver: `mock` or `px4`; the real servo controllers have no place in simulated time. A vehicle
-            without a lock has none.
-        faults: of the mock servo.
-        observe: sees every input with its number, every output and note with the number of its input.
-        fault: what goes wrong, and when.
-        world: what is drawn (`sim.draws`), where it differs from the mission.
+        mission: mission to fly.
+        seed: seed of the sensor noise.
+        driver: lock driver, `mock` or `px4`; real servo controllers do not work in simulated time. Ignored
+            for a vehicle without a lock.
+        faults: faults of the mock servo.
+        observe: callback for every input with its number, and every output and note with that of its input.
+        fault: fault to inject, with its time.
+        world: drawn world (`sim.draws`), or None if it equals the mission.
     """
 
     def __init__(
@@ -170,9 +173,9 @@ class FastFlight:
         self.deadman_s = mission.vehicle.guard.deadman_s
         self._observe = observe
         self.core = FlightCore(mission)
-        self._runner = CoreRunner(self.core, self, self._see, lambda: self.host_us)
+        self._runner = CoreRunner(self.core, self, self._observe_record, lambda: self.host_us)
         self._ticks = 0
-        self._connected = False  # as the app: no telemetry is taken before the first request is answered
+        self._connected = False  # like the app, accept no telemetry before the first answer to a request
         self._sender = TelemetrySender(self.vehicle)
         self._twin_sender: TelemetrySender | None = None
         self._texts: list[tuple[str, str]] = []
@@ -182,12 +185,12 @@ class FastFlight:
         replans = mission.after_impact is AfterImpact.REPLAN
         self._replanner = Replanner(mission) if replans else None
         self._fitter = ContactFitter(mission.vehicle)
-        # Of the simulated computer: the answer comes after this time, however long it took here.
+        # Latency of the simulated computer, independent of this computer's speed.
         self._plan_us = round(true.vehicle.simulation.replan_latency_s * 1e6)
         self._answers: list[tuple[int, PlanAnswer | ContactAnswer]] = []
         operator_s = true.vehicle.simulation.operator_s
         self._operator_us = None if operator_s is None else round(operator_s * 1e6)
-        self._word_us: int | None = None
+        self._continue_us: int | None = None
         self.mock: MockDriver | None = None
         self.lock: LockSession | None = None
         if mission.vehicle.lock is not None:
@@ -214,9 +217,9 @@ class FastFlight:
         return LockSession(lock, hardware, clock_us, self._lock_states.append)
 
     def run(self) -> None:
-        """Fly until the core says that it is over; end the flight if that takes longer than it may.
+        """Fly until the core ends the flight, or end it at the time limit.
 
-        A simulated flight that never ends would stop a campaign without a word.
+        Without a limit, a simulated flight that never ends would block a campaign.
         """
         limit_s = longest_s(self.mission)
         self.take(ClockOffset(self.host_us, 0))
@@ -235,12 +238,12 @@ class FastFlight:
 
     @property
     def host_us(self) -> int:
-        """The host's monotonic time as the app would read it, microseconds."""
-        # Of its own: the autopilot's clock may jump.
+        """Host's monotonic time as the app would read it, microseconds."""
+        # Independent of the autopilot's clock, which may jump.
         return round(self.autopilot.now_s * 1e6) + _HOST_OFFSET_US
 
     def tick(self) -> None:
-        """4 ms: the vehicle, its telemetry, the lock."""
+        """Advance vehicle, telemetry and lock by 4 ms."""
         if self.faulted is not None:
             self.faulted.tick()
         if self.mock is not None:
@@ -248,10 +251,10 @@ class FastFlight:
         self.vehicle.advance()
         self._ticks += 1
         self._truth()
-        if self._ticks % _ASK_EVERY == 1:
-            self._ask_time()
+        if self._ticks % _TIMESYNC_EVERY == 1:
+            self._request_time()
         if self.faulted is not None and self.faulted.app_silent:
-            self._repeat()  # MAVSDK's own thread goes on
+            self._repeat()  # MAVSDK's own thread still runs
             return
         if self._ticks % _HOST_EVERY == 0:
             if self.lock is not None:
@@ -261,8 +264,8 @@ class FastFlight:
             self.take(self._lock_states.pop(0))
         while self._answers and self._answers[0][0] <= self.host_us:
             self.take(self._answers.pop(0)[1])
-        if self._word_us is not None and self._word_us <= self.host_us:
-            self._word_us = None
+        if self._continue_us is not None and self._continue_us <= self.host_us:
+            self._continue_us = None
             self.take(OperatorRequest(self.host_us, Request.CONTINUE))
         self._telemetry()
         if self.poses is not None:
@@ -302,8 +305,8 @@ class FastFlight:
         if self._connected:
             self.take(item)
 
-    def _ask_time(self) -> None:
-        """TIMESYNC, as the app sends it."""
+    def _request_time(self) -> None:
+        """Send TIMESYNC, as the app does."""
         if self.faulted is None:
             self.deliver(TimeRequest(self.host_us))
         else:
@@ -312,29 +315,29 @@ class FastFlight:
     def _on_text(self, severity: str, text: str) -> None:
         self._texts.append((severity, text))
 
-    # -- the core and what it wants (`runner.CommandSink`) --
+    # -- inputs and commands of the core (`runner.CommandSink`) --
 
     def take(self, item: Input) -> None:
-        """Give the core an input; from outside an operator's request or a fault's sample."""
+        """Step the core with an input; external callers pass an operator's request or a fault's sample."""
         self._runner.take(item)
 
-    def _see(self, record: Record, number: int) -> None:
+    def _observe_record(self, record: Record, number: int) -> None:
         if self._observe is not None:
             self._observe(record, number)
         if isinstance(record, PhaseChange):
-            # Of the simulated operator, who ends every pause.
+            # The simulated operator ends every pause.
             waits = record.after is Phase.PAUSE and self._operator_us is not None
-            self._word_us = self.host_us + (self._operator_us or 0) if waits else None
+            self._continue_us = self.host_us + (self._operator_us or 0) if waits else None
         if self.faulted is not None:
             self.faulted.sees(record)
 
     def send(self, setpoint: Setpoint) -> None:
-        """A setpoint leaves the app; it is repeated from now on."""
+        """Send a setpoint to the autopilot, and repeat it like MAVSDK."""
         self._last_setpoint = setpoint
         self._transmit(setpoint)
 
     def execute(self, output: Output) -> None:
-        """Every other command of the core."""
+        """Carry out any other command of the core."""
         if isinstance(output, VehicleCommand):
             self._transmit(output.action)
         elif isinstance(output, LockCommand | LockPermission):
@@ -367,7 +370,7 @@ class FastFlight:
             self.lock.permit(order.permitted)
 
     def forget_setpoint(self) -> None:
-        """MAVSDK has gone with the process: nothing repeats the last setpoint."""
+        """Stop repeating the last setpoint, because MAVSDK has ended with its process."""
         self._last_setpoint = None
 
     def _repeat(self) -> None:
@@ -375,7 +378,7 @@ class FastFlight:
             self._transmit(self._last_setpoint)
 
     def _transmit(self, order: Setpoint | VehicleAction) -> None:
-        """To the autopilot, over the link where that is faulty."""
+        """Send an order to the autopilot, through the faulty link if there is one."""
         self._repeated_us = self.host_us
         if self.faulted is not None:
             self.faulted.send_out(order)
@@ -383,7 +386,7 @@ class FastFlight:
             self.deliver(order)
 
     def deliver(self, order: Order) -> None:
-        """A setpoint, an action or a request arrives at the autopilot."""
+        """Deliver a setpoint, an action or a request to the autopilot."""
         if isinstance(order, Setpoint):
             self.autopilot.set_trajectory(
                 TrajectorySetpoint(
@@ -412,15 +415,15 @@ class FastFlight:
 
 
 def longest_s(mission: Mission) -> float:
-    """Return the simulated time after which a flight of this mission is ended."""
+    """Return the simulated time after which a flight of this mission is ended, seconds."""
     return _LONGEST_S + mission.goal.hold_s + sum(waypoint.hold_s for waypoint in mission.waypoints)
 
 
 def simulated_driver(mission: Mission) -> LockDriver:
-    """The mission's lock driver; without a lock it does not matter.
+    """Return the mission's lock driver, or `mock` for a vehicle without a lock.
 
     Raises:
-        InputError: it has no place in simulated time.
+        InputError: the driver does not work in simulated time.
     """
     driver = mission.vehicle.lock_driver or LockDriver.MOCK
     if not DRIVERS[driver].simulated:
@@ -439,14 +442,20 @@ def fly_fast(
     spreads: Mapping[str, float] | None = None,
     take_record: Callable[[FlightRecord], None] | None = None,
 ) -> Verdict:
-    """Fly in process in simulated time; `log_dir` None leaves no log (campaigns).
+    """Fly in process and in simulated time, and return the verdict.
 
-    `lock_faults` are those of the mock servo from the start on; `fault` is what goes wrong, and when;
-    `spreads` says what is drawn anew by the seed (`sim.draws`); `take_record` gets the record once it is
-    complete, with its log in memory where none goes to disk.
+    Args:
+        mission: mission to fly.
+        seed: seed of the sensor noise and of the draws.
+        log_dir: folder for the flight's folder, or None for no log on disk (campaigns).
+        progress: callback for every record.
+        lock_faults: faults of the mock servo from the start of the flight; None: those that are drawn.
+        fault: fault to inject, with its time.
+        spreads: standard deviations of the quantities that the seed draws (`sim.draws`).
+        take_record: callback for the complete record; without `log_dir` its log is in memory.
 
     Raises:
-        InputError: the log cannot be written, or the lock driver has no place in simulated time.
+        InputError: the log cannot be written, or the lock driver does not work in simulated time.
     """
     driver = simulated_driver(mission)
     world = draw_world(mission, seed, spreads or {})

@@ -1,4 +1,4 @@
-"""Motion capture of the fast world: the bridge between the simulated poses and autopilot, in one thread."""
+"""Motion capture of the fast world: simulated poses through the bridge to the autopilot, in one thread."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _SENDER = "simulated"
 
 
 class _PlantPoses:
-    """A pose source that is told what to deliver."""
+    """Pose source that delivers the poses passed to `publish`."""
 
     problem: str | None = None
 
@@ -29,7 +29,7 @@ class _PlantPoses:
         self._frame = 0
 
     def start(self, deliver: Callable[[RawPose], None]) -> None:
-        """Deliver every pose from now on."""
+        """Start delivering every pose."""
         self._deliver = deliver
 
     def stop(self) -> None:
@@ -39,7 +39,7 @@ class _PlantPoses:
     def publish(
         self, t_us: int, position_room: Vec3, q_body_to_room: Quaternion, tracked: bool = True
     ) -> None:
-        """Deliver one frame."""
+        """Deliver one frame; position in metres and attitude in room axes."""
         frame, self._frame = self._frame, self._frame + 1
         if tracked:
             self._deliver(RawPose(BODY, True, position_room, q_body_to_room, frame, t_us, _SENDER))
@@ -51,10 +51,10 @@ class FastPoses:
     """Poses of one fast flight, from the plant through the bridge to core and autopilot.
 
     Args:
-        mission: whose `mocap` section is flown.
-        autopilot: fuses the poses that are forwarded.
-        clock: of the flight.
-        deliver: takes each pose as an input of the core.
+        mission: mission with the `mocap` section of its vehicle.
+        autopilot: autopilot that fuses the forwarded poses.
+        clock: clock of the flight.
+        deliver: callback for each pose as an input of the core.
     """
 
     def __init__(
@@ -73,7 +73,7 @@ class FastPoses:
         self._feed.tick(self._autopilot.now_s, self._autopilot.pose)
 
     def withhold(self) -> None:
-        """Forward no pose from now on."""
+        """Stop forwarding poses."""
         self._bridge.withhold()
 
     def begin_fault(self, fault: Fault) -> None:

@@ -1,4 +1,4 @@
-"""One fault in a fast flight: when it begins, and what it does between app and vehicle."""
+"""Injection of one fault into a flight of the fast world: its beginning and its effect on the link."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 
 class TimeRequest(NamedTuple):
-    """TIMESYNC on its way to the autopilot; sent at a host time."""
+    """TIMESYNC request to the autopilot, with its host time of sending."""
 
     sent_us: int
 
@@ -42,7 +42,7 @@ Order = Setpoint | VehicleAction | TimeRequest
 
 
 class FaultyFlight(Protocol):
-    """The flight in which a fault happens, as far as the fault needs it."""
+    """The flight into which a fault is injected, as the fault uses it."""
 
     mission: Mission
     vehicle: SimulatedVehicle
@@ -53,20 +53,20 @@ class FaultyFlight(Protocol):
 
     @property
     def host_us(self) -> int:
-        """Host time."""
+        """Host time, microseconds."""
         ...
 
     def forget_setpoint(self) -> None:
-        """Repeat no setpoint any longer."""
+        """Stop repeating the last setpoint."""
 
     def deliver(self, order: Order) -> None:
-        """Give the autopilot an order."""
+        """Deliver an order to the autopilot."""
 
 
 class FlightWithFault:
-    """One fault in one fast flight: when it begins, and what it does between app and vehicle.
+    """One fault in one fast flight: its beginning, and its effect between app and vehicle.
 
-    A hang leaves MAVSDK repeating the last setpoint until the deadman ends the process.
+    If the app hangs, MAVSDK repeats the last setpoint until the deadman ends the process.
     """
 
     def __init__(self, flight: FaultyFlight, fault: Fault, seed: int) -> None:
@@ -82,24 +82,24 @@ class FlightWithFault:
 
     @property
     def app_silent(self) -> bool:
-        """The app has stopped doing anything."""
+        """Whether the app has stopped working."""
         stops = self.fault.kind.place is FaultSite.APP and self.fault.name != "disk-full"
         return self.began_us is not None and stops
 
     @property
     def app_dead(self) -> bool:
-        """The deadman or another process has killed it."""
+        """Whether the deadman or another process has killed the app."""
         if not self.app_silent or self.began_us is None:
             return False
         starve_s = 0.0 if self.fault.name == "sigkill" else self._flight.deadman_s
         return self._flight.host_us - self.began_us >= starve_s * 1e6
 
     def sees(self, record: Record) -> None:
-        """Take a record of the flight, to know the phase."""
+        """Update the trigger with a record of the flight."""
         self._trigger.sees(record)
 
     def tick(self) -> None:
-        """Once per tick: begin when it is time, go on while it lasts."""
+        """Advance by one tick: begin the fault when it is due, and continue it."""
         flight = self._flight
         if self.began_us is None:
             if not self._trigger.due(flight.autopilot.time_us):
@@ -135,13 +135,13 @@ class FlightWithFault:
             self._vehicle = VehicleFault(flight.vehicle, fault)
 
     def send_in(self, item: Input) -> None:
-        """A sample on its way to the app."""
+        """Put a sample on the link to the app."""
         dropped = self.began_us is not None and self.fault.name == "imu-dropout"
         if not (dropped and isinstance(item, ImuSample)):
             self._in.push(self._flight.autopilot.now_s, item)
 
     def arrived(self) -> list[Input]:
-        """What reaches the app now, with the time at which it does."""
+        """Return the samples that reach the app now, with the present time of receipt."""
         received = self._flight.host_us
         return [
             msgspec.structs.replace(item, received_us=received)
@@ -149,7 +149,7 @@ class FlightWithFault:
         ]
 
     def send_out(self, order: Order) -> None:
-        """A setpoint, an action or a request on its way to the autopilot."""
+        """Put a setpoint, an action or a request on the link to the autopilot."""
         self._out.push(self._flight.autopilot.now_s, order)
         for one in self._out.pop(self._flight.autopilot.now_s):
             self._flight.deliver(one)

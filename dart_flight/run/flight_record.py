@@ -1,4 +1,4 @@
-"""What is kept of one flight: its log, its verdict, and its onlookers."""
+"""Record of one flight: its log, its verdict, and its onlookers; every world uses it."""
 
 from __future__ import annotations
 
@@ -22,37 +22,38 @@ Onlooker = Callable[[Record], None]
 
 
 class MemoryLog:
-    """Takes the records of one flight, as `FlightLog` does, into a `Log` in memory."""
+    """Log of one flight in memory, with the interface of `FlightLog`."""
 
-    shortfall: str | None = None  # memory takes everything
+    shortfall: str | None = None  # a log in memory is always complete
 
     def __init__(self, about: dict[str, str]) -> None:
         self.log = Log(IN_MEMORY, about, {}, [], complete=True)
 
     def put(self, record: Record, number: int) -> None:
-        """Take a record; `number` is that of the input it is or follows from."""
+        """Append a record; `number` is that of the input which it is or follows from."""
         self.log.entries.append(LogEntry(number, record))
 
     def close(self) -> None:
-        """Nothing is left to be done."""
+        """Do nothing, because a log in memory needs no closing."""
 
 
 class FlightRecord:
-    """Takes every record of one flight, in order; call it with a record and its number.
+    """Recorder of one flight; call it with every record and its number, in order.
 
     Args:
-        mission: what is flown.
-        world: in which world.
-        seed: of a simulated flight.
-        log_dir: where the flight's folder goes; None: no log on disk (campaigns).
-        drawn: what the simulated world was drawn as, name -> value.
-        viewer: the first of the `viewers`.
-        in_memory: keep the log in memory where none goes to disk.
+        mission: mission that is flown.
+        world: world of the flight.
+        seed: seed of a simulated flight, or None.
+        log_dir: folder for the flight's folder, or None for no log on disk (campaigns).
+        drawn: drawn quantities of the simulated world, name -> value.
+        viewer: first of the `viewers`.
+        in_memory: whether to keep the log in memory if `log_dir` is None.
 
     Attributes:
-        onlookers: called with every record, on the thread that took it.
-        viewers: likewise, and with the truth of a simulated vehicle on its own thread; must not block.
-        notice: told once that the log has failed, on the thread that took a record.
+        onlookers: callbacks for every record, on the thread of the record.
+        viewers: callbacks for every record and, on another thread, for the truth of a simulated vehicle;
+            they must not block.
+        notice: callback for the first failure of the log, on the thread of a record.
 
     Raises:
         InputError: the log cannot be written.
@@ -71,7 +72,7 @@ class FlightRecord:
     ) -> None:
         self._world, self._seed, self._drawn = world, seed, dict(drawn or {})
         self.verdict = VerdictBuilder(mission)
-        # Asked here, not by `verdict.take`: most kinds of records matter to it nothing, and are passed over.
+        # Most records are irrelevant to the verdict and are skipped here.
         self._takers = self.verdict.takers
         self.onlookers: list[Onlooker] = []
         self.viewers: list[Onlooker] = [] if viewer is None else [viewer]
@@ -91,27 +92,27 @@ class FlightRecord:
 
     @property
     def path(self) -> Path:
-        """The log's file."""
+        """Path of the log's file."""
         assert isinstance(self._log, FlightLog)
         return self._log.path
 
     @property
     def log(self) -> Log:
-        """The log: that in memory, or read from its file."""
+        """Log in memory, or read from its file."""
         return self._log.log if isinstance(self._log, MemoryLog) else read_log(self.path)
 
     @property
     def folder(self) -> Path:
-        """The flight's folder."""
+        """Folder of the flight."""
         return self.path.parent
 
     def __call__(self, record: Record, number: int) -> None:
-        """Take a record with the number of the input that it is or follows from."""
+        """Log a record and pass it on; `number` is that of the input which it is or follows from."""
         log = self._log
         if log is not None:
             log.put(record, number)
             if not self._fails and log.shortfall is not None:
-                self._tell_failure(log.shortfall, getattr(record, "t_us", 0))
+                self._report_failure(log.shortfall, getattr(record, "t_us", 0))
         take = self._takers.get(type(record))
         if take is not None:
             take(record)
@@ -120,14 +121,14 @@ class FlightRecord:
         for viewer in self.viewers:
             viewer(record)
 
-    def _tell_failure(self, why: str, t_us: int) -> None:
+    def _report_failure(self, why: str, t_us: int) -> None:
         self._fails = True
         failure = LogFailure(t_us, why.partition(",")[0])
-        for tell in (self.notice, *self.viewers):
-            tell(failure)
+        for notify in (self.notice, *self.viewers):
+            notify(failure)
 
     def truth(self, record: Record) -> None:
-        """Take a record of the simulated vehicle that comes beside the core's inputs."""
+        """Record the truth of a simulated vehicle, which is not an input of the core."""
         if isinstance(record, TruthSample):
             self._last = (record.t_us, time.monotonic())
             self._first = self._first or self._last
@@ -139,23 +140,23 @@ class FlightRecord:
 
     @property
     def _speed(self) -> float | None:
-        """Return the simulated seconds per second achieved, or None without a simulated vehicle."""
+        """Simulated seconds per second achieved, or None without a simulated vehicle."""
         if self._first is None or self._last is None or self._last[1] <= self._first[1]:
             return None
         return 1e-6 * (self._last[0] - self._first[0]) / (self._last[1] - self._first[1])
 
     def close(self) -> None:
-        """End the log."""
+        """Close the log."""
         if self._log is not None:
             self._log.close()
 
     def build(self, px4_log: Path | None = None) -> Verdict:
-        """The verdict so far; `px4_log` is PX4's own log, where there is one."""
+        """Return the verdict so far; `px4_log` is the path of PX4's own log, if there is one."""
         log = display_path(self.path) if isinstance(self._log, FlightLog) else None
         kept = display_path(px4_log) if px4_log is not None and px4_log.exists() else None
         built = self.verdict.build(self._world, self._seed, log, kept, self._drawn)
         built.time = self.time or built.time
-        if self._world is not World.FAST:  # the same fast flight has the same verdict
+        if self._world is not World.FAST:  # equal fast flights have equal verdicts
             built.speed = self._speed
         built.log_failure = self._log.shortfall if self._log is not None else None
         return built

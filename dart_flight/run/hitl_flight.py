@@ -1,4 +1,4 @@
-"""The world of hardware in the loop: real flight controller, link and servo, simulated vehicle."""
+"""World of hardware in the loop: real flight controller, link and servo, simulated vehicle."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from dart_flight.sim.pipe import HitlSpec, SimulatorSpec
 from dart_flight.vehicle.ground_link import GroundLink
 from dart_flight.vehicle.link import LinkLease
 
-# PX4 sends it at 200 Hz on every fast link, 40 % of what TELEM2 carries, and the app has no use for it.
+# PX4 sends this message at 200 Hz, 40 % of TELEM2's capacity, and the app does not use it.
 _HIL_ACTUATOR_CONTROLS = 93
 
 
@@ -39,19 +39,19 @@ def fly_hitl(
     spreads: Mapping[str, float] | None = None,
     viewer: Onlooker | None = None,
 ) -> Verdict:
-    """Fly on a flight controller that `check.hitl_check` has found ready; propellers off.
+    """Fly with a flight controller that `check.hitl_check` has found ready; the propellers must be off.
 
     Args:
-        mission: what to fly; its lock driver is the real one.
-        hitl_url: the flight controller's port for simulated sensors.
+        mission: mission to fly; its lock driver is the real one.
+        hitl_url: URL of the flight controller's port for simulated sensors.
         url: MAVSDK connection URL of the app's own link.
-        seed: of the sensors' noise.
-        log_dir: where the flight's folder goes.
-        progress: sees every record.
-        motors: where the flight controller's parameters have them; None: as the configuration.
-        position_from: motion capture or a GPS receiver, simulated.
-        spreads: what is drawn anew by the seed (`sim.draws`).
-        viewer: sees every record, on the thread that took it.
+        seed: seed of the sensor noise and of the draws.
+        log_dir: folder for the flight's folder.
+        progress: callback for every record, on its own thread.
+        motors: motor geometry from the flight controller's parameters; None: that of the configuration.
+        position_from: simulated motion capture or GPS receiver.
+        spreads: standard deviations of the quantities that the seed draws (`sim.draws`).
+        viewer: callback for every record, on the thread that processed it.
 
     Raises:
         InputError: the log cannot be written.
@@ -88,10 +88,10 @@ def fly_hitl(
 
 
 def _leave_disarmed(mission: Mission, url: str) -> None:
-    """A flight controller that has lost its simulated sensors stays armed: PX4 never disarms by itself then.
+    """Disarm the flight controller, because PX4 does not disarm by itself without its simulated sensors.
 
     Raises:
-        FlightError: it does not answer, or refuses.
+        FlightError: the flight controller does not answer, or refuses.
     """
     try:
         with GroundLink(url, mission.vehicle.connection.timeout_s) as link:

@@ -1,4 +1,4 @@
-"""Many flights of one mission, spread over the processor's cores, and what they amount to."""
+"""Many flights of one mission for `dry-run --runs`, in parallel or one by one, and their summary."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from dart_flight.sim.draws import AS_COMMANDED, LOCK_TRUE_MODE
 
 
 class RunSpread(msgspec.Struct):
-    """A figure over many flights."""
+    """Median and range of a figure over many flights."""
 
     median: float
     low: float
@@ -31,10 +31,10 @@ class RunSpread(msgspec.Struct):
 
 
 class RunsSummary(msgspec.Struct):
-    """Many flights of one mission in a few figures.
+    """Summary of many flights of one mission.
 
     Attributes:
-        unexplained_modes: by seed, where the arms were in another mode than the lock (`unexplained_modes`).
+        unexplained_modes: findings by seed about arms in another mode than the lock (`unexplained_modes`).
     """
 
     runs: int
@@ -44,12 +44,12 @@ class RunsSummary(msgspec.Struct):
     final_error_m: RunSpread | None
     max_tilt_deg: RunSpread | None
     peak_force_error_percent: RunSpread | None
-    plan_followed: int | None = None  # flights; None: none had a plan
+    plan_followed: int | None = None  # number of flights, or None if no flight had a plan
     unexplained_modes: dict[str, list[str]] = {}
 
 
 class RunsInterruptedError(Exception):
-    """Ctrl-C, SIGTERM or SIGHUP before the last of many flights; `verdicts` are of the complete ones."""
+    """Interrupt by Ctrl-C, SIGTERM or SIGHUP; `verdicts` are those of the complete flights."""
 
     def __init__(self, verdicts: list[Verdict]) -> None:
         super().__init__(f"interrupted after {len(verdicts)} flights")
@@ -58,7 +58,7 @@ class RunsInterruptedError(Exception):
 
 @contextlib.contextmanager
 def _interruptible() -> Iterator[None]:
-    """SIGTERM and SIGHUP (a dropped session) end many flights as Ctrl-C does."""
+    """Handle SIGTERM and SIGHUP (a dropped session) like Ctrl-C within the context."""
 
     def interrupt(signum: int, frame: object) -> None:
         raise KeyboardInterrupt
@@ -80,13 +80,20 @@ def fly_fast_many(
     done: Callable[[Verdict], None],
     spreads: Mapping[str, float] | None = None,
 ) -> list[Verdict]:
-    """Many fast flights, spread over the processor's cores (`run.workers`), in the order of the seeds.
+    """Fly many fast flights on the processor's cores (`run.workers`); return verdicts in seed order.
+
+    Args:
+        mission: mission to fly.
+        seeds: seeds of the flights.
+        log_dir: folder for the flights' folders, or None for no logs.
+        done: callback for the verdict of every flight.
+        spreads: standard deviations of the quantities that each seed draws (`sim.draws`).
 
     Raises:
-        RunsInterruptedError: by Ctrl-C. The flights under way are flown to their end, no other is begun; a
-            second Ctrl-C ends those under way, too.
+        RunsInterruptedError: Ctrl-C. Flights in progress are completed and no other begins; a second Ctrl-C
+            also ends those in progress.
         InputError: as `fly_fast`.
-        FlightError: a flight's process died, and again when the flight was tried once more.
+        FlightError: a flight's process died, and died again when the flight was retried.
     """
     verdicts: dict[int, Verdict] = {}
     fly = partial(fly_fast, mission, log_dir=log_dir, spreads=dict(spreads or {}))
@@ -108,15 +115,15 @@ def fly_fast_many(
 def fly_one_by_one(
     fly: Callable[[int, Onlooker], Verdict], seeds: Iterable[int], done: Callable[[Verdict], None]
 ) -> list[Verdict]:
-    """Many flights in real time, one after the other.
+    """Fly one seed after the other and return the verdicts.
 
     Args:
-        fly: flies one seed; an onlooker sees its records.
-        seeds: of the flights.
-        done: called after each.
+        fly: function that flies one seed and passes its records to an onlooker.
+        seeds: seeds of the flights.
+        done: callback for the verdict of every flight.
 
     Raises:
-        RunsInterruptedError: by Ctrl-C; the flight under way has landed at that, and is among the verdicts.
+        RunsInterruptedError: Ctrl-C; the flight in progress has landed and is among the verdicts.
     """
     verdicts: list[Verdict] = []
     asked: list[Record] = []
@@ -138,7 +145,7 @@ def fly_one_by_one(
 
 
 def summarise(verdicts: list[Verdict]) -> RunsSummary:
-    """Counts and spreads over many flights."""
+    """Return counts and spreads over many flights."""
     reasons: dict[str, int] = {}
     for v in verdicts:
         if v.reason is not None:
@@ -160,9 +167,9 @@ def summarise(verdicts: list[Verdict]) -> RunsSummary:
 
 
 def unexplained_modes(verdict: Verdict) -> list[str]:
-    """Where the arms were not in the lock's mode although no fault of the lock was drawn.
+    """Return findings about arms that were not in the lock's mode although no lock fault was drawn.
 
-    In a simulated world that is a fault of the simulation, or of the mode felt: no flight of it counts.
+    In a simulated world this is an error of the simulation or of the estimated mode: the flight is invalid.
     """
     if verdict.drawn.get(LOCK_TRUE_MODE, AS_COMMANDED) != AS_COMMANDED:
         return []

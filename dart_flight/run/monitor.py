@@ -1,9 +1,9 @@
-"""What a vehicle's telemetry shows of force and contact, without flying it: the core's senses alone.
+"""Monitor of a vehicle's telemetry: force and contact from the core's senses, without flying.
 
-`TelemetryMonitor` is handed every record by MAVSDK's thread; estimator and detector work through them a few
-times a second on another, which takes a third of what it takes one by one as they come. `view` is what a
-screen shows of it. Nothing is sent to the vehicle beside requests for streams that come too slowly, and the
-poses of a motion capture: on a link shared with a flying `dart-flight` none is slowed.
+MAVSDK's thread passes every record to `TelemetryMonitor`. Another thread processes the records in batches
+several times per second, which takes a third of the processor time of single records. `view` returns the data
+for a screen. The monitor sends only requests for slow streams, and the poses of a motion capture. It slows no
+stream of a `dart-flight` that flies on the same link. `dart-flight monitor` uses this module.
 """
 
 from __future__ import annotations
@@ -55,13 +55,13 @@ _STREAM_OF = {
     ActuatorSample: "actuator",
 }
 _RATE_WINDOW_S = 1.0
-_HEARTBEAT_S = 2.0  # longest wait; one comes each second
-_WORK_S = 0.05  # nobody sees more pictures a second; a log's writer hands over as often
+_HEARTBEAT_S = 2.0  # longest wait; the autopilot sends one per second
+_WORK_S = 0.05  # a faster screen is not useful, and a log is written at this period
 _INPUTS = get_args(Input)
 
 
 class StreamView(msgspec.Struct):
-    """One stream: measured rate, what a mission needs, age of the newest sample; null before the first."""
+    """One stream: measured and required rate, age of the newest sample; null before the first."""
 
     name: str
     rate_hz: float
@@ -70,8 +70,10 @@ class StreamView(msgspec.Struct):
 
 
 class WallView(msgspec.Struct):
-    """What a contact has taught of a wall: k, f, mu as believed before (prior) and since (posterior), with
-    the relative standard deviation of the latter; the mode felt is null where undecided."""
+    """Estimate of a wall from a contact: prior and posterior of k, f, mu.
+
+    `posterior_sd` is the relative standard deviation of the posterior. `mode_felt` is null if undecided.
+    """
 
     wall: str
     mode_felt: str | None
@@ -81,7 +83,7 @@ class WallView(msgspec.Struct):
 
 
 class MonitorView(msgspec.Struct):
-    """What a screen shows; forces in newton, along the axes of the frame named."""
+    """Data for a screen; forces in newton, along the axes of `frame`."""
 
     time_s: float
     frame: str
@@ -101,30 +103,30 @@ class MonitorView(msgspec.Struct):
     landed: str
     battery_v: float | None
     phase: str | None
-    lock: str | None  # none: the vehicle has no lock
+    lock: str | None  # "none": the vehicle has no lock
     cpu_percent: float
-    walls: list[WallView] = msgspec.field(default_factory=list)  # only of a flight of ours
-    plan: str | None = None  # what became of the newest plan made in flight
-    poses: PoseFigures | None = None  # of the motion capture, once a pose has arrived
+    walls: list[WallView] = msgspec.field(default_factory=list)  # only from the log of a flight
+    plan: str | None = None  # result of the newest plan made in flight
+    poses: PoseFigures | None = None  # of the motion capture, after the first pose
 
 
 class TelemetryMonitor:
     """Estimator and detector on live telemetry.
 
     Args:
-        mission: where the frame and the vehicle's configuration come from.
-        placed: the mission's frame lies where the mission says; otherwise forces are shown in NED.
-        viewer: sees every record that comes, and what the senses make of it; must not block.
+        mission: mission with the frame and the vehicle's configuration.
+        placed: whether to use the mission's frame; otherwise forces are along north, west and up.
+        viewer: callback for every record and for the results of the senses; must not block.
     """
 
     def __init__(
         self, mission: Mission, placed: bool, viewer: Callable[[Record], None] = lambda record: None
     ) -> None:
-        self._came: deque[Input] = deque()  # and not yet worked through
+        self._queued: deque[Input] = deque()  # not yet processed
         self._viewer = viewer
         self._senses = Senses(mission)
         self._placed = placed
-        # North, west, up: the mission frame with heading 0 is what is shown where no mission is given.
+        # Without a mission, the frame with heading 0: north, west, up.
         self._senses.state.anchor(mission.frame_at((0.0, 0.0, 0.0)) if placed else MissionFrame())
         self.estimation, self.motors = mission.vehicle.estimation, len(mission.vehicle.airframe.motors)
         self._estimate: ForceEstimate | None = None
@@ -141,17 +143,17 @@ class TelemetryMonitor:
         self._cpu = (time.monotonic(), time.process_time())
 
     def take_record(self, record: Record) -> None:
-        """A record of a flight's log: inputs as from telemetry, and the phase."""
+        """Process a record of a flight's log: an input, a phase, a wall estimate or a plan."""
         if isinstance(record, PhaseChange):
             self._phase = record.after.value
         elif isinstance(record, WallEstimate):
-            self._take_wall(record)
+            self._store_wall(record)
         elif isinstance(record, PlanTaken):
             self._plan = "flown" if record.taken else f"not flown: {record.reason}"
         elif isinstance(record, _INPUTS):
-            self._work_through(record)
+            self._process(record)
 
-    def _take_wall(self, felt: WallEstimate) -> None:
+    def _store_wall(self, felt: WallEstimate) -> None:
         mode = felt.mode_felt or felt.mode_reported
         if mode is None or felt.wall not in self._materials:
             return
@@ -165,28 +167,28 @@ class TelemetryMonitor:
         )
 
     def take(self, item: Input) -> None:
-        """A record of the telemetry, for `work`; any thread, never blocks."""
-        self._came.append(item)
+        """Queue a record of the telemetry for `work`; any thread, never blocks."""
+        self._queued.append(item)
 
     def work(self) -> None:
-        """Work through what came, in its order."""
-        while self._came:
-            self._work_through(self._came.popleft())
+        """Process the queued records in order."""
+        while self._queued:
+            self._process(self._queued.popleft())
 
-    def _work_through(self, item: Input) -> None:
+    def _process(self, item: Input) -> None:
         self._viewer(item)
-        for record in self._take(item):
+        for record in self._sense(item):
             self._viewer(record)
 
-    def _take(self, item: Input) -> list[Record]:
-        """What the senses make of it: an estimate, and the impacts found in it."""
+    def _sense(self, item: Input) -> list[Record]:
+        """Return the results of the senses for an input: a force estimate and its impacts."""
         if isinstance(item, PoseSample) and self._poses is None:
             self._poses = PoseStatistics(self.mocap.room_frame(), self.mocap.delay_ms)
         if self._poses is not None:
             self._poses.update(item)
         name = _STREAM_OF.get(type(item))
         if name is not None:
-            # The host's clock is the machine's: for a log that a flight here is writing, too.
+            # The host's clock is common to all processes, so this also works for the log of a flight.
             self._counts[name].append(getattr(item, "received_us", 0))
         if isinstance(item, StatusText):
             self._read_text(item.text)
@@ -205,14 +207,14 @@ class TelemetryMonitor:
         return self._senses.state.status.landed is LandedState.IN_AIR
 
     def _read_text(self, text: str) -> None:
-        # A flying `dart-flight` tells the ground of its lock and its phase in STATUSTEXT.
+        # A flying `dart-flight` sends its lock and its phase as STATUSTEXT.
         if text.startswith("lock "):
             self._lock = text.removeprefix("lock ")
         elif text.startswith("phase "):
             self._phase = text.removeprefix("phase ")
 
     def view(self) -> MonitorView:
-        """The present state for a screen."""
+        """Return the present state for a screen."""
         self.work()
         now, state, e = host_us(), self._senses.state, self._estimate
         newest = state.imu.t_us if state.imu else 0
@@ -265,14 +267,14 @@ class TelemetryMonitor:
 
 
 async def _raise_rates(watcher: TelemetryMonitor, session: VehicleSession) -> None:
-    """Ask for the streams that come at less than a mission needs."""
+    """Request the streams that are slower than a mission requires."""
     await asyncio.sleep(1.5 * _RATE_WINDOW_S)
     slow = [s.name for s in watcher.view().streams if s.rate_hz < s.expected_hz]
     await session.set_rates(slow, watching=True)
 
 
 async def _may_forward(watcher: TelemetryMonitor, session: VehicleSession) -> bool:
-    """Whether to forward poses: another program forwards already if the vehicle is armed."""
+    """Return whether to forward poses: another program forwards already if the vehicle is armed."""
     if watcher.mocap.url is None:
         return False
     beat = await asyncio.to_thread(session.next, messages.HEARTBEAT, _HEARTBEAT_S)
@@ -288,12 +290,19 @@ async def monitor_vehicle(
     seconds: float | None,
     opened: Callable[[], None] = lambda: None,
 ) -> None:
-    """Connect as a ground station, run the watcher, show a view every period, until cancelled or time is up.
+    """Connect as a ground station, run the watcher and show a view every period.
 
-    Where nothing answers that time is not waited for in vain: it ends after `seconds`, too.
+    Args:
+        watcher: monitor to run.
+        url: MAVSDK connection URL.
+        timeout_s: timeout of the connection, at most `seconds`.
+        show: callback for each view.
+        period_s: time between two views.
+        seconds: duration, or None to run until cancelled.
+        opened: called once the link is open.
 
     Raises:
-        VehicleError: no autopilot at the URL.
+        VehicleError: there is no autopilot at the URL.
         InputError: the motion capture cannot be opened.
     """
     wait_s = timeout_s if seconds is None else min(timeout_s, seconds)
@@ -330,10 +339,19 @@ def monitor_log(
     flying: Callable[[], bool],
     viewer: Callable[[Record], None] = lambda record: None,
 ) -> None:
-    """Run the watcher on the log of a flight under way, show a view every period; `viewer` sees every record.
+    """Run the watcher on the log of a flight in progress and show a view every period.
 
-    Neither link nor flight take part. Ends when time is up, the log is finished, or the flight's process is
-    gone.
+    This uses neither the link nor the flight. It ends after `seconds`, at the end of the log, or when the
+    flight's process has ended.
+
+    Args:
+        watcher: monitor to run.
+        log: log to follow.
+        show: callback for each view.
+        period_s: time between two views.
+        seconds: duration, or None for no limit.
+        flying: function that returns whether the flight's process is alive.
+        viewer: callback for every record.
 
     Raises:
         InputError: the log cannot be read, or is damaged.
@@ -341,7 +359,7 @@ def monitor_log(
     end = None if seconds is None else time.monotonic() + seconds
     shown_s = -math.inf
     while end is None or time.monotonic() < end:
-        alive = flying()  # before reading: what it wrote last is still read
+        alive = flying()  # before reading, so that the last records are read
         entries = log.read()
         for entry in entries:
             watcher.take_record(entry.record)

@@ -1,4 +1,4 @@
-"""What each button of a ground station does in each state: one pure table, for a flight and for standby.
+"""Buttons of a ground station: the effect of each button in each state of a flight and of standby.
 
 The buttons are COMMAND_LONG `MAV_CMD_USER_1` with the button's number in param1 (docs/ground_station.md).
 `FlightApp` and `Standby` carry out the effects.
@@ -15,7 +15,7 @@ from dart_flight.vehicle.command_server import Press, Result
 
 
 class Button(IntEnum):
-    """Param1 of the command."""
+    """Number of a button, param1 of the command."""
 
     LOCK_RIGID = 1
     LOCK_FLEXIBLE = 2
@@ -29,14 +29,14 @@ _MODES: Final = {Button.LOCK_RIGID: Mode.RIGID, Button.LOCK_FLEXIBLE: Mode.FLEXI
 
 
 class Errand(NamedTuple):
-    """Work for which standby hands the link to another process; the missions' numbers count from 1."""
+    """Task for which standby passes the link to another process; mission numbers begin at 1."""
 
     fly: bool
     missions: tuple[int, ...]
 
 
 class Reply(NamedTuple):
-    """Answer to a press, the text that goes with it, and the effect that the caller carries out."""
+    """Answer to a press, its text, and the effect that the caller carries out."""
 
     result: Result
     text: str
@@ -48,7 +48,7 @@ def _denied(text: str) -> Reply:
 
 
 def button_of(press: Press) -> Button | None:
-    """Return the button of a press, None for a number without one."""
+    """Return the button of a press, or None if the number has no button."""
     return Button(press.button) if press.button in tuple(Button) else None
 
 
@@ -56,9 +56,9 @@ def reply_in_flight(press: Press, phase: Phase, lock: str) -> Reply:
     """Return the answer to a button while a mission flies.
 
     Args:
-        press: the button.
-        phase: of the mission.
-        lock: state of the lock in words, empty without a lock.
+        press: press of the button.
+        phase: phase of the mission.
+        lock: state of the lock as text, empty without a lock.
     """
     button, over = button_of(press), phase is Phase.DONE
     if button is Button.CHECK:
@@ -66,7 +66,7 @@ def reply_in_flight(press: Press, phase: Phase, lock: str) -> Reply:
     if button is Button.LAND:
         if over:
             return _denied("the flight is over")
-        # A second word of landing would turn a mission that completes into one that was broken off.
+        # A second request to land would turn a completing mission into one that was broken off.
         landing = phase is Phase.LANDING
         return Reply(Result.ACCEPTED, "landing", None if landing else Request.LAND)
     if button is Button.FLY:
@@ -85,8 +85,8 @@ def reply_in_flight(press: Press, phase: Phase, lock: str) -> Reply:
 # --- standby -----------------------------------------------------------------------------------------------
 
 AGAIN_S: Final = 10.0  # Fly is pressed twice within this time
-# QGroundControl repeats a command without an answer after 3.0 to 3.5 s, with confirmation 0: such a press
-# may be the first one, whose answer was lost.
+# QGroundControl repeats an unanswered command after 3.0 to 3.5 s with confirmation 0, so this may be the
+# first press again.
 _REPEATED_S: Final = (2.7, 3.8)
 
 
@@ -94,10 +94,10 @@ class StandbyState(NamedTuple):
     """The facts that decide about a button in standby.
 
     Attributes:
-        missions: their names, in the order of their numbers.
+        missions: names of the missions, in the order of their numbers.
         has_lock: whether the vehicle has a lock.
-        travelling: mode to which the lock travels, None while it rests.
-        armed: whether the motors may turn, None before PX4's first heartbeat.
+        travelling: mode to which the lock travels, or None while it rests.
+        armed: whether the motors may turn, or None before PX4's first heartbeat.
         remote_control: whether PX4 receives the remote control.
     """
 
@@ -109,10 +109,10 @@ class StandbyState(NamedTuple):
 
 
 class StandbyButtons:
-    """The buttons in standby; remembers the first press of *Fly*."""
+    """Buttons in standby; they store the first press of *Fly*."""
 
     def __init__(self) -> None:
-        self._asked: tuple[int, float] | None = None  # mission, and when it was last asked for
+        self._asked: tuple[int, float] | None = None  # mission of the first press, and its time
 
     def reply(self, press: Press, state: StandbyState, now_s: float) -> Reply:
         """Return the answer to a button."""
@@ -162,10 +162,10 @@ _HELD_S, _GAP_S = 0.5, 2.0
 
 
 class RcSwitch:
-    """A switch of the transmitter that moves the lock: high is rigid, low is flexible.
+    """Switch of the transmitter that moves the lock: high is rigid, low is flexible.
 
-    The middle changes nothing. Neither does the first position, at the start and after a gap: only a switch
-    that is seen to move, and stays, moves the lock.
+    The middle position has no effect, nor has the first position at the start or after a gap. The lock moves
+    only if the switch changes and holds its new position.
     """
 
     def __init__(self) -> None:
@@ -174,7 +174,7 @@ class RcSwitch:
         self._seen_s: float | None = None
 
     def update(self, pulse_us: int, now_s: float) -> Mode | None:
-        """Return the mode to move to, or None, for the next pulse of the channel."""
+        """Process the channel's next pulse and return the mode to move to, or None."""
         if pulse_us not in _PULSES_US:
             return None
         if self._seen_s is None or now_s - self._seen_s > _GAP_S:

@@ -1,8 +1,9 @@
-"""A planner of a flight in real time: a process of its own, so that its computing costs the core nothing.
+"""Planner of a flight over MAVSDK, in its own process so that planning does not delay the core.
 
-Requests, and what changes their answers, go in and answers come out as lines of JSON. One process plans, a
-second one fits contacts, so that a plan never waits behind a fit. A planner that dies or hangs is a planner
-that does not answer: the flight goes on by the paper's setpoint, and walls and modes stay as they were.
+The process reads requests, wall estimates and frame corrections as lines of JSON, and writes answers. One
+process plans and a second one fits contacts, so that a plan does not wait for a fit. A planner that dies or
+hangs does not answer. The flight then continues with the paper's setpoint, without new estimates of walls and
+modes. `FlightApp` starts the processes.
 """
 
 from __future__ import annotations
@@ -30,9 +31,9 @@ from dart_flight.planning.contact_fit import ContactFitter
 from dart_flight.planning.replanner import Replanner
 from dart_flight.vehicle.clock import host_us
 
-_NICE = 5  # below the flight: setpoints go first
+_NICE = 5  # lower priority than the flight, whose setpoints come first
 _END_S = 1.0
-# What a line holds; the first line has the kind of request that is answered, and the mission.
+# First letter of a line; the first line has the kind of request that is answered, and the mission.
 _KINDS: dict[type, bytes] = {
     ContactRequest: b"c",
     FrameAnchor: b"a",
@@ -42,12 +43,12 @@ _KINDS: dict[type, bytes] = {
 
 
 class PlannerProcess:
-    """Planner of one mission, or fitter of its contacts.
+    """Process that plans for one mission, or fits its contacts.
 
     Args:
-        mission: what is flown.
-        kind: of request that it answers.
-        deliver: takes every answer, on a thread of the planner's; must not block.
+        mission: mission that is flown.
+        kind: kind of request that the process answers.
+        deliver: callback for every answer, on a thread of the planner; must not block.
         host_us: function that returns the host's time in microseconds, or simulated time in lockstep.
 
     Raises:
@@ -64,12 +65,12 @@ class PlannerProcess:
         self._deliver, self._host_us = deliver, host_us
         self._answer: type[PlanAnswer | ContactAnswer] = PlanAnswer if kind is PlanRequest else ContactAnswer
         self._open: dict[int, PlanRequest | ContactRequest] = {}
-        self.process = ChildProcess(__name__, _KINDS[kind] + msgspec.json.encode(mission), self._take)
+        self.process = ChildProcess(__name__, _KINDS[kind] + msgspec.json.encode(mission), self._receive)
 
     def send(self, item: PlanRequest | ContactRequest | WallEstimate | FrameAnchor) -> None:
-        """Send a request, or pass on what a contact has taught or moved the frame by; never blocks.
+        """Send a request, a wall estimate or a frame correction; never blocks.
 
-        Where there is no planner any more the answer to a request says so at once.
+        If the planner has died, an answer with a `problem` is delivered at once.
         """
         if isinstance(item, PlanRequest | ContactRequest):
             self._open[item.number] = item
@@ -79,7 +80,7 @@ class PlannerProcess:
             self._answer_open()
 
     def stop(self) -> None:
-        """End it."""
+        """End the process."""
         self.process.end(_END_S)
 
     def _answer_open(self) -> None:
@@ -93,7 +94,7 @@ class PlannerProcess:
                 else:
                     self._deliver(ContactAnswer(now_us, number, problem=problem))
 
-    def _take(self, line: bytes) -> None:
+    def _receive(self, line: bytes) -> None:
         if not line:
             self._answer_open()
             return
@@ -104,7 +105,7 @@ class PlannerProcess:
 
 
 def serve(requests: BinaryIO, answers: BinaryIO) -> None:
-    """Answer requests until there are no more; the first line is their kind and the mission."""
+    """Answer requests until their stream ends; the first line contains their kind and the mission."""
     first = requests.readline()
     mission = msgspec.json.decode(first[1:], type=Mission)
     plans = first.startswith(_KINDS[PlanRequest])

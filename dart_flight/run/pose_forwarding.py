@@ -1,4 +1,4 @@
-"""Forwarding of a motion capture's poses to PX4 by a program that does nothing else."""
+"""Forwarding of a motion capture's poses to PX4 without a flight, for `dart-flight mocap`."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ async def forward_poses(
     """Forward the poses of `mocap.url`; show their figures and their problem every period.
 
     Args:
-        mission: its vehicle's configuration counts.
+        mission: mission with the vehicle's configuration.
         url: MAVSDK connection URL.
-        show: takes the figures, and why no poses arrive.
+        show: callback for the figures and for the reason why no poses arrive.
         period_s: time between two calls of `show`.
-        seconds: duration, or None for no end but cancellation.
+        seconds: duration, or None to run until cancelled.
         opened: called once the link is open.
 
     Raises:
         InputError: the motion capture cannot be opened.
-        VehicleError: no autopilot at the URL.
+        VehicleError: there is no autopilot at the URL.
     """
     vehicle = mission.vehicle
     statistics = PoseStatistics(vehicle.mocap.room_frame(), vehicle.mocap.delay_ms)
@@ -55,6 +55,6 @@ async def forward_poses(
                     await asyncio.sleep(max(0.0, left_s))
                     report(bridge)
             except asyncio.CancelledError:
-                with contextlib.suppress(Exception):  # the last figures, if the link still stands
+                with contextlib.suppress(Exception):  # the last figures, if the link is still open
                     report(bridge)
                 raise

@@ -1,4 +1,4 @@
-"""Missions made ready to fly: checked for room and force, with another lock driver, or as a rehearsal."""
+"""Preparation of missions for a flight: checks of space and force, another lock driver, rehearsals."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ from dart_flight.planning.positioning import simulated_source
 from dart_flight.sim.motion_capture import BODY, KINDS
 from dart_flight.vehicle.motion_capture.source import parse_url
 
-# Measured on v1.18 SITL (docs/results/faster_hits.md): from an odometry sample's stamp to the attitude
-# setpoint that its answer makes, and the part of the attitude's lag that is its rate loop's.
+# Measured on v1.18 SITL (docs/results/faster_hits.md): from the stamp of an odometry sample to the resulting
+# attitude setpoint, and the rate loop's part of the attitude's lag.
 _PX4_DELAYS_S = {"setpoint_delay_s": 0.024, "attitude_delay_s": 0.05}
 
 
 def load_flyable(path: str | Path, config: str | Path | None = None, settings: Sequence[str] = ()) -> Mission:
-    """Load a mission and make sure that its approaches have room and its impacts keep to its limit.
+    """Load a mission whose approaches have enough space and whose impacts are within the force limit.
 
     Raises:
-        InputError: the file is wrong, an approach cannot be flown, or an impact is over the force limit.
+        InputError: the file is wrong, an approach cannot be flown, or an impact exceeds the force limit.
     """
     mission = load_mission(path, config, settings)
     refuse_unflyable(mission)
@@ -35,10 +35,10 @@ def load_flyable(path: str | Path, config: str | Path | None = None, settings: S
 
 
 def refuse_unflyable(mission: Mission) -> None:
-    """Make sure that a mission's approaches have room and that its impacts keep to its limit.
+    """Check that a mission's approaches have enough space and its impacts are within the force limit.
 
     Raises:
-        InputError: they do not.
+        InputError: an approach cannot be flown, or an impact exceeds the force limit.
     """
     flight_core_of(mission)
     problem = impact_problem(mission)
@@ -59,7 +59,7 @@ def flight_core_of(mission: Mission) -> FlightCore:
 
 
 def with_driver(mission: Mission, driver: LockDriver | None) -> Mission:
-    """The mission with another lock driver; None: the configuration's.
+    """Return the mission with another lock driver; None: the configuration's.
 
     Raises:
         InputError: the vehicle has no lock.
@@ -77,7 +77,7 @@ def with_mocap(mission: Mission, url: str | None) -> Mission:
     """Return the mission with another source of poses; None: the configuration's.
 
     Raises:
-        InputError: the URL is not one of a pose source.
+        InputError: the URL does not name a pose source.
     """
     url = url if url is not None else mission.vehicle.mocap.url
     if url is None:
@@ -91,12 +91,12 @@ def with_mocap(mission: Mission, url: str | None) -> Mission:
 def with_simulated_mocap(
     mission: Mission, kind: str | None, source: PositionSource = PositionSource.MOCAP
 ) -> Mission:
-    """Return the mission for a simulated vehicle whose position comes through an emulated motion capture.
+    """Return the mission for a simulated vehicle with an emulated motion capture, or without one.
 
     Args:
-        mission: what to fly.
-        kind: of `sim.motion_capture.KINDS`; None: the simulated autopilot has its position by itself.
-        source: where the simulated autopilot's position comes from.
+        mission: mission to fly.
+        kind: one of `sim.motion_capture.KINDS`; None: the simulated autopilot needs no poses.
+        source: position source of the simulated autopilot.
 
     Raises:
         InputError: there is no such kind, or the position comes from GPS.
@@ -114,13 +114,13 @@ def with_simulated_mocap(
 
 
 def emulated_kind(mission: Mission) -> str | None:
-    """Return which motion capture a simulated world emulates for a mission, or None."""
+    """Return the kind of motion capture that a simulated world emulates for a mission, or None."""
     url = mission.vehicle.mocap.url
     return None if url is None else url.partition(":")[0]
 
 
 def with_px4_delays(mission: Mission) -> Mission:
-    """The mission with PX4's delays from sample to attitude, where the configuration does not say others."""
+    """Return the mission with PX4's delays from sample to attitude, if the configuration has no others."""
     flying = mission.vehicle.flying
     own = {name: default_s for name, default_s in _PX4_DELAYS_S.items() if getattr(flying, name) is None}
     flying = msgspec.structs.replace(flying, **own)
@@ -129,10 +129,14 @@ def with_px4_delays(mission: Mission) -> Mission:
 
 
 def as_rehearsal(mission: Mission, standoff_m: float | None) -> Mission:
-    """The mission's rehearsal: every contact replaced by stopping so far before the wall; None: as it is.
+    """Return the rehearsal of a mission, which stops before each wall instead of hitting it.
+
+    Args:
+        mission: mission to rehearse.
+        standoff_m: distance to the wall, or None to return the mission unchanged.
 
     Raises:
-        InputError: not a distance from 0.1 to 2 m.
+        InputError: the distance is not from 0.1 to 2 m.
     """
     if standoff_m is None:
         return mission

@@ -1,4 +1,4 @@
-"""Brings a fault about in a flight through MAVSDK: in the app, its lock, or the simulated vehicle."""
+"""Injection of a fault into a flight over MAVSDK: in the app, its lock, or the simulated vehicle."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ _HANG_S = 60
 
 
 class ProgramFault:
-    """One fault, begun by the records of the flight; called on the core thread.
+    """Onlooker that begins one fault at its time; called on the core thread.
 
     Args:
-        fault: what goes wrong, and in which phase.
-        app: whose event loop or mock servo is to be broken.
-        world: the simulated vehicle, for its own faults; None where there is none to tell.
-        log: path of the flight log, whose disk may fill up.
+        fault: fault to inject, with its phase.
+        app: app with the event loop and the mock servo.
+        world: simulated vehicle for the faults of a vehicle, or None.
+        log: path of the flight log, for a full disk.
     """
 
     def __init__(
@@ -36,13 +36,13 @@ class ProgramFault:
         self._begun = False
 
     def __call__(self, record: Record) -> None:
-        """Take a record; break what is to be broken when its time has come."""
+        """Process a record, and begin the fault when it is due."""
         if self._begun or not self._trigger.sees(record):
             return
         now_us = getattr(record, "t_us", 0)
         if now_us and self._trigger.due(now_us):
             self._begun = True
-            # For measurements in another process: the monotonic clock is the machine's.
+            # For measurements in another process; all processes share the monotonic clock.
             sys.stderr.write(f"fault {self.fault.name} at monotonic {time.monotonic():.4f} s\n")
             sys.stderr.flush()
             self._begin()
@@ -69,7 +69,7 @@ class ProgramFault:
 
 
 def fill_disk_of(path: Path | None) -> None:
-    """From now on every write to a file that this process has open fails as on a full disk (ENOSPC)."""
+    """Make every write of this process to an open file fail as on a full disk (ENOSPC)."""
     full = os.open("/dev/full", os.O_WRONLY)
     for name in os.listdir("/proc/self/fd"):
         with contextlib.suppress(OSError):

@@ -1,4 +1,4 @@
-"""The world of a real PX4 SITL on our plant, through MAVSDK over UDP, in lockstep."""
+"""World of a real PX4 SITL on our plant, through MAVSDK over UDP, in lockstep or in real time."""
 
 from __future__ import annotations
 
@@ -45,24 +45,24 @@ def fly_px4(
     fault: Fault | None = None,
     viewer: Onlooker | None = None,
 ) -> Verdict:
-    """Fly through MAVSDK over UDP against a real PX4 SITL on our plant, in lockstep.
+    """Fly through MAVSDK over UDP with a real PX4 SITL on our plant, and return the verdict.
 
     Args:
-        mission: what to fly.
-        directory: PX4's, with bin and etc; None: the environment's DART_PX4_DIR.
-        seed: of the sensors' noise.
-        log_dir: where the flight's folder goes; PX4's ULog is kept in it as `px4.ulg`.
-        progress: sees every record.
+        mission: mission to fly.
+        directory: folder of PX4 with bin and etc; None: the environment's DART_PX4_DIR.
+        seed: seed of the sensor noise and of the draws.
+        log_dir: folder for the flight's folder, which also gets PX4's ULog as `px4.ulg`.
+        progress: callback for every record, on its own thread.
         position_from: motion capture (indoors, no GPS) or a GPS receiver.
         speed: highest number of simulated seconds per second.
         realtime: whether simulated time does not wait for this program.
-        parameter_files: PX4 parameters on top of `configs/px4/`.
-        spreads: what is drawn anew by the seed (`sim.draws`).
-        fault: what goes wrong with the motion capture.
-        viewer: sees every record, on the thread that took it.
+        parameter_files: PX4 parameters in addition to `configs/px4/`.
+        spreads: standard deviations of the quantities that the seed draws (`sim.draws`).
+        fault: fault of the motion capture, or None.
+        viewer: callback for every record, on the thread that processed it.
 
     Raises:
-        InputError: there is no PX4, a parameter file is wrong, or the mission's frame cannot be had with GPS.
+        InputError: there is no PX4, a parameter file is wrong, or GPS cannot provide the mission's frame.
         SimulatorError, VehicleError: PX4 did not start or did not answer.
     """
     need_mavlink()
@@ -74,7 +74,7 @@ def fly_px4(
         raise InputError(problem, source=mission.source, key=("frame", "origin"))
     mission = with_px4_delays(_for_pauses(mission, speed) if realtime else mission)
     parameters = flight_parameters(mission.vehicle, position_from, list(parameter_files))
-    motors_from(values_of(parameters), mission.vehicle)  # refused here, before PX4 starts
+    motors_from(values_of(parameters), mission.vehicle)  # raises before PX4 starts
     drawn = draw_world(mission, seed, spreads or {})
     record = FlightRecord(mission, World.PX4, seed, log_dir, drawn.drawn, viewer=viewer)
     folder = record.folder
@@ -123,23 +123,25 @@ def fly_px4(
     return built
 
 
-def _px4_figures(ulog: Path, version: str | None, tell: Onlooker) -> Px4Figures:
-    """Return the figures of PX4's own log; a failure to read it costs one line, not the flight."""
+def _px4_figures(ulog: Path, version: str | None, notify: Onlooker) -> Px4Figures:
+    """Return the figures of PX4's own log, or only its version and one message if it cannot be read."""
     try:
         figures: Px4Figures = load_entry(PX4_FIGURES)(ulog, version)
     except ImportError:
         return Px4Figures(version)
     except Exception as error:
-        tell(StatusText(0, 0, "warning", f"PX4's log {ulog.name} was not read ({error!r})", found_here=True))
+        notify(
+            StatusText(0, 0, "warning", f"PX4's log {ulog.name} was not read ({error!r})", found_here=True)
+        )
         return Px4Figures(version)
     return figures
 
 
 def _for_pauses(mission: Mission, speed: float) -> Mission:
-    """The mission with a guard that lets the simulator pause.
+    """Return the mission with a guard that tolerates pauses of the simulator.
 
-    In lockstep a stall of the machine stops the vehicle's time, too: silence counts from half a second of
-    vehicle time on, where the configuration's limit is shorter.
+    PX4 and the plant are in lockstep, so a stall of the computer also stops the vehicle's time. Silence is
+    therefore tolerated for at least half a second of the vehicle's time.
     """
     guard = mission.vehicle.guard
     timeout_s = max(guard.stream_timeout_s, _LOCKSTEP_PAUSE_S / speed)

@@ -1,4 +1,4 @@
-"""PX4's own log of a flight, from the flight controller into the flight's folder."""
+"""Download of PX4's own log into the flight's folder, for `fly` and `px4-log`."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from dart_flight.recording.found import PX4_LOG
 from dart_flight.vehicle.downloads import DownloadError, DownloadTime, Px4LogEntry, logs_of_flight
 from dart_flight.vehicle.ground_link import GroundLink
 
-_WRITTEN_S = 2.0  # after disarming, until PX4 has written the rest
+_WRITTEN_S = 2.0  # time for PX4 to finish writing after disarming
 
 
 def list_px4_logs(url: str, timeout_s: float) -> list[Px4LogEntry]:
     """Return the logs on the flight controller.
 
     Raises:
-        VehicleError: nothing answers at the URL.
+        VehicleError: no vehicle answers at the URL.
         DownloadError: the flight controller does not answer the request.
     """
     with GroundLink(url, timeout_s) as link, contextlib.closing(link.px4_logs()) as logs:
@@ -38,21 +38,21 @@ def fetch_px4_log(
     progress: Callable[[float], None] = lambda share: None,
     opened: Callable[[], None] = lambda: None,
 ) -> Path:
-    """Download PX4's log of a flight into the flight's folder; return its path.
+    """Download PX4's log of a flight into the flight's folder and return its path.
 
     Args:
-        url: of the vehicle, disarmed.
-        timeout_s: for the connection.
-        folder: of the flight.
-        armed: the flight's arming and its end, None if not known.
-        before: the logs there before the flight, None if not known.
-        choose: called if several logs may be the flight's.
-        say: takes lines for the operator.
-        progress: takes the share received, 0 to 1.
+        url: MAVLink URL of the vehicle, which must be disarmed.
+        timeout_s: timeout of the connection.
+        folder: folder of the flight.
+        armed: times of the flight's arming and of its end, or None if not known.
+        before: logs that existed before the flight, or None if not known.
+        choose: function that selects a log if several may be the flight's.
+        say: callback for lines to the operator.
+        progress: callback for the received share, 0 to 1.
         opened: called once the link is open (`LinkLease.close_device`).
 
     Raises:
-        VehicleError: nothing answers at the URL, or the vehicle is armed.
+        VehicleError: no vehicle answers at the URL, or it is armed.
         DownloadError: there is no log of the flight, or the download failed.
     """
     path = folder / PX4_LOG
@@ -67,11 +67,11 @@ def fetch_px4_log(
         say(f"PX4's log {entry.line()}; Ctrl-C skips it")
         expected = DownloadTime(entry.size_bytes, time.monotonic())
 
-        def take(share: float) -> None:
+        def report(share: float) -> None:
             line = expected.line(share, time.monotonic())
             if line is not None:
                 say(line)
             progress(share)
 
-        logs.download(entry, path, take)
+        logs.download(entry, path, report)
     return path

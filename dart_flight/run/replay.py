@@ -1,11 +1,12 @@
-"""A recorded flight again through the flight core: the same inputs, every output compared.
+"""Replay of a recorded flight through the flight core, with a comparison of every output.
 
-Inputs are fed in the order of their numbers to a fresh core, built from the mission in the log. Truth and
-notes of the shell are not inputs. On the same kind of machine outputs must be equal bit for bit, elsewhere to
-a relative 1e-9: the mathematics library may round differently.
+A new core, built from the mission in the log, gets the inputs in the order of their numbers. Truth and notes
+of the shell are not inputs. On the same kind of machine, outputs must be equal bit for bit. On another kind
+they must agree to a relative 1e-9, because the mathematics library may round differently.
 
-With changed settings the replay shows what would have been decided on the same samples. It is open loop: from
-the first different command on, the recorded vehicle did not do what that command would have made it do.
+With changed settings, the replay shows the decisions on the same samples. It is open loop: after the first
+different command, the recorded vehicle did not follow the replayed commands. `dart-flight replay` and tests
+use this module.
 """
 
 from __future__ import annotations
@@ -68,7 +69,7 @@ _IN_FLIGHT = 3  # inputs at the end of a cut log whose outputs may be missing
 
 
 class Difference(msgspec.Struct, frozen=True):
-    """An output that is not as recorded; None where one side has none."""
+    """An output that differs from the recording; the output is None on a side that has none."""
 
     number: int
     t_us: int
@@ -76,7 +77,7 @@ class Difference(msgspec.Struct, frozen=True):
     replayed: Record | None
 
     def text(self) -> str:
-        """In one line."""
+        """Return the difference in one line."""
         kind = type(self.recorded or self.replayed).__name__
         if self.recorded is None:
             return f"{kind} not in the recording: {_show(self.replayed)}"
@@ -93,14 +94,14 @@ class Replay(msgspec.Struct):
     """The result of a replay.
 
     Attributes:
-        inputs: number fed.
-        outputs: number compared.
+        inputs: number of inputs that were stepped.
+        outputs: number of outputs that were compared.
         exact: whether the comparison was bit for bit; otherwise to a relative 1e-9.
-        differences: every output that is not as recorded.
-        recorded, replayed: the decisions of both, in order.
-        zero_us: the autopilot's time that is 0 s (`recording.flight_time`).
-        missing: numbers of inputs that the log lost; the core's state may differ from there on.
-        note: what a reader should know, or "".
+        differences: outputs that differ from the recording.
+        recorded, replayed: decisions of both sides, in order.
+        zero_us: autopilot time that is shown as 0 s (`recording.flight_time`).
+        missing: number of inputs that the log lost; the core's state may differ after the first.
+        note: remark for the reader, or "".
     """
 
     inputs: int
@@ -115,20 +116,20 @@ class Replay(msgspec.Struct):
 
     @property
     def equal(self) -> bool:
-        """Whether nothing differs."""
+        """Whether all outputs are as recorded."""
         return not self.differences
 
 
 def replay(log: Log, settings: Sequence[str] = (), *, exact: bool | None = None) -> Replay:
-    """Replay a log.
+    """Replay a log and return the comparison.
 
     Args:
-        log: as read.
+        log: log of a flight.
         settings: `KEY=VALUE`, keys of the vehicle configuration or of the mission (`changed_mission`).
-        exact: compare bit for bit; by default where the log is from this kind of machine.
+        exact: whether to compare bit for bit; default: if the log is from this kind of machine.
 
     Raises:
-        InputError: the log does not hold its mission, or a setting is wrong.
+        InputError: the log does not contain its mission, or a setting is wrong.
     """
     mission = changed_mission(log, settings) if settings else flown_mission(log.about, log.source)
     try:
@@ -168,7 +169,7 @@ def _decides(output: Record) -> bool:
 
 
 def _missing(numbers: list[int]) -> int:
-    """How many inputs the log lost: numbers count up without a gap."""
+    """Return the number of inputs that the log lost, from the gaps in their numbers."""
     return numbers[-1] + 1 - len(numbers) if numbers else 0
 
 
@@ -193,7 +194,7 @@ def _compare(
 def _pairs(
     recorded: Sequence[Record], replayed: Sequence[Record]
 ) -> list[tuple[Record | None, Record | None]]:
-    """Records of both sides that are the same decision, whatever their numbers, side by side."""
+    """Return pairs of records that are the same decision, even if their values differ."""
     if [type(r) for r in recorded] == [type(r) for r in replayed]:
         return list(zip(recorded, replayed, strict=True))
     pairs: list[tuple[Record | None, Record | None]] = []
@@ -238,9 +239,9 @@ def _show(record: Record | None) -> str:
 
 
 def decision_rows(result: Replay) -> list[tuple[float, str, str, str]]:
-    """Recorded and replayed decisions side by side, in time: (s, kind, recorded, replayed).
+    """Return recorded and replayed decisions in order of time: (s, kind, recorded, replayed).
 
-    A decision that both took stands in one row, also where its numbers or its time differ a little.
+    A decision of both sides has one row, even if its values or its time differ slightly.
     """
     first_us = result.zero_us
     rows: list[tuple[float, str, str, str]] = []
@@ -252,7 +253,7 @@ def decision_rows(result: Replay) -> list[tuple[float, str, str, str]]:
 
 
 def _label(record: Record) -> tuple[str, ...]:
-    """What makes two decisions the same one: everything but numbers."""
+    """Return the parts that identify a decision: its type, texts and flags, without numbers."""
     values = msgspec.structs.asdict(record)
     words = (str(v) for k, v in values.items() if isinstance(v, str | bool) and k not in ("detail", "reason"))
     return (type(record).__name__, *words)
@@ -277,10 +278,10 @@ def _brief(record: Record | None, first_us: int) -> str:
 
 
 def changed_mission(log: Log, settings: Sequence[str]) -> Mission:
-    """The mission of a log with settings changed, validated by the same types as the files.
+    """Return the mission of a log with changed settings, validated like the files.
 
     Args:
-        log: as read.
+        log: log of a flight.
         settings: `KEY=VALUE` with a dotted key, such as `detection.force_threshold_n=8`,
             `materials.wood.rigid.k=5000` or `collisions[0].alpha_m_per_n=[0.1, 0.02]`.
 
@@ -301,7 +302,7 @@ def changed_mission(log: Log, settings: Sequence[str]) -> Mission:
     same = {"source": flown.source, "vehicle_source": flown.vehicle_source}
     if msgspec.structs.replace(as_written, **same) == flown:
         return msgspec.structs.replace(changed, **same)
-    # Flown otherwise than written (a rehearsal): what was flown stays, with the changed vehicle.
+    # The flown mission differs from its text (a rehearsal), so keep it and change only the vehicle.
     if of_mission:
         raise InputError(
             "the flight differs from its mission text (a rehearsal); only vehicle keys can be set",

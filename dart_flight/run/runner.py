@@ -1,8 +1,7 @@
-"""The one way in which a shell steps the core and hands out what follows.
+"""Runner with which every shell steps the core and carries out its outputs.
 
-The app (real time, MAVSDK) and the fast world (simulated time, in process) differ in where inputs come from
-and in what carries commands out (`CommandSink`), in nothing else: numbers, order and what is recorded are
-the same.
+The app (MAVSDK) and the fast world (in process) differ only in the source of inputs and in the sink of
+commands (`CommandSink`). Numbers, order and records are the same.
 """
 
 from __future__ import annotations
@@ -23,39 +22,39 @@ from dart_flight.base.records import (
 from dart_flight.core.pace import Pace
 
 Observe = Callable[[Record, int], None]
-# Setpoints have left already; the estimates come with every IMU sample and are no commands.
+# Setpoints are sent earlier; estimates come with every IMU sample and are not commands.
 _NOT_CARRIED: Final = (Setpoint, ForceEstimate, TorqueEstimate)
 
 
 class CommandSink(Protocol):
-    """What carries the core's commands out; nothing here may block or raise."""
+    """Receiver of the core's commands; its methods must not block or raise."""
 
     def send(self, setpoint: Setpoint) -> None:
-        """A setpoint, at once."""
+        """Send a setpoint at once."""
 
     def execute(self, output: Output) -> None:
-        """Every other output but the estimates; records that are no commands are passed over."""
+        """Carry out any other output except estimates; skip records that are not commands."""
 
 
 class Core(Protocol):
-    """What is stepped: a `FlightCore`, or something of the same shape around one."""
+    """A `FlightCore`, or a wrapper with the same interface."""
 
     @property
     def pace(self) -> Pace:
-        """How soon the next inputs have to be stepped."""
+        """Pace at which the next inputs must be stepped."""
 
     def step(self, item: Input) -> list[Output]:
         """Advance by one input."""
 
 
 class CoreRunner:
-    """Steps the core: numbers inputs, hands out outputs, shows both to the observer.
+    """Runner that steps the core, numbers inputs, and passes inputs and outputs to an observer.
 
     Args:
-        core: the flight core.
-        sink: carries out what it wants.
-        observe: sees every input with its number, then every output and note with the number of its input.
-        host_us: the host's monotonic clock, microseconds; simulated in the fast world.
+        core: flight core.
+        sink: receiver of the core's commands.
+        observe: callback for every input with its number, then every output and note with that number.
+        host_us: function that returns the host's monotonic time, microseconds; simulated in the fast world.
     """
 
     def __init__(self, core: Core, sink: CommandSink, observe: Observe, host_us: Callable[[], int]) -> None:
@@ -65,19 +64,19 @@ class CoreRunner:
         self._held: Setpoint | None = None
 
     def take(self, item: Input, *, more: bool = False) -> None:
-        """Step the core with an input and hand out what follows; setpoints leave before anything else.
+        """Step the core with an input and carry out its outputs, setpoints first.
 
         Args:
-            item: the input.
-            more: another one follows at once. A setpoint waits for what that makes of it: one that is
-                replaced a moment later need not leave.
+            item: input of the core.
+            more: whether another input follows at once. Its step may replace a setpoint, which is therefore
+                not sent yet.
         """
         number = self._number
         self._number += 1
         outputs = self.core.step(item)
         sent = [self._send(output) for output in outputs if isinstance(output, Setpoint)]
         if any(isinstance(output, Silence) for output in outputs):
-            self._held = None  # nothing leaves once that is decided
+            self._held = None  # send no setpoint after a decision for silence
         elif not more:
             self._send_held()
         self._observe(item, number)
@@ -91,11 +90,11 @@ class CoreRunner:
                 self._observe(note, number)
 
     def note(self, record: Record) -> None:
-        """Show a record that is neither input nor output: truth, at the number of the next input."""
+        """Pass a record that is neither input nor output, such as truth, to the observer."""
         self._observe(record, self._number)
 
     def _send(self, setpoint: Setpoint) -> SetpointSent | None:
-        """Those of the recovery leave at once; others as soon as it is known that none follows at once."""
+        """Send a recovery setpoint at once, or hold any other until no input follows at once."""
         if not setpoint.recovery:
             self._held = setpoint
             return None

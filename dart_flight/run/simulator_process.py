@@ -1,4 +1,4 @@
-"""The app's end of a simulated vehicle that runs in a process of its own."""
+"""App's side of a simulated vehicle that runs in its own process, for the worlds over MAVSDK."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ from dart_flight.run.flight_record import FlightRecord
 from dart_flight.sim.faults.fault_table import Fault
 from dart_flight.sim.pipe import FaultLine, Horn, Ready, SimulatorDied, SimulatorSpec, Truth, WorldOutput
 
-_LAST_WORDS_S = 0.2  # less than the deadman waits for an event loop
+_LAST_WORDS_S = 0.2  # shorter than the deadman's timeout of the event loop
 
 
 class SimulatorError(FlightError):
-    """The simulated vehicle did not start, or died."""
+    """Error of a simulated vehicle that did not start, or died."""
 
 
 class SimulatorProcess:
-    """A simulated vehicle in a process and session of its own, which outlive Ctrl-C and the app.
+    """Simulated vehicle in its own process and session, which survive Ctrl-C and the app.
 
     Args:
-        spec: what to simulate.
-        on_truth: takes every truth record, on a thread of its own.
+        spec: specification of the simulated vehicle.
+        on_truth: callback for every truth record, on its own thread.
     """
 
     ready_timeout_s = 20.0
@@ -40,26 +40,26 @@ class SimulatorProcess:
 
     def __init__(self, spec: SimulatorSpec, on_truth: Callable[[TruthSample | TruthContact], None]) -> None:
         self._on_truth = on_truth
-        self._told = threading.Event()
+        self._reported = threading.Event()
         self._log = spec.log
         self.ready: Ready | None = None
         self._cause: str | None = None
         self._decoder = msgspec.json.Decoder(WorldOutput)
-        # What goes wrong over there belongs beside what it says, not into the app's terminal.
+        # Errors of the process go into its text log, not to the app's terminal.
         with open(spec.log or os.devnull, "ab") as errors:
             first = msgspec.json.encode(spec)
-            self.process = ChildProcess("dart_flight.sim.simulator", first, self._take, errors)
+            self.process = ChildProcess("dart_flight.sim.simulator", first, self._receive, errors)
 
     @property
     def died(self) -> bool:
-        """Whether the vehicle is gone: it said so, or its process has ended."""
+        """Whether the vehicle has reported its end, or its process has ended."""
         return self._cause is not None or self.process.poll() is not None
 
     @property
     def cause(self) -> str:
-        """What died, in words, once `died`."""
+        """Text that names what died; valid if `died`."""
         if self._cause is None:
-            self.process.listener.join(_LAST_WORDS_S)  # it may have said why, and not have been read yet
+            self.process.listener.join(_LAST_WORDS_S)  # the cause may still be unread in the pipe
         if self._cause is not None:
             return self._cause
         code = self.process.poll()
@@ -68,7 +68,7 @@ class SimulatorProcess:
 
     @property
     def port(self) -> int:
-        """UDP port that the autopilot sends to, where it chose that itself."""
+        """UDP port that the autopilot has chosen to send to."""
         assert self.ready is not None
         assert self.ready.port is not None
         return self.ready.port
@@ -80,22 +80,22 @@ class SimulatorProcess:
 
     @property
     def version(self) -> str | None:
-        """The autopilot's version, where it told."""
+        """Version of the autopilot, or None if not reported."""
         return self.ready.version if self.ready is not None else None
 
     def wait_ready(self) -> None:
         """Block until the autopilot sends.
 
         Raises:
-            SimulatorError: it does not in time; says why where that is known.
+            SimulatorError: the autopilot does not start in time; the message contains the cause if known.
         """
-        self._told.wait(self.ready_timeout_s)
+        self._reported.wait(self.ready_timeout_s)
         if self.ready is None:
             where = f", see {self._log}" if self._log else ""
             raise SimulatorError((self._cause or f"{self.what} did not start") + where)
 
     def send_horn(self, pulse_us: float) -> None:
-        """Tell the plant where the mock servo's horn is."""
+        """Send the position of the mock servo's horn to the plant."""
         self.process.send(msgspec.json.encode(Horn(pulse_us)))
 
     def send_line(self, line: bytes) -> bool:
@@ -103,24 +103,24 @@ class SimulatorProcess:
         return self.process.send(line)
 
     def send_fault(self, fault: Fault) -> None:
-        """A fault begins over there."""
+        """Begin a fault in the simulated vehicle."""
         self.process.send(msgspec.json.encode(FaultLine(fault)))
 
     def close(self, timeout_s: float = 30.0) -> None:
-        """Let go of the vehicle: it flies on to its failsafe if it is in the air, then the process ends."""
+        """End the process; a vehicle in the air first flies on until its failsafe acts."""
         self.process.end(timeout_s)
 
-    def _take(self, line: bytes) -> None:
+    def _receive(self, line: bytes) -> None:
         if not line:
-            self._told.set()  # it has ended, and there is nothing to wait for
+            self._reported.set()  # the process has ended
         with contextlib.suppress(msgspec.DecodeError):
             item = self._decoder.decode(line)
             if isinstance(item, Ready):
                 self.ready = item
-                self._told.set()
+                self._reported.set()
             elif isinstance(item, SimulatorDied):
                 self._cause = item.cause
-                self._told.set()
+                self._reported.set()
             elif isinstance(item, Truth):
                 record = item.state or item.contact
                 if record is not None:
@@ -128,22 +128,22 @@ class SimulatorProcess:
 
 
 class Px4SimulatorProcess(SimulatorProcess):
-    """Plant and a real PX4, which belongs to the process and ends with it."""
+    """Plant with a real PX4, which ends together with the process."""
 
     ready_timeout_s = 60.0
     what = "the plant under PX4"
 
     def close(self, timeout_s: float = 30.0) -> None:
-        """As for every world; should the process have been killed, PX4's session goes with it."""
+        """End the process, and kill PX4's session if the process had to be killed."""
         super().close(timeout_s)
-        killed = self.process.returncode < 0  # in every other case it has ended PX4 itself
+        killed = self.process.returncode < 0  # otherwise the process has ended PX4 itself
         if killed and self.ready is not None and self.ready.pid is not None:
             with contextlib.suppress(ProcessLookupError, PermissionError):
                 os.killpg(self.ready.pid, signal.SIGKILL)
 
 
 class HitlProcess(SimulatorProcess):
-    """The plant that feeds a flight controller."""
+    """Plant that sends simulated sensors to a flight controller."""
 
     ready_timeout_s = 60.0
     what = "the plant at the flight controller"
@@ -155,13 +155,13 @@ def fly_simulated(
     make_app: Callable[[SimulatorProcess], FlightApp],
     process: type[SimulatorProcess] = SimulatorProcess,
 ) -> SimulatorProcess:
-    """Start a world, fly in it, end it; closes the record's log.
+    """Start a world, fly in it, end it and close the record's log; return the world.
 
     Args:
-        record: of the flight; takes the world's truth as well.
-        spec: of the world, whose text log goes into the flight's folder.
-        make_app: makes the app once the world is ready.
-        process: what the world runs in.
+        record: record of the flight, which also gets the world's truth.
+        spec: specification of the world; its text log goes into the flight's folder.
+        make_app: function that makes the app once the world is ready.
+        process: class of the world's process.
 
     Raises:
         InputError: the name of the flight's folder is not UTF-8.

@@ -1,7 +1,7 @@
-"""Standby: holds link and lock between flights, and hands the link to ordinary `check` and `fly` processes.
+"""Standby: holds link and lock between flights, and passes the link to `check` and `fly` processes.
 
-`StandbyDesk` decides, without I/O; `Standby` has the connection, the lock and the child processes. A flight
-knows nothing of it: it is the same command that a person would type.
+`StandbyDesk` decides without I/O. `Standby` has the connection, the lock and the child processes. A flight
+does not depend on standby: it is the command that an operator would type.
 """
 
 from __future__ import annotations
@@ -35,18 +35,22 @@ from dart_flight.vehicle.motion_capture.pose_bridge import forwarding
 from dart_flight.vehicle.vehicle_session import VehicleError, VehicleSession, connect
 
 _RETRY_S: Final = 5.0
-_CONNECT_S: Final = 5.0  # for the autopilot's heartbeat, then it is tried again
+_CONNECT_S: Final = 5.0  # for the autopilot's heartbeat, before the next attempt
 _ALIVE_S: Final = 0.5
-_SYSTEMD: Final = ("NOTIFY_SOCKET", "WATCHDOG_USEC", "WATCHDOG_PID")  # of standby, not of its children
-_TEXT_PAUSE_S: Final = 0.3  # PX4 forwards from a buffer of some 580 bytes, and drops what does not fit
+_SYSTEMD: Final = (
+    "NOTIFY_SOCKET",
+    "WATCHDOG_USEC",
+    "WATCHDOG_PID",
+)  # systemd's variables, which child processes must not inherit
+_TEXT_PAUSE_S: Final = 0.3  # PX4 forwards texts from a buffer of about 580 bytes and drops the rest
 _LAST_WORDS_S: Final = 0.3  # for answers and texts, before the connection closes
 _RADIO_S: Final = 3.0  # SYS_STATUS older than this: no remote control
 _RC_RECEIVER: Final = 65536  # MAV_SYS_STATUS_SENSOR
-_NO_GOES: Final = 3  # of a check, told to the ground station; the rest is in the journal
+_NO_GOES: Final = 3  # of a check, sent to the ground station; the rest is in the journal
 
 
 class Ended(NamedTuple):
-    """The end of a child process: status (negative: its signal), output, last line of its messages."""
+    """End of a child process: status (negative: its signal), output, last line of its messages."""
 
     status: int
     output: bytes
@@ -54,10 +58,10 @@ class Ended(NamedTuple):
 
 
 class StandbyDesk:
-    """Everything that standby knows and decides, in the order in which it comes; no I/O and no clock.
+    """State and decisions of standby, without I/O and without a clock.
 
     Args:
-        missions: their names.
+        missions: names of the missions.
         rc_channel: channel of the switch that moves the lock, or None.
         has_lock: whether the vehicle has a lock.
     """
@@ -67,9 +71,9 @@ class StandbyDesk:
         self.take_link()
 
     def take_link(self) -> None:
-        """Begin afresh: everything may have changed while another process had the link."""
+        """Reset the state, which may have changed while another process had the link."""
         self._buttons, self._switch = StandbyButtons(), RcSwitch()
-        self._radio_s = -math.inf  # when PX4 last said that it has a remote control
+        self._radio_s = -math.inf  # when PX4 last reported a remote control
         self._armed: bool | None = None
         self._travelling: Mode | None = None
 
@@ -80,26 +84,26 @@ class StandbyDesk:
         return self._buttons.reply(press, state, now_s)
 
     def take_lock(self, state: LockState) -> None:
-        """Note the lock's state."""
+        """Store the lock's state."""
         self._travelling = state.mode if state.phase is LockPhase.TRAVELLING else None
 
     def take_armed(self, armed: bool) -> None:
-        """Note whether the motors may turn."""
+        """Store whether the motors may turn."""
         self._armed = armed
 
     def take_sensors(self, present: int, now_s: float) -> None:
-        """Note the sensors that PX4 has: with a valid remote control its receiver is one of them."""
+        """Store whether PX4's sensors include the receiver of a valid remote control."""
         self._radio_s = now_s if present & _RC_RECEIVER else -math.inf
 
     def take_channels(self, pulses_us: Sequence[int], now_s: float) -> Mode | None:
-        """Return the mode to which the transmitter's switch moves the lock, if any."""
+        """Return the mode to which the transmitter's switch moves the lock, or None."""
         if now_s - self._radio_s > _RADIO_S or self._channel is None or self._channel > len(pulses_us):
-            return None  # after a loss receivers may send preset positions
+            return None  # after a loss of the link, receivers may send preset positions
         return self._switch.update(pulses_us[self._channel - 1], now_s)
 
 
 def describe_end(name: str, fly: bool, ended: Ended) -> list[str]:
-    """Return what a `check` or `fly` process came to, as lines for the ground station."""
+    """Return the result of a `check` or `fly` process, as lines for the ground station."""
     try:
         report = msgspec.json.decode(ended.output)
     except msgspec.DecodeError:
@@ -123,14 +127,14 @@ def describe_end(name: str, fly: bool, ended: Ended) -> list[str]:
 
 
 class Standby:
-    """The resident program.
+    """Resident program that holds the link between flights.
 
     Args:
-        missions: names and files, in the order of the buttons.
-        vehicle: whose lock, link and motion capture are held.
+        missions: names and files of the missions, in the order of the buttons.
+        vehicle: configuration with the lock, the link and the motion capture.
         url: MAVSDK connection URL.
-        options: further options of `fly` and `check`.
-        say: takes what happens: a kind (`standby`, `child` or `problem`) and a line.
+        options: additional options of `fly` and `check`.
+        say: callback for messages: a kind (`standby`, `child` or `problem`) and a line.
     """
 
     def __init__(
@@ -154,7 +158,7 @@ class Standby:
         self._loop: asyncio.AbstractEventLoop | None = None
 
     async def run(self) -> None:
-        """Stand by until SIGINT, SIGTERM or SIGHUP; a flight under way lands first.
+        """Stand by until SIGINT, SIGTERM or SIGHUP; a flight in progress lands first.
 
         Raises:
             InputError: the motion capture or the state folder cannot be used.
@@ -172,7 +176,7 @@ class Standby:
                     await self._hold()
                     problem = ""
                 except (LinkTakenError, VehicleError, ServoTakenError, DriverError) as error:
-                    if str(error) != problem:  # once, however long it lasts
+                    if str(error) != problem:  # report it once
                         problem = str(error)
                         self._say("problem", f"{problem}; trying again")
                     await self._rest(_RETRY_S)
@@ -184,7 +188,7 @@ class Standby:
             systemd.stopping()
 
     def _stop(self) -> None:
-        """End standby; a flight gets each signal as well: the first lands it, the second releases."""
+        """End standby and pass each signal to a flight: the first lands, the second releases."""
         self._stops += 1
         self._wake.set()
         if self._child is not None and self._child.returncode is None:
@@ -197,7 +201,7 @@ class Standby:
     # -- holding the link --
 
     async def _hold(self) -> None:
-        """Hold link, lock and motion capture until there is an errand or the end."""
+        """Hold link, lock and motion capture until an errand or the end of standby."""
         vehicle = self._vehicle
         self._wake.clear()
         self._desk.take_link()
@@ -213,20 +217,20 @@ class Standby:
             session.listen(
                 messages.SYS_STATUS, lambda s, _: self._desk.take_sensors(s.present, time.monotonic())
             )
-            session.listen(messages.RC_CHANNELS, lambda pulses, _: self._take_channels(pulses))
+            session.listen(messages.RC_CHANNELS, lambda pulses, _: self._handle_channels(pulses))
             session.serve_operator(vehicle.ground_station.system_id, self._answer)
             self._say("standby", "holding the link")
             for text in [*self._news, "standby"]:
                 session.tell_ground(text)
                 await asyncio.sleep(_TEXT_PAUSE_S)
             self._news.clear()
-            while not self._wake.is_set():  # an errand, or the end
+            while not self._wake.is_set():
                 await self._rest(_RETRY_S)
             await asyncio.sleep(_LAST_WORDS_S)
 
     @contextlib.contextmanager
     def _holding_lock(self, config: LockConfig, session: VehicleSession) -> Iterator[LockThread]:
-        """Own the servo and step the lock; nothing moves until it is asked for.
+        """Own the servo and step the lock; the servo does not move without a command.
 
         Raises:
             ServoTakenError: another process moves the servo.
@@ -238,7 +242,7 @@ class Standby:
             store.note(state)
             states.put(state)
 
-        def take(state: LockState) -> None:
+        def handle(state: LockState) -> None:
             self._desk.take_lock(state)
             if state.phase is not LockPhase.TRAVELLING:
                 session.tell_ground(status_text(state))
@@ -247,7 +251,7 @@ class Standby:
         with ServoOwnership():
             driver = ground_driver(config, load_last(), session.set_actuator)
             lock = LockThread(
-                lambda: GroundLock(config, driver, keep).session, states, lambda: True, take, lambda: None
+                lambda: GroundLock(config, driver, keep).session, states, lambda: True, handle, lambda: None
             )
             lock.thread.start()
             try:
@@ -273,7 +277,7 @@ class Standby:
         self._say("standby", f"button {press.button} {said}: {reply.text}")
         return reply.result, reply.text
 
-    def _take_channels(self, pulses_us: Sequence[int]) -> None:
+    def _handle_channels(self, pulses_us: Sequence[int]) -> None:
         mode = self._desk.take_channels(pulses_us, time.monotonic())
         if mode is not None:
             self._say("standby", f"transmitter: moving to {mode}")
@@ -286,7 +290,7 @@ class Standby:
     # -- handing the link over --
 
     async def _run_errand(self, errand: Errand) -> None:
-        """Run the processes of an errand, one after the other, and keep what they came to for the ground."""
+        """Run the processes of an errand in order, and store their results for the ground station."""
         for number in errand.missions:
             name, path = self._missions[number - 1]
             command = ["fly", path, "--yes"] if errand.fly else ["check", path]
@@ -299,8 +303,8 @@ class Standby:
                 break
 
     async def _run_child(self, command: Sequence[str]) -> Ended:
-        """Run a command of this program on the link; its messages are passed on."""
-        # A session of its own: Ctrl-C is for standby, which passes it on once.
+        """Run a command of this program on the link, and pass its messages on."""
+        # In a new session, so that only standby gets Ctrl-C and passes it on once.
         inherited = {name: value for name, value in os.environ.items() if name not in _SYSTEMD}
         child = self._child = await asyncio.create_subprocess_exec(
             *(sys.executable, "-m", "dart_flight", *command, "--json", "--connection", self._url),
@@ -318,7 +322,7 @@ class Standby:
         return Ended(await child.wait(), output, last_line)
 
     async def _pass_on(self, child: asyncio.subprocess.Process) -> str:
-        """Say every line of a child's messages; return the last one."""
+        """Pass every line of a child's messages on, and return the last one."""
         assert child.stderr is not None
         last = ""
         async for line in child.stderr:

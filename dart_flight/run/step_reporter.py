@@ -1,8 +1,9 @@
 """The application's side of the lockstep with a simulated world (`sim.lockstep`).
 
 Open work is everything that the application still has to do: queued inputs, lock orders, requests to the
-autopilot, plans. Whenever no work is open, a report goes to the world, which may then advance. It advances by
-one tick near a wall, elsewhere by a batch of 20 ms, whose samples are stepped together (`core.pace`).
+autopilot, plans. Whenever no work is open, a report goes to the world, which may then advance. Near a wall it
+advances by one tick. Elsewhere it advances by a batch of 20 ms, whose samples are stepped together
+(`core.pace`).
 """
 
 from __future__ import annotations
@@ -50,8 +51,8 @@ class StepReporter:
 
     Args:
         send: function that writes one line to the world; must not block.
-        batches: whether the world may advance by batches; poses between the samples of a batch would be
-            stepped in an order that the computer's load decides.
+        batches: whether the world may advance by batches. With forwarded poses it must not, because the
+            computer's load would decide the order of poses and samples in a batch.
 
     Attributes:
         clock: clock of simulated time.
@@ -66,7 +67,7 @@ class StepReporter:
         self._commands = 0
         # Due time of an answer, by its kind and the number of the request.
         self._due: dict[tuple[type, int], int] = {}
-        self._answers: list[PlanAnswer | ContactAnswer] = []  # that are not due yet
+        self._answers: list[PlanAnswer | ContactAnswer] = []  # answers that are not due yet
         self._batched = False
         self._hold_us = 0  # IMU samples stamped earlier wait for the rest of their batch
         self._streams: dict[str, int] = {}
@@ -91,7 +92,7 @@ class StepReporter:
             self._open += 1
 
     def completes_batch(self, item: Input) -> bool:
-        """Return whether to step an input of the vehicle and all inputs queued before it now.
+        """Return whether to step an input of the vehicle now, with all inputs queued before it.
 
         Such inputs are not counted as open work, because the world counts what it has sent.
         """

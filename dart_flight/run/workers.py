@@ -1,7 +1,7 @@
-"""Flights side by side in a pool of processes; one that dies costs its own flight a retry, and no other.
+"""Parallel flights in a pool of processes, for campaigns and `dry-run --fast --runs`.
 
-The processes come from a fork server: a thread of the parent's (a progress bar's) cannot leave a lock behind
-in them.
+If a process dies, its flight is retried. The processes come from a fork server. Otherwise they could inherit
+a lock that a thread of the parent holds, such as a progress bar's.
 """
 
 from __future__ import annotations
@@ -29,21 +29,21 @@ R = TypeVar("R")
 _POLL_S = 0.2  # for an interrupt
 _RETRIES = 1
 _RENEWALS = 3
-# What a flight imports, once for all processes.
+# Modules that a flight imports, loaded once for all processes.
 _PRELOADED = ["dart_flight.run.fast", "dart_flight.recording.verdict"]
 
 
 def usable_cores() -> int:
-    """Cores that this process may run on."""
+    """Return the number of cores that this process may run on."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
 
 class Interrupt:
-    """Counts Ctrl-C, SIGTERM and SIGHUP (a dropped session) instead of tearing down what is under way.
+    """Context that counts Ctrl-C, SIGTERM and SIGHUP (a dropped session) instead of ending the program.
 
-    In force as a context; only the main thread can have it so, elsewhere the count stays 0.
+    It has an effect only in the main thread; in other threads the count stays 0.
     """
 
     def __init__(self) -> None:
@@ -53,7 +53,7 @@ class Interrupt:
     def __enter__(self) -> Interrupt:
         if threading.current_thread() is threading.main_thread():
             for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-                self._before[number] = signal.signal(number, self._take)
+                self._before[number] = signal.signal(number, self._count)
         return self
 
     def __exit__(
@@ -62,7 +62,7 @@ class Interrupt:
         for number, handler in self._before.items():
             signal.signal(number, handler)
 
-    def _take(self, signum: int, frame: FrameType | None) -> None:
+    def _count(self, signum: int, frame: FrameType | None) -> None:
         self.count += 1
 
 
@@ -70,8 +70,8 @@ class Failure(NamedTuple):
     """A flight without a result.
 
     Attributes:
-        what: in one line: the exception and its place, or that its process died.
-        error: the exception; None where the process died.
+        what: one line with the exception and its place, or about the death of the process.
+        error: exception, or None if the process died.
     """
 
     what: str
@@ -79,14 +79,14 @@ class Failure(NamedTuple):
 
 
 class FinishedItem(NamedTuple, Generic[I, R]):
-    """One item after it was flown: its result, or why there is none."""
+    """One item after its flight: its result, or its failure."""
 
     item: I
     result: R | Failure
 
 
 def attempt(fly: Callable[[I], R], item: I) -> R | Failure:
-    """Fly one item; an exception is a `Failure` with the place it came from."""
+    """Fly one item and return its result, or a `Failure` with the place of the exception."""
     try:
         return fly(item)
     except Exception as error:
@@ -95,13 +95,13 @@ def attempt(fly: Callable[[I], R], item: I) -> R | Failure:
         what = f"{what} ({Path(place.filename).name}:{place.lineno})"
         try:
             pickle.loads(pickle.dumps(error))
-        except Exception:  # its own matter how it is built
+        except Exception:  # the exception cannot be passed between processes
             return Failure(what)
         return Failure(what, error)
 
 
 class _Pool(Generic[I, R]):
-    """A process pool that has the function that flies, and is made anew where a process of it died."""
+    """Process pool with the function that flies; `renew` replaces a broken pool."""
 
     def __init__(self, fly: Callable[[I], R], processes: int) -> None:
         self._fly, self._processes = fly, processes
@@ -115,20 +115,20 @@ class _Pool(Generic[I, R]):
         return ProcessPoolExecutor(self._processes, context, initializer=_begin, initargs=(self._fly,))
 
     def submit(self, item: I) -> Future[R | Failure]:
-        """Let one fly; where the pool is broken the future says so."""
+        """Submit an item; if the pool is broken, the future has a `BrokenProcessPool` error."""
         try:
             return self._executor.submit(_fly_one, item)
         except (BrokenProcessPool, OSError) as error:
-            # A pool that breaks while it starts a process may have closed the pipes of that process already.
+            # A pool that breaks while it starts a process may have closed its pipes, hence OSError.
             future: Future[R | Failure] = Future()
             future.set_exception(BrokenProcessPool(str(error)))
             return future
 
     def renew(self) -> None:
-        """Take new processes.
+        """Replace the processes.
 
         Raises:
-            FlightError: they end before they could fly anything.
+            FlightError: the new processes end before their first flight.
         """
         for _ in range(_RENEWALS):
             self.close()
@@ -136,17 +136,17 @@ class _Pool(Generic[I, R]):
             try:
                 self._executor.submit(int).result()
             except (BrokenProcessPool, OSError):
-                time.sleep(_POLL_S)  # the fork server may have died with the pool, and starts again
+                time.sleep(_POLL_S)  # the fork server may have died with the pool and is restarting
             else:
                 return
         raise FlightError("worker process exited before its first flight")
 
     def close(self) -> None:
-        """Begin nothing more; what is under way ends by itself, and nobody looks at it."""
+        """Cancel the waiting items; flights in progress end by themselves and their results are ignored."""
         self._executor.shutdown(wait=False, cancel_futures=True)
 
 
-_fly: Callable[[Any], Any]  # in a process of the pool: what it was given to fly with
+_fly: Callable[[Any], Any]  # the function that flies, in a process of the pool
 
 
 def _begin(fly: Callable[[Any], Any]) -> None:
@@ -159,7 +159,7 @@ def _begin(fly: Callable[[Any], Any]) -> None:
 
 
 def _end_with_the_parent() -> None:
-    """A pool's processes live on when their parent is killed: they would fly for nobody."""
+    """End this process of the pool when its parent has ended."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         parent.join()
@@ -173,20 +173,20 @@ def _fly_one(item: Any) -> Any:
 def work(
     fly: Callable[[I], R], items: Iterable[I], processes: int, interrupt: Interrupt
 ) -> Generator[FinishedItem[I, R], None, None]:
-    """Fly items side by side, as they come; results in the order they land.
+    """Fly items in parallel and yield their results in the order of completion.
 
-    A pool breaks as a whole where one of its processes dies. Those under way then fly one at a time,
-    so that the one that dies again is known.
+    If a process dies, the whole pool breaks. The items in progress are then retried one at a time, which
+    identifies the item whose process dies again.
 
     Args:
-        fly: flies one; goes to the processes by pickle, once.
-        items: are taken one by one, so that there may be many.
-        processes: side by side.
-        interrupt: after a first one no further item is begun, those under way are flown to their end; a
-            second one gives those up.
+        fly: function that flies one item; pickled once for each process.
+        items: items to fly, read one by one.
+        processes: number of processes.
+        interrupt: a first interrupt begins no further item and completes those in progress; a second one
+            abandons them.
 
     Raises:
-        FlightError: a process ends before it could fly anything.
+        FlightError: new processes end before their first flight.
     """
     waiting, suspects = iter(items), deque[I]()
     deaths: dict[I, int] = {}
@@ -207,7 +207,7 @@ def work(
                 return
             landed, _ = wait(under_way, timeout=_POLL_S, return_when=FIRST_COMPLETED)
             for future in landed:
-                if interrupt.count > 1:  # given up while somebody took the result before this one
+                if interrupt.count > 1:  # the interrupt came while the caller had the previous result
                     return
                 if not isinstance(future.exception(), BrokenProcessPool):
                     yield FinishedItem(under_way.pop(future), future.result())

@@ -169,7 +169,7 @@ def test_a_fault_of_the_planner_is_a_problem_and_no_exception(monkeypatch: pytes
     def fail(*_: object) -> None:
         raise ZeroDivisionError("by hand")
 
-    monkeypatch.setattr(REPLANNER, "_best", fail)
+    monkeypatch.setattr(REPLANNER, "_choose", fail)
     answer = REPLANNER.answer(TO_GOAL, 0)
     assert answer.problem == "the planner failed: ZeroDivisionError: by hand"
     assert answer.number == TO_GOAL.number

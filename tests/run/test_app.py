@@ -213,9 +213,9 @@ def test_what_the_lock_says_goes_to_the_core_and_on_arrival_to_the_ground(
     session = Session()
     app, told = app_with(monkeypatch, session)
     travelling, settled = (LockState(1, p, Mode.RIGID) for p in (LockPhase.TRAVELLING, LockPhase.SETTLED))
-    app._take_lock_state(travelling)
+    app._handle_lock_state(travelling)
     assert (told, session.asked) == ([travelling], [])
-    app._take_lock_state(settled)
+    app._handle_lock_state(settled)
     assert (told, session.asked) == ([travelling, settled], [status_text(settled)])
 
 
@@ -231,7 +231,7 @@ def test_what_is_still_to_be_shown_at_the_end_is_shown_and_then_it_ends(
     for record in wanted[:2]:
         app.show(record)
     for record in wanted[2:]:  # the core's
-        app._see(record, 7)
+        app._observe_record(record, 7)
     thread = threading.Thread(target=app._show, daemon=True)
     thread.start()
     thread.join(5.0)
@@ -493,7 +493,7 @@ def test_a_planner_lives_as_long_as_the_flight_and_contacts_have_one_of_their_ow
 
     connect_to(Flight(end), monkeypatch)
     asyncio.run(app.run())
-    begun = [call(app._mission, kind, app._take_answer, host_us) for kind in kinds]
+    begun = [call(app._mission, kind, app._handle_answer, host_us) for kind in kinds]
     assert made.mock_calls == begun + [call().stop()] * len(kinds)
 
 
@@ -572,5 +572,5 @@ def test_a_key_that_was_typed_for_another_job_is_left_alone_for_a_while(
         monkeypatch.setattr(sys, "stdin", keyboard)
         monkeypatch.setattr(module, "_in_background", lambda _: True)
         app._listen_for_key()
-        app._take_key()
+        app._read_key()
         assert not app.loop.remove_reader(terminal), "it was listened to still"

@@ -142,7 +142,7 @@ async def _run_app(
 
     app = FlightApp(mission, f"udpin://127.0.0.1:{port}", record, None, progress)
     core = RepeatingCore(mission)
-    app._core = CoreThread(CoreRunner(core, app, app._see, host_us))
+    app._core = CoreThread(CoreRunner(core, app, app._observe_record, host_us))
     flying = asyncio.create_task(app.run())
     # The core is stepped on another thread, so poll it.
     while not core.recoveries and not flying.done():  # noqa: ASYNC110

@@ -95,7 +95,7 @@ async def whole_app(mission: Mission, url: str, seconds: float) -> Shares:
         record = FlightRecord(mission, World.EMBEDDED, None, Path(folder))
         app = FlightApp(mission, url, record, deadman_note=Path(folder) / "deadman.txt")
         core = RepeatingCore(mission)
-        app._core = CoreThread(CoreRunner(core, app, app._see, host_us), lambda: app._feed(b"c"))
+        app._core = CoreThread(CoreRunner(core, app, app._observe_record, host_us), lambda: app._feed(b"c"))
         flying = asyncio.create_task(app.run())
         await asyncio.sleep(_LEAD_S)
         shares = await _measure(seconds, lambda: {"deadman (process)": _process_seconds(app)})

@@ -1,12 +1,12 @@
-"""The motion capture's poses as the guard judges them, where this program forwards them to PX4.
+"""Checks of the motion-capture poses that this program forwards to PX4, and the guard's rules about them.
 
-Without poses PX4 dead-reckons by its IMU. A bias of 0.05 m/s2 and half a degree of tilt then move the
-estimate by 0.02 m in 0.5 s, which no phase minds. A contact on the way costs up to 1 m/s of velocity, so
-the vehicle must not meet a wall without poses: in an approach the limit is shorter. A contact and its
-recovery are finished first: breaking off would turn the vehicle away from a recovery that works by the IMU.
+Without poses PX4 uses only its IMU. A bias of 0.05 m/s2 and a tilt error of half a degree then move the
+estimate by 0.02 m in 0.5 s. Every phase tolerates that. A contact adds a velocity error of up to 1 m/s. The
+vehicle must therefore not hit a wall without poses, and the limit is shorter in an approach. A contact and
+its recovery are finished first, because the recovery works with the IMU alone.
 
-Poses of another body, or of swapped markers, are withheld from PX4 at once. PX4 rejects them for a second,
-and then resets its position or heading to them; without them it dead-reckons long enough to land.
+Poses of another body, or of swapped markers, are withheld from PX4 at once. PX4 rejects such poses for a
+second and then resets its position or heading to them. Without poses, it dead-reckons long enough to land.
 """
 
 from __future__ import annotations
@@ -24,25 +24,24 @@ from dart_flight.core.sense.state import FlightState
 
 LOST_S: Final = 0.5
 LOST_APPROACH_S: Final = 0.25
-LOST_LAND_S: Final = 1.5  # dead reckoning is off by 0.2 m then, and a break-off leads nowhere
-_GROUND_LOST_S: Final = 2.0  # nothing is in danger yet
+LOST_LAND_S: Final = 1.5  # dead reckoning is then off by 0.2 m, too much to fly back
+_GROUND_LOST_S: Final = 2.0  # no hazard on the ground
 _FIRST_S: Final = 5.0  # from the first input to the first pose
-# Step between two poses that PX4's velocity does not explain; that velocity is off by up to 2 m/s in a
-# contact, and as old as a pose is.
+# Step between two poses that PX4's velocity does not explain; that velocity may be off by 2 m/s in a contact.
 JUMP_M: Final = 0.15
 _JUMP_M_S: Final = 2.0
 _JUMP_S: Final = 0.05  # a glitch of a few frames stays within PX4's gate
 _JUMP_GAP_S: Final = 0.1  # after a longer gap only PX4's estimate can be compared
-# Difference between a pose and PX4's estimate; the latency of a fast rotation lasts less than these times.
+# Difference between a pose and PX4's estimate; latency in a fast rotation lasts less than these times.
 TURNED_DEG: Final = 30.0
 _TURNED_S: Final = 0.1
 APART_M: Final = 0.3
 _APART_S: Final = 0.5
 _APART_LATENCY_S: Final = 0.1
 _GROUND_APART_S: Final = 3.0  # PX4 aligns its estimate with the first poses
-RATE_SHARE: Final = 0.5  # of the configured rate
-_INTERVALS: Final = 9  # whose median is the rate's: a gap among them is a loss, which is judged by itself
-LATER_S: Final = 0.04  # PX4's estimate swings by centimetres if EKF2_EV_DELAY is off by so much
+RATE_SHARE: Final = 0.5  # of the configured rate, below which poses are too slow
+_INTERVALS: Final = 9  # the median of this many gives the rate, so that a single gap does not count
+LATER_S: Final = 0.04  # PX4's estimate oscillates by centimetres if EKF2_EV_DELAY is off by this much
 _AGE_US: Final = 250_000
 _SENDERS_US: Final = 1_000_000
 _RECENT_US: Final = 5_000_000  # PX4's estimate follows poses within this time
@@ -50,10 +49,10 @@ _FINISHED_FIRST: Final = frozenset((Phase.CONTACT, Phase.RECOVERY))
 
 
 class PoseWatch:
-    """What is known of the poses in one flight.
+    """Monitor of the poses in one flight.
 
     Args:
-        mocap: axes of the room and the rate of forwarding.
+        mocap: motion capture settings: room axes and forwarding rate.
     """
 
     def __init__(self, mocap: MotionCapture) -> None:
@@ -61,9 +60,11 @@ class PoseWatch:
         self._begun_us = 0  # host time of the first input
         self._now_us = 0  # host time
         self._newest: PoseSample | None = None
-        self._tracked_us = 0  # host time of the newest tracked pose; 0: none has come
-        self._known: tuple[int, Vec3] | None = None  # receipt and position of the newest plausible pose, NED
-        self._strange_us: int | None = None  # since when poses have been a jump away from it
+        self._tracked_us = 0  # host time of the newest tracked pose, or 0 if there is none
+        self._plausible: tuple[int, Vec3] | None = (
+            None  # receipt and position of the newest plausible pose, NED
+        )
+        self._jumped_us: int | None = None  # host time since which poses have been a jump away from it
         self._jump = ""
         self._wrong = ""  # why poses are withheld
         self._withheld_us = 0
@@ -72,10 +73,10 @@ class PoseWatch:
         self._turned_us: int | None = None
         self._apart_m = self._turned_deg = 0.0
         self._intervals: deque[int] = deque(maxlen=_INTERVALS)  # between tracked poses, microseconds
-        self._ages: deque[tuple[int, int]] = deque()  # receipt, and receipt less the source's stamp
+        self._ages: deque[tuple[int, int]] = deque()  # receipt, and receipt minus the source's stamp
         self._least_age_us: int | None = None
         self._other: PoseSample | None = None  # newest pose of the sender before the present one
-        self._alternates_us: int | None = None  # when two senders came in turn
+        self._alternates_us: int | None = None  # host time at which two senders last alternated
 
     def tick(self, host_us: int) -> None:
         """Advance to a host time, microseconds."""
@@ -83,7 +84,7 @@ class PoseWatch:
         self._now_us = host_us
 
     def take(self, item: PoseSample, state: FlightState, phase: Phase) -> None:
-        """Compare a pose with the one before it and with PX4's estimate in `state`."""
+        """Compare a pose with the previous one and with PX4's estimate in `state`."""
         now_us, before = item.received_us, self._newest
         self._newest = item
         if before is not None and before.sender != item.sender:
@@ -96,13 +97,13 @@ class PoseWatch:
         if self._tracked_us:
             self._intervals.append(now_us - self._tracked_us)
         self._tracked_us = now_us
-        self._take_age(item, phase in ON_GROUND)
+        self._record_age(item, phase in ON_GROUND)
         position, attitude = self._room.pose_to_ned(item.position_room, item.q_body_to_room)
         self._compare_poses(now_us, position, state)
         self._compare_estimate(now_us, position, attitude, state)
 
     def fault(self, phase: Phase) -> str | None:
-        """Return what is wrong with the poses in a phase, as text."""
+        """Return the fault of the poses in a phase as text, or None."""
         ground = phase in ON_GROUND
         lost_s = LOST_APPROACH_S if phase is Phase.APPROACH else LOST_S
         text = (
@@ -120,7 +121,12 @@ class PoseWatch:
         return text
 
     def blind(self, estimate_steps: bool, phase: Phase) -> str | None:
-        """Return why PX4's position is worth nothing, as text; `estimate_steps`: it has just jumped."""
+        """Return why PX4's position is unusable as text, or None.
+
+        Args:
+            estimate_steps: whether PX4's estimate has just jumped.
+            phase: phase of the flight.
+        """
         if estimate_steps and (self.fault(phase) or self._now_us - self._recent_us < _RECENT_US):
             return f"{self._recent}; PX4's estimate has stepped since"
         if self._wrong and (self._now_us - self._withheld_us) * 1e-6 > LOST_LAND_S:
@@ -128,7 +134,7 @@ class PoseWatch:
         return self._lost(LOST_LAND_S)
 
     def withhold(self, phase: Phase) -> str | None:
-        """Return why PX4 must not get these poses any longer, as text, once in a flight."""
+        """Return why this program must stop forwarding poses as text, once in a flight, otherwise None."""
         if self._wrong or phase in ON_GROUND:
             return None
         self._wrong, self._withheld_us = self._jump or self._turned(_TURNED_S) or "", self._now_us
@@ -180,7 +186,7 @@ class PoseWatch:
 
     # -- comparisons --
 
-    def _take_age(self, item: PoseSample, on_ground: bool) -> None:
+    def _record_age(self, item: PoseSample, on_ground: bool) -> None:
         if item.source_us is None:
             return
         self._ages.append((item.received_us, item.t_us - item.source_us))
@@ -194,19 +200,19 @@ class PoseWatch:
         self._least_age_us = min(least_us, self._ages[-1][1])
 
     def _compare_poses(self, now_us: int, position: Vec3, state: FlightState) -> None:
-        if self._known is None or state.odometry is None:
-            self._known = (now_us, position)
+        if self._plausible is None or state.odometry is None:
+            self._plausible = (now_us, position)
             return
-        then_us, then = self._known
+        then_us, then = self._plausible
         dt = (now_us - then_us) * 1e-6
         vx, vy, vz = state.odometry.velocity_ned
         away_m = math.dist(position, (then[0] + dt * vx, then[1] + dt * vy, then[2] + dt * vz))
-        if away_m <= JUMP_M + dt * _JUMP_M_S or (dt > _JUMP_GAP_S and self._strange_us is None):
-            self._known, self._strange_us = (now_us, position), None
+        if away_m <= JUMP_M + dt * _JUMP_M_S or (dt > _JUMP_GAP_S and self._jumped_us is None):
+            self._plausible, self._jumped_us = (now_us, position), None
             return
-        self._strange_us = self._strange_us if self._strange_us is not None else now_us
-        if (now_us - self._strange_us) * 1e-6 >= _JUMP_S:
-            self._known, self._strange_us = (now_us, position), None
+        self._jumped_us = self._jumped_us if self._jumped_us is not None else now_us
+        if (now_us - self._jumped_us) * 1e-6 >= _JUMP_S:
+            self._plausible, self._jumped_us = (now_us, position), None
             self._jump = f"body jumped by {away_m:.2f} m: another body, or swapped markers"
 
     def _compare_estimate(
@@ -236,7 +242,7 @@ def _blind(v: Any) -> str | None:
     return watch.blind(bool(v.estimator.jump or v.estimator.reset_step()), v.phase)
 
 
-# PX4's own words for a position without poses.
+# PX4's own faults that follow from missing poses.
 _DEAD_RECKONING: Final = frozenset({"position_uncertain", "estimator_flags", "odometry_silent"})
 
 # fmt: off

@@ -1,1 +1,1 @@
-"""What is known: newest telemetry, thrust, external force, impacts."""
+"""Estimators of the core: newest telemetry, thrust, external force and torque, impacts."""

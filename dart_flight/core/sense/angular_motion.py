@@ -1,9 +1,10 @@
-"""How the vehicle turns, from the gyro, and what an IMU beside the centre of mass feels of it.
+"""Angular rate and acceleration from the gyro, and the correction for an IMU away from the centre of mass.
 
     specific force at the centre = reading - alpha x r - w x (w x r)
 
-with r the IMU's place, w the rate and alpha its change, body FRD. The rate's change from sample to sample is
-the mean of alpha over the tick, as a reading is the mean of the specific force over it.
+Here r is the position of the IMU, w the angular rate and alpha the angular acceleration, body FRD. The rate's
+change between two samples gives the mean of alpha over the tick. A reading is the mean specific force over
+the same tick. The force and torque estimators use this module.
 """
 
 from __future__ import annotations
@@ -13,17 +14,17 @@ from typing import Final
 from dart_flight.base.geometry import Vec3
 from dart_flight.base.records import ImuSample
 
-_LONGEST_GAP_S: Final = 0.1  # further apart two rates say nothing of the acceleration between them
+_LONGEST_GAP_S: Final = 0.1  # two rates further apart do not yield an acceleration
 
 
 class AngularMotion:
-    """Rate and angular acceleration of the newest tick.
+    """Angular rate and acceleration over the newest tick.
 
     Attributes:
-        known: whether there was a sample shortly before the newest one.
-        rate: mean over the tick, rad/s, FRD.
-        acceleration: likewise, rad/s2, FRD; zero where not known.
-        dt_s: between the two samples.
+        known: whether a sample arrived shortly before the newest one.
+        rate: mean rate over the tick, rad/s, FRD.
+        acceleration: mean angular acceleration over the tick, rad/s2, FRD; zero if not known.
+        dt_s: time between the two samples.
     """
 
     def __init__(self) -> None:
@@ -35,7 +36,7 @@ class AngularMotion:
         self._last: Vec3 = (0.0, 0.0, 0.0)
 
     def update(self, imu: ImuSample) -> None:
-        """The next sample."""
+        """Add the next IMU sample."""
         old, new = self._last, imu.rate_frd
         dt_s = self.dt_s = (imu.t_us - self._t_us) * 1e-6
         self._last, self._t_us = new, imu.t_us
@@ -52,7 +53,7 @@ class AngularMotion:
         )
 
     def at_centre(self, specific_force: Vec3, at: Vec3) -> Vec3:
-        """The specific force at the centre of mass from the reading of an IMU at `at`, m/s2, FRD."""
+        """Return the specific force at the centre of mass, m/s2, FRD, from a reading at position `at`."""
         wx, wy, wz = self.rate
         ax, ay, az = self.acceleration
         x, y, z = at

@@ -1,12 +1,13 @@
-"""What the IMU feels of the unlocked arms, taken out of the force again.
+"""Filter that removes the vibration of the unlocked arms from the measured acceleration.
 
-The arms, a share s of the mass, swing against the body: q'' = -w^2 q - 2 z w q' - a, with a the acceleration
-of the common centre of mass by the contact. The IMU sits on the body and reads a - s q''. Over one tick T
-the mean of q'' is the change of q' over T, so with a constant over the tick
+The arms, a share s of the mass, swing against the body: q'' = -w^2 q - 2 z w q' - a. Here a is the contact's
+acceleration of the common centre of mass. The IMU on the body reads a - s q''. Over one tick T the mean of
+q'' is the change of q' divided by T. If a is constant over the tick, the reading is linear in a:
 
     mean reading = a - s (q'(T) - q'(0)) / T,     (q, q')(T) = F (q, q')(0) + G a
 
-is linear in a and solved for it: an exact inverse, stable because the arms' share is less than the whole.
+The filter solves this equation for a. The inverse is exact, and stable because s is less than 1. The force
+estimator and the contact fit use it.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ _MAX_TICKS: Final = 25  # after a longer gap in the stream the arms have come to
 
 
 class ArmFilter:
-    """Inverse of the arms' vibration, one horizontal axis each in x and y of a frame that does not turn."""
+    """Inverse filter of the arms' vibration, for the x and y axes of a frame that does not rotate."""
 
     def __init__(self, arms: ArmVibration, tick_s: float) -> None:
         w, z = 2.0 * math.pi * arms.frequency_hz, arms.damping_ratio
@@ -34,11 +35,11 @@ class ArmFilter:
         self._x = self._vx = self._y = self._vy = 0.0
 
     def reset(self) -> None:
-        """The arms are held: nothing swings."""
+        """Set the vibration to zero, because the lock holds the arms."""
         self._x = self._vx = self._y = self._vy = 0.0
 
     def add(self, ax: float, ay: float) -> tuple[float, float]:
-        """What the IMU makes of the contact's acceleration over one tick: the inverse of `remove`."""
+        """Return the IMU reading for a contact acceleration over one tick, m/s2; the inverse of `remove`."""
         swing = self._share / self._tick_s
         out = (
             ax / self._gain - swing * (self._f21 * self._x + (self._f22 - 1.0) * self._vx),
@@ -48,7 +49,7 @@ class ArmFilter:
         return out
 
     def remove(self, ax: float, ay: float, dt_s: float) -> tuple[float, float]:
-        """Acceleration of the centre of mass by the contact from what the IMU makes of it, m/s2."""
+        """Return the contact's acceleration of the centre of mass from the IMU reading, m/s2."""
         ticks = max(1, round(dt_s / self._tick_s))
         if ticks > _MAX_TICKS:
             self.reset()
@@ -61,7 +62,7 @@ class ArmFilter:
         return bx, by
 
     def _swing(self, bx: float, by: float) -> None:
-        """The arms over one tick of acceleration."""
+        """Advance the arms by one tick of acceleration."""
         self._x, self._vx = (
             self._f11 * self._x + self._f12 * self._vx + self._g1 * bx,
             self._f21 * self._x + self._f22 * self._vx + self._g2 * bx,

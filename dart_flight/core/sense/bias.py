@@ -1,9 +1,9 @@
-"""What is learnt of the estimate's own errors in flight: hover bias, thrust scale, noise, slow baseline.
+"""Errors of the force estimate, learnt in flight: hover bias, thrust scale, noise, slow baseline.
 
-Along the thrust axis the accelerometer reads the thrust, in any flight without contact: air drag along that
-axis is small. Across it, while the vehicle hovers, it reads its own bias, wind at most. Slow forces that come
-and go (wind, errors of thrust and drag when tilted) are followed by a baseline with a limit; a contact rises
-too fast for it.
+Without contact, the accelerometer reads the thrust along the thrust axis, because drag along that axis is
+small. Across the axis, a hovering vehicle reads only its own bias and perhaps wind. A limited baseline
+follows slow forces, such as wind and errors of thrust and drag in tilted flight. A contact rises too fast for
+the baseline. The force estimator and the impact detector use this module.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from dart_flight.base.filters import LearntVariance, taken_share
 from dart_flight.base.geometry import GRAVITY_M_S2, Vec2, Vec3
 from dart_flight.config.vehicle import Estimation
 
-# Below both it counts as hovering: faster flight adds drag, and turning a lever arm, to the bias.
+# The vehicle hovers below both limits: speed adds drag to the bias, and rotation adds lever-arm terms.
 HOVER_SPEED_M_S: Final = 0.4
 HOVER_RATE_RAD_S: Final = 0.3  # sum of the body rates' magnitudes
 LEARNING_S: Final = 2.0  # time constant of bias and thrust scale, longer than any contact
-BIAS_LIMIT_M_S2: Final = 0.4  # per axis; PX4 has removed most
+BIAS_LIMIT_M_S2: Final = 0.4  # per axis; PX4 has already removed most of the bias
 THRUST_SCALE_LIMIT: Final = 0.25  # 4.3 standard deviations for 3 % spread of mass and 5 % of battery
 BASELINE_S: Final = 0.25  # wind and thrust error are slower, a contact is shorter
 _NOISE_TIME_S: Final = 0.5
@@ -28,15 +28,15 @@ _MIN_NOISE2: Final = 1e-4  # m2/s4
 _SCALE_STEP: Final = 0.25
 _LEARNT: Final = 0.4  # output of a low-pass, as a share of its final value, after half a time constant
 _BASELINE_DELAY: Final = 10  # samples: 40 ms, in which even a slow contact reaches the threshold
-_BASELINE_STEP_N: Final = 2.0  # further than this from the baseline it is not followed any faster
+_BASELINE_STEP_N: Final = 2.0  # the baseline follows larger differences no faster
 
 
 class HoverBias:
     """Accelerometer bias across the thrust axis, thrust scale and noise of one sample.
 
     Attributes:
-        bias_x, bias_y: body FRD, m/s2; part of the reading.
-        scale: true thrust over the curve's, limited.
+        bias_x, bias_y: accelerometer bias, body FRD, m/s2; part of the reading.
+        scale: true thrust divided by the thrust of the curve, limited.
         thrust_ratio: the same ratio without a limit, or None before it has settled.
         noise_m_s2: standard deviation of the white part of one sample and axis.
     """
@@ -48,42 +48,42 @@ class HoverBias:
         self.noise_m_s2 = config.imu_noise_m_s2
         self._variance = LearntVariance(config.imu_noise_m_s2**2, _NOISE_TIME_S, _MIN_NOISE2)
         self._last: Vec3 | None = None
-        self._weight = self._felt_n = self._curve_n = (
-            0.0  # low-passes that start at zero, so their quotient has no bias
+        self._weight = self._measured_n = self._curve_n = (
+            0.0  # low-pass filters that start at zero, so that their quotient has no bias
         )
         self.thrust_ratio: float | None = None
 
     def learn(self, f: Vec3, rate: Vec3, speed_m_s: float, curve_thrust_n: float, dt_s: float) -> None:
-        """A sample outside of contacts.
+        """Learn from a sample outside of contacts.
 
         Args:
-            f: specific force as reported, FRD, m/s2.
+            f: reported specific force, FRD, m/s2.
             rate: body rate, rad/s.
-            speed_m_s: of the vehicle.
-            curve_thrust_n: mean thrust over the tick by the curve alone.
-            dt_s: since the sample before.
+            speed_m_s: speed of the vehicle.
+            curve_thrust_n: mean thrust over the tick from the curve alone.
+            dt_s: time since the previous sample.
         """
         self._learn_noise(f, dt_s)
         share = taken_share(dt_s, LEARNING_S)
         self._weight += share * (1.0 - self._weight)
-        self._felt_n += share * (-f[2] * self._mass - self._felt_n)
+        self._measured_n += share * (-f[2] * self._mass - self._measured_n)
         self._curve_n += share * (curve_thrust_n - self._curve_n)
         if self._weight > _LEARNT and self._curve_n > 0.0:
-            self.thrust_ratio = self._felt_n / self._curve_n
+            self.thrust_ratio = self._measured_n / self._curve_n
         if curve_thrust_n < 0.5 * self._mass * GRAVITY_M_S2:
             return
         most = THRUST_SCALE_LIMIT
-        seen = -f[2] * self._mass / curve_thrust_n
-        # A seen scale far off is a bump and no thrust: it counts only as far as the limit.
-        seen = max(self.scale - _SCALE_STEP, min(self.scale + _SCALE_STEP, seen))
-        self.scale = max(1.0 - most, min(1.0 + most, self.scale + share * (seen - self.scale)))
+        measured = -f[2] * self._mass / curve_thrust_n
+        # Limit the step: a distant value is a disturbance, not a thrust error.
+        measured = max(self.scale - _SCALE_STEP, min(self.scale + _SCALE_STEP, measured))
+        self.scale = max(1.0 - most, min(1.0 + most, self.scale + share * (measured - self.scale)))
         if speed_m_s < HOVER_SPEED_M_S and abs(rate[0]) + abs(rate[1]) + abs(rate[2]) < HOVER_RATE_RAD_S:
             most = BIAS_LIMIT_M_S2
             self.bias_x = _bounded(self.bias_x + share * (f[0] - self.bias_x), most)
             self.bias_y = _bounded(self.bias_y + share * (f[1] - self.bias_y), most)
 
     def _learn_noise(self, f: Vec3, dt_s: float) -> None:
-        # Half the mean square of successive differences: blind to everything slower than two samples.
+        # Successive differences ignore everything slower than two samples.
         last, self._last = self._last, f
         if last is None:
             return
@@ -96,9 +96,10 @@ def _bounded(value: float, most: float) -> float:
 
 
 class ForceBaseline:
-    """Slow horizontal force, mission frame, newton, limited in size; `value` is taken off before a threshold.
+    """Slow horizontal force, mission frame, newton, limited in size.
 
-    `value` is that of some samples ago, so that the foot of a contact is not taken off the contact itself.
+    The detector subtracts `value` before it compares a force with a threshold. `value` is some samples old,
+    so that the start of a contact is not subtracted from the contact itself.
     """
 
     def __init__(self, config: Estimation) -> None:
@@ -108,7 +109,7 @@ class ForceBaseline:
         self.value: Vec2 = (0.0, 0.0)
 
     def follow(self, fx: float, fy: float, dt_s: float) -> None:
-        """A sample outside of contacts, `dt_s` after the one before."""
+        """Follow a sample outside of contacts, `dt_s` after the previous one."""
         share = taken_share(dt_s, BASELINE_S)
         x, y = self._now
         x += share * _bounded(fx - x, _BASELINE_STEP_N)
@@ -121,7 +122,7 @@ class ForceBaseline:
         self.value = self._past[0]
 
     def settle(self) -> None:
-        """A contact begins: go back to before its foot."""
+        """Reset the baseline to its value before a contact began."""
         self._now = self.value
         self._past.clear()
         self._past.append(self.value)

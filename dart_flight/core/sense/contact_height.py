@@ -1,11 +1,11 @@
-"""How far above the centre of mass a wall's force acts, from the torque of the contacts so far.
+"""Height of a wall's force above the centre of mass, estimated from the torque of the contacts so far.
 
-A wall pushes on the guards of a side, `contact_distance_m` ahead of the centre of mass and some height above
-it. That height times the force turns the vehicle backwards, and the further it has turned, the longer the
-lever: battery and payload that move the centre of mass by 2 cm are enough to turn it over at 3 m/s
-(docs/results/faster_hits.md). A gentle hit tells the height, and the hits after it are leaned into
-accordingly (`planning.replanner`). A plan needs it at the contact's end, so the core does not wait for the
-fit of the contact: the height has a closed form.
+A wall pushes on the guards of one side, `contact_distance_m` ahead of the centre of mass and at some height
+above it. The force times this height pitches the vehicle back, and the lever grows with the pitch. If battery
+and payload move the centre of mass by 2 cm, the vehicle can turn over at 3 m/s (docs/results/faster_hits.md).
+A gentle contact yields the height, and the planner leans the vehicle accordingly at later contacts
+(`planning.replanner`). The planner needs the height when the contact ends, before the contact is fitted.
+Therefore the core computes it in closed form.
 """
 
 from __future__ import annotations
@@ -15,15 +15,15 @@ from typing import Final
 from dart_flight.base.geometry import MissionFrame, rotate_back
 from dart_flight.base.records import ContactRequest
 
-_LEAST_N: Final = 3.0  # samples with less normal force tell nothing
-_LEAST_N2: Final = 1000.0  # sum of the squared forces: a few samples of a hit of 0.5 m/s
+_LEAST_N: Final = 3.0  # samples with less normal force are skipped
+_LEAST_N2: Final = 1000.0  # sum of the squared forces: a few samples of a contact at 0.5 m/s
 
 
 class ContactHeight:
-    """Height of the walls' force above the centre of mass.
+    """Estimator of the height of the walls' force above the centre of mass.
 
     Args:
-        contact_distance_m: from the centre of mass to the guards' plane.
+        contact_distance_m: distance from the centre of mass to the guards' plane.
     """
 
     def __init__(self, contact_distance_m: float) -> None:
@@ -32,11 +32,11 @@ class ContactHeight:
 
     @property
     def height_m(self) -> float | None:
-        """Of the force above the centre of mass, by all contacts; None: not known yet."""
+        """Height of the force above the centre of mass from all contacts, metres, or None if not known."""
         return self._moment / self._weight if self._weight >= _LEAST_N2 else None
 
     def add(self, contact: ContactRequest) -> None:
-        """Take a contact, if it was planned.
+        """Add a planned contact; ignore any other.
 
         Least squares: torque about the side's axis = -(height n_s + distance n_z) times the force.
         """
@@ -53,7 +53,7 @@ class ContactHeight:
             if force_n < _LEAST_N or clipped or t_us < contact.onset.first_us:
                 continue
             bx, by, bz = rotate_back(q, normal_ned)
-            # The side that touches is the body axis that points into the wall the most.
+            # The touching side is the body axis that is closest to the wall's normal.
             if abs(bx) > abs(by):
                 side = -1.0 if bx > 0.0 else 1.0
                 along, torque = side * bx, side * ty

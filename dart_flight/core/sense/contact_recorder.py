@@ -1,8 +1,8 @@
-"""Records a contact for the planner, which fits it: a request at its end, then the answer or its absence.
+"""Recorder of a contact's samples: it requests a fit when the contact ends, and handles the answer.
 
-The fit (`dart_flight.planning.contact_fit`) runs outside of the core's step: a `ContactRequest` goes out with
-the other outputs, a `ContactAnswer` comes in like any other input, or never does. A planned contact without
-an answer leaves mode and wall undecided.
+The fit (`dart_flight.planning.contact_fit`) runs outside of the core's step. A `ContactRequest` goes out with
+the other outputs. A `ContactAnswer` comes in like any other input, or never arrives. A planned contact
+without an answer leaves mode and wall undecided.
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.core.sense.detector import Events, ExpectedContact
 from dart_flight.core.sense.state import FlightState
 
-ANSWER_WITHIN_US: Final = 300_000  # of a contact's end: before the next approach from rest is planned
-_BEFORE: Final = 4  # samples of the contact from before the first one that was over the noise
+ANSWER_WITHIN_US: Final = 300_000  # after a contact's end: before the next approach from rest is planned
+_BEFORE: Final = 4  # samples kept from before the first one above the noise
 _MAX: Final = 160  # samples of a contact
-_MET_SD_M: Final = 0.03  # of a plane that only the onset tells: late detection, and a body that is no circle
+_MET_SD_M: Final = 0.03  # of a plane located by the onset alone: late detection, and a body that is no circle
 
 
 class ContactSample(NamedTuple):
@@ -49,13 +49,13 @@ class ContactSample(NamedTuple):
 
 
 class ContactRecorder:
-    """The samples of the contact under way, the requests for its fit, and what their answers say.
+    """Samples of the current contact, the requests for its fit, and their answers.
 
     Args:
-        vehicle: its materials and modes.
+        vehicle: configuration with the materials and modes.
 
     Attributes:
-        unanswered: requests by number.
+        unanswered: requests without an answer, by number.
     """
 
     def __init__(self, vehicle: VehicleConfig) -> None:
@@ -67,7 +67,7 @@ class ContactRecorder:
         self.unanswered: dict[int, ContactRequest] = {}
 
     def add(self, force: ForceEstimate, torque: TorqueEstimate, q: Quaternion, rate_frd: Vec3) -> None:
-        """Take the next IMU sample."""
+        """Record the estimates of the next IMU sample, with attitude and body rate (rad/s, FRD)."""
         self._noise = force.noise_n, torque.noise_frd_nm
         push, torque_frd = force.push_mission, torque.torque_frd
         self._samples.append(
@@ -77,13 +77,13 @@ class ContactRecorder:
     def update(
         self, state: FlightState, slow: Vec2, events: Events, expected: ExpectedContact
     ) -> ContactRequest | None:
-        """Follow the detector; returns a request at the end of a contact.
+        """Handle the detector's events, and return a request when a contact ends.
 
         Args:
-            state: lock and frame.
-            slow: horizontal force that is there all the time, mission frame, newton.
-            events: of the detector, at the newest sample.
-            expected: by the mission; counts at the onset.
+            state: flight state with lock and frame.
+            slow: constant horizontal force, mission frame, newton.
+            events: detector events at the newest sample.
+            expected: contact that the mission expects; used at the onset.
         """
         for event in events:
             if isinstance(event, ImpactOnset):
@@ -125,7 +125,7 @@ class ContactRecorder:
         return request
 
     def accept(self, answer: ContactAnswer) -> tuple[ImpactBody | None, WallEstimate | None]:
-        """Return what an answer says of the body and of the wall; nothing if it is late or of no request."""
+        """Return the body and wall records of an answer, or (None, None) if no request awaits it."""
         request = self.unanswered.pop(answer.number, None)
         if request is None:
             return None, None
@@ -138,7 +138,7 @@ class ContactRecorder:
         return answer.body, answer.wall
 
     def overdue(self, now_us: int) -> WallEstimate | None:
-        """Return the undecided estimate of a contact whose answer has not come in time, once."""
+        """Return the undecided estimate of a contact whose answer is late, once for each contact."""
         for number, request in self.unanswered.items():
             if now_us - request.t_us > ANSWER_WITHIN_US:
                 del self.unanswered[number]
@@ -148,7 +148,11 @@ class ContactRecorder:
 
 
 def undecided(request: ContactRequest, wall: Wall, vehicle: VehicleConfig, problem: str = "") -> WallEstimate:
-    """Return what is known without a fit: coefficients and plane as before, or where it was met."""
+    """Return a wall estimate without a fit.
+
+    It has the coefficients of the configuration and the known plane. If the wall's plane is uncertain or
+    sought, the estimate has the place of the contact instead.
+    """
     onset, mode = request.onset, request.mode_reported or vehicle.modes[-1]
     c, sd = vehicle.materials[wall.material].of(mode), vehicle.estimation.walls.spread
     is_met = wall.sought or wall.is_uncertain

@@ -1,14 +1,14 @@
 """Impact detection: threshold, peak of each component, end of contact, one event of each per impact.
 
-A collision is registered when the horizontal force reaches the threshold (ours; the paper tests each axis,
-switchable), less a slow baseline (`bias.py`). The forces of the recovery are the peaks: of the normal
-and of the tangential component each its own, since the onset, from a fit of the contact model's pulse
-(`core/sense/pulse.py`), because the maximum of noisy samples is biased upward. States: watching -> rising ->
-falling -> refractory -> watching.
+The detector reports a collision when the horizontal force, minus a slow baseline (`bias.py`), reaches the
+threshold. The paper tests each axis instead; `threshold_test` selects the test. The recovery uses the peak of
+the normal and of the tangential force since the onset. Both peaks come from a fit of the contact model's
+pulse (`core/sense/pulse.py`), because the maximum of noisy samples is biased upward. States: watching ->
+rising -> falling -> refractory -> watching.
 
-Where the vehicle shakes, the threshold is a multiple of the noise of what is compared with it: of a sample,
-of two, of a mean as long as a rigid contact, of one as long as a flexible contact (`core/sense/window.py`).
-The shortest whose noise leaves the configured threshold alone decides; if none does, all do. docs/force.md.
+If the vehicle vibrates, the threshold is a multiple of the noise of the compared quantity. That quantity is a
+sample, two samples, or a mean as long as a rigid or a flexible contact (`core/sense/window.py`). The shortest
+one whose noise permits the configured threshold decides. If there is none, all of them decide. docs/force.md.
 """
 
 from __future__ import annotations
@@ -26,38 +26,38 @@ from dart_flight.core.sense.pulse import NormalPulse, PulsePrior, TickReading, f
 from dart_flight.core.sense.state import FlightState
 from dart_flight.core.sense.window import WindowMean, half_sine_share
 
-RELEASE_FRACTION: Final = 0.4  # of the threshold: below it a contact is over and the next one possible
-PEAK_DROP_FRACTION: Final = 0.12  # of the top: the peak is past once the force has dropped by it
+RELEASE_FRACTION: Final = 0.4  # of the threshold: a contact ends below it
+PEAK_DROP_FRACTION: Final = 0.12  # of the top: a drop of the force that ends the search for the peak
 CONTACT_END_S: Final = 0.012  # below the release level: three samples, so that noise alone ends no contact
-SURE_SIGMA: Final = 2.5  # one sample this many deviations of its noise over the threshold is enough
+SURE_SIGMA: Final = 2.5  # one sample this many deviations over the threshold is sufficient
 SHORT_WINDOW_S: Final = 0.032  # rigid contacts of 46 to 54 ms keep 85 % of their peak in this mean
 LONG_WINDOW_S: Final = 0.1  # flexible contacts of 145 to 183 ms keep 83 % of their peak in this mean
-PULSE_MISFIT: Final = 3.0  # mean square of the residuals over their errors: beyond it a pulse is no model's
+PULSE_MISFIT: Final = 3.0  # mean square of the normalised residuals above which the model does not fit
 _RISE_SHARE: Final = 0.3  # of the threshold: above it a sample before the crossing belongs to the contact
 _PEAK_DROP_SHARE: Final = 0.25  # of the threshold: a smaller drop is noise
-_DROP_SIGMA: Final = 2.5  # ... and so is one within this many standard deviations of the smoothed force
+_DROP_SIGMA: Final = 2.5  # ... as is a drop within this many standard deviations of the smoothed force
 _SMOOTH_SHARE: Final = 0.02  # samples are averaged until their noise is this share of the top
 _MAX_SMOOTH: Final = 5
 _TOP_SHARE: Final = 0.7  # samples above this share of the maximum are the top of the pulse
 _TOP_REACH: Final = 4  # samples on either side, at most
-_BEFORE: Final = 8  # samples remembered from before the crossing
-_FAR_SIGMA: Final = 4.6  # threshold over the noise of one sample: from here on two samples in a row will do
-# more for one sample and for two: noise has many more chances there than in a long mean
-_OFTEN_SIGMA: Final = 1.0
-_MARGIN_SIGMA: Final = 1.0  # a pulse is promised to be found this many deviations over the threshold
-_NOISY_BASELINE: Final = 0.4  # of its usual rate: where a mean still shakes, the baseline would shake with it
-_LONGEST_CONTACT_S: Final = 0.5  # in noise the end of a contact may drown
-_INTO_WALL: Final = 0.1  # of the force: this much may point into the expected wall at the onset
+_BEFORE: Final = 8  # samples kept from before the crossing
+_FAR_SIGMA: Final = 4.6  # threshold over the noise of one sample above which two samples in a row suffice
+# Added for one and for two samples: noise crosses a threshold there more often than in a long mean.
+_SHORT_SIGMA: Final = 1.0
+_MARGIN_SIGMA: Final = 1.0  # margin over the threshold from which detection is guaranteed
+_NOISY_BASELINE: Final = 0.4  # of its usual rate: a faster baseline would follow the vibration
+_LONGEST_CONTACT_S: Final = 0.5  # noise may hide the end of a contact
+_INTO_WALL: Final = 0.1  # share of the force that may point into the expected wall at the onset
 
 
 class ExpectedContact(NamedTuple):
-    """What contact the mission expects next; the core hands it from the mission to the detector.
+    """The next contact that the mission expects; the core passes it from the mission to the detector.
 
     Attributes:
-        watching: on the ground, in the climb and on landing no contact is an impact.
-        normal: outward normal of the wall that the plan hits next, mission frame; None: no wall is expected.
-        material: of that wall, a key of the materials table; the pulse's first guess.
-        wall: that wall, name and plane; what is felt of it is told by its name.
+        watching: False on the ground, in the climb and on landing, where no contact is an impact.
+        normal: outward normal of the next planned wall, mission frame, or None if no wall is expected.
+        material: material of that wall, a key of the materials table; first guess of the pulse.
+        wall: that wall with name and plane; its estimate carries its name.
     """
 
     watching: bool = False
@@ -67,7 +67,7 @@ class ExpectedContact(NamedTuple):
 
 
 class _Sample:
-    """A sample of the contact; forces less the baseline, mission frame."""
+    """A sample of the contact; forces minus the baseline, newton, mission frame."""
 
     __slots__ = ("clipped", "dt_us", "fx", "fy", "push", "t_us")
 
@@ -82,10 +82,10 @@ Events = list[Event]
 
 
 class ImpactDetector:
-    """One impact, one onset, one peak, one end.
+    """Detector that reports one onset, one peak and one end for every impact.
 
-    Without an expected wall, or where the force points into it, a hit is not a planned one and the normal is
-    taken along the force.
+    If no wall is expected, or if the force points into the expected wall, the contact is unplanned. Its
+    normal is then the direction of the force.
     """
 
     def __init__(self, vehicle: VehicleConfig) -> None:
@@ -103,7 +103,7 @@ class ImpactDetector:
             mode: _mean_prior([p for (_, m), p in self._priors.items() if m is mode])
             for mode in vehicle.modes
         }
-        # Of every sample: a number of the configuration's costs a look-up by name.
+        # Copied, because every sample uses them and an attribute look-up is slow.
         c = self._config
         self._threshold_n, self._release_n = c.force_threshold_n, RELEASE_FRACTION * c.force_threshold_n
         self._sigma, self._refractory_us = c.noise_sigma, c.refractory_s * 1e6
@@ -112,15 +112,15 @@ class ImpactDetector:
         tick_s, noise_n = vehicle.imu.tick_s, self._mass * vehicle.estimation.imu_noise_m_s2
         lengths = (0.0, 2.0 * tick_s, SHORT_WINDOW_S, LONG_WINDOW_S)
         self._windows = [WindowMean(s, noise_n, round(s / tick_s)) for s in lengths]
-        # A window holds what is younger than its length.
+        # A window holds the samples that are younger than its length.
         self._held = [max(1, math.ceil(s / tick_s - 1e-9)) for s in lengths]
-        self._by_mean: WindowMean | None = None  # the window that saw the contact under way, else samples
-        self._threshold = self._config.force_threshold_n  # that saw it
+        self._detecting_window: WindowMean | None = None  # that detected the current contact, if any
+        self._threshold = self._config.force_threshold_n  # the threshold that detected it
         most = max(_BEFORE, round(LONG_WINDOW_S / tick_s) + _BEFORE)
         self._before: deque[_Sample] = deque(maxlen=most)
         self._samples: list[_Sample] = []
         self._last_us = 0
-        self._previous: tuple[Vec2, Vec2] = ((0.0, 0.0), (0.0, 0.0))  # forces of the two samples before
+        self._previous: tuple[Vec2, Vec2] = ((0.0, 0.0), (0.0, 0.0))  # forces of the two previous samples
         self._armed = True  # the force has been below the release level since the last contact
         self._noise = 0.0
         self._normal: Vec2 = (1.0, 0.0)
@@ -131,7 +131,7 @@ class ImpactDetector:
 
     @property
     def in_contact(self) -> bool:
-        """Between onset and end of contact."""
+        """Whether a contact has begun and not ended."""
         return self.stage in ("rising", "falling")
 
     @property
@@ -142,7 +142,7 @@ class ImpactDetector:
     def update(
         self, estimate: ForceEstimate, received_us: int, state: FlightState, expected: ExpectedContact
     ) -> Events:
-        """Take the next force estimate; returns the events it brings, none at most times."""
+        """Process the next force estimate and return its events, usually none."""
         t_us = estimate.t_us
         dt_us = t_us - self._last_us if self._last_us else self._tick_us
         self._last_us = t_us
@@ -151,14 +151,14 @@ class ImpactDetector:
         stage = self.stage
         if stage == "refractory" and t_us - self._ended_us >= self._refractory_us:
             stage = self.stage = "watching"
-        told = self._tell_floor(t_us, expected)
+        floor = self._report_floor(t_us, expected)
         self._expected = expected
         for window in self._windows:
             window.add(t_us, fx, fy)
         if stage in ("watching", "refractory"):
             self._noise = estimate.noise_n
-            return told + self._watch(estimate, fx, fy, dt_us, received_us, state)
-        events: Events = told
+            return floor + self._watch(estimate, fx, fy, dt_us, received_us, state)
+        events: Events = floor
         if stage == "rising":
             self._samples.append(_Sample(t_us, dt_us, fx, fy, estimate.push_mission, estimate.clipped))
             if self._peak_is_past(t_us):
@@ -178,9 +178,9 @@ class ImpactDetector:
         size = max(abs(fx), abs(fy)) if self._per_axis else math.sqrt(fx * fx + fy * fy)
         threshold, release, force = self._threshold_n, self._release_n, estimate.force_mission
         over = size >= threshold
-        drowned = self._noise_hides_release(release)
-        # A tone that turns about in the plane never is below the release level in any sample.
-        if size < release or (drowned and self._size_of(2) < release):
+        hidden = self._noise_hides_release(release)
+        # A rotating vibration never drops below the release level in a single sample, so compare its mean.
+        if size < release or (hidden and self._size_of(2) < release):
             self._armed = True
         sample = _Sample(self._last_us, dt_us, fx, fy, estimate.push_mission, estimate.clipped)
         watching = self._expected.watching and self._armed and self.stage == "watching"
@@ -191,8 +191,8 @@ class ImpactDetector:
         if self.stage == "watching":
             for window in self._windows:
                 window.learn(dt_us * 1e-6)
-        if drowned:
-            # Samples that noise lifts over the threshold, left out, would drive the baseline away from them.
+        if hidden:
+            # Leaving out the samples that noise lifts over the threshold would bias the baseline.
             over = self._size_of(2) >= threshold
             (fx, fy), base = self._windows[2].mean, self.slow_force.value
             fx, fy, seconds = fx + base[0], fy + base[1], _NOISY_BASELINE * dt_us * 1e-6
@@ -203,12 +203,12 @@ class ImpactDetector:
         return []
 
     def _is_contact(self, fx: float, fy: float, size: float, over: bool) -> bool:
-        """Whether the sample, the mean of the newest two or three, or a longer mean is over its threshold."""
+        """Return whether a sample, the mean of two or three, or a longer mean is over its threshold."""
         one, two, short, long = self.thresholds_n()
         threshold = self._threshold_n
-        self._by_mean, self._threshold = None, threshold
+        self._detecting_window, self._threshold = None, threshold
         if over:
-            # One sample is enough where noise cannot have lifted it; else two or three in a row.
+            # One sample is sufficient if noise cannot have lifted it; otherwise use two or three in a row.
             if size >= max(threshold + SURE_SIGMA * self._noise, one):
                 return True
             if self._mean_is_over(fx, fy, two):
@@ -216,33 +216,35 @@ class ImpactDetector:
         if two <= threshold:
             return False
         if self._windows[2].full and self._size_of(2) >= short:
-            self._by_mean, self._threshold = self._windows[2], short
+            self._detecting_window, self._threshold = self._windows[2], short
         elif short > threshold and self._windows[3].full and self._size_of(3) >= long:
-            self._by_mean, self._threshold = self._windows[3], long
-        return self._by_mean is not None
+            self._detecting_window, self._threshold = self._windows[3], long
+        return self._detecting_window is not None
 
     def thresholds_n(self) -> tuple[float, float, float, float]:
-        """Of one sample, of the mean of two, of the short and of the long window, newton: the configured
-        threshold, or the multiple of the learnt noise where that is more."""
+        """Return the thresholds of one sample, the mean of two, the short and the long window, newton.
+
+        Each is the larger of the configured threshold and the multiple of the learnt noise.
+        """
         least, sigma = self._threshold_n, self._sigma
         one, two, short, long = self._windows
         return (
-            max(least, (sigma + _OFTEN_SIGMA) * one.noise_n),
-            max(least, (sigma + _OFTEN_SIGMA) * two.noise_n),
+            max(least, (sigma + _SHORT_SIGMA) * one.noise_n),
+            max(least, (sigma + _SHORT_SIGMA) * two.noise_n),
             max(least, sigma * short.noise_n),
             max(least, sigma * long.noise_n),
         )
 
     def floor_n(self, duration_s: float) -> float:
-        """The peak from which on a half-sine of this duration is found for certain, newton.
+        """Return the least peak at which a half-sine of this duration is certainly detected, newton.
 
-        One deviation over the threshold of the window that sees it best, over the share of the peak that the
-        window keeps.
+        The detection floor of a window is its threshold plus one standard deviation, divided by the share of
+        the peak that the window keeps. The result is the least floor of the windows in use.
         """
         best = math.inf
         for i, threshold in enumerate(self.thresholds_n()):
             if i >= 2 and self.thresholds_n()[i - 1] <= self._config.force_threshold_n:
-                break  # a longer window is not asked
+                break  # longer windows are not in use
             lifted = threshold + _MARGIN_SIGMA * self._windows[i].noise_n
             share = half_sine_share(self._held[i], duration_s, self._tick_us * 1e-6)
             if share > 0.0:
@@ -251,11 +253,11 @@ class ImpactDetector:
 
     @property
     def noise_n(self) -> tuple[float, float]:
-        """Learnt deviation of one component of the short and of the long mean, newton."""
+        """Learnt standard deviation of one component of the short and of the long mean, newton."""
         return (self._windows[2].noise_n, self._windows[3].noise_n)
 
-    def _tell_floor(self, t_us: int, expected: ExpectedContact) -> Events:
-        """What can be felt, once when a wall begins to be expected."""
+    def _report_floor(self, t_us: int, expected: ExpectedContact) -> Events:
+        """Return the detection floor once, when the mission begins to expect a wall."""
         if expected.normal is None or self._expected.normal is not None:
             return []
         thresholds = self.thresholds_n()
@@ -276,7 +278,7 @@ class ImpactDetector:
         return max(abs(x), abs(y)) if self._per_axis else math.sqrt(x * x + y * y)
 
     def _mean_is_over(self, fx: float, fy: float, threshold: float) -> bool:
-        """Whether the mean of as many samples as the noise asks for is over the threshold."""
+        """Return whether the mean of as many samples as the noise requires is over the threshold."""
         x, y = confirmed_force(fx, fy, self._previous, self._noise, self._config)
         size = max(abs(x), abs(y)) if self._per_axis else math.sqrt(x * x + y * y)
         return size >= threshold
@@ -284,16 +286,16 @@ class ImpactDetector:
     def _begin(
         self, estimate: ForceEstimate, sample: _Sample, received_us: int, state: FlightState
     ) -> ImpactOnset:
-        fx, fy = self._by_mean.mean if self._by_mean is not None else (sample.fx, sample.fy)
+        fx, fy = self._detecting_window.mean if self._detecting_window is not None else (sample.fx, sample.fy)
         size = max(math.sqrt(fx * fx + fy * fy), 1e-9)
         expected = self._expected.normal
-        # Friction comes first and may be many times the normal force, whose sign is then lost in noise: only
-        # a force clearly into the wall is not the planned hit. `_peak` looks again, at the impulse.
+        # Friction may hide the sign of the normal force, so only a force clearly into the wall is unplanned.
+        # `_peak` repeats the test with the impulse.
         least = -(_INTO_WALL * size + 3.0 * self._noise)
         planned = expected is not None and fx * expected[0] + fy * expected[1] > least
         self._normal = expected if expected is not None and planned else (fx / size, fy / size)
         before = list(self._before)
-        if self._by_mean is None:
+        if self._detecting_window is None:
             before = before[-_BEFORE:]
             rise = max(_RISE_SHARE * self._config.force_threshold_n, 2.0 * self._noise)
             first_us = sample.t_us
@@ -325,7 +327,7 @@ class ImpactDetector:
     # -- peak --
 
     def _peak_is_past(self, now_us: int) -> bool:
-        """Whether the normal force has dropped from its top by more than noise, or the wait is over."""
+        """Return whether the normal force has dropped by more than noise, or the wait has timed out."""
         assert self._onset is not None
         if now_us - self._onset.first_us >= self._config.peak_wait_s * 1e6:
             return True
@@ -347,7 +349,7 @@ class ImpactDetector:
         return smooth[-1] < top - drop
 
     def _smoothing(self, top: float) -> int:
-        """Over how many samples to average so that their noise is small beside the top."""
+        """Return the number of samples to average so that their noise is small compared with the top."""
         ratio = self._noise / max(_SMOOTH_SHARE * top, 1e-6)
         return max(1, min(_MAX_SMOOTH, round(ratio * ratio)))
 
@@ -362,7 +364,7 @@ class ImpactDetector:
         pulse = self._fit(readings, state)
         inside = [s for s in self._samples if s.t_us >= reference_us]
         clipped = any(s.clipped for s in inside)
-        # Off its middle a body meets a wall with one point first: that pulse is not the model's.
+        # A rotated body touches with one point first, which the model's pulse does not describe.
         fits = pulse is not None and (clipped or pulse.misfit <= PULSE_MISFIT)
         if pulse is None or not fits:
             normal_n, peak_us = _top_of([(s.t_us, s.fx * nx + s.fy * ny) for s in inside])
@@ -383,20 +385,20 @@ class ImpactDetector:
         )
 
     def _direction(self) -> Vec2:
-        """Of the impulse so far: steadier than that of a single sample."""
+        """Return the direction of the impulse so far, which is steadier than that of a sample."""
         sx = sum(s.fx * s.dt_us for s in self._samples)
         sy = sum(s.fy * s.dt_us for s in self._samples)
         size = math.hypot(sx, sy)
         return (sx / size, sy / size) if size > 0.0 else self._normal
 
     def _readings(self, reference_us: int) -> list[TickReading]:
-        """The contact's samples as means over their ticks, seconds from `reference_us` less the lag."""
+        """Return the contact's samples as means over ticks, seconds from `reference_us`, without the lag."""
         nx, ny = self._normal
         lag_us = self._lag_s * 1e6
         out = []
         last = len(self._samples) - 1
         for i, s in enumerate(self._samples):
-            # What a clipped millisecond took away also lowers the ticks beside the clipped one.
+            # Clipping also lowers the readings next to the clipped one.
             bound = (
                 s.clipped
                 or (i > 0 and self._samples[i - 1].clipped)
@@ -449,7 +451,7 @@ class ImpactDetector:
 
     def _end(self, t_us: int, fx: float, fy: float) -> ContactEnd | None:
         release = RELEASE_FRACTION * self._threshold
-        if self._by_mean is not None or self._noise_hides_release(release):
+        if self._detecting_window is not None or self._noise_hides_release(release):
             fx, fy = self._windows[2].mean
         assert self._onset is not None
         lasts = t_us - self._onset.first_us < _LONGEST_CONTACT_S * 1e6
@@ -465,14 +467,14 @@ class ImpactDetector:
         return ContactEnd(t_us=self._quiet_since_us, first_us=self._onset.first_us)
 
     def _noise_hides_release(self, release: float) -> bool:
-        """Whether a sample's noise alone is often over the release level: then the short mean is asked."""
+        """Return whether the noise of a sample often exceeds the release level; then use the short mean."""
         return _DROP_SIGMA * self._noise > release
 
 
 def confirmed_force(
     fx: float, fy: float, previous: tuple[Vec2, Vec2], noise_n: float, config: Detection
 ) -> Vec2:
-    """Mean of the newest two samples; of three where their noise is too large for `SURE_SIGMA`."""
+    """Return the mean of the newest two samples, or of three if the noise is too large for two, newton."""
     (ax, ay), (bx, by) = previous
     if _FAR_SIGMA * noise_n <= config.force_threshold_n:
         return (0.5 * (fx + ax), 0.5 * (fy + ay))
@@ -480,9 +482,9 @@ def confirmed_force(
 
 
 def _onset_of_mean(samples: list[_Sample], along: Vec2) -> int:
-    """Where a pulse that only a mean shows began: the moment from which on its sum only grew."""
+    """Return the stamp at which a pulse found in a mean began: its sum grows from there on."""
     forces = [s.fx * along[0] + s.fy * along[1] for s in samples]
-    # Largest sum of a stretch that ends at the newest sample, less half of what is felt there now.
+    # Find the largest sum of samples up to the newest, each minus half of the present force.
     rest = 0.5 * sum(forces[-_BEFORE:]) / min(len(forces), _BEFORE)
     best, total, first = -math.inf, 0.0, len(samples) - 1
     for i in range(len(samples) - 1, -1, -1):
@@ -497,7 +499,7 @@ def _prior(c: Coefficients, mass_kg: float) -> PulsePrior:
 
 
 def _mean_prior(priors: list[PulsePrior]) -> PulsePrior:
-    """Geometric mean over the materials: what is expected of a wall that is in no plan."""
+    """Return the geometric mean over the materials, the prior of an unplanned wall."""
     if not priors:
         return PulsePrior(50.0, 4.0, 1.0)
 
@@ -510,7 +512,7 @@ def _mean_prior(priors: list[PulsePrior]) -> PulsePrior:
 
 
 def _top_of(pulse: list[tuple[int, float]]) -> tuple[float, int]:
-    """Height and time of a pulse's top: the least-squares parabola through the samples near its maximum."""
+    """Return height and stamp of a pulse's top, from a least-squares parabola near its maximum."""
     top = max(range(len(pulse)), key=lambda i: pulse[i][1])
     t0, height = pulse[top]
     floor = _TOP_SHARE * height

@@ -2,11 +2,11 @@
 
     force = m R f - R T + m diag(b) v
 
-with f the specific force at the centre of mass (gravity is not in it; what an IMU beside it feels
-of turning is taken off, `core/sense/angular_motion.py`), T the thrust vector, R body to mission, b the air
-drag along the mission's axes. Streams are aligned by the autopilot's stamps: a reading is the mean over the
-tick that ends at its stamp, later by the anti-alias filter's delay; attitude is carried to the middle of that
-time with the gyro, thrust is averaged over the tick.
+Here f is the specific force at the centre of mass, without gravity, and T is the thrust vector. R rotates
+from body to mission, and b is the air drag along the mission's axes. `core/sense/angular_motion.py` corrects
+f for an IMU away from the centre of mass. The autopilot's stamps align the streams. A reading is the mean
+over the tick that ends at its stamp, delayed by the anti-alias filter. The gyro extrapolates the attitude to
+the middle of that time, and the thrust is averaged over the tick.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from dart_flight.core.sense.thrust_model import ThrustModel
 
 ATTITUDE_ERROR_RAD: Final = 0.01  # standard deviation of PX4's attitude
 FILTER_S: Final = 0.02  # of the filtered force, which is for display only
-_ATTITUDE_REACH_US: Final = 60_000  # older attitudes are not carried on by the gyro
+_ATTITUDE_REACH_US: Final = 60_000  # the gyro extrapolates no older attitude
 _CLIP_SHARE: Final = 0.99  # a reading this near full scale is a lower bound
 _HISTORY: Final = 32
 _MOMENTA: Final = 40  # 0.16 s
@@ -35,14 +35,14 @@ _MOMENTUM_GAP_S: Final = 0.05
 
 
 class ForceEstimator:
-    """External force on the vehicle, one estimate for every IMU sample with an attitude near it.
+    """Estimator of the external force, with one estimate for every IMU sample that has an attitude near it.
 
     Attributes:
-        thrust: give it the samples it can use.
-        hover: what has been learnt while hovering.
+        thrust: thrust model; the caller passes actuator, ESC and voltage samples to it.
+        hover: bias, thrust scale and noise, learnt in flight.
         turning: rate and angular acceleration of the newest sample.
-        attitude: that the newest estimate was made with, body FRD to NED; None where there was none.
-        thrust_n: that the newest estimate took off.
+        attitude: attitude of the newest estimate, body FRD to NED, or None if there was none.
+        thrust_n: thrust of the newest estimate, newton.
         momenta: stamp and integral of mass times specific force since the start, mission frame, N s, at the
             last estimates without a gap. Hover bias is removed; gravity is not.
     """
@@ -52,7 +52,7 @@ class ForceEstimator:
         self._mass = vehicle.airframe.mass_kg
         self._drag = vehicle.airframe.drag_per_s
         self._clip = _CLIP_SHARE * vehicle.imu.full_scale_m_s2
-        # The middle of what a reading stands for lies this far before its stamp.
+        # The middle of a reading's averaging time lies this long before its stamp.
         self._centre_us = round(vehicle.imu.reading_lag_s * 1e6)
         self._tick_s = vehicle.imu.tick_s
         self.thrust = ThrustModel(vehicle)
@@ -73,16 +73,16 @@ class ForceEstimator:
         self._heading = (1.0, 0.0)
 
     def take_attitude(self, sample: AttitudeSample) -> None:
-        """Remember an attitude."""
+        """Store an attitude for the alignment with IMU samples."""
         self._attitudes.append(sample)
 
     def estimate(self, imu: ImuSample, state: FlightState, in_contact: bool = False) -> ForceEstimate | None:
-        """Force in newton, mission frame, at the IMU's stamp; None without an attitude near it.
+        """Return the external force at the IMU's stamp, newton, mission frame, or None without attitude.
 
         Args:
-            imu: the sample; stamps advance.
-            state: attitude, velocity, lock.
-            in_contact: nothing is learnt of bias and noise meanwhile.
+            imu: IMU sample; stamps must increase.
+            state: flight state with frame, velocity and lock.
+            in_contact: whether a contact is in progress; bias and noise are not learnt then.
         """
         t_us = imu.t_us
         dt_s = (t_us - self._last_us) * 1e-6 if self._last_us is not None else self._tick_s
@@ -113,7 +113,7 @@ class ForceEstimator:
         fx, fy, fz = f
         w, x, y, z = q
         c, s = self._heading
-        # Rows of R, body FRD to NED, written out; then NED to mission.
+        # R from body FRD to NED, written out; then NED to mission.
         bx, by, bz = m * (fx - hover.bias_x), m * (fy - hover.bias_y), m * fz + thrust_n
         down_n, down_e, down_d = 2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)
         n = (1.0 - 2.0 * (y * y + z * z)) * bx + 2.0 * (x * y - w * z) * by + down_n * bz
@@ -134,7 +134,7 @@ class ForceEstimator:
         )
         force = (n + drag[0], e + drag[1], -d + drag[2])
         if self._arms is not None:
-            force = self._still(self._arms, force, state, dt_s)
+            force = self._without_vibration(self._arms, force, state, dt_s)
         clip, noise = self._clip, m * hover.noise_m_s2
         rx, ry, rz = imu.specific_force_frd
         clipped = abs(rx) >= clip or abs(ry) >= clip or abs(rz) >= clip
@@ -142,8 +142,8 @@ class ForceEstimator:
         filtered = self._filter.follow(force, dt_s)
         return ForceEstimate(imu.t_us, force, clipped, filtered, variance, noise, push)
 
-    def _still(self, arms: ArmFilter, force: Vec3, state: FlightState, dt_s: float) -> Vec3:
-        """The force with the swinging of unlocked arms taken out."""
+    def _without_vibration(self, arms: ArmFilter, force: Vec3, state: FlightState, dt_s: float) -> Vec3:
+        """Return the force without the vibration of unlocked arms."""
         if state.lock_is_in(Mode.RIGID):
             arms.reset()
             return force
@@ -152,7 +152,7 @@ class ForceEstimator:
         return (m * ax, m * ay, force[2])
 
     def _variance(self, force: Vec3, up: Vec3, noise2: float) -> Vec3:
-        """White noise on each axis, thrust error along the thrust, attitude error across the force; N2."""
+        """Return the variance per axis, N2: white noise, thrust error and attitude error."""
         t, a = self._thrust_variance, self._attitude_variance
         x, y, z = force
         ux, uy, uz = up
@@ -164,7 +164,7 @@ class ForceEstimator:
         )
 
     def _attitude_at(self, t_us: int, rate_frd: Vec3) -> Quaternion | None:
-        """The nearest attitude, carried to a moment by the gyro."""
+        """Return the nearest attitude, extrapolated to a stamp with the gyro, or None if none is near."""
         best: AttitudeSample | None = None
         away = _ATTITUDE_REACH_US
         for sample in reversed(self._attitudes):
@@ -172,7 +172,7 @@ class ForceEstimator:
             if distance <= away:
                 best, away = sample, distance
             elif sample.t_us < t_us:
-                break  # stamps only get older from here
+                break  # the remaining attitudes are older
         if best is None:
             return None
         return advance_attitude(best.q_frd_to_ned, rate_frd, (t_us - best.t_us) * 1e-6)

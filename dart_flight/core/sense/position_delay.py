@@ -25,12 +25,12 @@ _STEP_US: Final = 50_000  # slower than the IMU, faster than the estimate oscill
 _NEAR, _FAR = 6, 12  # steps: the acceleration is the mean from 0.6 s to 0.3 s ago
 _HIGH_PASS_S: Final = 0.5
 _MEMORY_S: Final = 4.0  # time constant of the sums: one manoeuvre
-_JUMP_M_S: Final = 0.15  # a larger change in one step is an estimator reset, which other rules judge
+_JUMP_M_S: Final = 0.15  # a larger change in one step is an estimator reset, which other rules detect
 # A pose acts on the output through two filters, so the regression yields this share of the delay.
 _SHARE: Final = 0.75
-# Acceleration in memory, (m/s2)^2 s, and the correlation that has to be exceeded with it; else nothing is
-# concluded. Noise of the accelerometer moves the estimate, and the poses pull it back later: that
-# looks like an estimate that is behind, with correlations of up to 0.7 (docs/results/px4_versions.md).
+# Required acceleration in memory, (m/s2)^2 s, and required correlation. Poses correct the effect of
+# accelerometer noise late. This resembles an estimate that is behind, with correlations of up to 0.7
+# (docs/results/px4_versions.md).
 _LITTLE_MOTION, _LITTLE_AHEAD = 0.1, 0.75
 _MOTION, _AHEAD, _BEHIND = 0.2, 0.6, 0.8
 

@@ -1,17 +1,17 @@
-"""Peaks of a contact from a fit of the contact model's pulse to what the IMU reports of it (docs/force.md).
+"""Peaks of a contact, from a fit of the contact model's pulse to the IMU readings (docs/force.md).
 
-In contact the law is a damped oscillator that the vehicle's own thrust leans on. With B the force that pushes
-towards the wall, C the slope of the force at the onset, sigma = f/(2m), w^2 = k/m, the normal force obeys
+In contact the law is a damped oscillator, driven by the vehicle's own thrust. B is the force that pushes
+towards the wall, C the slope of the force at the onset, sigma = f/(2m), w^2 = k/m. The normal force obeys
 
     F'' + 2 sigma F' + w^2 F = w^2 B,   F(0) = 0, F'(0) = C
 
-and its impulse P = B t + (C - F' - 2 sigma F)/w^2 is in closed form too. A reading is the mean over a tick,
-so it is compared with the model's mean over that tick, (P(b) - P(a))/(b - a): no correction factor is needed
-for the averaging. The anti-alias filter delays by its lag and takes (w lag)^2/2 off the top, which is put
-back. Readings at full scale are lower bounds: they count only where the model is below them. Friction is
--mu F v_t with v_t decaying by the impulse; its mean over a tick is the change of v_t.
+Its impulse has the closed form P = B t + (C - F' - 2 sigma F)/w^2. A reading is the mean over a tick. It is
+compared with the model's mean over that tick, (P(b) - P(a))/(b - a), so averaging needs no correction. The
+anti-alias filter delays by its lag and lowers the top by (w lag)^2/2, which the fit adds again. Readings at
+full scale are lower bounds: they count only if the model is below them. Friction is -mu F v_t, and v_t decays
+with the impulse. The mean friction over a tick is the change of v_t.
 
-Scalar floats and `math` only: some tens of samples, once per impact.
+The impact detector uses this module once per impact, for some tens of samples. It needs scalar floats only.
 """
 
 from __future__ import annotations
@@ -23,17 +23,17 @@ from dart_flight.base.linear_algebra import Rows, solve
 
 _MAX_BINS: Final = 13
 _STEPS: Final = 8
-# of the top: what the model itself may be off by, so that a quiet sensor is not overtrusted
+# Error of the model itself, relative to the top, so that a quiet sensor does not get too much weight.
 _MODEL_ERROR: Final = 0.01
 _PRIOR_LOG_OMEGA: Final = 0.25
 _PRIOR_LOG_KAPPA: Final = 1.0
 _MIN_OMEGA: Final = 8.0
 _MAX_OMEGA: Final = 400.0
-_MAX_MISFIT: Final = 0.12  # of the peak, root mean square: beyond it this is not the model's pulse
+_MAX_MISFIT: Final = 0.12  # root mean square relative to the peak above which the model does not fit
 
 
 class TickReading(NamedTuple):
-    """Mean force over a tick: from `a` to `b` seconds, in newton; `bound`: the true one is at least that."""
+    """Mean force over a tick from `a` to `b` seconds, newton; if `bound`, the true force is at least that."""
 
     a: float
     b: float
@@ -43,7 +43,7 @@ class TickReading(NamedTuple):
 
 
 class PulsePrior(NamedTuple):
-    """What is expected of the contact: sqrt(k/m) and f/(2m) in 1/s, mu/m in 1/(N s)."""
+    """Prior of a contact: sqrt(k/m) and f/(2m) in 1/s, mu/m in 1/(N s)."""
 
     omega: float
     sigma: float
@@ -51,14 +51,14 @@ class PulsePrior(NamedTuple):
 
     @property
     def half_period_s(self) -> float:
-        """About how long a contact lasts: half a period of the damped oscillation."""
+        """Approximate duration of a contact, half a period of the damped oscillation, seconds."""
         return math.pi / math.sqrt(max(self.omega**2 - self.sigma**2, 0.01 * self.omega**2))
 
 
 class NormalPulse(NamedTuple):
-    """A fitted normal pulse: onset, slope there, frequency, damping, push; peak, its moment and error.
+    """A fitted normal pulse: onset, slope there, frequency, damping, push; peak, its time and error.
 
-    `misfit` is the mean square of the residuals, each over what noise and model are off by.
+    `misfit` is the mean square of the residuals, each divided by the error of noise and model.
     """
 
     start_s: float
@@ -73,7 +73,7 @@ class NormalPulse(NamedTuple):
 
 
 def _terms(s: float, omega: float, sigma: float) -> tuple[float, float, float, float]:
-    """Force and impulse per unit of push and per unit of slope, `s` seconds after the onset."""
+    """Return force and impulse per push, then per slope, `s` seconds after the onset."""
     if s <= 0.0:
         return 0.0, 0.0, 0.0, 0.0
     w2 = omega * omega
@@ -92,15 +92,15 @@ def _terms(s: float, omega: float, sigma: float) -> tuple[float, float, float, f
 def fit_normal(
     readings: list[TickReading], push: float, prior: PulsePrior, noise_n: float, onset_s: float, lag_s: float
 ) -> NormalPulse | None:
-    """Fit onset, slope and frequency; None where the readings are too few or not such a pulse.
+    """Return the fitted normal pulse, or None if the readings are too few or the pulse does not fit.
 
     Args:
-        readings: from a few ticks before the onset to a little past the peak, in order.
-        push: force towards the wall by thrust and drag, newton, mean over the contact.
-        prior: expected frequency (loosely held), damping (kept).
+        readings: readings in order, from a few ticks before the onset until shortly after the peak.
+        push: mean force of thrust and drag towards the wall over the contact, newton.
+        prior: expected frequency, with a wide tolerance, and damping, which is kept.
         noise_n: standard deviation of one reading.
         onset_s: first guess of the onset.
-        lag_s: of the anti-alias filter, 1 / (2 pi f).
+        lag_s: lag of the anti-alias filter, 1 / (2 pi f).
     """
     bins = _binned(readings)
     top = max((r.normal for r, _ in bins), default=0.0)
@@ -114,7 +114,7 @@ def fit_normal(
 
 
 def _binned(readings: list[TickReading]) -> list[tuple[TickReading, int]]:
-    """At most some dozen readings: neighbours averaged, bounds and gaps left alone."""
+    """Return about a dozen readings, each with its number of samples; bounds and gaps are not merged."""
     size = -(-len(readings) // _MAX_BINS)
     if size == 1:
         return [(r, 1) for r in readings]
@@ -140,7 +140,7 @@ def _binned(readings: list[TickReading]) -> list[tuple[TickReading, int]]:
 
 
 class _PulseFit:
-    """Gauss-Newton in (onset, slope, log frequency), with the frequency's prior as one more residual."""
+    """Gauss-Newton fit of (onset, slope, log frequency), with the frequency's prior as a residual."""
 
     def __init__(
         self, bins: list[tuple[TickReading, int]], push: float, prior: PulsePrior, noise_n: float, top: float
@@ -155,7 +155,7 @@ class _PulseFit:
         self._gradient: list[float] = []
 
     def run(self, onset_s: float) -> bool:
-        """Iterate to the least squares; False where it leads nowhere."""
+        """Minimise the squares; return False if the iteration fails."""
         self.start = onset_s
         self.slope = self._best_slope()
         if self.slope <= 0.0:
@@ -200,7 +200,7 @@ class _PulseFit:
         return p, c
 
     def _linearise(self) -> float:
-        """Cost at the present parameters; leaves the normal equations."""
+        """Return the cost at the present parameters and store the normal equations."""
         start, slope, omega, sigma, push = self.start, self.slope, self.omega, self.sigma, self._push
         up = omega * 1.0001
         cost = 0.0
@@ -242,17 +242,17 @@ class _PulseFit:
     def _ends(
         s: float, omega: float, up: float, sigma: float, push: float, slope: float
     ) -> tuple[float, float, float, float]:
-        """At one end of a reading: force, impulse per slope, impulse, its change with the frequency."""
+        """Return force, impulse per slope, impulse and its change with frequency at one end of a reading."""
         fp, pp, fs, ps = _terms(s, omega, sigma)
         _, pu, _, su = _terms(s, up, sigma)
         impulse = push * pp + slope * ps
         return push * fp + slope * fs, ps, impulse, push * pu + slope * su - impulse
 
     def result(self, lag_s: float) -> NormalPulse | None:
-        """Peak of the fitted pulse with its standard error."""
+        """Return the fitted pulse with its peak and standard error, or None if it does not fit."""
         omega, sigma, push, slope = self.omega, self.sigma, self._push, self.slope
         wd = math.sqrt(omega * omega - sigma * sigma)
-        # The slope is positive (`run`): from zero the force rises to its first extremum.
+        # The slope is positive (see `run`), so the first extremum is the peak.
         at = math.atan2(slope * wd, sigma * slope - omega * omega * push) / wd
         fp, _, fs, _ = _terms(at, omega, sigma)
         peak = push * fp + slope * fs
@@ -281,7 +281,7 @@ class _PulseFit:
         )
 
     def _misfit(self) -> tuple[int, float]:
-        """Number of readings in contact that bind, and the sum of their squared residuals."""
+        """Return the number of readings that constrain the fit, and the sum of their squared residuals."""
         count, squares = 0, 0.0
         for r, _ in self._bins:
             pa, ca = self._impulses(r.a)
@@ -304,17 +304,17 @@ def fit_friction(
     kappa: float,
     noise_n: float,
 ) -> float | None:
-    """Peak of the friction force, newton, signed along the tangent; None where the model does not fit.
+    """Return the friction peak, newton, signed along the tangent, or None if the model does not fit.
 
     Args:
-        readings: as for the normal pulse.
-        pulse: the fitted normal pulse.
+        readings: readings of the normal pulse.
+        pulse: fitted normal pulse.
         push_m_s2: tangential acceleration by thrust and drag.
-        mass_kg: of the vehicle.
-        kappa: expected mu/m, loosely held.
+        mass_kg: mass of the vehicle.
+        kappa: expected mu/m, with a wide tolerance.
         noise_n: standard deviation of one reading.
     """
-    # Also the clipped ones: flown parallel to the wall, the axis that clips is not the one along it.
+    # Clipped readings count too, because the clipped axis is usually not the one along the wall.
     inside = [r for r in readings if r.b > pulse.start_s]
     if len(inside) < 3:
         return None
@@ -327,7 +327,7 @@ def fit_friction(
 
     log_kappa, here = middle, cost(middle)
     for _ in range(_STEPS):
-        # Newton in one dimension on the profile over the speed, by differences.
+        # Newton's method in one dimension, with derivatives by differences; `cost` optimises the speed.
         low, high = cost(log_kappa - h), cost(log_kappa + h)
         slope, curve = (high - low) / (2.0 * h), (high - 2.0 * here + low) / (h * h)
         step = -slope / curve if curve > 0.0 else -math.copysign(0.4, slope)
@@ -356,7 +356,7 @@ def _tangential(
     mass_kg: float,
     log_kappa: float,
 ) -> tuple[float, float]:
-    """Best tangential speed at the onset for a friction, and the sum of squared residuals there."""
+    """Return the best tangential speed at the onset for a friction, and its sum of squared residuals."""
     kappa = math.exp(log_kappa)
     unit, driven = 1.0, 0.0  # response to the speed at the onset, and to the push
     sxx = sxy = syy = 0.0
@@ -384,7 +384,7 @@ def _friction_top(
     mass_kg: float,
     kappa: float,
 ) -> float:
-    """Largest friction of the model, sought on a grid of half a tick, with a parabola through it."""
+    """Return the model's largest friction, newton, from a grid of half a tick and a parabola at its top."""
     newest = inside[-1]
     begin, end = pulse.start_s, newest.b
     count = 2 * max(6, round((end - begin) / (end - newest.a)))

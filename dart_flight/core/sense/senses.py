@@ -1,4 +1,4 @@
-"""What is known of the vehicle: newest telemetry, force estimate, impacts; for the core and for `monitor`."""
+"""Senses of the core and of `monitor`: state, force, torque and impacts from telemetry."""
 
 from __future__ import annotations
 
@@ -35,21 +35,21 @@ from dart_flight.core.sense.position_delay import PositionDelay
 from dart_flight.core.sense.state import FlightState
 from dart_flight.core.sense.torque import TorqueEstimator
 
-# A contact may move PX4's estimate for so long; what it does meanwhile is no fault of the estimator.
+# A contact may disturb PX4's estimate for this long; such a disturbance is not an estimator fault.
 IMPACT_WINDOW_S: Final = 2.0
 
 
 class Sensed:
-    """What one input has taught.
+    """The results of one input.
 
     Attributes:
-        estimate: the external force, where the input gives one.
-        impacts: what the detector makes of it, none at most times; what it can feel, as an approach begins.
-        in_contact: between onset and end of a contact.
-        torque: the external torque, where the input gives one.
-        contact: records of a contact that is over: the request for its fit, or what the fit says.
-        wall: what a planned contact says of its wall and of the arms, one of these records.
-        height_m: of the walls' force above the centre of mass, by the contacts so far; None: not known.
+        estimate: external force, or None if the input yields none.
+        impacts: events of the detector, usually none; its detection floor when an approach begins.
+        in_contact: whether a contact has begun and not ended.
+        torque: external torque, or None if the input yields none.
+        contact: records of a contact that has ended: the request for its fit, or the results of the fit.
+        wall: the record among `contact` that estimates a planned wall and the mode of the arms.
+        height_m: height of the walls' force above the centre of mass, metres, or None if not known.
         thrust_ratio: thrust from mass and accelerometer, over thrust from the curve, in the last seconds of
             free flight, or None if not known.
     """
@@ -79,15 +79,15 @@ _TOUCHING: Final = Sensed(in_contact=True)
 
 
 class Senses:
-    """State, estimator and detector, fed together.
+    """State, estimators and impact detector, updated together.
 
     Attributes:
-        state: the newest of every stream.
-        estimator: external force from every IMU sample.
-        torque: external torque from every IMU sample.
-        detector: impacts in the force; it watches only while told to.
-        contacts: their samples, and what the planner makes of them.
-        height: of their force above the centre of mass.
+        state: newest sample of every stream.
+        estimator: estimator of the external force.
+        torque: estimator of the external torque.
+        detector: impact detector; active only while `ExpectedContact.watching` is set.
+        contacts: recorder of the contacts and of their fits.
+        height: estimator of the height of the walls' force above the centre of mass.
         delay: estimator of the position estimate's lead over the IMU.
     """
 
@@ -101,11 +101,11 @@ class Senses:
         self.delay = PositionDelay(mission.vehicle.airframe.mass_kg, IMPACT_WINDOW_S)
 
     def update(self, item: Input, expected: ExpectedContact) -> Sensed:
-        """Take one input, knowing what contact the mission expects; returns what that teaches."""
+        """Process one input with the contact that the mission expects, and return its results."""
         state, estimator = self.state, self.estimator
         if isinstance(item, ImuSample):
             if state.take_imu(item):
-                return self._feel(item, expected)
+                return self._process_imu(item, expected)
         elif isinstance(item, AttitudeSample):
             if state.take_attitude(item):
                 estimator.take_attitude(item)
@@ -151,7 +151,7 @@ class Senses:
         delay.take_odometry(t_us, state.velocity, self.estimator.momenta)
         state.position_ahead_s = delay.ahead_s
 
-    def _feel(self, item: ImuSample, expected: ExpectedContact) -> Sensed:
+    def _process_imu(self, item: ImuSample, expected: ExpectedContact) -> Sensed:
         state, estimator, detector = self.state, self.estimator, self.detector
         touching = detector.in_contact
         estimate = estimator.estimate(item, state, touching)

@@ -1,4 +1,4 @@
-"""What the core knows of the vehicle: the newest of every stream, in the mission frame."""
+"""Flight state of the core: the newest sample of every stream, in the mission frame."""
 
 from __future__ import annotations
 
@@ -28,24 +28,24 @@ from dart_flight.base.records import (
 )
 
 _SEVERE: Final = frozenset({"emergency", "alert", "critical", "error", "warning"})
-_SAID_US: Final = 15_000_000  # PX4's words older than this explain nothing any more
+_TEXT_AGE_US: Final = 15_000_000  # older texts of PX4 are not given as reasons
 _MAX_REASONS: Final = 6
 _LEAP_US: Final = 1_000_000
-_FURTHEST_M: Final = 1e5  # any position in PX4's local frame is nearer to its origin
+_FURTHEST_M: Final = 1e5  # larger positions in PX4's local frame are implausible
 _FASTEST_M_S: Final = 1e3
 _FASTEST: Final = 20  # simulated seconds per second
-_LEAPS_BELIEVED: Final = 25
+_LEAPS_ACCEPTED: Final = 25
 _VELOCITIES_KEPT_US: Final = 1_000_000
 
 
 class FlightState:
-    """Newest samples and what follows from them.
+    """Newest samples and values derived from them.
 
-    `now_us` is the autopilot's time as far as it is known: the newest stamp, carried on by host ticks through
-    the clock offset while the streams are silent. `host_us` is the host's time of the newest receipt or tick.
+    `now_us` is the estimate of the autopilot's time: the newest stamp, or the host's time plus the clock
+    offset while the streams are silent. `host_us` is the host's time of the newest receipt or tick.
 
     Args:
-        has_lock: whether the vehicle can change its stiffness; without a lock `lock` says settled and rigid.
+        has_lock: whether the vehicle can change its stiffness; without a lock, `lock` is settled and rigid.
     """
 
     def __init__(self, has_lock: bool = True) -> None:
@@ -57,13 +57,13 @@ class FlightState:
         self.attitude: AttitudeSample | None = None
         self.odometry: OdometrySample | None = None
         self.actuator: ActuatorSample | None = None
-        self.pose: PoseSample | None = None  # of the motion capture, where this program forwards it
+        self.pose: PoseSample | None = None  # of the motion capture, if this program forwards it
         self.status = StatusSample(t_us=0, received_us=0)
-        self.in_offboard = self.on_ground = False  # as PX4 says
-        self.position_sd_m: float | None = None  # of the horizontal position, by PX4 itself
+        self.in_offboard = self.on_ground = False  # as reported by PX4
+        self.position_sd_m: float | None = None  # of the horizontal position, as reported by PX4
         self.position_ahead_s: float | None = None  # lead over the IMU; negative if behind, None if not known
         self.lock = LockState(t_us=0, phase=LockPhase.UNKNOWN, mode=None)
-        if not has_lock:  # what cannot move is where it is, from the start and for ever
+        if not has_lock:
             self.lock = LockState(t_us=0, phase=LockPhase.SETTLED, mode=Mode.RIGID)
         self.position: Vec3 = (0.0, 0.0, 0.0)
         self.velocity: Vec3 = (0.0, 0.0, 0.0)
@@ -71,15 +71,15 @@ class FlightState:
         self.yaw = 0.0
         self.tilt_rad = 0.0
         self._velocities: deque[tuple[int, Vec3]] = deque()
-        self._stamp_us = self._stamped_us = 0  # of the newest sample taken, and its receipt
-        self._leapt: dict[str, int] = {}  # samples in a row that are too far ahead
+        self._stamp_us = self._stamped_us = 0  # stamp and receipt of the newest accepted sample
+        self._ahead: dict[str, int] = {}  # samples in a row that are too far ahead, by stream
         self.health: HealthReport | None = None
-        self._said: dict[str, int] = {}  # PX4's last warnings and worse, oldest first; when
-        self._found_on_link: dict[str, int] = {}  # likewise, what this program finds on the link
+        self._px4_texts: dict[str, int] = {}  # PX4's last warnings or worse, oldest first, with their times
+        self._found_on_link: dict[str, int] = {}  # the same for this program's warnings about the link
         self._refused: dict[str, str] = {}  # command -> PX4's answer, while it is a refusal
 
     def take_odometry(self, sample: OdometrySample) -> bool:
-        """A position and velocity; False where its stamp does not advance, or neither can be."""
+        """Store position and velocity; return False if implausible or if the stamp does not increase."""
         if not self.is_plausible(sample):
             return False
         previous, t_us, received_us = self.odometry, sample.t_us, sample.received_us
@@ -89,14 +89,14 @@ class FlightState:
         if self._leaps("odometry", t_us, received_us, previous):
             return False
         self.odometry = sample
-        self._saw(t_us, received_us)
+        self._advance_time(t_us, received_us)
         if self.frame is None:
             return True
         position = self.frame.point_from_ned(sample.position_ned)
         velocity = self.frame.vector_from_ned(sample.velocity_ned)
         if previous is not None:
             dt = (t_us - before_us) * 1e-6
-            share = min(1.0, dt / 0.06)  # first order, 0.06 s: the estimator's velocity is noisy
+            share = min(1.0, dt / 0.06)  # low-pass of 0.06 s, because the estimator's velocity is noisy
             a, v = self.acceleration, self.velocity
             self.acceleration = (
                 a[0] + share * ((velocity[0] - v[0]) / dt - a[0]),
@@ -111,7 +111,7 @@ class FlightState:
 
     @staticmethod
     def is_plausible(sample: OdometrySample) -> bool:
-        """Whether any vehicle can be there and as fast; what cannot be is compared with nothing."""
+        """Return whether position and velocity are within physical limits; other samples are discarded."""
         (x, y, z), (u, v, w) = sample.position_ned, sample.velocity_ned
         return (
             abs(x) < _FURTHEST_M
@@ -123,14 +123,14 @@ class FlightState:
         )
 
     def take_attitude(self, sample: AttitudeSample) -> bool:
-        """An attitude; False where its stamp does not advance."""
+        """Store an attitude; return False if its stamp does not increase."""
         previous, t_us, received_us = self.attitude, sample.t_us, sample.received_us
         if previous is not None and t_us <= previous.t_us:
             return False
         if self._leaps("attitude", t_us, received_us, previous):
             return False
         self.attitude = sample
-        self._saw(t_us, received_us)
+        self._advance_time(t_us, received_us)
         q = sample.q_frd_to_ned
         self.tilt_rad = tilt_of(q)
         if self.frame is not None:
@@ -138,18 +138,18 @@ class FlightState:
         return True
 
     def take_imu(self, sample: ImuSample) -> bool:
-        """An IMU sample; False where its stamp does not advance."""
+        """Store an IMU sample; return False if its stamp does not increase."""
         previous, t_us, received_us = self.imu, sample.t_us, sample.received_us
         if previous is not None and t_us <= previous.t_us:
             return False
         if self._leaps("imu", t_us, received_us, previous):
             return False
         self.imu = sample
-        self._saw(t_us, received_us)
+        self._advance_time(t_us, received_us)
         return True
 
     def take_actuator(self, sample: ActuatorSample) -> None:
-        """Motor commands."""
+        """Store the motor commands."""
         received_us = sample.received_us
         if self._leaps("actuator", sample.t_us, received_us, self.actuator):
             return
@@ -157,61 +157,61 @@ class FlightState:
         self.host_us = max(self.host_us, received_us)
 
     def take_status(self, sample: StatusSample) -> None:
-        """The autopilot's slow state."""
+        """Store the autopilot's status: flight mode, landed state, battery."""
         self.status = sample
         self.in_offboard = sample.flight_mode is FlightMode.OFFBOARD
         self.on_ground = sample.landed is LandedState.ON_GROUND
         self.host_us = max(self.host_us, sample.received_us)
 
     def take_estimator(self, sample: EstimatorSample) -> None:
-        """What PX4 says of its estimator: how sure it is of its position; the guard judges the rest."""
+        """Store the standard deviation of the position; the guard uses the rest of the sample."""
         if sample.position_sd_m is not None:
             self.position_sd_m = sample.position_sd_m
         self.host_us = max(self.host_us, sample.received_us)
 
     def take_pose(self, sample: PoseSample) -> None:
-        """Keep a pose of the motion capture."""
+        """Store a pose of the motion capture."""
         self.pose = sample
         self.host_us = max(self.host_us, sample.received_us)
 
     def take_lock(self, sample: LockState) -> None:
-        """State of the lock."""
+        """Store the state of the lock."""
         self.lock = sample
 
     def take_tick(self, tick: Tick) -> None:
-        """The host's clock goes by."""
+        """Advance the host's time, and the autopilot's time through the clock offset."""
         self.host_us = max(self.host_us, tick.host_us)
         if self.clock_offset_us is not None:
             now_us = self.host_us + self.clock_offset_us
-            if self._stamp_us:  # a clock estimate may be that of another vehicle
+            if self._stamp_us:  # limit it, because the clock offset may be that of another vehicle
                 now_us = min(now_us, self._stamp_us + self.host_us - self._stamped_us + _LEAP_US)
             self.now_us = max(self.now_us, now_us)
 
     def take_clock(self, sample: ClockOffset) -> None:
-        """Autopilot time minus host time."""
+        """Store the clock offset, autopilot time minus host time."""
         self.clock_offset_us = sample.offset_us
 
     def take_text(self, sample: StatusText) -> None:
-        """Remember warnings and worse, of PX4 or of this program."""
+        """Store a text of PX4 or of this program if it is a warning or worse."""
         if sample.severity in _SEVERE:
-            texts = self._found_on_link if sample.found_here else self._said
-            texts.pop(sample.text, None)  # the newest last
+            texts = self._found_on_link if sample.found_here else self._px4_texts
+            texts.pop(sample.text, None)  # insert again, so that the newest is last
             texts[sample.text] = self.now_us
             if len(texts) > _MAX_REASONS:
                 del texts[next(iter(texts))]
 
     def text_about(self, beginning: str) -> str:
-        """Return the newest warning that begins so, to be appended after "; "; empty if there is none."""
-        texts = {**self._said, **self._found_on_link}
+        """Return "; " and the newest warning with this beginning, or an empty string if there is none."""
+        texts = {**self._px4_texts, **self._found_on_link}
         found = [text for text in sorted(texts, key=lambda text: texts[text]) if text.startswith(beginning)]
         return f"; {found[-1]}" if found else ""
 
     def take_health(self, sample: HealthReport) -> None:
-        """PX4's health and arming checks."""
+        """Store PX4's health and arming checks."""
         self.health = sample
 
     def take_result(self, sample: CommandResult) -> None:
-        """How PX4 answered a command."""
+        """Store PX4's answer if it refuses a command; delete it if PX4 accepts the command."""
         if sample.ok:
             self._refused.pop(sample.command, None)
         else:
@@ -224,10 +224,10 @@ class FlightState:
         received_us: int,
         previous: ImuSample | AttitudeSample | OdometrySample | ActuatorSample | None,
     ) -> bool:
-        """Whether a stamp lies further ahead than time can have gone by: another vehicle's, on the same link.
+        """Return whether a stamp is too far ahead for the elapsed time, so that it may be another vehicle's.
 
-        A clock that has really jumped is believed after a few samples in a row. The first sample of a stream
-        is compared with the newest of the others.
+        If the clock has really jumped, its stamps are accepted after some samples in a row. The first sample
+        of a stream is compared with the newest sample of the other streams.
         """
         if previous is not None:
             ahead_us, elapsed_us = t_us - previous.t_us, received_us - previous.received_us
@@ -236,25 +236,25 @@ class FlightState:
         else:
             return False
         if ahead_us <= _LEAP_US or ahead_us <= _LEAP_US + _FASTEST * elapsed_us:
-            if self._leapt:
-                self._leapt.pop(stream, None)
+            if self._ahead:
+                self._ahead.pop(stream, None)
             return False
-        self._leapt[stream] = self._leapt.get(stream, 0) + 1
-        if self._leapt[stream] < _LEAPS_BELIEVED:
+        self._ahead[stream] = self._ahead.get(stream, 0) + 1
+        if self._ahead[stream] < _LEAPS_ACCEPTED:
             return True
-        del self._leapt[stream]
+        del self._ahead[stream]
         return False
 
-    def _saw(self, t_us: int, received_us: int) -> None:
+    def _advance_time(self, t_us: int, received_us: int) -> None:
         self._stamp_us, self._stamped_us = t_us, received_us
-        # Comparisons, where `max` would do: a call for every sample costs more.
+        # Comparisons are faster than `max`, and this runs for every sample.
         self.now_us = t_us if t_us > self.now_us else self.now_us
         self.host_us = received_us if received_us > self.host_us else self.host_us
 
     # -- derived --
 
     def anchor(self, frame: MissionFrame) -> None:
-        """From now on positions, velocities and yaw are in this mission frame."""
+        """Set the mission frame of positions, velocities and yaw, and convert the present ones."""
         self.frame = frame
         if self.odometry is not None:
             self.position = frame.point_from_ned(self.odometry.position_ned)
@@ -263,25 +263,26 @@ class FlightState:
             self.yaw = frame.yaw_from_ned(yaw_ned_of(self.attitude.q_frd_to_ned))
 
     def position_at(self, t_us: int) -> Vec3:
-        """Position in the mission frame at a moment near the newest odometry, by constant velocity."""
+        """Return the position at a stamp, mission frame, extrapolated from odometry at constant velocity."""
         if self.odometry is None:
             return self.position
         return add(self.position, scale(self.velocity, (t_us - self.odometry.t_us) * 1e-6))
 
     def velocity_before(self, t_us: int) -> Vec3:
-        """The last velocity in the mission frame stamped before a moment."""
+        """Return the last velocity stamped before `t_us`, mission frame, m/s."""
         for stamp, velocity in reversed(self._velocities):
             if stamp < t_us:
                 return velocity
         return self.velocity
 
     def mean_velocity(self, over_s: float) -> Vec3:
-        """Mean of the odometry's velocities of the last seconds, mission frame, m/s.
+        """Return the mean odometry velocity of the last seconds, mission frame, m/s.
 
-        PX4's estimate of the velocity shakes with the accelerometer; what is to be "slow" is asked of this.
+        PX4's velocity estimate follows accelerometer vibration. Use this mean to test whether the vehicle is
+        slow.
 
         Args:
-            over_s: up to 1 s.
+            over_s: averaging time, at most 1 s.
         """
         if not self._velocities:
             return self.velocity
@@ -294,33 +295,33 @@ class FlightState:
         return scale(total, 1.0 / n)
 
     def reasons(self, command: str | None = None) -> str:
-        """Return why PX4 does not do something: what this program finds on the link, and PX4's own words.
+        """Return the reasons why PX4 does not act: faults found on the link, and PX4's own texts.
 
         Args:
-            command: that it refuses; its answer is told where it gives no other reason.
+            command: refused command; if PX4 gives no other reason, its answer to the command is returned.
 
         Returns:
-            Words such as "; PX4 says: No offboard signal", to be appended; empty where there are none.
+            Text such as "; PX4 says: No offboard signal" to append, empty if there is no reason.
         """
-        seen = self._recent(self._found_on_link)
-        here = "; " + ", ".join(seen) if seen else ""
+        own = self._recent(self._found_on_link)
+        here = "; " + ", ".join(own) if own else ""
         found = [] if self.health is None else list(self.health.blocking)
-        found += self._recent(self._said)
+        found += self._recent(self._px4_texts)
         others = () if self.health is None else self.health.others
         found = list(dict.fromkeys(found))[:_MAX_REASONS]
-        # What PX4 holds against other modes may be behind it: without a position there is no offboard signal.
+        # Faults of other modes may be the cause: without a position there is no offboard signal.
         also = [word for word in others if word not in found][:_MAX_REASONS]
         if found:
             return f"{here}; PX4 says: " + ", ".join(found) + ("; also " + ", ".join(also) if also else "")
         answer = self._refused.get(command or "")
         answered = f"{here}; PX4 answers: {answer}" if answer else here
-        if also:  # all that a PX4 without reports tells; it need not be the reason
+        if also:  # not necessarily the reason, but an older PX4 reports nothing else
             return f"{answered}; PX4 gives no reason, but finds: " + ", ".join(also)
         return answered
 
     def _recent(self, texts: Mapping[str, int]) -> list[str]:
-        return [text for text, t_us in texts.items() if self.now_us - t_us < _SAID_US]
+        return [text for text, t_us in texts.items() if self.now_us - t_us < _TEXT_AGE_US]
 
     def lock_is_in(self, mode: Mode) -> bool:
-        """Whether the lock is settled in a mode, as far as it can know."""
+        """Return whether the lock reports that it has settled in a mode."""
         return self.lock.phase is LockPhase.SETTLED and self.lock.mode is mode

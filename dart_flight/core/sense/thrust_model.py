@@ -1,9 +1,9 @@
-"""Thrust from the best source at hand, through the calibrated curve, with motor lag and battery voltage.
+"""Thrust model: total thrust and thrust per motor, for the force and torque estimators.
 
-Sources (`estimation.thrust_source`): measured speed of the motors, thrust = c rpm^2, which needs neither lag
-nor voltage; commands to the motors, through the curve of `thrust:` and a first-order lag. `auto` takes the
-motors' speed only where it comes often enough to show what a controller does in a contact. Whatever the
-source, hovering corrects it (`core/sense/bias.py`). Equations: docs/force.md.
+`estimation.thrust_source` selects the source. Measured motor speeds give thrust = c rpm^2, without lag or
+voltage. Motor commands give thrust through the curve of `thrust:`, a first-order lag and the battery voltage.
+`auto` uses the motor speeds only if their rate resolves the controller's reaction to a contact.
+Hovering corrects either source (`core/sense/bias.py`). Equations: docs/force.md.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ from dart_flight.base.geometry import GRAVITY_M_S2
 from dart_flight.base.records import ActuatorSample, EscSample
 from dart_flight.config.vehicle import ThrustSource, VehicleConfig
 
-Each = tuple[float, ...]  # of every motor
+Each = tuple[float, ...]  # one value per motor
 
-# `auto` takes no slower telemetry: switching to and fro would look like forces
+# `auto` uses no slower telemetry, because switching between sources would resemble forces.
 _ESC_PERIOD_US: Final = 20_000
 _PENDING: Final = 16  # commands ahead of the IMU: a few ticks at most
 
@@ -26,7 +26,8 @@ _PENDING: Final = 16  # commands ahead of the IMU: a few ticks at most
 class LaggedCommands:
     """Values that follow stamped commands with a first-order lag.
 
-    A command holds from its own stamp on, whenever it arrives; stamps that do not advance are dropped.
+    A command takes effect at its own stamp, even if it arrives later. Commands whose stamps do not increase
+    are discarded.
     """
 
     def __init__(self, lag_s: float) -> None:
@@ -38,18 +39,18 @@ class LaggedCommands:
         self.value: Each = ()
 
     def update(self, t_us: int, values: Each) -> None:
-        """A command stamped `t_us`."""
+        """Add a command stamped `t_us`."""
         if t_us <= self.newest_us:
             return
         self.newest_us = t_us
         if self._target is None:
-            # Nothing is known of the time before: it has always been so.
+            # Assume that the first command has been in effect for long.
             self._target = self.value = values
         else:
             self._pending.append((t_us, values))
 
     def advance(self, t_us: int) -> None:
-        """Carry `value` on to `t_us`; the past is not taken back."""
+        """Advance `value` to `t_us`; an earlier stamp has no effect."""
         pending = self._pending
         while pending and pending[0][0] <= t_us:
             stamp, values = pending.popleft()
@@ -72,11 +73,11 @@ class LaggedCommands:
 
 
 class ThrustModel:
-    """Total thrust along the body's up axis, newton, mean over a tick of the IMU.
+    """Model of the total thrust along the body's up axis, newton, mean over a tick of the IMU.
 
     Attributes:
-        source: what the last answer came from; None: nothing known yet, hover assumed.
-        each_n: thrust of each motor at the last answer's stamp; None: nothing known yet.
+        source: source of the last result, or None if there is none yet and hover thrust is assumed.
+        each_n: thrust of each motor at the stamp of the last result, newton, or None if not known yet.
     """
 
     def __init__(self, vehicle: VehicleConfig) -> None:
@@ -96,11 +97,11 @@ class ThrustModel:
         self.each_n: Each | None = None
 
     def take_actuator(self, sample: ActuatorSample) -> None:
-        """Commands to the motors."""
+        """Add motor commands."""
         self._motors.update(sample.t_us, sample.motors)
 
     def take_esc(self, sample: EscSample) -> None:
-        """Measured motor speeds."""
+        """Store measured motor speeds."""
         if self._esc is not None:
             if sample.t_us <= self._esc.t_us:
                 return
@@ -108,13 +109,13 @@ class ThrustModel:
         self._esc = sample
 
     def take_voltage(self, volts: float | None) -> None:
-        """Battery voltage; None where it is not known."""
+        """Store the battery voltage; None or zero keeps the last one."""
         battery = self._config.battery
         if volts is not None and volts > 0.0:
             self._voltage_factor = (volts / battery.reference_v) ** battery.exponent
 
     def mean_over_tick(self, t_us: int) -> float:
-        """Mean thrust in newton between the previous call's stamp and `t_us`."""
+        """Return the mean thrust between the previous call's stamp and `t_us`, newton."""
         raw = self._at(t_us)
         before = self._last_n if self._last_n is not None else raw
         self._last_n = raw
@@ -123,7 +124,7 @@ class ThrustModel:
     def _at(self, t_us: int) -> float:
         wanted, auto = self._wanted, self._auto
         esc, motors = self._esc, self._motors
-        # A single choice does not time out: an old value of the right source beats none.
+        # A fixed source has no timeout, because an old value is better than none.
         per_rpm2 = self._per_rpm2
         if esc is not None and per_rpm2 is not None:
             often = self._esc_period_us <= _ESC_PERIOD_US and esc.t_us >= t_us - _ESC_PERIOD_US
@@ -143,7 +144,7 @@ class ThrustModel:
         return self._hover_n
 
     def _by_curve(self, commands: Each) -> float:
-        """Sum of the motors' thrust by the configured curve; `each_n` with it."""
+        """Return the total thrust from the configured curve, newton, and set `each_n`."""
         f, volts = self._square, self._voltage_factor
         if f is None:
             self.each_n = each = tuple([force * volts for force in self._curve.forces_n(commands)])

@@ -1,12 +1,12 @@
-"""External torque about the centre of mass, beside the external force (docs/torque.md).
+"""Estimator of the external torque about the centre of mass (docs/torque.md).
 
     torque = J alpha + w x J w - motors
 
-with w the gyro's rate, alpha its change over the tick, J the inertia, all in body FRD: a sample means what
-one of the force means, the mean over the tick that ends at its stamp. The motors' torque follows from each
-one's thrust, place and propeller drag, averaged over the same tick. Noise is learnt outside of contacts,
-as the accelerometer's is. A torque that is there all the time (a centre of mass beside the motors' middle, a
-motor weaker than the others) is followed outside of contacts and taken off.
+Here w is the gyro's rate, alpha its change over the tick and J the inertia, all in body FRD. Like a force
+sample, a torque sample is the mean over the tick that ends at its stamp. The motors' torque follows from the
+thrust, position and propeller drag of each motor, averaged over the same tick. Noise is learnt outside of
+contacts. A constant torque, for example from an offset centre of mass or a weak motor, is also learnt there
+and subtracted. `Senses` uses the estimator.
 """
 
 from __future__ import annotations
@@ -22,18 +22,18 @@ from dart_flight.core.sense.angular_motion import AngularMotion
 from dart_flight.core.sense.thrust_model import Each
 
 _NOISE_TIME_S: Final = 0.5
-_THIRD: Final = 1.0 / 3.0  # a change of the rate's white noise, of variance 2: successive ones differ by 6
+_THIRD: Final = 1.0 / 3.0  # differencing the rate's white noise gives variance 2, and once more gives 6
 _ADDED: Final = 1e-10  # N2 m2, with every sample
-_SLOW_S: Final = 1.0  # time constant of the torque that is always there ...
-_MAX_SLOW_NM: Final = 0.3  # ... which is not followed further than this
+_SLOW_S: Final = 1.0  # time constant of the constant torque
+_MAX_SLOW_NM: Final = 0.3  # limit of the constant torque
 
 
 class TorqueEstimator:
-    """External torque, one estimate for every IMU sample that has one shortly before it."""
+    """Estimator of the external torque, with one estimate per IMU sample that closely follows another."""
 
     def __init__(self, vehicle: VehicleConfig) -> None:
         self._inertia = vehicle.airframe.inertia_kg_m2
-        # What each newton of each motor turns: with its sign, because it is taken off.
+        # Torque per newton of each motor, negated because the motors' torque is subtracted.
         self._levers = tuple((m.y_m, -m.x_m, -m.yaw_torque_per_thrust_m) for m in vehicle.airframe.motors)
         self._before: Each | None = None
         self._slow: Vec3 = (0.0, 0.0, 0.0)
@@ -44,14 +44,14 @@ class TorqueEstimator:
     def estimate(
         self, t_us: int, turning: AngularMotion, each_n: Each | None, scale: float, learns: bool
     ) -> TorqueEstimate | None:
-        """Torque in N m, FRD, at an IMU sample; None without a sample shortly before it.
+        """Return the torque at an IMU sample, N m, FRD, or None if no sample shortly precedes it.
 
         Args:
             t_us: stamp of the sample.
-            turning: it has taken the sample.
-            each_n: thrust of each motor at the stamp by the curve; None: not known yet.
-            scale: true thrust over the curve's.
-            learns: in the air and without a contact: noise and slow torque are followed.
+            turning: angular motion, already updated with the sample.
+            each_n: thrust of each motor at the stamp from the curve, or None if not known yet.
+            scale: true thrust divided by the thrust of the curve.
+            learns: whether noise and constant torque are learnt: in the air and without a contact.
         """
         before, self._before = self._before, each_n
         if not turning.known:

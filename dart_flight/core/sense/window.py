@@ -1,8 +1,9 @@
-"""The horizontal force averaged over windows as long as the contacts waited for, and its own noise.
+"""Means of the horizontal force over windows as long as a contact, and the noise of these means.
 
-A motor's ringing and white noise shrink in a mean over 30 or 100 ms, a contact of that length hardly does. By
-how much they shrink depends on their frequency, so it is not computed from the noise of a sample: what is
-learnt, outside of contacts, is by how much each mean itself varies. docs/force.md.
+A mean over 30 or 100 ms reduces motor vibration and white noise, but hardly a contact of that length. The
+reduction depends on the frequency of the vibration, so the noise of a mean does not follow from that of a
+sample. Each window therefore learns the variance of its own mean outside of contacts (docs/force.md). The
+impact detector uses this module.
 """
 
 from __future__ import annotations
@@ -14,25 +15,25 @@ from typing import Final
 from dart_flight.base.filters import LearntVariance
 from dart_flight.base.geometry import Vec2
 
-_QUICK_S: Final = 0.5  # a manoeuvre counts at once, and its noise is not forgotten at once
+_QUICK_S: Final = 0.5  # the larger of a quick and a slow variance: noise counts at once and decays slowly
 _SLOW_S: Final = 5.0
 _MIN_N2: Final = 1e-4
-_ASSUMED: Final = 5  # samples that the noise to begin with counts for
-_DELAY: Final = 10  # samples: what a contact's foot teaches is thrown away at its onset
+_ASSUMED: Final = 5  # weight of the initial noise, in samples
+_DELAY: Final = 10  # samples: the start of a contact is discarded at its onset
 
 
 class WindowMean:
     """Mean of the horizontal force over the newest `length_s`, and the learnt deviation of that mean.
 
     Args:
-        length_s: 0 for the sample itself.
-        noise_n: deviation of one sample and axis to begin with, taken as white.
-        samples: how many samples the window holds at the IMU's nominal rate.
+        length_s: length of the window, or 0 for a single sample.
+        noise_n: initial standard deviation of one sample and axis, assumed white.
+        samples: number of samples in the window at the IMU's nominal rate.
 
     Attributes:
-        mean: newton, mission frame.
-        full: whether the samples reach back over the whole window.
-        noise_n: deviation of one component of the mean.
+        mean: mean force, newton, mission frame.
+        full: whether the samples cover the whole window.
+        noise_n: standard deviation of one component of the mean.
     """
 
     def __init__(self, length_s: float, noise_n: float, samples: int) -> None:
@@ -45,15 +46,14 @@ class WindowMean:
         self._quick = LearntVariance(variance, _QUICK_S, _MIN_N2)
         self._slow = LearntVariance(variance, _SLOW_S, _MIN_N2)
         self._pending: deque[float] = deque()
-        # A force that is there all the time is no noise: two means are compared that share no sample. One
-        # window apart they agree by chance only for a tone that the window itself takes out.
+        # Compare means one window apart: they share no sample, and a constant force cancels.
         self._past: deque[Vec2] = deque(maxlen=max(1, samples))
         self.mean: Vec2 = (0.0, 0.0)
         self.full = False
         self.noise_n = math.sqrt(variance)
 
     def add(self, t_us: int, fx: float, fy: float) -> None:
-        """Take a sample."""
+        """Add a horizontal force sample, newton, mission frame, and update the mean."""
         kept = self._kept
         kept.append((t_us, fx, fy))
         self._x += fx
@@ -66,14 +66,14 @@ class WindowMean:
             self._since_sum += 1
             self.full = True
         if self._since_sum > len(kept):
-            # Rounding must not pile up over hours: sum anew once a window.
+            # Sum again once per window, so that rounding errors do not accumulate.
             self._since_sum = 0
             self._x, self._y = sum(s[1] for s in kept), sum(s[2] for s in kept)
         n = len(kept)
         self.mean = (self._x / n, self._y / n)
 
     def learn(self, dt_s: float) -> None:
-        """A mean outside of contacts teaches the noise: how far it is from the one a window before it."""
+        """Update the noise from the present mean and the mean one window earlier, outside of contacts."""
         past, pending, mean = self._past, self._pending, self.mean
         if len(past) == past.maxlen:
             (x, y), (before_x, before_y) = mean, past[0]
@@ -84,29 +84,29 @@ class WindowMean:
             return
         square = pending.popleft()
         self._seen += 1
-        # At first a plain mean, so that what was assumed is forgotten once something is known.
+        # Use a plain mean at first, so that measurements quickly replace the initial noise.
         first = 1.0 / (_ASSUMED + self._seen)
         quick, slow = self._quick.learn(square, dt_s, first), self._slow.learn(square, dt_s, first)
         self.noise_n = math.sqrt(quick if quick > slow else slow)
 
     def forget(self) -> None:
-        """A contact has begun, or the stream broke off: what it has taught so far is thrown away."""
+        """Discard the pending noise samples, after an onset or a gap in the stream."""
         self._pending.clear()
         self._past.clear()
 
 
 def half_sine_share(samples: int, duration_s: float, period_s: float) -> float:
-    """The least that the largest mean over a window of a half-sine of height one can be.
+    """Return the lower bound of the largest window mean of a half-sine of height one.
 
-    Samples fall on it anyhow: half a period beside its middle at the worst. It is the sum of sines at equal
-    distances, in closed form.
+    In the worst case the samples lie half a period off the middle of the half-sine. The result is the closed
+    form of a sum of equally spaced sines.
 
     Args:
-        samples: in the window.
-        duration_s: of the half-sine.
-        period_s: between samples.
+        samples: number of samples in the window.
+        duration_s: duration of the half-sine.
+        period_s: time between samples.
     """
     x = 0.5 * math.pi * period_s / duration_s
     if x >= 0.5 * math.pi:
-        return 0.0  # it may fall between two samples
+        return 0.0  # the half-sine may fall between two samples
     return math.sin(min(samples * x, 0.5 * math.pi)) / (samples * math.tan(x))
