@@ -71,9 +71,10 @@ def _skipped_if_busy(item: pytest.Item) -> Generator[None, None, None]:
     watch = LoadWatch()
     try:
         return (yield)
-    except (Exception, pytest.fail.Exception):
+    except (Exception, pytest.fail.Exception) as error:
         if problem := watch.problem():
-            pytest.skip(f"real time: {problem}")
+            failure = next(iter(str(error).splitlines()), type(error).__name__)
+            pytest.skip(f"real time: {problem}; failed: {failure}")
         raise
     finally:
         watch.stop()

@@ -15,6 +15,7 @@ for three numbers, faster than small arrays. Walls, with their collision frame, 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Final
 
 Vec2 = tuple[float, float]
@@ -194,6 +195,41 @@ def quaternion_from_euler(roll_rad: float, pitch_rad: float, yaw_rad: float) -> 
         cr * sp * cy + sr * cp * sy,
         cr * cp * sy - sr * sp * cy,
     )
+
+
+def quaternion_from_intrinsic_xyz(x_rad: float, y_rad: float, z_rad: float) -> Quaternion:
+    """Return the rotation about x, then the new y, then the new z, as Vicon defines a body's angles."""
+    about_x = quaternion_from_rotation_vector((x_rad, 0.0, 0.0))
+    about_y = quaternion_from_rotation_vector((0.0, y_rad, 0.0))
+    about_z = quaternion_from_rotation_vector((0.0, 0.0, z_rad))
+    return quaternion_multiply(quaternion_multiply(about_x, about_y), about_z)
+
+
+def quaternion_from_matrix(columns: Sequence[float]) -> Quaternion:
+    """Return the rotation of a matrix whose nine elements come column by column, as QTM sends them.
+
+    Raises:
+        ValueError: the matrix is not a rotation.
+    """
+    (r11, r21, r31, r12, r22, r32, r13, r23, r33) = columns
+    # Start from the largest component to avoid a division by a small number.
+    squares = (1 + r11 + r22 + r33, 1 + r11 - r22 - r33, 1 - r11 + r22 - r33, 1 - r11 - r22 + r33)
+    largest = max(range(4), key=squares.__getitem__)
+    if not squares[largest] > 0.0:
+        raise ValueError("not a rotation")
+    rows = (
+        (squares[0], r32 - r23, r13 - r31, r21 - r12),
+        (r32 - r23, squares[1], r12 + r21, r13 + r31),
+        (r13 - r31, r12 + r21, squares[2], r23 + r32),
+        (r21 - r12, r13 + r31, r23 + r32, squares[3]),
+    )
+    return quaternion_normalise(rows[largest])
+
+
+def rotation_angle(a: Quaternion, b: Quaternion) -> float:
+    """Return the angle of the rotation from one attitude to another, 0 to pi, rad."""
+    w, x, y, z = quaternion_multiply(quaternion_conjugate(a), b)
+    return 2.0 * math.atan2(math.sqrt(x * x + y * y + z * z), abs(w))
 
 
 def yaw_ned_of(q_frd_to_ned: Quaternion) -> float:

@@ -62,11 +62,7 @@ def download_px4_log(
     """Download PX4's log of a flight with progress on the terminal, and return its path.
 
     Args:
-        url: MAVLink URL of the vehicle, which must be disarmed.
-        timeout_s: timeout of the connection.
-        folder: folder of the flight.
-        armed: times of the flight's arming and of its end, or None if not known.
-        before: logs that existed before the flight, or None if not known.
+        url, timeout_s, folder, armed, before: as for `fetch_px4_log`.
         log_id: log that the operator has chosen, or None to ask if several may be the flight's.
 
     Raises:

@@ -13,11 +13,9 @@ import pty
 import random
 import socket
 import termios
-import threading
 import time
 import tty
 from collections.abc import Callable, Collection
-from types import TracebackType
 
 from pymavlink.dialects.v20 import common as mavlink
 
@@ -34,13 +32,13 @@ from dart_flight.base.records import FlightMode
 from dart_flight.config.mission import Mission
 from dart_flight.sim.embedded_autopilot import TICK_S, ImuReading, make_autopilot
 from dart_flight.sim.mavlink_endpoint import MavlinkEndpoint
+from tests.doubles.threaded import Threaded
 
 BAUD = 921600
 _NOISE_M_S2 = 0.05
 _PUSH_M_S2, _PUSH_S = 6.0, 0.15
 _CARRY_M, _CARRY_S = 0.6, 1.0
 _BUFFER = 65536
-_RADIO_EVERY = 20  # ticks
 _POSE_EVERY = 4  # ticks
 YAW_RAD = math.radians(35.0)  # it stands as it happens to stand
 
@@ -48,7 +46,7 @@ YAW_RAD = math.radians(35.0)  # it stands as it happens to stand
 Motion = Callable[[float], tuple[Vec3, Quaternion]]
 
 
-class BenchVehicle:
+class BenchVehicle(Threaded):
     """`with BenchVehicle(mission) as vehicle: bringup --connection vehicle.url`.
 
     Args:
@@ -74,15 +72,15 @@ class BenchVehicle:
         self._socket.bind(("127.0.0.1", 0))
         self._socket.setblocking(False)
         self._endpoint = MavlinkEndpoint(self._autopilot, (self._socket.getsockname()[1],))
-        self._pack = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
+        if "radio" in self._wrong:
+            self._endpoint.stopped.add(mavlink.MAVLINK_MSG_ID_RC_CHANNELS)
         self._master, slave = pty.openpty()
         tty.setraw(slave)
         self._device = os.ttyname(slave)
         os.close(slave)
         os.set_blocking(self._master, False)
         self._noise = random.Random(1)
-        self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._run, daemon=True, name="bench vehicle")
+        super().__init__()
         self._out = bytearray()
         self._roll = self._pitch = 0.0
         self._position = [0.0, 0.0]
@@ -94,15 +92,7 @@ class BenchVehicle:
         """Its connection URL."""
         return f"serial://{self._device}:{BAUD}"
 
-    def __enter__(self) -> BenchVehicle:
-        self._thread.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._stop.set()
-        self._thread.join(1.0)
+    def _close(self) -> None:
         self._endpoint.close()
         self._socket.close()
         os.close(self._master)
@@ -141,8 +131,6 @@ class BenchVehicle:
             due_s += TICK_S
             self._advance(ticks)
             self._endpoint.exchange()
-            if ticks % _RADIO_EVERY == 0 and "radio" not in self._wrong:
-                self._write(self._radio().pack(self._pack))
             self._exchange_bytes()
             time.sleep(max(0.0, due_s - time.monotonic()))
 
@@ -202,9 +190,6 @@ class BenchVehicle:
             self._carry = None
             return (0.0, 0.0)
         return (way[0] / _CARRY_S, way[1] / _CARRY_S)
-
-    def _radio(self) -> mavlink.MAVLink_message:
-        return mavlink.MAVLink_rc_channels_message(0, 8, *[1500] * 18, 200)
 
     def _exchange_bytes(self) -> None:
         with contextlib.suppress(BlockingIOError):

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 import socket
-import threading
 import time
-from types import TracebackType
 
 from pymavlink.dialects.v20 import common as mavlink
+
+from tests.doubles.threaded import Threaded
 
 COMPONENT = 197  # visual-inertial odometry
 _PERIOD_S = 0.02
@@ -16,25 +16,16 @@ _FAR_AHEAD_US = 10**12
 _Q_TURNED = [math.cos(math.radians(30.0)), 0.0, 0.0, math.sin(math.radians(30.0))]
 
 
-class ForeignSender:
+class ForeignSender(Threaded):
     """`with ForeignSender(port):` sends every message of `MESSAGES` to a UDP port, 50 times a second."""
 
     def __init__(self, port: int, component: int = COMPONENT) -> None:
         self._to = ("127.0.0.1", port)
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._pack = mavlink.MAVLink(None, srcSystem=1, srcComponent=component)
-        self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._run, daemon=True, name="foreign sender")
+        super().__init__()
 
-    def __enter__(self) -> ForeignSender:
-        self._thread.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._stop.set()
-        self._thread.join(1.0)
+    def _close(self) -> None:
         self._socket.close()
 
     def _run(self) -> None:

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import threading
 import time
 from collections import deque
-from types import TracebackType
 from typing import Any
 
 from pymavlink.dialects.v20 import common as mavlink
@@ -14,6 +12,7 @@ from dart_flight.config.mission import Mission
 from dart_flight.sim.embedded_autopilot import TICK_S, make_autopilot
 from dart_flight.sim.mavlink_endpoint import Link, MavlinkEndpoint
 from tests.doubles.ports import free_udp_port
+from tests.doubles.threaded import Threaded
 
 _CHUNK = 90  # bytes of a LOG_DATA
 _PER_TICK = 40  # messages
@@ -57,7 +56,7 @@ class _LogEndpoint(MavlinkEndpoint):
                 self._send(self.links[0], message)
 
 
-class LogVehicle:
+class LogVehicle(Threaded):
     """`with LogVehicle(mission, logs) as vehicle: ...vehicle.url...`.
 
     Args:
@@ -74,8 +73,7 @@ class LogVehicle:
         self.autopilot = make_autopilot(mission, 1)
         self._endpoint = _LogEndpoint(self.autopilot, (port,))
         self._endpoint.logs, self._endpoint.sends_bytes, self._endpoint._queue = logs, sends_bytes, deque()
-        self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._run, daemon=True, name="vehicle with logs")
+        super().__init__()
 
     def _run(self) -> None:
         while not self._stop.is_set():
@@ -84,13 +82,5 @@ class LogVehicle:
             self._endpoint.send_logs()
             time.sleep(TICK_S)
 
-    def __enter__(self) -> LogVehicle:
-        self._thread.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._stop.set()
-        self._thread.join(1.0)
+    def _close(self) -> None:
         self._endpoint.close()

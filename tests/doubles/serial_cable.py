@@ -9,10 +9,10 @@ from __future__ import annotations
 import os
 import pty
 import select
-import threading
 import time
 import tty
-from types import TracebackType
+
+from tests.doubles.threaded import Threaded
 
 BUFFER_BYTES = 4096  # of the kernel's side of a serial port
 _CHUNK = 4096
@@ -55,7 +55,7 @@ class SerialWay:
         self._credit -= written
 
 
-class SerialCable:
+class SerialCable(Threaded):
     """`with SerialCable(92_160) as cable: open(cable.ends[0]) ...`.
 
     Args:
@@ -78,8 +78,7 @@ class SerialCable:
             os.set_blocking(end, False)
         self._masters = masters
         self.cut = False
-        self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._run, daemon=True, name="cable")
+        super().__init__()
 
     @property
     def carried(self) -> tuple[int, int]:
@@ -91,15 +90,7 @@ class SerialCable:
         """Bytes lost on the wire likewise; what nobody reads is not counted."""
         return self._ways[0].dropped, self._ways[1].dropped
 
-    def __enter__(self) -> SerialCable:
-        self._thread.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._stop.set()
-        self._thread.join(1.0)
+    def _close(self) -> None:
         for end in self._masters:
             os.close(end)
 

@@ -15,7 +15,7 @@ import math
 from collections import deque
 from typing import Any, Final
 
-from dart_flight.base.geometry import Quaternion, Vec3, quaternion_conjugate, quaternion_multiply
+from dart_flight.base.geometry import Quaternion, Vec3, rotation_angle
 from dart_flight.base.records import OdometrySample, Override, Phase, PoseSample
 from dart_flight.config.vehicle.mocap import MotionCapture
 from dart_flight.core.guard.rule import Judge, Rule, Scope
@@ -222,8 +222,7 @@ class PoseWatch:
         if odometry is None or q_px4 is None or not state.status.local_position_ok:
             self._apart_us = self._turned_us = None
             return
-        w = quaternion_multiply(quaternion_conjugate(q_px4.q_frd_to_ned), attitude)[0]
-        self._turned_deg = math.degrees(2.0 * math.acos(min(1.0, abs(w))))
+        self._turned_deg = math.degrees(rotation_angle(q_px4.q_frd_to_ned, attitude))
         self._turned_us = (self._turned_us or now_us) if self._turned_deg > TURNED_DEG else None
         self._apart_m = math.dist(position, odometry.position_ned)
         allowed_m = APART_M + _APART_LATENCY_S * math.hypot(*odometry.velocity_ned)

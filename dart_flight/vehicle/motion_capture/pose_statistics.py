@@ -15,8 +15,7 @@ from dart_flight.base.geometry import (
     RoomFrame,
     Vec3,
     norm,
-    quaternion_conjugate,
-    quaternion_multiply,
+    rotation_angle,
     subtract,
 )
 from dart_flight.base.records import AttitudeSample, Input, OdometrySample, PoseSample
@@ -52,12 +51,6 @@ class PoseFigures(msgspec.Struct, frozen=True):
     distance_to_px4_m: float | None = None
     angle_to_px4_deg: float | None = None
     senders: tuple[str, ...] = ()
-
-
-def angle_between(a: Quaternion, b: Quaternion) -> float:
-    """Return the angle of the rotation from one attitude to another, rad."""
-    w, x, y, z = quaternion_multiply(quaternion_conjugate(a), b)
-    return 2.0 * math.atan2(math.sqrt(x * x + y * y + z * z), abs(w))
 
 
 class PoseStatistics:
@@ -166,7 +159,7 @@ class PoseStatistics:
     def _angle_deg(self, now_us: int) -> float | None:
         if self._pose is None or self._attitude is None or self._is_old(self._attitude, now_us):
             return None
-        return math.degrees(angle_between(self._pose[1], self._attitude.q_frd_to_ned))
+        return math.degrees(rotation_angle(self._pose[1], self._attitude.q_frd_to_ned))
 
     def _is_old(self, record: OdometrySample | AttitudeSample, now_us: int) -> bool:
         silent = not self._tracked_us or now_us - self._tracked_us[-1] > _FRESH_US

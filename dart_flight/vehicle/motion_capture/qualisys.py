@@ -12,7 +12,7 @@ from typing import Any, Final
 
 import qtm_rt
 
-from dart_flight.base.geometry import Quaternion, quaternion_normalise
+from dart_flight.base.geometry import quaternion_from_matrix
 from dart_flight.config.document import InputError
 from dart_flight.vehicle.motion_capture.source import PoseAddress, RawPose, lost_pose
 
@@ -32,27 +32,6 @@ def body_names(parameters_xml: str) -> tuple[list[str], list[str]]:
         raise ValueError(f"parameters that are not XML: {error}") from None
     names = [(body.findtext("Name", ""), body.findtext("Enabled", "true")) for body in bodies]
     return [name for name, _ in names], [name for name, enabled in names if enabled.lower() != "false"]
-
-
-def attitude_of_matrix(m: Sequence[float]) -> Quaternion:
-    """Return the attitude of a rotation matrix, whose elements are in QTM's order, column by column.
-
-    Raises:
-        ValueError: the matrix is not a rotation.
-    """
-    (r11, r21, r31, r12, r22, r32, r13, r23, r33) = m
-    # Start from the largest component to avoid a division by a small number.
-    squares = (1 + r11 + r22 + r33, 1 + r11 - r22 - r33, 1 - r11 + r22 - r33, 1 - r11 - r22 + r33)
-    largest = max(range(4), key=squares.__getitem__)
-    if not squares[largest] > 0.0:
-        raise ValueError("not a rotation")
-    rows = (
-        (squares[0], r32 - r23, r13 - r31, r21 - r12),
-        (r32 - r23, squares[1], r12 + r21, r13 + r31),
-        (r13 - r31, r12 + r21, squares[2], r23 + r32),
-        (r21 - r12, r13 + r31, r23 + r32, squares[3]),
-    )
-    return quaternion_normalise(rows[largest])
 
 
 class QualisysSource:
@@ -183,7 +162,7 @@ class QualisysSource:
         body, (x, y, z) = self._address.body, position_mm
         with contextlib.suppress(ValueError):
             if all(map(math.isfinite, (x, y, z))):
-                attitude = attitude_of_matrix(matrix)
+                attitude = quaternion_from_matrix(matrix)
                 position = (1e-3 * x, 1e-3 * y, 1e-3 * z)
                 return RawPose(body, True, position, attitude, number, source_us, self._sender)
         return lost_pose(body, number, source_us, self._sender)

@@ -13,7 +13,7 @@ import math
 import struct
 from typing import Final
 
-from dart_flight.base.geometry import Quaternion, quaternion_from_rotation_vector, quaternion_multiply
+from dart_flight.base.geometry import quaternion_from_intrinsic_xyz
 from dart_flight.vehicle.motion_capture.datagram_source import DatagramSource
 from dart_flight.vehicle.motion_capture.source import PoseAddress, RawPose, lost_pose
 
@@ -22,14 +22,6 @@ _ITEM: Final = struct.Struct("<BH")
 _OBJECT: Final = struct.Struct("<24s6d")
 _OBJECT_ID: Final = 0
 _MAX_NAMES: Final = 5  # names listed in a reason
-
-
-def attitude_of_euler(x_rad: float, y_rad: float, z_rad: float) -> Quaternion:
-    """Return the attitude of Vicon's Euler angles: about x, then the new y, then the new z."""
-    about_x = quaternion_from_rotation_vector((x_rad, 0.0, 0.0))
-    about_y = quaternion_from_rotation_vector((0.0, y_rad, 0.0))
-    about_z = quaternion_from_rotation_vector((0.0, 0.0, z_rad))
-    return quaternion_multiply(quaternion_multiply(about_x, about_y), about_z)
 
 
 def decode(data: bytes, body: str, sender: str) -> RawPose | str:
@@ -61,7 +53,9 @@ def _pose(body: str, values: list[float], frame_number: int, sender: str) -> Raw
     if not any(values):
         return lost_pose(body, frame_number, None, sender)
     x, y, z = (1e-3 * value for value in values[:3])
-    return RawPose(body, True, (x, y, z), attitude_of_euler(*values[3:]), frame_number, None, sender)
+    return RawPose(
+        body, True, (x, y, z), quaternion_from_intrinsic_xyz(*values[3:]), frame_number, None, sender
+    )
 
 
 def open_source(address: PoseAddress) -> DatagramSource:

@@ -19,18 +19,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dart_flight.base.geometry import (
-    Quaternion,
-    quaternion_conjugate,
+    quaternion_from_intrinsic_xyz,
+    quaternion_from_matrix,
     quaternion_from_rotation_vector,
-    quaternion_multiply,
     rotate,
+    rotation_angle,
 )
 from dart_flight.config.document import InputError
 from dart_flight.sim.motion_capture import PoseServer, make_server
 from dart_flight.sim.motion_capture.vicon_sender import euler_xyz
 from dart_flight.vehicle.motion_capture import vicon
 from dart_flight.vehicle.motion_capture.optitrack import ServerInfo, decode_server_info
-from dart_flight.vehicle.motion_capture.qualisys import attitude_of_matrix, body_names
+from dart_flight.vehicle.motion_capture.qualisys import body_names
 from dart_flight.vehicle.motion_capture.source import PoseSource, RawPose, open_source
 from tests.doubles.ports import free_udp_port
 
@@ -46,11 +46,6 @@ def until(is_so: Callable[[], object]) -> None:
     while not is_so():
         assert time.monotonic() < end_s
         time.sleep(0.005)
-
-
-def angle(a: Quaternion, b: Quaternion) -> float:
-    w, *v = quaternion_multiply(quaternion_conjugate(a), b)
-    return 2.0 * math.atan2(math.hypot(*v), abs(w))
 
 
 @contextlib.contextmanager
@@ -78,7 +73,7 @@ def test_a_source_reads_its_emulated_system(kind: str) -> None:
         assert source.problem is None
     assert (first.body, first.tracked, second.tracked) == (BODY, True, False)
     assert first.position_room == pytest.approx(POSITION, abs=1e-6)
-    assert angle(first.q_body_to_room, ATTITUDE) < 1e-6
+    assert rotation_angle(first.q_body_to_room, ATTITUDE) < 1e-6
     assert first.frame_number is not None
     assert second.frame_number == first.frame_number + 1
     if kind == "vicon":  # its stream has no stamp
@@ -280,7 +275,7 @@ def test_a_natnet_3_frame_among_other_things_is_read(multicast: bool) -> None:
         motive.socket.close()
     assert pose[:2] == (BODY, True)
     assert pose.position_room == pytest.approx(POSITION)
-    assert angle(pose.q_body_to_room, ATTITUDE) < 1e-6
+    assert rotation_angle(pose.q_body_to_room, ATTITUDE) < 1e-6
     assert (pose.frame_number, pose.source_us) == (41, 2_000_000)
 
 
@@ -331,7 +326,7 @@ def test_any_vicon_datagram_is_decoded_or_ignored(data: bytes) -> None:
 @given(VECTORS)
 def test_vicons_euler_angles_are_the_inverse_of_its_attitude(vector: tuple[float, float, float]) -> None:
     q = quaternion_from_rotation_vector(vector)
-    assert angle(vicon.attitude_of_euler(*euler_xyz(q)), q) < 1e-5
+    assert rotation_angle(quaternion_from_intrinsic_xyz(*euler_xyz(q)), q) < 1e-5
 
 
 @given(VECTORS | st.sampled_from([tuple(math.pi * x for x in v) for v in product((0, 1), repeat=3)]))
@@ -339,12 +334,12 @@ def test_a_matrix_by_columns_is_its_attitude(vector: tuple[float, float, float])
     q = quaternion_from_rotation_vector(vector)
     axes = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
     columns = [x for axis in axes for x in rotate(q, axis)]
-    assert angle(attitude_of_matrix(columns), q) < 1e-6
+    assert rotation_angle(quaternion_from_matrix(columns), q) < 1e-6
 
 
 def test_a_matrix_that_is_not_a_rotation_is_refused() -> None:
     with pytest.raises(ValueError, match="not a rotation"):
-        attitude_of_matrix([math.nan] * 9)
+        quaternion_from_matrix([math.nan] * 9)
 
 
 def test_a_qtm_frame_with_another_number_of_bodies_is_lost_and_named() -> None:
