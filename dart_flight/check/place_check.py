@@ -76,7 +76,7 @@ def _surroundings(
     """
     to_surface_m = mission.vehicle.airframe.contact_distance_m
     points = [
-        (f"wall {wall.name}", wall.moved(-to_surface_m).foot(place), 0.0)
+        (f"wall {wall.name}", wall.displaced(-to_surface_m).foot(place), 0.0)
         for wall in mission.walls
         if not wall.sought and not wall.post_radius_m
     ]

@@ -33,7 +33,7 @@ from dart_flight.cli.options import (
 from dart_flight.cli.px4_options import add_px4_options
 from dart_flight.cli.terminal import emit_json, keep_status, messages, tables
 from dart_flight.cli.vehicle_line import say_vehicle
-from dart_flight.config.document import InputError, writing
+from dart_flight.config.document import InputError, report_write_errors
 from dart_flight.config.file_kinds import FileKind, load_document
 from dart_flight.config.mission import Mission, load_mission
 from dart_flight.core.mission.approach import NoApproachError, check_segments_clear
@@ -215,7 +215,7 @@ def _write(
     head = f"# {Path(mission.source).name} with its walls as `dart-flight survey` has measured them.\n"
     head += "".join(f"# {line}\n" for wall in walls.values() for line in _coefficient_lines(wall))
     body = yaml.safe_dump(msgspec.to_builtins(tree), sort_keys=False, default_flow_style=None, width=110)
-    with writing(path):
+    with report_write_errors(path):
         path.write_text(head + body, encoding="utf-8")
     try:
         check_segments_clear(load_mission(path, arguments.config, arguments.set))

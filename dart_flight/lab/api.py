@@ -23,7 +23,7 @@ from dart_flight.config.provenance import find_vehicle
 from dart_flight.config.settings import apply_settings
 from dart_flight.config.vehicle import VehicleConfig, packaged
 from dart_flight.config.vehicle import load_vehicle as load_vehicle_file
-from dart_flight.config.vehicle.configuration import vehicle_of
+from dart_flight.config.vehicle.configuration import parse_vehicle
 from dart_flight.contact.coefficients import CoefficientArrays
 from dart_flight.contact.contact_map import Drop, WallHit, collide, contact_map, drop
 from dart_flight.lab.identify.estimates import Identification
@@ -101,9 +101,9 @@ def load_mission(
 def _with_settings(vehicle: VehicleConfig, settings: Sequence[str]) -> VehicleConfig:
     if not settings:
         return vehicle
-    document = Document.of(vehicle.to_dict())
+    document = Document.from_tree(vehicle.to_dict())
     apply_settings(settings, document)
-    return vehicle_of(document)
+    return parse_vehicle(document)
 
 
 # --- flights --------------------------------------------------------------------------------------------
@@ -232,7 +232,7 @@ def predict(
         return collide(
             condition.coefficients, condition.mass_kg, float(normal), float(tangential), condition.onset
         )
-    table = CoefficientArrays.of([condition.coefficients])
+    table = CoefficientArrays.from_table([condition.coefficients])
     rows = np.zeros(np.broadcast(normal, tangential).shape, dtype=np.intp)
     return contact_map(table, condition.mass_kg, normal, tangential, condition.onset, rows=rows)
 

@@ -15,7 +15,7 @@ import msgspec
 
 from dart_flight.base.records import LockPhase, LockState, Mode
 from dart_flight.config.document import InputError
-from dart_flight.config.state_folder import REMEDY, HeldError, HeldFile, Lease, state_dir, usable
+from dart_flight.config.state_folder import REMEDY, HeldError, HeldFile, Lease, ensure_folder, state_dir
 from dart_flight.config.vehicle import LockDriver
 
 # --- the last command --------------------------------------------------------------------------------
@@ -63,7 +63,7 @@ class CommandStore:
             InputError: the folder cannot be created.
         """
         self._driver = driver
-        self._folder = usable(folder or state_dir())
+        self._folder = ensure_folder(folder or state_dir())
         self._mode: Mode | None = None
         self.problem: str | None = None
 

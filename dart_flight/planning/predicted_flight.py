@@ -183,7 +183,8 @@ def _add_written(planned: PredictedFlight, mission: Mission, group: Sequence[Col
         assert collision.predicted is not None
         predicted, wall = collision.predicted, collision.wall
         friction_ns = (
-            mission.vehicle.materials[wall.material].of(collision.mode).mu * predicted.tangential_m_s
+            mission.vehicle.materials[wall.material].coefficients(collision.mode).mu
+            * predicted.tangential_m_s
         )
         friction_n = -friction_ns * predicted.peak_force_n
         (nx, ny), (tx, ty), (x, y) = wall.normal, wall.tangent, predicted.position_m

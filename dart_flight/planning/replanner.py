@@ -373,7 +373,7 @@ class Replanner:
         walls = []
         for wall in (self._survey.wall_now(one, now_us) for one in self._constraints.walls):
             depth_m = wall.signed_distance(place)
-            walls.append(wall.moved(depth_m) if -_COMPRESSED_M < depth_m < 0.0 else wall)
+            walls.append(wall.displaced(depth_m) if -_COMPRESSED_M < depth_m < 0.0 else wall)
         return walls
 
     def _stays_clear(
@@ -397,7 +397,7 @@ class Replanner:
         drag_n, drag_t = drag_along(wall, vehicle.airframe.drag_per_s)
         coefficients = self._coefficients.get((wall.name, collision.mode))
         if coefficients is None:
-            coefficients = vehicle.materials[wall.material].of(collision.mode)
+            coefficients = vehicle.materials[wall.material].coefficients(collision.mode)
         (stage,) = build_stages(vehicle, [coefficients], [self._task.alphas[wall.name]], [drag_n], [0.0])
         out = stage.normal(vn, drag_n * vn, zero)
         slide = stage.tangential(stage.tangential_shape(vn), vt, drag_t * vt, zero)

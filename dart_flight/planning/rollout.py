@@ -163,8 +163,8 @@ class UncertaintyDraw(NamedTuple):
 def drawn_wall(wall: Wall, rng: np.random.Generator) -> Wall:
     """Draw a wall's true position and direction from its standard deviations."""
     away, angle = rng.standard_normal(2)
-    moved = wall.moved(float(away) * (wall.position_sd_m or 0.0))
-    return moved.turned(float(angle) * (wall.yaw_sd_rad or 0.0))
+    moved = wall.displaced(float(away) * (wall.position_sd_m or 0.0))
+    return moved.rotated(float(angle) * (wall.yaw_sd_rad or 0.0))
 
 
 def stages_for(task: Task, draws: Sequence[UncertaintyDraw | None]) -> list[Stages]:
@@ -174,7 +174,7 @@ def stages_for(task: Task, draws: Sequence[UncertaintyDraw | None]) -> list[Stag
     for draw in draws:
         for name, mode in keys:
             wall = task.walls[name] if draw is None else draw.walls.get(name, task.walls[name])
-            c = task.vehicle.materials[wall.material].of(mode)
+            c = task.vehicle.materials[wall.material].coefficients(mode)
             if draw is not None:
                 k, f, mu = draw.factors[name, mode]
                 c = c.scaled(k, f, mu)

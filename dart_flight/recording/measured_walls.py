@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 import msgspec
 
-from dart_flight.base.geometry import Vec2, turn_between
+from dart_flight.base.geometry import Vec2, angle_between
 from dart_flight.base.records import FrameAnchor, Record, TruthContact, WallEstimate
 from dart_flight.base.walls import Wall
 from dart_flight.config.mission import Mission
@@ -108,7 +108,7 @@ class WallMeasurements:
             point = estimate.plane_point_mission
             at = wall.foot(point) if point is not None else wall.point
             found.truth_error_m = true.signed_distance(at)
-            found.truth_error_deg = math.degrees(turn_between(true.normal, wall.normal))
+            found.truth_error_deg = math.degrees(angle_between(true.normal, wall.normal))
         return found
 
     def _true_wall(self, name: str, estimate: WallEstimate, drawn: Mapping[str, float | str]) -> Wall | None:
@@ -117,5 +117,5 @@ class WallMeasurements:
         if not near or near[0].wall not in self._standing:
             return None
         wall = self._standing[near[0].wall]
-        wall = wall.moved(float(drawn.get(f"wall_offset_m.{wall.name}", 0.0)))
-        return wall.turned(math.radians(float(drawn.get(f"wall_yaw_deg.{wall.name}", 0.0))))
+        wall = wall.displaced(float(drawn.get(f"wall_offset_m.{wall.name}", 0.0)))
+        return wall.rotated(math.radians(float(drawn.get(f"wall_yaw_deg.{wall.name}", 0.0))))

@@ -164,7 +164,7 @@ def test_a_wall_is_where_it_was_met_last_however_often(place_sd: float | None, y
 
 
 def test_only_a_direction_that_may_be_wrong_is_taken_from_a_contact() -> None:
-    normal = WOOD.turned(0.1).normal
+    normal = WOOD.rotated(0.1).normal
     for yaw_sd, expected in ((None, WOOD.normal), (0.1, normal)):
         wall = msgspec.structs.replace(WOOD, position_sd_m=0.1, yaw_sd_rad=yaw_sd)
         walls = EstimatedWalls()
@@ -180,10 +180,10 @@ def test_a_wall_that_was_sought_has_its_middle_where_it_was_met_and_its_material
     wall = msgspec.structs.replace(WOOD, sought=True, material_known=False, yaw_sd_rad=0.26)
     walls = EstimatedWalls()
     assert walls.walls_now((), 0) == ()
-    walls.add_estimate(felt((1.2, 0.4), WOOD.turned(-0.2).normal, material="acrylic"), wall)
+    walls.add_estimate(felt((1.2, 0.4), WOOD.rotated(-0.2).normal, material="acrylic"), wall)
     (now,) = walls.walls_now((), 0)
     assert now.point == pytest.approx((1.2, 0.4))
-    assert now.normal == pytest.approx(WOOD.turned(-0.2).normal)
+    assert now.normal == pytest.approx(WOOD.rotated(-0.2).normal)
     assert (now.material, now.material_known, now.sought) == ("acrylic", True, False)
     assert (now.position_sd_m, now.yaw_sd_rad) == (0.012, 0.02)
 
@@ -198,7 +198,7 @@ def test_a_frame_that_moves_leaves_the_walls_that_were_met_where_they_are(
     walls.add_estimate(felt(met, unit(angle)), wall)
     before = walls.wall_now(wall)
     walls.move_frame(by)
-    after, moved = walls.wall_now(wall), frame.moved(*by)
+    after, moved = walls.wall_now(wall), frame.displaced(*by)
     # A point of its plane in local NED is one of its plane by the new frame as well.
     for away in (-1.0, 0.0, 1.0):
         (px, py), (tx, ty) = before.point, before.tangent
@@ -213,7 +213,7 @@ def test_a_frame_that_moves_leaves_the_walls_that_were_met_where_they_are(
 @settings(deadline=None)
 def test_a_moved_frame_s_origin_is_so_far_away_in_its_axes(by: Vec2, heading: float) -> None:
     frame = MissionFrame(0.3, -0.2, 0.1, heading)
-    moved = frame.moved(*by)
+    moved = frame.displaced(*by)
     assert frame.point_from_ned((moved.north_m, moved.east_m, 0.0))[:2] == pytest.approx(by, abs=1e-9)
     assert distance2((moved.north_m, moved.east_m), (0.3, -0.2)) == pytest.approx(math.hypot(*by), abs=1e-9)
 

@@ -106,7 +106,7 @@ def readings_of(
 @pytest.mark.parametrize("phase_s", [0.0, 0.001, 0.0035])
 @pytest.mark.parametrize(("mode", "push_n"), [(Mode.RIGID, 0.0), (Mode.FLEXIBLE, 7.0), (Mode.FLEXIBLE, -2.0)])
 def test_the_fit_puts_back_what_tick_and_filter_take_away(mode: Mode, push_n: float, phase_s: float) -> None:
-    c = VEHICLE.materials["acrylic"].of(mode)
+    c = VEHICLE.materials["acrylic"].coefficients(mode)
     pulse = true_pulse(c.k, c.f, 1.0, push_n, 0.5, c.mu)
     readings = readings_of(pulse, phase_s, 1e-4, 1e9, 0.00073)
     # A first guess that is 20 % off in stiffness.
@@ -177,7 +177,7 @@ def test_a_clipped_pulse_is_reconstructed(share: float) -> None:
 
 @pytest.mark.parametrize("mode", list(Mode))
 def test_a_noisy_pulse_misfits_by_its_noise_and_the_peak_is_as_sure_as_it_scatters(mode: Mode) -> None:
-    c, noise_n, rng = VEHICLE.materials["acrylic"].of(mode), 1.5, random.Random(4)
+    c, noise_n, rng = VEHICLE.materials["acrylic"].coefficients(mode), 1.5, random.Random(4)
     clean = readings_of(true_pulse(c.k, c.f, 1.0, 1.0, 0.0, 0.0), 0.002, 0.0, 1e9, 0.00073)
     prior = PulsePrior(math.sqrt(c.k / MASS), 0.5 * c.f / MASS, 0.2)
     fits = []

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from dart_flight.base.geometry import Vec2, distance2
 from dart_flight.base.records import LockPhase, LockState, Phase, ProbeEnd
 from dart_flight.config.mission import Mission, load_mission
-from dart_flight.config.probes import place_at
+from dart_flight.config.probes import resolve_place
 from dart_flight.config.vehicle import packaged
 from dart_flight.core.mission.approach import plan_approach
 from dart_flight.core.mission.executive import Executive
@@ -101,7 +101,7 @@ def test_a_mission_as_it_is_known_now_has_the_walls_that_were_found() -> None:
 def test_a_place_at_a_wall_is_so_far_from_it_and_along_it(away_m: float, along_m: float) -> None:
     wall = FIND.simulated_walls[0]
     assert AWAY.at_wall is not None
-    place = place_at(wall, msgspec.structs.replace(AWAY.at_wall, away_m=away_m, along_m=along_m))
+    place = resolve_place(wall, msgspec.structs.replace(AWAY.at_wall, away_m=away_m, along_m=along_m))
     assert wall.signed_distance(place) == pytest.approx(away_m, abs=1e-9)
     assert wall.along(place) == pytest.approx(along_m, abs=1e-9)
 

@@ -88,8 +88,8 @@ def test_a_wall_that_nobody_knew_is_found_hit_again_and_the_other_probe_left_out
     stiff, _ = east.coefficients["rigid"]["k"]
     soft, _ = east.coefficients["flexible"]["k"]
     wood = mission.vehicle.materials["wood"]
-    assert stiff == pytest.approx(wood.of(mission.collisions[0].mode).k, rel=0.2)
-    assert soft == pytest.approx(wood.of(mission.collisions[1].mode).k, rel=0.2)
+    assert stiff == pytest.approx(wood.coefficients(mission.collisions[0].mode).k, rel=0.2)
+    assert soft == pytest.approx(wood.coefficients(mission.collisions[1].mode).k, rel=0.2)
 
 
 def test_the_second_hit_is_beside_the_first_and_the_waypoint_a_metre_away(tmp_path: Path) -> None:

@@ -232,7 +232,7 @@ def test_a_moved_wall_of_a_draw_is_met_like_one_planned_there(away_m: float) -> 
     (sequence, *_) = scenario.sequences
     name = sequence[0]
     there = msgspec.structs.replace(
-        scenario, walls=scenario.walls | {name: scenario.walls[name].moved(away_m)}
+        scenario, walls=scenario.walls | {name: scenario.walls[name].displaced(away_m)}
     )
     vn, vt = np.array([-0.8, -1.0]), np.array([0.2, 0.0])
     flight, stages = new_flight(scenario), stages_for(there, [None])[0]

@@ -237,7 +237,7 @@ def estimated_walls(mission: Mission, verdict: Verdict, records: Iterable[Any]) 
         k_error = None
         if drawn is not None:
             planned = next(c.wall for c in mission.collisions if c.wall.name == wall.name)
-            true_k = float(drawn) * mission.vehicle.materials[planned.material].of(Mode(mode)).k
+            true_k = float(drawn) * mission.vehicle.materials[planned.material].coefficients(Mode(mode)).k
             k_error = estimate.k_n_per_m / true_k - 1.0
         found.append(
             FeltWall(

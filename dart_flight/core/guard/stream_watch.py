@@ -9,7 +9,7 @@ import math
 from collections import deque
 from typing import Any, Final
 
-from dart_flight.base.filters import kept_share
+from dart_flight.base.filters import decay_factor
 from dart_flight.base.records import (
     ActuatorSample,
     AttitudeSample,
@@ -90,7 +90,7 @@ class TelemetryDelay:
             self.age_us = received_us + self._offset_us - t_us
         step_us = min(max(received_us - self._received_us, 0), _STEP_MAX_US)
         self._received_us = received_us
-        kept = kept_share(step_us, _SHARE_US)
+        kept = decay_factor(step_us, _SHARE_US)
         self._share = kept * self._share + (1.0 - kept if self.age_us > self._limit_us else 0.0)
         self.late = self._share > _SHARE
 

@@ -91,7 +91,7 @@ def bearable_in_either_mode(
     px4, bearable = vehicle.px4, True
     most_m_s2 = GRAVITY_M_S2 * math.tan(math.radians(px4.mpc_tiltmax_air))
     for mode in vehicle.modes:
-        c = CoefficientArrays.of(vehicle.materials[wall.material].of(mode))
+        c = CoefficientArrays.from_table(vehicle.materials[wall.material].coefficients(mode))
         hit = contact_map(c, vehicle.airframe.mass_kg, normal, tangential, Onset(vehicle.onset))
         friction = where(tangential < 0.0, -1.0, 1.0) * hit.peak_friction_force_n
         away = alphas_m_per_n[0] * hit.peak_normal_force_n

@@ -266,7 +266,7 @@ class Executive:
         assert frame is not None
         self.progress.walls.move_frame(anchor.moved_mission)
         self.progress.course = self.progress.course.move_frame(anchor.moved_mission)
-        p.frame = frame.moved(*anchor.moved_mission)
+        p.frame = frame.displaced(*anchor.moved_mission)
         p.outputs.append(anchor)
 
     # -- on the ground --

@@ -6,7 +6,7 @@ import msgspec
 
 from dart_flight.base.geometry import Vec2
 from dart_flight.config.mission import Collision, Mission, Waypoint
-from dart_flight.config.probes import place_at
+from dart_flight.config.probes import resolve_place
 from dart_flight.core.mission.wall_uncertainty import EstimatedWalls
 
 
@@ -49,7 +49,7 @@ def waypoint_now(waypoint: Waypoint, walls: EstimatedWalls) -> Waypoint:
     """Return a waypoint with its place computed from the wall's estimated position."""
     if waypoint.at_wall is None or waypoint.wall_at is None or waypoint.position is None:
         return waypoint
-    place = place_at(walls.wall_now(waypoint.wall_at), waypoint.at_wall)
+    place = resolve_place(walls.wall_now(waypoint.wall_at), waypoint.at_wall)
     return msgspec.structs.replace(waypoint, position=(*place, waypoint.position[2]))
 
 

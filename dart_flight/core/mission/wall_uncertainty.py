@@ -11,7 +11,7 @@ from collections.abc import Iterable
 
 import msgspec
 
-from dart_flight.base.geometry import Vec2, Vec3, turn_between
+from dart_flight.base.geometry import Vec2, Vec3, angle_between
 from dart_flight.base.records import WallEstimate
 from dart_flight.base.walls import Wall
 from dart_flight.config.vehicle.flying import GuardThresholds
@@ -73,7 +73,7 @@ class EstimatedWalls:
         self._found[wall.name] = _updated_wall(self._found.get(wall.name, wall), wall, felt)
         sure = (felt.plane_normal_sigma_rad or math.inf) < _SURE_DIRECTION_RAD
         if felt.plane_normal_mission is not None and sure:
-            self._turned[wall.name] = turn_between(wall.normal, felt.plane_normal_mission)
+            self._turned[wall.name] = angle_between(wall.normal, felt.plane_normal_mission)
 
     def turned(self, wall: Wall) -> float:
         """Return the estimated rotation of a wall against the mission, rad; positive: to the left."""
@@ -86,7 +86,7 @@ class EstimatedWalls:
     def move_frame(self, by: Vec2) -> None:
         """Keep the measured walls in place when the mission frame's origin moves, in its axes."""
         for name, wall in self._found.items():
-            self._found[name] = wall.moved(-(by[0] * wall.normal[0] + by[1] * wall.normal[1]))
+            self._found[name] = wall.displaced(-(by[0] * wall.normal[0] + by[1] * wall.normal[1]))
 
     def walls_now(self, walls: Iterable[Wall], now_us: int) -> tuple[Wall, ...]:
         """Return the mission's walls and those found by probes, in their estimated positions."""
@@ -113,9 +113,9 @@ def _updated_wall(before: Wall, written: Wall, felt: WallEstimate) -> Wall:
     figures = written.position_sd_m is not None or written.yaw_sd_rad is not None
     if place is None or normal is None:  # relative to the assumed position
         sd_m = None if written.position_sd_m is None else min(written.position_sd_m, sure_m)
-        return msgspec.structs.replace(before.moved(felt.plane_offset_m), position_sd_m=sd_m)
+        return msgspec.structs.replace(before.displaced(felt.plane_offset_m), position_sd_m=sd_m)
     if not (figures or written.sought):  # relative to the mission's plane, whose direction is assumed exact
-        return written.moved(written.signed_distance(place))
+        return written.displaced(written.signed_distance(place))
     sure_rad = felt.plane_normal_sigma_rad
     if written.yaw_sd_rad is None:  # direction assumed exact
         normal, sure_rad = written.normal, None

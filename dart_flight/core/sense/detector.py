@@ -95,7 +95,7 @@ class ImpactDetector:
         self._lag_s = vehicle.imu.filter_lag_s
         self._per_axis = self._config.threshold_test is ThresholdTest.PER_AXIS
         self._priors = {
-            (name, mode): _prior(material.of(mode), self._mass)
+            (name, mode): _prior(material.coefficients(mode), self._mass)
             for name, material in vehicle.materials.items()
             for mode in vehicle.modes
         }

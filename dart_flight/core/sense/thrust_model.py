@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections import deque
 from typing import Final
 
-from dart_flight.base.filters import kept_share
+from dart_flight.base.filters import decay_factor
 from dart_flight.base.geometry import GRAVITY_M_S2
 from dart_flight.base.records import ActuatorSample, EscSample
 from dart_flight.config.vehicle import ThrustSource, VehicleConfig
@@ -66,7 +66,7 @@ class LaggedCommands:
         a, b = self._target, self.value
         if a == b:
             return
-        left = kept_share(step, self._lag_us)
+        left = decay_factor(step, self._lag_us)
         if len(a) != len(b):
             raise ValueError(f"{len(a)} commands after {len(b)}")
         self.value = tuple([to + (b[i] - to) * left for i, to in enumerate(a)])

@@ -34,7 +34,7 @@ def place_walls(
 ) -> DrawnWorld:
     """Return the world with walls moved along their normals and turned about their centres, by name."""
     walls = {
-        w.name: w.moved(away_m.get(w.name, 0.0)).turned(math.radians(turned_deg.get(w.name, 0.0)))
+        w.name: w.displaced(away_m.get(w.name, 0.0)).rotated(math.radians(turned_deg.get(w.name, 0.0)))
         for w in world.mission.walls
     }
     return with_walls(world, walls)

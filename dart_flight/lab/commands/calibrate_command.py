@@ -20,7 +20,7 @@ from dart_flight.config.edit import write_values
 from dart_flight.config.provenance import find_vehicle
 from dart_flight.config.rotors import (
     COUNT,
-    motors_of,
+    motors_from_parameters,
     rotor_differences,
     rotor_names,
 )
@@ -92,7 +92,9 @@ def _airframe(arguments: argparse.Namespace) -> int:
         url = link_of(arguments, vehicle.connection)
         with LinkLease(url, "calibrate"), GroundLink(url, vehicle.connection.timeout_s) as link:
             values = link.read_parameters([COUNT])
-            motors = motors_of(values | link.read_parameters(rotor_names(values.get(COUNT, 0.0))), url)
+            motors = motors_from_parameters(
+                values | link.read_parameters(rotor_names(values.get(COUNT, 0.0))), url
+            )
     else:
         motors = read_airframe(Path(arguments.logs[0]))
     refuse_unmeasured(motors, arguments.connection or arguments.logs[0])

@@ -7,7 +7,7 @@ import numpy as np
 from dart_flight.base.records import ContactEnd, ImpactOnset, ImuSample, Phase, PhaseChange
 from dart_flight.base.walls import Wall
 from dart_flight.config.document import InputError
-from dart_flight.config.provenance import FoundVehicle
+from dart_flight.config.provenance import LoadedVehicle
 from dart_flight.lab.flight_arrays import FlightArrays
 from dart_flight.lab.identify.trials import UNLABELLED, Series, Trial
 from dart_flight.recording.about import flown_mission
@@ -34,7 +34,7 @@ def trials_of(log: Log, material: str | None = None, mode: str = UNLABELLED) -> 
         InputError: the log does not contain its mission.
     """
     mission = flown_mission(log.about, log.source)
-    flown = FoundVehicle(mission.vehicle, mission.flown_vehicle())
+    flown = LoadedVehicle(mission.vehicle, mission.flown_vehicle())
     flight = FlightArrays(log, mission)
     found: dict[str, list[Trial]] = {}
     onset: ImpactOnset | None = None

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 from dart_flight.base.geometry import GRAVITY_M_S2
 from dart_flight.base.records import Mode
 from dart_flight.config.document import InputError
-from dart_flight.config.provenance import FoundVehicle
+from dart_flight.config.provenance import LoadedVehicle
 from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.contact.law import Onset
 from dart_flight.lab.identify.estimates import Identification
@@ -38,7 +38,7 @@ class IdentifyResult(NamedTuple):
     trials: list[Trial]
     found: Identification
     vehicle: VehicleConfig
-    flown: FoundVehicle | None
+    flown: LoadedVehicle | None
     mass_kg: float
     onset: Onset
 
@@ -127,7 +127,7 @@ def _alike(first: VehicleConfig, other: VehicleConfig) -> bool:
     return own == (other.airframe.mass_kg, other.modes, other.onset)
 
 
-def _flown(trials: Sequence[Trial], vehicle: VehicleConfig) -> FoundVehicle | None:
+def _flown(trials: Sequence[Trial], vehicle: VehicleConfig) -> LoadedVehicle | None:
     """Return the vehicle that flew if it differs from the given one.
 
     Raises:

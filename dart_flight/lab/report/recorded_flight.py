@@ -103,7 +103,7 @@ class Impact:
     def _predict(self, flight: RecordedFlight) -> None:
         vehicle, measured, peak = flight.mission.vehicle, self.verdict.measured, self.verdict.peak
         normal, tangential = measured.normal_m_s or 0.0, measured.tangential_m_s or 0.0
-        coefficients = vehicle.materials[self.material].of(self.collision.mode)
+        coefficients = vehicle.materials[self.material].coefficients(self.collision.mode)
         contact = ContactMotion(coefficients, vehicle.airframe.mass_kg, normal, Onset(vehicle.onset))
         time = np.arange(-_SHOWN_BEFORE_S, _SHOWN_AFTER_S, _STEP_S)
         path = self.prediction = trajectory(contact, time, tangential, vehicle.vertical_force_sign)

@@ -10,7 +10,7 @@ from typing import Any, TextIO
 import msgspec
 
 from dart_flight.base.records import Record
-from dart_flight.config.document import writing
+from dart_flight.config.document import report_write_errors
 from dart_flight.recording.flight_time import zero_of
 from dart_flight.recording.reader import Log
 from dart_flight.recording.schema import schema
@@ -29,7 +29,7 @@ def export_csv(log: Log, folder: Path) -> list[Path]:
     Raises:
         InputError: a file cannot be written.
     """
-    with writing(folder):
+    with report_write_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
         written = _write_records(log, folder)
         (folder / "about.json").write_bytes(msgspec.json.format(msgspec.json.encode(log.about | log.end)))

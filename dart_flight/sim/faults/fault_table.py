@@ -365,7 +365,7 @@ class VehicleFault:
         for plane in self._autopilot.plant.planes:
             others = [name for name in materials if name != plane.wall.material]
             stiffest = max(
-                others, key=lambda name: materials[name].of(softest).k, default=plane.wall.material
+                others, key=lambda name: materials[name].coefficients(softest).k, default=plane.wall.material
             )
             plane.wall = msgspec.structs.replace(plane.wall, material=stiffest)
 

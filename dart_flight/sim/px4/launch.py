@@ -35,7 +35,7 @@ from dart_flight.config.parameter_file import (
     parse_listing,
     vehicle_files,
 )
-from dart_flight.config.rotors import COUNT, MAV_TYPES, motors_of, rotor_parameters
+from dart_flight.config.rotors import COUNT, MAV_TYPES, motors_from_parameters, rotor_parameters
 from dart_flight.config.vehicle import LockDriver, Motor, Px4Parameters, VehicleConfig, packaged
 from dart_flight.lock.drivers.px4_output import ACTUATOR_SET_1, PREARM_ALWAYS
 from dart_flight.sim.px4.bridge import servo_channel
@@ -216,7 +216,7 @@ def motors_from(parameters: Mapping[str, Value], vehicle: VehicleConfig) -> tupl
         raise InputError(
             f"{COUNT} is {count:g}, but the configuration has {own[COUNT]:g} motors", source="--params"
         )
-    return motors_of({**own, **parameters}, "--params")
+    return motors_from_parameters({**own, **parameters}, "--params")
 
 
 def environment() -> dict[str, str]:
