@@ -258,7 +258,7 @@ def build_stages(
     drop = _time_of_drop(course, events.peak, events.end, PEAK_DROP_FRACTION)
     delay = np.maximum((drop - events.peak) / omega, _MIN_AFTER_PEAK_S) + 1.0 / vehicle.imu.rate_hz
     engaged = events.peak / omega + np.maximum(delay + _SETPOINT_USED_S + np.asarray(extra_delay_s), 0.0)
-    loop = PositionLoop.of(vehicle.px4)
+    loop = PositionLoop.from_px4(vehicle.px4)
     for i, stage in enumerate(stages):
         if not math.isfinite(events.end[i]):
             continue

@@ -108,7 +108,7 @@ class FreeFlight:
     """
 
     def __init__(self, vehicle: VehicleConfig, horizon_s: float) -> None:
-        self.loop = PositionLoop.of(vehicle.px4)
+        self.loop = PositionLoop.from_px4(vehicle.px4)
         self.count = math.ceil(horizon_s / GRID_S / WINDOW) * WINDOW
         self.times: Array = GRID_S * np.arange(self.count + 1, dtype=np.float64)
         bx, by, _ = vehicle.airframe.drag_per_s

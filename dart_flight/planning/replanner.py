@@ -33,7 +33,7 @@ from dart_flight.config.mission import Collision, Mission
 from dart_flight.config.vehicle import Coefficients
 from dart_flight.core.mission.anchors import FrameAnchors
 from dart_flight.core.mission.commitment import SETTLED_BEFORE_S
-from dart_flight.core.mission.contact_feedforward import balancing_m_s2
+from dart_flight.core.mission.contact_feedforward import balancing_acceleration_m_s2
 from dart_flight.core.mission.planned_impact import impact_velocity
 from dart_flight.core.mission.position_loop import ATTITUDE_LAG_S, PositionLoop
 from dart_flight.core.mission.trajectories import Trajectory
@@ -104,7 +104,7 @@ class Replanner:
             {c.wall.name: (c.alpha_normal_m_per_n, c.alpha_tangential_m_per_n) for c in mission.collisions},
         )
         self._constraints = Constraints(self._task, posts=mission.posts)
-        loop = PositionLoop.of(mission.vehicle.px4)
+        loop = PositionLoop.from_px4(mission.vehicle.px4)
         self._coefficients: dict[tuple[str, Mode], Coefficients] = {}
         drift_m_s = mission.vehicle.estimation.position_drift_m_s
         self._anchors = FrameAnchors(drift_m_s) if mission.is_anchored else None
@@ -139,7 +139,7 @@ class Replanner:
         """Move the estimated walls into the mission frame that a contact has corrected."""
         self._survey.move_frame(anchor.moved_mission)
         if self._anchors is not None:
-            self._anchors.follow(anchor)
+            self._anchors.add_recorded(anchor)
 
     def answer(self, request: PlanRequest, received_us: int) -> PlanAnswer:
         """Return the trajectory from a request's state, or an answer with a `problem` if there is none.
@@ -172,7 +172,7 @@ class Replanner:
             return rejoined
         if request.under_way:
             return _no_plan(found, "no way back to the mission's trajectory")
-        wall = self._survey.wall_now(collision.wall, request.t_us)
+        wall = self._survey.known_wall(collision.wall, request.t_us)
         slack = float(position_margin_m(wall, impact_place(collision, self._planned)))
         for share, (straight_s, slacks) in itertools.product(_SPEED_SHARES, _straights(slack)):
             wanted = (share * velocity[0], share * velocity[1])
@@ -195,12 +195,12 @@ class Replanner:
             # With a configured attitude delay the attitude follows the plan to its end; otherwise it lags.
             follows = bool(self._mission.vehicle.flying.attitude_delay_s)
             settled_s = SETTLED_S if follows else 0.0
-            wall = self._survey.wall_now(collision.wall, request.t_us)
+            wall = self._survey.known_wall(collision.wall, request.t_us)
             place = written.at(written.duration_s).position
             away = collision.wall.signed_distance(place) - wall.signed_distance(place)
             moved = (away * wall.normal[0], away * wall.normal[1])
             out_m = self._mission.vehicle.airframe.contact_distance_m
-            push_m_s2 = balancing_m_s2(request.contact_height_m, out_m)
+            push_m_s2 = balancing_acceleration_m_s2(request.contact_height_m, out_m)
             if collision.mode is Mode.RIGID:
                 removed_share = 1.0 if follows else _THRUST_OFF_SHARE
                 push_m_s2 -= removed_share * max(0.0, self._thrust_off(wall, written))
@@ -277,7 +277,7 @@ class Replanner:
         self, request: PlanRequest, collision: Collision, velocity: Vec2, straight_s: float
     ) -> _EndStates:
         """Return end states `straight_s` before the wall, at a velocity in its collision frame."""
-        wall = self._survey.wall_now(collision.wall, request.t_us)
+        wall = self._survey.known_wall(collision.wall, request.t_us)
         vx, vy, _ = wall.from_collision((*velocity, 0.0))
         place = wall.foot(impact_place(collision, self._planned))
         along, duration = (v.ravel() for v in np.meshgrid(_ALONG_M, _DURATIONS_S))
@@ -371,7 +371,7 @@ class Replanner:
         """
         place = (float(start[0][0]), float(start[1][0]))
         walls = []
-        for wall in (self._survey.wall_now(one, now_us) for one in self._constraints.walls):
+        for wall in (self._survey.known_wall(one, now_us) for one in self._constraints.walls):
             depth_m = wall.signed_distance(place)
             walls.append(wall.displaced(depth_m) if -_COMPRESSED_M < depth_m < 0.0 else wall)
         return walls

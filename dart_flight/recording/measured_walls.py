@@ -77,7 +77,7 @@ class WallMeasurements:
 
     def wall(self, name: str) -> Wall | None:
         """Return a wall as estimated at its last contact, or None if it was not touched."""
-        return self._found.wall_now(self._walls[name]) if self._found.is_met(name) else None
+        return self._found.known_wall(self._walls[name]) if self._found.is_measured(name) else None
 
     def build(self, end_us: int, drawn: Mapping[str, float | str]) -> list[MeasuredWall]:
         """Return the touched walls, in the order of their first contact.
@@ -89,7 +89,7 @@ class WallMeasurements:
         return [self._measured(name, end_us, drawn) for name in self._estimates]
 
     def _measured(self, name: str, end_us: int, drawn: Mapping[str, float | str]) -> MeasuredWall:
-        wall, estimate = self._found.wall_now(self._walls[name]), self._estimates[name]
+        wall, estimate = self._found.known_wall(self._walls[name]), self._estimates[name]
         yaw_sd_rad = wall.yaw_sd_rad
         found = MeasuredWall(
             name,

@@ -212,7 +212,7 @@ class VerdictBuilder:
             {WallEstimate: walls, TruthContact: walls, FrameAnchor: walls},
             self._impacts.takers,
             {
-                ImuSample: self._estimator.take_imu,
+                ImuSample: self._estimator.add_imu,
                 EstimatorSample: self._handle_estimator,
                 AttitudeSample: self._handle_attitude,
                 OdometrySample: self._handle_odometry,
@@ -238,12 +238,12 @@ class VerdictBuilder:
 
     def _handle_estimator(self, record: EstimatorSample) -> None:
         counter, flies = record.reset_counter, self._is_airborne
-        if counter is not None and self._estimator.take_counter(counter, record.t_us) and flies:
+        if counter is not None and self._estimator.update_counter(counter, record.t_us) and flies:
             assert self._estimator.newest is not None
             self._resets.append(self._estimator.newest)
 
     def _handle_attitude(self, record: AttitudeSample) -> None:
-        self._estimator.take_attitude(record)
+        self._estimator.add_attitude(record)
         if self._is_airborne:
             self._tilt_rad = max(self._tilt_rad or 0.0, tilt_of(record.q_frd_to_ned))
 
@@ -273,7 +273,7 @@ class VerdictBuilder:
             so_far.flight_time_s = (record.t_us - self._airborne_us) * 1e-6
 
     def _handle_odometry(self, record: OdometrySample) -> None:
-        self._estimator.take_odometry(record)
+        self._estimator.add_odometry(record)
         frame = self._anchor.frame
         if frame is not None and self._is_airborne:
             self._position_error.take_estimate(record.t_us, frame.point_from_ned(record.position_ned))

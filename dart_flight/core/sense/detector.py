@@ -135,7 +135,7 @@ class ImpactDetector:
         return self.stage in ("rising", "falling")
 
     @property
-    def crossed_n(self) -> float:
+    def crossed_threshold_n(self) -> float:
         """The threshold that the newest onset crossed, newton."""
         return self._threshold
 
@@ -235,7 +235,7 @@ class ImpactDetector:
             max(least, sigma * long.noise_n),
         )
 
-    def floor_n(self, duration_s: float) -> float:
+    def detection_floor_n(self, duration_s: float) -> float:
         """Return the least peak at which a half-sine of this duration is certainly detected, newton.
 
         The detection floor of a window is its threshold plus one standard deviation, divided by the share of
@@ -261,7 +261,9 @@ class ImpactDetector:
         if expected.normal is None or self._expected.normal is not None:
             return []
         thresholds = self.thresholds_n()
-        floors = {m: self.floor_n(self._prior_of(expected, m).half_period_s) for m in self._vehicle.modes}
+        floors = {
+            m: self.detection_floor_n(self._prior_of(expected, m).half_period_s) for m in self._vehicle.modes
+        }
         return [
             DetectionFloor(
                 t_us=t_us,

@@ -72,7 +72,7 @@ class ForceEstimator:
         self._frame: MissionFrame | None = None
         self._heading = (1.0, 0.0)
 
-    def take_attitude(self, sample: AttitudeSample) -> None:
+    def add_attitude(self, sample: AttitudeSample) -> None:
         """Store an attitude for the alignment with IMU samples."""
         self._attitudes.append(sample)
 
