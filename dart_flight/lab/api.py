@@ -45,7 +45,7 @@ from dart_flight.run.fast import fly_fast
 from dart_flight.run.flight_record import FlightRecord
 from dart_flight.run.prepare import refuse_unflyable
 from dart_flight.sim.draws import parse_vary
-from dart_flight.sim.faults.fault_table import Fault, parse_fault_of
+from dart_flight.sim.faults.fault_table import Fault, parse_mission_fault
 
 Written = str | Path | Mapping[str, Any]  # a file, or its content
 Numbers = Sequence[float] | NDArray[Any]
@@ -161,7 +161,7 @@ def simulate(
     mission = load_mission(mission)
     refuse_unflyable(mission)
     spreads = parse_vary(_settings_of(vary), mission.vehicle)
-    broken = parse_fault_of(mission, fault) if isinstance(fault, str) else fault
+    broken = parse_mission_fault(mission, fault) if isinstance(fault, str) else fault
     folder = None if log_dir is None else Path(log_dir)
     records: list[FlightRecord] = []
     keep = records.append

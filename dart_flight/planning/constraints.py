@@ -252,7 +252,7 @@ class Constraints:
         late = after_s < self.lock_s
         rows = np.flatnonzero(~late & ~self.lock_in_time(ready, wall))
         if rows.size:
-            at = impact.take(rows)
+            at = impact.select(rows)
             (nx, ny), (tx, ty) = wall.normal, wall.tangent
             bearable = is_acceptable_in_either_mode(
                 self._vehicle,

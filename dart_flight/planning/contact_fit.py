@@ -520,7 +520,7 @@ class ContactFitter:
             self._ticks(request),
             (onset.first_us - begin_us) * 1e-6 - 0.75 * imu.tick_s,
             velocity,
-            seen_incidence(request.frame_heading_rad, request.q_frd_to_ned[0], request.normal),
+            measure_incidence(request.frame_heading_rad, request.q_frd_to_ned[0], request.normal),
             max(1e-2, request.noise_n),
             max(1e-4, abs(request.noise_frd_nm[2])),
             place_sd,
@@ -567,7 +567,10 @@ class ContactFitter:
         if found is not None:
             return found
         if wall is None or not wall.material_known:
-            c, sd = middle_of(m.coefficients(mode) for m in self._vehicle.materials.values()), _UNKNOWN_SPREAD
+            c, sd = (
+                mean_coefficients(m.coefficients(mode) for m in self._vehicle.materials.values()),
+                _UNKNOWN_SPREAD,
+            )
         else:
             c, sd = (
                 self._vehicle.materials[wall.material].coefficients(mode),
@@ -612,13 +615,13 @@ def _torque_peak(request: ContactRequest, fit: ContactFit, found: Hypothesis, mo
     return largest
 
 
-def seen_incidence(frame_heading_rad: float, q: Quaternion, normal: Vec2) -> float:
+def measure_incidence(frame_heading_rad: float, q: Quaternion, normal: Vec2) -> float:
     """Return the angle of incidence of the edge nearest to a wall, rad, from attitude and normal."""
     seen = wrap_angle(frame_heading_rad - yaw_ned_of(q) - math.atan2(-normal[1], -normal[0]))
     return seen - _QUARTER * round(seen / _QUARTER)
 
 
-def middle_of(coefficients: Iterable[Coefficients]) -> Coefficients:
+def mean_coefficients(coefficients: Iterable[Coefficients]) -> Coefficients:
     """Return the geometric mean over the materials, the prior of an unplanned wall."""
     every = np.array([[c.k, c.f, c.mu, c.nu] for c in coefficients])
     return Coefficients(*np.exp(np.log(np.maximum(every, 1e-6)).mean(axis=0)).tolist())

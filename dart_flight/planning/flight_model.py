@@ -43,7 +43,7 @@ class SetpointResponse(NamedTuple):
     goal_x: Array
     goal_y: Array
 
-    def take(self, rows: Rows | NDArray[np.bool_]) -> SetpointResponse:
+    def select(self, rows: Rows | NDArray[np.bool_]) -> SetpointResponse:
         """Return the selected candidates."""
         return SetpointResponse(self.x[:, rows], self.y[:, rows], self.goal_x[rows], self.goal_y[rows])
 
@@ -154,7 +154,7 @@ class Grid(NamedTuple):
     goal_x: Array32
     goal_y: Array32
 
-    def take(self, rows: Rows | NDArray[np.bool_]) -> Grid:
+    def select(self, rows: Rows | NDArray[np.bool_]) -> Grid:
         """Return the selected candidates."""
         return Grid(self.flight, self.x[rows], self.y[rows], self.goal_x[rows], self.goal_y[rows])
 

@@ -30,7 +30,7 @@ from dart_flight.planning.rollout import (
     new_flight,
     stages_for,
 )
-from dart_flight.planning.task import MissionTask, task_of
+from dart_flight.planning.task import MissionTask, make_task
 
 _POINTS = 60  # per leg
 
@@ -228,7 +228,7 @@ def _fly(
     mission: Mission, group: Sequence[Collision], draws: Sequence[UncertaintyDraw | None]
 ) -> tuple[FreeFlight, Vec2, list[Arrivals | None]]:
     """Return one approach's flight, run-up point and arrivals per draw; None where it fails."""
-    task = task_of(mission, group)
+    task = make_task(mission, group)
     flight = new_flight(task)
     rollout = _rollout(task, flight)
     assert group[0].approach_m_s is not None

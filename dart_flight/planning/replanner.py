@@ -43,7 +43,7 @@ from dart_flight.planning.contact_stage import build_stages, expm
 from dart_flight.planning.flight_model import Array, GridWindow, Rows, loop_matrix
 from dart_flight.planning.polynomials import quintic
 from dart_flight.planning.predicted_flight import impact_place, predict_mission
-from dart_flight.planning.rejoining import SETTLED_S, RejoiningTrajectories, rejoin
+from dart_flight.planning.rejoining import SETTLED_S, RejoiningTrajectories, candidate_trajectories
 from dart_flight.planning.task import MissionTask, drag_along
 
 _DURATIONS_S = np.arange(0.3, 4.01, 0.05)
@@ -205,18 +205,18 @@ class Replanner:
                 removed_share = 1.0 if follows else _THRUST_OFF_SHARE
                 push_m_s2 -= removed_share * max(0.0, self._thrust_off(wall, written))
             pushed = (push_m_s2 * wall.normal[0], push_m_s2 * wall.normal[1])
-        rejoining = rejoin(written, self._start(request), moved, pushed, settled_s)
+        rejoining = candidate_trajectories(written, self._start(request), moved, pushed, settled_s)
         if collision is not None:
             assert request.lock_ready_us is not None
             ready_s = (request.lock_ready_us - request.begin_us) * 1e-6
-            rejoining = rejoining.take(np.flatnonzero(rejoining.duration_s >= ready_s + SETTLED_BEFORE_S))
+            rejoining = rejoining.select(np.flatnonzero(rejoining.duration_s >= ready_s + SETTLED_BEFORE_S))
         push = np.hypot(rejoining.acceleration[0], rejoining.acceleration[1]).max(axis=1, initial=0.0)
         jerk = np.hypot(rejoining.jerk[0], rejoining.jerk[1]).max(axis=1, initial=0.0)
         fine = (push <= self._most_m_s2) & (jerk <= _JERK_M_S3)
         # Prefer the mission's limit of acceleration plus an allowance. Jerk has only the attitude loop's
         # limit, because the mission's limit would make a leg up to a tenth slower than planned.
         over = push > _REJOINING_ALLOWANCE * self._planned_m_s2
-        rejoining, over = rejoining.take(np.flatnonzero(fine)), over[fine]
+        rejoining, over = rejoining.select(np.flatnonzero(fine)), over[fine]
         push = push[fine] / self._most_m_s2
         if rejoining.duration_s.size:
             states = (v.astype(np.float32) for v in (*rejoining.position, *rejoining.velocity))
@@ -224,11 +224,11 @@ class Replanner:
             until = np.full(rejoining.duration_s.size, rejoining.shares.size)
             walls = self._obstacles(self._start(request), request.t_us)
             clear = self._constraints.path(window, until, wall, begins=True, walls=walls) == 0
-            rejoining, push, over = rejoining.take(np.flatnonzero(clear)), push[clear], over[clear]
+            rejoining, push, over = rejoining.select(np.flatnonzero(clear)), push[clear], over[clear]
         # Prefer the planned impact speed: a slower impact is a different one.
         slow = (rejoining.slower > _SPEED_TOLERANCE) & (collision is not None)
         if request.under_way:  # a slower one does not improve on the trajectory in progress
-            rejoining, push = rejoining.take(np.flatnonzero(~slow)), push[~slow]
+            rejoining, push = rejoining.select(np.flatnonzero(~slow)), push[~slow]
             over, slow = over[~slow], slow[~slow]
         if wall is not None:
             over = over + _leans_in_late(rejoining, wall)

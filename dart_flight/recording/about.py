@@ -22,7 +22,7 @@ from dart_flight.config.document import Document, InputError
 from dart_flight.config.mission import Mission, parse_mission
 from dart_flight.config.retired_keys import changed_retired, ignore_retired, remove_retired
 from dart_flight.config.vehicle import VehicleConfig
-from dart_flight.recording.reader import Log, NothingInItError
+from dart_flight.recording.reader import Log, MissingDataError
 
 
 def describe_flight(mission: Mission, world: World, seed: int | None) -> dict[str, str]:
@@ -87,7 +87,7 @@ def flown_mission(about: dict[str, str], source: str) -> Mission:
     """
     text = about.get("flown")
     if text is None:
-        raise NothingInItError("the log does not hold its mission", source=source)
+        raise MissingDataError("the log does not hold its mission", source=source)
     try:
         tree = msgspec.json.decode(text)
         if isinstance(tree, dict) and isinstance(tree.get("vehicle"), dict):

@@ -57,7 +57,7 @@ class WallMeasurements:
         self._coefficients: dict[str, dict[str, dict[str, tuple[float, float]]]] = {}
         self._truths: list[TruthContact] = []
 
-    def take(self, record: Record) -> None:
+    def add(self, record: Record) -> None:
         """Process the next record; most kinds are ignored."""
         if isinstance(record, WallEstimate) and record.wall in self._walls:
             self._found.add_estimate(record, self._walls[record.wall])

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from dart_flight.base.records import Record
 from dart_flight.config.document import suggest_known
-from dart_flight.recording.flight_time import zero_of
+from dart_flight.recording.flight_time import find_zero
 from dart_flight.recording.schema import RECORD_TYPES
 
 _BY_TOPIC = {kind.topic: kind for kind in RECORD_TYPES}
@@ -81,7 +81,7 @@ class Topics:
         found: dict[type[Record], list[Record]] = {}
         stamps: dict[type[Record], list[int]] = {}
         everything = list(records)
-        t_us = zero_us = zero_of(everything)
+        t_us = zero_us = find_zero(everything)
         for record in everything:
             t_us = getattr(record, "t_us", 0) or t_us
             kind = type(record)

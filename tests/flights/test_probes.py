@@ -210,7 +210,7 @@ def test_every_place_is_in_the_frame_in_force_then(flown: SharedFlights) -> None
         round(t, 6): p for t, p in zip(course.estimated.time_s, course.estimated.position, strict=True)
     }
     for entry in log.entries:
-        reader.take(entry.record)
+        reader.add(entry.record)
         if isinstance(entry.record, OdometrySample) and reader.frame is not None:
             t_us = entry.record.t_us
             if all(abs(t_us - move_us) > 4_000 for move_us in moves):  # an answer arrives between two samples

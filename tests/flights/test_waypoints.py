@@ -172,7 +172,7 @@ class Operated:
         self.flight = FastFlight(one, 1, observe=self._see)
 
     def _see(self, record: Record, _: int) -> None:
-        self.builder.take(record)
+        self.builder.add(record)
         if isinstance(record, PhaseChange):
             self.changes.append(record)
 

@@ -130,7 +130,7 @@ def fly(point: Point, seed: int) -> FeltContact:
     contacts: list[TruthContact] = []
 
     def observe(record: Record, number: int) -> None:
-        builder.take(record)
+        builder.add(record)
         if isinstance(record, WallEstimate):
             estimates.append((flight.autopilot.time_us, record))
         elif isinstance(record, TruthContact):

@@ -108,7 +108,7 @@ class ForceBaseline:
         self._past: deque[Vec2] = deque([(0.0, 0.0)], maxlen=_BASELINE_DELAY)
         self.value: Vec2 = (0.0, 0.0)
 
-    def follow(self, fx: float, fy: float, dt_s: float) -> None:
+    def update(self, fx: float, fy: float, dt_s: float) -> None:
         """Follow a sample outside of contacts, `dt_s` after the previous one."""
         share = average_weight(dt_s, BASELINE_S)
         x, y = self._now

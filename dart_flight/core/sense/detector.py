@@ -199,7 +199,7 @@ class ImpactDetector:
         else:
             fx, fy, seconds = force[0], force[1], dt_us * 1e-6
         if not over or not self._armed:
-            self.slow_force.follow(fx, fy, seconds)
+            self.slow_force.update(fx, fy, seconds)
         return []
 
     def _is_contact(self, fx: float, fy: float, size: float, over: bool) -> bool:

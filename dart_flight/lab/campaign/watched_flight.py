@@ -69,8 +69,8 @@ class WatchedFlight:
         self.flight = FastFlight(
             mission, seed, faults=faults, observe=self._observe, fault=fault, world=world
         )
-        self._send_status_text = self.flight.autopilot.say
-        self.flight.autopilot.say = self._on_status_text
+        self._send_status_text = self.flight.autopilot.send_text
+        self.flight.autopilot.send_text = self._on_status_text
 
     def run(self) -> Verdict:
         """Fly until the vehicle is down or held by a pilot, and return the verdict."""
@@ -84,7 +84,7 @@ class WatchedFlight:
         return verdict
 
     def _observe(self, record: Record, number: int) -> None:
-        self._builder.take(record)
+        self._builder.add(record)
         if isinstance(record, GuardEvent):
             self._note_decision()
         elif isinstance(record, TruthSample):
