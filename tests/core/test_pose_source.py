@@ -36,7 +36,7 @@ class Feed:
         self.watch, self.state = PoseWatch(MOCAP), FlightState()
         self.now_us = 0
         self.frame = 0
-        self.state.take_status(StatusSample(0, 0, local_position_ok=True))
+        self.state.update_status(StatusSample(0, 0, local_position_ok=True))
 
     def pose(
         self,
@@ -55,14 +55,14 @@ class Feed:
         self.frame += 1
         self.tick()
         now = self.now_us
-        self.state.take_attitude(AttitudeSample(now, now, q))
-        self.state.take_odometry(OdometrySample(now, now, position, velocity))
+        self.state.update_attitude(AttitudeSample(now, now, q))
+        self.state.update_odometry(OdometrySample(now, now, position, velocity))
         there = (position[0] + away[0], position[1] + away[1], position[2] + away[2])
         turned = quaternion_multiply(quaternion_from_euler(0.0, 0.0, turn), q)
         room = ROOM.pose_from_ned(there, turned)
         age_us = 3_000_000 + later_us  # another clock
         sample = PoseSample(now, now, "dart", tracked, *room, self.frame, now - age_us, sender)
-        self.watch.take(sample, self.state, Phase.TRANSIT)
+        self.watch.add_pose(sample, self.state, Phase.TRANSIT)
 
     def tick(self) -> None:
         self.watch.tick(self.now_us)

@@ -18,7 +18,7 @@ from typing import Any, Final
 from dart_flight.base.geometry import Quaternion, Vec3, rotation_angle
 from dart_flight.base.records import OdometrySample, Override, Phase, PoseSample
 from dart_flight.config.vehicle.mocap import MotionCapture
-from dart_flight.core.guard.rule import Judge, Rule, Scope
+from dart_flight.core.guard.rule import Rule, RuleCondition, Scope
 from dart_flight.core.mission.phases import ON_GROUND
 from dart_flight.core.sense.state import FlightState
 
@@ -84,7 +84,7 @@ class PoseWatch:
         self._begun_us = self._begun_us or host_us
         self._now_us = host_us
 
-    def take(self, item: PoseSample, state: FlightState, phase: Phase) -> None:
+    def add_pose(self, item: PoseSample, state: FlightState, phase: Phase) -> None:
         """Compare a pose with the previous one and with PX4's estimate in `state`."""
         now_us, before = item.received_us, self._newest
         self._newest = item
@@ -252,13 +252,13 @@ _DEAD_RECKONING: Final = frozenset({"position_uncertain", "estimator_flags", "od
 
 # fmt: off
 POSE_RULES: tuple[Rule, ...] = (
-    Rule("pose_source_ground", Override.GIVE_UP, Scope.GROUND, Judge(
+    Rule("pose_source_ground", Override.GIVE_UP, Scope.GROUND, RuleCondition(
         "poses that this program forwards: body lost or jumped, poses slow, late, from two senders, or far "
         "from PX4's estimate", f"{_GROUND_LOST_S:g} s, mocap.rate_hz", _present)),
-    Rule("pose_source_blind", Override.LAND, Scope.AIR, Judge(
+    Rule("pose_source_blind", Override.LAND, Scope.AIR, RuleCondition(
         "the same, and PX4's estimate has jumped with the poses, or the body has been lost for long",
         f"{LOST_LAND_S:g} s", _blind), (OdometrySample,), explains=_DEAD_RECKONING),
-    Rule("pose_source", Override.BREAK_OFF, Scope.FLYING, Judge(
+    Rule("pose_source", Override.BREAK_OFF, Scope.FLYING, RuleCondition(
         "the same, at once in an approach, but not before the end of a contact and its recovery",
         f"{LOST_APPROACH_S:g} s, {LOST_S:g} s, mocap.rate_hz", _present)),
 )
