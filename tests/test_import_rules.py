@@ -1,6 +1,7 @@
 """Imports point one way (docs/architecture.md), and each package from outside is imported in one place."""
 
 import ast
+import functools
 from collections.abc import Iterator
 from graphlib import TopologicalSorter
 from pathlib import Path
@@ -70,8 +71,21 @@ def modules() -> list[Path]:
     return sorted(PACKAGE.rglob("*.py"))
 
 
+@functools.cache
+def nodes_of(path: Path) -> list[ast.AST]:
+    """The imports and constants of a file, parsed once for all tests."""
+    kinds = ast.Import | ast.ImportFrom | ast.Constant
+    return [node for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, kinds)]
+
+
+@functools.cache
+def module_names() -> frozenset[str]:
+    paths = (path.relative_to(PACKAGE).with_suffix("") for path in modules())
+    return frozenset(".".join(("dart_flight", *path.parts)) for path in paths)
+
+
 def imports_of(path: Path) -> Iterator[str]:
-    for node in ast.walk(ast.parse(path.read_text())):
+    for node in nodes_of(path):
         if isinstance(node, ast.Import):
             for alias in node.names:
                 yield alias.name
@@ -81,14 +95,13 @@ def imports_of(path: Path) -> Iterator[str]:
 
 def files_imported_by(path: Path) -> set[str]:
     """The package's files that a file imports anywhere in it, for types only or late, too; no `__init__`."""
-    files = {".".join(("dart_flight", *p.relative_to(PACKAGE).with_suffix("").parts)) for p in modules()}
     found = set[str]()
-    for node in ast.walk(ast.parse(path.read_text())):
+    for node in nodes_of(path):
         if isinstance(node, ast.ImportFrom) and node.module:
             found |= {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
         elif isinstance(node, ast.Import):
             found |= {alias.name for alias in node.names}
-    return found & files
+    return found & module_names()
 
 
 def test_no_files_import_each_other() -> None:
@@ -135,7 +148,7 @@ def test_whatever_is_reached_in_the_lab_stands_in_one_table() -> None:
         relative = path.relative_to(PACKAGE)
         if relative.parts[0] == "lab" or relative.name == "lab_entries.py":
             continue
-        for node in ast.walk(ast.parse(path.read_text())):
+        for node in nodes_of(path):
             if isinstance(node, ast.Constant):
                 assert not str(node.value).startswith("dart_flight.lab."), relative
 

@@ -41,6 +41,7 @@ TELEPORTING = tuple(rule for rule in RULES if rule.name != "estimator_jump")
 
 
 NOTHING_SET: Mapping[str, Any] = {}
+IMPATIENT: Mapping[str, Any] = {"vehicle.flying.ready_timeout_s": 3.0}
 
 
 class HandFedCore:
@@ -186,3 +187,9 @@ class HandFedCore:
 @pytest.fixture
 def hand_fed() -> HandFedCore:
     return HandFedCore()
+
+
+@pytest.fixture
+def impatient() -> HandFedCore:
+    """A core that waits 3 s instead of 20 s for each phase."""
+    return HandFedCore(settings=IMPATIENT)

@@ -169,7 +169,7 @@ def test_before_the_first_pose_there_is_time_to_connect() -> None:
     assert feed.watch.fault(Phase.READYING) == "body dart has never been tracked"
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=15, deadline=None)
 @given(st.data())
 def test_a_flight_with_latency_noise_and_occlusion_has_no_fault(data: st.DataObject) -> None:
     """Accelerations of a contact, poses up to 50 ms old, gaps below the limit, single wrong frames."""
