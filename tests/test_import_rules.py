@@ -6,8 +6,6 @@ from collections.abc import Iterator
 from graphlib import TopologicalSorter
 from pathlib import Path
 
-import pytest
-
 PACKAGE = Path(__file__).parents[1] / "dart_flight"
 
 # Rooms from the ground up; a room may import those of its own and of lower floors. All but the lab fly.
@@ -120,17 +118,19 @@ def room_of(module: str) -> str | None:
     return parts[1] if len(parts) > 1 else "__init__"
 
 
-@pytest.mark.parametrize("path", modules(), ids=lambda p: str(p.relative_to(PACKAGE)))
-def test_imports_point_down(path: Path) -> None:
-    relative = path.relative_to(PACKAGE)
-    own = relative.parts[0].removesuffix(".py")
-    assert own in FLOORS, f"{own} is a new room: give it a floor"
-    for module in imports_of(path):
-        room = room_of(module)
-        if room in (None, own, "__init__"):  # the package itself only says its version
-            continue
-        assert room is not None
-        assert FLOORS[room] < FLOORS[own], f"{relative} imports {module}"
+def test_imports_point_down() -> None:
+    upward = []
+    for path in modules():
+        relative = path.relative_to(PACKAGE)
+        own = relative.parts[0].removesuffix(".py")
+        assert own in FLOORS, f"{own} is a new room: give it a floor"
+        for module in imports_of(path):
+            room = room_of(module)
+            if room is None or room in (own, "__init__"):  # the package itself only says its version
+                continue
+            if FLOORS[room] >= FLOORS[own]:
+                upward.append(f"{relative} imports {module}")
+    assert upward == []
 
 
 def test_the_lab_imports_point_down() -> None:
@@ -153,14 +153,15 @@ def test_whatever_is_reached_in_the_lab_stands_in_one_table() -> None:
                 assert not str(node.value).startswith("dart_flight.lab."), relative
 
 
-@pytest.mark.parametrize("path", modules(), ids=lambda p: str(p.relative_to(PACKAGE)))
-def test_doors_to_the_outside(path: Path) -> None:
-    relative = str(path.relative_to(PACKAGE))
-    for module in imports_of(path):
-        top = module.split(".")[0]
-        for door, allowed in DOORS.items():
-            if top == door:
-                assert relative.startswith(allowed), f"{relative} imports {module}"
+def test_doors_to_the_outside() -> None:
+    elsewhere = []
+    for path in modules():
+        relative = str(path.relative_to(PACKAGE))
+        for module in imports_of(path):
+            allowed = DOORS.get(module.split(".")[0])
+            if allowed is not None and not relative.startswith(allowed):
+                elsewhere.append(f"{relative} imports {module}")
+    assert elsewhere == []
 
 
 def test_the_core_reads_no_clock_and_does_no_io() -> None:
