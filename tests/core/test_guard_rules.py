@@ -966,7 +966,7 @@ def test_an_altitude_outside_of_the_flight_space_by_a_hands_breadth_is_none(
 def test_a_vehicle_that_somebody_has_armed_is_not_left_so_when_the_flight_is_given_up(armed: bool) -> None:
     c = HandFedCore(settings=IMPATIENT)
     c.set_status(armed=armed)
-    not_ready(c)
+    CAUSES["not_ready"](c)
     assert c.core.end is not None
     told = [o.action for o in c.outputs if isinstance(o, VehicleCommand)]
     assert told == [VehicleAction.DISARM] * armed
