@@ -98,7 +98,7 @@ def download_px4_log(
             choose=choose,
             say=print_status,
             progress=lambda share: bar.update(task, completed=share),
-            opened=lease.close_device,
+            opened=lease.lock_device,
         )
     print_status(f"PX4's log: {display_path(path)}")
     return path

@@ -31,12 +31,12 @@ def test_it_sees_force_and_impacts_of_a_flight() -> None:
     step = flight.core.step
 
     def both(item: object) -> object:
-        watcher.take(item)  # type: ignore[arg-type]
+        watcher.put(item)  # type: ignore[arg-type]
         return step(item)  # type: ignore[arg-type]
 
     flight.core.step = both  # type: ignore[method-assign,assignment]
     flight.run()
-    watcher.take(StatusText(0, 0, "info", "lock settled rigid"))
+    watcher.put(StatusText(0, 0, "info", "lock settled rigid"))
     view = watcher.view()
     assert len(view.peaks) == 1
     # It does not know of the wall: normal is where the force points. The core, which does, says 34.5 N.

@@ -23,7 +23,13 @@ from dart_flight.recording.found import px4_logs_in
 from dart_flight.recording.reader import read_log
 from dart_flight.run.px4_log_download import fetch_px4_log, list_px4_logs
 from dart_flight.vehicle import downloads
-from dart_flight.vehicle.downloads import DownloadError, DownloadTime, Px4LogEntry, entry_of, logs_of_flight
+from dart_flight.vehicle.downloads import (
+    DownloadError,
+    DownloadTime,
+    Px4LogEntry,
+    logs_of_flight,
+    parse_entry,
+)
 from tests.doubles.log_vehicle import LogVehicle
 
 FLIGHT = Path(__file__).parents[1] / "data" / "flights" / "px4.mcap"
@@ -69,10 +75,10 @@ def test_never_one_that_was_there_before(logs: list[tuple[float | None, int]], d
 
 
 def test_a_date_before_the_clock_was_set_is_none() -> None:
-    assert entry_of(Entry(3, "1970-01-01T00:12:00Z", 5)) == Px4LogEntry(3, None, 5)
-    assert entry_of(Entry(3, "nonsense", 5)).ended is None
-    assert entry_of(Entry(3, "2026-11-26T05:00:00Z", 5)).ended == BEGAN
-    assert entry_of(Entry(3, "2026-11-26T05:00:00Z", 5_000_000)).line() == (
+    assert parse_entry(Entry(3, "1970-01-01T00:12:00Z", 5)) == Px4LogEntry(3, None, 5)
+    assert parse_entry(Entry(3, "nonsense", 5)).ended is None
+    assert parse_entry(Entry(3, "2026-11-26T05:00:00Z", 5)).ended == BEGAN
+    assert parse_entry(Entry(3, "2026-11-26T05:00:00Z", 5_000_000)).line() == (
         "3: ended 2026-11-26 05:00:00 UTC, 5.0 MB"
     )
 

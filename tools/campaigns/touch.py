@@ -266,7 +266,7 @@ def fly(point: Point, seed: int) -> Touched:
         return find_room(seed, point.spreads)
     mission = mission_of(point.case, seed)
     kept: list[FlightRecord] = []
-    verdict = fly_fast(mission, seed, None, spreads=point.spreads, take_record=kept.append)
+    verdict = fly_fast(mission, seed, None, spreads=point.spreads, keep_record=kept.append)
     return _touched(mission, verdict, [entry.record for entry in kept[0].log.entries])
 
 
