@@ -169,6 +169,25 @@ def test_before_the_first_pose_there_is_time_to_connect() -> None:
     assert feed.watch.fault(Phase.READYING) == "body dart has never been tracked"
 
 
+@pytest.mark.parametrize("gap_s", [0.0, 0.12, 0.2])
+def test_a_wrong_frame_after_a_gap_is_no_reference_for_the_next(gap_s: float) -> None:
+    feed = Feed()
+    if gap_s:
+        feed.hover(0.3)
+        feed.silence(gap_s)
+    feed.pose(away=(0.8, 0.0, 0.0))
+    assert feed.hover(0.5) is None
+
+
+def test_a_body_that_alternates_after_a_gap_is_a_jump() -> None:
+    feed = Feed()
+    feed.hover(0.3)
+    feed.silence(0.15)
+    for i in range(40):
+        feed.pose(away=(0.8 if i // 8 % 2 else 0.0, 0.0, 0.0))
+    assert feed.watch.fault(Phase.TRANSIT) == "body jumped by 0.80 m: another body, or swapped markers"
+
+
 @settings(max_examples=40, deadline=None)
 @given(st.data())
 def test_a_flight_with_latency_noise_and_occlusion_has_no_fault(data: st.DataObject) -> None:

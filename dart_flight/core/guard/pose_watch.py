@@ -64,6 +64,7 @@ class PoseWatch:
         self._plausible: tuple[int, Vec3] | None = (
             None  # receipt and position of the newest plausible pose, NED
         )
+        self._settling_us: int | None = None  # since a start or a gap, until two poses agree
         self._jumped_us: int | None = None  # host time since which poses have been a jump away from it
         self._jump = ""
         self._wrong = ""  # why poses are withheld
@@ -201,14 +202,19 @@ class PoseWatch:
 
     def _compare_poses(self, now_us: int, position: Vec3, state: FlightState) -> None:
         if self._plausible is None or state.odometry is None:
-            self._plausible = (now_us, position)
+            self._plausible, self._settling_us = (now_us, position), now_us
             return
         then_us, then = self._plausible
         dt = (now_us - then_us) * 1e-6
         vx, vy, vz = state.odometry.velocity_ned
         away_m = math.dist(position, (then[0] + dt * vx, then[1] + dt * vy, then[2] + dt * vz))
-        if away_m <= JUMP_M + dt * _JUMP_M_S or (dt > _JUMP_GAP_S and self._jumped_us is None):
-            self._plausible, self._jumped_us = (now_us, position), None
+        if away_m <= JUMP_M + dt * _JUMP_M_S:
+            self._plausible, self._jumped_us, self._settling_us = (now_us, position), None, None
+            return
+        if dt > _JUMP_GAP_S and self._jumped_us is None:
+            self._settling_us = now_us
+        if self._settling_us is not None and (now_us - self._settling_us) * 1e-6 < _JUMP_S:
+            self._plausible = (now_us, position)
             return
         self._jumped_us = self._jumped_us if self._jumped_us is not None else now_us
         if (now_us - self._jumped_us) * 1e-6 >= _JUMP_S:
