@@ -89,7 +89,7 @@ def _watch(arguments: argparse.Namespace, show: Callable[[MonitorView], None]) -
         ) from None
     seconds, timeout_s = arguments.seconds, connection.timeout_s
     try:
-        with live_view(arguments, mission, furnished=placed, placed=True) as live:
+        with live_view(arguments, mission, show_room=placed, frame_known=True) as live:
             watcher = TelemetryMonitor(mission, placed, live or _ignore)
             asyncio.run(monitor_vehicle(watcher, url, timeout_s, show, _PERIOD_S, seconds, lease.lock_device))
     finally:
@@ -137,7 +137,7 @@ def _follow(
     follower = LogFollower(log)
     first = follower.read()
     mission = flown_mission(follower.about, str(log))
-    watcher = TelemetryMonitor(mission, placed=True)
+    watcher = TelemetryMonitor(mission, frame_known=True)
     with live_view(arguments, mission) as live:
         viewer = live.feed if live is not None else _ignore
         for entry in first:

@@ -96,7 +96,7 @@ def download_px4_log(
             armed,
             before=before,
             choose=choose,
-            say=print_status,
+            print_line=print_status,
             progress=lambda share: bar.update(task, completed=share),
             opened=lease.lock_device,
         )

@@ -115,19 +115,19 @@ class TelemetryMonitor:
 
     Args:
         mission: mission with the frame and the vehicle's configuration.
-        placed: whether to use the mission's frame; otherwise forces are along north, west and up.
+        frame_known: whether to use the mission's frame; otherwise forces are along north, west and up.
         viewer: callback for every record and for the results of the senses; must not block.
     """
 
     def __init__(
-        self, mission: Mission, placed: bool, viewer: Callable[[Record], None] = lambda record: None
+        self, mission: Mission, frame_known: bool, viewer: Callable[[Record], None] = lambda record: None
     ) -> None:
         self._queued: deque[Input] = deque()  # not yet processed
         self._viewer = viewer
         self._senses = Senses(mission)
-        self._placed = placed
+        self._placed = frame_known
         # Without a mission, the frame with heading 0: north, west, up.
-        self._senses.state.anchor(mission.frame_at((0.0, 0.0, 0.0)) if placed else MissionFrame())
+        self._senses.state.anchor(mission.frame_at((0.0, 0.0, 0.0)) if frame_known else MissionFrame())
         self.estimation, self.motors = mission.vehicle.estimation, len(mission.vehicle.airframe.motors)
         self._estimate: ForceEstimate | None = None
         self._peaks: deque[ImpactPeak] = deque(maxlen=5)

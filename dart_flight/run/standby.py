@@ -134,7 +134,7 @@ class Standby:
         vehicle: configuration with the lock, the link and the motion capture.
         url: MAVSDK connection URL.
         options: additional options of `fly` and `check`.
-        say: callback for messages: a kind (`standby`, `child` or `problem`) and a line.
+        report: callback for messages: a kind (`standby`, `child` or `problem`) and a line.
     """
 
     def __init__(
@@ -143,10 +143,10 @@ class Standby:
         vehicle: VehicleConfig,
         url: str,
         options: Sequence[str],
-        say: Callable[[str, str], None],
+        report: Callable[[str, str], None],
     ) -> None:
         self._missions, self._vehicle, self._url = missions, vehicle, url
-        self._options, self._say = options, say
+        self._options, self._say = options, report
         channel = None if vehicle.lock is None else vehicle.lock.rc_channel
         self._desk = StandbyDesk([name for name, _ in missions], channel, vehicle.has_lock)
         self._news: list[str] = []  # for the ground station, once the link is back
