@@ -353,7 +353,7 @@ class FastFlight:
         elif isinstance(output, FrameAnchor) and self._replanner is not None:
             self._replanner.move_frame(output)
         elif isinstance(output, PosesWithheld) and self.poses is not None:
-            self.poses.withhold()
+            self.poses.withhold(attitude_only=output.attitude_only)
         elif isinstance(output, Silence):
             self._last_setpoint = None
 

@@ -15,6 +15,7 @@ from dart_flight.base.records import (
     Override,
     Phase,
     PoseSample,
+    PosesWithheld,
     StatusSample,
 )
 from dart_flight.config.vehicle.mocap import MotionCapture
@@ -122,20 +123,36 @@ def test_silence_of_the_source_is_judged_by_phase(feed: Feed) -> None:
 
 def test_wrong_poses_are_withheld_once_and_in_the_air_only(feed: Feed) -> None:
     feed.hover(0.1, away=(1.0, 0.0, 0.0))
-    assert feed.watch.withhold(Phase.ARMING) is None
-    reason = feed.watch.withhold(Phase.CONTACT)
-    assert reason == "body jumped by 1.00 m: another body, or swapped markers"
-    assert feed.watch.withhold(Phase.CONTACT) is None
+    assert feed.watch.withhold(Phase.ARMING, 7) is None
+    reason = "body jumped by 1.00 m: another body, or swapped markers"
+    assert feed.watch.withhold(Phase.CONTACT, 7) == PosesWithheld(7, reason)
+    assert feed.watch.withhold(Phase.CONTACT, 8) is None
     assert feed.watch.blind(False, Phase.TRANSIT) is None
     feed.silence(1.6)
     assert feed.watch.fault(Phase.TRANSIT) == feed.watch.blind(False, Phase.TRANSIT) == reason
+
+
+def test_of_turned_poses_only_the_attitudes_are_withheld(feed: Feed) -> None:
+    feed.hover(0.15, turn=math.pi)
+    reason = "the pose is turned by 180 deg against PX4's attitude: markers swapped?"
+    assert feed.watch.withhold(Phase.CONTACT, 7) == PosesWithheld(7, reason, attitude_only=True)
+    assert feed.watch.withhold(Phase.CONTACT, 8) is None
+    for _ in range(200):
+        feed.pose()
+    assert feed.watch.fault(Phase.TRANSIT) == reason  # markers that were swapped once are not trusted again
+    assert feed.watch.blind(False, Phase.TRANSIT) is None  # PX4 has the positions
+    for _ in range(10):
+        feed.pose(away=(1.0, 0.0, 0.0))
+    later = feed.watch.withhold(Phase.TRANSIT, 9)
+    assert later is not None
+    assert not later.attitude_only
 
 
 @pytest.mark.parametrize("wrong", [{"tracked": False}, {"later_us": 90_000}, {"step_us": 100_000}])
 def test_poses_that_are_the_vehicles_own_are_not_withheld(feed: Feed, wrong: dict[str, Any]) -> None:
     feed.hover(1.2, **wrong)
     assert feed.watch.fault(Phase.TRANSIT) is not None
-    assert feed.watch.withhold(Phase.TRANSIT) is None
+    assert feed.watch.withhold(Phase.TRANSIT, 7) is None
 
 
 def test_an_estimate_that_jumps_with_the_poses_leaves_no_position_to_fly_by(feed: Feed) -> None:
