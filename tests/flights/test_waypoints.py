@@ -185,7 +185,7 @@ class Operated:
             if not said and self.flight.core.phase == self._phase:
                 said = True
                 word: Input = OperatorRequest(self.flight.host_us, self._request)
-                self.flight.take(word)
+                self.flight.step(word)
 
 
 def silent_operator(one: Mission) -> Mission:

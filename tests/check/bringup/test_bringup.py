@@ -49,7 +49,7 @@ class Hands:
                 "turn it left": vehicle.move,
             }
 
-    def tell(self, text: str) -> None:
+    def instruct(self, text: str) -> None:
         self.told.append(text)
         for word, act in self._acts.items():
             if word in text:

@@ -205,7 +205,7 @@ def test_what_an_error_of_the_thrust_explains_is_no_impact(
     onset = ImpactOnset(1, 1, 1, (x, y, z), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
     crossing = ThresholdCrossing(onset, 5.5)
     peak = ImpactPeak(1, 1, 1, (math.copysign(1.0, x), 0.0), abs(x), 0.0, (0.0, 0.0, 0.0), False, fitted=True)
-    crossing.ends(peak, [felt], 8)
+    crossing.record_peak(peak, [felt], 8)
     assert crossing.is_impact is is_impact
 
 
