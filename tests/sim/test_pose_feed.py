@@ -111,7 +111,7 @@ def test_the_embedded_autopilot_has_no_position_but_the_one_it_is_sent() -> None
 
 def test_poses_without_attitude_hold_the_position_and_leave_the_heading_to_the_gyro() -> None:
     autopilot = make_autopilot(load_flyable(SINGLE), 1)
-    autopilot.expect_poses()
+    autopilot.use_external_poses()
     for _ in range(300):
         autopilot.step()
         autopilot.fuse_external_pose(autopilot.plant.position, autopilot.plant.q)
