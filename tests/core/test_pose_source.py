@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dart_flight.base.geometry import Quaternion, Vec3, quaternion_from_euler, quaternion_multiply
+from dart_flight.base.geometry import Quaternion, Vec3, add, quaternion_from_euler, quaternion_multiply
 from dart_flight.base.records import (
     AttitudeSample,
     GuardEvent,
@@ -248,6 +248,7 @@ class PosedCore(HandFedCore):
     """A core that also gets the vehicle's pose, at 250 Hz, once it has begun."""
 
     begun = lost = False
+    away: Vec3 = (0.0, 0.0, 0.0)
 
     def begin(self) -> None:
         self.begun = True
@@ -258,7 +259,7 @@ class PosedCore(HandFedCore):
         for _ in range(round(seconds / 0.004)):
             out += super().run(0.004)
             if self.begun:
-                pose = ROOM.pose_from_ned(self.position_ned, self.q)
+                pose = ROOM.pose_from_ned(add(self.position_ned, self.away), self.q)
                 self.give(PoseSample(self.t_us, self.t_us, "dart", not self.lost, *pose))
         return out
 
@@ -285,6 +286,18 @@ def test_a_body_lost_in_a_contact_does_not_disturb_the_recovery() -> None:
     c.run(0.7)
     assert c.core.phase is Phase.RECOVERY
     assert not events(c)
+
+
+def test_another_body_in_a_contact_ends_the_recovery_before_the_next_wall() -> None:
+    c = flown("contact")
+    c.away = (1.0, 0.0, 0.0)  # type: ignore[attr-defined]
+    c.run(0.44)
+    assert c.core.phase is Phase.RECOVERY
+    assert not events(c)
+    c.run(0.1)
+    assert events(c) == [("pose_source", Override.BREAK_OFF)]
+    c.run(1.1)
+    assert events(c)[1:] == [("pose_source_blind", Override.LAND)]
 
 
 def test_without_a_url_poses_change_nothing() -> None:

@@ -177,6 +177,10 @@ async def _run_app(
     await asyncio.to_thread(_wait_for_output, source)
     cpu = 100.0 * (time.process_time() - busy) / (time.monotonic() - wall)
     app._done.set()
+    # The source stays armed, and the app forwards poses to an armed vehicle until Ctrl-C.
+    while not flying.done():
+        app._stopped.set()
+        await asyncio.sleep(0.1)
     await flying
     record.close()
     return _AppRun(core, inside, cpu, app._bridge.sent if app._bridge is not None else 0)

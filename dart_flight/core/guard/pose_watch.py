@@ -48,6 +48,7 @@ _AGE_US: Final = 250_000
 _SENDERS_US: Final = 1_000_000
 _RECENT_US: Final = 5_000_000  # PX4's estimate follows poses within this time
 _FINISHED_FIRST: Final = frozenset((Phase.CONTACT, Phase.RECOVERY))
+_RECOVERED_S: Final = 0.5  # in a recovery; from then on the vehicle flies to the next wall or to the goal
 
 
 class PoseWatch:
@@ -71,6 +72,7 @@ class PoseWatch:
         self._jump = ""
         self._wrong = self._turned_wrong = ""  # why poses are withheld, and why only their attitudes are
         self._withheld_us = 0
+        self._not_recovering_us = 0  # host time of the newest pose in another phase than the recovery
         self._recent, self._recent_us = "", -_RECENT_US  # newest fault
         self._apart_us: int | None = None
         self._turned_us: int | None = None
@@ -90,6 +92,8 @@ class PoseWatch:
         """Compare a pose with the previous one and with PX4's estimate in `state`."""
         now_us, before = item.received_us, self._newest
         self._newest = item
+        if phase is not Phase.RECOVERY:
+            self._not_recovering_us = now_us
         if before is not None and before.sender != item.sender:
             other = self._other
             if other is not None and other.sender == item.sender and now_us - other.received_us < _SENDERS_US:
@@ -136,6 +140,15 @@ class PoseWatch:
         if self._wrong and (self._now_us - self._withheld_us) * 1e-6 > LOST_LAND_S:
             return self._wrong
         return self._lost(LOST_LAND_S)
+
+    def waits(self, phase: Phase) -> bool:
+        """Return whether a contact or a recovery is finished before a fault of the poses counts.
+
+        Withheld poses do not return, so the vehicle must not recover towards another wall without them.
+        """
+        if phase is Phase.RECOVERY and self._wrong:
+            return (self._now_us - self._not_recovering_us) * 1e-6 < _RECOVERED_S
+        return phase in _FINISHED_FIRST
 
     def withhold(self, phase: Phase, t_us: int) -> PosesWithheld | None:
         """Return what this program must no longer forward, once when that begins, otherwise None."""
@@ -245,12 +258,12 @@ class PoseWatch:
 
 def _present(v: Any) -> str | None:
     watch: PoseWatch | None = v.poses
-    return None if watch is None or v.phase in _FINISHED_FIRST else watch.fault(v.phase)
+    return None if watch is None or watch.waits(v.phase) else watch.fault(v.phase)
 
 
 def _blind(v: Any) -> str | None:
     watch: PoseWatch | None = v.poses
-    if watch is None or v.phase in _FINISHED_FIRST or v.phase is Phase.LANDING:
+    if watch is None or watch.waits(v.phase) or v.phase is Phase.LANDING:
         return None
     return watch.blind(bool(v.estimator.jump or v.estimator.reset_step()), v.phase)
 
