@@ -114,6 +114,7 @@ def texts(figure: Any) -> set[str]:
 def test_a_page_has_every_section_and_needs_nothing_else(page: str) -> None:
     parsed = Page(page)
     assert parsed.headings == SECTIONS
+    assert "does not contain the whole flight" not in page
     assert parsed.sources
     assert all(source.startswith("data:") for source in parsed.sources)
     assert not parsed.tags & {"link", "iframe", "object"}
