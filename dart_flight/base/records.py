@@ -695,11 +695,12 @@ class PhaseChange(Record, frozen=True, gc=False):
 
 
 class PosesWithheld(Record, frozen=True, gc=False):
-    """The end of forwarding: the poses are not the vehicle's, and PX4 flies better by its IMU."""
+    """The end of forwarding poses, or only their attitudes, which are not the vehicle's; PX4 uses its IMU."""
 
     topic: ClassVar[str] = "/event/poses_withheld"
     t_us: int
     reason: str
+    attitude_only: bool = False  # whether the positions are forwarded further
 
 
 class GuardEvent(Record, frozen=True, gc=False):

@@ -566,7 +566,7 @@ class FlightApp:
                 planner.send(output)
         elif isinstance(output, PosesWithheld):
             if self._bridge is not None:
-                self._bridge.withhold()
+                self._bridge.withhold(attitude_only=output.attitude_only)
         elif isinstance(output, PhaseChange):
             self._phase = output.after
             # For `monitor`; sent from the event loop, so that setpoints do not wait.

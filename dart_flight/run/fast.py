@@ -169,7 +169,7 @@ class FastFlight:
         true = mission if world is None else world.mission
         self.vehicle = SimulatedVehicle(true, seed, driver)
         self.autopilot = self.vehicle.autopilot
-        self.autopilot.say = self._on_text
+        self.autopilot.send_text = self._on_text
         self.deadman_s = mission.vehicle.guard.deadman_s
         self._observe = observe
         self.core = FlightCore(mission)
@@ -353,7 +353,7 @@ class FastFlight:
         elif isinstance(output, FrameAnchor) and self._replanner is not None:
             self._replanner.move_frame(output)
         elif isinstance(output, PosesWithheld) and self.poses is not None:
-            self.poses.withhold()
+            self.poses.withhold(attitude_only=output.attitude_only)
         elif isinstance(output, Silence):
             self._last_setpoint = None
 

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from dart_flight.cli import main
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import load_mission
-from dart_flight.config.retired_keys import RETIRED, RetiredKeyWarning, take_out_retired
+from dart_flight.config.retired_keys import RETIRED, RetiredKeyWarning, remove_retired
 from dart_flight.config.section import without_defaults
 from dart_flight.config.vehicle import VehicleConfig, load_vehicle
 
@@ -98,7 +98,7 @@ def test_other_values_have_a_line_each(tmp_path: Path) -> None:
 
 
 def test_no_key_of_the_configuration_is_retired() -> None:
-    assert take_out_retired(msgspec.to_builtins(VEHICLE)) == {}
+    assert remove_retired(msgspec.to_builtins(VEHICLE)) == {}
 
 
 def test_the_command_line_shows_one_line_on_standard_error(

@@ -98,7 +98,7 @@ def test_an_estimate_that_settles_on_the_ground_carries_the_mission_with_it(hand
     assert last.position_ned == pytest.approx((0.2, 0.1, 1.15 - hand_fed.core.mission.altitude_m), abs=1e-6)
     reader = MissionFrameReader(hand_fed.core.mission)
     for record in hand_fed.seen:
-        reader.take(record)
+        reader.add(record)
     assert reader.frame is not None
     assert reader.frame.point_from_ned((0.2, 0.1, 1.15)) == pytest.approx((0.2, -0.1, 0.0), abs=1e-9)
 

@@ -1249,7 +1249,7 @@ def test_names_that_others_report_are_in_the_table() -> None:
     for source in Path(executive.__file__).parent.glob("*.py"):
         found |= set(re.findall(r'[fF]inding\(\s*"(\w+)"', source.read_text()))
     found |= set(re.findall(r'Finding\(\s*"(\w+)"', inspect.getsource(flight_core)))
-    assert found == {name for name, rule in names.items() if rule.judge.cause is None}
+    assert found == {name for name, rule in names.items() if rule.condition.cause is None}
 
 
 def test_thresholds_named_in_the_table_exist() -> None:
@@ -1269,7 +1269,7 @@ def test_thresholds_named_in_the_table_exist() -> None:
         "mocap": vehicle.mocap,
     }
     for rule in RULES:
-        for key in filter(None, rule.judge.threshold.split(", ")):
+        for key in filter(None, rule.condition.threshold.split(", ")):
             if key.startswith("streams:") or key[0].isdigit():
                 continue
             section, *names = key.split(".")
@@ -1312,7 +1312,7 @@ def test_a_position_after_a_gap_is_compared_with_none_from_before_it() -> None:
         nonlocal t_us
         t_us += round(after_s * 1e6)
         places.update(OdometrySample(t_us, t_us, (north_m, 0.0, -1.0), (0.0, 0.0, 0.0)))
-        return places.apart_m(t_us)
+        return places.position_difference_m(t_us)
 
     for _ in range(5):
         for north_m in (0.0, 3.0):
@@ -1330,7 +1330,7 @@ def test_stamps_in_turn_are_two_clocks_where_they_are_further_apart_than_late_da
         t_us = 10_000_000 + 10_000 * i
         clocks.update(t_us, t_us)
         clocks.update(t_us - back_us, t_us)
-    assert clocks.apart_s(10_070_000) == pytest.approx(seconds_apart)
+    assert clocks.clock_difference_s(10_070_000) == pytest.approx(seconds_apart)
     assert (clocks.odd_us is not None) is (seconds_apart is not None)
 
 
@@ -1343,8 +1343,8 @@ def test_two_clocks_are_told_by_three_turns_within_two_seconds(turns: int, after
         clocks.update(t_us, t_us)
         clocks.update(t_us - 5_000_000, t_us)
     last_us = 10_000_000 + 100_000 * turns
-    assert (clocks.apart_s(last_us + after_us + 1) is not None) is told
-    assert (clocks.apart_s(last_us + max(0, after_us - 1)) is not None) is (turns == 3)
+    assert (clocks.clock_difference_s(last_us + after_us + 1) is not None) is told
+    assert (clocks.clock_difference_s(last_us + max(0, after_us - 1)) is not None) is (turns == 3)
 
 
 @pytest.mark.parametrize(("ahead_us", "odd"), [(5_900_000, False), (6_100_000, True)])
@@ -1365,7 +1365,7 @@ def test_a_clock_that_goes_back_again_and_again_is_one() -> None:
         t_us = 10_000_000 + 10_000 * i
         clocks.update(t_us, t_us)
         clocks.update(5_000_000, t_us)
-    assert clocks.apart_s(10_070_000) is None
+    assert clocks.clock_difference_s(10_070_000) is None
 
 
 def test_a_second_vehicle_explains_what_had_fired_before_it_was_told_apart() -> None:

@@ -15,6 +15,7 @@ from dart_flight.base.records import (
     Override,
     Phase,
     PoseSample,
+    PosesWithheld,
     StatusSample,
 )
 from dart_flight.config.vehicle.mocap import MotionCapture
@@ -36,7 +37,7 @@ class Feed:
         self.watch, self.state = PoseWatch(MOCAP), FlightState()
         self.now_us = 0
         self.frame = 0
-        self.state.take_status(StatusSample(0, 0, local_position_ok=True))
+        self.state.update_status(StatusSample(0, 0, local_position_ok=True))
 
     def pose(
         self,
@@ -55,14 +56,14 @@ class Feed:
         self.frame += 1
         self.tick()
         now = self.now_us
-        self.state.take_attitude(AttitudeSample(now, now, q))
-        self.state.take_odometry(OdometrySample(now, now, position, velocity))
+        self.state.update_attitude(AttitudeSample(now, now, q))
+        self.state.update_odometry(OdometrySample(now, now, position, velocity))
         there = (position[0] + away[0], position[1] + away[1], position[2] + away[2])
         turned = quaternion_multiply(quaternion_from_euler(0.0, 0.0, turn), q)
         room = ROOM.pose_from_ned(there, turned)
         age_us = 3_000_000 + later_us  # another clock
         sample = PoseSample(now, now, "dart", tracked, *room, self.frame, now - age_us, sender)
-        self.watch.take(sample, self.state, Phase.TRANSIT)
+        self.watch.add_pose(sample, self.state, Phase.TRANSIT)
 
     def tick(self) -> None:
         self.watch.tick(self.now_us)
@@ -122,20 +123,36 @@ def test_silence_of_the_source_is_judged_by_phase(feed: Feed) -> None:
 
 def test_wrong_poses_are_withheld_once_and_in_the_air_only(feed: Feed) -> None:
     feed.hover(0.1, away=(1.0, 0.0, 0.0))
-    assert feed.watch.withhold(Phase.ARMING) is None
-    reason = feed.watch.withhold(Phase.CONTACT)
-    assert reason == "body jumped by 1.00 m: another body, or swapped markers"
-    assert feed.watch.withhold(Phase.CONTACT) is None
+    assert feed.watch.withhold(Phase.ARMING, 7) is None
+    reason = "body jumped by 1.00 m: another body, or swapped markers"
+    assert feed.watch.withhold(Phase.CONTACT, 7) == PosesWithheld(7, reason)
+    assert feed.watch.withhold(Phase.CONTACT, 8) is None
     assert feed.watch.blind(False, Phase.TRANSIT) is None
     feed.silence(1.6)
     assert feed.watch.fault(Phase.TRANSIT) == feed.watch.blind(False, Phase.TRANSIT) == reason
+
+
+def test_of_turned_poses_only_the_attitudes_are_withheld(feed: Feed) -> None:
+    feed.hover(0.15, turn=math.pi)
+    reason = "the pose is turned by 180 deg against PX4's attitude: markers swapped?"
+    assert feed.watch.withhold(Phase.CONTACT, 7) == PosesWithheld(7, reason, attitude_only=True)
+    assert feed.watch.withhold(Phase.CONTACT, 8) is None
+    for _ in range(200):
+        feed.pose()
+    assert feed.watch.fault(Phase.TRANSIT) == reason  # markers that were swapped once are not trusted again
+    assert feed.watch.blind(False, Phase.TRANSIT) is None  # PX4 has the positions
+    for _ in range(10):
+        feed.pose(away=(1.0, 0.0, 0.0))
+    later = feed.watch.withhold(Phase.TRANSIT, 9)
+    assert later is not None
+    assert not later.attitude_only
 
 
 @pytest.mark.parametrize("wrong", [{"tracked": False}, {"later_us": 90_000}, {"step_us": 100_000}])
 def test_poses_that_are_the_vehicles_own_are_not_withheld(feed: Feed, wrong: dict[str, Any]) -> None:
     feed.hover(1.2, **wrong)
     assert feed.watch.fault(Phase.TRANSIT) is not None
-    assert feed.watch.withhold(Phase.TRANSIT) is None
+    assert feed.watch.withhold(Phase.TRANSIT, 7) is None
 
 
 def test_an_estimate_that_jumps_with_the_poses_leaves_no_position_to_fly_by(feed: Feed) -> None:
@@ -169,7 +186,26 @@ def test_before_the_first_pose_there_is_time_to_connect() -> None:
     assert feed.watch.fault(Phase.READYING) == "body dart has never been tracked"
 
 
-@settings(max_examples=15, deadline=None)
+@pytest.mark.parametrize("gap_s", [0.0, 0.12, 0.2])
+def test_a_wrong_frame_after_a_gap_is_no_reference_for_the_next(gap_s: float) -> None:
+    feed = Feed()
+    if gap_s:
+        feed.hover(0.3)
+        feed.silence(gap_s)
+    feed.pose(away=(0.8, 0.0, 0.0))
+    assert feed.hover(0.5) is None
+
+
+def test_a_body_that_alternates_after_a_gap_is_a_jump() -> None:
+    feed = Feed()
+    feed.hover(0.3)
+    feed.silence(0.15)
+    for i in range(40):
+        feed.pose(away=(0.8 if i // 8 % 2 else 0.0, 0.0, 0.0))
+    assert feed.watch.fault(Phase.TRANSIT) == "body jumped by 0.80 m: another body, or swapped markers"
+
+
+@settings(max_examples=40, deadline=None)
 @given(st.data())
 def test_a_flight_with_latency_noise_and_occlusion_has_no_fault(data: st.DataObject) -> None:
     """Accelerations of a contact, poses up to 50 ms old, gaps below the limit, single wrong frames."""

@@ -22,6 +22,7 @@ from dart_flight.run.embedded import fly_embedded
 from dart_flight.run.prepare import load_flyable, with_mocap, with_simulated_mocap
 from dart_flight.run.replay import replay
 from dart_flight.sim.pipe import FULL_SPEED
+from dart_flight.vehicle.motion_capture.pose_bridge import forwarded_pose
 from dart_flight.vehicle.motion_capture.source import RawPose
 from tests.run.test_app import Flight, connect_to
 
@@ -89,12 +90,15 @@ def test_a_pose_goes_to_px4_and_to_the_core_until_the_core_withholds_it(
     def at_end(app: FlightApp, source: ScriptedSource) -> None:
         assert source.deliver is not None
         source.deliver(POSE)
+        app.execute(PosesWithheld(1, "turned", attitude_only=True))
+        source.deliver(POSE._replace(source_us=500_000))
         app.execute(PosesWithheld(1, "another body"))
         source.deliver(POSE._replace(source_us=1_000_000))
 
     session, source, records = flown(monkeypatch, 0, at_end)
-    assert [message.message_name for message in session.sent] == ["ODOMETRY"]
-    assert {r.source_us for r in records if isinstance(r, PoseSample)} == {1_000, 1_000_000}
+    whole, positioned = map(forwarded_pose, session.sent)
+    assert (whole.attitude is None, positioned.attitude is None) == (False, True)
+    assert {r.source_us for r in records if isinstance(r, PoseSample)} == {1_000, 500_000, 1_000_000}
     assert source.stops == 1
     assert not [r for r in records if isinstance(r, StatusText)]
 

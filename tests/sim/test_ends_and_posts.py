@@ -57,7 +57,7 @@ def adrift(
 def oracle(plant: Plant, mode: Mode) -> Scene:
     """The same body before the same obstacles."""
     vehicle = plant.vehicle
-    contact, c = vehicle.simulation.contact, vehicle.materials["acrylic"].of(mode)
+    contact, c = vehicle.simulation.contact, vehicle.materials["acrylic"].coefficients(mode)
     body = Body(
         vehicle.airframe.mass_kg,
         np.array(vehicle.airframe.inertia_kg_m2),
@@ -193,7 +193,7 @@ def test_no_contact_puts_energy_in(
 ) -> None:
     """Without the law's vertical force a vehicle never leaves a contact with more than it came with."""
     vehicle = body_vehicle(friction_lever_share=share)
-    c = vehicle.materials["acrylic"].of(mode)
+    c = vehicle.materials["acrylic"].coefficients(mode)
     c = Coefficients(c.k, damping * c.f, friction, 0.0)
     vehicle = msgspec.structs.replace(vehicle, materials={"acrylic": Material(c, c)})
     walls: tuple[Wall, ...] = ()

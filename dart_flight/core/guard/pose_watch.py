@@ -5,8 +5,10 @@ estimate by 0.02 m in 0.5 s. Every phase tolerates that. A contact adds a veloci
 vehicle must therefore not hit a wall without poses, and the limit is shorter in an approach. A contact and
 its recovery are finished first, because the recovery works with the IMU alone.
 
-Poses of another body, or of swapped markers, are withheld from PX4 at once. PX4 rejects such poses for a
-second and then resets its position or heading to them. Without poses, it dead-reckons long enough to land.
+Poses that jump are another body's and are withheld from PX4 at once. PX4 rejects such poses for a second and
+then resets its position to them. Without poses, it dead-reckons long enough to land. Of poses that are only
+turned, as by swapped markers, the attitudes are withheld: PX4 would reset its heading to them and tumble.
+Their positions remain right, and PX4 keeps its heading by the gyro.
 """
 
 from __future__ import annotations
@@ -16,9 +18,9 @@ from collections import deque
 from typing import Any, Final
 
 from dart_flight.base.geometry import Quaternion, Vec3, rotation_angle
-from dart_flight.base.records import OdometrySample, Override, Phase, PoseSample
+from dart_flight.base.records import OdometrySample, Override, Phase, PoseSample, PosesWithheld
 from dart_flight.config.vehicle.mocap import MotionCapture
-from dart_flight.core.guard.rule import Judge, Rule, Scope
+from dart_flight.core.guard.rule import Rule, RuleCondition, Scope
 from dart_flight.core.mission.phases import ON_GROUND
 from dart_flight.core.sense.state import FlightState
 
@@ -64,9 +66,10 @@ class PoseWatch:
         self._plausible: tuple[int, Vec3] | None = (
             None  # receipt and position of the newest plausible pose, NED
         )
+        self._settling_us: int | None = None  # since a start or a gap, until two poses agree
         self._jumped_us: int | None = None  # host time since which poses have been a jump away from it
         self._jump = ""
-        self._wrong = ""  # why poses are withheld
+        self._wrong = self._turned_wrong = ""  # why poses are withheld, and why only their attitudes are
         self._withheld_us = 0
         self._recent, self._recent_us = "", -_RECENT_US  # newest fault
         self._apart_us: int | None = None
@@ -83,7 +86,7 @@ class PoseWatch:
         self._begun_us = self._begun_us or host_us
         self._now_us = host_us
 
-    def take(self, item: PoseSample, state: FlightState, phase: Phase) -> None:
+    def add_pose(self, item: PoseSample, state: FlightState, phase: Phase) -> None:
         """Compare a pose with the previous one and with PX4's estimate in `state`."""
         now_us, before = item.received_us, self._newest
         self._newest = item
@@ -108,6 +111,7 @@ class PoseWatch:
         lost_s = LOST_APPROACH_S if phase is Phase.APPROACH else LOST_S
         text = (
             self._wrong
+            or self._turned_wrong
             or self._lost(_GROUND_LOST_S if ground else lost_s)
             or self._jump
             or self._two_senders()
@@ -133,12 +137,17 @@ class PoseWatch:
             return self._wrong
         return self._lost(LOST_LAND_S)
 
-    def withhold(self, phase: Phase) -> str | None:
-        """Return why this program must stop forwarding poses as text, once in a flight, otherwise None."""
+    def withhold(self, phase: Phase, t_us: int) -> PosesWithheld | None:
+        """Return what this program must no longer forward, once when that begins, otherwise None."""
         if self._wrong or phase in ON_GROUND:
             return None
-        self._wrong, self._withheld_us = self._jump or self._turned(_TURNED_S) or "", self._now_us
-        return self._wrong or None
+        if self._jump:
+            self._wrong, self._withheld_us = self._jump, self._now_us
+            return PosesWithheld(t_us, self._wrong)
+        if not self._turned_wrong and (turned := self._turned(_TURNED_S)) is not None:
+            self._turned_wrong = turned
+            return PosesWithheld(t_us, turned, attitude_only=True)
+        return None
 
     # -- causes --
 
@@ -201,14 +210,19 @@ class PoseWatch:
 
     def _compare_poses(self, now_us: int, position: Vec3, state: FlightState) -> None:
         if self._plausible is None or state.odometry is None:
-            self._plausible = (now_us, position)
+            self._plausible, self._settling_us = (now_us, position), now_us
             return
         then_us, then = self._plausible
         dt = (now_us - then_us) * 1e-6
         vx, vy, vz = state.odometry.velocity_ned
         away_m = math.dist(position, (then[0] + dt * vx, then[1] + dt * vy, then[2] + dt * vz))
-        if away_m <= JUMP_M + dt * _JUMP_M_S or (dt > _JUMP_GAP_S and self._jumped_us is None):
-            self._plausible, self._jumped_us = (now_us, position), None
+        if away_m <= JUMP_M + dt * _JUMP_M_S:
+            self._plausible, self._jumped_us, self._settling_us = (now_us, position), None, None
+            return
+        if dt > _JUMP_GAP_S and self._jumped_us is None:
+            self._settling_us = now_us
+        if self._settling_us is not None and (now_us - self._settling_us) * 1e-6 < _JUMP_S:
+            self._plausible = (now_us, position)
             return
         self._jumped_us = self._jumped_us if self._jumped_us is not None else now_us
         if (now_us - self._jumped_us) * 1e-6 >= _JUMP_S:
@@ -246,13 +260,13 @@ _DEAD_RECKONING: Final = frozenset({"position_uncertain", "estimator_flags", "od
 
 # fmt: off
 POSE_RULES: tuple[Rule, ...] = (
-    Rule("pose_source_ground", Override.GIVE_UP, Scope.GROUND, Judge(
+    Rule("pose_source_ground", Override.GIVE_UP, Scope.GROUND, RuleCondition(
         "poses that this program forwards: body lost or jumped, poses slow, late, from two senders, or far "
         "from PX4's estimate", f"{_GROUND_LOST_S:g} s, mocap.rate_hz", _present)),
-    Rule("pose_source_blind", Override.LAND, Scope.AIR, Judge(
+    Rule("pose_source_blind", Override.LAND, Scope.AIR, RuleCondition(
         "the same, and PX4's estimate has jumped with the poses, or the body has been lost for long",
         f"{LOST_LAND_S:g} s", _blind), (OdometrySample,), explains=_DEAD_RECKONING),
-    Rule("pose_source", Override.BREAK_OFF, Scope.FLYING, Judge(
+    Rule("pose_source", Override.BREAK_OFF, Scope.FLYING, RuleCondition(
         "the same, at once in an approach, but not before the end of a contact and its recovery",
         f"{LOST_APPROACH_S:g} s, {LOST_S:g} s, mocap.rate_hz", _present)),
 )
