@@ -109,6 +109,13 @@ def test_what_goes_wrong_is_named_in_time(
     assert fault.startswith(says)
 
 
+def test_poses_are_late_once_the_last_timely_one_is_older_than_a_quarter_of_a_second(feed: Feed) -> None:
+    feed.pose(later_us=50_000, step_us=250_000)
+    assert feed.watch.fault(Phase.TRANSIT) is None
+    feed.pose(later_us=50_000, step_us=1)
+    assert (feed.watch.fault(Phase.TRANSIT) or "").startswith("poses arrive 50 ms later")
+
+
 def test_silence_of_the_source_is_judged_by_phase(feed: Feed) -> None:
     feed.silence(0.3)
     assert feed.watch.fault(Phase.TRANSIT) is None
