@@ -69,7 +69,7 @@ def test_what_contradicts_itself_is_refused(changes: dict[str, Any], says: str) 
 def test_a_post_stands_in_the_way_and_too_near() -> None:
     posts = {"pole": POLE, "other": POLE | {"centre_m": [0.5, 0.2]}}
     one = mission(posts=posts)
-    with pytest.raises(NoApproachError, match="post other is in the way"):
+    with pytest.raises(NoApproachError, match="post other blocks the run-up"):
         plan_approach(one, one.collisions[0])
     says = [finding for finding in check_mission(one) if not finding.go]
     assert any("post other" in finding.says for finding in says)

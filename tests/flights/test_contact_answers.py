@@ -101,7 +101,7 @@ def test_a_sought_wall_that_was_met_stands_where_the_onset_was(
     verdict, log = flown(mission, deliver, tmp_path, monkeypatch)
     assert verdict.outcome is Outcome.COMPLETED, verdict.reason
     assert [(hit.wall, hit.mode) for hit in verdict.collisions] == [("east", "rigid"), ("east", "flexible")]
-    assert [e.what for e in all_of(log, ProbeEnd)] == ["collision 3 left out: wall east was met"]
+    assert [e.what for e in all_of(log, ProbeEnd)] == ["collision 3 skipped: contact with wall east"]
     (board,) = mission.simulated_walls
     (east,) = verdict.walls
     assert abs(board.signed_distance(east.point_m)) < 0.05

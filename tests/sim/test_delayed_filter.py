@@ -130,7 +130,7 @@ def test_a_wrong_delay_breaks_the_flight_off_before_its_wall(delay_ms: int) -> N
     flown = Flown(f"ev-delay={delay_ms}")
     (event,) = flown.found
     assert event.rule == "position_delayed"
-    assert "ahead of the IMU" in event.detail
+    assert "leads the IMU" in event.detail
     assert flown.onset_us == math.inf
     assert event.t_us < flown.approach_us + 2_000_000
     assert flown.end is not None

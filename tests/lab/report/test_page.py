@@ -212,7 +212,7 @@ def test_a_flight_that_was_aborted(aborted: Path, tmp_path: Path) -> None:
     page = Page(text)
     assert page.headings == [s for s in SECTIONS if s != "Force of each impact"]
     assert "dual-collision, fast: aborted" in text
-    assert "<p class=reason>wall_not_met: flew 0.15 m past wall wood" in text
+    assert "<p class=reason>wall_not_met: no contact 0.15 m behind the plane of wall wood" in text
     assert any(row[1:3] == ["wall_not_met", "break_off"] for row in page.rows if len(row) == 4)
 
 
