@@ -36,7 +36,7 @@ UNFLYABLE = {
             "  screen: {point_m: [-0.6, 0.0], normal: [1.0, 0.0], length_m: 1.0, material: wood}\n"
             "waypoints: [{position_m: [-1.2, 0.0], after: 0}]\ncollisions:",
         ),
-        "wall screen blocks the path to waypoint 1",
+        "wall screen blocks the",
     ),
 }
 

@@ -130,4 +130,4 @@ def test_check_on_a_connection_says_that_there_is_no_local_position_and_why(
 ) -> None:
     found = checked(px4_dir, tmp_path, NO_POSITION)
     assert not found["estimator"]["go"]
-    assert re.match("no valid local position; PX4 says: .*(osition|failed)", found["estimator"]["says"])
+    assert re.match("no valid local position; PX4 reports: .*(osition|failed)", found["estimator"]["says"])

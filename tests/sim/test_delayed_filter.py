@@ -140,7 +140,7 @@ def test_a_wrong_delay_breaks_the_flight_off_before_its_wall(delay_ms: int) -> N
 def test_poses_that_are_older_than_configured_put_the_estimate_behind() -> None:
     flown = Flown("ev-delay=10", {"vehicle.simulation.pose_delay_s": 0.12})
     assert [event.rule for event in flown.found] == ["position_delayed"]
-    assert "behind the IMU" in flown.found[0].detail
+    assert "lags the IMU" in flown.found[0].detail
     assert flown.onset_us == math.inf
 
 

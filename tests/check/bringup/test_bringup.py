@@ -42,9 +42,9 @@ class Hands:
                 "nose down": lambda: vehicle.tilt(pitch_deg=-30.0),
                 "right side down": lambda: vehicle.tilt(roll_deg=30.0),
                 "Push": vehicle.push,
-                "ahead of its nose": lambda: vehicle.carry(0.0),
+                "along its nose": lambda: vehicle.carry(0.0),
                 "to its right": lambda: vehicle.carry(90.0),
-                "level": vehicle.tilt,
+                "evel": vehicle.tilt,
                 "switch": vehicle.flip_switch,
                 "turn it left": vehicle.move,
             }
@@ -101,9 +101,9 @@ def test_each_thing_that_is_wrong_is_named() -> None:
     with BenchVehicle(MISSION, wrong=("axes", "frame", "radio")) as vehicle:
         found = walk(vehicle, "imu_axes", "position", "remote_control")
     assert {f.result for f in found.values()} == {StepOutcome.FAIL}
-    assert "turned by 90 degrees: set SENS_BOARD_ROT" in found["imu_axes"].message
+    assert "rotated by 90 degrees: set SENS_BOARD_ROT" in found["imu_axes"].message
     assert "left and right are exchanged" in found["position"].message
-    assert "no remote control is received" in found["remote_control"].message
+    assert "PX4 receives no remote control" in found["remote_control"].message
 
 
 @pytest.mark.realtime
@@ -138,10 +138,14 @@ def maestro(tmp_path: Path) -> Iterator[Mission]:
 @pytest.mark.parametrize(
     ("sees", "result", "words"),
     [
-        (lambda question: True, StepOutcome.PASS, "both ends reached"),
-        (lambda question: "Told" not in question, StepOutcome.FAIL, "it moves the other way: exchange"),
-        (lambda question: "Told to be rigid" not in question, StepOutcome.FAIL, "not rigid when told so"),
-        (lambda question: False, StepOutcome.NEEDS_OPERATOR, "not moved"),
+        (lambda question: True, StepOutcome.PASS, "the lock reaches both ends"),
+        (
+            lambda question: "Commanded" not in question,
+            StepOutcome.FAIL,
+            "the lock moves in the wrong direction",
+        ),
+        (lambda question: "Commanded rigid" not in question, StepOutcome.FAIL, "not rigid when commanded"),
+        (lambda question: False, StepOutcome.NEEDS_OPERATOR, "was not moved"),
     ],
 )
 def test_the_servo_moves_the_right_way_by_the_operators_word(
@@ -184,7 +188,7 @@ def test_it_is_remembered_and_filed(tmp_path: Path, capsys: pytest.CaptureFixtur
 def test_a_file_that_is_none_of_ours_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "bringup.json").write_text("{}")
     assert main(["bringup", "--connection", "udpin://127.0.0.1:1", "--state", str(tmp_path), "--yes"]) == 2
-    assert "is no bring-up of ours" in capsys.readouterr().err
+    assert "not a bring-up record of dart-flight" in capsys.readouterr().err
 
 
 def test_a_file_that_cannot_be_read_is_not_called_foreign(
