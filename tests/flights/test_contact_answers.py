@@ -43,7 +43,7 @@ def late(flight: FastFlight, due_us: int, answer: PlanAnswer | ContactAnswer) ->
 
 def dead_after_the_first(flight: FastFlight, due_us: int, answer: PlanAnswer | ContactAnswer) -> None:
     if isinstance(answer, ContactAnswer) and answer.number > 1:
-        answer = ContactAnswer(due_us, answer.number, problem="the planner has died")
+        answer = ContactAnswer(due_us, answer.number, problem="the planner process ended")
     DELIVER(flight, due_us, answer)
 
 
@@ -72,7 +72,7 @@ def shipped(name: str) -> Mission:
     [
         (never, ["no answer within 300 ms"] * 2),
         (late, ["no answer within 300 ms"] * 2),
-        (dead_after_the_first, ["", "the planner has died"]),
+        (dead_after_the_first, ["", "the planner process ended"]),
     ],
 )
 def test_a_contact_without_an_answer_is_undecided_and_the_flight_goes_on(
@@ -107,7 +107,7 @@ def test_a_sought_wall_that_was_met_stands_where_the_onset_was(
     assert abs(board.signed_distance(east.point_m)) < 0.05
     if deliver is dead_after_the_first:
         first, second = all_of(log, WallEstimate)
-        assert (first.problem, second.problem) == ("", "the planner has died")
+        assert (first.problem, second.problem) == ("", "the planner process ended")
 
 
 def test_without_an_answer_no_contact_moves_the_frame(
@@ -121,7 +121,7 @@ def test_without_an_answer_no_contact_moves_the_frame(
     (anchor,) = all_of(log, FrameAnchor)
     felt = all_of(log, WallEstimate)
     assert (anchor.wall, felt[0].problem) == (felt[0].wall, "")
-    assert all(one.problem == "the planner has died" for one in felt[1:])
+    assert all(one.problem == "the planner process ended" for one in felt[1:])
 
 
 def test_an_answer_that_is_not_needed_for_a_plan_delays_none(

@@ -248,7 +248,7 @@ def test_calibrate_writes_the_two_ends(world: World, maestro: EmulatedMaestro) -
 @pytest.mark.parametrize(
     ("lines", "said"),
     [
-        ("n\n", "nothing moved"),
+        ("n\n", "the servo was not moved"),
         ("y\n1480\nquit\n", "nothing written"),
         ("y\n1480\n", "nothing written"),
         ("y\n1450\nok\n1520\nok\nno\n", "nothing written"),
@@ -283,7 +283,7 @@ def test_the_mock_says_first_that_no_servo_moves(
     capsys.readouterr()
     assert main(world.command(action)) == 0
     first = capsys.readouterr().err.splitlines()[0]
-    assert re.fullmatch(r"lock.driver is mock: no servo moves; choose .+ or \w+ \(--driver\)", first)
+    assert re.fullmatch(r"lock.driver is mock: no real servo moves; choose .+ or \w+ \(--driver\)", first)
     assert all(kind.value in first for kind in LockDriver)
     status, told = report(world, capsys, "rigid")
     assert (status, told["moves"]) == (0, False)

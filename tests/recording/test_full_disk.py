@@ -59,7 +59,7 @@ def test_a_flight_whose_log_is_cut_says_so_and_does_not_end_well(
     said = capsys.readouterr()
     last = said.err.strip().splitlines()[-1]
     assert last.startswith("log: ")
-    assert "is not complete: No space left on device, " in last
+    assert "is incomplete: No space left on device, " in last
     assert "dart-flight report" not in said.err, "nothing is offered that needs the log"
     assert main([*words, "--json"]) == 1
     verdict = msgspec.json.decode(capsys.readouterr().out, type=Verdict)

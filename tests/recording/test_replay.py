@@ -122,7 +122,7 @@ def test_a_flight_that_was_changed_by_options_is_replayed_as_flown(single_wall: 
     log = Log("log", describe_flight(flown, World.FAST, 1), {}, entries, True)
     assert replay(log).equal
     assert changed_mission(log, ["detection.force_threshold_n=6"]).altitude_m == 1.2
-    with pytest.raises(InputError, match="only vehicle keys"):
+    with pytest.raises(InputError, match="only keys of the vehicle"):
         changed_mission(log, ["start.altitude_m=1.1"])
 
 
@@ -131,7 +131,7 @@ def test_a_cut_log_replays_up_to_there(flight: Log) -> None:
         log = Log(flight.source, flight.about, {}, flight.entries[:cut], False)
         result = replay(log)
         assert result.equal
-        assert result.note.startswith("the log was cut")
+        assert result.note.startswith("the log is cut short")
 
 
 def with_retired(vehicle: dict[str, Any]) -> None:

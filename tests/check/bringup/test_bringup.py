@@ -181,7 +181,7 @@ def test_it_is_remembered_and_filed(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert [step["result"] for step in told["steps"]] == ["pass", *["needs operator"] * 5]
     dated, page = (Path(name) for name in told["files"])
     assert json.loads(dated.read_text())["steps"] == again["steps"]
-    assert "needs somebody at the vehicle" in page.read_text()
+    assert "needs an operator at the vehicle" in page.read_text()
     assert again["steps"][0] == told["steps"][0]  # it has passed, and is not looked at again
 
 

@@ -186,7 +186,7 @@ def test_a_configuration_without_the_key_is_left_alone(
     path.write_text(text)
     _write_delay(argparse.Namespace(config=str(path)), str(path), 31.5)
     assert path.read_text() == text
-    assert "set mocap.delay_ms to 31.5 yourself" in capsys.readouterr().err
+    assert "set mocap.delay_ms to 31.5 by hand" in capsys.readouterr().err
 
 
 def test_the_packaged_configuration_is_never_written(capsys: pytest.CaptureFixture[str]) -> None:
