@@ -40,7 +40,7 @@ def refused(capsys: pytest.CaptureFixture[str], *words: str) -> str:
         (["--hitl", HITL, "--fault", "servo-slow"], "--fault and --hitl exclude each other"),
         (["--hitl", HITL, "--speed", "2"], "--speed and --hitl exclude each other"),
         (["--hitl", "rubbish", "--connection", LINK], "not a connection URL"),
-        (["--hitl", "serial:///dev/no-such-port:921600", "--connection", LINK], "no serial port"),
+        (["--hitl", "serial:///dev/no-such-port:921600", "--connection", LINK], "the serial port"),
         (["--hitl", LINK, "--connection", LINK], "also the link of the application"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",

@@ -50,14 +50,14 @@ def test_a_post_that_is_hit_is_a_wall_of_its_tangent_plane() -> None:
     ("changes", "says"),
     [
         ({"collisions": [HIT | {"impact_point_m": None}]}, "needs impact_point_m"),
-        ({"collisions": [HIT | {"impact_point_m": [1.1, 0.0]}]}, r"touched at 0.300 m, there at \[1.200"),
-        ({"collisions": [HIT, HIT | {"impact_point_m": [1.5, 0.3]}]}, "is hit elsewhere before"),
+        ({"collisions": [HIT | {"impact_point_m": [1.1, 0.0]}]}, r"minimum 0.300 m, there at \[1.200"),
+        ({"collisions": [HIT, HIT | {"impact_point_m": [1.5, 0.3]}]}, "hits post pole in another place"),
         ({"posts": {"pole": POLE | {"material": "cheese"}}}, "cheese"),
         ({"posts": {"pole": POLE | {"radius_m": 0.0}}}, "radius_m"),
-        ({"start": {"position_m": [1.3, 0.0], "altitude_m": 1.2}}, "lies in or at post pole"),
+        ({"start": {"position_m": [1.3, 0.0], "altitude_m": 1.2}}, "is in or at post pole"),
         (
             {"walls": {"pole": {"point_m": [1, 1], "normal": [-1, 0], "length_m": 1, "material": "acrylic"}}},
-            "a wall has the name",
+            "a wall already has the name",
         ),
     ],
 )

@@ -80,9 +80,12 @@ def test_keys_at_their_constants_share_one_line(tmp_path: Path) -> None:
     vehicle, lines = loaded(file_with(tmp_path, values))
     assert vehicle == VEHICLE
     shared, own = lines
-    assert f": {len(RETIRED) - 1} keys are ignored, they are fixed at these values now: remove " in shared
+    assert (
+        f": {len(RETIRED) - 1} keys are ignored, because they are now fixed at these values: remove "
+        in shared
+    )
     assert all(key in shared for key in RETIRED if key != "guard.imu_stuck_s")
-    assert own.endswith("guard.imu_stuck_s: is ignored, it is fixed at 0.1 now: remove it")
+    assert own.endswith("guard.imu_stuck_s: is ignored, because it is now fixed at 0.1: remove it")
 
 
 @pytest.mark.parametrize("key", RETIRED)
@@ -110,7 +113,7 @@ def test_the_command_line_shows_one_line_on_standard_error(
     assert main([*command, "--velocity", "-1.0", "0.0"]) == 0
     shown = capsys.readouterr()
     assert json.loads(shown.out)["vehicle"]["source"] == str(path)
-    says = f"{path}:2: guard.imu_stuck_s: is ignored, it is fixed at 0.1 now: remove it"
+    says = f"{path}:2: guard.imu_stuck_s: is ignored, because it is now fixed at 0.1: remove it"
     assert [line for line in shown.err.splitlines() if "imu_stuck" in line] == [says]
 
 

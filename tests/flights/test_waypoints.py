@@ -236,7 +236,7 @@ WRONG = [
         "waypoints: [{position_m: [0, 0], altitude_m: 5}]",
         "waypoints[0].altitude_m: must be within bounds_m z",
     ),
-    ("waypoints: [{position_m: [0, 0], speed_m_s: 3.5}]", "waypoints[0].speed_m_s: 3.5 m/s is over limits"),
+    ("waypoints: [{position_m: [0, 0], speed_m_s: 3.5}]", "waypoints[0].speed_m_s: 3.5 m/s exceeds limits"),
     (
         "waypoints: [{hold_s: 1}]",
         "waypoints[0]: give exactly one of position_m, at_wall (waypoints) and pause",
@@ -250,7 +250,7 @@ WRONG = [
     ("waypoints: [{pause: pilot}]", "waypoints[0].pause: 'pilot' is not allowed, only: operator"),
     ("waypoints: [{pause: operator, after: 1}]", "waypoints[0].after: 1, expected 0 to 0"),
     ("waypoints: [{pause: operator, timeout_s: 0}]", "waypoints[0].timeout_s: "),
-    (WALL + "waypoints: [{position_m: [1.8, 0]}]", "waypoints[0].position_m: lies in or behind wall acrylic"),
+    (WALL + "waypoints: [{position_m: [1.8, 0]}]", "waypoints[0].position_m: is in or behind wall acrylic"),
     (
         f"{WALL}collisions: [{HIT}]\nwaypoints: [{{pause: operator, after: 1}}, {{pause: operator}}]",
         "waypoints[1].after: 0, expected 1 to 1",

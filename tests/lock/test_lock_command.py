@@ -141,7 +141,7 @@ def test_a_servo_that_does_not_get_there_is_status_1(
     maestro.limits_us = (992.0, 1900.0)
     status, told = report(world, capsys, "rigid")
     assert (status, told["ok"]) == (1, False)
-    assert told["text"] == "fault; the controller puts out 1900 us instead of 1980 us"
+    assert told["text"] == "fault; the controller outputs 1900 us instead of 1980 us"
 
 
 def test_a_controller_that_does_not_answer_is_status_1(
@@ -151,7 +151,7 @@ def test_a_controller_that_does_not_answer_is_status_1(
     assert main(world.command("rigid")) == 1
     captured = capsys.readouterr()
     assert captured.err.count("\n") == 1
-    assert "no sensible answer" in captured.err
+    assert "no valid answer" in captured.err
 
 
 @pytest.mark.parametrize(

@@ -100,7 +100,7 @@ def test_a_gain_changes_the_recovery_only(flight: Log) -> None:
         ("materials.steel.rigid.k=1", "materials.steel.rigid.k=1: missing key f"),
         ("start.altitude_m=9", "bounds_m z"),
         ("airframe.mass_kg=[", "not valid YAML"),
-        ("airframe.mass_kg.kg=1", "nothing below"),
+        ("airframe.mass_kg.kg=1", "no key below"),
     ],
 )
 def test_wrong_settings_are_refused_in_words(
@@ -155,7 +155,7 @@ def test_a_key_that_is_a_constant_of_another_value_now_is_said(flight: Log) -> N
     tree = msgspec.json.decode(about["vehicle"])
     tree["guard"]["imu_stuck_s"] = 0.5
     about["vehicle"] = msgspec.json.encode(tree).decode()
-    assert replay(old).note == "guard.imu_stuck_s was 0.5 and is 0.1 now"
+    assert replay(old).note == "guard.imu_stuck_s was 0.5 and is now 0.1"
     assert replay(old, ["detection.force_threshold_n=15"]).differences
 
 

@@ -201,7 +201,7 @@ def test_a_file_that_cannot_be_read_is_not_called_foreign(
 
 def test_a_vehicle_that_answers_nothing_is_a_failed_step(monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(_: Bringup) -> None:
-        raise NoAnswerError("sends, but answers no request: TIMESYNC")
+        raise NoAnswerError("sends telemetry but answers no request: TIMESYNC")
 
     monkeypatch.setattr(Bringup, "_connect", refuse)
     found = carry_out(Bringup(MISSION, "udpin://127.0.0.1:1", Hands()), "link")

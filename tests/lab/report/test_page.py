@@ -235,7 +235,7 @@ def test_a_log_cut_before_its_mission_is_refused_in_words(
     assert main(["report", str(path), "-o", str(tmp_path / "page.html")]) == 2
     error = capsys.readouterr().err
     assert error.count("\n") == 1
-    assert "does not hold its mission" in error
+    assert "does not contain its mission" in error
 
 
 def test_text_of_the_flight_is_not_markup(flight: RecordedFlight) -> None:

@@ -51,7 +51,7 @@ def test_any_is_every_order_of_different_walls(tmp_path: Path) -> None:
     [
         ("goal: {position_m: [1.0, -0.5]", "goal: {position_m: [9.0, -0.5]", "outside bounds_m"),
         ("point_m: [1.65, 0.0], normal: [-1.0, 0.0]", "point_m: [0.0, 0.0], normal: [-1.0, 0.0]", "acrylic"),
-        ("normal: [-1.0, 0.0]", "normal: [0.0, 0.0]", "no length"),
+        ("normal: [-1.0, 0.0]", "normal: [0.0, 0.0]", "has length 0"),
         ("min: -1.525, max: -0.025", "min: -0.025, max: -1.525", "empty"),
         ("material: wood", "material: wod", "did you mean wood"),
         ("max: -0.025, step: 0.025", "max: -0.025, step: 0.04", "does not divide"),
