@@ -67,10 +67,10 @@ def test_a_retired_key_gives_one_line_and_the_file_loads(key: str, tmp_path: Pat
         path = file_with(tmp_path, {key: value})
         vehicle, lines = loaded(path)
         assert vehicle == VEHICLE
-        assert lines == [f"{path}:2: {key}: is ignored, it is fixed at {fixed} now: remove it"]
+        assert lines == [f"{path}:2: {key}: is ignored, because it is now fixed at {fixed}: remove it"]
         assert loaded(DART, f"{key}={json.dumps(value)}") == (
             VEHICLE,
-            [f"--set {key}={json.dumps(value)}: is ignored, it is fixed at {fixed} now: remove it"],
+            [f"--set {key}={json.dumps(value)}: is ignored, because it is now fixed at {fixed}: remove it"],
         )
 
 

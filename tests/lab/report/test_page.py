@@ -224,7 +224,7 @@ def test_a_cut_log_still_gives_a_page(share: float, trials: list[Path], tmp_path
     assert main(["report", str(path), "-o", str(tmp_path / "page.html")]) == 0
     text = (tmp_path / "page.html").read_text(encoding="utf-8")
     Page(text)
-    assert "cut: not all of the flight is here" in text
+    assert "cut short: the end of the flight is missing" in text
 
 
 def test_a_log_cut_before_its_mission_is_refused_in_words(

@@ -118,4 +118,4 @@ def test_trajectories_are_not_said_to_end_at_their_goal_whatever_is_drawn() -> N
     shuttle = dart_flight.load_mission(dart_flight.packaged("missions", "shuttle.yaml"))
     words = " ".join(prediction_lines(shuttle, predict_mission(shuttle), []))
     assert "in nine of ten draws" not in words
-    assert "Not flown in simulation in its present form" in words
+    assert "This version has not been flown in simulation" in words

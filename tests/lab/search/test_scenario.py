@@ -57,7 +57,7 @@ def test_any_is_every_order_of_different_walls(tmp_path: Path) -> None:
         ("max: -0.025, step: 0.025", "max: -0.025, step: 0.04", "does not divide"),
         ("max: -0.025, step: 0.025", "max: 0.475, step: 0.025", "negative velocity"),
         ("step: 0.025", "step: 0.0", "step"),
-        ("step: 0.025", "step: 0.00001", "at most"),
+        ("step: 0.025", "step: 0.00001", "limit"),
         ("sequence: [wood, acrylic]", "sequence: [wood, acrilic]", "did you mean acrylic"),
         ("sequence: [wood, acrylic]", "sequence: []", "expected 1 to 4"),
         ("sequence: [wood, acrylic]", "sequence: [wood, wood]", "never back"),
