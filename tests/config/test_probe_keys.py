@@ -174,7 +174,7 @@ STAY = {"after": 1, "at_wall": {"wall": "east", "away_m": 1.0}}
         ([probe(AT_BOARD, from_m=[1.8, 0.0], length_m=0.1)], WALLS, "begins behind wall board"),
         ([probe(AT_BOARD, length_m=1.2)], WALLS, "probe.length_m: wall board is 1.50 m away; give that plus"),
         ([EAST, EAST], {}, r"collisions\[1\].wall: two probes look for east"),
-        ([EAST], {"simulated_walls": {"east": BOARD}}, "the name east is taken"),
+        ([EAST], {"simulated_walls": {"east": BOARD}}, "a simulated wall already has the name east"),
         (
             [EAST],
             {"posts": {"east": {"centre_m": [-1.5, 1.5], "radius_m": 0.1, "material": "wood"}}},
@@ -200,7 +200,7 @@ STAY = {"after": 1, "at_wall": {"wall": "east", "away_m": 1.0}}
         (
             [],
             {"simulated_walls": {"b": BOARD | {"normal": [0, 0]}}},
-            r"simulated_walls.b.normal: .* no length",
+            r"simulated_walls.b.normal: .* length 0",
         ),
         ([], {"simulated_walls": {"b": BOARD | {"material": "cheese"}}}, "simulated_walls.b.material"),
         (

@@ -370,7 +370,10 @@ def test_plan_says_what_the_hit_is_worth(capsys: pytest.CaptureFixture[str], tmp
         ({"posts": {"mast": POST | {"centre_m": [0.0, 0.0]}}}, "is in or at post mast"),
         ({"posts": {"east": POST}}, "a wall already has the name east"),
         ({"visits": [{"position_m": [9.0, 0.0], "within_m": 0.1}]}, "outside bounds_m"),
-        ({"limits": LIMITS | {"peak_force_n": 5.0}, "sequence": ["east"]}, "no flight hits east"),
+        (
+            {"limits": LIMITS | {"peak_force_n": 5.0}, "sequence": ["east"]},
+            "no feasible trajectory hits east",
+        ),
     ],
 )
 def test_what_cannot_be_planned_is_named(change: dict[str, Any], says: str) -> None:
