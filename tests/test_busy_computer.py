@@ -40,9 +40,9 @@ def test_check_says_how_late(late_s: float, go: bool, remark: bool, monkeypatch:
 def late_flight(late_us: int, world: World) -> Verdict:
     builder = VerdictBuilder(MISSION)
     for host_us in (0, 20_000, 40_000 + late_us, 60_000 + late_us):
-        builder.take(Tick(host_us))
-    builder.take(GuardEvent(1, "imu_silent", Override.LAND, "for 412 ms"))
-    builder.take(MissionEnd(1, Outcome.ABORTED, "imu_silent: for 412 ms", None))
+        builder.add(Tick(host_us))
+    builder.add(GuardEvent(1, "imu_silent", Override.LAND, "for 412 ms"))
+    builder.add(MissionEnd(1, Outcome.ABORTED, "imu_silent: for 412 ms", None))
     return builder.build(world, 1)
 
 

@@ -56,7 +56,11 @@ class ChildProcess(subprocess.Popen[bytes]):
     """
 
     def __init__(
-        self, module: str, first: bytes, take: Callable[[bytes], None], errors: IO[bytes] | int | None = None
+        self,
+        module: str,
+        first: bytes,
+        on_line: Callable[[bytes], None],
+        errors: IO[bytes] | int | None = None,
     ) -> None:
         super().__init__(
             [sys.executable, "-m", module],
@@ -66,7 +70,7 @@ class ChildProcess(subprocess.Popen[bytes]):
             start_new_session=True,
         )
         assert self.stdin is not None
-        self._on_line = take
+        self._on_line = on_line
         self.pipe = self.stdin.fileno()
         self.send(first)
         if hasattr(fcntl, "F_SETPIPE_SZ"):

@@ -16,9 +16,9 @@ from dart_flight.core.mission.approach import (
     TransitSegment,
     check_segments_clear,
     is_blocked,
-    is_post_in_the_way,
+    is_blocked_by_post,
     plan_approach,
-    transit_of,
+    plan_transit,
     transit_segments,
 )
 from dart_flight.core.mission.commitment import SETPOINT_OUTSIDE_M, setpoint_outside_m
@@ -85,7 +85,7 @@ def check_places(mission: Mission) -> list[CheckFinding]:
                 says += f" if the wall is {SURE_SD:g} standard deviations nearer"
             findings.append(CheckFinding(f"{name.replace(' ', '_')}_clearance", False, says))
         for post in mission.posts:
-            if is_post_in_the_way(mission, post, point, point):
+            if is_blocked_by_post(mission, post, point, point):
                 away = post.distance_to_segment(point, point) - post.radius_m
                 says = f"{name} is {away:.2f} m from post {post.name}, too near for the vehicle"
                 findings.append(CheckFinding(f"{name.replace(' ', '_')}_clearance", False, says))
@@ -116,7 +116,7 @@ def check_waypoints(mission: Mission, planned: PredictedFlight | None) -> list[C
     if mission.vehicle.flying.transit_speed_m_s > mission.limits.speed_m_s:
         says = f"flying.transit_speed_m_s exceeds limits.speed_m_s {mission.limits.speed_m_s:g}"
         return [CheckFinding("waypoints", False, says)]
-    known = [(leg, transit_of(mission, leg, leg.begin)) for leg in legs if leg.begin is not None]
+    known = [(leg, plan_transit(mission, leg, leg.begin)) for leg in legs if leg.begin is not None]
     way_m = sum(math.dist(t.begin, leg.end) for leg, t in known)
     held_s = sum(w.hold_s for w in mission.waypoints if w.position is not None) + mission.goal.hold_s
     flown_s = sum(t.duration_s for _, t in known) + held_s
@@ -211,7 +211,7 @@ def _check_noise(mission: Mission, collision: Collision) -> list[CheckFinding]:
     hit, vehicle = expected_hit(mission, collision), mission.vehicle
     if hit is None:
         return []
-    floor = ImpactDetector(vehicle).floor_n(hit.contact_time_s)
+    floor = ImpactDetector(vehicle).detection_floor_n(hit.contact_time_s)
     if hit.peak_normal_force_n >= floor:
         return []
     says = (
@@ -288,7 +288,7 @@ def _states(mission: Mission, planned: PredictedFlight) -> Iterator[tuple[float,
             yield x, y, vx, vy
     for leg in transit_segments(mission):
         if leg.begin is not None:
-            transit = transit_of(mission, leg, leg.begin)
+            transit = plan_transit(mission, leg, leg.begin)
             for i in range(_LEG_POINTS + 1):
                 at = transit.at(transit.duration_s * i / _LEG_POINTS)
                 yield at.position[0], at.position[1], at.velocity[0], at.velocity[1]
@@ -346,9 +346,9 @@ def _check_recovery(
             return [CheckFinding(item, False, says)]
     for post in mission.posts:
         way = (place[0], place[1]), (target[0], target[1])
-        if post.name != collision.wall.name and is_post_in_the_way(mission, post, *way):
+        if post.name != collision.wall.name and is_blocked_by_post(mission, post, *way):
             return [CheckFinding(item, False, f"{says}: post {post.name} blocks the path to it")]
-        if leg is not None and is_post_in_the_way(mission, post, target[:2], leg.end[:2]):
+        if leg is not None and is_blocked_by_post(mission, post, target[:2], leg.end[:2]):
             says = f"{says}: from there post {post.name} blocks the path to {leg.name}"
             return [CheckFinding(item, False, says)]
     return [_judge_setpoint(mission, item, target, says, "the goal" if leg is None else leg.name)]

@@ -23,7 +23,7 @@ from dart_flight.check.wanted_parameters import (
     wanted_parameters,
     with_lock_output,
 )
-from dart_flight.config.document import writing
+from dart_flight.config.document import report_write_errors
 from dart_flight.config.mission import Mission
 from dart_flight.config.parameter_file import (
     PositionSource,
@@ -147,7 +147,7 @@ def save_former(rows: Iterable[ParameterRow], folder: Path, head: str, now: date
     values: Mapping[str, Value] = {row.name: row.vehicle for row in rows if row.vehicle is not None}
     lines = [f"{head}: values before the write, {now:%Y-%m-%d %H:%M:%S} UTC"]
     lines.append(f"to write them back: dart-flight parameters MISSION --restore {path.name}")
-    with writing(path), open(path, "x", encoding="utf-8") as file:
+    with report_write_errors(path), open(path, "x", encoding="utf-8") as file:
         file.write(format_parameters(values, lines))
     return path
 

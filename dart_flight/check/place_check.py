@@ -13,7 +13,7 @@ from dart_flight.base.geometry import MissionFrame, Quaternion, Vec2, Vec3, wrap
 from dart_flight.check.findings import CheckFinding
 from dart_flight.config.mission import Mission
 from dart_flight.core.mission.anchors import START_SD_M
-from dart_flight.core.mission.approach import is_blocked, is_post_in_the_way
+from dart_flight.core.mission.approach import is_blocked, is_blocked_by_post
 
 START_TOLERANCE_M: Final = 1.0  # largest distance between a vehicle placed by hand and the mission's start
 _FITS_DEG, _MISFITS_DEG = 15.0, 30.0  # largest error of a matching heading, smallest of another one
@@ -76,7 +76,7 @@ def _surroundings(
     """
     to_surface_m = mission.vehicle.airframe.contact_distance_m
     points = [
-        (f"wall {wall.name}", wall.moved(-to_surface_m).foot(place), 0.0)
+        (f"wall {wall.name}", wall.displaced(-to_surface_m).foot(place), 0.0)
         for wall in mission.walls
         if not wall.sought and not wall.post_radius_m
     ]
@@ -101,7 +101,7 @@ def _departure_problems(mission: Mission, place: Vec2, off_m: float) -> Iterator
             side = "behind" if behind else "too near or cut off by"
             yield f"the vehicle is {side} wall {wall.name}"
     for post in mission.posts:
-        if is_post_in_the_way(mission, post, place, mission.start):
+        if is_blocked_by_post(mission, post, place, mission.start):
             yield f"post {post.name} is between the vehicle and start"
 
 

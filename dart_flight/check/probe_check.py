@@ -60,7 +60,9 @@ def _largest_force_n(mission: Mission, collision: Collision, probe: Probe) -> fl
     names = [wall.material] if wall.material_known else list(vehicle.materials)
     mass_kg, onset = vehicle.airframe.mass_kg, Onset(vehicle.onset)
     hits = (
-        contact_map.collide(vehicle.materials[name].of(collision.mode), mass_kg, -probe.speed_m_s, 0.0, onset)
+        contact_map.collide(
+            vehicle.materials[name].coefficients(collision.mode), mass_kg, -probe.speed_m_s, 0.0, onset
+        )
         for name in names
     )
     return max(float(hit.peak_normal_force_n) for hit in hits)

@@ -19,7 +19,7 @@ from dart_flight.config.parameter_file import (
     differences,
     vehicle_parameters,
 )
-from dart_flight.planning.positioning import PLAIN_GPS, frame_problem, source_for
+from dart_flight.planning.positioning import PLAIN_GPS, effective_source, frame_problem
 
 _NO_TERMINATION = 121212  # CBRK_FLIGHTTERM: PX4's magic number for "off"
 _OVERRIDE_IN_OFFBOARD = 2  # bit 1 of COM_RC_OVERRIDE
@@ -341,7 +341,7 @@ def judge_position(
 def judge_claim(mission: Mission, source: PositionSource, addition: str = "") -> list[CheckFinding]:
     """Judge a position source for a mission; append `addition` to the text about plain GPS."""
     findings = []
-    source = source_for(mission, source)
+    source = effective_source(mission, source)
     if source is PositionSource.ANCHORED:
         findings.append(CheckFinding("position_source", True, "plain GPS, corrected by contacts" + addition))
     if source is PositionSource.PLAIN:

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dart_flight.check.findings import CheckFinding
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission
-from dart_flight.config.rotors import motors_of, rotor_differences
+from dart_flight.config.rotors import motors_from_parameters, rotor_differences
 from dart_flight.config.vehicle import LockDriver
 from dart_flight.lock.drivers import DRIVERS, driver_names
 from dart_flight.lock.drivers.px4_output import parameter_problems
@@ -83,7 +83,7 @@ def judge_airframe(mission: Mission, values: Mapping[str, float]) -> list[CheckF
     """
     item, motors = "airframe", mission.vehicle.airframe.motors
     try:
-        actual = motors_of(values, "PX4")
+        actual = motors_from_parameters(values, "PX4")
     except InputError as error:
         return [CheckFinding(item, True, f"not compared: {error}", remark=True)]
     other, sizes = rotor_differences(motors, actual)

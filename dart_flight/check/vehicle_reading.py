@@ -14,7 +14,7 @@ from dart_flight.check.telemetry_check import LOOPBACK, motor_output_names
 from dart_flight.check.vehicle_check import judge_autopilot, judge_round_trip
 from dart_flight.config.mission import Mission
 from dart_flight.config.parameter_file import PositionSource, Version
-from dart_flight.config.rotors import COUNT, motors_of, rotor_names
+from dart_flight.config.rotors import COUNT, motors_from_parameters, rotor_names
 from dart_flight.config.vehicle import LockDriver, Motor
 from dart_flight.lock.drivers.px4_output import required_parameters
 from dart_flight.vehicle.ground_link import GroundLink, HeartbeatMode, Observation
@@ -52,7 +52,7 @@ class VehicleReading(msgspec.Struct, frozen=True):
         """The motors that PX4's parameters describe, or None if they describe none."""
         if not rotor_names(self.values.get(COUNT, 0.0)):
             return None
-        return motors_of(self.values, "the flight controller")
+        return motors_from_parameters(self.values, "the flight controller")
 
 
 def read_vehicle(mission: Mission, url: str) -> VehicleReading:

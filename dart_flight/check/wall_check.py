@@ -112,7 +112,7 @@ def _blocking_walls(mission: Mission, collision: Collision) -> Iterator[str]:
         for wall in mission.walls:
             if wall.is_uncertain and wall.name != collision.wall.name:
                 slack_m = max(float(position_margin_m(wall, place)) for place in places)
-                if any(_crosses(wall.moved(slack_m), a, b) for a, b in itertools.pairwise(places)):
+                if any(_crosses(wall.displaced(slack_m), a, b) for a, b in itertools.pairwise(places)):
                     yield f"wall {wall.name} may block the trajectory to wall {collision.wall.name}"
         return
     if collision.approach_m_s is None:
@@ -126,7 +126,7 @@ def _blocking_walls(mission: Mission, collision: Collision) -> Iterator[str]:
     legs = segments_to_impact(mission.start, approach.begin[:2], impact, collision.wall, first)
     for wall in mission.walls:
         if wall.is_uncertain and wall.name != collision.wall.name:
-            nearest = wall.moved(float(position_margin_m(wall, impact)))
+            nearest = wall.displaced(float(position_margin_m(wall, impact)))
             if any(is_blocked(nearest, *leg) for leg in legs(nearest)):
                 yield f"wall {wall.name} may block the run-up to wall {collision.wall.name}"
 

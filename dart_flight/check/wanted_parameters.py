@@ -22,7 +22,7 @@ from dart_flight.config.parameter_file import (
 )
 from dart_flight.config.vehicle import LockDriver
 from dart_flight.lock.drivers.px4_output import required_parameters
-from dart_flight.planning.positioning import source_for
+from dart_flight.planning.positioning import effective_source
 
 POSE_DELAY = "EKF2_EV_DELAY"
 # The prediction of a recovery depends on these.
@@ -76,7 +76,7 @@ def wanted_parameters(mission: Mission, source: PositionSource | None) -> dict[s
         source: position source; None returns only the parameters that every vehicle needs.
     """
     vehicle = mission.vehicle
-    wanted = dict(vehicle_parameters(None if source is None else source_for(mission, source)))
+    wanted = dict(vehicle_parameters(None if source is None else effective_source(mission, source)))
     delay_ms = vehicle.mocap.delay_ms
     if delay_ms is not None and POSE_DELAY in wanted:
         says = "mocap.delay_ms, the measured age of a pose on arrival"

@@ -22,7 +22,7 @@ from dart_flight import __version__
 from dart_flight.base.errors import FlightError
 from dart_flight.base.processes import use_idle_priority
 from dart_flight.cli.terminal import OutputError, open_closed_streams, print_status, write_output
-from dart_flight.config.document import InputError, did_you_mean, or_known
+from dart_flight.config.document import InputError, did_you_mean, suggest_known
 from dart_flight.config.retired_keys import RetiredKeyWarning
 from dart_flight.lab_entries import COMMANDS as LAB_COMMANDS
 from dart_flight.lab_entries import load_entry
@@ -108,7 +108,7 @@ class _Parser(argparse.ArgumentParser):
         if action is None or action.choices is None:
             return message
         known = [str(choice) for choice in action.choices]
-        near = or_known(wrong["value"].strip("'"), known)
+        near = suggest_known(wrong["value"].strip("'"), known)
         what = "command" if action.dest == "command" else wrong["name"]
         return f"unknown {what} {wrong['value']}{near}"
 

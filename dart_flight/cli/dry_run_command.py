@@ -37,7 +37,7 @@ from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission
 from dart_flight.config.provenance import display_path
 from dart_flight.planning.envelope import impact_warnings
-from dart_flight.planning.positioning import source_for
+from dart_flight.planning.positioning import effective_source
 from dart_flight.recording.verdict import Verdict
 from dart_flight.run.embedded import fly_embedded
 from dart_flight.run.fast import fly_fast
@@ -45,8 +45,8 @@ from dart_flight.run.many_flights import RunsInterruptedError, fly_fast_many, fl
 from dart_flight.run.prepare import as_rehearsal, load_flyable, with_driver, with_simulated_mocap
 from dart_flight.run.px4_flight import fly_px4
 from dart_flight.sim.draws import parse_vary
-from dart_flight.sim.faults.fault_table import FaultSite, parse_fault_of
-from dart_flight.sim.pipe import FULL_SPEED, need_mavlink
+from dart_flight.sim.faults.fault_table import FaultSite, parse_mission_fault
+from dart_flight.sim.pipe import FULL_SPEED, require_mavlink
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -100,10 +100,10 @@ def flight_function(arguments: argparse.Namespace, mission: Mission) -> Callable
     Raises:
         InputError: the options do not fit together.
     """
-    position_from = source_for(mission, position_source_of(arguments))
-    fault = None if arguments.fault is None else parse_fault_of(mission, arguments.fault)
+    position_from = effective_source(mission, position_source_of(arguments))
+    fault = None if arguments.fault is None else parse_mission_fault(mission, arguments.fault)
     spreads = parse_vary(arguments.vary, mission.vehicle)
-    of_mocap = fault is not None and fault.kind.place is FaultSite.MOCAP
+    of_mocap = fault is not None and fault.kind.site is FaultSite.MOCAP
     if fault is not None and (arguments.runs is not None or (arguments.px4 is not None and not of_mocap)):
         raise InputError("--fault needs a single flight with --fast or the embedded autopilot")
     if arguments.fast and (arguments.speed is not None or arguments.realtime):
@@ -117,7 +117,7 @@ def flight_function(arguments: argparse.Namespace, mission: Mission) -> Callable
         )
     if arguments.px4 is None and arguments.fast:
         return partial(fly_fast, fault=fault, spreads=spreads)
-    need_mavlink()
+    require_mavlink()
     if arguments.hitl is not None:
         return prepare_hitl(arguments, mission, position_from, spreads)
     if arguments.px4 is None:
@@ -158,7 +158,7 @@ def is_realtime(arguments: argparse.Namespace, mission: Mission) -> bool:
         return True
     if arguments.fault is None or arguments.fast:
         return False
-    return parse_fault_of(mission, arguments.fault).kind.of_real_time
+    return parse_mission_fault(mission, arguments.fault).kind.needs_real_time
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -171,7 +171,7 @@ def run(arguments: argparse.Namespace) -> int:
     say_vehicle(mission.flown_vehicle(), arguments)
     warnings = [
         *impact_warnings(mission),
-        *position_warnings(source_for(mission, position_source_of(arguments))),
+        *position_warnings(effective_source(mission, position_source_of(arguments))),
     ]
     realtime = is_realtime(arguments, mission)
     if realtime and not arguments.realtime and arguments.hitl is None:

@@ -41,10 +41,10 @@ class FlightLines:
 
     def __call__(self, record: Record) -> None:
         """Print a record if it is a decision."""
-        self._time.take(record)
+        self._time.add(record)
         if self._live_line is not None:
             self._live_line(record)
-        event = self._events.event_of(record)
+        event = self._events.format_event(record)
         if event is None or (event.level is Level.DEBUG and not self._verbose):
             return
         self.close()

@@ -23,7 +23,7 @@ from dart_flight.lock.calibration import HELP, Calibration, CalibrationError
 from dart_flight.lock.drivers import DRIVERS, Driver, DriverError, SetActuator, driver_names
 from dart_flight.lock.drivers.px4_output import parameter_problems, required_parameters
 from dart_flight.lock.ground import GroundLock, calibration, ground_driver
-from dart_flight.lock.persistence import CommandStore, ServoOwnership, ServoTakenError, forget_last, load_last
+from dart_flight.lock.persistence import CommandStore, ServoInUseError, ServoOwnership, delete_last, load_last
 from dart_flight.lock.state_machine import describe
 from dart_flight.vehicle.link import LinkLease
 
@@ -74,7 +74,7 @@ def _owned(
     try:
         with owner:
             return _with_servo(arguments, config, path, set_actuator)
-    except ServoTakenError as error:
+    except ServoInUseError as error:
         return _taken(arguments, config, error)
     except DriverError as error:
         if error.key:
@@ -105,8 +105,8 @@ def _with_servo(
         if arguments.action == "calibrate":
             return _calibrate(arguments, config, path, driver)
         store = CommandStore(config.driver)
-        lock = GroundLock(config, driver, store.note)
-        state = lock.look()
+        lock = GroundLock(config, driver, store.store)
+        state = lock.read_state()
         wanted = None
         if arguments.action != "status":
             if arguments.action != "toggle":
@@ -163,7 +163,7 @@ def _report(
         tables().print(f"last command: {last.describe()}", soft_wrap=True)
 
 
-def _taken(arguments: argparse.Namespace, config: LockConfig, error: ServoTakenError) -> int:
+def _taken(arguments: argparse.Namespace, config: LockConfig, error: ServoInUseError) -> int:
     """Report that another process owns the servo: `status` shows the last command, other actions fail."""
     print_status(f"lock: {error}")
     status = arguments.action == "status"
@@ -181,7 +181,7 @@ def _calibrate(arguments: argparse.Namespace, config: LockConfig, path: Path, dr
         print_status(f"The servo moves to {steps.pulse_us:g} us at once. Are the rods free to move? [y/N]")
         if not _yes(arguments):
             return _unchanged(arguments, config, "the servo was not moved")
-    forget_last()
+    delete_last()
     driver.set_pulse(steps.pulse_us)
     print_status(HELP)
     if not _seek(steps):
@@ -194,8 +194,8 @@ def _calibrate(arguments: argparse.Namespace, config: LockConfig, path: Path, dr
     if not _yes(arguments):
         return _unchanged(arguments, config, "nothing written")
     write_values(path, steps.values())
-    lock = GroundLock(found, driver, CommandStore(config.driver).note)
-    lock.look()
+    lock = GroundLock(found, driver, CommandStore(config.driver).store)
+    lock.read_state()
     state = lock.move(Mode.FLEXIBLE, release=arguments.release)
     settled = state.phase is LockPhase.SETTLED
     _report(arguments, found, state, ok=settled)
@@ -211,13 +211,13 @@ def _unchanged(arguments: argparse.Namespace, config: LockConfig, why: str) -> i
 
 def _seek(steps: Calibration) -> bool:
     """Process lines from standard input until both ends are known; return False if the operator quits."""
-    while steps.seeking is not None:
-        print_status(f"{steps.seeking} end, now {steps.pulse_us:g} us:")
+    while steps.current_end is not None:
+        print_status(f"{steps.current_end} end, now {steps.pulse_us:g} us:")
         line = sys.stdin.readline()
         if not line or line.strip().lower() in ("quit", "q"):
             return False
         try:
-            steps.enter(line)
+            steps.execute(line)
         except CalibrationError as error:
             print_status(str(error))
     return True

@@ -13,7 +13,7 @@ from dart_flight.cli.terminal import emit_json, messages, print_status
 from dart_flight.config.document import InputError
 from dart_flight.config.provenance import display_path
 from dart_flight.recording.about import armed_span, flown_mission
-from dart_flight.recording.found import PX4_LOG, logs_in
+from dart_flight.recording.found import PX4_LOG, find_logs
 from dart_flight.recording.reader import read_log
 from dart_flight.run.px4_log_download import fetch_px4_log
 from dart_flight.vehicle.downloads import Px4LogEntry
@@ -37,7 +37,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command and return the exit status."""
-    found = logs_in([arguments.flight])
+    found = find_logs([arguments.flight])
     if len(found) != 1:
         raise InputError(f"{len(found)} flights below this folder; name one", source=arguments.flight)
     log = read_log(found[0])

@@ -11,7 +11,7 @@ from dart_flight.cli.terminal import messages
 from dart_flight.cli.vehicle_line import say_vehicle
 from dart_flight.config.mission import load_mission
 from dart_flight.config.vehicle import default_config_path, packaged
-from dart_flight.sim.pipe import need_mavlink
+from dart_flight.sim.pipe import require_mavlink
 from dart_flight.vehicle.link import LinkLease, LinkTakenError, feed_of
 
 GROUND_STATION_PORT = 14550
@@ -38,7 +38,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command and return the exit status."""
-    need_mavlink()
+    require_mavlink()
     from dart_flight.sim.standalone import VehiclePortLease, run_vehicle
 
     path = arguments.mission or packaged("missions", "dual_collision.yaml")

@@ -33,12 +33,12 @@ from dart_flight.cli.options import (
 from dart_flight.cli.px4_options import add_px4_options
 from dart_flight.cli.terminal import emit_json, keep_status, messages, tables
 from dart_flight.cli.vehicle_line import say_vehicle
-from dart_flight.config.document import InputError, writing
+from dart_flight.config.document import InputError, report_write_errors
 from dart_flight.config.file_kinds import FileKind, load_document
 from dart_flight.config.mission import Mission, load_mission
 from dart_flight.core.mission.approach import NoApproachError, check_segments_clear
 from dart_flight.lab_entries import ROOM_PICTURE, load_entry
-from dart_flight.planning.room import RoomContact, RoomFit, plan_star, room_keys, touches_of
+from dart_flight.planning.room import RoomContact, RoomFit, contacts_from_walls, plan_star, room_keys
 from dart_flight.planning.survey import plan_survey, surveyed_collisions, surveyed_walls
 from dart_flight.recording.measured_walls import MeasuredWall
 from dart_flight.recording.verdict import Verdict
@@ -149,7 +149,7 @@ def _survey_room(arguments: argparse.Namespace, written: Any, mission: Mission) 
         if verdict is None:
             return 1
         flights.append(verdict)
-        touches += touches_of(verdict.walls, directions)
+        touches += contacts_from_walls(verdict.walls, directions)
         room = RoomFit(mission.start, touches, airframe.guard_along_m, airframe.contact_distance_m).fit()
         state = "closed" if room.is_closed else f"open in {len(room.gaps_rad)} directions"
         text = f"flight {len(flights)}: {len(touches)} contacts, {len(room.walls)} walls, outline {state}"
@@ -219,7 +219,7 @@ def _write(
     head = f"# {Path(mission.source).name} with its walls as measured by `dart-flight survey`.\n"
     head += "".join(f"# {line}\n" for wall in walls.values() for line in _coefficient_lines(wall))
     body = yaml.safe_dump(msgspec.to_builtins(tree), sort_keys=False, default_flow_style=None, width=110)
-    with writing(path):
+    with report_write_errors(path):
         path.write_text(head + body, encoding="utf-8")
     try:
         check_segments_clear(load_mission(path, arguments.config, arguments.set))

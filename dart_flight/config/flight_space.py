@@ -41,7 +41,7 @@ def resolve_space(
     return planes
 
 
-def within_limits(vehicle: VehicleConfig, limits: Limits) -> VehicleConfig:
+def apply_limits(vehicle: VehicleConfig, limits: Limits) -> VehicleConfig:
     """Return the vehicle with the mission's limits of acceleration and jerk, if it has any."""
     if limits.acceleration_m_s2 is None and limits.jerk_m_s3 is None:
         return vehicle

@@ -46,7 +46,7 @@ class Probe(msgspec.Struct, frozen=True):
         return msgspec.structs.replace(self, begin=here, end=(here[0] + ex - bx, here[1] + ey - by))
 
 
-def sought_walls(
+def unknown_walls(
     spec: MissionFile, vehicle: VehicleConfig, walls: dict[str, Wall], document: Document
 ) -> dict[str, Wall]:
     """Return the walls at unknown positions, each placed across the end of its probe, by name.
@@ -55,7 +55,7 @@ def sought_walls(
         InputError: the probe has no direction, an unknown material or a name in use; a collision at such a
             wall comes before its probe; or a condition names no probe.
     """
-    stiffest = max(vehicle.materials, key=lambda name: vehicle.materials[name].of(Mode.RIGID).k)
+    stiffest = max(vehicle.materials, key=lambda name: vehicle.materials[name].coefficients(Mode.RIGID).k)
     looked_for = {one.wall for one in spec.collisions if one.probe is not None}
     sought: dict[str, Wall] = {}
     probed: set[str] = set()
@@ -189,7 +189,7 @@ def resolve_probe(
     return flown, (normal_m_s, tangential_m_s), impact
 
 
-def place_at(wall: Wall, place: PlaceAtWall) -> Vec2:
+def resolve_place(wall: Wall, place: PlaceAtWall) -> Vec2:
     """Return the position of a place at a wall in its assumed position, mission frame."""
     (x, y), (nx, ny), (tx, ty) = wall.point, wall.normal, wall.tangent
     return (x + place.away_m * nx + place.along_m * tx, y + place.away_m * ny + place.along_m * ty)

@@ -29,7 +29,7 @@ def rotor_names(count: float) -> list[str]:
     return [f"CA_ROTOR{i}_{axis}" for i in range(min(_MAX, round(count))) for axis in _AXES]
 
 
-def motors_of(parameters: Mapping[str, float], source: str) -> tuple[Motor, ...]:
+def motors_from_parameters(parameters: Mapping[str, float], source: str) -> tuple[Motor, ...]:
     """Return PX4's motors from its parameters.
 
     Raises:

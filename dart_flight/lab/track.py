@@ -29,7 +29,7 @@ from dart_flight.lab.ulog import (
     refuse_other_vehicles,
     seconds,
 )
-from dart_flight.recording.reader import Log, NothingInItError, read_log
+from dart_flight.recording.reader import Log, MissingDataError, read_log
 
 _TOPICS = (
     "sensor_combined",
@@ -103,7 +103,7 @@ def _own_track(log: Log) -> Track:
     kinds = (ImuSample, ActuatorSample, AttitudeSample, OdometrySample, StatusSample)
     imu, sent, attitude, moved, status = (log[kind.topic] for kind in kinds)
     if not len(imu) or not len(sent):
-        raise NothingInItError("has no IMU samples or no motor commands", source=log.source)
+        raise MissingDataError("has no IMU samples or no motor commands", source=log.source)
     # PX4's land detector may report a touch-down half a second late: leave out the whole landing.
     landing = status["flight_mode"] == FlightMode.LAND
     known = np.isfinite(status["battery_v"])

@@ -19,7 +19,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from dart_flight.base.motor_outputs import PWM, scale_of
+from dart_flight.base.motor_outputs import PWM, identify_scale
 from dart_flight.config.document import InputError, open_file
 from dart_flight.config.file_kinds import FileKind, refuse_other_kind
 from dart_flight.config.packages import missing_package
@@ -251,7 +251,7 @@ def _decoded(log: ULogFile, instance: int, data: dict[str, Any]) -> MotorCommand
     top = float(raw.max(initial=0.0))
     if top <= 0.0:
         return None
-    scale = scale_of(float(raw[raw > 0.0].min()), top)
+    scale = identify_scale(float(raw[raw > 0.0].min()), top)
     if scale is None:
         return None
     low, high = np.full(raw.shape[1], scale.stop), np.full(raw.shape[1], scale.full)

@@ -46,11 +46,11 @@ class Calibration:
         self.found: dict[Mode, float] = {}
 
     @property
-    def seeking(self) -> Mode | None:
+    def current_end(self) -> Mode | None:
         """End that is being calibrated, or None if both are stored."""
         return next((mode for mode in self.ORDER if mode not in self.found), None)
 
-    def enter(self, line: str) -> None:
+    def execute(self, line: str) -> None:
         """Execute one line of the operator; see `HELP`, except quit.
 
         Raises:
@@ -125,11 +125,11 @@ class Calibration:
             self.pulse_us = following
 
     def _store_end(self) -> None:
-        mode = self.seeking
+        mode = self.current_end
         if mode is None:
             raise CalibrationError("both ends are known")
         self.found[mode] = self.pulse_us
-        if self.seeking is None:
+        if self.current_end is None:
             try:
                 self.result()
             except CalibrationError:

@@ -223,7 +223,7 @@ class LockStateMachine:
 
     # -- inputs: results and time --
 
-    def sent(self, t_us: int, pulse_us: float) -> None:
+    def confirm_sent(self, t_us: int, pulse_us: float) -> None:
         """Start the travel time: the driver has accepted `SetPulse(pulse_us)`."""
         if self._state.phase is LockPhase.TRAVELLING and self._at_target(pulse_us) and self._sent_us is None:
             self._sent_us = t_us

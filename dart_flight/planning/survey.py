@@ -15,7 +15,7 @@ from dart_flight.base.records import Mode
 from dart_flight.base.walls import Wall
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission
-from dart_flight.core.mission.approach import is_blocked, is_post_in_the_way
+from dart_flight.core.mission.approach import is_blocked, is_blocked_by_post
 from dart_flight.core.mission.wall_uncertainty import position_margin_m
 
 _SPEED_M_S = 0.5  # slow, but well above the detection threshold in either mode
@@ -130,7 +130,7 @@ def _probe_leg(mission: Mission, wall: Wall, here: Vec2) -> _SurveyLeg | None:
 def _is_clear(mission: Mission, a: Vec2, b: Vec2) -> bool:
     """Return whether the segment between two places is clear of walls and posts."""
     walls = any(is_blocked(wall, a, b) for wall in mission.walls)
-    return not walls and not any(is_post_in_the_way(mission, post, a, b) for post in mission.posts)
+    return not walls and not any(is_blocked_by_post(mission, post, a, b) for post in mission.posts)
 
 
 def _modes(mission: Mission, wall: Wall) -> Sequence[Mode]:

@@ -76,7 +76,7 @@ class EventFormatter:
         self._every_problem = every_problem
         self._problems: tuple[str, ...] = ()
 
-    def event_of(self, record: Record) -> Event | None:
+    def format_event(self, record: Record) -> Event | None:
         """Return the event of a record, or None if it has none."""
         if record.frequent:  # the usual case
             return None

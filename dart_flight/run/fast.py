@@ -169,7 +169,7 @@ class FastFlight:
         true = mission if world is None else world.mission
         self.vehicle = SimulatedVehicle(true, seed, driver)
         self.autopilot = self.vehicle.autopilot
-        self.autopilot.say = self._on_text
+        self.autopilot.send_text = self._on_text
         self.deadman_s = mission.vehicle.guard.deadman_s
         self._observe = observe
         self.core = FlightCore(mission)

@@ -60,7 +60,7 @@ class FastPoses:
     def __init__(
         self, mission: Mission, autopilot: Autopilot, clock: Clock, deliver: Callable[[PoseSample], None]
     ) -> None:
-        autopilot.expect_poses()
+        autopilot.use_external_poses()
         self._autopilot = autopilot
         source = _PlantPoses()
         mocap = mission.vehicle.mocap
@@ -82,4 +82,4 @@ class FastPoses:
 
     def _send(self, message: Any) -> None:
         pose = forwarded_pose(message)
-        self._autopilot.take_pose((pose.x, pose.y, pose.z), pose.q)
+        self._autopilot.fuse_external_pose((pose.x, pose.y, pose.z), pose.q)

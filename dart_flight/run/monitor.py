@@ -157,7 +157,7 @@ class TelemetryMonitor:
         mode = felt.mode_felt or felt.mode_reported
         if mode is None or felt.wall not in self._materials:
             return
-        prior = self._materials[felt.wall].of(mode)
+        prior = self._materials[felt.wall].coefficients(mode)
         self._walls[felt.wall] = WallView(
             felt.wall,
             None if felt.mode_felt is None else felt.mode_felt.value,

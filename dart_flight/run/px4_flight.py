@@ -23,7 +23,7 @@ from dart_flight.run.program_fault import ProgramFault
 from dart_flight.run.simulator_process import Px4SimulatorProcess, SimulatorProcess, fly_simulated
 from dart_flight.sim.draws import draw_world
 from dart_flight.sim.faults.fault_table import Fault
-from dart_flight.sim.pipe import Px4SimulatorSpec, SimulatorSpec, need_mavlink
+from dart_flight.sim.pipe import Px4SimulatorSpec, SimulatorSpec, require_mavlink
 from dart_flight.vehicle.clock import LockstepClock
 from dart_flight.vehicle.link import LinkLease, free_link
 
@@ -65,7 +65,7 @@ def fly_px4(
         InputError: there is no PX4, a parameter file is wrong, or GPS cannot provide the mission's frame.
         SimulatorError, VehicleError: PX4 did not start or did not answer.
     """
-    need_mavlink()
+    require_mavlink()
     from dart_flight.sim.px4.launch import find_install, flight_parameters, motors_from, values_of  # noqa: PLC0415
 
     install = find_install(directory)

@@ -44,7 +44,7 @@ from dart_flight.core.flight_core import FlightCore
 from dart_flight.core.mission.approach import NoApproachError
 from dart_flight.recording.about import changed_keys, flown_mission, machine, parse_written, written_mission
 from dart_flight.recording.encoding import encode
-from dart_flight.recording.flight_time import zero_of
+from dart_flight.recording.flight_time import find_zero
 from dart_flight.recording.reader import Log
 from dart_flight.recording.schema import INPUTS, OUTPUTS
 
@@ -147,7 +147,7 @@ def replay(log: Log, settings: Sequence[str] = (), *, exact: bool | None = None)
     last = inputs[-1][0] if inputs else -1
     compared_to = last if log.complete else last - _IN_FLIGHT
     result = Replay(0, 0, exact, [], [], [], _missing([n for n, _ in inputs]), "")
-    result.zero_us = zero_of(item for _, item in inputs)
+    result.zero_us = find_zero(item for _, item in inputs)
     t_us = 0
     for number, item in inputs:
         t_us = getattr(item, "t_us", t_us)

@@ -23,7 +23,7 @@ from dart_flight.base.records import LockCommand, LockPhase, LockState, Mode
 from dart_flight.config.vehicle import LockConfig, VehicleConfig
 from dart_flight.lock.drivers import DriverError
 from dart_flight.lock.ground import GroundLock, clock_us, ground_driver
-from dart_flight.lock.persistence import CommandStore, ServoOwnership, ServoTakenError, load_last
+from dart_flight.lock.persistence import CommandStore, ServoInUseError, ServoOwnership, load_last
 from dart_flight.lock.state_machine import describe, status_text
 from dart_flight.run.app import LockThread
 from dart_flight.run.deadman import SystemdNotice
@@ -175,7 +175,7 @@ class Standby:
                 try:
                     await self._hold()
                     problem = ""
-                except (LinkTakenError, VehicleError, ServoTakenError, DriverError) as error:
+                except (LinkTakenError, VehicleError, ServoInUseError, DriverError) as error:
                     if str(error) != problem:  # report it once
                         problem = str(error)
                         self._say("problem", f"{problem}; retrying")
@@ -233,13 +233,13 @@ class Standby:
         """Own the servo and step the lock; the servo does not move without a command.
 
         Raises:
-            ServoTakenError: another process moves the servo.
+            ServoInUseError: another process moves the servo.
             DriverError: the driver cannot be made.
         """
         store, states = CommandStore(config.driver), queue.SimpleQueue[LockState]()
 
         def keep(state: LockState) -> None:
-            store.note(state)
+            store.store(state)
             states.put(state)
 
         def handle(state: LockState) -> None:

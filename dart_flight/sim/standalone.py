@@ -98,23 +98,23 @@ def run_vehicle(
     mission: Mission,
     seed: int,
     ports: tuple[int, ...],
-    say: Callable[[str], None],
+    print_line: Callable[[str], None],
     own_port: int = 0,
     viewer: Callable[[Record], None] = lambda record: None,
 ) -> None:
-    """Simulate in real time until SIGINT or SIGTERM; `say` prints a line in the terminal.
+    """Simulate in real time until SIGINT or SIGTERM; `print_line` prints a line in the terminal.
 
     `own_port` is the UDP port used for sending to the first of the ports; 0 selects any. `viewer` receives
     the true motion of the vehicle.
     """
     vehicle = SimulatedVehicle(mission, seed, LockDriver.PX4)
     endpoint = MavlinkEndpoint(vehicle.autopilot, ports, own_port)
-    to_link = vehicle.autopilot.say
+    to_link = vehicle.autopilot.send_text
     stopped: list[int] = []
 
     def report(severity: str, text: str) -> None:
         to_link(severity, text)
-        say(f"{vehicle.autopilot.now_s:8.2f} s  {text}")
+        print_line(f"{vehicle.autopilot.now_s:8.2f} s  {text}")
 
     def step() -> None:
         vehicle.advance()
@@ -124,13 +124,13 @@ def run_vehicle(
         while plant.finished:
             hit = plant.finished.pop(0)
             viewer(hit)
-            say(
+            print_line(
                 f"{vehicle.autopilot.now_s:8.2f} s  hit {hit.wall} {hit.mode.value} at "
                 f"{hit.normal_in_m_s:.2f} m/s normal, {hit.tangential_in_m_s:.2f} m/s along: "
                 f"{hit.peak_normal_force_n:.1f} N"
             )
 
-    vehicle.autopilot.say = report
+    vehicle.autopilot.send_text = report
     for number in (signal.SIGINT, signal.SIGTERM):
         with contextlib.suppress(ValueError):  # not the main thread
             signal.signal(number, lambda signum, _frame: stopped.append(signum))

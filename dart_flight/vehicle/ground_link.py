@@ -148,13 +148,13 @@ class _Listener:
             self._imu_samples += 1
             seen.specific_force_m_s2 = self._forces_m_s2 / self._imu_samples
             self._clocks.update(record.t_us, record.received_us)
-            apart_s = self._clocks.apart_s(record.received_us)
+            apart_s = self._clocks.clock_difference_s(record.received_us)
             if apart_s is not None:
                 seen.other_vehicle = f"two clocks alternate under one system id, {apart_s:.1f} s apart"
         elif isinstance(record, OdometrySample):
             seen.position_ned = record.position_ned
             self._places.update(record)
-            apart_m = self._places.apart_m(record.received_us)
+            apart_m = self._places.position_difference_m(record.received_us)
             if apart_m is not None:
                 seen.other_vehicle = f"two positions alternate under one system id, {apart_m:.1f} m apart"
         elif isinstance(record, AttitudeSample):

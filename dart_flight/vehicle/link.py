@@ -25,7 +25,7 @@ import msgspec
 from dart_flight.base.text import printable
 from dart_flight.config.document import InputError
 from dart_flight.config.link_url import parse_link
-from dart_flight.config.state_folder import HeldError, HeldFile, Lease, content_of_held, lock_file, state_dir
+from dart_flight.config.state_folder import HeldError, HeldFile, Lease, lock_file, read_held, state_dir
 
 _PAUSE_S = 0.02
 _STARTING_S = 2.0
@@ -239,7 +239,7 @@ def _file_of(url: str) -> Path:
 
 
 def _holder_in(path: Path) -> Holder | None:
-    content = content_of_held(path)
+    content = read_held(path)
     return None if content is None else _decoded(content)
 
 

@@ -12,7 +12,7 @@ import pytest
 
 from dart_flight.cli import main
 from dart_flight.config.document import InputError
-from dart_flight.config.state_folder import HeldError, HeldFile, content_of_held
+from dart_flight.config.state_folder import HeldError, HeldFile, read_held
 from dart_flight.config.vehicle import packaged
 from dart_flight.lab.campaign.table import Table
 from dart_flight.vehicle import link
@@ -49,7 +49,7 @@ def test_a_refused_lock_is_not_held(tmp_path: Path, refusal: str) -> None:
     ):
         file.acquire(b"1")
     with pytest.raises(InputError, match=refusal):
-        content_of_held(tmp_path / "lock.pid")
+        read_held(tmp_path / "lock.pid")
 
 
 def test_a_held_lock_is_held(tmp_path: Path) -> None:
@@ -58,9 +58,9 @@ def test_a_held_lock_is_held(tmp_path: Path) -> None:
     first.acquire(b"first")
     with pytest.raises(HeldError) as held:
         second.acquire(b"second")
-    assert held.value.content == content_of_held(path) == b"first"
+    assert held.value.content == read_held(path) == b"first"
     first.release()
-    assert content_of_held(path) is None
+    assert read_held(path) is None
     second.acquire(b"second")
     second.release()
 
@@ -134,7 +134,7 @@ def test_a_state_folder_on_a_full_disk_is_one_line(
     problem = "cannot write: No space left on device; set DART_FLIGHT_STATE_DIR to a local disk"
     assert last == f"{state}/lock.pid: {problem}"
     monkeypatch.undo()
-    assert content_of_held(state / "lock.pid") is None
+    assert read_held(state / "lock.pid") is None
 
 
 def test_a_lock_file_that_cannot_be_removed_does_not_end_a_flight(
@@ -147,7 +147,7 @@ def test_a_lock_file_that_cannot_be_removed_does_not_end_a_flight(
     file.acquire(b"1")
     monkeypatch.setattr(Path, "unlink", read_only)
     file.release()
-    assert content_of_held(tmp_path / "lock.pid") is None
+    assert read_held(tmp_path / "lock.pid") is None
 
 
 def test_a_held_file_that_cannot_be_looked_at_is_not_in_use(

@@ -54,8 +54,8 @@ def test_a_wall_that_nobody_knows_stands_across_the_end_of_its_probe() -> None:
     assert (wall.name, wall.point, wall.normal) == ("east", (1.8, 0.0), (-1.0, 0.0))
     assert (wall.sought, wall.material_known) == (True, False)
     vehicle = one.vehicle
-    stiffest = max(m.of(Mode.RIGID).k for m in vehicle.materials.values())
-    assert vehicle.materials[wall.material].of(Mode.RIGID).k == stiffest, (
+    stiffest = max(m.coefficients(Mode.RIGID).k for m in vehicle.materials.values())
+    assert vehicle.materials[wall.material].coefficients(Mode.RIGID).k == stiffest, (
         "the hardest hit it may turn out to be"
     )
     assert looked_for.probe is not None

@@ -62,7 +62,7 @@ from dart_flight.core.mission.trajectories import Trajectory
 from dart_flight.core.sense.senses import Sensed
 from dart_flight.core.sense.state import FlightState
 from dart_flight.planning.contact_fit import ContactFitter
-from tests.core.conftest import TELEPORTING, HandFedCore
+from tests.core.conftest import IMPATIENT, TELEPORTING, HandFedCore
 
 CAUSES: dict[str, Callable[[HandFedCore], object]] = {}
 SETTINGS: dict[str, Mapping[str, Any]] = {}
@@ -277,13 +277,13 @@ def position_delayed(c: HandFedCore) -> None:
         c.run(0.004)
 
 
-@cause
+@cause_with({"vehicle.guard.kill_after_s": 10.0})
 def still_armed(c: HandFedCore) -> None:
     c.to_flight()
     c.set_status(battery_v=12.9)
     c.run(1.2)
     c.set_status(flight_mode=FlightMode.LAND, battery_v=15.0)
-    c.run(46.0)
+    c.run(11.0)
 
 
 @cause
@@ -385,17 +385,17 @@ def lock_not_ready(c: HandFedCore) -> None:
     c.run(3.6)
 
 
-@cause
+@cause_with(IMPATIENT)
 def climb_timeout(c: HandFedCore) -> None:
     c.set_lock(Mode.RIGID)
     c.run(0.5)
     c.set_status(flight_mode=FlightMode.OFFBOARD)
     c.run(0.1)
     c.set_status(armed=True, landed=LandedState.IN_AIR)
-    c.run(20.5)
+    c.run(3.5)
 
 
-@cause
+@cause_with(IMPATIENT)
 def transit_timeout(c: HandFedCore) -> None:
     c.set_lock(Mode.RIGID)
     c.run(0.5)
@@ -408,7 +408,7 @@ def transit_timeout(c: HandFedCore) -> None:
             break
         c.run(0.02)
     c.position_ned = (0.2, 0.0, -1.0)
-    c.run(20.5)
+    c.run(3.5)
 
 
 @cause_with({"collisions": [], "limits.collision_timeout_s": 2.0})
@@ -423,23 +423,23 @@ def pause_timeout(c: HandFedCore) -> None:
     c.run(6.0)
 
 
-@cause
+@cause_with(IMPATIENT)
 def not_ready(c: HandFedCore) -> None:
-    c.run(20.5)  # the lock says nothing
+    c.run(3.5)  # the lock says nothing
 
 
-@cause
+@cause_with(IMPATIENT)
 def offboard_refused(c: HandFedCore) -> None:
     c.set_lock(Mode.RIGID)
-    c.run(21.0)
+    c.run(4.0)
 
 
-@cause
+@cause_with(IMPATIENT)
 def arming_refused(c: HandFedCore) -> None:
     c.set_lock(Mode.RIGID)
     c.run(0.5)
     c.set_status(flight_mode=FlightMode.OFFBOARD)
-    c.run(20.5)
+    c.run(3.5)
 
 
 def asked(request: Request) -> Callable[[HandFedCore], object]:
@@ -880,12 +880,12 @@ def test_motors_are_stopped_only_long_after_a_landing_must_have_ended() -> None:
     def killed(outputs: list[Output]) -> bool:
         return any(isinstance(o, VehicleCommand) and o.action is VehicleAction.KILL for o in outputs)
 
-    c = HandFedCore()
+    c = HandFedCore(settings={"vehicle.guard.kill_after_s": 10.0})
     c.to_flight()
     c.set_status(battery_v=12.9)
     c.run(1.2)
     c.set_status(flight_mode=FlightMode.LAND)
-    assert not killed(c.run(43.0))
+    assert not killed(c.run(8.0))
     assert killed(c.run(3.0))
     c.set_status(armed=False)
     c.run(0.25)
@@ -964,9 +964,9 @@ def test_an_altitude_outside_of_the_flight_space_by_a_hands_breadth_is_none(
 
 @pytest.mark.parametrize("armed", [False, True])
 def test_a_vehicle_that_somebody_has_armed_is_not_left_so_when_the_flight_is_given_up(armed: bool) -> None:
-    c = HandFedCore()
+    c = HandFedCore(settings=IMPATIENT)
     c.set_status(armed=armed)
-    not_ready(c)
+    CAUSES["not_ready"](c)
     assert c.core.end is not None
     told = [o.action for o in c.outputs if isinstance(o, VehicleCommand)]
     assert told == [VehicleAction.DISARM] * armed
@@ -1252,7 +1252,7 @@ def test_names_that_others_report_are_in_the_table() -> None:
     for source in Path(executive.__file__).parent.glob("*.py"):
         found |= set(re.findall(r'[fF]inding\(\s*"(\w+)"', source.read_text()))
     found |= set(re.findall(r'Finding\(\s*"(\w+)"', inspect.getsource(flight_core)))
-    assert found == {name for name, rule in names.items() if rule.judge.cause is None}
+    assert found == {name for name, rule in names.items() if rule.condition.cause is None}
 
 
 def test_thresholds_named_in_the_table_exist() -> None:
@@ -1272,7 +1272,7 @@ def test_thresholds_named_in_the_table_exist() -> None:
         "mocap": vehicle.mocap,
     }
     for rule in RULES:
-        for key in filter(None, rule.judge.threshold.split(", ")):
+        for key in filter(None, rule.condition.threshold.split(", ")):
             if key.startswith("streams:") or key[0].isdigit():
                 continue
             section, *names = key.split(".")
@@ -1315,7 +1315,7 @@ def test_a_position_after_a_gap_is_compared_with_none_from_before_it() -> None:
         nonlocal t_us
         t_us += round(after_s * 1e6)
         places.update(OdometrySample(t_us, t_us, (north_m, 0.0, -1.0), (0.0, 0.0, 0.0)))
-        return places.apart_m(t_us)
+        return places.position_difference_m(t_us)
 
     for _ in range(5):
         for north_m in (0.0, 3.0):
@@ -1333,7 +1333,7 @@ def test_stamps_in_turn_are_two_clocks_where_they_are_further_apart_than_late_da
         t_us = 10_000_000 + 10_000 * i
         clocks.update(t_us, t_us)
         clocks.update(t_us - back_us, t_us)
-    assert clocks.apart_s(10_070_000) == pytest.approx(seconds_apart)
+    assert clocks.clock_difference_s(10_070_000) == pytest.approx(seconds_apart)
     assert (clocks.odd_us is not None) is (seconds_apart is not None)
 
 
@@ -1346,8 +1346,8 @@ def test_two_clocks_are_told_by_three_turns_within_two_seconds(turns: int, after
         clocks.update(t_us, t_us)
         clocks.update(t_us - 5_000_000, t_us)
     last_us = 10_000_000 + 100_000 * turns
-    assert (clocks.apart_s(last_us + after_us + 1) is not None) is told
-    assert (clocks.apart_s(last_us + max(0, after_us - 1)) is not None) is (turns == 3)
+    assert (clocks.clock_difference_s(last_us + after_us + 1) is not None) is told
+    assert (clocks.clock_difference_s(last_us + max(0, after_us - 1)) is not None) is (turns == 3)
 
 
 @pytest.mark.parametrize(("ahead_us", "odd"), [(5_900_000, False), (6_100_000, True)])
@@ -1368,7 +1368,7 @@ def test_a_clock_that_goes_back_again_and_again_is_one() -> None:
         t_us = 10_000_000 + 10_000 * i
         clocks.update(t_us, t_us)
         clocks.update(5_000_000, t_us)
-    assert clocks.apart_s(10_070_000) is None
+    assert clocks.clock_difference_s(10_070_000) is None
 
 
 def test_a_second_vehicle_explains_what_had_fired_before_it_was_told_apart() -> None:

@@ -36,7 +36,7 @@ class Feed:
         self.watch, self.state = PoseWatch(MOCAP), FlightState()
         self.now_us = 0
         self.frame = 0
-        self.state.take_status(StatusSample(0, 0, local_position_ok=True))
+        self.state.update_status(StatusSample(0, 0, local_position_ok=True))
 
     def pose(
         self,
@@ -55,14 +55,14 @@ class Feed:
         self.frame += 1
         self.tick()
         now = self.now_us
-        self.state.take_attitude(AttitudeSample(now, now, q))
-        self.state.take_odometry(OdometrySample(now, now, position, velocity))
+        self.state.update_attitude(AttitudeSample(now, now, q))
+        self.state.update_odometry(OdometrySample(now, now, position, velocity))
         there = (position[0] + away[0], position[1] + away[1], position[2] + away[2])
         turned = quaternion_multiply(quaternion_from_euler(0.0, 0.0, turn), q)
         room = ROOM.pose_from_ned(there, turned)
         age_us = 3_000_000 + later_us  # another clock
         sample = PoseSample(now, now, "dart", tracked, *room, self.frame, now - age_us, sender)
-        self.watch.take(sample, self.state, Phase.TRANSIT)
+        self.watch.add_pose(sample, self.state, Phase.TRANSIT)
 
     def tick(self) -> None:
         self.watch.tick(self.now_us)
@@ -167,6 +167,25 @@ def test_before_the_first_pose_there_is_time_to_connect() -> None:
     assert feed.watch.fault(Phase.READYING) == "no pose has arrived"
     feed.pose(tracked=False)
     assert feed.watch.fault(Phase.READYING) == "body dart has never been tracked"
+
+
+@pytest.mark.parametrize("gap_s", [0.0, 0.12, 0.2])
+def test_a_wrong_frame_after_a_gap_is_no_reference_for_the_next(gap_s: float) -> None:
+    feed = Feed()
+    if gap_s:
+        feed.hover(0.3)
+        feed.silence(gap_s)
+    feed.pose(away=(0.8, 0.0, 0.0))
+    assert feed.hover(0.5) is None
+
+
+def test_a_body_that_alternates_after_a_gap_is_a_jump() -> None:
+    feed = Feed()
+    feed.hover(0.3)
+    feed.silence(0.15)
+    for i in range(40):
+        feed.pose(away=(0.8 if i // 8 % 2 else 0.0, 0.0, 0.0))
+    assert feed.watch.fault(Phase.TRANSIT) == "body jumped by 0.80 m: another body, or swapped markers"
 
 
 @settings(max_examples=40, deadline=None)

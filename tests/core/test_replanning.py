@@ -18,7 +18,7 @@ from dart_flight.base.walls import Wall
 from dart_flight.config.mission import Collision, Mission, load_mission
 from dart_flight.config.mission_file import TrajectoryPieces
 from dart_flight.config.vehicle import packaged
-from dart_flight.core.mission.lock_orders import LockMemory
+from dart_flight.core.mission.lock_commands import LockCommandState
 from dart_flight.core.mission.mission_state import NO_CHANGE, Change, MissionState
 from dart_flight.core.mission.replan import Replan
 from dart_flight.core.mission.replan_requests import ReplanRequests
@@ -142,11 +142,11 @@ def test_an_answer_in_time_is_flown_from_its_moment_on() -> None:
     assert change.outputs == (PlanTaken(request.begin_us, request.number, True),)
     assert planning.replan.since_us == request.begin_us
     assert planning.trajectory(moved_to(request)) == NO_CHANGE  # once
-    met = planning.replan.meets_plane(1.2, state_at(request.begin_us + 300_000))
+    met = planning.replan.predict_impact(1.2, state_at(request.begin_us + 300_000))
     assert met is not None
     assert met.after_s == pytest.approx(1.0)
     assert met.normal_m_s == -1.2
-    beyond = planning.replan.meets_plane(1.2, state_at(request.begin_us + 1_400_000))
+    beyond = planning.replan.predict_impact(1.2, state_at(request.begin_us + 1_400_000))
     assert beyond is not None
     assert beyond.after_s == 0.0  # it is due, and not over
     end_us = request.begin_us + 1_000_000
@@ -187,8 +187,8 @@ def test_what_was_felt_is_waited_for_where_the_same_wall_comes_again() -> None:
     def asks(again: bool, after_us: int, felt: bool = False) -> bool:
         sensed = Sensed(estimate=ForceEstimate(NOW_US, (0.0, 0.0, 0.0), False))
         planning.contact_begins()
-        planning.progress.replan = planning.replan._replace(felt=felt)
-        planning.progress.lock = LockMemory(contact_end_us=NOW_US)
+        planning.progress.replan = planning.replan._replace(has_wall_estimate=felt)
+        planning.progress.lock = LockCommandState(contact_end_us=NOW_US)
         between = (hit, hit if again else following)
         return planning.request(between, state_at(NOW_US + after_us), sensed) is not None
 
@@ -295,7 +295,7 @@ def test_a_contact_ends_what_was_planned_before_it() -> None:
     flown.contact_begins()
     much_later = state_at(request.begin_us + 60_000_000)
     assert flown.replan.since_us is None
-    assert flown.replan.meets_plane(1.2, much_later) is None
+    assert flown.replan.predict_impact(1.2, much_later) is None
     assert not flown.is_late(MISSION.walls[1], much_later)
     assert not flown.replan.is_over(much_later.now_us)
 

@@ -47,6 +47,7 @@ NOT_RUN: list[tuple[str, str]] = [
     ),
     (r":14541", "needs the lossy proxy, which waits"),
     (r"> /srv/", "needs the installed service"),
+    (r"missions/unknown_room\.yaml", "takes 12 s; tests/cli/test_survey.py flies it"),
 ]
 # In real time, together: test_in_real_time.
 REAL_TIME = re.compile(r"^dart-flight (simulate|fly .*udpin://127\.0\.0\.1:14540|dry-run (?!.*--fast))")
@@ -142,7 +143,7 @@ def _run(words: list[str], folder: Path, root: Path) -> None:
 
 # Run on every page that has them they would teach nothing more: the same command on the same flight.
 ONCE = re.compile(
-    r"^dart-flight (campaign|check|predict|replay|report|identify|calibrate|export|dry-run .*--fast)\b"
+    r"^dart-flight (campaign|check|predict|replay|report|identify|calibrate|export|survey|dry-run .*--fast)\b"
 )
 # The laboratory's own flight, wherever a page keeps it.
 ITS_FLIGHT = re.compile(
@@ -162,7 +163,7 @@ def _essence(text: str) -> str:
 
     Of a campaign also without its missions: what they are like is seen where each is flown.
     """
-    text = re.sub(r"[\w.]+(?=/\*/flight\.mcap)", "", re.sub(r" (-o|--log-dir|--out) \S+", "", text))
+    text = re.sub(r"[\w.]+(?=/\*/flight\.mcap)", "", re.sub(r" (-o|--output|--log-dir|--out) \S+", "", text))
     return re.sub(r" missions/\S+", " MISSION", text) if text.startswith("dart-flight campaign") else text
 
 

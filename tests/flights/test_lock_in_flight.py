@@ -62,7 +62,7 @@ def test_a_switch_that_falls_silent_in_flight_breaks_it_off() -> None:
 
     mission = dual(limit_switch=LimitSwitch(chip="gpiochip0", rigid_line=17))
     builder = VerdictBuilder(mission)
-    flight = FastFlight(mission, 1, observe=lambda record, _: builder.take(record))
+    flight = FastFlight(mission, 1, observe=lambda record, _: builder.add(record))
     assert flight.lock is not None
     flight.lock.start()
     while flight.core.phase != "approach":

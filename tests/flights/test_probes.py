@@ -88,8 +88,8 @@ def test_a_wall_that_nobody_knew_is_found_hit_again_and_the_other_probe_left_out
     stiff, _ = east.coefficients["rigid"]["k"]
     soft, _ = east.coefficients["flexible"]["k"]
     wood = mission.vehicle.materials["wood"]
-    assert stiff == pytest.approx(wood.of(mission.collisions[0].mode).k, rel=0.2)
-    assert soft == pytest.approx(wood.of(mission.collisions[1].mode).k, rel=0.2)
+    assert stiff == pytest.approx(wood.coefficients(mission.collisions[0].mode).k, rel=0.2)
+    assert soft == pytest.approx(wood.coefficients(mission.collisions[1].mode).k, rel=0.2)
 
 
 def test_the_second_hit_is_beside_the_first_and_the_waypoint_a_metre_away(tmp_path: Path) -> None:
@@ -210,7 +210,7 @@ def test_every_place_is_in_the_frame_in_force_then(flown: SharedFlights) -> None
         round(t, 6): p for t, p in zip(course.estimated.time_s, course.estimated.position, strict=True)
     }
     for entry in log.entries:
-        reader.take(entry.record)
+        reader.add(entry.record)
         if isinstance(entry.record, OdometrySample) and reader.frame is not None:
             t_us = entry.record.t_us
             if all(abs(t_us - move_us) > 4_000 for move_us in moves):  # an answer arrives between two samples

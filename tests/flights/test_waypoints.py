@@ -25,7 +25,7 @@ from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission, load_mission
 from dart_flight.config.vehicle import packaged
 from dart_flight.core.flight_core import FlightCore
-from dart_flight.core.mission.approach import NoApproachError, transit_of, transit_segments
+from dart_flight.core.mission.approach import NoApproachError, plan_transit, transit_segments
 from dart_flight.lab.report.page import flight_page
 from dart_flight.lab.report.recorded_flight import RecordedFlight
 from dart_flight.recording.reader import Log, read_log
@@ -119,7 +119,7 @@ def test_way_points_are_flown_in_order_held_and_change_the_altitude() -> None:
     for end_us in (second, third):
         assert at(end_us) == pytest.approx((0.6, -0.6, 1.5), abs=0.12)
     assert third - second == pytest.approx(2e6, abs=0.1e6)  # simulation.operator_s
-    transit = transit_of(one, transit_segments(one)[0], (0.0, 0.0, 1.0))
+    transit = plan_transit(one, transit_segments(one)[0], (0.0, 0.0, 1.0))
     assert second - first >= (transit.duration_s + 1.0) * 1e6  # flown, then held
     # At the altitude asked for last until the landing.
     setpoints = [s for s in all_of(log, Setpoint) if isinstance(s, Setpoint) and s.t_us > third]
@@ -172,7 +172,7 @@ class Operated:
         self.flight = FastFlight(one, 1, observe=self._see)
 
     def _see(self, record: Record, _: int) -> None:
-        self.builder.take(record)
+        self.builder.add(record)
         if isinstance(record, PhaseChange):
             self.changes.append(record)
 

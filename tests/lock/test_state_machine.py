@@ -265,7 +265,7 @@ def test_a_bouncing_switch_neither_confirms_nor_faults(vary: Vary) -> None:
     machine = LockStateMachine(vary(limit_switch=BOTH_SWITCHES))
     machine.permit(0, True)
     machine.command(0, Mode.RIGID)
-    machine.sent(0, 1980.0)
+    machine.confirm_sent(0, 1980.0)
     for t_us in range(10_000, 1_000_000, 10_000):
         closed = (t_us // 10_000) % 2 == 0
         machine.reading(t_us, DriverReading(1980.0, rigid_switch=closed, flexible_switch=False))
@@ -276,7 +276,7 @@ def test_a_controller_that_clamps_is_a_fault(vary: Vary) -> None:
     machine = LockStateMachine(vary())
     machine.permit(0, True)
     machine.command(0, Mode.RIGID)
-    machine.sent(0, 1980.0)
+    machine.confirm_sent(0, 1980.0)
     machine.reading(400_000, DriverReading(1900.0, errors=("protocol error",)))
     assert machine.state.phase is LockPhase.TRAVELLING
     machine.step(1_500_000)
@@ -300,7 +300,7 @@ def test_a_command_alone_never_settles(
     machine = LockStateMachine(vary())
     machine.command(0, Mode.FLEXIBLE)
     if sent_us is not None:
-        machine.sent(sent_us, 1020.0)
+        machine.confirm_sent(sent_us, 1020.0)
     if reading_us is not None:
         machine.reading(reading_us, DriverReading(1020.0))
     for t_us in range(400_000, 1_490_000, 10_000):
@@ -312,13 +312,13 @@ def test_a_command_alone_never_settles(
 
 def test_the_travel_time_runs_from_when_the_driver_first_had_this_travels_pulse(vary: Vary) -> None:
     machine = LockStateMachine(vary())
-    machine.sent(0, 1020.0)  # nothing travels
+    machine.confirm_sent(0, 1020.0)  # nothing travels
     machine.command(0, Mode.FLEXIBLE)
     assert machine.due_us is None
-    machine.sent(5_000, 1980.0)  # another pulse
+    machine.confirm_sent(5_000, 1980.0)  # another pulse
     assert machine.due_us is None
     for t_us in (10_000, 200_000):
-        machine.sent(t_us, 1020.0)
+        machine.confirm_sent(t_us, 1020.0)
         assert machine.due_us == 10_000 + 315_000
     phases = []
     for t_us in (320_000, 330_000):
@@ -356,7 +356,7 @@ def test_of_a_driver_that_takes_too_long_every_state_is_told(
 def test_a_reading_from_before_the_driver_had_the_command_counts_for_nothing(vary: Vary) -> None:
     machine = LockStateMachine(vary())
     machine.command(0, Mode.FLEXIBLE)
-    machine.sent(15_000, 1020.0)
+    machine.confirm_sent(15_000, 1020.0)
     machine.reading(0, DriverReading(None))  # taken first, delivered late
     phases = []
     for t_us in (20_000, 40_000):
@@ -385,11 +385,11 @@ def test_a_fault_does_not_make_the_next_travels_first_reading_one(vary: Vary) ->
     machine = LockStateMachine(vary())
     machine.command(0, Mode.FLEXIBLE)
     for t_us in (0, 20_000, 40_000):
-        machine.sent(0, 1020.0)
+        machine.confirm_sent(0, 1020.0)
         machine.reading(t_us, DriverReading(None))
     assert machine.state.phase is LockPhase.FAULT
     machine.command(100_000, Mode.FLEXIBLE)
-    machine.sent(100_000, 1020.0)
+    machine.confirm_sent(100_000, 1020.0)
     machine.reading(110_000, DriverReading(None))  # the controller needs a moment
     phases = []
     for t_us in (120_000, 420_000):
@@ -628,6 +628,6 @@ def test_never_a_rigid_pulse_without_permission(
             if isinstance(action, SetPulse):
                 assert permitted or action.mode is Mode.FLEXIBLE
                 pulse = action.pulse_us
-                machine.sent(t_us, pulse)
+                machine.confirm_sent(t_us, pulse)
         if not permitted and machine.state.phase is LockPhase.TRAVELLING:
             assert machine.state.mode is Mode.FLEXIBLE

@@ -38,7 +38,7 @@ def test_it_is_told_once_in_flight_and_stands_in_the_verdict(tmp_path: Path) -> 
     for number in range(2, 10):
         record(Tick(number), number)
     assert [type(one) for one in told] == [LogFailure]
-    event = EventFormatter().event_of(told[0])
+    event = EventFormatter().format_event(told[0])
     assert event is not None
     assert event.head == "flight log incomplete: No space left on device"
     assert (record.build().log_failure or "").startswith("No space left on device, ")

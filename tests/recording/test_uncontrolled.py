@@ -30,8 +30,8 @@ def verdict(
 ) -> Verdict:
     builder = VerdictBuilder(MISSION)
     for sample in samples:
-        builder.take(sample)
-    builder.take(MissionEnd(0, outcome, reason, 0.0))
+        builder.add(sample)
+    builder.add(MissionEnd(0, outcome, reason, 0.0))
     return builder.build(World.FAST, 1)
 
 

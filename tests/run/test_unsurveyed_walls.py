@@ -89,18 +89,18 @@ def test_three_standard_deviations_come_on_top_the_more_the_further_from_the_mid
 
 def test_a_contact_tells_where_the_plane_is_and_how_surely() -> None:
     survey = EstimatedWalls()
-    assert survey.wall_now(known(0.1)) == known(0.1)
+    assert survey.known_wall(known(0.1)) == known(0.1)
     felt = WallEstimate(0, 0, "board", Mode.RIGID, None, 0.0, *(1.0,) * 8, 0.0, 0.1, 0.07, 0.02)
     survey.add_estimate(felt, known(0.1))
-    seen = survey.wall_now(known(0.1))
+    seen = survey.known_wall(known(0.1))
     assert seen.point == pytest.approx((0.93, 0.0))
     assert seen.position_sd_m == 0.02
     surer = EstimatedWalls()
     surer.add_estimate(felt, known(0.01))
-    assert surer.wall_now(known(0.01)).position_sd_m == 0.01
+    assert surer.known_wall(known(0.01)).position_sd_m == 0.01
     unsaid = EstimatedWalls()
     unsaid.add_estimate(felt, WALL)
-    assert unsaid.wall_now(WALL).position_sd_m is None
+    assert unsaid.known_wall(WALL).position_sd_m is None
 
 
 def test_the_run_up_is_steady_before_where_the_wall_may_stand_nearest() -> None:
@@ -232,7 +232,7 @@ def test_a_moved_wall_of_a_draw_is_met_like_one_planned_there(away_m: float) -> 
     (sequence, *_) = scenario.sequences
     name = sequence[0]
     there = msgspec.structs.replace(
-        scenario, walls=scenario.walls | {name: scenario.walls[name].moved(away_m)}
+        scenario, walls=scenario.walls | {name: scenario.walls[name].displaced(away_m)}
     )
     vn, vt = np.array([-0.8, -1.0]), np.array([0.2, 0.0])
     flight, stages = new_flight(scenario), stages_for(there, [None])[0]

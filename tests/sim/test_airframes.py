@@ -18,7 +18,7 @@ from dart_flight.check.vehicle_check import judge_airframe
 from dart_flight.cli import main
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission, load_mission
-from dart_flight.config.rotors import motors_of, rotor_parameters
+from dart_flight.config.rotors import motors_from_parameters, rotor_parameters
 from dart_flight.config.vehicle import Thrust, effectiveness
 from dart_flight.config.vehicle.configuration import load_vehicle
 from dart_flight.lab.calibrate.airframe_reader import motors_block
@@ -199,7 +199,7 @@ def hexarotor_mission() -> Mission:
 
 def test_px4_s_parameters_say_where_the_motors_are_and_back() -> None:
     motors = load_vehicle(HEXAROTOR).airframe.motors
-    assert motors_of(rotor_parameters(motors), "here") == motors
+    assert motors_from_parameters(rotor_parameters(motors), "here") == motors
 
 
 @pytest.mark.parametrize(

@@ -90,13 +90,13 @@ def test_slow_poses_come_at_their_rate() -> None:
 
 def test_the_embedded_autopilot_has_no_position_but_the_one_it_is_sent() -> None:
     autopilot = make_autopilot(load_flyable(SINGLE), 1)
-    autopilot.expect_poses()
+    autopilot.use_external_poses()
     for _ in range(500):
         autopilot.step()
     assert not autopilot.estimator.ok
     for _ in range(100):
         autopilot.step()
-        autopilot.take_pose(autopilot.plant.position, autopilot.plant.q)
+        autopilot.fuse_external_pose(autopilot.plant.position, autopilot.plant.q)
     assert autopilot.estimator.ok
     for _ in range(1400):  # 5.6 s
         autopilot.step()
@@ -108,7 +108,7 @@ def test_an_autopilot_with_a_position_of_its_own_ignores_poses() -> None:
     for _ in range(200):
         plain.step()
         sent.step()
-        sent.take_pose((9.0, 9.0, -9.0), LEVEL)
+        sent.fuse_external_pose((9.0, 9.0, -9.0), LEVEL)
     assert sent.estimator.position == plain.estimator.position
 
 

@@ -222,7 +222,7 @@ def test_a_stream_without_a_usable_message_is_reported_with_its_reason(
     (text,) = rig.of(StatusText)
     assert text.text == "ODOMETRY arrives, none with a velocity"
     assert text.found_here
-    assert EventFormatter().event_of(text) == (Level.ERROR, "link", text.text, "")
+    assert EventFormatter().format_event(text) == (Level.ERROR, "link", text.text, "")
 
 
 def test_a_foreign_imu_and_a_second_one_are_none(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -130,7 +130,7 @@ def fly(point: Point, seed: int) -> FeltContact:
     contacts: list[TruthContact] = []
 
     def observe(record: Record, number: int) -> None:
-        builder.take(record)
+        builder.add(record)
         if isinstance(record, WallEstimate):
             estimates.append((flight.autopilot.time_us, record))
         elif isinstance(record, TruthContact):
@@ -151,7 +151,7 @@ def fly(point: Point, seed: int) -> FeltContact:
     x, y, _ = contact.position_mission
     away = true.signed_distance((x, y))
     touched = (x - away * true.normal[0], y - away * true.normal[1])
-    wall = world.mission.vehicle.materials[true.material].of(contact.mode)
+    wall = world.mission.vehicle.materials[true.material].coefficients(contact.mode)
     hits = builder.build(World.FAST, seed).collisions
     return FeltContact(
         contact.mode,
@@ -174,7 +174,7 @@ def _mode_by_time(material: str, mission: Mission, measured_ms: float | None) ->
     vehicle = mission.vehicle
 
     def mismatch(mode: Mode) -> float:
-        c = vehicle.materials[material].of(mode)
+        c = vehicle.materials[material].coefficients(mode)
         hit = collide(c, vehicle.airframe.mass_kg, -1.0, 0.0, Onset(vehicle.onset))
         return abs(math.log(max(measured_ms, 1.0) * 1e-3 / hit.contact_time_s))
 

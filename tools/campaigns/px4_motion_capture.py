@@ -20,7 +20,7 @@ from dart_flight.lab.campaign.flight_job import JudgedRow
 from dart_flight.planning.survey import plan_survey
 from dart_flight.run.prepare import load_flyable, with_simulated_mocap
 from dart_flight.run.px4_flight import fly_px4
-from dart_flight.sim.faults.fault_table import parse_fault_of
+from dart_flight.sim.faults.fault_table import parse_mission_fault
 from dart_flight.sim.pipe import FULL_SPEED
 from dart_flight.sim.px4.launch import ENVIRONMENT
 from tools.campaigns.px4 import spread
@@ -76,7 +76,7 @@ def fly(point: Point, seed: int) -> PoseFlight:
     """Fly one case on the PX4 of `--px4`."""
     case = point.case
     mission = _mission(case["flown"], case["mocap"], case["delay_ms"])
-    fault = parse_fault_of(mission, case["fault"]) if case["fault"] else None
+    fault = parse_mission_fault(mission, case["fault"]) if case["fault"] else None
     with tempfile.TemporaryDirectory() as folder:
         px4 = os.environ[ENVIRONMENT]
         v = fly_px4(mission, px4, seed, Path(folder), spreads=point.spreads, fault=fault, speed=FULL_SPEED)

@@ -23,7 +23,7 @@ from dart_flight.config.parameter_file import PositionSource
 from dart_flight.config.vehicle import packaged
 from dart_flight.lab.campaign.campaign_spec import Point
 from dart_flight.lab.campaign.flight_job import JudgedRow
-from dart_flight.planning.room import RoomContact, RoomFit, plan_star, touches_of
+from dart_flight.planning.room import RoomContact, RoomFit, contacts_from_walls, plan_star
 from dart_flight.planning.survey import plan_survey
 from dart_flight.recording.reader import read_log
 from dart_flight.recording.verdict import Verdict
@@ -187,7 +187,7 @@ def find_room(seed: int, spreads: Mapping[str, float]) -> Touched:
     while True:
         flown = plan_star(mission, directions)
         flights.append(fly_fast(flown, 10 * seed + len(flights), None, spreads=spreads))
-        touches += touches_of(flights[-1].walls, directions)
+        touches += contacts_from_walls(flights[-1].walls, directions)
         room = RoomFit(mission.start, touches, airframe.guard_along_m, airframe.contact_distance_m).fit()
         if room.is_closed or len(flights) == 4:
             break
@@ -237,7 +237,7 @@ def estimated_walls(mission: Mission, verdict: Verdict, records: Iterable[Any]) 
         k_error = None
         if drawn is not None:
             planned = next(c.wall for c in mission.collisions if c.wall.name == wall.name)
-            true_k = float(drawn) * mission.vehicle.materials[planned.material].of(Mode(mode)).k
+            true_k = float(drawn) * mission.vehicle.materials[planned.material].coefficients(Mode(mode)).k
             k_error = estimate.k_n_per_m / true_k - 1.0
         found.append(
             FeltWall(

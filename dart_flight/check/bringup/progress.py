@@ -10,7 +10,7 @@ import msgspec
 
 from dart_flight.check.bringup.judgements import Measured, StepFinding, StepOutcome
 from dart_flight.check.bringup.steps import STEPS
-from dart_flight.config.document import InputError, writing
+from dart_flight.config.document import InputError, report_write_errors
 from dart_flight.config.provenance import VehicleSource
 
 
@@ -82,7 +82,7 @@ def save(record: BringupRecord, folder: Path) -> tuple[Path, Path]:
     today = datetime.now().astimezone().date().isoformat()
     text = msgspec.json.format(msgspec.json.encode(record), indent=2)
     paths = folder / "bringup.json", folder / f"bringup-{today}.json", folder / f"bringup-{today}.html"
-    with writing(folder):
+    with report_write_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
         for path, content in zip(paths, (text, text, page(record, today).encode()), strict=True):
             path.write_bytes(content)

@@ -46,7 +46,7 @@ from dart_flight.core.sense.detector import ExpectedContact
 from dart_flight.core.sense.senses import Senses
 from dart_flight.lock.drivers import DRIVERS, DriverError
 from dart_flight.lock.ground import GroundLock, ground_driver
-from dart_flight.lock.persistence import CommandStore, ServoOwnership, ServoTakenError, load_last
+from dart_flight.lock.persistence import CommandStore, ServoInUseError, ServoOwnership, load_last
 from dart_flight.vehicle import messages
 from dart_flight.vehicle.baud_rate import listen_for_mavlink
 from dart_flight.vehicle.ground_link import GroundLink, unusable_streams
@@ -270,12 +270,12 @@ class Bringup(CheckContext[StepFinding]):
                 driver = ground_driver(config, load_last(), set_actuator)
                 driver.open()
                 try:
-                    lock = GroundLock(config, driver, CommandStore(kind).note)
-                    lock.look()
+                    lock = GroundLock(config, driver, CommandStore(kind).store)
+                    lock.read_state()
                     moves = [self._move(lock, mode) for mode in (Mode.FLEXIBLE, Mode.RIGID, Mode.FLEXIBLE)]
                 finally:
                     driver.close()
-        except (DriverError, ServoTakenError) as error:
+        except (DriverError, ServoInUseError) as error:
             return failed(f"{error}")
         return judgements.judge_servo(config, moves[1:])  # the first move starts from an unknown position
 

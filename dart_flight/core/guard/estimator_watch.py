@@ -17,7 +17,7 @@ from dart_flight.base.records import (
 )
 from dart_flight.core.guard.estimator_resets import REACH_US, EstimatorReset, EstimatorResets
 from dart_flight.core.guard.heading_step import HEADING_STEP_DEG
-from dart_flight.core.guard.rule import Judge, Rule, Scope
+from dart_flight.core.guard.rule import Rule, RuleCondition, Scope
 from dart_flight.core.guard.second_vehicle import POSITION_JUMP_M
 from dart_flight.core.mission.phases import ON_GROUND
 
@@ -51,9 +51,9 @@ class EstimatorWatch:
         """Begin a step; `excused` states whether an impact explains the estimator's behaviour."""
         self.jump, self._now_us, self._excused = "", now_us, excused
 
-    def take_odometry(self, item: OdometrySample) -> None:
+    def add_odometry(self, item: OdometrySample) -> None:
         """Process a position that the flight state has accepted."""
-        away_m, faster_m_s = self.resets.take_odometry(item)
+        away_m, faster_m_s = self.resets.add_odometry(item)
         if self._excused:
             return
         if away_m > POSITION_JUMP_M:
@@ -61,14 +61,14 @@ class EstimatorWatch:
         if faster_m_s > VELOCITY_JUMP_M_S:
             self.jump = f"velocity jumped by {faster_m_s:.2f} m/s, limit {VELOCITY_JUMP_M_S:g} m/s"
 
-    def refuse_odometry(self, item: OdometrySample) -> None:
+    def reject_odometry(self, item: OdometrySample) -> None:
         """Process an implausible position."""
         away_m, fast_m_s = norm(item.position_ned), norm(item.velocity_ned)
         self.jump = f"implausible position: {away_m:.3g} m from the origin at {fast_m_s:.3g} m/s"
 
-    def take_report(self, item: EstimatorSample, phase: Phase) -> None:
+    def add_report(self, item: EstimatorSample, phase: Phase) -> None:
         """Process the reset counter and the estimator's own flags."""
-        if item.reset_counter is not None and self.resets.take_counter(item.reset_counter, self._now_us):
+        if item.reset_counter is not None and self.resets.update_counter(item.reset_counter, self._now_us):
             self._reset_phase = phase
         if item.healthy is not None:
             self._unhealthy = not item.healthy
@@ -112,18 +112,18 @@ class EstimatorWatch:
 
 # fmt: off
 ESTIMATOR_RULES: tuple[Rule, ...] = (
-    Rule("estimator_jump", Override.HOLD, Scope.GUIDED, Judge(
+    Rule("estimator_jump", Override.HOLD, Scope.GUIDED, RuleCondition(
         "position or velocity jumped, and no impact explains it",
         f"{POSITION_JUMP_M:g} m, {VELOCITY_JUMP_M_S:g} m/s",
         lambda v: v.estimator.jump or None), (OdometrySample,), noted=True),
-    Rule("estimator_reset", Override.HOLD, Scope.GUIDED, Judge(
+    Rule("estimator_reset", Override.HOLD, Scope.GUIDED, RuleCondition(
         "PX4 reset its estimator, position or velocity stepped, and no impact explains it",
         f"{RESET_POSITION_M:g} m, {RESET_VELOCITY_M_S:g} m/s",
         lambda v: v.estimator.reset_step()), noted=True),
-    Rule("heading_reset", Override.BREAK_OFF, Scope.FLYING, Judge(
+    Rule("heading_reset", Override.BREAK_OFF, Scope.FLYING, RuleCondition(
         "PX4 reset its estimator, and the heading stepped by more than 5 degrees relative to the gyro", "",
         lambda v: v.estimator.heading_step())),
-    Rule("estimator_flags", Override.LAND, Scope.AIR, Judge(
+    Rule("estimator_flags", Override.LAND, Scope.AIR, RuleCondition(
         "PX4's estimator reports an invalid position, and no impact is recent",
         f"{ESTIMATOR_BAD_S:g} s",
         lambda v: v.estimator.invalid_estimate())),

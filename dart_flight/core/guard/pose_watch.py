@@ -18,7 +18,7 @@ from typing import Any, Final
 from dart_flight.base.geometry import Quaternion, Vec3, rotation_angle
 from dart_flight.base.records import OdometrySample, Override, Phase, PoseSample
 from dart_flight.config.vehicle.mocap import MotionCapture
-from dart_flight.core.guard.rule import Judge, Rule, Scope
+from dart_flight.core.guard.rule import Rule, RuleCondition, Scope
 from dart_flight.core.mission.phases import ON_GROUND
 from dart_flight.core.sense.state import FlightState
 
@@ -64,6 +64,7 @@ class PoseWatch:
         self._plausible: tuple[int, Vec3] | None = (
             None  # receipt and position of the newest plausible pose, NED
         )
+        self._settling_us: int | None = None  # since a start or a gap, until two poses agree
         self._jumped_us: int | None = None  # host time since which poses have been a jump away from it
         self._jump = ""
         self._wrong = ""  # why poses are withheld
@@ -83,7 +84,7 @@ class PoseWatch:
         self._begun_us = self._begun_us or host_us
         self._now_us = host_us
 
-    def take(self, item: PoseSample, state: FlightState, phase: Phase) -> None:
+    def add_pose(self, item: PoseSample, state: FlightState, phase: Phase) -> None:
         """Compare a pose with the previous one and with PX4's estimate in `state`."""
         now_us, before = item.received_us, self._newest
         self._newest = item
@@ -203,14 +204,19 @@ class PoseWatch:
 
     def _compare_poses(self, now_us: int, position: Vec3, state: FlightState) -> None:
         if self._plausible is None or state.odometry is None:
-            self._plausible = (now_us, position)
+            self._plausible, self._settling_us = (now_us, position), now_us
             return
         then_us, then = self._plausible
         dt = (now_us - then_us) * 1e-6
         vx, vy, vz = state.odometry.velocity_ned
         away_m = math.dist(position, (then[0] + dt * vx, then[1] + dt * vy, then[2] + dt * vz))
-        if away_m <= JUMP_M + dt * _JUMP_M_S or (dt > _JUMP_GAP_S and self._jumped_us is None):
-            self._plausible, self._jumped_us = (now_us, position), None
+        if away_m <= JUMP_M + dt * _JUMP_M_S:
+            self._plausible, self._jumped_us, self._settling_us = (now_us, position), None, None
+            return
+        if dt > _JUMP_GAP_S and self._jumped_us is None:
+            self._settling_us = now_us
+        if self._settling_us is not None and (now_us - self._settling_us) * 1e-6 < _JUMP_S:
+            self._plausible = (now_us, position)
             return
         self._jumped_us = self._jumped_us if self._jumped_us is not None else now_us
         if (now_us - self._jumped_us) * 1e-6 >= _JUMP_S:
@@ -248,13 +254,13 @@ _DEAD_RECKONING: Final = frozenset({"position_uncertain", "estimator_flags", "od
 
 # fmt: off
 POSE_RULES: tuple[Rule, ...] = (
-    Rule("pose_source_ground", Override.GIVE_UP, Scope.GROUND, Judge(
+    Rule("pose_source_ground", Override.GIVE_UP, Scope.GROUND, RuleCondition(
         "the forwarded poses are wrong: body lost or jumped, poses slow, late, from two senders, or far "
         "from PX4's estimate", f"{_GROUND_LOST_S:g} s, mocap.rate_hz", _present)),
-    Rule("pose_source_blind", Override.LAND, Scope.AIR, Judge(
+    Rule("pose_source_blind", Override.LAND, Scope.AIR, RuleCondition(
         "the same, and PX4's estimate jumped with the poses, or the body was lost for longer than the limit",
         f"{LOST_LAND_S:g} s", _blind), (OdometrySample,), explains=_DEAD_RECKONING),
-    Rule("pose_source", Override.BREAK_OFF, Scope.FLYING, Judge(
+    Rule("pose_source", Override.BREAK_OFF, Scope.FLYING, RuleCondition(
         "the same; immediate in an approach, delayed until a contact and its recovery are over",
         f"{LOST_APPROACH_S:g} s, {LOST_S:g} s, mocap.rate_hz", _present)),
 )

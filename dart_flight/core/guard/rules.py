@@ -29,7 +29,7 @@ from dart_flight.base.text import battery_figures
 from dart_flight.core.guard.estimator_watch import ESTIMATOR_RULES
 from dart_flight.core.guard.flight_conditions import FlightConditions
 from dart_flight.core.guard.pose_watch import POSE_RULES
-from dart_flight.core.guard.rule import Judge, Rule, Scope, judge
+from dart_flight.core.guard.rule import Rule, RuleCondition, Scope, condition
 from dart_flight.core.guard.second_vehicle import POSITION_JUMP_M
 from dart_flight.core.guard.stream_watch import STAMP_TOLERANCE_S, STREAM_RULES
 from dart_flight.core.mission.phases import ALTITUDE_EXEMPT, ON_GROUND
@@ -51,31 +51,31 @@ _AFTER_CLIMB: Final = frozenset({Phase.WAYPOINT, Phase.PAUSE, Phase.TRANSIT, Pha
 # --- causes ------------------------------------------------------------------------------------------------
 
 
-@judge("the pilot took PX4 out of offboard mode")
+@condition("the pilot took PX4 out of offboard mode")
 def _pilot(v: FlightConditions) -> str | None:
     mode = v.unrequested_mode
     return f"PX4 is in {mode.value}" if mode is not None and not _by_px4(v) else None
 
 
-@judge("PX4 left offboard mode by itself: its failsafe flies")
+@condition("PX4 left offboard mode by itself: its failsafe flies")
 def _px4_failsafe(v: FlightConditions) -> str | None:
     mode = v.unrequested_mode
     if mode is None or not _by_px4(v):
         return None
-    return f"{v.failsafe_words}; PX4 is in {mode.value}" if v.failsafe_said else f"PX4 is in {mode.value}"
+    return f"{v.failsafe_words}; PX4 is in {mode.value}" if v.failsafe_reported else f"PX4 is in {mode.value}"
 
 
 def _by_px4(v: FlightConditions) -> bool:
     # A mode flown by stick is the pilot's choice unless PX4 announced it. A gap may hide the announcement.
     if v.unrequested_mode is FlightMode.MANUAL:
         return v.failsafe_hands_to_sticks
-    return v.failsafe_said or v.streams.was_cut_off
+    return v.failsafe_reported or v.streams.was_cut_off
 
 
-@judge("disarmed in the air: PX4 reports it, or the motors stand still and the vehicle falls")
+@condition("disarmed in the air: PX4 reports it, or the motors stand still and the vehicle falls")
 def _disarmed(v: FlightConditions) -> str | None:
     # A kill switch stops the motors at once; PX4 disarms 5 s later, and the heartbeat may take 1 s more.
-    falling_s = v.lasting_s(v.falling_since_us)
+    falling_s = v.duration_s(v.falling_since_us)
     if falling_s > _FALL_S and v.was_armed and not v.state.on_ground:
         return f"PX4 stopped the motors in the air, the vehicle has been falling for {falling_s * 1e3:.0f} ms"
     if v.state.status.armed or not v.was_armed or v.state.on_ground or v.land_asked:
@@ -84,7 +84,7 @@ def _disarmed(v: FlightConditions) -> str | None:
     return None if v.status_unreliable else "PX4 disarmed in the air"
 
 
-@judge(
+@condition(
     "the autopilot's time went backwards: it restarted, or its clock was reset", f"{STAMP_TOLERANCE_S:g} s"
 )
 def _stamps_backwards(v: FlightConditions) -> str | None:
@@ -94,19 +94,19 @@ def _stamps_backwards(v: FlightConditions) -> str | None:
     return None
 
 
-@judge("the IMU repeats one reading", f"{IMU_STUCK_S:g} s")
+@condition("the IMU repeats one reading", f"{IMU_STUCK_S:g} s")
 def _imu_stuck(v: FlightConditions) -> str | None:
-    lasting = v.lasting_s(v.stuck_since_us)
+    lasting = v.duration_s(v.stuck_since_us)
     return f"the IMU repeats one reading for {lasting * 1e3:.0f} ms" if lasting > IMU_STUCK_S else None
 
 
-@judge("the IMU stays at full scale longer than any contact lasts", f"{IMU_CLIPPED_S:g} s")
+@condition("the IMU stays at full scale longer than any contact lasts", f"{IMU_CLIPPED_S:g} s")
 def _imu_clipped(v: FlightConditions) -> str | None:
-    lasting = v.lasting_s(v.clipped_since_us)
+    lasting = v.duration_s(v.clipped_since_us)
     return f"the IMU is at full scale for {lasting * 1e3:.0f} ms" if lasting > IMU_CLIPPED_S else None
 
 
-@judge("the standard deviation of PX4's position is too large to fly at walls", "guard.position_sd_m")
+@condition("the standard deviation of PX4's position is too large to fly at walls", "guard.position_sd_m")
 def _position_uncertain(v: FlightConditions) -> str | None:
     sd, limit = v.state.position_sd_m, v.config.position_sd_m
     if sd is None or sd <= limit or not v.mission.collisions or v.mission.is_anchored:
@@ -114,7 +114,7 @@ def _position_uncertain(v: FlightConditions) -> str | None:
     return f"standard deviation of the position {sd:.2f} m, limit {limit:.2f} m"
 
 
-@judge("the position estimate leads or lags the IMU's motion", "guard.position_delay_s")
+@condition("the position estimate leads or lags the IMU's motion", "guard.position_delay_s")
 def _position_delayed(v: FlightConditions) -> str | None:
     ahead_s, limit_s = v.state.position_ahead_s, v.config.position_delay_s
     if ahead_s is None or limit_s is None or abs(ahead_s) <= limit_s:
@@ -126,23 +126,25 @@ def _position_delayed(v: FlightConditions) -> str | None:
     )
 
 
-@judge("in PX4's land mode and still armed long after touchdown was due", "guard.kill_after_s, bounds_m.z")
+@condition(
+    "in PX4's land mode and still armed long after touchdown was due", "guard.kill_after_s, bounds_m.z"
+)
 def _still_armed(v: FlightConditions) -> str | None:
-    limit = v.surely_down_s
+    limit = v.landing_timeout_s
     if limit is None or v.landing_s <= limit:
         return None
     return f"still armed after {v.landing_s:.0f} s in land mode"
 
 
-@judge("the battery is low", f"guard.battery_remaining, guard.battery_v, {BATTERY_LOW_S:g} s")
+@condition("the battery is low", f"guard.battery_remaining, guard.battery_v, {BATTERY_LOW_S:g} s")
 def _battery(v: FlightConditions) -> str | None:
-    if v.lasting_s(v.battery_low_since_us) <= BATTERY_LOW_S:
+    if v.duration_s(v.battery_low_since_us) <= BATTERY_LOW_S:
         return None
     status = v.state.status
     return ", ".join(battery_figures(status.battery_remaining, status.battery_v))
 
 
-@judge("before the first impact, the thrust differs by more than 25 % from mass and thrust curve")
+@condition("before the first impact, the thrust differs by more than 25 % from mass and thrust curve")
 def _hover_thrust(v: FlightConditions) -> str | None:
     ratio = v.thrust_ratio
     if ratio is None or v.impact is not None or v.phase not in _AFTER_CLIMB or not v.mission.collisions:
@@ -154,13 +156,13 @@ def _hover_thrust(v: FlightConditions) -> str | None:
     return f"{text}{mass_kg:g}: ratio {ratio:.2f}, limits {1.0 - allowed:.2f} to {1.0 + allowed:.2f}"
 
 
-@judge("the vehicle tilts further than PX4 reliably recovers from", "guard.tilt_deg")
+@condition("the vehicle tilts further than PX4 reliably recovers from", "guard.tilt_deg")
 def _tilt(v: FlightConditions) -> str | None:
     tilt = math.degrees(v.state.tilt_rad)
     return f"{tilt:.0f} deg, limit {v.config.tilt_deg:g} deg" if tilt > v.config.tilt_deg else None
 
 
-@judge("the vehicle is outside bounds_m horizontally, or would stop there", "bounds_m.x, bounds_m.y")
+@condition("the vehicle is outside bounds_m horizontally, or would stop there", "bounds_m.x, bounds_m.y")
 def _bounds(v: FlightConditions) -> str | None:
     bounds = v.mission.bounds
     excess = bounds.excess2(v.state.position)
@@ -172,7 +174,7 @@ def _bounds(v: FlightConditions) -> str | None:
     return f"the vehicle would stop {excess:.2f} m outside bounds_m" if excess > 0.0 else None
 
 
-@judge(
+@condition(
     "the altitude is outside bounds_m; the tolerance is larger after an impact",
     f"bounds_m.z, {ALTITUDE_TOLERANCE_M:g} m",
 )
@@ -185,13 +187,13 @@ def _altitude(v: FlightConditions) -> str | None:
     return None if low - tolerance <= z <= high + tolerance else f"{z:.2f} m, limits {low:g} to {high:g} m"
 
 
-@judge("the vehicle is faster than the mission allows", "limits.speed_m_s")
+@condition("the vehicle is faster than the mission allows", "limits.speed_m_s")
 def _speed(v: FlightConditions) -> str | None:
     speed, limit = norm(v.state.velocity), v.mission.limits.speed_m_s
     return f"{speed:.2f} m/s, limit {limit:g} m/s" if speed > limit * _SPEED_TOLERANCE else None
 
 
-@judge(
+@condition(
     "the contact force exceeds the limit by far during the contact",
     f"limits.peak_force_n, {FORCE_MARGIN:g} times",
 )
@@ -201,13 +203,13 @@ def _force(v: FlightConditions) -> str | None:
     return f"{force:.0f} N, limit {limit:g} N" if force > limit else None
 
 
-@judge("the operator stopped the flight before take-off")
+@condition("the operator stopped the flight before take-off")
 def _operator_stops(v: FlightConditions) -> str | None:
     stops = v.is_asked(Request.LAND) and v.phase in ON_GROUND and not v.state.status.armed
     return "stopped by the operator before take-off" if stops else None
 
 
-@judge("the simulated vehicle ended")
+@condition("the simulated vehicle ended")
 def _world_died(v: FlightConditions) -> str | None:
     if v.request is None or not v.is_asked(Request.WORLD_DIED):
         return None
@@ -215,26 +217,26 @@ def _world_died(v: FlightConditions) -> str | None:
 
 
 _TWO = f"{STAMP_TOLERANCE_S:g} s, {POSITION_JUMP_M:g} m"
-_TERMINATED = Judge(
+_TERMINATED = RuleCondition(
     "PX4 terminated the flight, or a kill switch was used: motors off", "", lambda v: v.termination
 )
-_ANNOUNCED = Judge(
+_ANNOUNCED = RuleCondition(
     "PX4 announced a failsafe, but telemetry does not show its mode yet", "", lambda v: v.failsafe_announced
 )
-_OTHER_VEHICLE = Judge(
+_OTHER_VEHICLE = RuleCondition(
     "a second vehicle sends on the link, with any system id", _TWO, lambda v: v.others.any_system
 )
-_SAME_SYSTEM = Judge(
+_SAME_SYSTEM = RuleCondition(
     "two vehicles share one system id: two clocks or two positions alternate",
     _TWO,
     lambda v: v.others.same_system,
 )
-_OPERATOR_LANDS = Judge(
+_OPERATOR_LANDS = RuleCondition(
     "the operator requested a landing (Ctrl-C)",
     "",
     lambda v: "landing requested" if v.is_asked(Request.LAND) else None,
 )
-_OPERATOR_RELEASES = Judge(
+_OPERATOR_RELEASES = RuleCondition(
     "the operator released the vehicle (second Ctrl-C)",
     "",
     lambda v: "released by the operator" if v.is_asked(Request.RELEASE) else None,
@@ -248,7 +250,7 @@ def _found(
     name: str, action: Override, description: str, threshold: str = "", of_streams: bool = False
 ) -> Rule:
     """Return a rule that fires by a finding of the mission, which alone knows the plan."""
-    return Rule(name, action, Scope.ALWAYS, Judge(description, threshold), of_streams=of_streams)
+    return Rule(name, action, Scope.ALWAYS, RuleCondition(description, threshold), of_streams=of_streams)
 
 
 _ALWAYS, _GROUND, _AIR = Scope.ALWAYS, Scope.GROUND, Scope.AIR
@@ -334,7 +336,7 @@ def table() -> str:
     """Return the rules as a Markdown table, one row each."""
     rows = ["| rule | fires when | threshold | action | judged by |", "|---|---|---|---|---|"]
     for rule in RULES:
-        description, threshold, cause = rule.judge
+        description, threshold, cause = rule.condition
         judged_by = f"guard, {rule.scope.value}" if cause is not None else "mission"
         if rule.at_once:
             judged_by += ", at once after " + ", ".join(f"`{kind.__name__}`" for kind in rule.at_once)

@@ -112,7 +112,7 @@ def is_blocked(
     return crosses & (wall.end_distance_m(crossing) >= -end_margin_m(wall, crossing))
 
 
-def is_post_in_the_way(mission: Mission, post: Post, a: Vec2, b: Vec2) -> bool:
+def is_blocked_by_post(mission: Mission, post: Post, a: Vec2, b: Vec2) -> bool:
     """Return whether a segment is too close to a post for a vehicle with any heading."""
     airframe = mission.vehicle.airframe
     corner_m = math.hypot(airframe.contact_distance_m, airframe.guard_along_m)
@@ -209,9 +209,9 @@ def _check_room(mission: Mission, collision: Collision, begin: Vec2) -> None:
         if any(is_blocked(wall, *leg) for leg in legs(wall)):
             raise NoApproachError(f"wall {wall.name} blocks the run-up")
     for post in mission.posts:
-        if post.name != collision.wall.name and is_post_in_the_way(mission, post, begin, impact):
+        if post.name != collision.wall.name and is_blocked_by_post(mission, post, begin, impact):
             raise NoApproachError(f"post {post.name} blocks the run-up")
-        if before is not None and is_post_in_the_way(mission, post, before, begin):
+        if before is not None and is_blocked_by_post(mission, post, before, begin):
             raise NoApproachError(f"post {post.name} blocks the path to the run-up")
 
 
@@ -249,7 +249,7 @@ def transit_segments(mission: Mission) -> list[TransitSegment]:
     return found
 
 
-def transit_of(mission: Mission, leg: TransitSegment, begin: Vec3) -> Trajectory:
+def plan_transit(mission: Mission, leg: TransitSegment, begin: Vec3) -> Trajectory:
     """Return the trajectory of a segment from its actual beginning."""
     flying = mission.vehicle.flying
     return Trajectory.rest_to_rest(begin, leg.end, leg.speed_m_s, flying, flying.climb_speed_m_s)
@@ -271,7 +271,7 @@ def check_segments_clear(mission: Mission) -> None:
             if leg.begin is not None and is_blocked(wall, leg.begin[:2], leg.end[:2]):
                 raise NoApproachError(f"wall {wall.name} blocks the path to {leg.name}")
         for post in mission.posts:
-            if leg.begin is not None and is_post_in_the_way(mission, post, leg.begin[:2], leg.end[:2]):
+            if leg.begin is not None and is_blocked_by_post(mission, post, leg.begin[:2], leg.end[:2]):
                 raise NoApproachError(f"post {post.name} blocks the path to {leg.name}")
 
 

@@ -44,11 +44,11 @@ from dart_flight.core.mission.contact_feedforward import ContactFeedforward
 from dart_flight.core.mission.course import ARRIVED_S, Arrival
 from dart_flight.core.mission.ground_phases import GroundPhases
 from dart_flight.core.mission.impact_response import ImpactResponse
-from dart_flight.core.mission.legs import collision_now, mission_now, waypoint_now, why_left_out
-from dart_flight.core.mission.lock_orders import LockOrders
+from dart_flight.core.mission.legs import skip_reason, update_collision, update_mission, update_waypoint
+from dart_flight.core.mission.lock_commands import LockCommands
 from dart_flight.core.mission.mission_state import NO_CHANGE, Change, MissionState
 from dart_flight.core.mission.phases import BETWEEN, TRANSITIONS, WATCHING, PhaseTrigger
-from dart_flight.core.mission.position_loop import least_distance_m, meets_plane
+from dart_flight.core.mission.position_loop import least_distance_m, predict_impact
 from dart_flight.core.mission.proposal import Proposal
 from dart_flight.core.mission.recovery import PASSED_AFTER_S, PASSED_RISE_M
 from dart_flight.core.mission.replan_requests import ReplanRequests
@@ -83,7 +83,7 @@ class Executive:
         }
         check_segments_clear(mission)
         self.progress = MissionState(mission, approaches)
-        self._lock, self._arrival = LockOrders(mission.vehicle.lock), Arrival(mission)
+        self._lock, self._arrival = LockCommands(mission.vehicle.lock), Arrival(mission)
         self._ground, self._impacts = GroundPhases(mission), ImpactResponse(mission)
         self._replanning, self._setpoints = ReplanRequests(mission), SetpointSelection(mission)
         self._feedforward = ContactFeedforward(mission.vehicle)
@@ -207,19 +207,19 @@ class Executive:
 
     def _move_lock(self, mode: Mode, state: FlightState, p: Proposal) -> bool:
         """Command the lock if it is elsewhere and may move; return whether it is settled in the mode."""
-        order = self._lock.order(self.progress.lock, mode, state)
+        order = self._lock.command(self.progress.lock, mode, state)
         if order is not None:
-            self.progress.lock = self.progress.lock._replace(ordered=mode, ordered_us=state.now_us)
+            self.progress.lock = self.progress.lock._replace(commanded=mode, commanded_us=state.now_us)
             p.outputs.append(order)
         return state.lock_is_in(mode)
 
-    def overruled(self, now_us: int, reason: str) -> list[Output]:
+    def record_override(self, now_us: int, reason: str) -> list[Output]:
         """Record that the guard has taken over; return the phase change, once."""
         if self.progress.phase in (Phase.DONE, Phase.OVERRULED):
             return []
         return [self._change_phase(PhaseTrigger.OVERRULE, now_us, reason)]
 
-    def ended(self, end: MissionEnd) -> list[Output]:
+    def record_end(self, end: MissionEnd) -> list[Output]:
         """Record that the guard has ended the flight, in the air or on the ground; return the records."""
         if self.progress.phase is Phase.OVERRULED:
             return [self._change_phase(PhaseTrigger.LANDED, end.t_us, end.outcome.value), end]
@@ -250,15 +250,15 @@ class Executive:
         if sensed.wall is not None:
             self._handle_wall_estimate(sensed.wall, state, p)
 
-    def _handle_wall_estimate(self, felt: WallEstimate, state: FlightState, p: Proposal) -> None:
+    def _handle_wall_estimate(self, estimate: WallEstimate, state: FlightState, p: Proposal) -> None:
         progress = self.progress
-        progress.replan = progress.replan._replace(felt=True)
-        hit = next(c.wall for c in self.mission.collisions if c.wall.name == felt.wall)
-        known = progress.walls.wall_now(hit)
-        progress.walls.add_estimate(felt, hit)
-        if progress.anchors is not None and not known.sought and not felt.problem:
-            self._correct_frame(progress.anchors.take(known, felt, state.now_us), state, p)
-        self._apply(self._impacts.on_wall_estimate(felt), state, p)
+        progress.replan = progress.replan._replace(has_wall_estimate=True)
+        hit = next(c.wall for c in self.mission.collisions if c.wall.name == estimate.wall)
+        known = progress.walls.known_wall(hit)
+        progress.walls.add_estimate(estimate, hit)
+        if progress.anchors is not None and not known.sought and not estimate.problem:
+            self._correct_frame(progress.anchors.correct_frame(known, estimate, state.now_us), state, p)
+        self._apply(self._impacts.on_wall_estimate(estimate), state, p)
 
     def _correct_frame(self, anchor: FrameAnchor, state: FlightState, p: Proposal) -> None:
         """Move the mission frame along the normal of the wall that was touched."""
@@ -266,7 +266,7 @@ class Executive:
         assert frame is not None
         self.progress.walls.move_frame(anchor.moved_mission)
         self.progress.course = self.progress.course.move_frame(anchor.moved_mission)
-        p.frame = frame.moved(*anchor.moved_mission)
+        p.frame = frame.displaced(*anchor.moved_mission)
         p.outputs.append(anchor)
 
     # -- on the ground --
@@ -275,7 +275,7 @@ class Executive:
         self._apply(self._ground.ready(self.progress, state), state, p)
 
     def _enter_offboard(self, state: FlightState, sensed: Sensed, p: Proposal) -> None:
-        self._apply(self._ground.take_offboard(self.progress, state), state, p)
+        self._apply(self._ground.enter_offboard(self.progress, state), state, p)
 
     def _arm(self, state: FlightState, sensed: Sensed, p: Proposal) -> None:
         self._apply(self._ground.arm(self.progress, state), state, p)
@@ -303,7 +303,7 @@ class Executive:
         self._skip_legs(state, p)
         waypoint = self.progress.waypoint
         if waypoint is not None:
-            waypoint = waypoint_now(waypoint, self.progress.walls)
+            waypoint = update_waypoint(waypoint, self.progress.walls)
         if waypoint is not None and waypoint.position is None:
             waits = f"waiting {waypoint.hold_s:g} s for the operator (Enter or SIGUSR1), then landing"
             self._transition(PhaseTrigger.NEXT_PAUSE, state, p, waits)
@@ -322,7 +322,7 @@ class Executive:
     def _skip_legs(self, state: FlightState, p: Proposal) -> None:
         """Skip the legs whose condition on a wall is not met."""
         while (leg := self.progress.waypoint or self.progress.collision) is not None:
-            reason = why_left_out(leg, self.progress.walls)
+            reason = skip_reason(leg, self.progress.walls)
             if reason is None:
                 return
             name = leg.name if isinstance(leg, Waypoint) else f"collision {leg.index}"
@@ -380,12 +380,12 @@ class Executive:
             return
         then_us = state.now_us + _RUN_UP_US
         here = self.progress.course.target[:2]
-        known = collision_now(collision, self.progress.walls, then_us, here)
+        known = update_collision(collision, self.progress.walls, then_us, here)
         self.progress.collisions[self.progress.index] = known
         if collision.probe is not None and not collision.probe.from_here:
             return
         try:
-            mission = mission_now(self.mission, self.progress.walls, then_us, here)
+            mission = update_mission(self.mission, self.progress.walls, then_us, here)
             self.progress.approaches[collision.index] = plan_approach(mission, known)
         except NoApproachError as error:
             p.add_finding("no_approach", str(error))
@@ -452,7 +452,7 @@ class Executive:
         guard, impact = self.mission.vehicle.guard, collision.impact_point
         assert collision.approach_m_s is not None
         assert impact is not None
-        wall = self.progress.walls.wall_now(collision.wall, state.now_us)
+        wall = self.progress.walls.known_wall(collision.wall, state.now_us)
         if since_s > late_s(guard, wall, impact, -collision.approach_m_s[0]):
             detail = f"no contact with wall {collision.wall.name} {since_s:.1f} s after the planned impact"
             p.add_finding("wall_not_met", detail)
@@ -468,7 +468,7 @@ class Executive:
     def _check_contact_due(
         self, collision: Collision, state: FlightState, sensed: Sensed, p: Proposal
     ) -> None:
-        wall, (x, y, _) = self.progress.walls.wall_now(collision.wall, state.now_us), state.position
+        wall, (x, y, _) = self.progress.walls.known_wall(collision.wall, state.now_us), state.position
         overrun = -wall.signed_distance((x, y))
         if overrun <= 0.0:
             return
@@ -510,7 +510,7 @@ class Executive:
             if self.progress.replan.impact_in_s(state) < _NEAR_S:
                 self._check_contact_due(following, state, sensed, p)
             self._check_lock_in_time(following, state, sensed, p)
-            wall = self.progress.walls.wall_now(following.wall, state.now_us)
+            wall = self.progress.walls.known_wall(following.wall, state.now_us)
             if timed_out or self._replanning.is_late(self.progress.replan, wall, state):
                 detail = f"the recovery did not reach wall {following.wall.name} in time"
                 p.add_finding("wall_not_met", detail)
@@ -534,7 +534,7 @@ class Executive:
         if least_distance_m(distance, closing, pushing, distance, px4) >= STOP_MARGIN_M:
             return
         aim = following.wall.signed_distance(self.progress.course.target)
-        met = self.progress.replan.meets_plane(closing, state) or meets_plane(
+        met = self.progress.replan.predict_impact(closing, state) or predict_impact(
             distance, closing, pushing, aim, px4
         )
         ready_us = self._lock.ready_us(self.progress.lock, following.mode, state)

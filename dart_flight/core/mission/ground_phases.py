@@ -63,7 +63,7 @@ class GroundPhases:
         heading = progress.heading._replace(yaw=yaw, yaw_us=state.now_us)
         return Change(course=course, heading=heading, frame=frame, stood_at_ned=stood_at_ned)
 
-    def take_offboard(self, progress: MissionState, state: FlightState) -> Change:
+    def enter_offboard(self, progress: MissionState, state: FlightState) -> Change:
         """Request offboard mode once setpoints are streaming."""
         if state.in_offboard:
             return Change(PhaseTrigger.CONFIRMED)

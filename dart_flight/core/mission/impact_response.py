@@ -71,7 +71,7 @@ class ImpactResponse:
         if collision is None or not self._is_due(progress, collision) or not event.planned:
             text = f"unplanned {_describe(event, progress)}"
             return change._replace(finding=MissionFinding("unplanned_hit", text))
-        wall, (x, y, _) = progress.walls.wall_now(collision.wall, state.now_us), event.position_mission
+        wall, (x, y, _) = progress.walls.known_wall(collision.wall, state.now_us), event.position_mission
         distance = wall.signed_distance((x, y))
         if collision.probe is None and distance > early_m(self._mission.vehicle.guard, wall, (x, y)):
             text = f"contact {distance:.2f} m before wall {collision.wall.name}"
@@ -85,14 +85,14 @@ class ImpactResponse:
         """Return whether a contact here would be a bounce: at the last wall, soon after its impact."""
         if progress.phase is not Phase.RECOVERY or progress.elapsed_us(state) > _BOUNCES_US:
             return False
-        wall = progress.walls.wall_now(progress.last_collision.wall, state.now_us)
+        wall = progress.walls.known_wall(progress.last_collision.wall, state.now_us)
         distance_m = abs(wall.signed_distance(place))
         if distance_m > early_m(self._mission.vehicle.guard, wall, place):
             return False
         following = progress.collision
         if following is None or not _is_expected(progress, following):
             return True
-        ahead = progress.walls.wall_now(following.wall, state.now_us)
+        ahead = progress.walls.known_wall(following.wall, state.now_us)
         return ahead.name != wall.name and distance_m < abs(ahead.signed_distance(place))
 
     def _on_bounce(self, event: ImpactOnset, progress: MissionState, state: FlightState) -> Change:
@@ -100,7 +100,7 @@ class ImpactResponse:
         course = None
         if progress.replan.trajectory is not None:
             hit = progress.last_collision.wall
-            (nx, ny), (x, y, _) = progress.walls.wall_now(hit, state.now_us).normal, state.position
+            (nx, ny), (x, y, _) = progress.walls.known_wall(hit, state.now_us).normal, state.position
             away_m = self._mission.vehicle.guard.retreat_m
             course = progress.course.hold((x + away_m * nx, y + away_m * ny))
         finding = MissionFinding("unplanned_hit", f"bounce: {_describe(event, progress)}", note_only=True)
@@ -157,13 +157,13 @@ class ImpactResponse:
 
     # -- lock state indicated by a contact --
 
-    def on_wall_estimate(self, felt: WallEstimate) -> Change:
+    def on_wall_estimate(self, estimate: WallEstimate) -> Change:
         """Report a contact that indicates another mode than the lock reports."""
-        if felt.mode_felt is None or felt.mode_reported in (None, felt.mode_felt):
+        if estimate.mode_felt is None or estimate.mode_reported in (None, estimate.mode_felt):
             return NO_CHANGE
         detail = (
-            f"contact with wall {felt.wall} indicates {felt.mode_felt.value} arms, the lock reports "
-            f"{felt.mode_reported.value} (log odds {abs(felt.log_odds):.1f})"
+            f"contact with wall {estimate.wall} indicates {estimate.mode_felt.value} arms, the lock reports "
+            f"{estimate.mode_reported.value} (log odds {abs(estimate.log_odds):.1f})"
         )
         noted = self._mission.mode_mismatch is ModeMismatch.NOTE_ONLY
         return Change(finding=MissionFinding("mode_felt", detail, noted))

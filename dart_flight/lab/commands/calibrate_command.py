@@ -20,7 +20,7 @@ from dart_flight.config.edit import write_values
 from dart_flight.config.provenance import find_vehicle
 from dart_flight.config.rotors import (
     COUNT,
-    motors_of,
+    motors_from_parameters,
     rotor_differences,
     rotor_names,
 )
@@ -34,7 +34,7 @@ from dart_flight.lab.calibrate.thrust_curve import (
     format_rejected,
 )
 from dart_flight.lab.track import Track, read_calibration_series
-from dart_flight.recording.found import from_each, logs_in
+from dart_flight.recording.found import find_logs, read_each
 from dart_flight.vehicle.ground_link import GroundLink
 from dart_flight.vehicle.link import LinkLease
 
@@ -66,7 +66,7 @@ def run(arguments: argparse.Namespace) -> int:
         if arguments.what == "thrust" and vehicle.thrust.table is not None:
             raise InputError("has thrust.table: full_n and model_factor would replace it", source=str(path))
     left_out: list[str] = []
-    tracks = from_each(logs_in(arguments.logs), read_calibration_series, left_out.append)
+    tracks = read_each(find_logs(arguments.logs), read_calibration_series, left_out.append)
     calibrate = _thrust if arguments.what == "thrust" else _inertia
     result, table, notes, values = calibrate(tracks, vehicle)
     print_status(*left_out)
@@ -92,7 +92,9 @@ def _airframe(arguments: argparse.Namespace) -> int:
         url = link_of(arguments, vehicle.connection)
         with LinkLease(url, "calibrate"), GroundLink(url, vehicle.connection.timeout_s) as link:
             values = link.read_parameters([COUNT])
-            motors = motors_of(values | link.read_parameters(rotor_names(values.get(COUNT, 0.0))), url)
+            motors = motors_from_parameters(
+                values | link.read_parameters(rotor_names(values.get(COUNT, 0.0))), url
+            )
     else:
         motors = read_airframe(Path(arguments.logs[0]))
     refuse_unmeasured(motors, arguments.connection or arguments.logs[0])

@@ -31,9 +31,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command and return the exit status. --json prints one object, or a list for several logs."""
-    from dart_flight.recording.found import logs_in
+    from dart_flight.recording.found import find_logs
 
-    paths = logs_in(arguments.logs)
+    paths = find_logs(arguments.logs)
     export = _export_foxglove if arguments.foxglove else _export_csv
     places = _files(paths, arguments.output) if arguments.foxglove else _folders(paths, arguments.output)
     exports = [export(path, place) for path, place in zip(paths, places, strict=True)]

@@ -247,13 +247,13 @@ class ImpactScan:
     def take(self, sample: Sample) -> None:
         """Process the next sample of the log."""
         if isinstance(sample, AttitudeSample):
-            if self.state.take_attitude(sample):
-                self.estimator.take_attitude(sample)
+            if self.state.update_attitude(sample):
+                self.estimator.add_attitude(sample)
         elif isinstance(sample, OdometrySample):
-            self.state.take_odometry(sample)
+            self.state.update_odometry(sample)
         elif isinstance(sample, ActuatorSample):
-            self.estimator.thrust.take_actuator(sample)
-        elif self.state.take_imu(sample):
+            self.estimator.thrust.add_commands(sample)
+        elif self.state.update_imu(sample):
             self._process_imu(sample)
 
     def _process_imu(self, sample: ImuSample) -> None:
@@ -271,7 +271,7 @@ class ImpactScan:
                 level = math.hypot(estimated.up[0], estimated.up[1])
                 noise = detector.noise_n[0]
                 self.crossings.append(
-                    ThresholdCrossing(event, detector.crossed_n, noise_n=noise, level=level)
+                    ThresholdCrossing(event, detector.crossed_threshold_n, noise_n=noise, level=level)
                 )
             elif isinstance(event, ImpactPeak):
                 self.crossings[-1].ends(event, self._newest, self._short)
@@ -298,8 +298,8 @@ class ImpactScan:
                     self.estimator.hover.noise_m_s2,
                     short / m,
                     long / m,
-                    self.detector.floor_n(0.05) / m,
-                    self.detector.floor_n(0.15) / m,
+                    self.detector.detection_floor_n(0.05) / m,
+                    self.detector.detection_floor_n(0.15) / m,
                 )
             )
 

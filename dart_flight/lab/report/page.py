@@ -22,7 +22,7 @@ from dart_flight.base.records import (
     WallEstimate,
     World,
 )
-from dart_flight.config.document import InputError, dotted, leaves_of
+from dart_flight.config.document import InputError, dotted, iterate_leaves
 from dart_flight.lab.holes import describe_missing_parts
 from dart_flight.lab.report.figures import forces, motion
 from dart_flight.lab.report.figures import lock_timeline as lock
@@ -151,7 +151,7 @@ def _first_difference(first: RecordedFlight, other: RecordedFlight) -> str:
     if first.verdict.mission != other.verdict.mission:
         return ""
     there, here = (
-        {dotted(key): value for key, value in leaves_of(flight.mission.to_dict(), in_lists=True)}
+        {dotted(key): value for key, value in iterate_leaves(flight.mission.to_dict(), in_lists=True)}
         for flight in (first, other)
     )
     for key in there | here:
@@ -280,7 +280,7 @@ def _wall_estimate_row(flight: RecordedFlight, estimate: WallEstimate) -> Row:
     vehicle = flight.mission.vehicle
     if mode is None or wall is None:
         return [estimate.wall, None, None, None, None, None, None, None, None]
-    prior, spread = vehicle.materials[wall.material].of(mode), vehicle.estimation.walls.spread
+    prior, spread = vehicle.materials[wall.material].coefficients(mode), vehicle.estimation.walls.spread
     cells: list[Cell] = [estimate.wall, estimate.mode_reported, estimate.mode_felt or "undecided"]
     for before, after, sd in (
         (prior.k, estimate.k_n_per_m, estimate.k_sd),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from dart_flight.config.document import writing
+from dart_flight.config.document import report_write_errors
 from dart_flight.config.packages import missing_package
 from dart_flight.recording.about import flown_mission
 from dart_flight.recording.reader import Log
@@ -30,7 +30,7 @@ def export_foxglove(log: Log, path: Path) -> int:
     except ImportError:
         raise missing_package("--foxglove needs foxglove-sdk", "live") from None
     channels, thinning, translation = Channels(), Downsampler(), SceneTranslator(mission)
-    with writing(path):
+    with report_write_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         written = foxglove.open_mcap(path, allow_overwrite=True, context=channels.context)
     count = 0

@@ -157,11 +157,11 @@ class SceneTranslator:
         """Return the messages for a record."""
         t_us = getattr(record, "t_us", 0)
         messages = [] if self._begun else self._begin(t_us)
-        self._anchor.take(record)
+        self._anchor.add(record)
         handler = self._handlers.get(type(record))
         if handler is not None:
             messages += handler(record)
-        event = self._events.event_of(record)
+        event = self._events.format_event(record)
         if event is not None:
             messages.append(_log(t_us, event))
         return messages

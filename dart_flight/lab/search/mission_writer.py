@@ -14,7 +14,7 @@ import yaml
 from dart_flight.base.geometry import Vec2
 from dart_flight.base.records import AfterImpact
 from dart_flight.base.walls import Wall
-from dart_flight.config.document import Document, writing
+from dart_flight.config.document import Document, report_write_errors
 from dart_flight.config.mission import Mission, parse_mission
 from dart_flight.config.mission_file import FlownRecord, Limits, TrajectoryPieces, WallSpec
 from dart_flight.config.vehicle import VehicleConfig
@@ -197,7 +197,7 @@ def write_mission(
     """
     text = mission_text(scenario, plan, target, flown)
     planned_mission(scenario, plan, text)
-    with writing(target):
+    with report_write_errors(target):
         target.write_text(text, encoding="utf-8")
     return text
 

@@ -104,9 +104,9 @@ class ContactResponse(NamedTuple):
     @classmethod
     def of(cls, vehicle: VehicleConfig, wall: Wall, mode: Mode) -> ContactResponse:
         """Return the response of a vehicle in a mode at a wall."""
-        c = vehicle.materials[wall.material].of(mode)
+        c = vehicle.materials[wall.material].coefficients(mode)
         mass_kg, onset = vehicle.airframe.mass_kg, Onset(vehicle.onset)
-        hit = contact_map(CoefficientArrays.of(c), mass_kg, np.array(-1.0), np.array(0.0), onset)
+        hit = contact_map(CoefficientArrays.from_table(c), mass_kg, np.array(-1.0), np.array(0.0), onset)
         lead_s = c.lead_s if onset is Onset.LCP else 0.0
         return cls(
             float(hit.normal_out_m_s),

@@ -22,13 +22,13 @@ from dart_flight.base.walls import Post, Wall
 from dart_flight.config.document import Document, InputError, Key, unknown_name
 from dart_flight.config.file_kinds import FileKind, load_document
 from dart_flight.config.flight_space import (
+    apply_limits,
     check_clear_of_posts,
     check_place,
     refuse_mode,
     resolve_alphas,
     resolve_posts,
     resolve_space,
-    within_limits,
 )
 from dart_flight.config.mission_file import (
     Alpha,
@@ -41,7 +41,7 @@ from dart_flight.config.mission_file import (
     WallSpec,
 )
 from dart_flight.config.provenance import VehicleSource, find_vehicle
-from dart_flight.config.section import Section, keys_of
+from dart_flight.config.section import Section, shared_keys
 from dart_flight.config.vehicle import Px4Parameters, VehicleConfig
 
 _MAX_STEPS = 2001
@@ -268,7 +268,7 @@ def resolve_scenario(
     Raises:
         InputError: the parts of the scenario contradict each other, or the search is empty or too large.
     """
-    vehicle = within_limits(vehicle, spec.limits)
+    vehicle = apply_limits(vehicle, spec.limits)
     walls = resolve_space(spec.start, spec.goal, spec.bounds_m, spec.walls, vehicle, document)
     posts = resolve_posts(spec.posts, walls, vehicle, document)
     check_clear_of_posts(posts, spec.start.position_m, vehicle, ("start",), document)
@@ -300,7 +300,7 @@ def resolve_scenario(
     if spec.sight is not None:
         _check_sight(spec, spec.sight, list(walls.values()), document)
     return Scenario(
-        **keys_of(spec, SpaceKeys),
+        **shared_keys(spec, SpaceKeys),
         name=spec.name or _name_from(document.source),
         source=document.source,
         spec=spec,

@@ -36,7 +36,7 @@ class RequiredParameter(msgspec.Struct, frozen=True):
     why: str
     mask: int | None = None
 
-    def met_by(self, actual: float) -> bool:
+    def is_satisfied_by(self, actual: float) -> bool:
         """Return whether a value read from the vehicle is correct."""
         return (round(actual) if self.mask is None else round(actual) & self.mask) == self.value
 
@@ -73,7 +73,7 @@ def parameter_problems(config: LockConfig, actual: Mapping[str, float]) -> list[
     for required in required_parameters(config):
         if required.name not in actual:
             problems.append(f"{required.name} is not on this vehicle; {required.why}")
-        elif not required.met_by(actual[required.name]):
+        elif not required.is_satisfied_by(actual[required.name]):
             wanted = f"{required.value}" if required.mask is None else f"without bit {required.mask:#x}"
             shown = f"{actual[required.name]:g}"
             problems.append(f"{required.name} is {shown}, must be {wanted}: {required.why}")

@@ -161,7 +161,7 @@ def test_a_wrong_law_is_named_and_the_peak_is_kept() -> None:
 def test_clocks_that_differ() -> None:
     random = np.random.default_rng(4)
     trials = [
-        wall_trial(ACRYLIC.of(Mode.FLEXIBLE), -v, random, mode="flexible", force_noise_n=0.5)
+        wall_trial(ACRYLIC.coefficients(Mode.FLEXIBLE), -v, random, mode="flexible", force_noise_n=0.5)
         for v in (0.6, 1.2)
     ]
     for trial in trials:

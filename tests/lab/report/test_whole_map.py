@@ -65,7 +65,7 @@ def test_a_way_from_where_nothing_is_predicted_is_not_called_none() -> None:
 def test_a_wall_that_is_not_hit_is_in_the_picture(place: tuple[float, float, list[float]]) -> None:
     mission = room(walls={"east": wall(1.5, 0.0, [-1.0, 0.0]), "third": wall(*place)})
     plan = drawn(mission)
-    x, y = mission.vehicle.airframe.surface_of(mission.walls[1]).point
+    x, y = mission.vehicle.airframe.wall_surface(mission.walls[1]).point
     assert plan.get_xlim()[0] < x < plan.get_xlim()[1]
     assert plan.get_ylim()[0] < y < plan.get_ylim()[1]
     assert "third (acrylic)" in {text.get_text() for text in plan.texts}
