@@ -368,7 +368,7 @@ def test_a_refusal_carries_what_px4_says(impatient: HandFedCore) -> None:
     impatient.give(StatusText(t_us, t_us, "critical", "Arming denied: Resolve system health failures first"))
     impatient.give(StatusText(t_us, t_us, "info", "logging: opened log file"))
     assert reason(impatient.run(10.0)) == (
-        "offboard_refused: PX4 refused offboard; PX4 reports: Heading estimate invalid, "
+        "offboard_refused: PX4 refused offboard mode; PX4 reports: Heading estimate invalid, "
         "Arming denied: Resolve system health failures first; also No manual control input"
     )
 
@@ -400,7 +400,10 @@ def test_without_words_the_answer_is_told(impatient: HandFedCore) -> None:
     impatient.set_lock(Mode.RIGID)
     impatient.run(1.0)
     impatient.give(CommandResult(impatient.t_us, "offboard", False, "COMMAND_DENIED"))
-    assert reason(impatient.run(5.0)) == "offboard_refused: PX4 refused offboard; PX4 answers: COMMAND_DENIED"
+    assert (
+        reason(impatient.run(5.0))
+        == "offboard_refused: PX4 refused offboard mode; PX4 answers: COMMAND_DENIED"
+    )
 
 
 def test_what_is_wrong_for_other_modes_is_told_where_nothing_else_is(impatient: HandFedCore) -> None:

@@ -301,7 +301,7 @@ class FlightState:
             command: refused command; if PX4 gives no other reason, its answer to the command is returned.
 
         Returns:
-            Text such as "; PX4 says: No offboard signal" to append, empty if there is no reason.
+            Text such as "; PX4 reports: No offboard signal" to append, empty if there is no reason.
         """
         own = self._recent(self._found_on_link)
         here = "; " + ", ".join(own) if own else ""
