@@ -117,7 +117,7 @@ def test_status_moves_nothing_and_is_honest(
     assert main(world.command("status")) == 0
     unknown, last = capsys.readouterr().out.splitlines()
     assert unknown == "maestro: unknown; nothing to adopt: pulses are off"
-    assert last.startswith("last command: rigid through maestro at ")
+    assert last.startswith("last command: rigid by maestro at ")
     assert last.endswith(", settled then (no feedback)")
     assert main(world.command("rigid")) == 0
     capsys.readouterr()
@@ -235,7 +235,7 @@ def test_calibrate_writes_the_two_ends(world: World, maestro: EmulatedMaestro) -
     assert process.returncode == 0, error
     assert out == "maestro: flexible: settled (no feedback)\n"
     assert "Are the rods free to move?" in error
-    assert "up is not understood" in error
+    assert "up is not a command" in error
     changed = [a for a, b in zip(world.config.read_text().splitlines(), before, strict=True) if a != b]
     assert [line.split("#")[0].strip() for line in changed] == [
         "rigid_pulse_us: 1700.0",
