@@ -108,7 +108,7 @@ def test_a_log_of_another_version_is_refused_by_the_key(flight: Log) -> None:
         flown_mission(about, "log")
     with pytest.raises(InputError, match="retreat_m"):
         parse_written(*written_mission(about, "log"))
-    with pytest.raises(InputError, match="does not fit"):
+    with pytest.raises(InputError, match="this version cannot read"):
         flown_mission({**about, "flown": "[]"}, "log")
 
 

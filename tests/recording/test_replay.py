@@ -65,7 +65,7 @@ def test_a_decision_that_was_not_taken_is_noticed(flight: Log) -> None:
     index = next(i for i, e in enumerate(flight.entries) if isinstance(e.record, ImpactPeak))
     entries = flight.entries[:index] + flight.entries[index + 1 :]
     result = replay(Log(flight.source, flight.about, flight.end, entries, True))
-    assert result.differences[0].text().startswith("ImpactPeak not in the recording")
+    assert result.differences[0].text().startswith("ImpactPeak is not in the recording")
 
 
 def test_a_higher_threshold_detects_later(flight: Log) -> None:
