@@ -57,10 +57,10 @@ def check_core_speed(mission: Mission, found: Sequence[CheckFinding] = ()) -> Ch
         item = next((f.item for f in found if not f.go and error.message in f.says), None)
         why = f": {error.message}" if item is None else f" because of {item}"
         return CheckFinding("core_speed", False, f"not measured{why}")
-    return judge_core_speed(step_s, interval_s)
+    return evaluate_core_speed(step_s, interval_s)
 
 
-def judge_core_speed(step_s: float, interval_s: float) -> CheckFinding:
+def evaluate_core_speed(step_s: float, interval_s: float) -> CheckFinding:
     """Return whether the core keeps up, and whether it finds a contact's peak before the next sample.
 
     Args:

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from dart_flight.check.findings import CheckFinding
-from dart_flight.check.px4_parameters import judge_parameters
+from dart_flight.check.px4_parameters import evaluate_parameters
 from dart_flight.config.mission import Mission
 from dart_flight.config.parameter_file import Parameter, PositionSource, differences, load_parameters
 from dart_flight.config.vehicle import LockDriver, packaged
@@ -27,7 +27,7 @@ def hitl_parameters() -> dict[str, Parameter]:
     return load_parameters(packaged("configs", "px4", "hitl.params"))
 
 
-def judge_hitl_parameters(values: Mapping[str, float]) -> list[CheckFinding]:
+def evaluate_hitl_parameters(values: Mapping[str, float]) -> list[CheckFinding]:
     """Return a no-go for each parameter that differs from `hitl.params`."""
     wanted = hitl_parameters()
     return [
@@ -37,15 +37,15 @@ def judge_hitl_parameters(values: Mapping[str, float]) -> list[CheckFinding]:
     ]
 
 
-def judge_own_parameters(
+def evaluate_own_parameters(
     mission: Mission, values: Mapping[str, float], position_from: PositionSource | None
 ) -> list[CheckFinding]:
     """Judge the vehicle's own parameters as before a flight, except those that this mode sets."""
     wanted = hitl_parameters()
-    return [f for f in judge_parameters(mission, values, position_from) if f.item not in wanted]
+    return [f for f in evaluate_parameters(mission, values, position_from) if f.item not in wanted]
 
 
-def judge_hitl_mode(values: Mapping[str, float], mode: HeartbeatMode | None) -> list[CheckFinding]:
+def evaluate_hitl_mode(values: Mapping[str, float], mode: HeartbeatMode | None) -> list[CheckFinding]:
     """Return whether the flight controller is disarmed and was restarted into this mode."""
     if mode is None:
         return [CheckFinding("heartbeat", False, "no heartbeat with a mode within 3 s")]
@@ -58,7 +58,7 @@ def judge_hitl_mode(values: Mapping[str, float], mode: HeartbeatMode | None) -> 
     return [CheckFinding("disarmed", True, "disarmed")]
 
 
-def judge_hitl_outputs(values: Mapping[str, float]) -> list[CheckFinding]:
+def evaluate_hitl_outputs(values: Mapping[str, float]) -> list[CheckFinding]:
     """Return a no-go if the firmware lacks simulated outputs, or if a PX4IO would drive real motors.
 
     A PX4IO keeps its outputs active in this mode (source of PX4 v1.18).
@@ -73,7 +73,7 @@ def judge_hitl_outputs(values: Mapping[str, float]) -> list[CheckFinding]:
     return [CheckFinding("real_outputs", False, says)]
 
 
-def judge_hitl_lock(mission: Mission) -> CheckFinding:
+def evaluate_hitl_lock(mission: Mission) -> CheckFinding:
     """Return whether the lock's servo can move in this mode."""
     lock = mission.vehicle.lock
     if lock is not None and lock.driver is LockDriver.PX4:

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from dart_flight.base.geometry import Vec3
 from dart_flight.base.records import AfterImpact
 from dart_flight.check.findings import CheckFinding
-from dart_flight.check.probe_check import check_found, check_probe
+from dart_flight.check.probe_check import check_located_wall, check_probe
 from dart_flight.config.mission import Collision, Mission
 from dart_flight.core.mission.approach import (
     NoApproachError,
@@ -141,7 +141,7 @@ def check_collisions(mission: Mission, planned: PredictedFlight | None) -> Itera
     """Judge each collision: approach, force, noise, envelope, recovery and time for the lock."""
     for collision in mission.collisions:
         if collision.wall.sought and collision.probe is None:
-            yield from check_found(collision)
+            yield from check_located_wall(collision)
             yield from _check_force(mission, collision)
             continue
         yield from _check_approach(mission, collision)
@@ -327,7 +327,7 @@ def _check_recovery(
     )
     if (mission.goal_trajectory if following is None else following.trajectory) is not None:
         return [
-            _judge_setpoint(
+            _evaluate_setpoint(
                 mission, item, target, f"{says}, until a trajectory is planned from there", "the trajectory"
             )
         ]
@@ -337,7 +337,7 @@ def _check_recovery(
             short = f"{says}: {beyond:.2f} m short of wall {following.wall.name}, the next one"
             return [CheckFinding(item, False, short)]
         leads = f"{says}, leads to wall {following.wall.name}"
-        return [_judge_setpoint(mission, item, target, leads, "that wall")]
+        return [_evaluate_setpoint(mission, item, target, leads, "that wall")]
     for wall in mission.walls:
         if wall is not collision.wall and leads_behind(wall, (place[0], place[1]), (target[0], target[1])):
             return [CheckFinding(item, False, f"{says}: behind wall {wall.name}, which is not the next one")]
@@ -351,7 +351,7 @@ def _check_recovery(
         if leg is not None and is_blocked_by_post(mission, post, target[:2], leg.end[:2]):
             says = f"{says}: from there post {post.name} blocks the path to {leg.name}"
             return [CheckFinding(item, False, says)]
-    return [_judge_setpoint(mission, item, target, says, "the goal" if leg is None else leg.name)]
+    return [_evaluate_setpoint(mission, item, target, says, "the goal" if leg is None else leg.name)]
 
 
 def _begins_after_recovery(mission: Mission, leg: TransitSegment, collision: Collision) -> bool:
@@ -362,7 +362,7 @@ def _begins_after_recovery(mission: Mission, leg: TransitSegment, collision: Col
     return (ends[0] if ends else len(mission.collisions)) == collision.index
 
 
-def _judge_setpoint(mission: Mission, item: str, target: Vec3, says: str, first: str) -> CheckFinding:
+def _evaluate_setpoint(mission: Mission, item: str, target: Vec3, says: str, first: str) -> CheckFinding:
     """Return a finding about the recovery setpoint's distance outside the bounds.
 
     A setpoint slightly outside is a remark, because the vehicle reaches `first` before it. A setpoint far

@@ -31,7 +31,7 @@ def check_heading(mission: Mission) -> list[CheckFinding]:
     return [CheckFinding("heading", True, says, remark=True)]
 
 
-def judge_place(
+def evaluate_place(
     mission: Mission, position_ned: Vec3 | None, q_frd_to_ned: Quaternion | None
 ) -> list[CheckFinding]:
     """Judge the vehicle's place before take-off: start, walls, heading.
@@ -62,7 +62,7 @@ def judge_place(
     doubtful = not wrong and (off_m > START_SD_M or bool(behind))
     return [
         CheckFinding("place", not wrong, says, remark=doubtful, figures=figures),
-        *_judge_heading(mission, heading_deg),
+        *_evaluate_heading(mission, heading_deg),
     ]
 
 
@@ -113,7 +113,7 @@ def _walls_facing_away(mission: Mission, place: Vec2) -> Iterator[str]:
             yield wall.name
 
 
-def _judge_heading(mission: Mission, heading_deg: float) -> Iterator[CheckFinding]:
+def _evaluate_heading(mission: Mission, heading_deg: float) -> Iterator[CheckFinding]:
     given = mission.frame.heading_deg
     in_radians = math.degrees(given)
     if 0.0 < abs(given) <= 2.0 * math.pi and (

@@ -15,7 +15,7 @@ _APART_M, _APART_DEG = 0.2, 10.0  # allowed deviation of PX4's estimate from the
 _ARRIVES_HZ = 0.2
 
 
-def judge_poses(config: MotionCapture, observed: Observation) -> list[CheckFinding]:
+def evaluate_poses(config: MotionCapture, observed: Observation) -> list[CheckFinding]:
     """Return a finding for each defect of the poses, or one finding that they are in order.
 
     Return nothing if this program forwards no poses.

@@ -68,7 +68,7 @@ def _largest_force_n(mission: Mission, collision: Collision, probe: Probe) -> fl
     return max(float(hit.peak_normal_force_n) for hit in hits)
 
 
-def check_found(collision: Collision) -> Iterator[CheckFinding]:
+def check_located_wall(collision: Collision) -> Iterator[CheckFinding]:
     """Return a finding about a collision with a wall that a probe locates in flight."""
     assert collision.approach_m_s is not None
     says = (

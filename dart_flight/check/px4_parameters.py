@@ -168,7 +168,7 @@ PARAMETERS: dict[str, Callable[[float, Mission], tuple[bool, str]]] = {
 _LOCKDOWN, _LOCKDOWN_UNTIL = "COM_LKDOWN_TKO", (1, 17)  # removed after v1.17 without a replacement
 
 
-def names_to_read(version: Version | None = None) -> list[str]:
+def parameter_names(version: Version | None = None) -> list[str]:
     """Return the parameters that these checks need, except those that a version of PX4 does not have."""
     names, absent = [*PARAMETERS, *GAINS, *IMU_POSITION], set[str]()
     for source in PositionSource:
@@ -180,7 +180,7 @@ def names_to_read(version: Version | None = None) -> list[str]:
     return [name for name in dict.fromkeys(names) if name not in absent]
 
 
-def other_names(values: Mapping[str, float]) -> list[str]:
+def alternative_names(values: Mapping[str, float]) -> list[str]:
     """Return the names that other versions of PX4 use for the parameters that could not be read."""
     return [
         parameter.renamed
@@ -190,7 +190,7 @@ def other_names(values: Mapping[str, float]) -> list[str]:
     ]
 
 
-def judge_parameters(
+def evaluate_parameters(
     mission: Mission,
     values: Mapping[str, float],
     source: PositionSource | None,
@@ -224,8 +224,8 @@ def judge_parameters(
             says += f"; recommended {difference.wanted:g}, not {difference.actual:g}: {difference.reason}"
         findings.append(CheckFinding(name, go, says, remark=go and difference is not None))
     if source is PositionSource.MOCAP and POSE_DELAY in values:
-        findings.append(_judge_pose_delay(mission, values[POSE_DELAY], different.pop(POSE_DELAY, None)))
-    findings += _judge_configured(different)
+        findings.append(_evaluate_pose_delay(mission, values[POSE_DELAY], different.pop(POSE_DELAY, None)))
+    findings += _evaluate_configured(different)
     findings += [CheckFinding(d.name, True, d.line(), remark=True) for d in different.values()]
     return findings
 
@@ -243,7 +243,7 @@ def _is_absent(
     )
 
 
-def _judge_configured(different: dict[str, ParameterDifference]) -> list[CheckFinding]:
+def _evaluate_configured(different: dict[str, ParameterDifference]) -> list[CheckFinding]:
     """Judge gains and IMU position, and remove them from the differences; skip values that were not read."""
     findings = []
     for name in (*GAINS, *IMU_POSITION):
@@ -265,7 +265,7 @@ def _judge_configured(different: dict[str, ParameterDifference]) -> list[CheckFi
     return findings
 
 
-def _judge_pose_delay(
+def _evaluate_pose_delay(
     mission: Mission, delay_ms: float, difference: ParameterDifference | None
 ) -> CheckFinding:
     """Compare the pose delay that PX4 assumes with the measured one.
@@ -307,7 +307,7 @@ def position_source(values: Mapping[str, float], gps_fix: str | None) -> Positio
     return None
 
 
-def judge_position(
+def evaluate_position(
     mission: Mission,
     found: PositionSource | None,
     gps_fix: str | None,
@@ -332,13 +332,13 @@ def judge_position(
         ]
     source = claimed or found
     if source is PositionSource.MOCAP:
-        return [CheckFinding(item, True, "motion capture"), *judge_claim(mission, source)]
+        return [CheckFinding(item, True, "motion capture"), *evaluate_claim(mission, source)]
     if source is PositionSource.RTK:
-        return [CheckFinding(item, True, f"GPS, {fix}"), *judge_claim(mission, source)]
-    return judge_claim(mission, source, f" (the receiver reports: {fix})")
+        return [CheckFinding(item, True, f"GPS, {fix}"), *evaluate_claim(mission, source)]
+    return evaluate_claim(mission, source, f" (the receiver reports: {fix})")
 
 
-def judge_claim(mission: Mission, source: PositionSource, addition: str = "") -> list[CheckFinding]:
+def evaluate_claim(mission: Mission, source: PositionSource, addition: str = "") -> list[CheckFinding]:
     """Judge a position source for a mission; append `addition` to the text about plain GPS."""
     findings = []
     source = effective_source(mission, source)

@@ -36,7 +36,7 @@ class StreamRate(NamedTuple):
     unusable: str | None
 
     @property
-    def says(self) -> str:
+    def describe(self) -> str:
         """The rate and the required rate, or the reason why messages are unusable."""
         return self.unusable or f"{self.rate_hz:.0f} Hz, minimum {BY_NAME[self.name].expected_hz:g} Hz"
 
@@ -55,7 +55,7 @@ def stream_rates(rates_hz: Mapping[str, float], unusable: Mapping[str, str]) -> 
     ]
 
 
-def judge_rates(observed: Observation, values: Mapping[str, float]) -> list[CheckFinding]:
+def evaluate_rates(observed: Observation, values: Mapping[str, float]) -> list[CheckFinding]:
     """Return a finding for each stream: a sufficient rate, or the reason for a lower one.
 
     Args:
@@ -64,14 +64,14 @@ def judge_rates(observed: Observation, values: Mapping[str, float]) -> list[Chec
     """
     findings = []
     for stream in stream_rates(observed.rates_hz, unusable_streams(observed.sources)):
-        go, says = stream.enough, stream.says
+        go, says = stream.enough, stream.describe
         if stream.name == "odometry" and values.get(LOOPBACK):
             go, says = False, f"{says}: {LOOPBACK} is {values[LOOPBACK]:g}, set it to 0"
         findings.append(CheckFinding(f"rate_{stream.name}", go, says))
     return findings
 
 
-def judge_sources(observed: Observation) -> list[CheckFinding]:
+def evaluate_sources(observed: Observation) -> list[CheckFinding]:
     """Return a finding that names each stream's component and every other sender of its message."""
     taken = [s for s in observed.sources if s.is_vehicle and s.usable_hz > 0.0]
     if not taken:
@@ -102,7 +102,7 @@ def _describe(source: Source) -> str:
     )
 
 
-def judge_battery(mission: Mission, observed: Observation) -> CheckFinding:
+def evaluate_battery(mission: Mission, observed: Observation) -> CheckFinding:
     """Return whether the worst flight battery is sufficiently charged."""
     guard, left, volts = mission.vehicle.guard, observed.battery_remaining, observed.battery_v
     low = (left is not None and left < 2.0 * guard.battery_remaining) or (
@@ -119,7 +119,7 @@ def judge_battery(mission: Mission, observed: Observation) -> CheckFinding:
     return CheckFinding("battery", not low, says)
 
 
-def judge_resting_force(observed: Observation) -> list[CheckFinding]:
+def evaluate_resting_force(observed: Observation) -> list[CheckFinding]:
     """Return a no-go if the accelerometer of a vehicle at rest does not measure gravity."""
     force = observed.specific_force_m_s2
     if force is None or abs(force - GRAVITY_M_S2) <= _REST_TOLERANCE * GRAVITY_M_S2:
@@ -160,7 +160,7 @@ def _has_motors(bank: str, values: Mapping[str, float], motors: int) -> bool:
     return any(_MOTOR_1 <= function < _MOTOR_1 + motors for function in functions)
 
 
-def judge_motor_outputs(
+def evaluate_motor_outputs(
     mission: Mission, observed: Observation, values: Mapping[str, float]
 ) -> list[CheckFinding]:
     """Return the motors' output type and scale, or the reason why the outputs cannot be decoded.

@@ -22,7 +22,7 @@ def round_trip_limit_s(mission: Mission) -> float:
     return 2.0 * mission.vehicle.guard.telemetry_late_s
 
 
-def judge_round_trip(mission: Mission, seconds: float | None) -> CheckFinding:
+def evaluate_round_trip(mission: Mission, seconds: float | None) -> CheckFinding:
     """Judge by the round trip whether samples are in time; `seconds` is None if no request was answered."""
     item, limit_s = "round_trip", round_trip_limit_s(mission)
     if seconds is None:
@@ -31,7 +31,7 @@ def judge_round_trip(mission: Mission, seconds: float | None) -> CheckFinding:
     return CheckFinding(item, seconds <= limit_s, says)
 
 
-def judge_observation(observed: Observation) -> list[CheckFinding]:
+def evaluate_observation(observed: Observation) -> list[CheckFinding]:
     """Return findings about version, other vehicles and estimator."""
     findings = [
         CheckFinding(
@@ -45,7 +45,7 @@ def judge_observation(observed: Observation) -> list[CheckFinding]:
     reasons = ", ".join(dict.fromkeys([*observed.blocking, *observed.texts]))
     says = "the local position is valid"
     if not observed.local_position_ok:
-        says = "; ".join(["no valid local position", *observed.found_here])
+        says = "; ".join(["no valid local position", *observed.own_findings])
         says += f"; PX4 reports: {reasons}" if reasons else ""
     findings.append(CheckFinding("estimator", observed.local_position_ok, says))
     if observed.blocking or observed.texts:
@@ -55,7 +55,7 @@ def judge_observation(observed: Observation) -> list[CheckFinding]:
     return findings
 
 
-def judge_autopilot(mode: HeartbeatMode | None) -> list[CheckFinding]:
+def evaluate_autopilot(mode: HeartbeatMode | None) -> list[CheckFinding]:
     """Return a no-go with the autopilot's name if it is not PX4."""
     if mode is None or not mode.not_px4:
         return []
@@ -63,7 +63,7 @@ def judge_autopilot(mode: HeartbeatMode | None) -> list[CheckFinding]:
     return [CheckFinding("autopilot", False, says)]
 
 
-def judge_mode(mode: HeartbeatMode | None) -> list[CheckFinding]:
+def evaluate_mode(mode: HeartbeatMode | None) -> list[CheckFinding]:
     """Return a no-go if the vehicle has used simulated sensors since its start, whatever SYS_HITL is now."""
     if mode is None or not mode.hil:
         return []
@@ -71,7 +71,7 @@ def judge_mode(mode: HeartbeatMode | None) -> list[CheckFinding]:
     return [CheckFinding("hil_mode", False, says)]
 
 
-def judge_airframe(mission: Mission, values: Mapping[str, float]) -> list[CheckFinding]:
+def evaluate_airframe(mission: Mission, values: Mapping[str, float]) -> list[CheckFinding]:
     """Compare PX4's motors with those of the configuration.
 
     A different number, order or direction of the motors invalidates the estimated thrust and torque.
@@ -95,7 +95,7 @@ def judge_airframe(mission: Mission, values: Mapping[str, float]) -> list[CheckF
     return [CheckFinding(item, True, f"{len(motors)} motors, as in PX4")]
 
 
-def judge_lock(mission: Mission, values: Mapping[str, float]) -> list[CheckFinding]:
+def evaluate_lock(mission: Mission, values: Mapping[str, float]) -> list[CheckFinding]:
     """Return whether the lock's servo can move, or nothing if the vehicle has no lock."""
     lock = mission.vehicle.lock
     if lock is None:

@@ -117,7 +117,7 @@ def with_lock_output(
     return found
 
 
-def rows_of(
+def list_differences(
     wanted: Mapping[str, Parameter], values: Mapping[str, Value], restart: Collection[str]
 ) -> list[ParameterRow]:
     """Return the parameters that differ from their wanted values, in the order of the files.

@@ -12,7 +12,7 @@ from dart_flight.check.bringup.steps import STEPS, WAIT_S, Bringup
 from dart_flight.check.stages import run_checks
 from dart_flight.cli.options import add_driver_option, add_mocap_option, link_of, number, refuse_unwritable
 from dart_flight.cli.terminal import emit_json, print_status
-from dart_flight.cli.vehicle_line import say_vehicle
+from dart_flight.cli.vehicle_line import print_vehicle
 from dart_flight.config.document import InputError
 from dart_flight.config.edit import write_values
 from dart_flight.config.mission import load_mission
@@ -46,7 +46,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 class _Terminal:
     """The operator's terminal; questions are on standard error, so that they do not disturb `--json`."""
 
-    def tell(self, text: str) -> None:
+    def instruct(self, text: str) -> None:
         print_status(f"  {text}")
 
     def confirm(self, question: str) -> bool:
@@ -76,14 +76,14 @@ def run(arguments: argparse.Namespace) -> int:
     mission = with_mocap(with_driver(mission, arguments.driver), arguments.mocap)
     url = link_of(arguments, mission.vehicle.connection)
     folder = arguments.state or state_dir() / "bringup"
-    say_vehicle(mission.flown_vehicle(), arguments)
-    record = progress.load(folder, mission.flown_vehicle(), url)
-    written = progress.save(record, folder)
+    print_vehicle(mission.flown_vehicle(), arguments)
+    record = progress.load_record(folder, mission.flown_vehicle(), url)
+    written = progress.save_record(record, folder)
     with LinkLease(url, "bringup") as lease:
-        bringup = Bringup(mission, url, _Terminal(), arguments.wait, lease.close_device)
+        bringup = Bringup(mission, url, _Terminal(), arguments.wait, lease.lock_device)
         try:
             for k, (step, before) in enumerate(zip(STEPS, record.steps, strict=True), start=1):
-                print_status(f"{k}. {step.name}: {step.what}")
+                print_status(f"{k}. {step.name}: {step.subject}")
                 if before.result is StepOutcome.PASS and not arguments.again:
                     print_status(f"  passed on {before.date}")
                     continue
@@ -94,8 +94,8 @@ def run(arguments: argparse.Namespace) -> int:
                 delay_ms = finding.measured.get("delay_ms")
                 if finding.result is StepOutcome.PASS and isinstance(delay_ms, float):
                     _write_delay(arguments, mission.flown_vehicle().source, delay_ms)
-                progress.note(record, step.name, finding)
-                written = progress.save(record, folder)
+                progress.store_finding(record, step.name, finding)
+                written = progress.save_record(record, folder)
                 print_status(f"  {finding.result.value}: {finding.message}")
         finally:
             bringup.close()

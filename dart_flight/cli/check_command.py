@@ -9,7 +9,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from dart_flight.check.checks import FlightContext, checks_of
+from dart_flight.check.checks import FlightContext, select_checks
 from dart_flight.check.findings import CheckReport, decide
 from dart_flight.check.stages import Stage, run_checks
 from dart_flight.cli.mission_picture import add_plot_option, write_picture
@@ -23,7 +23,7 @@ from dart_flight.cli.options import (
     link_of,
 )
 from dart_flight.cli.terminal import emit_json, messages, print_status, styled
-from dart_flight.cli.vehicle_line import say_vehicle
+from dart_flight.cli.vehicle_line import print_vehicle
 from dart_flight.config.document import InputError, Stamp, noting_files, stamp_of
 from dart_flight.config.mission import load_mission
 from dart_flight.config.parameter_file import PX4_NAME
@@ -103,12 +103,12 @@ def _check(arguments: argparse.Namespace) -> int:
     context = FlightContext(mission, arguments.log_dir, position_from=arguments.position_from)
     if arguments.connection is not None:
         context.url = link_of(arguments, mission.vehicle.connection)
-    run_checks(checks_of(Stage.FILE, Stage.COMPUTER, Stage.DESK), context)
+    run_checks(select_checks(Stage.FILE, Stage.COMPUTER, Stage.DESK), context)
     if context.url is not None:
         with LinkLease(context.url, "check"):
-            run_checks(checks_of(Stage.VEHICLE), context)
+            run_checks(select_checks(Stage.VEHICLE), context)
     report = decide(mission, context.found, arguments.overrule)
-    say_vehicle(mission.flown_vehicle(), arguments)
+    print_vehicle(mission.flown_vehicle(), arguments)
     if arguments.json:
         emit_json(report)
     else:

@@ -20,7 +20,7 @@ from dart_flight.cli.flight_output import (
     show_end,
     summary_table,
 )
-from dart_flight.cli.hitl_preflight import prepare_hitl, say_how_to_end
+from dart_flight.cli.hitl_preflight import prepare_hitl, print_hitl_exit
 from dart_flight.cli.live_options import add_live_options, live_view
 from dart_flight.cli.options import (
     add_emulated_mocap_option,
@@ -32,7 +32,7 @@ from dart_flight.cli.options import (
 )
 from dart_flight.cli.px4_options import add_px4_options, position_source_of, position_warnings
 from dart_flight.cli.terminal import emit_json, keep_status, messages, styled, tables
-from dart_flight.cli.vehicle_line import say_vehicle
+from dart_flight.cli.vehicle_line import print_vehicle
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission
 from dart_flight.config.provenance import display_path
@@ -168,7 +168,7 @@ def run(arguments: argparse.Namespace) -> int:
     mission = with_emulated_mocap(arguments, mission)
     fly = flight_function(arguments, mission)
     console = messages()
-    say_vehicle(mission.flown_vehicle(), arguments)
+    print_vehicle(mission.flown_vehicle(), arguments)
     warnings = [
         *impact_warnings(mission),
         *position_warnings(effective_source(mission, position_source_of(arguments))),
@@ -199,7 +199,7 @@ def _fly_one(arguments: argparse.Namespace, mission: Mission, fly: Callable[...,
             verdict.speed = verdict.flight_time_s / (time.monotonic() - began_s)
     show_end(verdict, console, arguments.json)
     if arguments.hitl is not None:
-        say_how_to_end()
+        print_hitl_exit()
     return exit_status(verdict)
 
 

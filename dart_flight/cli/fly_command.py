@@ -8,7 +8,7 @@ import shlex
 from pathlib import Path
 
 from dart_flight.base.errors import FlightError
-from dart_flight.check.checks import FlightContext, checks_of
+from dart_flight.check.checks import FlightContext, select_checks
 from dart_flight.check.findings import CheckFinding, decide
 from dart_flight.check.stages import Stage, run_checks
 from dart_flight.cli.check_command import show
@@ -24,7 +24,7 @@ from dart_flight.cli.options import (
 )
 from dart_flight.cli.px4_log_command import download_px4_log
 from dart_flight.cli.terminal import confirm, emit_json, messages, print_status
-from dart_flight.cli.vehicle_line import say_vehicle
+from dart_flight.cli.vehicle_line import print_vehicle
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission, Waypoint
 from dart_flight.config.provenance import display_path
@@ -72,10 +72,10 @@ def _fly(arguments: argparse.Namespace, mission: Mission, url: str, lease: LinkL
     else:
         see = f"to see the path first: dart-flight check {shlex.quote(arguments.mission)} --plot mission.png"
         print_status(see)
-    say_vehicle(mission.flown_vehicle(), arguments)
+    print_vehicle(mission.flown_vehicle(), arguments)
     console.print(_flight_summary(mission, url), soft_wrap=True)
     context = FlightContext(mission, arguments.log_dir, url, arguments.position_from)
-    findings = run_checks(checks_of(Stage.FILE, Stage.COMPUTER, Stage.VEHICLE), context)
+    findings = run_checks(select_checks(Stage.FILE, Stage.COMPUTER, Stage.VEHICLE), context)
     before = _listed(mission, url) if arguments.px4_log else None
     verdict = fly_if_go(arguments, mission, url, lease, findings)
     if verdict is None:

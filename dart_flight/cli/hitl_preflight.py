@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 from functools import partial
 
 from dart_flight.base.errors import FlightError
-from dart_flight.check.checks import FlightContext, checks_of
+from dart_flight.check.checks import FlightContext, select_checks
 from dart_flight.check.findings import decide
 from dart_flight.check.hitl_check import hitl_parameters
 from dart_flight.check.stages import Stage, run_checks
@@ -50,7 +50,7 @@ def prepare_hitl(
         )
     context = FlightContext(mission, url=url, position_from=position_from)
     with LinkLease(url, "dry-run --hitl"):
-        run_checks(checks_of(Stage.HITL), context)
+        run_checks(select_checks(Stage.HITL), context)
     report = decide(mission, context.found)
     show(report, messages())
     if not report.go:
@@ -75,7 +75,7 @@ def _confirm() -> None:
         raise InputError(f"'{_WORD}' was not typed; not flown", key=("--hitl",))
 
 
-def say_how_to_end() -> None:
+def print_hitl_exit() -> None:
     """Print how to switch hardware-in-the-loop off."""
     others = ", ".join(p.name for p in hitl_parameters().values() if p.name != "SYS_HITL")
     print_status(

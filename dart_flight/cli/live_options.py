@@ -79,8 +79,8 @@ def live_view(
     arguments: argparse.Namespace,
     mission: Mission,
     *,
-    furnished: bool = True,
-    placed: bool = False,
+    show_room: bool = True,
+    frame_known: bool = False,
     from_truth: bool = False,
 ) -> Iterator[LiveView | None]:
     """Open the live view of `--live` as a context and print its address; the value is None without `--live`.
@@ -88,8 +88,8 @@ def live_view(
     Args:
         arguments: parsed arguments of the command.
         mission: mission that is shown.
-        furnished: whether to show the mission's room.
-        placed: whether the mission frame lies as the mission specifies from the beginning.
+        show_room: whether to show the mission's room.
+        frame_known: whether the mission frame lies as the mission specifies from the beginning.
         from_truth: whether to show a simulated vehicle alone, at its true pose.
 
     Raises:
@@ -104,7 +104,7 @@ def live_view(
 
     host = arguments.live_host or DEFAULT_HOST
     port = arguments.live_port or DEFAULT_PORT
-    view = _open(mission, host, port, furnished, placed, from_truth)
+    view = _open(mission, host, port, show_room, frame_known, from_truth)
     if view is None:
         yield None
         return

@@ -13,7 +13,7 @@ from dart_flight.base.records import LockPhase, LockState, Mode
 from dart_flight.cli import EXIT_INCOMPLETE, EXIT_OK
 from dart_flight.cli.options import add_driver_option, link_of, refuse_unwritable
 from dart_flight.cli.terminal import emit_json, messages, print_status, tables
-from dart_flight.cli.vehicle_line import say_vehicle
+from dart_flight.cli.vehicle_line import print_vehicle
 from dart_flight.config.document import Document, InputError
 from dart_flight.config.edit import write_values
 from dart_flight.config.provenance import find_vehicle
@@ -138,7 +138,7 @@ def _report(
     ok: bool,
     owner_pid: int | None = None,
 ) -> None:
-    say_vehicle(arguments.vehicle, arguments)
+    print_vehicle(arguments.vehicle, arguments)
     last = load_last()
     if arguments.json:
         report: dict[str, Any] = {

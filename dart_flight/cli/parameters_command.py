@@ -12,13 +12,13 @@ from rich.table import Table
 from dart_flight.check.parameter_setting import (
     ParameterReading,
     read_differences,
-    save_former,
+    save_previous,
     write_rows,
 )
 from dart_flight.check.wanted_parameters import ParameterRow
 from dart_flight.cli.options import add_driver_option, add_position_option, add_set_option, link_of
 from dart_flight.cli.terminal import confirm, emit_json, messages, print_status, tables
-from dart_flight.cli.vehicle_line import say_vehicle
+from dart_flight.cli.vehicle_line import print_vehicle
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import load_mission
 from dart_flight.run.prepare import with_driver
@@ -56,11 +56,11 @@ def run(arguments: argparse.Namespace) -> int:
     url = link_of(arguments, mission.vehicle.connection)
     if not arguments.save_dir.is_dir():
         raise InputError("not a folder", source=str(arguments.save_dir), key=("--save-dir",))
-    say_vehicle(mission.flown_vehicle(), arguments)
+    print_vehicle(mission.flown_vehicle(), arguments)
     saved, refused, written = None, dict[str, str](), False
     timeout_s = mission.vehicle.connection.timeout_s
     with LinkLease(url, "parameters") as lease, GroundLink(url, timeout_s) as link:
-        lease.close_device()
+        lease.lock_device()
         with _shown("reading parameters") as progress:
             found = read_differences(link, mission, arguments.position_from, arguments.restore, progress)
         if not arguments.json:
@@ -70,7 +70,7 @@ def run(arguments: argparse.Namespace) -> int:
             link.require_disarmed()
             if arguments.yes or confirm(f"Write {len(rows)} parameters?"):
                 link.require_disarmed()
-                saved = save_former(rows, arguments.save_dir, f"{url}, PX4 {found.version or 'unknown'}")
+                saved = save_previous(rows, arguments.save_dir, f"{url}, PX4 {found.version or 'unknown'}")
                 print_status(f"previous values: {saved}")
                 with _shown("writing parameters") as progress:
                     refused = write_rows(link, rows, progress)

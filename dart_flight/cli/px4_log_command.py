@@ -99,9 +99,9 @@ def download_px4_log(
             armed,
             before=before,
             choose=choose,
-            say=print_status,
+            print_line=print_status,
             progress=lambda share: bar.update(task, completed=share),
-            opened=lease.close_device,
+            opened=lease.lock_device,
         )
     print_status(f"PX4's log: {display_path(path)}")
     return path

@@ -9,7 +9,7 @@ import msgspec
 
 from dart_flight.cli.options import add_driver_option, add_log_dir_option, link_of
 from dart_flight.cli.terminal import print_status, write_output
-from dart_flight.cli.vehicle_line import say_vehicle
+from dart_flight.cli.vehicle_line import print_vehicle
 from dart_flight.config.document import InputError
 from dart_flight.config.provenance import find_vehicle
 from dart_flight.config.vehicle import default_config_path
@@ -45,7 +45,7 @@ def run(arguments: argparse.Namespace) -> int:
         lock = msgspec.structs.replace(vehicle.lock, driver=arguments.driver)
         vehicle = msgspec.structs.replace(vehicle, lock=lock)
     url = link_of(arguments, vehicle.connection)
-    say_vehicle(source, arguments)
+    print_vehicle(source, arguments)
     options = [f"--log-dir={arguments.log_dir}"]
     for option in ("config", "driver"):
         if getattr(arguments, option) is not None:

@@ -14,7 +14,7 @@ import msgspec
 import yaml
 from rich.table import Table
 
-from dart_flight.check.checks import FlightContext, checks_of
+from dart_flight.check.checks import FlightContext, select_checks
 from dart_flight.check.stages import Stage, run_checks
 from dart_flight.cli.dry_run_command import flight_function, with_emulated_mocap
 from dart_flight.cli.flight_output import FlightLines, exit_status, figure_or_dash, live_line_for, show_end
@@ -32,7 +32,7 @@ from dart_flight.cli.options import (
 )
 from dart_flight.cli.px4_options import add_px4_options
 from dart_flight.cli.terminal import emit_json, keep_status, messages, tables
-from dart_flight.cli.vehicle_line import say_vehicle
+from dart_flight.cli.vehicle_line import print_vehicle
 from dart_flight.config.document import InputError, report_write_errors
 from dart_flight.config.file_kinds import FileKind, load_document
 from dart_flight.config.mission import Mission, load_mission
@@ -105,7 +105,7 @@ def run(arguments: argparse.Namespace) -> int:
     console = messages()
     for name, reason in survey.unreachable.items():
         console.print(f"wall {name} skipped: {reason}", style="yellow", soft_wrap=True)
-    say_vehicle(mission.flown_vehicle(), arguments)
+    print_vehicle(mission.flown_vehicle(), arguments)
     verdict = _fly(arguments, survey.mission)
     if verdict is None:
         return 1
@@ -139,7 +139,7 @@ def run(arguments: argparse.Namespace) -> int:
 def _survey_room(arguments: argparse.Namespace, written: Any, mission: Mission) -> int:
     """Search for the walls of an unknown room, flight by flight, until its outline is closed."""
     console = messages()
-    say_vehicle(mission.flown_vehicle(), arguments)
+    print_vehicle(mission.flown_vehicle(), arguments)
     directions = [2.0 * math.pi * k / _DIRECTIONS for k in range(_DIRECTIONS)]
     touches: list[RoomContact] = []
     flights: list[Verdict] = []
@@ -194,7 +194,7 @@ def _fly(arguments: argparse.Namespace, mission: Mission) -> Verdict | None:
         url = link_of(arguments, mission.vehicle.connection)
         with LinkLease(url, "survey") as lease:
             context = FlightContext(mission, url=url, position_from=arguments.position_from)
-            findings = run_checks(checks_of(Stage.FILE, Stage.VEHICLE), context)
+            findings = run_checks(select_checks(Stage.FILE, Stage.VEHICLE), context)
             return fly_if_go(arguments, mission, url, lease, findings)
     fly = flight_function(arguments, mission)
     live_line = None if arguments.fast else live_line_for(mission, console)

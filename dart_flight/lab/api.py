@@ -165,7 +165,7 @@ def simulate(
     folder = None if log_dir is None else Path(log_dir)
     records: list[FlightRecord] = []
     keep = records.append
-    verdict = fly_fast(mission, int(seed), folder, fault=broken, spreads=spreads, take_record=keep)
+    verdict = fly_fast(mission, int(seed), folder, fault=broken, spreads=spreads, keep_record=keep)
     return Flight(mission, verdict, records[0])
 
 

@@ -90,21 +90,21 @@ class MotorCommands(msgspec.Struct):
 
     Attributes:
         time_s: stamps, seconds.
-        values: (samples, motors), 0 to 1.
-        said: description of the source and of the decoding.
+        description: the source and its decoding.
+        description: the source and of the decoding.
     """
 
     time_s: Array
     values: Array
-    said: str
+    description: str
 
 
 class Battery(msgspec.Struct):
-    """Battery voltage over time; `said` is the reason for leaving it out, or empty."""
+    """Battery voltage over time; `problem` is the reason for leaving it out, or empty."""
 
     time_s: Array
     volts: Array
-    said: str = ""
+    problem: str = ""
 
 
 def open_ulog(path: str | Path, topics: Sequence[str]) -> ULogFile:

@@ -97,7 +97,8 @@ class EventFormatter:
             level = Level.WARNING if record.action is Override.NONE else Level.ERROR
             return Event(level, "guard", f"guard: {record.rule} → {record.action}", record.detail)
         if isinstance(record, PosesWithheld):
-            return Event(Level.ERROR, "guard", f"poses withheld from PX4: {record.reason}")
+            what = "attitudes of the poses" if record.attitude_only else "poses"
+            return Event(Level.ERROR, "guard", f"{what} withheld from PX4: {record.reason}")
         if isinstance(record, GoalPassed):
             words = "goal timed out, closest approach" if record.timed_out else "goal passed, miss distance"
             return Event(Level.INFO, "mission", f"{words} {record.miss_m:.2f} m")

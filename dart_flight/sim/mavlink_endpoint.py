@@ -374,7 +374,8 @@ class MavlinkEndpoint:
         local = message.frame_id in (mavlink.MAV_FRAME_LOCAL_NED, mavlink.MAV_FRAME_LOCAL_FRD)
         if local and message.estimator_type == mavlink.MAV_ESTIMATOR_TYPE_VISION:
             w, x, y, z = message.q
-            self.autopilot.fuse_external_pose((message.x, message.y, message.z), (w, x, y, z))
+            attitude = None if math.isnan(w) else (w, x, y, z)
+            self.autopilot.fuse_external_pose((message.x, message.y, message.z), attitude)
 
     # -- parameters --
 

@@ -100,7 +100,7 @@ class Px4LogEntry(msgspec.Struct, frozen=True):
         return f"{self.id}: {date}, {self.size_bytes / 1e6:.1f} MB"
 
 
-def entry_of(entry: Entry) -> Px4LogEntry:
+def parse_entry(entry: Entry) -> Px4LogEntry:
     """Return an entry of MAVSDK's list as `Px4LogEntry`."""
     ended = None
     with contextlib.suppress(ValueError):
@@ -147,7 +147,7 @@ class Px4Logs:
             DownloadError: the flight controller does not answer.
         """
         try:
-            return [entry_of(entry) for entry in self._plugin.get_entries()]
+            return [parse_entry(entry) for entry in self._plugin.get_entries()]
         except MavsdkError as error:
             result = getattr(getattr(error, "result", None), "name", str(error))
             if result == "NO_LOGFILES":

@@ -90,7 +90,7 @@ class Observation(msgspec.Struct):
     blocking: tuple[str, ...] = ()  # PX4's reasons for not arming in its present mode
     other_vehicle: str | None = None  # description of another vehicle on the same link
     texts: list[str] = []  # PX4's texts and events of severity warning or higher
-    found_here: list[str] = []  # this program's own findings on the link
+    own_findings: list[str] = []  # this program's own findings on the link
     sources: tuple[Source, ...] = ()
     battery_id: int | None = None
     batteries: tuple[BatteryReading, ...] = ()  # flight batteries
@@ -166,7 +166,7 @@ class _Listener:
         elif isinstance(record, HealthReport):
             seen.blocking = record.blocking
         elif isinstance(record, StatusText):
-            texts = seen.found_here if record.found_here else seen.texts
+            texts = seen.own_findings if record.found_here else seen.texts
             if record.severity in reasons.SEVERE and record.text not in texts:
                 texts.append(record.text)
         elif isinstance(record, RoundTrip) and record.autopilot_us is not None:
@@ -306,7 +306,7 @@ class GroundLink:
         beat = self._session.next(messages.HEARTBEAT, _HEARTBEAT_S)
         if beat is not None:
             return HeartbeatMode(armed=beat.armed, hil=beat.hil)
-        other = self._session.refused_because(messages.HEARTBEAT)
+        other = self._session.unusable_reason(messages.HEARTBEAT)
         return HeartbeatMode(armed=False, hil=False, not_px4=other) if other else None
 
     def require_disarmed(self) -> None:
@@ -419,7 +419,10 @@ class GroundLink:
             for name in _RATED
         }
         batteries = session.batteries
-        seen.batteries, seen.other_batteries = tuple(batteries.counted()), tuple(batteries.others())
+        seen.batteries, seen.other_batteries = (
+            tuple(batteries.flight_batteries()),
+            tuple(batteries.other_batteries()),
+        )
         seen.motor_scale = None if session.motor_outputs is None else session.motor_outputs.scale
         for system in self._mavsdk.get_systems():
             if system.has_autopilot() and system.get_system_id() != self._system.get_system_id():

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import pytest
 
-from dart_flight.check.checks import FlightContext, checks_of
+from dart_flight.check.checks import FlightContext, select_checks
 from dart_flight.check.findings import CheckFinding
 from dart_flight.check.hitl_check import hitl_parameters
 from dart_flight.check.stages import Stage, run_checks
@@ -40,7 +40,7 @@ def found_of(
 ) -> list[CheckFinding]:
     reading = VehicleReading(mode, values)
     context = FlightContext(mission, position_from=PositionSource.MOCAP, reading=reading)
-    return run_checks(checks_of(Stage.HITL), context)
+    return run_checks(select_checks(Stage.HITL), context)
 
 
 def refusals(

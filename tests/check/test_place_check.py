@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from dart_flight.base.geometry import quaternion_from_euler
 from dart_flight.check.findings import CheckFinding
-from dart_flight.check.place_check import judge_place
+from dart_flight.check.place_check import evaluate_place
 from dart_flight.config.mission import Mission, load_mission
 from dart_flight.config.vehicle import packaged
 from tests.mission_findings import check_mission
@@ -25,7 +25,7 @@ def place(
     """Findings for a vehicle that stands at a place of the mission's frame."""
     frame = mission.frame_at((0.0, 0.0, 0.0))
     q = quaternion_from_euler(0.0, 0.0, math.radians(heading_deg))
-    return {f.item: f for f in judge_place(mission, frame.point_to_ned((x, y, 0.0)), q)}
+    return {f.item: f for f in evaluate_place(mission, frame.point_to_ned((x, y, 0.0)), q)}
 
 
 def test_at_the_start_place_heading_and_walls_are_stated() -> None:
@@ -142,4 +142,4 @@ def test_shipped_missions_are_go_at_their_start(name: str) -> None:
 
 
 def test_without_a_position_nothing_is_said() -> None:
-    assert judge_place(DUAL, None, None) == []
+    assert evaluate_place(DUAL, None, None) == []

@@ -9,7 +9,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from dart_flight.check.vehicle_check import judge_autopilot
+from dart_flight.check.vehicle_check import evaluate_autopilot
 from dart_flight.cli import main
 from dart_flight.config.link_url import link_problem
 from dart_flight.config.mission import load_mission
@@ -254,7 +254,7 @@ def test_an_autopilot_that_is_not_px4_is_named(autopilot: int, says: str | None)
     fields = {"autopilot": autopilot, "base_mode": 129, "custom_mode": 6 << 16, "system_status": 4}
     _, value = messages.HEARTBEAT.reader()(msgspec.json.encode(fields).decode())
     refused = value.reason if isinstance(value, Unusable) else ""
-    found = judge_autopilot(HeartbeatMode(armed=False, hil=False, not_px4=refused))
+    found = evaluate_autopilot(HeartbeatMode(armed=False, hil=False, not_px4=refused))
     assert [says in f.says and not f.go for f in found if says] == [True] * (says is not None)
     assert bool(found) == (says is not None)
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dart_flight.base.geometry import Quaternion, Vec3, quaternion_from_euler, quaternion_multiply
+from dart_flight.base.geometry import Quaternion, Vec3, add, quaternion_from_euler, quaternion_multiply
 from dart_flight.base.records import (
     AttitudeSample,
     GuardEvent,
@@ -15,6 +15,7 @@ from dart_flight.base.records import (
     Override,
     Phase,
     PoseSample,
+    PosesWithheld,
     StatusSample,
 )
 from dart_flight.config.vehicle.mocap import MotionCapture
@@ -108,6 +109,13 @@ def test_what_goes_wrong_is_named_in_time(
     assert fault.startswith(says)
 
 
+def test_poses_are_late_once_the_last_timely_one_is_older_than_a_quarter_of_a_second(feed: Feed) -> None:
+    feed.pose(later_us=50_000, step_us=250_000)
+    assert feed.watch.fault(Phase.TRANSIT) is None
+    feed.pose(later_us=50_000, step_us=1)
+    assert (feed.watch.fault(Phase.TRANSIT) or "").startswith("poses arrive 50 ms later")
+
+
 def test_silence_of_the_source_is_judged_by_phase(feed: Feed) -> None:
     feed.silence(0.3)
     assert feed.watch.fault(Phase.TRANSIT) is None
@@ -122,20 +130,36 @@ def test_silence_of_the_source_is_judged_by_phase(feed: Feed) -> None:
 
 def test_wrong_poses_are_withheld_once_and_in_the_air_only(feed: Feed) -> None:
     feed.hover(0.1, away=(1.0, 0.0, 0.0))
-    assert feed.watch.withhold(Phase.ARMING) is None
-    reason = feed.watch.withhold(Phase.CONTACT)
-    assert reason == "body jumped by 1.00 m: another body or swapped markers"
-    assert feed.watch.withhold(Phase.CONTACT) is None
+    assert feed.watch.withhold(Phase.ARMING, 7) is None
+    reason = "body jumped by 1.00 m: another body or swapped markers"
+    assert feed.watch.withhold(Phase.CONTACT, 7) == PosesWithheld(7, reason)
+    assert feed.watch.withhold(Phase.CONTACT, 8) is None
     assert feed.watch.blind(False, Phase.TRANSIT) is None
     feed.silence(1.6)
     assert feed.watch.fault(Phase.TRANSIT) == feed.watch.blind(False, Phase.TRANSIT) == reason
+
+
+def test_of_turned_poses_only_the_attitudes_are_withheld(feed: Feed) -> None:
+    feed.hover(0.15, turn=math.pi)
+    reason = "the pose is rotated by 180 deg from PX4's attitude: markers swapped?"
+    assert feed.watch.withhold(Phase.CONTACT, 7) == PosesWithheld(7, reason, attitude_only=True)
+    assert feed.watch.withhold(Phase.CONTACT, 8) is None
+    for _ in range(200):
+        feed.pose()
+    assert feed.watch.fault(Phase.TRANSIT) == reason  # markers that were swapped once are not trusted again
+    assert feed.watch.blind(False, Phase.TRANSIT) is None  # PX4 has the positions
+    for _ in range(10):
+        feed.pose(away=(1.0, 0.0, 0.0))
+    later = feed.watch.withhold(Phase.TRANSIT, 9)
+    assert later is not None
+    assert not later.attitude_only
 
 
 @pytest.mark.parametrize("wrong", [{"tracked": False}, {"later_us": 90_000}, {"step_us": 100_000}])
 def test_poses_that_are_the_vehicles_own_are_not_withheld(feed: Feed, wrong: dict[str, Any]) -> None:
     feed.hover(1.2, **wrong)
     assert feed.watch.fault(Phase.TRANSIT) is not None
-    assert feed.watch.withhold(Phase.TRANSIT) is None
+    assert feed.watch.withhold(Phase.TRANSIT, 7) is None
 
 
 def test_an_estimate_that_jumps_with_the_poses_leaves_no_position_to_fly_by(feed: Feed) -> None:
@@ -185,7 +209,7 @@ def test_a_body_that_alternates_after_a_gap_is_a_jump() -> None:
     feed.silence(0.15)
     for i in range(40):
         feed.pose(away=(0.8 if i // 8 % 2 else 0.0, 0.0, 0.0))
-    assert feed.watch.fault(Phase.TRANSIT) == "body jumped by 0.80 m: another body, or swapped markers"
+    assert feed.watch.fault(Phase.TRANSIT) == "body jumped by 0.80 m: another body or swapped markers"
 
 
 @settings(max_examples=40, deadline=None)
@@ -231,6 +255,7 @@ class PosedCore(HandFedCore):
     """A core that also gets the vehicle's pose, at 250 Hz, once it has begun."""
 
     begun = lost = False
+    away: Vec3 = (0.0, 0.0, 0.0)
 
     def begin(self) -> None:
         self.begun = True
@@ -241,7 +266,7 @@ class PosedCore(HandFedCore):
         for _ in range(round(seconds / 0.004)):
             out += super().run(0.004)
             if self.begun:
-                pose = ROOM.pose_from_ned(self.position_ned, self.q)
+                pose = ROOM.pose_from_ned(add(self.position_ned, self.away), self.q)
                 self.give(PoseSample(self.t_us, self.t_us, "dart", not self.lost, *pose))
         return out
 
@@ -268,6 +293,18 @@ def test_a_body_lost_in_a_contact_does_not_disturb_the_recovery() -> None:
     c.run(0.7)
     assert c.core.phase is Phase.RECOVERY
     assert not events(c)
+
+
+def test_another_body_in_a_contact_ends_the_recovery_before_the_next_wall() -> None:
+    c = flown("contact")
+    c.away = (1.0, 0.0, 0.0)  # type: ignore[attr-defined]
+    c.run(0.44)
+    assert c.core.phase is Phase.RECOVERY
+    assert not events(c)
+    c.run(0.1)
+    assert events(c) == [("pose_source", Override.BREAK_OFF)]
+    c.run(1.1)
+    assert events(c)[1:] == [("pose_source_blind", Override.LAND)]
 
 
 def test_without_a_url_poses_change_nothing() -> None:

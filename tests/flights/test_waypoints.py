@@ -83,9 +83,9 @@ AIR = ["offboard", "arming", "climb"]
 DOWN = ["goal", "landing", "done"]
 
 
-@pytest.mark.parametrize("lines", [(), ("collisions: []", "walls: {}", "waypoints: []")])
-def test_a_flight_without_a_collision_takes_off_flies_to_the_goal_and_lands(lines: tuple[str, ...]) -> None:
-    one = mission(*lines)
+def test_a_flight_without_a_collision_takes_off_flies_to_the_goal_and_lands() -> None:
+    one = mission()
+    assert mission("collisions: []", "walls: {}", "waypoints: []") == one
     verdict = fly_fast(one, 1, None)
     assert verdict.outcome is Outcome.COMPLETED
     assert (verdict.collisions, verdict.guard, verdict.deviations) == ([], [], [])
@@ -185,7 +185,7 @@ class Operated:
             if not said and self.flight.core.phase == self._phase:
                 said = True
                 word: Input = OperatorRequest(self.flight.host_us, self._request)
-                self.flight.take(word)
+                self.flight.step(word)
 
 
 def silent_operator(one: Mission) -> Mission:

@@ -79,7 +79,7 @@ def failed(message: str, **measured: float | str | None) -> StepFinding:
 # --- link ----------------------------------------------------------------------------------------------
 
 
-def judge_link(
+def evaluate_link(
     rates: Sequence[StreamRate], round_trip_s: float | None, limit_s: float, errors: Mapping[str, float]
 ) -> StepFinding:
     """Judge the rates of a mission's streams, the round trip and the link's errors.
@@ -100,7 +100,7 @@ def judge_link(
     if slow:
         says = (
             "too slow: "
-            + "; ".join(f"{stream.name} {stream.says}" for stream in slow)
+            + "; ".join(f"{stream.name} {stream.describe}" for stream in slow)
             + ". Raise SER_TEL2_BAUD and MAV_1_RATE, set MAV_1_MODE to Onboard"
         )
         return failed(says, **measured)
@@ -147,7 +147,7 @@ def is_tilted(level: Vec3, now: Vec3) -> bool:
     return _TILTED_DEG[0] <= tilt_between_deg(level, now) <= _TILTED_DEG[1]
 
 
-def judge_level(level: Vec3) -> StepFinding | None:
+def evaluate_level(level: Vec3) -> StepFinding | None:
     """Return what is wrong with the reading of a level vehicle, or None if it is correct."""
     tilt = math.degrees(math.atan2(math.hypot(level[0], level[1]), -level[2]))
     measured: Measured = {f"level_{axis}_m_s2": round(v, 2) for axis, v in zip("xyz", level, strict=True)}
@@ -168,13 +168,13 @@ def judge_level(level: Vec3) -> StepFinding | None:
     return None
 
 
-def judge_axes(level: Vec3, nose_down: Vec3, right_down: Vec3) -> StepFinding:
+def evaluate_axes(level: Vec3, nose_down: Vec3, right_down: Vec3) -> StepFinding:
     """Judge the IMU's forward and right axes.
 
     Args:
         level, nose_down, right_down: mean specific force of the vehicle in each attitude, m/s2, FRD.
     """
-    wrong = judge_level(level)
+    wrong = evaluate_level(level)
     if wrong is not None:
         return wrong
     # The reading tilts away from the lowered side: nose down gives -x, right side down gives -y.
@@ -205,7 +205,7 @@ class Push(msgspec.Struct, frozen=True):
     acceleration_m_s2: Vec2
 
 
-def first_push(samples: Sequence[ImuSample], level: Vec3) -> Push | None:
+def find_push(samples: Sequence[ImuSample], level: Vec3) -> Push | None:
     """Return the first push, a horizontal acceleration longer than a bump, or None."""
     start = 0
     for end, last in enumerate(samples):
@@ -220,7 +220,7 @@ def first_push(samples: Sequence[ImuSample], level: Vec3) -> Push | None:
     return None
 
 
-def judge_push(push: Vec2, force: Vec2) -> StepFinding:
+def evaluate_push(push: Vec2, force: Vec2) -> StepFinding:
     """Judge whether the estimated force of a forward push points forward.
 
     Args:
@@ -255,7 +255,7 @@ def judge_push(push: Vec2, force: Vec2) -> StepFinding:
 # --- servo ---------------------------------------------------------------------------------------------
 
 
-def judge_servo(config: LockConfig, moves: Sequence[tuple[Mode, LockState, bool | None]]) -> StepFinding:
+def evaluate_servo(config: LockConfig, moves: Sequence[tuple[Mode, LockState, bool | None]]) -> StepFinding:
     """Judge whether the lock reaches the commanded modes, and report its travel times.
 
     Args:
@@ -295,7 +295,7 @@ def judge_servo(config: LockConfig, moves: Sequence[tuple[Mode, LockState, bool 
 # --- position ------------------------------------------------------------------------------------------
 
 
-def carried(samples: Sequence[OdometrySample], q: Quaternion) -> Vec2 | None:
+def measure_displacement(samples: Sequence[OdometrySample], q: Quaternion) -> Vec2 | None:
     """Return the displacement of a carried vehicle at rest, or None before it is carried and at rest.
 
     Args:
@@ -315,7 +315,7 @@ def carried(samples: Sequence[OdometrySample], q: Quaternion) -> Vec2 | None:
     return (n * math.cos(yaw) + e * math.sin(yaw), e * math.cos(yaw) - n * math.sin(yaw))
 
 
-def judge_position(forward: Vec2, right: Vec2) -> StepFinding:
+def evaluate_position(forward: Vec2, right: Vec2) -> StepFinding:
     """Judge the estimated displacements of a vehicle carried forward and then to its right, metres."""
     f = math.degrees(math.atan2(forward[1], forward[0]))
     r = wrap_deg(math.degrees(math.atan2(right[1], right[0])) - 90.0)
@@ -345,7 +345,7 @@ def is_moved_enough(motion: MotionEstimate) -> bool:
     return z > _TURNED_RAD_S and min(x, y) > _TILTING_RAD_S and motion.carried_m_s2 > _CARRIED_M_S2
 
 
-def judge_motion(
+def evaluate_motion(
     motion: MotionEstimate, config: MotionCapture, round_trip_s: float | None, heading_off_deg: float | None
 ) -> StepFinding:
     """Judge the motion-capture poses by a motion of the vehicle by hand.
@@ -428,7 +428,7 @@ def _axis_of_room(direction_ned: Vec3, config: MotionCapture) -> str:
 # --- remote control ------------------------------------------------------------------------------------
 
 
-def judge_remote(received: bool, modes: Collection[str]) -> StepFinding:
+def evaluate_remote(received: bool, modes: Collection[str]) -> StepFinding:
     """Judge whether a remote control is received and its mode switch changes the mode."""
     measured: Measured = {"modes": ", ".join(modes)}
     if not received:

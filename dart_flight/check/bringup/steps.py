@@ -69,7 +69,7 @@ Found = TypeVar("Found")
 class Operator(Protocol):
     """The operator at the vehicle."""
 
-    def tell(self, text: str) -> None:
+    def instruct(self, text: str) -> None:
         """Show an instruction or a finding."""
 
     def confirm(self, question: str) -> bool:
@@ -92,7 +92,7 @@ class Telemetry:
         self.modes: dict[str, None] = {}
         self._all: deque[Input] = deque(maxlen=4 * _KEPT)
 
-    def take(self, record: Input) -> None:
+    def store(self, record: Input) -> None:
         """Store a telemetry record, on MAVSDK's thread, or a pose, on the motion capture's thread."""
         if isinstance(record, PoseSample):
             self.poses.append(record)
@@ -142,7 +142,7 @@ class Bringup(CheckContext[StepFinding]):
         url: MAVSDK connection URL.
         operator: the operator at the vehicle.
         wait_s: timeout of the operator's actions, seconds.
-        opened: called once the link is open (`LinkLease.close_device`).
+        opened: called once the link is open (`LinkLease.lock_device`).
     """
 
     own_errors = (NotDoneError, VehicleError, NoAnswerError)
@@ -180,7 +180,7 @@ class Bringup(CheckContext[StepFinding]):
         """Return the link; the first call opens it and requests the streams."""
         if self._link is None:
             timeout_s, mocap = min(self._wait_s, _CONNECT_S), self._mission.vehicle.mocap
-            link = GroundLink(self._url, timeout_s, self._telemetry.take, mocap)
+            link = GroundLink(self._url, timeout_s, self._telemetry.store, mocap)
             self._link = link.__enter__()
             self._opened()
             observed = link.observe(self._mission.vehicle, _OBSERVE_S)
@@ -211,7 +211,7 @@ class Bringup(CheckContext[StepFinding]):
 
     # -- steps --
 
-    def judge_link(self) -> StepFinding:
+    def evaluate_link(self) -> StepFinding:
         """Judge the rates, errors and round trip of the link."""
         link = self._connect()
         round_trip_s = link.round_trip_s()
@@ -219,13 +219,13 @@ class Bringup(CheckContext[StepFinding]):
         errors: dict[str, float] = {}
         if status is not None:
             errors |= {"drop_rate_comm": status.drop_rate_comm, "errors_comm": status.errors_comm}
-        return judgements.judge_link(self._rates, round_trip_s, round_trip_limit_s(self._mission), errors)
+        return judgements.evaluate_link(self._rates, round_trip_s, round_trip_limit_s(self._mission), errors)
 
-    def judge_axes(self) -> StepFinding:
+    def evaluate_axes(self) -> StepFinding:
         """Judge the IMU's axes from readings with the vehicle level, nose down and right side down."""
         self._connect()
         level = self._wait_until_held("Level the vehicle and do not touch it.", lambda force: True)
-        wrong = judgements.judge_level(level)
+        wrong = judgements.evaluate_level(level)
         if wrong is not None:
             return wrong
         tilted = partial(judgements.is_tilted, level)
@@ -234,23 +234,23 @@ class Bringup(CheckContext[StepFinding]):
         right = self._wait_until_held(
             "Lift its left side: right side down by about 30 degrees. Hold it still.", tilted
         )
-        return judgements.judge_axes(level, nose, right)
+        return judgements.evaluate_axes(level, nose, right)
 
-    def judge_force(self) -> StepFinding:
+    def evaluate_force(self) -> StepFinding:
         """Judge the direction of the estimated force of a push."""
         self._connect()
         self._telemetry.clear()
         level = self._wait_until_held("Hold the vehicle level and still.", lambda force: True)
         t = self._telemetry
         push = self._wait(
-            "Push it forward sharply, from behind.", lambda: judgements.first_push(list(t.imu), level)
+            "Push it forward sharply, from behind.", lambda: judgements.find_push(list(t.imu), level)
         )
         force = t.force_at(push.t_us)
         if force is None:
             return failed("no force estimate: attitude or motor outputs do not arrive (see link)")
-        return judgements.judge_push(push.acceleration_m_s2, force)
+        return judgements.evaluate_push(push.acceleration_m_s2, force)
 
-    def judge_servo(self) -> StepFinding:
+    def evaluate_servo(self) -> StepFinding:
         """Move the lock to both ends and judge the moves."""
         config = self._mission.vehicle.lock
         if config is None:
@@ -277,7 +277,7 @@ class Bringup(CheckContext[StepFinding]):
                     driver.close()
         except (DriverError, ServoInUseError) as error:
             return failed(f"{error}")
-        return judgements.judge_servo(config, moves[1:])  # the first move starts from an unknown position
+        return judgements.evaluate_servo(config, moves[1:])  # the first move starts from an unknown position
 
     def _move(self, lock: GroundLock, mode: Mode) -> tuple[Mode, LockState, bool | None]:
         state = lock.move(mode)
@@ -286,7 +286,7 @@ class Bringup(CheckContext[StepFinding]):
         how = "locked, with the rods in their slots" if mode is Mode.RIGID else "free"
         return mode, state, self._operator.confirm(f"Commanded {mode}. Are the arms {how}?")
 
-    def judge_position(self) -> StepFinding:
+    def evaluate_position(self) -> StepFinding:
         """Judge the poses of a motion capture, if any, and the estimated position of a carried vehicle."""
         link = self._connect()
         poses = None
@@ -298,7 +298,7 @@ class Bringup(CheckContext[StepFinding]):
             "Hold it level, carry it 0.5 m forward along its nose, and stand still."
         )
         right = self._wait_until_carried("Carry it 0.5 m to its right without turning it, and stand still.")
-        position = judgements.judge_position(forward, right)
+        position = judgements.evaluate_position(forward, right)
         if poses is None:
             return position
         measured = {**poses.measured, **position.measured}
@@ -334,7 +334,7 @@ class Bringup(CheckContext[StepFinding]):
             "it forward and back by 0.5 m.",
             find,
         )
-        return judgements.judge_motion(motion, config, link.round_trip_s(), self._heading_offset(motion))
+        return judgements.evaluate_motion(motion, config, link.round_trip_s(), self._heading_offset(motion))
 
     def _tracked_poses(self) -> tuple[Array, Array, Array]:
         """Return times of receipt (s), positions (m) and attitudes of the tracked poses, local NED."""
@@ -361,7 +361,7 @@ class Bringup(CheckContext[StepFinding]):
             times_s - motion.latency_s, shown, own_s, np.array([s.q_frd_to_ned for s in own])
         )
 
-    def judge_remote(self) -> StepFinding:
+    def evaluate_remote(self) -> StepFinding:
         """Judge the remote control and its mode switch."""
         link, t = self._connect(), self._telemetry
         t.clear()
@@ -369,7 +369,7 @@ class Bringup(CheckContext[StepFinding]):
         if received:
             with contextlib.suppress(NotDoneError):
                 self._wait("Flip the mode switch to another mode and back.", lambda: len(t.modes) > 1 or None)
-        return judgements.judge_remote(received, list(t.modes))
+        return judgements.evaluate_remote(received, list(t.modes))
 
     # -- waiting --
 
@@ -397,7 +397,7 @@ class Bringup(CheckContext[StepFinding]):
         def find() -> Vec2 | None:
             if not t.odometry:
                 return None
-            return judgements.carried(list(t.odometry), q)
+            return judgements.measure_displacement(list(t.odometry), q)
 
         return self._wait(text, find)
 
@@ -407,7 +407,7 @@ class Bringup(CheckContext[StepFinding]):
         Raises:
             NotDoneError: `find` returned no result in time.
         """
-        self._operator.tell(text)
+        self._operator.instruct(text)
         end_s = time.monotonic() + self._wait_s
         while (found := find()) is None:
             if time.monotonic() > end_s:
@@ -419,33 +419,33 @@ class Bringup(CheckContext[StepFinding]):
 BenchStep = Check[Bringup, StepFinding]
 
 STEPS: tuple[BenchStep, ...] = (
-    Check("link", Stage.BENCH, lambda b: [b.judge_link()], "the rates, errors and round trip of the link"),
-    Check("imu_axes", Stage.BENCH, lambda b: [b.judge_axes()], "the IMU's axes match the vehicle's", True),
+    Check("link", Stage.BENCH, lambda b: [b.evaluate_link()], "the rates, errors and round trip of the link"),
+    Check("imu_axes", Stage.BENCH, lambda b: [b.evaluate_axes()], "the IMU's axes match the vehicle's", True),
     Check(
         "force_sign",
         Stage.BENCH,
-        lambda b: [b.judge_force()],
+        lambda b: [b.evaluate_force()],
         "the estimated force of a push has the right direction",
         True,
     ),
     Check(
         "servo",
         Stage.BENCH,
-        lambda b: [b.judge_servo()],
+        lambda b: [b.evaluate_servo()],
         "the lock's servo moves in the right direction; its travel time",
         True,
     ),
     Check(
         "position",
         Stage.BENCH,
-        lambda b: [b.judge_position()],
+        lambda b: [b.evaluate_position()],
         "the estimated position follows the carried vehicle",
         True,
     ),
     Check(
         "remote_control",
         Stage.BENCH,
-        lambda b: [b.judge_remote()],
+        lambda b: [b.evaluate_remote()],
         "PX4 receives the remote control, and its switch changes the mode",
         True,
     ),

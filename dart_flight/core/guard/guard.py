@@ -25,7 +25,6 @@ from dart_flight.base.records import (
     Override,
     Phase,
     PoseSample,
-    PosesWithheld,
     Setpoint,
     Silence,
     Tick,
@@ -116,9 +115,9 @@ class Guard:
         self._watch.observe(item, state, sensed, phase)
         events: list[Output] = []
         if isinstance(item, PoseSample) and self._watch.poses is not None:
-            wrong = self._watch.poses.withhold(phase)
-            if wrong is not None:
-                events.append(PosesWithheld(state.now_us, wrong))
+            withheld = self._watch.poses.withhold(phase, state.now_us)
+            if withheld is not None:
+                events.append(withheld)
         for finding in proposal.findings:
             self._fire(finding.rule, finding.detail, state, events, finding.note_only)
         if self.end is None:

@@ -5,8 +5,10 @@ estimate by 0.02 m in 0.5 s. Every phase tolerates that. A contact adds a veloci
 vehicle must therefore not hit a wall without poses, and the limit is shorter in an approach. A contact and
 its recovery are finished first, because the recovery works with the IMU alone.
 
-Poses of another body, or of swapped markers, are withheld from PX4 at once. PX4 rejects such poses for a
-second and then resets its position or heading to them. Without poses, it dead-reckons long enough to land.
+Poses that jump are another body's and are withheld from PX4 at once. PX4 rejects such poses for a second and
+then resets its position to them. Without poses, it dead-reckons long enough to land. Of poses that are only
+turned, as by swapped markers, the attitudes are withheld: PX4 would reset its heading to them and tumble.
+Their positions remain right, and PX4 keeps its heading by the gyro.
 """
 
 from __future__ import annotations
@@ -16,7 +18,7 @@ from collections import deque
 from typing import Any, Final
 
 from dart_flight.base.geometry import Quaternion, Vec3, rotation_angle
-from dart_flight.base.records import OdometrySample, Override, Phase, PoseSample
+from dart_flight.base.records import OdometrySample, Override, Phase, PoseSample, PosesWithheld
 from dart_flight.config.vehicle.mocap import MotionCapture
 from dart_flight.core.guard.rule import Rule, RuleCondition, Scope
 from dart_flight.core.mission.phases import ON_GROUND
@@ -46,6 +48,7 @@ _AGE_US: Final = 250_000
 _SENDERS_US: Final = 1_000_000
 _RECENT_US: Final = 5_000_000  # PX4's estimate follows poses within this time
 _FINISHED_FIRST: Final = frozenset((Phase.CONTACT, Phase.RECOVERY))
+_RECOVERED_S: Final = 0.5  # in a recovery; from then on the vehicle flies to the next wall or to the goal
 
 
 class PoseWatch:
@@ -67,8 +70,9 @@ class PoseWatch:
         self._settling_us: int | None = None  # since a start or a gap, until two poses agree
         self._jumped_us: int | None = None  # host time since which poses have been a jump away from it
         self._jump = ""
-        self._wrong = ""  # why poses are withheld
+        self._wrong = self._turned_wrong = ""  # why poses are withheld, and why only their attitudes are
         self._withheld_us = 0
+        self._not_recovering_us = 0  # host time of the newest pose in another phase than the recovery
         self._recent, self._recent_us = "", -_RECENT_US  # newest fault
         self._apart_us: int | None = None
         self._turned_us: int | None = None
@@ -88,6 +92,8 @@ class PoseWatch:
         """Compare a pose with the previous one and with PX4's estimate in `state`."""
         now_us, before = item.received_us, self._newest
         self._newest = item
+        if phase is not Phase.RECOVERY:
+            self._not_recovering_us = now_us
         if before is not None and before.sender != item.sender:
             other = self._other
             if other is not None and other.sender == item.sender and now_us - other.received_us < _SENDERS_US:
@@ -109,6 +115,7 @@ class PoseWatch:
         lost_s = LOST_APPROACH_S if phase is Phase.APPROACH else LOST_S
         text = (
             self._wrong
+            or self._turned_wrong
             or self._lost(_GROUND_LOST_S if ground else lost_s)
             or self._jump
             or self._two_senders()
@@ -134,12 +141,26 @@ class PoseWatch:
             return self._wrong
         return self._lost(LOST_LAND_S)
 
-    def withhold(self, phase: Phase) -> str | None:
-        """Return why this program must stop forwarding poses as text, once in a flight, otherwise None."""
+    def waits(self, phase: Phase) -> bool:
+        """Return whether a contact or a recovery is finished before a fault of the poses counts.
+
+        Withheld poses do not return, so the vehicle must not recover towards another wall without them.
+        """
+        if phase is Phase.RECOVERY and self._wrong:
+            return (self._now_us - self._not_recovering_us) * 1e-6 < _RECOVERED_S
+        return phase in _FINISHED_FIRST
+
+    def withhold(self, phase: Phase, t_us: int) -> PosesWithheld | None:
+        """Return what this program must no longer forward, once when that begins, otherwise None."""
         if self._wrong or phase in ON_GROUND:
             return None
-        self._wrong, self._withheld_us = self._jump or self._turned(_TURNED_S) or "", self._now_us
-        return self._wrong or None
+        if self._jump:
+            self._wrong, self._withheld_us = self._jump, self._now_us
+            return PosesWithheld(t_us, self._wrong)
+        if not self._turned_wrong and (turned := self._turned(_TURNED_S)) is not None:
+            self._turned_wrong = turned
+            return PosesWithheld(t_us, turned, attitude_only=True)
+        return None
 
     # -- causes --
 
@@ -239,12 +260,12 @@ class PoseWatch:
 
 def _present(v: Any) -> str | None:
     watch: PoseWatch | None = v.poses
-    return None if watch is None or v.phase in _FINISHED_FIRST else watch.fault(v.phase)
+    return None if watch is None or watch.waits(v.phase) else watch.fault(v.phase)
 
 
 def _blind(v: Any) -> str | None:
     watch: PoseWatch | None = v.poses
-    if watch is None or v.phase in _FINISHED_FIRST or v.phase is Phase.LANDING:
+    if watch is None or watch.waits(v.phase) or v.phase is Phase.LANDING:
         return None
     return watch.blind(bool(v.estimator.jump or v.estimator.reset_step()), v.phase)
 

@@ -13,7 +13,7 @@ import msgspec
 from dart_flight.cli import EXIT_INTERRUPTED
 from dart_flight.cli.options import add_vary_option, whole_number
 from dart_flight.cli.terminal import emit_json, keep_status, messages, styled, tables
-from dart_flight.cli.vehicle_line import say_vehicle
+from dart_flight.cli.vehicle_line import print_vehicle
 from dart_flight.config.document import InputError
 
 _MAX_SHOWN = 5  # printed flights with unexplained modes; the summary lists all of them
@@ -78,7 +78,7 @@ def run(arguments: argparse.Namespace) -> int:
         engine = on_cluster(arguments.scheduler)
     else:
         engine = campaigns.fly_locally(arguments.jobs or usable_cores())
-    say_vehicle(opened.points[0].mission.flown_vehicle(), arguments)
+    print_vehicle(opened.points[0].mission.flown_vehicle(), arguments)
     if len(opened.points) > 1:
         console.print(f"and {len(opened.points) - 1} more missions or settings")
     for line in dict.fromkeys(line for point in opened.points for line in impact_warnings(point.mission)):

@@ -8,7 +8,7 @@ from typing import Any
 
 from dart_flight.cli.options import add_set_option
 from dart_flight.cli.terminal import emit_json, messages, print_status, styled, tables, write_text
-from dart_flight.cli.vehicle_line import say_vehicle
+from dart_flight.cli.vehicle_line import print_vehicle
 from dart_flight.config.document import InputError
 
 
@@ -107,7 +107,7 @@ def run(arguments: argparse.Namespace) -> int:
     trials, found = done.trials, done.found
     if done.flown is not None:
         source = done.flown.source
-    say_vehicle(source, arguments, flown=done.flown is not None)
+    print_vehicle(source, arguments, flown=done.flown is not None)
     print_status(*found.notes)
     for line in found.fit.says:
         messages().print(line, style="red", soft_wrap=True)

@@ -12,7 +12,7 @@ from dart_flight.cli import EXIT_INTERRUPTED
 from dart_flight.cli.mission_picture import add_plot_option, write_picture
 from dart_flight.cli.options import add_set_option, link_of, whole_number
 from dart_flight.cli.terminal import emit_json, messages, print_status, tables
-from dart_flight.cli.vehicle_line import say_vehicle
+from dart_flight.cli.vehicle_line import print_vehicle
 from dart_flight.config.document import InputError
 from dart_flight.lab.search.flown_plan import (
     Done,
@@ -119,7 +119,7 @@ def _plan(arguments: argparse.Namespace) -> int:
         result = search(
             scenario, top, arguments.seed, lambda done, of: bar.update(task, completed=done, total=of)
         )
-    say_vehicle(scenario.vehicle_source, arguments)
+    print_vehicle(scenario.vehicle_source, arguments)
     plan = result.plans[min(arguments.rank, len(result.plans)) - 1]
     record = None
     if arguments.output is not None and arguments.verify:
@@ -178,7 +178,7 @@ def _plan_quickest(scenario: Scenario, arguments: argparse.Namespace) -> int:
             result = plan_limited_sight(scenario, progress)
         else:
             result = plan_quickest(scenario, arguments.within, progress)
-    say_vehicle(scenario.vehicle_source, arguments)
+    print_vehicle(scenario.vehicle_source, arguments)
     if arguments.free and result.free is None:
         raise InputError("no flight reaches the goal without a collision", source=scenario.source)
     offered = OfferedPlan(result.free if arguments.free else result.best, scenario, None, [NOT_VERIFIED], {})

@@ -70,5 +70,5 @@ def inspect_log(
     flown = vehicle_for(vehicle, log, curve, drag)
     scan = ImpactScan(flown, flying, listen(flown, flying) if listen is not None else None)
     for sample in samples_of(track, curve, len(flown.airframe.motors)):
-        scan.take(sample)
+        scan.process(sample)
     return scan.result(log, track, curve, drag, mass_kg, unknown)

@@ -1,7 +1,7 @@
 """Scenario files (version 1), the planner's input, as YAML types and as a checked `Scenario`.
 
 A scenario shares start, goal, bounds, walls, limits and frame with a mission (`config.mission`), and defines
-a search instead of collisions. `docs/planning.md` explains every key.
+a search instead of collisions. `docs/missions.md` explains every key.
 """
 
 from __future__ import annotations

@@ -11,7 +11,7 @@ import pytest
 
 from dart_flight.base.geometry import Quaternion, Vec3
 from dart_flight.base.records import AttitudeSample, ImuSample, PoseSample
-from dart_flight.check.bringup.judgements import StepFinding, StepOutcome, judge_motion
+from dart_flight.check.bringup.judgements import StepFinding, StepOutcome, evaluate_motion
 from dart_flight.check.bringup.pose_motion import MotionEstimate, estimate_motion
 from dart_flight.check.bringup.steps import Bringup
 from dart_flight.cli.bringup_command import _write_delay
@@ -45,7 +45,7 @@ class Hands:
         self.told: list[str] = []
         self.acts: dict[str, Any] = {}
 
-    def tell(self, text: str) -> None:
+    def instruct(self, text: str) -> None:
         self.told.append(text)
         for word, act in self.acts.items():
             if word in text:
@@ -81,14 +81,14 @@ class FedBringup(Bringup):
         room, t = true.room_frame(), self._telemetry
 
         def begin() -> None:
-            t.take(make_pose(0.0, *room.pose_from_ned((0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))))
+            t.store(make_pose(0.0, *room.pose_from_ned((0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))))
 
         def move() -> None:
             for at, rate, force in zip(imu_s, rates.tolist(), forces.tolist(), strict=True):
-                t.take(ImuSample(round(1e6 * at), round(1e6 * at), tuple(force), tuple(rate)))
+                t.store(ImuSample(round(1e6 * at), round(1e6 * at), tuple(force), tuple(rate)))
             for at, position, q in zip(shown_s, positions.tolist(), attitudes.tolist(), strict=True):
-                t.take(make_pose(at, *room.pose_from_ned(tuple(position), tuple(q))))
-                t.take(AttitudeSample(round(1e6 * at) - 30_000, round(1e6 * at), tuple(q)))
+                t.store(make_pose(at, *room.pose_from_ned(tuple(position), tuple(q))))
+                t.store(AttitudeSample(round(1e6 * at) - 30_000, round(1e6 * at), tuple(q)))
 
         self.hands.acts = {"Waiting": begin, "turn it left": move}
 
@@ -154,13 +154,13 @@ def test_without_poses_the_sources_reason_is_told() -> None:
     ],
 )
 def test_each_defect_is_named(changes: dict[str, Any], says: str) -> None:
-    found = judge_motion(GOOD._replace(**changes), MotionCapture(url=URL), 0.004, 0.0)
+    found = evaluate_motion(GOOD._replace(**changes), MotionCapture(url=URL), 0.004, 0.0)
     assert found.result is StepOutcome.FAIL
     assert says in found.message
 
 
 def test_a_heading_that_px4_does_not_use_is_named() -> None:
-    found = judge_motion(GOOD, MotionCapture(url=URL), None, -45.0)
+    found = evaluate_motion(GOOD, MotionCapture(url=URL), None, -45.0)
     assert "PX4's heading is -45 degrees off the poses" in found.message
     assert math.isclose(float(found.measured["delay_ms"] or 0.0), 30.0)
 

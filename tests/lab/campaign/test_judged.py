@@ -81,7 +81,7 @@ def in_this_process(flyer: ItemFlyer, items: Iterable[Item], interrupt: Interrup
 def flown(spec: CampaignSpec, out: Path, resume: bool = False) -> list[flight_job.JudgedRow]:
     opened = campaigns.open_campaign(spec, out, resume)
     campaigns.fly(opened, in_this_process, Interrupt())
-    return campaigns.rows_of(opened)
+    return campaigns.read_rows(opened)
 
 
 def test_a_judge_sees_the_flight_with_its_truth(tmp_path: Path) -> None:

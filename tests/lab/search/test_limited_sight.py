@@ -24,6 +24,8 @@ from dart_flight.lab.search.limited_sight import plan_limited_sight, safe_speed_
 from dart_flight.lab.search.optimal_trajectory import MotionLimits
 from dart_flight.lab.search.quickest import QuickestPlan, QuickestResult
 from dart_flight.lab.search.scenario import load_scenario
+from tests.shared_flights import SharedFlights
+from tests.shared_plans import limited_sight_plan
 
 SHIPPED = packaged("missions", "scenarios", "limited_sight.yaml")
 WALL_M, SEEN_M, REACTION_S = 4.5, 1.0, 0.15
@@ -53,9 +55,9 @@ def speeds(plan: QuickestPlan) -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.fixture(scope="module")
-def planned() -> QuickestResult:
-    """The shipped scenario's plan, which takes seconds."""
-    return plan_limited_sight(load_scenario(SHIPPED))
+def planned(flown: SharedFlights) -> QuickestResult:
+    """The shipped scenario's plan."""
+    return limited_sight_plan(flown, load_scenario(SHIPPED))
 
 
 def test_both_cruise_until_the_reaction_to_the_wall_is_over(planned: QuickestResult) -> None:

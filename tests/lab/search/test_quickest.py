@@ -96,7 +96,7 @@ def test_a_hit_follows_the_contact_law() -> None:
     scenario = between()
     found = plan_quickest(scenario).best.trajectory
     (hit,), (into, out) = found.hits, found.legs
-    response = ContactResponse.of(scenario.vehicle, scenario.walls["east"], hit.mode)
+    response = ContactResponse.at_wall(scenario.vehicle, scenario.walls["east"], hit.mode)
     met, begun = into.states()[-1], out.states()[0]
     assert met.velocity[0] == pytest.approx(-hit.normal_m_s, abs=1e-3)
     dead_s = scenario.vehicle.flying.replan_within_s
@@ -191,7 +191,7 @@ def test_it_is_as_good_as_a_grid_of_hits_with_the_quickest_legs_between_them() -
     scenario = between()
     found = plan_quickest(scenario).best
     hit = found.trajectory.hits[0]
-    response = ContactResponse.of(scenario.vehicle, scenario.walls["east"], hit.mode)
+    response = ContactResponse.at_wall(scenario.vehicle, scenario.walls["east"], hit.mode)
     drag, dead_s = scenario.vehicle.airframe.drag_per_s[0], scenario.vehicle.flying.replan_within_s
     best = math.inf
     for v, thrust in itertools.product(np.arange(1.0, 3.01, 0.05), (0.15, 0.3, 0.45)):
@@ -225,10 +225,10 @@ def _leg_s(begin: tuple[float, float, float], end: tuple[float, float, float]) -
 def test_no_leg_is_quicker_than_its_bound(length: float, speed: float, a: float, jerk: float) -> None:
     limits = MotionLimits(speed, a, jerk, 45.0)
     least = LeastTimes(limits, 0.8 * speed)
-    assert least.of_leg(length, LegEnd.REST, LegEnd.REST) <= straight_time_s(length, limits) + 1e-9
+    assert least.leg_s(length, LegEnd.REST, LegEnd.REST) <= straight_time_s(length, limits) + 1e-9
     for begin, end in itertools.product(LegEnd, LegEnd):
-        assert least.of_leg(length, begin, end) >= length / speed - 1e-9
-        assert least.of_leg(length, begin, end) <= least.of_leg(length, LegEnd.REST, LegEnd.REST) + 1e-9
+        assert least.leg_s(length, begin, end) >= length / speed - 1e-9
+        assert least.leg_s(length, begin, end) <= least.leg_s(length, LegEnd.REST, LegEnd.REST) + 1e-9
 
 
 @settings(max_examples=5, deadline=None)
