@@ -50,7 +50,7 @@ def evaluate_hitl_mode(values: Mapping[str, float], mode: HeartbeatMode | None) 
     if mode is None:
         return [CheckFinding("heartbeat", False, "no heartbeat with a mode within 3 s")]
     if mode.armed:
-        return [CheckFinding("disarmed", False, "flight controller is armed: disarm it first")]
+        return [CheckFinding("disarmed", False, "the flight controller is armed: disarm it first")]
     set_up = round(values.get(HITL, 0)) == 1
     if set_up and not mode.hil:
         says = f"{HITL} is 1, but the flight controller does not fly from simulated sensors: restart it"
@@ -69,7 +69,7 @@ def evaluate_hitl_outputs(values: Mapping[str, float]) -> list[CheckFinding]:
         return [CheckFinding(ON_A_BOARD, False, says)]
     if WITH_IO not in values or not turning:
         return []
-    says = f"{', '.join(turning)} put out motors, and a PX4IO goes on in this mode: set them to 0, restart"
+    says = f"{', '.join(turning)} drive motors, and a PX4IO stays active in this mode: set them to 0, restart"
     return [CheckFinding("real_outputs", False, says)]
 
 
@@ -80,7 +80,7 @@ def evaluate_hitl_lock(mission: Mission) -> CheckFinding:
         return CheckFinding(
             "lock_driver",
             False,
-            "lock.driver is px4, and hardware in the loop starts no real outputs: the servo would not move "
-            "(--driver maestro, pwm or mock)",
+            "lock.driver is px4, but hardware in the loop starts no real outputs: the servo would not move; "
+            "choose maestro, pwm or mock (--driver)",
         )
     return CheckFinding("lock_driver", True, "no lock" if lock is None else lock.driver.value)

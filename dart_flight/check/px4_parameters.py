@@ -51,15 +51,21 @@ _RC_LOSS_ACTIONS = {
 def _offboard_loss(value: float, mission: Mission) -> tuple[bool, str]:
     whole = value + mission.vehicle.guard.deadman_s
     return value <= 1.5, (
-        f"without setpoints PX4's offboard-loss failsafe acts after {value:g} s; with the deadman, a hung "
-        f"program flies on for at most {whole:.2f} s"
-        + ("" if value <= 1.5 else ", more than a wall at arm's length allows: at most 1.5 s")
+        f"without setpoints PX4's offboard-loss failsafe acts after {value:g} s; with the deadman's "
+        f"timeout, a hung program flies on for at most {whole:.2f} s"
+        + ("" if value <= 1.5 else "; too long near a wall: set it to 1.5 s or less")
     )
 
 
 def _loss_action(value: float, _: Mission) -> tuple[bool, str]:
     action = round(value)
-    return action in (0, 1, 2, 4, 5), f"on loss of offboard setpoints: {_LOSS_ACTIONS.get(action, 'unknown')}"
+    return action in (
+        0,
+        1,
+        2,
+        4,
+        5,
+    ), f"action on loss of offboard setpoints: {_LOSS_ACTIONS.get(action, 'unknown')}"
 
 
 def _rc_override(value: float, _: Mission) -> tuple[bool, str]:
@@ -79,37 +85,37 @@ def _stick_speed(value: float, _: Mission) -> tuple[bool, str]:
 
 def _rc_loss(value: float, _: Mission) -> tuple[bool, str]:
     action = round(value)
-    return action in (0, 1, 3), f"on RC loss: {_RC_LOSS_ACTIONS.get(action, 'unknown')}"
+    return action in (0, 1, 3), f"action on RC loss: {_RC_LOSS_ACTIONS.get(action, 'unknown')}"
 
 
 def _imbalance(value: float, _: Mission) -> tuple[bool, str]:
     quiet = value <= 0.0
     return quiet, (
-        "an imbalanced propeller is at most a warning"
+        "PX4 only warns of an imbalanced propeller"
         if quiet
-        else "an imbalanced propeller ends the mission, and a hit looks like one"
+        else "PX4 ends the mission for an imbalanced propeller, and an impact looks like one"
     )
 
 
 def _rc_exception(value: float, _: Mission) -> tuple[bool, str]:
     ignores = round(value) & 4
     return True, (
-        "the loss of the remote control is ignored in offboard: no second way out"
+        "PX4 ignores a loss of the remote control in offboard mode: the pilot cannot take over then"
         if ignores
-        else "the loss of the remote control ends offboard: fly with one, or it never starts"
+        else "a loss of the remote control ends offboard mode, and without one it never starts"
     )
 
 
 def _attitude_limit(value: float, mission: Mission) -> tuple[bool, str]:
     limit = mission.vehicle.guard.tilt_deg
     good = value == 0.0 or value >= limit
-    return good, f"PX4 sees a failure from {value:g} degrees on; the guard lands from {limit:g}" + (
-        "" if good else ": an impact could trip PX4 first"
+    return good, f"PX4 detects a failure above {value:g} degrees, the guard's limit is {limit:g} degrees" + (
+        "" if good else ": an impact could trigger PX4 first"
     )
 
 
 def _lockdown(value: float, _: Mission) -> tuple[bool, str]:
-    return True, f"a failure within {value:g} s of take-off stops the motors"
+    return True, f"PX4 stops the motors on a failure within {value:g} s of take-off"
 
 
 def _termination(value: float, _: Mission) -> tuple[bool, str]:
@@ -120,25 +126,25 @@ def _termination(value: float, _: Mission) -> tuple[bool, str]:
 
 def _gyro_rate(value: float, _: Mission) -> tuple[bool, str]:
     return value >= 400.0, f"rate control at up to {value:g} Hz" + (
-        "" if value >= 400.0 else ", a contact's torque needs at least 400"
+        "" if value >= 400.0 else ", minimum 400 Hz for the torque of a contact"
     )
 
 
 def _hitl(value: float, _: Mission) -> tuple[bool, str]:
     if value == 0.0:
-        return True, "the vehicle flies from its own sensors"
+        return True, "PX4 uses its own sensors"
     return False, (
-        "hardware in the loop is still on: the vehicle would fly from simulated sensors and its outputs are "
-        "off; set it to 0 and restart"
+        "hardware in the loop is still on: PX4 uses simulated sensors, and its outputs are off; set it to 0 "
+        "and restart"
     )
 
 
 def _disarm_land(value: float, _: Mission) -> tuple[bool, str]:
     return (
         True,
-        "does not disarm automatically after landing"
+        "PX4 does not disarm automatically after landing"
         if value <= 0.0
-        else f"disarms {value:g} s after landing",
+        else f"PX4 disarms {value:g} s after landing",
     )
 
 
@@ -209,7 +215,9 @@ def evaluate_parameters(
                 continue
             if name in wanted and _is_absent(wanted[name], wanted, values, version):
                 continue
-            findings.append(CheckFinding(name, False, "cannot be read: PX4's behaviour is unknown"))
+            findings.append(
+                CheckFinding(name, False, "PX4 does not report this parameter: its behaviour is unknown")
+            )
             continue
         go, says = judge(values[name], mission)
         if go and difference is not None:
@@ -245,12 +253,13 @@ def _evaluate_configured(different: dict[str, ParameterDifference]) -> list[Chec
         if name in GAINS:
             says = (
                 f"{difference.actual:g} on the vehicle, {difference.wanted:g} in the configuration: "
-                "recoveries go elsewhere"
+                "recoveries differ from the prediction"
             )
         else:
             says = (
                 f"{difference.actual:g} m on the vehicle, {difference.wanted:g} m in imu.position_m: PX4's "
-                "velocity or the force takes turning for motion; measure from the centre of mass and set both"
+                "velocity or the force mistakes rotation for motion; measure from the centre of mass and "
+                "set both"
             )
         findings.append(CheckFinding(name, name not in GAINS, says, remark=name not in GAINS))
     return findings
@@ -272,8 +281,8 @@ def _evaluate_pose_delay(
     says = f"{delay_ms:g} ms on the vehicle, {measured_ms:g} ms in mocap.delay_ms"
     if apart_ms > _POSE_DELAY_TOLERANCE_MS:
         says += (
-            f": {apart_ms:g} ms apart, {_POSE_DELAY_TOLERANCE_MS:g} ms allowed, the position estimate would "
-            f"oscillate; set {POSE_DELAY} to {measured_ms:g}"
+            f": {apart_ms:g} ms apart, limit {_POSE_DELAY_TOLERANCE_MS:g} ms; the position estimate would "
+            f"oscillate: set {POSE_DELAY} to {measured_ms:g}"
         )
     return CheckFinding(POSE_DELAY, apart_ms <= _POSE_DELAY_TOLERANCE_MS, says)
 
@@ -319,16 +328,14 @@ def evaluate_position(
     if claimed not in (None, found, PositionSource.PLAIN):
         other = "motion capture" if found is PositionSource.MOCAP else f"GPS ({fix})"
         return [
-            CheckFinding(
-                item, False, f"not {claimed} as specified: the vehicle's position comes from {other}"
-            )
+            CheckFinding(item, False, f"--position-from is {claimed}, but PX4's position comes from {other}")
         ]
     source = claimed or found
     if source is PositionSource.MOCAP:
         return [CheckFinding(item, True, "motion capture"), *evaluate_claim(mission, source)]
     if source is PositionSource.RTK:
         return [CheckFinding(item, True, f"GPS, {fix}"), *evaluate_claim(mission, source)]
-    return evaluate_claim(mission, source, f" (the receiver says: {fix})")
+    return evaluate_claim(mission, source, f" (the receiver reports: {fix})")
 
 
 def evaluate_claim(mission: Mission, source: PositionSource, addition: str = "") -> list[CheckFinding]:
@@ -336,7 +343,7 @@ def evaluate_claim(mission: Mission, source: PositionSource, addition: str = "")
     findings = []
     source = effective_source(mission, source)
     if source is PositionSource.ANCHORED:
-        findings.append(CheckFinding("position_source", True, "plain GPS, put right by contacts" + addition))
+        findings.append(CheckFinding("position_source", True, "plain GPS, corrected by contacts" + addition))
     if source is PositionSource.PLAIN:
         findings.append(CheckFinding("position_source", False, PLAIN_GPS + addition))
     problem = frame_problem(mission, source)

@@ -38,7 +38,7 @@ class StreamRate(NamedTuple):
     @property
     def describe(self) -> str:
         """The rate and the required rate, or the reason why messages are unusable."""
-        return self.unusable or f"{self.rate_hz:.0f} Hz, needs {BY_NAME[self.name].expected_hz:g}"
+        return self.unusable or f"{self.rate_hz:.0f} Hz, minimum {BY_NAME[self.name].expected_hz:g} Hz"
 
 
 def stream_rates(rates_hz: Mapping[str, float], unusable: Mapping[str, str]) -> list[StreamRate]:
@@ -124,7 +124,7 @@ def evaluate_resting_force(observed: Observation) -> list[CheckFinding]:
     force = observed.specific_force_m_s2
     if force is None or abs(force - GRAVITY_M_S2) <= _REST_TOLERANCE * GRAVITY_M_S2:
         return []
-    says = f"HIGHRES_IMU reads {force:.2f} m/s2 on the ground, not 9.81: wrong unit or not calibrated"
+    says = f"HIGHRES_IMU reports {force:.2f} m/s2 on the ground, not 9.81: wrong unit or not calibrated"
     return [CheckFinding("imu_scale", False, says)]
 
 
@@ -178,9 +178,9 @@ def evaluate_motor_outputs(
             says = f"no output 1 to {motors} of {', '.join(_BANKS)} drives a motor: thrust is unknown"
             return [CheckFinding(item, False, says)]
         by_values = (
-            f"{observed_scale.describe()}, by the values"
+            f"{observed_scale.describe()}, judged by the values"
             if observed_scale
-            else "all 0 while disarmed: type not known yet"
+            else "all outputs are 0 while disarmed: type not known yet"
         )
         return [CheckFinding(item, True, by_values)]
     wrong = _problem_of(bank, values, motors)
@@ -188,7 +188,7 @@ def evaluate_motor_outputs(
         return [CheckFinding(item, False, wrong)]
     scale = _configured_scale(bank, values)
     if observed_scale is not None and observed_scale != scale:
-        says = f"{bank} is {scale.describe()} by its parameters, but sends {observed_scale.describe()}"
+        says = f"the parameters of {bank} give {scale.describe()}, but it sends {observed_scale.describe()}"
         return [CheckFinding(item, False, says)]
     return [CheckFinding(item, True, f"{scale.describe()}, on {bank}")]
 
@@ -213,7 +213,7 @@ def _problem_of(bank: str, values: Mapping[str, float], motors: int) -> str:
     if earlier:
         return (
             f"the motors are on {bank}, but PX4 reports only {earlier[0]}, which it starts first: thrust is "
-            f"unknown; free the outputs of {earlier[0]}, or move the motors there"
+            f"unknown; free the outputs of {earlier[0]} or move the motors there"
         )
     if _configured_scale(bank, values) is PWM:
         for k in range(1, motors + 1):

@@ -26,8 +26,8 @@ def evaluate_round_trip(mission: Mission, seconds: float | None) -> CheckFinding
     """Judge by the round trip whether samples are in time; `seconds` is None if no request was answered."""
     item, limit_s = "round_trip", round_trip_limit_s(mission)
     if seconds is None:
-        return CheckFinding(item, True, "vehicle does not answer TIMESYNC", remark=True)
-    says = f"{seconds * 1e3:.0f} ms between vehicle and program, allowed are {limit_s * 1e3:.0f} ms"
+        return CheckFinding(item, True, "the vehicle does not answer TIMESYNC", remark=True)
+    says = f"{seconds * 1e3:.0f} ms between vehicle and program, limit {limit_s * 1e3:.0f} ms"
     return CheckFinding(item, seconds <= limit_s, says)
 
 
@@ -35,20 +35,22 @@ def evaluate_observation(observed: Observation) -> list[CheckFinding]:
     """Return findings about version, other vehicles and estimator."""
     findings = [
         CheckFinding(
-            "version", True, f"PX4 {observed.version}" if observed.version else "version not reported"
+            "version",
+            True,
+            f"PX4 {observed.version}" if observed.version else "PX4 does not report its version",
         )
     ]
     if observed.other_vehicle is not None:
         findings.append(CheckFinding("second_vehicle", False, observed.other_vehicle))
     reasons = ", ".join(dict.fromkeys([*observed.blocking, *observed.texts]))
-    says = "local position valid"
+    says = "the local position is valid"
     if not observed.local_position_ok:
         says = "; ".join(["no valid local position", *observed.own_findings])
-        says += f"; PX4 says: {reasons}" if reasons else ""
+        says += f"; PX4 reports: {reasons}" if reasons else ""
     findings.append(CheckFinding("estimator", observed.local_position_ok, says))
     if observed.blocking or observed.texts:
         # Only a remark: PX4 judges its present mode, but `fly` arms in offboard mode.
-        begin = "PX4 would refuse to arm: " if observed.blocking else "PX4 says: "
+        begin = "PX4 would refuse to arm: " if observed.blocking else "PX4 reports: "
         findings.append(CheckFinding("px4_checks", True, begin + reasons, remark=True))
     return findings
 
@@ -57,7 +59,7 @@ def evaluate_autopilot(mode: HeartbeatMode | None) -> list[CheckFinding]:
     """Return a no-go with the autopilot's name if it is not PX4."""
     if mode is None or not mode.not_px4:
         return []
-    says = f"heartbeats arrive, none {mode.not_px4}: this program supports PX4 only"
+    says = f"heartbeats arrive, but none {mode.not_px4}: this program supports only PX4"
     return [CheckFinding("autopilot", False, says)]
 
 
@@ -65,7 +67,7 @@ def evaluate_mode(mode: HeartbeatMode | None) -> list[CheckFinding]:
     """Return a no-go if the vehicle has used simulated sensors since its start, whatever SYS_HITL is now."""
     if mode is None or not mode.hil:
         return []
-    says = "the vehicle flies from simulated sensors (hardware in the loop): restart it with SYS_HITL 0"
+    says = "PX4 uses simulated sensors (hardware in the loop): restart it with SYS_HITL 0"
     return [CheckFinding("hil_mode", False, says)]
 
 
@@ -86,10 +88,10 @@ def evaluate_airframe(mission: Mission, values: Mapping[str, float]) -> list[Che
         return [CheckFinding(item, True, f"not compared: {error}", remark=True)]
     other, sizes = rotor_differences(motors, actual)
     if other:
-        hint = "; `calibrate airframe` prints PX4's"
+        hint = "; `calibrate airframe` prints PX4's values"
         return [CheckFinding(item, False, "; ".join(other) + hint)]
     if sizes:
-        return [CheckFinding(item, True, "; ".join(sizes) + ": measure, and set both", remark=True)]
+        return [CheckFinding(item, True, "; ".join(sizes) + ": measure and set both", remark=True)]
     return [CheckFinding(item, True, f"{len(motors)} motors, as in PX4")]
 
 
@@ -100,7 +102,7 @@ def evaluate_lock(mission: Mission, values: Mapping[str, float]) -> list[CheckFi
         return []
     if not DRIVERS[lock.driver].moves:
         real = driver_names(lambda entry: entry.moves)
-        says = f"lock.driver is {lock.driver.value}: nothing real moves; choose {real} (--driver)"
+        says = f"lock.driver is {lock.driver.value}: no real servo moves; choose {real} (--driver)"
         return [CheckFinding("lock_driver", False, says)]
     if lock.driver is not LockDriver.PX4:
         return [

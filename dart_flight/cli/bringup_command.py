@@ -25,14 +25,20 @@ from dart_flight.vehicle.link import LinkLease
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the command."""
-    parser.add_argument("mission", nargs="?", metavar="MISSION", help="for its vehicle and its frame")
-    parser.add_argument("--connection", metavar="URL", help="the vehicle's link (default: connection.url)")
-    parser.add_argument("--state", type=Path, metavar="DIR", help="where it is remembered and filed")
-    parser.add_argument("--again", action="store_true", help="also the steps that have passed")
     parser.add_argument(
-        "--wait", type=number(1.0, 600.0), default=WAIT_S, metavar="S", help="for each of your moves (60 s)"
+        "mission", nargs="?", metavar="MISSION", help="mission that names the vehicle and the frame"
     )
-    parser.add_argument("--yes", action="store_true", help="only what needs no hands")
+    parser.add_argument("--connection", metavar="URL", help="the vehicle's link (default: connection.url)")
+    parser.add_argument("--state", type=Path, metavar="DIR", help="folder of progress and records")
+    parser.add_argument("--again", action="store_true", help="repeat the steps that have passed")
+    parser.add_argument(
+        "--wait",
+        type=number(1.0, 600.0),
+        default=WAIT_S,
+        metavar="S",
+        help="timeout of each of your moves (60 s)",
+    )
+    parser.add_argument("--yes", action="store_true", help="do only the steps that need no operator")
     add_driver_option(parser)
     add_mocap_option(parser)
 
@@ -56,7 +62,7 @@ def _write_delay(arguments: argparse.Namespace, source: str | None, delay_ms: fl
         refuse_unwritable(arguments, path)
         write_values(path, {("mocap", "delay_ms"): delay_ms})
     except InputError as error:
-        print_status(f"  set mocap.delay_ms to {delay_ms:g} yourself: {error.one_line()}")
+        print_status(f"  set mocap.delay_ms to {delay_ms:g} by hand: {error.one_line()}")
     else:
         print_status(
             f"  wrote mocap.delay_ms {delay_ms:g} into {path}; `parameters --write` sets EKF2_EV_DELAY to it"
@@ -82,7 +88,7 @@ def run(arguments: argparse.Namespace) -> int:
                     print_status(f"  passed on {before.date}")
                     continue
                 if arguments.yes and step.by_hand:
-                    finding = StepFinding(StepOutcome.NEEDS_OPERATOR, "needs somebody at the vehicle")
+                    finding = StepFinding(StepOutcome.NEEDS_OPERATOR, "needs an operator at the vehicle")
                 else:
                     (finding,) = run_checks([step], bringup)
                 delay_ms = finding.measured.get("delay_ms")
@@ -93,7 +99,10 @@ def run(arguments: argparse.Namespace) -> int:
                 print_status(f"  {finding.result.value}: {finding.message}")
         finally:
             bringup.close()
-    print_status("next: `dart-flight parameters` lists what PX4 has otherwise than measured, and writes it")
+    print_status(
+        "next: `dart-flight parameters` lists the parameters that differ from the measurements, and "
+        "writes them"
+    )
     if arguments.json:
         emit_json({"steps": record.steps, "vehicle": record.vehicle, "files": [str(p) for p in written]})
     else:

@@ -36,7 +36,7 @@ _LOOK_S = 0.5
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the command."""
     parser.add_argument("mission", metavar="MISSION", help="mission file, see missions/")
-    parser.add_argument("--connection", metavar="URL", help="also check the vehicle that answers here")
+    parser.add_argument("--connection", metavar="URL", help="also check the vehicle at this URL")
     add_overrule_option(parser)
     add_log_dir_option(parser)
     add_position_option(parser)
@@ -47,7 +47,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--watch",
         action="store_true",
-        help="check and draw again whenever the mission or a file it uses is saved",
+        help="repeat check and picture whenever the mission or a file that it uses is saved",
     )
 
 
@@ -56,7 +56,7 @@ def run(arguments: argparse.Namespace) -> int:
     if not arguments.watch:
         return _check(arguments)
     if arguments.json or arguments.connection is not None:
-        raise InputError("only for files: not with --json or --connection", key=("--watch",))
+        raise InputError("--watch cannot be combined with --json or --connection", key=("--watch",))
     return keep_checking(lambda: _check(arguments))
 
 
@@ -128,7 +128,7 @@ def show(report: CheckReport, console: Console) -> None:
         console.print(line, soft_wrap=True)
     if any(PX4_NAME.match(f.item) and (f.remark or not f.go) for f in report.findings):
         console.print(
-            "parameters that differ: `dart-flight parameters` lists and writes them", soft_wrap=True
+            "some parameters differ: `dart-flight parameters` lists and writes them", soft_wrap=True
         )
     end = styled(("go", "bold green")) if report.go else styled(("no-go", "bold red"), ": do not fly")
     console.print(end)

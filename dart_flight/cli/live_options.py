@@ -52,7 +52,7 @@ class LiveView:
             action(*arguments)
         except Exception as error:
             self._failed = True
-            print_status(f"the live view failed ({error!r}); the flight goes on without it")
+            print_status(f"the live view failed ({error!r}); the flight continues without it")
 
 
 def add_live_options(parser: argparse.ArgumentParser) -> None:
@@ -65,12 +65,12 @@ def add_live_options(parser: argparse.ArgumentParser) -> None:
         "--live-port",
         type=whole_number(1, 65535),
         metavar="PORT",
-        help=f"that viewers connect to (default {DEFAULT_PORT})",
+        help=f"port for viewers (default {DEFAULT_PORT})",
     )
     group.add_argument(
         "--live-host",
         metavar="ADDRESS",
-        help=f"to listen at (default {DEFAULT_HOST}: this machine only; 0.0.0.0: all may watch)",
+        help=f"address to listen at (default {DEFAULT_HOST}: this computer only; 0.0.0.0: every computer)",
     )
 
 
@@ -114,7 +114,7 @@ def live_view(
             f"live: in Foxglove or Lichtblick open the connection ws://{host}:{view.port}; layout {layout}"
         )
         if host not in _LOCAL:
-            print_status(f"live: anyone who can reach {host} may watch (read-only)")
+            print_status(f"live: every computer that reaches {host} can watch (read-only)")
         yield view
     finally:
         view.close()
@@ -127,5 +127,5 @@ def _open(mission: Mission, host: str, port: int, *shown: bool) -> LiveView | No
     except InputError:
         raise
     except Exception as error:
-        print_status(f"no live view ({error!r}); the flight goes on without it")
+        print_status(f"no live view ({error!r}); the flight continues without it")
         return None

@@ -73,6 +73,6 @@ def line(figures: PoseFigures, problem: str | None) -> Text:
     if f.distance_to_px4_m is None or f.angle_to_px4_deg is None:
         parts.append("PX4 has no estimate yet")
     else:
-        parts.append(f"PX4 {f.distance_to_px4_m:.2f} m and {f.angle_to_px4_deg:.1f} deg away")
+        parts.append(f"PX4 {f.distance_to_px4_m:.2f} m and {f.angle_to_px4_deg:.1f} deg off")
     rate = (f"{f.rate_hz:.0f} Hz", "green" if f.rate_hz > 0.0 else "red")
     return styled(rate, "   " + "   ".join(parts), *(() if problem is None else ((f"   {problem}", "red"),)))

@@ -36,7 +36,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--connection",
         metavar="URL",
-        help="watch the vehicle here (default: a flight under way on this machine, else connection.url)",
+        help="vehicle to watch (default: a flight in progress on this computer, else connection.url)",
     )
     parser.add_argument("--mission", metavar="FILE", help="show forces along this mission's axes")
     parser.add_argument("--log", type=Path, metavar="FILE", help="follow this flight's log")
@@ -85,7 +85,8 @@ def _watch(arguments: argparse.Namespace, show: Callable[[MonitorView], None]) -
         lease.acquire()
     except LinkInUseError as error:
         raise InputError(
-            f"{error.message}; without --connection `monitor` watches a flight by its log", source=url
+            f"{error.message}; without --connection, `monitor` follows the log of a flight in progress",
+            source=url,
         ) from None
     seconds, timeout_s = arguments.seconds, connection.timeout_s
     try:
@@ -114,7 +115,7 @@ def _flight(log: Path | None, url: str) -> tuple[Path, Callable[[], bool]] | Non
         several = "; ".join(f"{holder.describe()}: {holder.log}" for holder in flights)
         raise InputError(f"several flights are in progress; choose one with --log: {several}")
     flight = here[0] if here else flights[0]
-    print_status(f"watching {flight.describe()} by its log {flight.log}")
+    print_status(f"watching {flight.describe()} through its log {flight.log}")
     return Path(flight.log or ""), _still_held(flight)
 
 
@@ -167,7 +168,7 @@ def _force(view: MonitorView) -> Table:
         table.add_row("standard deviation", sigma, styled(("clipped" if view.clipped else "", "red")))
     table.add_row("detection", "", view.detection)
     for age, normal, tangential in view.peaks[:3]:
-        table.add_row(f"impact {age:.1f} s ago", f"{normal:.1f}", f"along the wall {tangential:+.1f}")
+        table.add_row(f"impact {age:.1f} s ago", f"{normal:.1f}", f"tangential {tangential:+.1f}")
     for one in view.walls:
         figures = ", ".join(
             f"{name} {after:.4g} ± {100.0 * sd:.0f} % ({before:.4g})"

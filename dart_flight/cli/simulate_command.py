@@ -23,13 +23,13 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "mission",
         metavar="MISSION",
         nargs="?",
-        help="its walls and start (default: the dual collision)",
+        help="mission that gives walls and start (default: the dual collision)",
     )
     parser.add_argument(
         "--port",
         type=whole_number(1024, 65535),
         default=14540,
-        help="UDP port it sends to, as PX4 does to a companion (default 14540; a ground station: 14550)",
+        help="UDP port to send to (default 14540, for a companion computer; 14550 for a ground station)",
     )
     parser.add_argument("--seed", type=whole_number(0, 2**31 - 1), default=1, help="random seed (default 1)")
     add_live_options(parser)
@@ -57,7 +57,9 @@ def run(arguments: argparse.Namespace) -> int:
                 ports.append(GROUND_STATION_PORT)
         except LinkInUseError as error:
             # A ground station cannot distinguish two vehicles with the same system id.
-            console.print(f"nothing goes to UDP {GROUND_STATION_PORT}: {error.message}", soft_wrap=True)
+            console.print(
+                f"no messages go to UDP port {GROUND_STATION_PORT}: {error.message}", soft_wrap=True
+            )
         lock = mission.vehicle.lock
         servo = (
             "" if lock is None else f"; its lock servo listens to PX4's actuator {lock.px4.actuator_index}"

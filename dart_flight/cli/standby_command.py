@@ -22,7 +22,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "missions", metavar="MISSION", nargs="*", help="missions of the buttons Fly 1, Fly 2, ..., in order"
     )
-    parser.add_argument("--connection", metavar="URL", help="of the vehicle (default: connection.url)")
+    parser.add_argument("--connection", metavar="URL", help="link of the vehicle (default: connection.url)")
     add_driver_option(parser)
     add_log_dir_option(parser)
 
@@ -38,7 +38,8 @@ def run(arguments: argparse.Namespace) -> int:
         for mission in flown[1:]:
             if (mission.vehicle.lock, mission.vehicle.mocap) != (vehicle.lock, vehicle.mocap):
                 raise InputError(
-                    "another lock or motion capture than the first mission", source=mission.source
+                    "its lock or motion capture differs from those of the first mission",
+                    source=mission.source,
                 )
     elif arguments.driver is not None and vehicle.lock is not None:
         lock = msgspec.structs.replace(vehicle.lock, driver=arguments.driver)

@@ -58,8 +58,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add_px4_options(parser, with_hitl=False)
     parser.set_defaults(fault=None, runs=None, speed=None, realtime=False)
     parser.set_defaults(live=False, live_port=None, live_host=None)
-    parser.add_argument("--fast", action="store_true", help="in process, in simulated time, without MAVLink")
-    parser.add_argument("--connection", metavar="URL", help="touch the walls with the vehicle there")
+    parser.add_argument(
+        "--fast", action="store_true", help="in one process, in simulated time, without MAVLink"
+    )
+    parser.add_argument("--connection", metavar="URL", help="touch the walls with the vehicle at this URL")
     add_overrule_option(parser)
     parser.add_argument("--yes", action="store_true", help="do not ask before flying")
     parser.add_argument("--seed", type=whole_number(0, 2**31 - 1), default=1, help="random seed (default 1)")
@@ -70,8 +72,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
         metavar="M_S",
         help=f"speed of the touches (default {_SPEED_M_S:g} m/s)",
     )
-    parser.add_argument("--plot", type=Path, metavar="FILE", help="map of a room that was looked for")
-    parser.add_argument("-o", "--output", type=Path, metavar="FILE", help="the mission with measured walls")
+    parser.add_argument("--plot", type=Path, metavar="FILE", help="map of a room found by touch")
+    parser.add_argument(
+        "-o", "--output", type=Path, metavar="FILE", help="mission file to write, with the measured walls"
+    )
     add_position_option(parser)
     parser.add_argument(
         "--mocap",
@@ -100,7 +104,7 @@ def run(arguments: argparse.Namespace) -> int:
     survey = plan_survey(mission, arguments.touch_speed)
     console = messages()
     for name, reason in survey.unreachable.items():
-        console.print(f"wall {name} is skipped: {reason}", style="yellow", soft_wrap=True)
+        console.print(f"wall {name} skipped: {reason}", style="yellow", soft_wrap=True)
     print_vehicle(mission.flown_vehicle(), arguments)
     verdict = _fly(arguments, survey.mission)
     if verdict is None:
@@ -127,7 +131,7 @@ def run(arguments: argparse.Namespace) -> int:
     if missed:
         console.print(f"not touched: {', '.join(missed)}", style="red", soft_wrap=True)
     if unfit is not None:
-        text = f"written, but it does not fit its walls as they were met; plan it anew: {unfit}"
+        text = f"written, but the mission cannot be flown with the measured walls; plan it again: {unfit}"
         console.print(text, style="red", soft_wrap=True)
     return exit_status(verdict) or bool(missed or unfit)
 
@@ -173,7 +177,7 @@ def _survey_room(arguments: argparse.Namespace, written: Any, mission: Mission) 
 
 
 def _room_table(walls: dict[str, dict[str, Any]]) -> Table:
-    table = Table("wall", "middle of its surface, m", "normal", "length m", "± m", "± deg")
+    table = Table("wall", "centre of its surface, m", "normal", "length m", "± m", "± deg")
     for name, keys in walls.items():
         (x, y), (nx, ny) = keys["point_m"], keys["normal"]
         place, normal = f"({x:.3f}, {y:.3f})", f"({nx:.3f}, {ny:.3f})"
@@ -212,7 +216,7 @@ def _write(
     if isinstance(tree.get("vehicle"), str):
         vehicle = Path(mission.source).parent / tree["vehicle"]
         tree["vehicle"] = Path(os.path.relpath(vehicle.resolve(), path.resolve().parent)).as_posix()
-    head = f"# {Path(mission.source).name} with its walls as `dart-flight survey` has measured them.\n"
+    head = f"# {Path(mission.source).name} with its walls as measured by `dart-flight survey`.\n"
     head += "".join(f"# {line}\n" for wall in walls.values() for line in _coefficient_lines(wall))
     body = yaml.safe_dump(msgspec.to_builtins(tree), sort_keys=False, default_flow_style=None, width=110)
     with report_write_errors(path):
@@ -232,7 +236,7 @@ def _coefficient_lines(wall: MeasuredWall) -> Iterator[str]:
 
 
 def _table(walls: list[MeasuredWall]) -> Table:
-    table = Table("wall", "middle, m", "normal", "± m", "± deg", "material", "off by m", "off by deg")
+    table = Table("wall", "centre, m", "normal", "± m", "± deg", "material", "error m", "error deg")
     for wall in walls:
         (x, y), (nx, ny) = wall.point_m, wall.normal
         table.add_row(

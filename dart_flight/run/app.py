@@ -282,7 +282,7 @@ class FlightApp:
             self._session = session
             unanswered = await session.measure_link(timeout_s)
             if unanswered:
-                says = f"vehicle sends telemetry but does not answer requests: {', '.join(unanswered)}"
+                says = f"the vehicle sends telemetry but does not answer requests: {', '.join(unanswered)}"
                 raise NoAnswerError(says, source=self._url)
             if self._mission.vehicle.lock is not None:
                 self._lock = self._make_lock(session, self._mission.vehicle.lock)
@@ -455,7 +455,7 @@ class FlightApp:
         if not session.armed:
             return
         now_us = self._host_us()
-        text = "poses are forwarded until the vehicle is disarmed; Ctrl-C ends that"
+        text = "forwarding poses until the vehicle is disarmed; Ctrl-C ends it"
         self.show(StatusText(session.clock.to_autopilot(now_us), now_us, "warning", text, found_here=True))
         self._stopped.clear()
         while session.armed and not self._stopped.is_set():

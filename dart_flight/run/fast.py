@@ -229,7 +229,7 @@ class FastFlight:
             self.tick()
         silent = self.faulted is not None and self.faulted.app_silent
         if self.core.end is None and not (self._orphaned or silent):
-            says = f"the simulated flight did not end within {limit_s:.0f} s of its time"
+            says = f"the simulated flight did not end within {limit_s:.0f} s of simulated time"
             self.step(OperatorRequest(self.host_us, Request.WORLD_DIED, says))
 
     @property
@@ -428,7 +428,7 @@ def simulated_driver(mission: Mission) -> LockDriver:
     driver = mission.vehicle.lock_driver or LockDriver.MOCK
     if not DRIVERS[driver].simulated:
         others = driver_names(lambda entry: entry.simulated)
-        raise InputError(f"the lock driver {driver.value} cannot be simulated, only {others}")
+        raise InputError(f"the lock driver {driver.value} cannot be simulated; choose {others}")
     return driver
 
 

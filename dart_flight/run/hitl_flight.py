@@ -100,5 +100,5 @@ def _leave_disarmed(mission: Mission, url: str) -> None:
                 link.kill()
     except Exception as error:
         raise FlightError(
-            f"cannot tell that the flight controller is disarmed ({error}): unplug it"
+            f"cannot confirm that the flight controller is disarmed ({error}): unplug it"
         ) from None

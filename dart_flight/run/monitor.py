@@ -227,7 +227,7 @@ class TelemetryMonitor:
             filtered_n=e.filtered_mission if e else None,
             sigma_n=math.sqrt(max(0.0, 0.5 * (e.variance_n2[0] + e.variance_n2[1]))) if e else None,
             clipped=e.clipped if e else False,
-            detection=self._senses.detector.stage if self._in_air else "not watching: on the ground",
+            detection=self._senses.detector.stage if self._in_air else "not monitored on the ground",
             peaks=[
                 ((newest - p.t_us) * 1e-6, p.normal_force_n, p.tangential_force_n)
                 for p in reversed(self._peaks)

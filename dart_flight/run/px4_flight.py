@@ -130,9 +130,7 @@ def _px4_figures(ulog: Path, version: str | None, notify: Onlooker) -> Px4Figure
     except ImportError:
         return Px4Figures(version)
     except Exception as error:
-        notify(
-            StatusText(0, 0, "warning", f"PX4's log {ulog.name} was not read ({error!r})", found_here=True)
-        )
+        notify(StatusText(0, 0, "warning", f"cannot read PX4's log {ulog.name}: {error!r}", found_here=True))
         return Px4Figures(version)
     return figures
 

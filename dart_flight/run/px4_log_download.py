@@ -62,9 +62,9 @@ def fetch_px4_log(
         time.sleep(_WRITTEN_S)
         found = logs_of_flight(logs.entries(), armed, before)
         if not found:
-            raise DownloadError("PX4 has no log of this flight: SDLOG_MODE, or no card")
+            raise DownloadError("PX4 has no log of this flight: check SDLOG_MODE and the SD card")
         entry = found[0] if len(found) == 1 else choose(found)
-        print_line(f"PX4's log {entry.line()}; Ctrl-C skips it")
+        print_line(f"downloading PX4's log {entry.line()}; Ctrl-C skips it")
         expected = DownloadTime(entry.size_bytes, time.monotonic())
 
         def report(share: float) -> None:

@@ -112,7 +112,7 @@ def describe_end(name: str, fly: bool, ended: Ended) -> list[str]:
         report = {}
     if ended.status < 0:
         how = signal.Signals(-ended.status).name
-        after = ": PX4's failsafe has the vehicle" if fly else ""
+        after = ": PX4's failsafe flies the vehicle" if fly else ""
         return [f"{name}: the process was killed by {how}{after}"]
     if "outcome" in report:
         reason = f": {report['reason']}" if report.get("reason") else ""
@@ -178,7 +178,7 @@ class Standby:
                 except (LinkInUseError, VehicleError, ServoInUseError, DriverError) as error:
                     if str(error) != problem:  # report it once
                         problem = str(error)
-                        self._say("problem", f"{problem}; trying again")
+                        self._say("problem", f"{problem}; retrying")
                     await self._rest(_RETRY_S)
                 errand, self._errand = self._errand, None
                 if errand is not None and not self._stops:
@@ -265,7 +265,7 @@ class Standby:
     def _answer(self, press: Press) -> tuple[Result, str]:
         """Answer a button; on MAVSDK's thread."""
         if self._errand is not None:
-            return Result.TEMPORARILY_REJECTED, "the link is being handed over"
+            return Result.TEMPORARILY_REJECTED, "the link is being passed to another command"
         reply = self._desk.press(press, time.monotonic())
         if isinstance(reply.effect, Mode):
             self._move(reply.effect)
@@ -294,7 +294,7 @@ class Standby:
         for number in errand.missions:
             name, path = self._missions[number - 1]
             command = ["fly", path, "--yes"] if errand.fly else ["check", path]
-            self._say("standby", f"handing the link to dart-flight {command[0]} {path}")
+            self._say("standby", f"passing the link to dart-flight {command[0]} {path}")
             lines = describe_end(name, errand.fly, await self._run_child(command))
             for line in lines:
                 self._say("standby", line)

@@ -153,7 +153,7 @@ class Px4Logs:
             if result == "NO_LOGFILES":
                 return []
             says = result.lower().replace("_", " ")
-            raise DownloadError(f"PX4's list of logs cannot be read: {says}") from None
+            raise DownloadError(f"cannot read PX4's list of logs: {says}") from None
 
     def download(self, entry: Px4LogEntry, path: Path, progress: Callable[[float], None]) -> None:
         """Download a log to a file, which exists only after a complete download, even after Ctrl-C.
@@ -182,7 +182,7 @@ class Px4Logs:
                 raise
             with part.open("rb") as file:
                 if file.read(len(_ULOG_MAGIC)) != _ULOG_MAGIC:
-                    raise DownloadError(f"{path.name}: what came is no ULog")
+                    raise DownloadError(f"{path.name}: the received data is not a ULog")
             os.replace(part, path)
         finally:
             part.unlink(missing_ok=True)
@@ -215,4 +215,4 @@ class DownloadTime:
             return None
         self._is_reported = True
         rate = share * self._size_bytes / elapsed_s
-        return f"{(1.0 - share) * self._size_bytes / rate / 60.0:.1f} min to go, at {rate / 1e3:.0f} kB/s"
+        return f"{(1.0 - share) * self._size_bytes / rate / 60.0:.1f} min left at {rate / 1e3:.0f} kB/s"

@@ -265,7 +265,9 @@ class GroundLink:
         unanswered = await self._session.measure_link(_ROUND_TRIP_MAX_S)
         if unanswered:
             says = (
-                "sends, but answers no request" if self._system.is_connected() else "has fallen silent after"
+                "sends telemetry but answers no request"
+                if self._system.is_connected()
+                else "went silent after"
             )
             raise NoAnswerError(f"the vehicle {says}: {', '.join(unanswered)}", source=self._url)
         with contextlib.suppress(TimeoutError):
@@ -287,11 +289,13 @@ class GroundLink:
                 self._answered = True
                 raise
             if not self._system.is_connected():
-                says = f"vehicle stopped responding; no answer to {what}"
+                says = f"the vehicle stopped responding; no answer to {what}"
                 raise NoAnswerError(says, source=self._url) from None
             self._unanswered.append(what)
             if not self._answered and len(self._unanswered) >= _MAX_UNANSWERED:
-                says = f"vehicle sends telemetry but does not answer requests: {', '.join(self._unanswered)}"
+                says = (
+                    f"the vehicle sends telemetry but does not answer requests: {', '.join(self._unanswered)}"
+                )
                 raise NoAnswerError(says, source=self._url) from None
             raise
         self._answered = True
@@ -340,7 +344,7 @@ class GroundLink:
         for done, name in enumerate(names):
             progress(done)
             if time.monotonic() > end_s:
-                says = f"parameter {name} and others not received within {_PARAMETERS_S:g} s"
+                says = f"the vehicle did not send parameter {name} and others within {_PARAMETERS_S:g} s"
                 raise NoAnswerError(says, source=self._url)
             for read in (self._param.get_param_int, self._param.get_param_float):
                 try:

@@ -187,7 +187,7 @@ class LinkLease(Lease):
         try:
             self._device = os.open(device, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK | os.O_CLOEXEC)
         except FileNotFoundError:
-            raise InputError("there is no such serial device", source=self._url) from None
+            raise InputError("this serial device does not exist", source=self._url) from None
         except OSError as error:
             if error.errno == errno.EBUSY:
                 owners = _owners_of_device(device)
@@ -279,7 +279,7 @@ def udp_port_is_free(port: int, host: str = "") -> bool:
         if error.errno == errno.EADDRINUSE:
             return False
         place = f"{host}:{port}" if host else str(port)
-        raise InputError(f"UDP port {place} cannot be opened: {error.strerror}") from None
+        raise InputError(f"cannot open UDP port {place}: {error.strerror}") from None
     return True
 
 

@@ -277,7 +277,7 @@ def test_a_pose_delay_far_from_the_measured_one_is_a_no_go(actual_ms: float, mea
     assert found.go is (abs(actual_ms - measured_ms) <= 30.0)
     assert not found.remark
     if not found.go:
-        assert "30 ms allowed" in found.says
+        assert "limit 30 ms" in found.says
         assert f"set EKF2_EV_DELAY to {measured_ms:g}" in found.says
 
 
@@ -345,7 +345,7 @@ def test_where_the_position_comes_from(
     ("found", "fix", "claimed", "go", "words"),
     [
         (PositionSource.MOCAP, None, None, True, "motion capture"),
-        (PositionSource.MOCAP, None, PositionSource.RTK, False, "not rtk as specified"),
+        (PositionSource.MOCAP, None, PositionSource.RTK, False, "--position-from is rtk, but"),
         (PositionSource.RTK, "rtk_fixed", None, True, "GPS, rtk fixed"),
         (PositionSource.RTK, "rtk_fixed", PositionSource.MOCAP, False, "comes from GPS (rtk fixed)"),
         (PositionSource.PLAIN, "fix_3d", None, False, "a wall mission needs RTK, motion capture or"),
@@ -397,7 +397,7 @@ def test_what_this_program_finds_is_not_put_into_px4s_mouth() -> None:
     assert judged(observed)["estimator"].says == f"no valid local position; {here}"
     assert "px4_checks" not in judged(observed)
     both = msgspec.structs.replace(observed, texts=["no heading"])
-    assert judged(both)["estimator"].says == f"no valid local position; {here}; PX4 says: no heading"
+    assert judged(both)["estimator"].says == f"no valid local position; {here}; PX4 reports: no heading"
 
 
 def test_what_is_observed_is_judged() -> None:
@@ -464,7 +464,7 @@ NO_MAIN = dict.fromkeys((f"PWM_MAIN_FUNC{k}" for k in range(1, 5)), 0.0)
         (MAIN, PWM, True, "PWM 1000 to 2000 us, on PWM_MAIN"),
         ({**MAIN, "PWM_MAIN_TIM0": -4.0}, None, True, "DShot 0 to 1999, on PWM_MAIN"),
         ({**NO_MAIN, **CAN}, None, True, "UAVCAN 0 to 8191, on UAVCAN_EC"),
-        ({}, DSHOT, True, "DShot 0 to 1999, by the values"),
+        ({}, DSHOT, True, "DShot 0 to 1999, judged by the values"),
         (MAIN, DSHOT, False, "sends DShot"),
         (
             {**MAIN, "PWM_MAIN_FUNC2": 103.0},
@@ -543,7 +543,7 @@ def test_check_and_fly_with_a_vehicle(tmp_path: Path) -> None:
         assert float(items["rate_imu"].split()[0]) > 150.0
         elsewhere = command("check", "--connection", url, "--driver", "px4", "--position-from", "rtk")
         assert elsewhere.returncode == 1
-        assert "position_source: not rtk as specified" in elsewhere.stderr
+        assert "position_source: --position-from is rtk, but" in elsewhere.stderr
         refused = command("fly", "--yes", "--connection", url, "--log-dir", str(tmp_path / "none"))
         assert refused.returncode == 1
         assert "lock_driver" in refused.stderr

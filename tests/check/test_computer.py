@@ -68,7 +68,7 @@ def test_a_computer_that_cannot_keep_up_is_told_by_its_margin() -> None:
     assert (fast.go, fast.remark) == (True, False)
     assert fast.figures["margin"] == pytest.approx(40.0)
     assert (slow.go, slow.remark) == (True, True)
-    assert "6 ms after the peak" in slow.says
+    assert "6 ms after the sample with the peak" in slow.says
     assert (too_slow.go, "too slow" in too_slow.says) == (False, True)
 
 

@@ -104,7 +104,7 @@ def test_motors_on_a_px4io_are_refused_only_where_there_is_one(
 def test_a_servo_on_px4s_own_output_would_not_move(mission: Mission, board: dict[str, float]) -> None:
     found = refusals(with_driver(mission, LockDriver.PX4), board)
     assert set(found) == {"lock_driver"}
-    assert "--driver maestro" in found["lock_driver"]
+    assert "choose maestro, pwm or mock (--driver)" in found["lock_driver"]
 
 
 def test_dangerous_parameters_of_the_vehicle_are_refused_as_in_check(

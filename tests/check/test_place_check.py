@@ -62,10 +62,10 @@ def test_distances_do_not_depend_on_the_frame(
 @pytest.mark.parametrize(
     ("x", "y", "says"),
     [
-        (20.0, 0.0, "17.80 m outside of bounds_m"),
-        (0.0, 1.4, "1.40 m from start, 1 m allowed"),
+        (20.0, 0.0, "17.80 m outside bounds_m"),
+        (0.0, 1.4, "1.40 m from start, limit 1 m"),
         (1.9, 0.0, "behind wall acrylic"),
-        (0.3, -1.05, "too near to or cut off by wall wood"),
+        (0.3, -1.05, "too near or cut off by wall wood"),
     ],
 )
 def test_a_start_that_the_mission_does_not_tolerate_is_a_no_go(x: float, y: float, says: str) -> None:

@@ -100,7 +100,9 @@ def test_flexible_is_refused_in_one_line(folder: Path, old: str, new: str, where
     path.write_text(path.read_text().replace(old, new))
     with pytest.raises(InputError) as error:
         load_mission(path)
-    assert str(error.value) == f"{path}{where}this vehicle has no lock: it is always rigid, never flexible"
+    assert (
+        str(error.value) == f"{path}{where}this vehicle has no lock: its mode is always rigid, not flexible"
+    )
 
 
 def test_with_a_lock_the_mode_has_to_be_given(folder: Path) -> None:

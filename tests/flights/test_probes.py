@@ -72,7 +72,7 @@ def test_a_wall_that_nobody_knew_is_found_hit_again_and_the_other_probe_left_out
     assert verdict.outcome is Outcome.COMPLETED, verdict.reason
     assert verdict.guard == []
     assert [(c.wall, c.mode) for c in verdict.collisions] == [("east", "rigid"), ("east", "flexible")]
-    assert [e.what for e in all_of(log, ProbeEnd)] == ["collision 3 left out: wall east was met"]
+    assert [e.what for e in all_of(log, ProbeEnd)] == ["collision 3 skipped: contact with wall east"]
     hit = ["transit", "prepare", "approach", "contact", "recovery"]
     assert phases(log) == [*hit, "waypoint", *hit, "goal", "landing", "done"]
     # The board stands 2 m away, turned by 6 degrees: place and direction follow from the contacts.
@@ -119,10 +119,10 @@ def test_nothing_met_is_no_fault_and_has_a_branch_of_its_own(tmp_path: Path) -> 
     assert verdict.outcome is Outcome.COMPLETED, verdict.reason
     assert (verdict.collisions, verdict.guard, verdict.walls) == ([], [], [])
     assert [e.what for e in all_of(log, ProbeEnd)] == [
-        "nothing met on the probe for wall east",
-        "waypoint 1 left out: wall east was not met",
-        "collision 2 left out: wall east was not met",
-        "nothing met on the probe for wall west",
+        "no contact on the probe for wall east",
+        "waypoint 1 skipped: no contact with wall east",
+        "collision 2 skipped: no contact with wall east",
+        "no contact on the probe for wall west",
     ]
     search = ["transit", "prepare", "approach"]
     assert phases(log) == [*search, "recovery", *search, "recovery", "goal", "landing", "done"]

@@ -73,7 +73,7 @@ def test_a_decision_that_was_not_taken_is_noticed(flight: Log) -> None:
     flight = beginning(flight, flight.entries[index].number + 50)
     entries = flight.entries[:index] + flight.entries[index + 1 :]
     result = replay(Log(flight.source, flight.about, flight.end, entries, True))
-    assert result.differences[0].text().startswith("ImpactPeak not in the recording")
+    assert result.differences[0].text().startswith("ImpactPeak is not in the recording")
 
 
 def test_a_higher_threshold_detects_later(flight: Log) -> None:
@@ -108,7 +108,7 @@ def test_a_gain_changes_the_recovery_only(flight: Log) -> None:
         ("materials.steel.rigid.k=1", "materials.steel.rigid.k=1: missing key f"),
         ("start.altitude_m=9", "bounds_m z"),
         ("airframe.mass_kg=[", "not valid YAML"),
-        ("airframe.mass_kg.kg=1", "nothing below"),
+        ("airframe.mass_kg.kg=1", "no key below"),
     ],
 )
 def test_wrong_settings_are_refused_in_words(
@@ -130,7 +130,7 @@ def test_a_flight_that_was_changed_by_options_is_replayed_as_flown(single_wall: 
     log = Log("log", describe_flight(flown, World.FAST, 1), {}, entries, True)
     assert replay(log).equal
     assert changed_mission(log, ["detection.force_threshold_n=6"]).altitude_m == 1.2
-    with pytest.raises(InputError, match="only vehicle keys"):
+    with pytest.raises(InputError, match="only keys of the vehicle"):
         changed_mission(log, ["start.altitude_m=1.1"])
 
 
@@ -139,7 +139,7 @@ def test_a_cut_log_replays_up_to_there(flight: Log) -> None:
         log = Log(flight.source, flight.about, {}, flight.entries[:cut], False)
         result = replay(log)
         assert result.equal
-        assert result.note.startswith("the log was cut")
+        assert result.note.startswith("the log is cut short")
 
 
 def with_retired(vehicle: dict[str, Any]) -> None:
@@ -164,7 +164,7 @@ def test_a_key_that_is_a_constant_of_another_value_now_is_said(flight: Log) -> N
     tree["guard"]["imu_stuck_s"] = 0.5
     about["vehicle"] = msgspec.json.encode(tree).decode()
     old = Log(flight.source, about, flight.end, flight.entries, True)
-    assert replay(beginning(old, 1000)).note == "guard.imu_stuck_s was 0.5 and is 0.1 now"
+    assert replay(beginning(old, 1000)).note == "guard.imu_stuck_s was 0.5 and is now 0.1"
     assert replay(old, ["detection.force_threshold_n=15"]).differences
 
 

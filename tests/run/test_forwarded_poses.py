@@ -106,7 +106,7 @@ def test_a_pose_goes_to_px4_and_to_the_core_until_the_core_withholds_it(
 def test_a_pilot_who_takes_over_keeps_his_position_until_he_disarms(monkeypatch: pytest.MonkeyPatch) -> None:
     _, source, records = flown(monkeypatch, 5, lambda app, source: None)
     (text,) = (r.text for r in records if isinstance(r, StatusText))
-    assert text == "poses are forwarded until the vehicle is disarmed; Ctrl-C ends that"
+    assert text == "forwarding poses until the vehicle is disarmed; Ctrl-C ends it"
     assert source.stops == 1
 
 

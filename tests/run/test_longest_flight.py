@@ -18,7 +18,7 @@ def test_a_flight_that_does_not_end_is_ended_with_a_reason(monkeypatch: pytest.M
     verdict, limit_s = fast.fly_fast(HOVER, 1, None), fast.time_limit_s(HOVER)
     assert verdict.outcome is Outcome.ABORTED
     assert verdict.reason == (
-        f"world_died: the simulated flight did not end within {limit_s:.0f} s of its time"
+        f"world_died: the simulated flight did not end within {limit_s:.0f} s of simulated time"
     )
 
 

@@ -87,7 +87,7 @@ def test_the_expected_duration_is_told_once_and_from_the_measured_rate() -> None
     expected = DownloadTime(12_000_000, 100.0)
     assert expected.line(0.01, 101.0) is None
     assert expected.line(0.0, 103.0) is None  # nothing has come
-    assert expected.line(0.01, 104.0) == "6.6 min to go, at 30 kB/s"
+    assert expected.line(0.01, 104.0) == "6.6 min left at 30 kB/s"
     assert expected.line(0.02, 105.0) is None
 
 
@@ -151,7 +151,7 @@ def test_a_download_that_stops_or_is_stopped_leaves_nothing(tmp_path: Path) -> N
         fetch_px4_log(
             v.url, 10.0, tmp_path, ARMED, choose=no_choice, print_line=lambda line: None, progress=interrupt
         )
-    with vehicle([(end_s, b"not a ULog at all")]) as v, pytest.raises(DownloadError, match="no ULog"):
+    with vehicle([(end_s, b"not a ULog at all")]) as v, pytest.raises(DownloadError, match="not a ULog"):
         fetch_px4_log(v.url, 10.0, tmp_path, ARMED, choose=no_choice, print_line=lambda line: None)
     with vehicle([]) as v, pytest.raises(DownloadError, match="no log of this flight"):
         fetch_px4_log(v.url, 10.0, tmp_path, ARMED, choose=no_choice, print_line=lambda line: None)

@@ -130,7 +130,7 @@ def test_the_configured_channel_moves_the_lock() -> None:
             -9,
             None,
             "",
-            ["wall: the process was killed by SIGKILL: PX4's failsafe has the vehicle"],
+            ["wall: the process was killed by SIGKILL: PX4's failsafe flies the vehicle"],
         ),
         (False, -15, None, "", ["wall: the process was killed by SIGTERM"]),
     ],
@@ -200,7 +200,7 @@ def test_an_errand_hands_the_link_over_and_keeps_what_it_came_to() -> None:
     assert standby._news == [
         "one: go",
         "two: go",
-        "two: the process was killed by SIGKILL: PX4's failsafe has the vehicle",
+        "two: the process was killed by SIGKILL: PX4's failsafe flies the vehicle",
         "one: completed",
     ]
 
@@ -210,7 +210,7 @@ def test_a_vehicle_that_is_away_is_said_once_and_tried_again(monkeypatch: pytest
     away = VehicleError("no autopilot on udpin://127.0.0.1:1 within 5 s")
     standby = Hands([away, away, away, Errand(False, (1,))], [GO])
     asyncio.run(standby.run())
-    assert [text for kind, text in standby.said if kind == "problem"] == [f"{away}; trying again"]
+    assert [text for kind, text in standby.said if kind == "problem"] == [f"{away}; retrying"]
     assert standby.commands == [["check", "one.yaml"]]
 
 

@@ -148,7 +148,7 @@ def test_a_day(laboratory: Laboratory) -> None:
     laboratory.fly(1)
     station.wait_for("phase waypoint", 2, timeout_s=120.0)
     os.kill(laboratory.flight_process(), signal.SIGKILL)
-    station.wait_for("one: the process was killed by SIGKILL: PX4's failsafe has the vehicle")
+    station.wait_for("one: the process was killed by SIGKILL: PX4's failsafe flies the vehicle")
     laboratory.is_standing_by(5)
     assert station.press(Button.FLY, 1) == NO, "the vehicle is still in the air"
     station.wait_for("denied: the vehicle is armed")

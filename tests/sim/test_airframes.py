@@ -207,7 +207,7 @@ def test_px4_s_parameters_say_where_the_motors_are_and_back() -> None:
     [
         ({}, True, "6 motors, as in PX4"),
         ({"CA_ROTOR_COUNT": 4}, False, "PX4 has 4 motors, the configuration 6"),
-        ({"CA_ROTOR2_KM": 0.016}, False, "motor 3 turns the other way round"),
+        ({"CA_ROTOR2_KM": 0.016}, False, "motor 3 turns in the other direction"),
         ({"CA_ROTOR4_PX": -0.173}, False, "motor 5: x_m 0.173, PX4 -0.173"),
         ({"CA_ROTOR4_PX": 0.43, "CA_ROTOR2_KM": -0.05}, True, "motor 5: x_m 0.173, PX4 0.43"),
     ],

@@ -57,7 +57,9 @@ def load_record(folder: Path, vehicle: VehicleSource, connection: str) -> Bringu
     except OSError as error:
         raise InputError(f"cannot read: {error.strerror}", source=str(path)) from None
     except msgspec.DecodeError as error:
-        raise InputError(f"is no bring-up of ours ({error}): move it away", source=str(path)) from None
+        raise InputError(
+            f"not a bring-up record of dart-flight ({error}): move the file away", source=str(path)
+        ) from None
     known = {step.name: step for step in found.steps} if found.vehicle.source == vehicle.source else {}
     begun = create_record(vehicle, connection)
     begun.steps = [known.get(step.name, step) for step in begun.steps]

@@ -46,7 +46,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         type=_height_or_trial,
         const=True,
         metavar="HEIGHT",
-        help="the trials are drops, with gravity along the normal; a HEIGHT (m) is checked against them",
+        help="the trials are drops, with gravity along the normal; HEIGHT (m) is compared with them",
     )
     parser.add_argument("--onset", choices=("lcp", "touch"), help="onset rule (default: the configuration's)")
     parser.add_argument(
@@ -134,7 +134,7 @@ def _write(arguments: argparse.Namespace, found: Any, vehicle: Any, *, poor: boo
     console = messages()
     if entry.assumed:
         console.print(
-            f"not identifiable from these trials, written as 0 and marked: {', '.join(entry.assumed)}",
+            f"these trials do not determine, so written as 0 and marked: {', '.join(entry.assumed)}",
             style="yellow",
             soft_wrap=True,
         )

@@ -50,7 +50,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         type=Objective,
         choices=list(Objective),
         metavar="OBJECTIVE",
-        help="objective to use instead of the scenario's: " + ", ".join(Objective),
+        help="objective, instead of the scenario's: " + ", ".join(Objective),
     )
     parser.add_argument(
         "--top", type=whole_number(1, 1000), default=10, metavar="N", help="plans to list (10)"
@@ -112,7 +112,7 @@ def _plan(arguments: argparse.Namespace) -> int:
     if scenario.objective is Objective.QUICKEST:
         return _plan_quickest(scenario, arguments)
     if arguments.free:
-        raise InputError("--free is for the objective quickest", source=scenario.source)
+        raise InputError("--free needs the objective quickest", source=scenario.source)
     with Progress(console=console, transient=True) as bar:
         task = bar.add_task("trajectories", total=None)
         top = max(arguments.top, arguments.rank)

@@ -35,14 +35,21 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--restitution",
         type=float,
         metavar="E",
-        help="instead of a surface: outgoing over incoming normal speed, from `identify`",
+        help="ratio of outgoing to incoming normal speed, from `identify`, instead of a surface",
     )
     parser.add_argument(
-        "--tangential-ratio", type=float, metavar="R", help="with --restitution: the same along the wall"
+        "--tangential-ratio",
+        type=float,
+        metavar="R",
+        help="with --restitution: ratio of the speeds along the wall",
     )
     parser.add_argument("--onset", choices=("lcp", "touch"), help="onset rule (default: the configuration's)")
     parser.add_argument(
-        "--incidence-deg", type=float, default=0.0, metavar="DEG", help="angle of leading edge and wall (0)"
+        "--incidence-deg",
+        type=float,
+        default=0.0,
+        metavar="DEG",
+        help="angle between leading edge and wall (0)",
     )
     parser.add_argument(
         "--plot", metavar="FILE", help="plot position, velocity and force over time (PNG, PDF, SVG)"

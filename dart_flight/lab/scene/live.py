@@ -126,7 +126,7 @@ class LiveViewProcess:
         self._thread.join(_END_S)
         self.process.end(_END_S)
         if self.dropped:
-            self._say(f"live view: {self.dropped} records dropped, the viewer was too slow")
+            self._say(f"live view: {self.dropped} records dropped because the viewer was too slow")
 
     def _run(self) -> None:
         while not self._closing.wait(_TURN_S):

@@ -155,9 +155,9 @@ def best_of(scenario: Scenario, free: QuickestPlan | None, colliding: QuickestPl
     if best is not None:
         return best
     if demanded:
-        problem = f"no flight hits {', '.join(demanded)} and rests at the goal within the limits"
+        problem = f"no feasible trajectory hits {', '.join(demanded)} and rests at the goal within the limits"
     else:
-        problem = "no feasible trajectory passes the visits and rests at the goal within limits and bounds"
+        problem = "no feasible trajectory visits every place and rests at the goal within limits and bounds"
     raise InputError(problem, source=scenario.source, key=("limits",))
 
 

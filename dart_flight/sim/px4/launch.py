@@ -103,7 +103,7 @@ def find_install(directory: str | Path | None) -> Install:
                 raise InputError(text, source=str(base))
         return Install(program, etc)
     raise InputError(
-        "no PX4 SITL there: neither bin/px4 nor build/px4_sitl_default/bin/px4", source=str(root)
+        "no PX4 SITL in this folder: neither bin/px4 nor build/px4_sitl_default/bin/px4", source=str(root)
     )
 
 

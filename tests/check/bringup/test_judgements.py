@@ -49,7 +49,7 @@ def test_axes_that_are_turned_are_told_by_how_much(by: int, nose: float, side: f
         assert found.result is StepOutcome.PASS
     else:
         assert found.result is StepOutcome.FAIL
-        assert f"turned by {by}" in found.message or (by == 180 and "turned by -180" in found.message)
+        assert f"rotated by {by}" in found.message or (by == 180 and "rotated by -180" in found.message)
 
 
 @given(st.floats(22.0, 50.0), st.floats(22.0, 50.0))
@@ -97,7 +97,7 @@ def test_a_bump_is_no_push() -> None:
 def test_a_force_the_other_way_is_found() -> None:
     assert evaluate_push((6.0, 0.0), (7.8, 0.5)).result is StepOutcome.PASS
     assert "force points back" in evaluate_push((6.0, 0.0), (-7.8, 0.0)).message
-    assert "came from" in evaluate_push((0.0, 6.0), (0.0, 7.8)).message
+    assert "the push pointed right, not forward" in evaluate_push((0.0, 6.0), (0.0, 7.8)).message
 
 
 def test_carried_is_in_the_vehicles_own_axes() -> None:
@@ -107,7 +107,7 @@ def test_carried_is_in_the_vehicles_own_axes() -> None:
     rests = OdometrySample(7, 7, (0.0, 0.5, 0.0), (0.0, 0.0, 0.0))
     assert measure_displacement([*way, rests], q) == pytest.approx((0.5, 0.0), abs=1e-9)
     assert evaluate_position((0.5, 0.0), (0.0, 0.5)).result is StepOutcome.PASS
-    assert "turned by 90" in evaluate_position((0.0, 0.5), (-0.5, 0.0)).message
+    assert "rotated by 90" in evaluate_position((0.0, 0.5), (-0.5, 0.0)).message
     assert "exchanged" in evaluate_position((0.5, 0.0), (0.0, -0.5)).message
 
 
@@ -115,7 +115,7 @@ def test_a_slow_stream_is_named_with_what_it_needs() -> None:
     rates = {"imu": 49.0, "attitude": 100.0, "odometry": 100.0, "actuator": 100.0}
     found = evaluate_link(stream_rates(rates, {}), 0.005, 0.2, {})
     assert found.result is StepOutcome.FAIL
-    assert "imu 49 Hz, needs 150" in found.message
+    assert "imu 49 Hz, minimum 150 Hz" in found.message
     rates["imu"] = 180.0
     assert evaluate_link(stream_rates(rates, {}), 0.005, 0.2, {}).result is StepOutcome.PASS
     assert "radio" in evaluate_link(stream_rates(rates, {}), 0.5, 0.2, {}).message

@@ -113,9 +113,12 @@ def test_only_quickest_plans_have_a_free_one(capsys: pytest.CaptureFixture[str])
     ("change", "says"),
     [
         ({"visits": [{"position_m": [1.0, 0.0], "within_m": 0.1}]}, "no visits"),
-        ({"start": {"position_m": [3.6, 0.0], "altitude_m": 1.0}}, "where the wall is not seen"),
-        ({"start": {"position_m": [0.0, 2.3], "altitude_m": 1.0}}, "must be before it"),
-        ({"limits": {"speed_m_s": 3.7, "peak_force_n": 7.0}, "sequence": ["east"]}, "no flight hits east"),
+        ({"start": {"position_m": [3.6, 0.0], "altitude_m": 1.0}}, "must be out of sight at start"),
+        ({"start": {"position_m": [0.0, 2.3], "altitude_m": 1.0}}, "move start in front of it"),
+        (
+            {"limits": {"speed_m_s": 3.7, "peak_force_n": 7.0}, "sequence": ["east"]},
+            "no feasible trajectory hits east",
+        ),
     ],
 )
 def test_what_cannot_be_planned_is_named(change: dict[str, Any], says: str) -> None:
