@@ -83,5 +83,5 @@ def test_it_ends_with_its_flight() -> None:
     planner = PlannerProcess(MISSION, PlanRequest, answers.put)
     planner.send(REQUEST)
     answers.get(timeout=60.0)
-    planner.stop()
+    planner.process.end(patience_s=60.0)  # `stop` kills it sooner on a busy computer
     assert planner.process.returncode == 0
