@@ -60,7 +60,7 @@ def test_a_dry_run_in_real_time_says_so_before_and_after(
     )
     assert main(["dry-run", str(SINGLE), "--realtime"]) == 1
     said = capsys.readouterr().err
-    advice = "the computer cannot keep up with real time; omit --realtime, or use --fast"
+    advice = "the computer is too slow for real time; omit --realtime or use --fast"
     assert f"this program lags by up to 100 ms: {advice}" in said
     assert f"this program lagged by up to 412 ms: {advice}" in said
 

@@ -48,7 +48,7 @@ class ChildProcess(subprocess.Popen[bytes]):
     Args:
         module: name of the module; it must exit when its standard input is closed.
         first: first line sent to it, of any length.
-        take: callback for every line it prints, on a separate thread; an empty line marks the end of output.
+        on_line: callback for every line it prints, on a separate thread; an empty line marks the end.
         errors: destination of its standard error; None inherits this process's.
 
     Raises:

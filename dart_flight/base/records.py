@@ -615,7 +615,7 @@ class ContactSide(StrEnum):
     BOTH = "both"
 
     @classmethod
-    def of_lead(cls, lead_m: float) -> ContactSide:
+    def from_lead(cls, lead_m: float) -> ContactSide:
         """Return which point came first, by how much nearer to the wall the right one was."""
         if abs(lead_m) < MIN_LEAD_M:
             return cls.BOTH

@@ -24,8 +24,8 @@ def check_log_space(mission: Mission, log_dir: Path) -> CheckFinding:
     longest_s = longest_flight_s(mission)
     needed = BYTES_PER_S * longest_s
     says = (
-        f"{_megabytes(left)} left for the log in {log_dir}, "
-        f"{longest_s / 60.0:.1f} minutes, the longest that this can take, need {_megabytes(needed)}"
+        f"{_megabytes(left)} free for the log in {log_dir}; "
+        f"the longest flight, {longest_s / 60.0:.1f} minutes, needs {_megabytes(needed)}"
     )
     return CheckFinding("log_space", left >= needed, says)
 

@@ -80,7 +80,7 @@ def _summary(path: Path, mission: Mission, result: Replay) -> dict[str, Any]:
 
 def _print(name: str, result: Replay) -> None:
     out = tables()
-    how = "bit for bit" if result.exact else "to 1e-9 (recorded on another kind of machine)"
+    how = "bit for bit" if result.exact else "to 1e-9 (recorded on another type of machine)"
     if result.equal:
         out.print(
             styled(

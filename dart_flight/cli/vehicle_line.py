@@ -8,7 +8,9 @@ from dart_flight.cli.terminal import messages
 from dart_flight.config.provenance import VehicleSource, unused_configurations
 
 
-def say_vehicle(source: VehicleSource | None, arguments: argparse.Namespace, *, flown: bool = False) -> None:
+def print_vehicle(
+    source: VehicleSource | None, arguments: argparse.Namespace, *, flown: bool = False
+) -> None:
     """Print the configuration and its mass, and a note if another configuration was found but not used.
 
     Args:

@@ -74,7 +74,7 @@ def utf8_path(path: str | Path) -> str:
     """
     text = str(path)
     if printable(text) != text:
-        raise InputError("the name is not UTF-8; rename it or choose another folder", source=text)
+        raise InputError("the file name is not UTF-8; rename the file or choose another folder", source=text)
     return text
 
 
@@ -209,7 +209,7 @@ class Document:
             problem = f"not valid YAML: {error.problem or error.context}"
             lines = text.splitlines()
             if mark is not None and mark.line < len(lines) and "\t" in lines[mark.line][: mark.column + 1]:
-                problem = "a tab in front of the text: YAML is indented by spaces"
+                problem = "a tab before the text: indent YAML with spaces"
             raise InputError(problem, source=source, line=line) from None
         except (yaml.YAMLError, ValueError, RecursionError) as error:
             raise InputError(f"not valid YAML: {error}", source=source) from None
@@ -318,7 +318,7 @@ class Document:
                 raise self._error_at(event, "keys must be plain names", key)
             name = event.value
             if name in values:
-                raise self._error_at(event, "this key is given twice", (*key, name))
+                raise self._error_at(event, "this key appears twice", (*key, name))
             self.lines[(*key, name)] = self._line(event)
             values[name] = self._node(next(events), events, (*key, name))
         return values

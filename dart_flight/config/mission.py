@@ -428,10 +428,13 @@ def _add_tangent_walls(
         if one.probe is not None:
             raise document.error((*key, "probe"), f"{one.wall} is a post: a probe looks for a wall")
         if one.impact_point_m is None:
-            raise document.error(key, f"a hit of post {one.wall} needs impact_point_m")
+            raise document.error(key, f"a collision with post {one.wall} needs impact_point_m")
         wall = tangent_wall(posts[one.wall], one.impact_point_m, vehicle, key, document)
         if walls.setdefault(one.wall, wall) != wall:
-            text = f"post {one.wall} is hit elsewhere before; a mission hits a post in one place"
+            text = (
+                f"an earlier collision hits post {one.wall} in another place; a mission hits a post in one "
+                "place"
+            )
             raise document.error((*key, "impact_point_m"), text)
 
 
@@ -461,7 +464,7 @@ def _resolve_waypoints(
             speed = one.speed_m_s or vehicle.flying.transit_speed_m_s
             if speed > spec.limits.speed_m_s:
                 raise document.error(
-                    (*key, "speed_m_s"), f"{speed:g} m/s is over limits.speed_m_s {spec.limits.speed_m_s:g}"
+                    (*key, "speed_m_s"), f"{speed:g} m/s exceeds limits.speed_m_s {spec.limits.speed_m_s:g}"
                 )
             place: Vec3 | None = (*position, altitude_m)
             hold_s = one.hold_s or 0.0
@@ -538,7 +541,7 @@ def _resolve_collision(
         speed = math.hypot(*approach)
         if speed > mission.limits.speed_m_s:
             raise document.error(
-                (*key, "approach"), f"{speed:.2f} m/s is over limits.speed_m_s {mission.limits.speed_m_s:g}"
+                (*key, "approach"), f"{speed:.2f} m/s exceeds limits.speed_m_s {mission.limits.speed_m_s:g}"
             )
         if spec.trajectory is None or (spec.impact_point_m or spec.impact_along_m) is not None:
             impact = _impact_point(spec, mission.start.position_m, wall, approach, key, document)
@@ -556,7 +559,7 @@ def _resolve_collision(
         _check_trajectory(spec.trajectory, i, spec, mission, wall, document)
     for name in ("impact_point_m", "impact_along_m"):
         if approach is None and getattr(spec, name) is not None and not wall.post_radius_m:
-            raise document.error((*key, name), "only a collision with an approach has one")
+            raise document.error((*key, name), "only a collision with an approach can have this key")
     return Collision(
         **shared_keys(spec, CollisionKeys) | {"mode": mode},
         index=i + 1,
@@ -579,7 +582,7 @@ def _check_trajectory(
     """Raise InputError if a trajectory does not lead from the vehicle's position to this impact."""
     key: Key = ("collisions", i, "trajectory")
     if spec.predicted is None:
-        raise document.error(key, "needs predicted: what the hit leads to")
+        raise document.error(key, "needs the key predicted, the expected impact")
     planned, end = spec.predicted, written.states()[-1]
     off_m = abs(wall.signed_distance(end.position))
     if off_m > _TRAJECTORY_OFF_M:
@@ -598,7 +601,7 @@ def _check_trajectory(
 
 def _check_replanned(mission: MissionFile, key: Key, document: Document) -> None:
     if mission.after_impact is not AfterImpact.REPLAN:
-        raise document.error(key, "a trajectory from a hit is flown with after_impact: replan only")
+        raise document.error(key, "a trajectory after a collision needs after_impact: replan")
 
 
 def _rest_before(mission: MissionFile, flown: int) -> Vec2 | None:
@@ -612,7 +615,7 @@ def _check_from_rest(written: TrajectoryPieces, place: Vec2 | None, key: Key, do
         raise document.error(key, "a trajectory from rest needs a waypoint before it")
     off_m = math.dist(written.position_m, place)
     if off_m > _TRAJECTORY_OFF_M or any((*written.velocity_m_s, *written.acceleration_m_s2)):
-        text = f"must begin at rest at ({place[0]:g}, {place[1]:g}), {off_m:.2f} m from where it does"
+        text = f"must begin at rest at ({place[0]:g}, {place[1]:g}), not {off_m:.2f} m away"
         raise document.error(key, text)
 
 
@@ -623,9 +626,9 @@ def _check_goal_trajectory(mission: MissionFile, document: Document) -> None:
         return
     count = len(mission.collisions)
     if count and any(w.after == count for w in mission.waypoints):
-        raise document.error(key, "after a waypoint the goal is flown to straight, without one")
+        raise document.error(key, "the path from a waypoint to the goal is straight: remove the trajectory")
     if count and mission.collisions[-1].probe is not None:
-        raise document.error(key, "after a probe the goal is flown to straight, without one")
+        raise document.error(key, "the path from a probe to the goal is straight: remove the trajectory")
     if count:
         _check_replanned(mission, key, document)
     else:
@@ -646,7 +649,7 @@ def _impact_point(
         raise document.error((*key, "impact_along_m"), "give this or impact_point_m, not both")
     if wall.sought:
         if given is not None:
-            text = f"nobody knows where wall {wall.name} stands: give impact_along_m"
+            text = f"the position of wall {wall.name} is unknown: give impact_along_m"
             raise document.error((*key, "impact_point_m"), text)
         along = along or 0.0
     if given is not None:
@@ -663,7 +666,7 @@ def _impact_point(
         return _project_onto_wall(start, wall, approach_m_s)
     (x, y), (tx, ty), reach = wall.point, wall.tangent, 0.5 * wall.length_m
     if abs(along) > reach:
-        text = f"{along:g}, the wall reaches from {-reach:g} to {reach:g}"
+        text = f"{along:g} m is beyond the wall, which extends from {-reach:g} to {reach:g} m"
         raise document.error((*key, "impact_along_m"), text)
     return (x + along * tx, y + along * ty)
 

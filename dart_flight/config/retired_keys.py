@@ -122,12 +122,15 @@ def ignore_retired(document: Document) -> None:
     found = remove_retired(document.tree)
     same = [key for key, value in found.items() if value == RETIRED[key].value]
     if len(same) > 1:
-        text = f"{len(same)} keys are ignored, they are fixed at these values now: remove {', '.join(same)}"
+        text = (
+            f"{len(same)} keys are ignored, because they are now fixed at these values: remove "
+            f"{', '.join(same)}"
+        )
         warnings.warn(document.error((), text).one_line(), RetiredKeyWarning, stacklevel=2)
     for key in found:
         if len(same) > 1 and key in same:
             continue
-        text = f"is ignored, it is fixed at {json.dumps(RETIRED[key].value)} now: remove it"
+        text = f"is ignored, because it is now fixed at {json.dumps(RETIRED[key].value)}: remove it"
         warnings.warn(document.error(tuple(key.split(".")), text).one_line(), RetiredKeyWarning, stacklevel=2)
 
 
@@ -135,7 +138,7 @@ def changed_retired(tree: dict[str, Any]) -> list[str]:
     """Remove the retired keys from a configuration, and describe those that differ from their constants."""
     found = remove_retired(tree)
     return [
-        f"{key} was {json.dumps(value)} and is {json.dumps(RETIRED[key].value)} now"
+        f"{key} was {json.dumps(value)} and is now {json.dumps(RETIRED[key].value)}"
         for key, value in found.items()
         if value != RETIRED[key].value
     ]

@@ -68,7 +68,7 @@ def rotor_differences(motors: Sequence[Motor], actual: Sequence[Motor]) -> tuple
             (other if opposite else sizes).append(f"motor {number}: {name} {a:g}, PX4 {b:g}")
         a, b = own.yaw_torque_per_thrust_m, px4.yaw_torque_per_thrust_m
         if a * b < 0.0:
-            other.append(f"motor {number} turns the other way round (yaw torque {a:g} m, PX4 {b:g})")
+            other.append(f"motor {number} turns in the other direction (yaw torque {a:g} m, PX4 {b:g})")
         elif abs(a - b) > _KM_TOLERANCE * max(abs(a), abs(b)):
             sizes.append(f"motor {number}: yaw_torque_per_thrust_m {a:g}, PX4 {b:g}")
     return other, sizes

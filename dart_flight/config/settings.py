@@ -89,7 +89,7 @@ def _set(document: Document, key: Key, value: Any, setting: str) -> None:
     elif isinstance(node, dict):
         node[str(last)] = value
     else:
-        raise InputError(f"{setting}: there is nothing below {key[-2]}")
+        raise InputError(f"{setting}: there is no key below {key[-2]}")
 
 
 def _child(node: Any, part: str | int, setting: str) -> Any:

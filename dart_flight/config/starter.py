@@ -67,7 +67,7 @@ def write_starter(directory: Path, vehicle: str = DART) -> list[Path]:
     if there:
         others = f" and {len(there) - 1} more" if len(there) > 1 else ""
         raise InputError(
-            f"is already there{others}, nothing is overwritten; name an empty folder", source=str(there[0])
+            f"already exists{others} and is not overwritten; give an empty folder", source=str(there[0])
         )
     for path, source in files.items():
         with report_write_errors(path):

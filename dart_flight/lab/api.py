@@ -165,7 +165,7 @@ def simulate(
     folder = None if log_dir is None else Path(log_dir)
     records: list[FlightRecord] = []
     keep = records.append
-    verdict = fly_fast(mission, int(seed), folder, fault=broken, spreads=spreads, take_record=keep)
+    verdict = fly_fast(mission, int(seed), folder, fault=broken, spreads=spreads, keep_record=keep)
     return Flight(mission, verdict, records[0])
 
 
@@ -303,7 +303,7 @@ class PlanResult:
 
     def _plan(self, rank: int) -> Plan:
         if not 1 <= rank <= len(self.plans):
-            raise InputError(f"{rank}; there are plans 1 to {len(self.plans)}", key=("rank",))
+            raise InputError(f"plan {rank} does not exist, expected 1 to {len(self.plans)}", key=("rank",))
         return self.plans[rank - 1]
 
 
@@ -349,7 +349,9 @@ def plan(
     if not isinstance(scenario, Scenario):
         scenario = load_scenario(scenario, vehicle)
     elif vehicle is not None:
-        raise InputError("a loaded scenario has its vehicle: give it to load_scenario", key=("vehicle",))
+        raise InputError(
+            "a loaded scenario already has a vehicle: give the vehicle to load_scenario", key=("vehicle",)
+        )
     if objective is not None:
         if objective not in list(Objective):
             raise InputError(f"{objective!r} is none of {', '.join(Objective)}", key=("objective",))

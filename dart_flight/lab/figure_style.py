@@ -151,7 +151,7 @@ def save_figure(figure: Any, path: Path) -> None:
         InputError: the extension is unknown, or the file cannot be written.
     """
     if path.suffix.lower() not in (".png", ".svg", ".pdf"):
-        raise InputError("a picture is a file .png, .svg or .pdf", source=str(path))
+        raise InputError("the picture must be a .png, .svg or .pdf file", source=str(path))
     drawn = io.BytesIO()  # a failed drawing keeps the previous picture
     with _styled(PAGE):
         figure.savefig(drawn, format=path.suffix.lower()[1:], dpi=200)

@@ -129,7 +129,7 @@ def calibration_series_of(log: ULogFile, motors: MotorCommands = NO_MOTORS) -> T
     """Return the measurements of an open ULog, with motor commands already read from it."""
     imu, attitude = log.first("sensor_combined"), log.first("vehicle_attitude")
     moved, volts = log.first("vehicle_local_position"), battery(log)
-    notes = [motors.said, volts.said]
+    notes = [motors.description, volts.problem]
     if log.first("vehicle_land_detected") is None:
         notes.append("no vehicle_land_detected: time on the ground is unknown")
     track = Track(

@@ -109,7 +109,7 @@ class Calibration:
         try:
             number = float(word)
         except ValueError:
-            raise CalibrationError(f"{word or 'an empty line'} is not understood: {HELP}") from None
+            raise CalibrationError(f"{word or 'an empty line'} is not a command: {HELP}") from None
         target = self.pulse_us + number if word[0] in "+-" else number
         low, high = self._config.servo.min_pulse_us, self._config.servo.max_pulse_us
         if not low <= target <= high:

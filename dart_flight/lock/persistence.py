@@ -46,7 +46,7 @@ class LastCommand(msgspec.Struct, frozen=True):
             LockPhase.SETTLED: "settled then" + ("" if self.feedback else " (no feedback)"),
             LockPhase.TRAVELLING: "arrival not confirmed",
         }.get(self.phase, "ended in a fault")
-        return f"{self.mode} through {self.driver} at {self.at_utc}, {how}"
+        return f"{self.mode} by {self.driver} at {self.at_utc}, {how}"
 
 
 class CommandStore:

@@ -465,7 +465,7 @@ class ContactFitter:
             t_us=request.t_us,
             first_us=onset.first_us,
             final=True,
-            side=ContactSide.of_lead(lead),
+            side=ContactSide.from_lead(lead),
             lead_m=lead,
             incidence_rad=found.incidence_rad,
             incidence_sigma_rad=found.incidence_sd,

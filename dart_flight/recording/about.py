@@ -87,14 +87,14 @@ def flown_mission(about: dict[str, str], source: str) -> Mission:
     """
     text = about.get("flown")
     if text is None:
-        raise MissingDataError("the log does not hold its mission", source=source)
+        raise MissingDataError("the log does not contain its mission", source=source)
     try:
         tree = msgspec.json.decode(text)
         if isinstance(tree, dict) and isinstance(tree.get("vehicle"), dict):
             remove_retired(tree["vehicle"])
         return msgspec.convert(tree, Mission)
     except msgspec.MsgspecError as error:
-        raise InputError(f"the mission in it does not fit this version: {error}", source=source) from None
+        raise InputError(f"this version cannot read the mission in the log: {error}", source=source) from None
 
 
 def written_mission(about: dict[str, str], source: str) -> tuple[Document, Document]:
@@ -104,7 +104,7 @@ def written_mission(about: dict[str, str], source: str) -> tuple[Document, Docum
         InputError: they are missing.
     """
     if "mission_text" not in about or "vehicle" not in about:
-        raise InputError("the log does not hold its mission's text", source=source)
+        raise InputError("the log does not contain its mission's text", source=source)
     text = msgspec.json.format(about["vehicle"], indent=2)
     vehicle = Document(text, f"{source}: vehicle")
     remove_retired(vehicle.tree)

@@ -178,7 +178,7 @@ class ImpactCollector:
                 true.normal_in_m_s,
                 true.tangential_in_m_s,
                 true.peak_normal_force_n,
-                ContactSide.of_lead(true.lead_m),
+                ContactSide.from_lead(true.lead_m),
                 math.degrees(true.incidence_rad),
                 true.peak_torque_nm,
                 true.normal_out_m_s,

@@ -47,7 +47,8 @@ def px4_logs_in(paths: Iterable[str | Path]) -> list[Path]:
         below = sorted((path.parent if flight else path).rglob(PX4_LOG))
         if not below:
             raise InputError(
-                f"no PX4 log ({PX4_LOG}) there; `dart-flight px4-log` fetches it", source=str(path)
+                f"no PX4 log ({PX4_LOG}) in this folder; download it with `dart-flight px4-log`",
+                source=str(path),
             )
         found += below
     return list(dict.fromkeys(found))
@@ -74,5 +75,5 @@ def read_each(paths: Iterable[Path], read: Callable[[Path], T], left_out: Callab
     if empty and not results:
         raise empty[0]
     for one in empty:
-        left_out(f"left out: {one.one_line()}")
+        left_out(f"skipped: {one.one_line()}")
     return results

@@ -18,7 +18,7 @@ from dart_flight.sim.draws import draw_world
 from dart_flight.sim.faults.fault_table import Fault
 from dart_flight.sim.pipe import SimulatorSpec, require_mavlink
 from dart_flight.vehicle.clock import LockstepClock
-from dart_flight.vehicle.link import free_link
+from dart_flight.vehicle.link import acquire_free_link
 
 DEADMAN_NOTE = "deadman.txt"
 
@@ -58,7 +58,7 @@ def fly_embedded(
     drawn = draw_world(mission, seed, spreads or {})
     record = FlightRecord(mission, World.EMBEDDED, seed, log_dir, drawn.drawn, viewer=viewer)
     try:
-        port, lease = free_link("dry-run", record.path)
+        port, lease = acquire_free_link("dry-run", record.path)
     except InputError:
         record.close()
         raise

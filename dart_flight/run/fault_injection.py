@@ -94,7 +94,7 @@ class FlightWithFault:
         starve_s = 0.0 if self.fault.name == "sigkill" else self._flight.deadman_s
         return self._flight.host_us - self.began_us >= starve_s * 1e6
 
-    def sees(self, record: Record) -> None:
+    def observe(self, record: Record) -> None:
         """Update the trigger with a record of the flight."""
         self._trigger.process(record)
 

@@ -80,9 +80,9 @@ class Difference(msgspec.Struct, frozen=True):
         """Return the difference in one line."""
         kind = type(self.recorded or self.replayed).__name__
         if self.recorded is None:
-            return f"{kind} not in the recording: {_show(self.replayed)}"
+            return f"{kind} is not in the recording: {_show(self.replayed)}"
         if self.replayed is None:
-            return f"{kind} recorded but not reproduced: {_show(self.recorded)}"
+            return f"{kind} is recorded but not reproduced: {_show(self.recorded)}"
         if type(self.recorded) is not type(self.replayed):
             return f"{_show(self.recorded)} became {_show(self.replayed)}"
         before, after = msgspec.structs.asdict(self.recorded), msgspec.structs.asdict(self.replayed)
@@ -176,10 +176,10 @@ def _missing(numbers: list[int]) -> int:
 def _note(log: Log, result: Replay) -> str:
     notes = changed_keys(log.about)
     if result.missing:
-        lost = f"the log lost {result.missing} inputs; from there on the replay may differ from the flight"
+        lost = f"the log lost {result.missing} inputs; after the first, the replay may differ from the flight"
         notes.append(lost)
     elif not log.complete:
-        notes.append("the log was cut; replayed up to there")
+        notes.append("the log is cut short; replayed to its end")
     return "; ".join(notes)
 
 
@@ -305,7 +305,7 @@ def changed_mission(log: Log, settings: Sequence[str]) -> Mission:
     # The flown mission differs from its text (a rehearsal), so keep it and change only the vehicle.
     if of_mission:
         raise InputError(
-            "the flight differs from its mission text (a rehearsal); only vehicle keys can be set",
+            "this flight was a rehearsal, so --set accepts only keys of the vehicle",
             source=log.source,
         )
     return msgspec.structs.replace(flown, vehicle=changed.vehicle)

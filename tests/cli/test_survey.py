@@ -67,7 +67,7 @@ def test_a_plan_along_trajectories_that_no_longer_fits_is_named(
     mission = packaged("missions", "touch_and_return.yaml")
     words = ["survey", str(mission), "--fast", "--seed", "4", "--vary", "wall_offset_m=0.15"]
     assert main([*words, "-o", "new.yaml"]) == 1
-    assert "does not fit its walls as they were met; plan it anew" in capsys.readouterr().err
+    assert "cannot be flown with the measured walls; plan it again" in capsys.readouterr().err
     assert (folder / "new.yaml").exists()
 
 

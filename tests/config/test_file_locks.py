@@ -16,7 +16,7 @@ from dart_flight.config.state_folder import HeldError, HeldFile, read_held
 from dart_flight.config.vehicle import packaged
 from dart_flight.lab.campaign.table import Table
 from dart_flight.vehicle import link
-from dart_flight.vehicle.link import LinkLease, LinkTakenError, free_link
+from dart_flight.vehicle.link import LinkInUseError, LinkLease, acquire_free_link
 
 MISSION = str(packaged("missions", "single_wall.yaml"))
 REFUSALS = [errno.ENOLCK, errno.ENOSYS, errno.EIO, errno.ESTALE]
@@ -67,14 +67,14 @@ def test_a_held_lock_is_held(tmp_path: Path) -> None:
 
 def test_a_free_link_is_refused_and_not_sought_for_ever(refusal: str) -> None:
     with pytest.raises(InputError, match=refusal) as error:
-        free_link("dry-run")
-    assert not isinstance(error.value, LinkTakenError)
+        acquire_free_link("dry-run")
+    assert not isinstance(error.value, LinkInUseError)
 
 
 def test_a_free_link_is_given_up_where_every_port_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(link, "udp_port_is_free", lambda *_: False)
-    with pytest.raises(LinkTakenError, match="in use"):
-        free_link("dry-run")
+    with pytest.raises(LinkInUseError, match="in use"):
+        acquire_free_link("dry-run")
 
 
 def test_a_serial_device_that_cannot_be_locked_is_not_in_use(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -90,7 +90,7 @@ def test_a_serial_device_that_cannot_be_locked_is_not_in_use(monkeypatch: pytest
     lease = LinkLease(f"serial://{os.ttyname(terminal)}:57600", "fly")
     with pytest.raises(InputError, match=f"cannot lock {os.ttyname(terminal)}: Function not") as error:
         lease.acquire()
-    assert not isinstance(error.value, LinkTakenError)
+    assert not isinstance(error.value, LinkInUseError)
 
 
 def test_a_campaign_table_that_cannot_be_locked_is_not_being_written(tmp_path: Path, refusal: str) -> None:

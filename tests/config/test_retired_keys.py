@@ -67,10 +67,10 @@ def test_a_retired_key_gives_one_line_and_the_file_loads(key: str, tmp_path: Pat
         path = file_with(tmp_path, {key: value})
         vehicle, lines = loaded(path)
         assert vehicle == VEHICLE
-        assert lines == [f"{path}:2: {key}: is ignored, it is fixed at {fixed} now: remove it"]
+        assert lines == [f"{path}:2: {key}: is ignored, because it is now fixed at {fixed}: remove it"]
         assert loaded(DART, f"{key}={json.dumps(value)}") == (
             VEHICLE,
-            [f"--set {key}={json.dumps(value)}: is ignored, it is fixed at {fixed} now: remove it"],
+            [f"--set {key}={json.dumps(value)}: is ignored, because it is now fixed at {fixed}: remove it"],
         )
 
 
@@ -80,9 +80,12 @@ def test_keys_at_their_constants_share_one_line(tmp_path: Path) -> None:
     vehicle, lines = loaded(file_with(tmp_path, values))
     assert vehicle == VEHICLE
     shared, own = lines
-    assert f": {len(RETIRED) - 1} keys are ignored, they are fixed at these values now: remove " in shared
+    assert (
+        f": {len(RETIRED) - 1} keys are ignored, because they are now fixed at these values: remove "
+        in shared
+    )
     assert all(key in shared for key in RETIRED if key != "guard.imu_stuck_s")
-    assert own.endswith("guard.imu_stuck_s: is ignored, it is fixed at 0.1 now: remove it")
+    assert own.endswith("guard.imu_stuck_s: is ignored, because it is now fixed at 0.1: remove it")
 
 
 def test_a_misspelt_key_is_an_error(tmp_path: Path) -> None:
@@ -109,7 +112,7 @@ def test_the_command_line_shows_one_line_on_standard_error(
     assert main([*command, "--velocity", "-1.0", "0.0"]) == 0
     shown = capsys.readouterr()
     assert json.loads(shown.out)["vehicle"]["source"] == str(path)
-    says = f"{path}:2: guard.imu_stuck_s: is ignored, it is fixed at 0.1 now: remove it"
+    says = f"{path}:2: guard.imu_stuck_s: is ignored, because it is now fixed at 0.1: remove it"
     assert [line for line in shown.err.splitlines() if "imu_stuck" in line] == [says]
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from dart_flight.base.records import Mode
@@ -45,6 +45,8 @@ coefficient_sets = st.builds(
     mu=st.floats(0.0, 5.0),
     nu=st.floats(0.0, 12.0),
 )
+SOFT = Coefficients(k=50.0, f=0.5 * math.sqrt(50.0 * MASS), mu=5.0, nu=0.0)  # its friction peaks early
+NEARLY_CRITICAL = Coefficients(k=50.0, f=2.0 * (1.0 - 1e-9) * math.sqrt(50.0 * MASS), mu=0.0, nu=0.0)
 approaches = st.floats(-4.0, -0.01)
 slips = st.floats(-2.0, 2.0)
 onsets = st.sampled_from(list(Onset))
@@ -133,17 +135,22 @@ def test_agrees_with_integration(onset: Onset, acceleration: float, c: Coefficie
 
 
 @given(coefficient_sets, approaches, slips, onsets, st.sampled_from([0.0, -9.81, -1.0, 6.0]))
+@example(SOFT, -2.0, 1.0, Onset.LCP, -9.81)
+@example(NEARLY_CRITICAL, -1.0, 0.0, Onset.LCP, 0.0)
 def test_extremes_are_those_of_the_trajectory(
     c: Coefficients, normal: float, tangential: float, onset: Onset, push: float
 ) -> None:
     contact = ContactMotion(c, MASS, normal, onset, acceleration_m_s2=push)
     r = collide(c, MASS, normal, tangential, onset, acceleration_m_s2=push)
-    # 40 of the slower decay's time constants, which are sqrt(m/k)/0.17 at the largest damping.
-    span = contact.end_s if math.isfinite(contact.end_s) else 240.0 * math.sqrt(MASS / c.k)
-    t = np.linspace(0.0, span, 4001)
+    # 40 of the slower decay's time constants, which are sqrt(m/k)/0.17 at the largest damping. Close to
+    # critical damping a contact ends only long after that.
+    span = 240.0 * math.sqrt(MASS / c.k)
+    ends = contact.end_s < span
+    # A contact that does not end has its peaks early in the span, so it is sampled more densely there.
+    t = contact.end_s * np.linspace(0.0, 1.0, 4001) if ends else span * np.linspace(0.0, 1.0, 4001) ** 2
     path = trajectory(contact, t, tangential)
     # Of the largest value, for the distance between two samples; what never ends nears its deepest point.
-    coarse = 1e-4 if math.isfinite(contact.end_s) else 1e-2
+    coarse = 1e-4 if ends else 1e-2
     for peak, samples in (
         (r.peak_normal_force_n, path.normal_force_n),
         (r.peak_friction_force_n, np.abs(path.tangential_force_n)),

@@ -84,7 +84,7 @@ def test_without_an_answer_mode_and_wall_are_undecided_after_its_time(hand_fed: 
     assert not of(ImpactBody, out)
 
 
-@pytest.mark.parametrize("problem", ["the planner has died", ""])
+@pytest.mark.parametrize("problem", ["the planner process ended", ""])
 def test_an_answer_that_says_nothing_is_undecided_at_once(hand_fed: HandFedCore, problem: str) -> None:
     request, _ = hit(hand_fed)
     (felt,) = of(WallEstimate, hand_fed.give(ContactAnswer(hand_fed.t_us, request.number, problem=problem)))

@@ -158,7 +158,7 @@ def test_a_step_of_the_heading_breaks_off_before_the_wall(step_deg: float) -> No
     c.to_flight()
     assert c.core.phase is Phase.APPROACH
     turn(c, step_deg)
-    assert fired(c) == [("heading_reset", f"by {step_deg:.1f} deg, 5 deg allowed")]
+    assert fired(c) == [("heading_reset", f"heading stepped by {step_deg:.1f} deg, limit 5 deg")]
     assert c.core.override is Override.BREAK_OFF
 
 
@@ -211,7 +211,7 @@ def test_the_verdict_lists_resets_of_the_estimator(fault: str, outcome: str, hea
     mission = load_flyable(packaged("missions", "paper_dual_collision.yaml"))
     verdict = fly_fast(mission, 1, None, fault=parse_fault(fault))
     assert verdict.outcome == outcome
-    assert (verdict.reason or "").startswith("heading_reset: by") is (outcome == "aborted")
+    assert (verdict.reason or "").startswith("heading_reset: heading stepped by") is (outcome == "aborted")
     (reset,) = verdict.estimator_resets
     assert reset.heading_deg == pytest.approx(heading_deg, rel=0.06)  # motion capture has begun to correct
     assert reset.position_m < 0.05

@@ -52,14 +52,14 @@ def test_a_delay_that_is_always_the_same_is_found_by_the_round_trip() -> None:
     assert abs(lateness.age_us - 50e3) < 1.0
     lateness = TelemetryDelay(0.075)
     assert feed(lateness, 0.3, lambda t: 1.0)
-    assert lateness.describe() == "telemetry arrives 1000 ms after it was sampled, round trip 2000 ms"
+    assert lateness.describe() == "telemetry arrives 1000 ms after sampling, limit 75 ms, round trip 2000 ms"
 
 
 def test_a_delay_that_comes_later_shows_although_no_request_is_answered_any_more() -> None:
     lateness = TelemetryDelay(0.075)
     assert not feed(lateness, 60.0, lambda t: 0.003)
     assert feed(lateness, 0.3, lambda t: 0.1, from_s=60.0, trips=False)
-    assert lateness.describe() == "telemetry arrives 100 ms after it was sampled"
+    assert lateness.describe() == "telemetry arrives 100 ms after sampling, limit 75 ms"
 
 
 def test_it_stays_late_however_long_that_lasts() -> None:

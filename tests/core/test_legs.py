@@ -43,17 +43,17 @@ def test_legs_are_left_out_that_depend_on_a_wall_which_was_not_met_or_was() -> N
     probe, again, other = FIND.collisions
     for leg, walls, reason in (
         (probe, EstimatedWalls(), None),
-        (again, EstimatedWalls(), "wall east was not met"),
+        (again, EstimatedWalls(), "no contact with wall east"),
         (again, met("east"), None),
         (other, EstimatedWalls(), None),
-        (other, met("east"), "wall east was met"),
-        (AWAY, EstimatedWalls(), "wall east was not met"),
+        (other, met("east"), "contact with wall east"),
+        (AWAY, EstimatedWalls(), "no contact with wall east"),
         (AWAY, met("east"), None),
-        (AWAY, met("west"), "wall east was not met"),
+        (AWAY, met("west"), "no contact with wall east"),
     ):
         assert skip_reason(leg, walls) == reason
     asked = msgspec.structs.replace(probe, if_met="west")
-    assert skip_reason(asked, met("east")) == "wall west was not met"
+    assert skip_reason(asked, met("east")) == "no contact with wall west"
     assert skip_reason(asked, met("west")) is None
 
 
@@ -168,6 +168,4 @@ def test_a_probe_that_meets_nothing_ends_where_the_vehicle_is() -> None:
     assert (flown.progress.phase, flown.progress.index) == (Phase.RECOVERY, 1)
     assert flown.progress.course.target[:2] == state.position[:2]
     assert flown.progress.lock.contact_end_us == state.now_us, "nothing keeps the lock from moving"
-    assert [o.what for o in p.outputs if isinstance(o, ProbeEnd)] == [
-        "nothing met on the probe for wall east"
-    ]
+    assert [o.what for o in p.outputs if isinstance(o, ProbeEnd)] == ["no contact on the probe for wall east"]

@@ -161,13 +161,13 @@ def test_an_answer_in_time_is_flown_from_its_moment_on() -> None:
     [
         ({"number": 7}, "outdated state"),
         ({"problem": "no trajectory to wall acrylic"}, "no trajectory to wall acrylic"),
-        ({"begin_us": 1}, "answer does not match the request"),
-        ({"collision": None}, "answer does not match the request"),
-        ({"impact_s": None}, "answer does not match the request"),
-        ({"duration_s": 0.0}, "answer does not match the request"),
-        ({"x_mission": (1.0, 2.0)}, "answer does not match the request"),
-        ({"y_mission": (math.nan,) * 6}, "answer does not match the request"),
-        ({"x_mission": (math.inf,) * 6}, "answer does not match the request"),
+        ({"begin_us": 1}, "the plan does not match the request"),
+        ({"collision": None}, "the plan does not match the request"),
+        ({"impact_s": None}, "the plan does not match the request"),
+        ({"duration_s": 0.0}, "the plan does not match the request"),
+        ({"x_mission": (1.0, 2.0)}, "the plan does not match the request"),
+        ({"y_mission": (math.nan,) * 6}, "the plan does not match the request"),
+        ({"x_mission": (math.inf,) * 6}, "the plan does not match the request"),
     ],
 )
 def test_an_answer_that_cannot_be_flown_is_refused_with_its_reason(
@@ -213,7 +213,7 @@ def test_an_approach_from_rest_goes_towards_its_wall(
     assert request is not None
     answer = msgspec.structs.replace(answer_to(request), normal_m_s=normal_m_s, tangential_m_s=tangential_m_s)
     refusal = refusal_of(planning, answer, NOW_US + 40_000)
-    assert refusal == (None if flown else "answer does not match the request")
+    assert refusal == (None if flown else "the plan does not match the request")
     change = planning.apply(planning.rules.approach(planning.progress, NOW_US + 40_000))
     approach = change.approach
     assert (approach is not None) is flown
@@ -226,7 +226,7 @@ def test_an_approach_from_rest_goes_towards_its_wall(
 
 def test_an_answer_that_comes_late_is_not_flown() -> None:
     planning, request = asked()
-    assert refusal_of(planning, answer_to(request), request.begin_us + 20_000) == "20 ms too late"
+    assert refusal_of(planning, answer_to(request), request.begin_us + 20_000) == "the plan is 20 ms late"
 
 
 def test_no_wall_is_to_be_met_before_a_vehicle_that_a_contact_has_turned_is_square_to_it() -> None:

@@ -175,7 +175,9 @@ def test_how_sure_px4_is_of_its_position_stays_known() -> None:
 # --- what PX4 says -----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("later_us", "said"), [(14_999_999, "; PX4 says: compass swung"), (15_000_000, "")])
+@pytest.mark.parametrize(
+    ("later_us", "said"), [(14_999_999, "; PX4 reports: compass swung"), (15_000_000, "")]
+)
 def test_px4s_words_explain_for_fifteen_seconds(later_us: int, said: str) -> None:
     state = FlightState()
     state.add_text(StatusText(0, 0, "warning", "compass swung"))
@@ -188,7 +190,7 @@ def test_of_px4s_words_the_newest_six_are_told_each_once() -> None:
     for text in ("A", "B", "C", "D", "E", "F", "A", "G"):
         state.add_text(StatusText(0, 0, "warning", text))
     state.add_text(StatusText(0, 0, "info", "H"))
-    assert state.reasons() == "; PX4 says: C, D, E, F, A, G"
+    assert state.reasons() == "; PX4 reports: C, D, E, F, A, G"
 
 
 def test_words_of_its_checks_come_first_and_none_twice() -> None:
@@ -196,7 +198,7 @@ def test_words_of_its_checks_come_first_and_none_twice() -> None:
     state.add_text(StatusText(0, 0, "error", "no heading"))
     state.add_text(StatusText(0, 0, "error", "low battery"))
     state.update_health(HealthReport(0, 0, False, ("low battery",), ("no heading", "no sticks")))
-    assert state.reasons() == "; PX4 says: low battery, no heading; also no sticks"
+    assert state.reasons() == "; PX4 reports: low battery, no heading; also no sticks"
 
 
 def test_what_this_program_finds_is_not_put_into_px4s_mouth() -> None:
@@ -205,7 +207,7 @@ def test_what_this_program_finds_is_not_put_into_px4s_mouth() -> None:
     assert state.reasons() == f"; {here}"
     assert state.text_about("ODOMETRY") == f"; {here}"
     state.add_text(StatusText(0, 0, "error", "no heading"))
-    assert state.reasons() == f"; {here}; PX4 says: no heading"
+    assert state.reasons() == f"; {here}; PX4 reports: no heading"
     state.now_us = 15_000_000
     assert state.reasons() == ""
     state.add_text(StatusText(0, 0, "error", here, found_here=True))
@@ -219,6 +221,6 @@ def test_an_answer_is_told_of_the_command_that_was_refused_until_it_is_not() -> 
     assert state.reasons("offboard") == state.reasons() == ""
     assert state.reasons("arm") == "; PX4 answers: DENIED"
     state.update_health(HealthReport(0, 0, True, (), ("no sticks",)))
-    assert state.reasons("arm") == "; PX4 answers: DENIED; PX4 gives no reason, but finds: no sticks"
+    assert state.reasons("arm") == "; PX4 answers: DENIED; PX4 gives no reason, but reports: no sticks"
     state.add_result(CommandResult(0, "arm", True, ""))
-    assert state.reasons("arm") == "; PX4 gives no reason, but finds: no sticks"
+    assert state.reasons("arm") == "; PX4 gives no reason, but reports: no sticks"

@@ -190,7 +190,7 @@ def test_torque_is_the_walls(mode: Mode, yaw: float) -> None:
     assert last.peak_torque_nm == pytest.approx(seen.contact.peak_torque_nm, rel=0.1, abs=0.15)
     assert last.incidence_rad == pytest.approx(seen.contact.incidence_rad, abs=math.radians(1.0))
     assert last.lead_m * seen.contact.lead_m > 0.0
-    assert last.side is ContactSide.of_lead(seen.contact.lead_m)
+    assert last.side is ContactSide.from_lead(seen.contact.lead_m)
 
 
 @pytest.mark.parametrize("heading_rad", [0.4, -1.1])

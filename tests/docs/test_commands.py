@@ -11,19 +11,16 @@ import shlex
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
-import msgspec
 import pytest
 
 from dart_flight.cli import COMMANDS, build_parser, main
 from dart_flight.lab.commands import plan_command
-from dart_flight.lab.search.limited_sight import plan_limited_sight
-from dart_flight.lab.search.quickest import QuickestResult
-from dart_flight.lab.search.scenario import Scenario
 from tests.docs.snippets import PAGES, ROOT, Command, commands, name_of
 from tests.shared_flights import LiveFlights, SharedFlights
+from tests.shared_plans import limited_sight_plan
 
 # What is not run here, and why. What calls dart-flight is still parsed.
 NOT_RUN: list[tuple[str, str]] = [
@@ -243,20 +240,12 @@ def test_what_is_run_once_is_run_somewhere() -> None:
     assert {_essence(text) for _, text in REPEATED} <= run
 
 
-PLANNED: dict[bytes, QuickestResult] = {}
-
-
 @pytest.fixture
-def planned_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Plan a scenario with `sight` once for all commands that show it, because that takes seconds."""
-
-    def plan(scenario: Scenario, progress: Callable[[int, int], None]) -> QuickestResult:
-        key = msgspec.json.encode(scenario.spec)
-        if key not in PLANNED:
-            PLANNED[key] = plan_limited_sight(scenario, progress)
-        return PLANNED[key]
-
-    monkeypatch.setattr(plan_command, "plan_limited_sight", plan)
+def planned_once(flown: SharedFlights, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Plan a scenario with `sight` once for all tests that show it, because that takes seconds."""
+    monkeypatch.setattr(
+        plan_command, "plan_limited_sight", lambda scenario, progress: limited_sight_plan(flown, scenario)
+    )
 
 
 @pytest.mark.usefixtures("planned_once")

@@ -44,7 +44,7 @@ def late(flight: FastFlight, due_us: int, answer: PlanAnswer | ContactAnswer) ->
 
 def dead_after_the_first(flight: FastFlight, due_us: int, answer: PlanAnswer | ContactAnswer) -> None:
     if isinstance(answer, ContactAnswer) and answer.number > 1:
-        answer = ContactAnswer(due_us, answer.number, problem="the planner has died")
+        answer = ContactAnswer(due_us, answer.number, problem="the planner process ended")
     DELIVER(flight, due_us, answer)
 
 
@@ -73,7 +73,7 @@ LATE = "no answer within 300 ms"
 @pytest.mark.parametrize(
     ("mission", "deliver", "problems"),
     [
-        ("paper_dual_collision", dead_after_the_first, ["", "the planner has died"]),
+        ("paper_dual_collision", dead_after_the_first, ["", "the planner process ended"]),
         ("paper_dual_collision", never, [LATE, LATE]),
         ("dual_collision_replan", late, [LATE, LATE]),
     ],
@@ -104,13 +104,13 @@ def test_a_sought_wall_that_was_met_stands_where_the_onset_was(
     verdict, log = fly_with(mission, deliver, tmp_path, monkeypatch)
     assert verdict.outcome is Outcome.COMPLETED, verdict.reason
     assert [(hit.wall, hit.mode) for hit in verdict.collisions] == [("east", "rigid"), ("east", "flexible")]
-    assert [e.what for e in all_of(log, ProbeEnd)] == ["collision 3 left out: wall east was met"]
+    assert [e.what for e in all_of(log, ProbeEnd)] == ["collision 3 skipped: contact with wall east"]
     (board,) = mission.simulated_walls
     (east,) = verdict.walls
     assert abs(board.signed_distance(east.point_m)) < 0.05
     if deliver is dead_after_the_first:
         first, second = all_of(log, WallEstimate)
-        assert (first.problem, second.problem) == ("", "the planner has died")
+        assert (first.problem, second.problem) == ("", "the planner process ended")
 
 
 def test_without_an_answer_no_contact_moves_the_frame(
@@ -120,7 +120,7 @@ def test_without_an_answer_no_contact_moves_the_frame(
     (anchor,) = all_of(log, FrameAnchor)
     felt = all_of(log, WallEstimate)
     assert (anchor.wall, felt[0].problem) == (felt[0].wall, "")
-    assert {one.problem for one in felt[1:]} == {"the planner has died"}
+    assert {one.problem for one in felt[1:]} == {"the planner process ended"}
 
 
 def test_an_answer_that_is_not_needed_for_a_plan_delays_none(

@@ -185,7 +185,7 @@ def test_contact_with_the_arms_locked_or_unlocking_changes_nothing(vary: Vary) -
         ),
         (MockFaults(servo=ServoFaults(slow=6.0)), "the rigid limit switch did not close within 1.5 s"),
         (MockFaults(switch_silent=True), "the rigid limit switch did not close within 1.5 s"),
-        (MockFaults(brown_out=True), "the controller lost the pulse; the controller has restarted"),
+        (MockFaults(brown_out=True), "the controller lost the pulse; the controller restarted"),
         (MockFaults(unplugged=True), "the controller does not answer (unplugged)"),
     ],
 )
@@ -222,7 +222,7 @@ def test_the_mock_says_that_it_has_restarted_until_it_is_told_again(vary: Vary) 
     bench = homed(vary(), MockFaults(brown_out=True))
     bench.session.command(Mode.RIGID)
     bench.run(0.4)
-    assert bench.mock.read().errors == ("the controller has restarted",)
+    assert bench.mock.read().errors == ("the controller restarted",)
     bench.mock.inject(MockFaults())
     bench.session.command(Mode.RIGID)
     assert bench.mock.read().errors == ()
@@ -282,16 +282,16 @@ def test_a_controller_that_clamps_is_a_fault(vary: Vary) -> None:
     machine.step(1_500_000)
     assert phase_and_reason(machine.state) == (
         LockPhase.FAULT,
-        "the controller puts out 1900 us instead of 1980 us; protocol error",
+        "the controller outputs 1900 us instead of 1980 us; protocol error",
     )
 
 
 @pytest.mark.parametrize(
     ("sent_us", "reading_us", "reason"),
     [
-        (None, 400_000, "the driver did not take the command within 1.5 s"),
+        (None, 400_000, "the driver did not accept the command within 1.5 s"),
         (10_000, None, "the driver reported nothing within 1.5 s"),
-        (10_000, 200_000, "no reading came after the travel time within 1.5 s"),
+        (10_000, 200_000, "no reading arrived after the travel time within 1.5 s"),
     ],
 )
 def test_a_command_alone_never_settles(
@@ -468,7 +468,7 @@ def test_home_to_rigid_waits_for_permission(vary: Vary) -> None:
     [
         (None, None, False, "nothing to adopt: no reading"),
         (DriverReading(None), None, False, "nothing to adopt: pulses are off"),
-        (DriverReading(1500.0), None, False, "nothing to adopt: 1500 us is neither end"),
+        (DriverReading(1500.0), None, False, "nothing to adopt: 1500 us is not the pulse of an end"),
         (DriverReading(1980.0), Mode.RIGID, False, None),
         (DriverReading(None, rigid_switch=True), Mode.RIGID, True, None),
         (DriverReading(1020.0, flexible_switch=True), Mode.FLEXIBLE, True, None),

@@ -60,7 +60,7 @@ def test_what_is_missing_of_an_install_is_named(tmp_path: Path, monkeypatch: pyt
     monkeypatch.delenv(ENVIRONMENT, raising=False)
     with pytest.raises(InputError, match=ENVIRONMENT):
         find_install(None)
-    with pytest.raises(InputError, match="no PX4 SITL there"):
+    with pytest.raises(InputError, match="no PX4 SITL in this folder"):
         find_install(tmp_path)
     folder = install(tmp_path / "px4")
     (folder / "etc/init.d-posix/airframes/10016_none_iris").unlink()
@@ -411,7 +411,7 @@ def test_two_worlds_at_once_have_instances_of_their_own(tmp_path: Path, launched
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (["--px4", "/nowhere"], "no PX4 SITL there"),
+        (["--px4", "/nowhere"], "no PX4 SITL in this folder"),
         (["--outdoor"], "--outdoor needs --px4"),
         (["--fast", "--speed", "2"], "--fast always runs at full speed"),
         (["--px4", "/nowhere", "--gps", "rtk"], "--gps needs --outdoor"),

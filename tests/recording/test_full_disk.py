@@ -59,7 +59,7 @@ def test_a_flight_whose_log_is_cut_says_so_and_does_not_end_well(
     said = capsys.readouterr()
     last = said.err.strip().splitlines()[-1]
     assert last.startswith("log: ")
-    assert "is not complete: No space left on device, " in last
+    assert "is incomplete: No space left on device, " in last
     assert "dart-flight report" not in said.err, "nothing is offered that needs the log"
     assert main([*words, "--json"]) == 1
     verdict = msgspec.json.decode(capsys.readouterr().out, type=Verdict)
@@ -75,9 +75,9 @@ def test_check_compares_the_room_with_the_longest_flight(
     monkeypatch.setattr(shutil, "disk_usage", lambda path: SimpleNamespace(free=1_000_000))
     found = check_log_space(MISSION, tmp_path)
     assert not found.go
-    assert "1.0 MB left for the log" in found.says
+    assert "1.0 MB free for the log" in found.says
     assert main(["check", str(SINGLE), "--log-dir", str(tmp_path)]) == 1
-    assert "NO-GO     log_space: 1.0 MB left" in capsys.readouterr().err
+    assert "NO-GO     log_space: 1.0 MB free" in capsys.readouterr().err
 
 
 def test_a_record_that_cannot_be_written_is_named_with_its_kind_of_error(

@@ -33,7 +33,7 @@ def test_the_process_answers_as_the_planner_and_its_death_is_told() -> None:
         planner.send(msgspec.structs.replace(REQUEST, number=2))
         dead = answers.get(timeout=60.0)
         assert isinstance(dead, PlanAnswer)
-        assert (dead.number, dead.problem) == (2, "the planner has died")
+        assert (dead.number, dead.problem) == (2, "the planner process ended")
     finally:
         planner.stop()
     assert planner.process.returncode is not None
@@ -57,7 +57,7 @@ def test_contacts_are_fitted_in_a_process_of_their_own_and_its_death_is_told() -
         fits.send(msgspec.structs.replace(CONTACT, number=3))
         dead = answers.get(timeout=60.0)
         assert msgspec.structs.replace(dead, received_us=0) == ContactAnswer(
-            0, 3, problem="the planner has died"
+            0, 3, problem="the planner process ended"
         )
     finally:
         fits.stop()

@@ -292,11 +292,11 @@ def test_check_says_where_another_wall_may_be_in_the_way() -> None:
         "  screen: {point_m: [1.9, 0.5], normal: [-1.0, 0.0], length_m: 3.0, material: wood}\ncollisions:"
     )
     near = single(wide, (POINT, f"{POINT}, position_sd_m: 0.1"), ("collisions:", behind))
-    assert "beyond wall screen" in no_goes(check_mission(near))["survey_1"]
+    assert "behind wall screen" in no_goes(check_mission(near))["survey_1"]
     side = "  side: {point_m: [1.2, 0.05], normal: [0.0, 1.0], length_m: 0.4, material: wood"
     side += ", position_sd_m: 0.12}\ncollisions:"
     beside = no_goes(check_mission(single(wide, ("collisions:", side))))
-    assert "wall side may stand in the way of the run-up to wall acrylic" in beside["survey_1"]
+    assert "wall side may block the run-up to wall acrylic" in beside["survey_1"]
 
 
 @pytest.mark.parametrize(("north_sd_m", "go"), [(0.01, True), (0.1, False)])
@@ -308,7 +308,7 @@ def test_along_a_trajectory_walls_are_passed_where_it_leads(north_sd_m: float, g
     tree["walls"]["north"]["position_sd_m"] = north_sd_m
     found = no_goes(check_mission(load_mission(tree)))
     assert ("survey_1" not in found) == go
-    assert go or "wall north may stand in the way to wall end" in found["survey_1"]
+    assert go or "wall north may block the trajectory to wall end" in found["survey_1"]
 
 
 def test_figures_that_are_borne_are_a_go() -> None:

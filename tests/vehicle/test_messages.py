@@ -290,7 +290,7 @@ def test_the_worst_battery_that_flies_is_judged_in_any_order(
             rig.hear("BATTERY_STATUS", **fields)
     for status in rig.of(StatusSample)[1:]:  # no reading of the other one in between
         assert (status.battery_id, status.battery_v, status.battery_remaining) == judged
-    assert [reading.id for reading in rig.session.batteries.others()] == others
+    assert [reading.id for reading in rig.session.batteries.other_batteries()] == others
 
 
 def test_a_flight_battery_that_collapses_stays_one(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -38,7 +38,7 @@ _UNCONTROLLED_DEG = 60.0
 _MATERIALS = ("wood", "acrylic", "concrete")
 
 
-class FeltWall(msgspec.Struct, frozen=True):
+class EstimatedWall(msgspec.Struct, frozen=True):
     """One wall of a flight: errors against the truth, standard deviations; k relative to the drawn one."""
 
     mode: str
@@ -76,7 +76,7 @@ class Touched(msgspec.Struct, frozen=True):
     outcome: str
     reason: str
     tilt_deg: float
-    walls: list[FeltWall] = []
+    walls: list[EstimatedWall] = []
     hits: list[HitOnGps] = []
     room: FoundRoom | None = None
 
@@ -223,7 +223,7 @@ def share_of_outline(corners: np.ndarray, found: Sequence[tuple[float, float]]) 
     return float(lengths[nearest <= 0.05].sum() / lengths.sum())
 
 
-def estimated_walls(mission: Mission, verdict: Verdict, records: Iterable[Any]) -> list[FeltWall]:
+def estimated_walls(mission: Mission, verdict: Verdict, records: Iterable[Any]) -> list[EstimatedWall]:
     """Return the last estimate of each wall by a contact."""
     last = {record.wall: record for record in records if isinstance(record, WallEstimate)}
     found = []
@@ -240,7 +240,7 @@ def estimated_walls(mission: Mission, verdict: Verdict, records: Iterable[Any]) 
             true_k = float(drawn) * mission.vehicle.materials[planned.material].coefficients(Mode(mode)).k
             k_error = estimate.k_n_per_m / true_k - 1.0
         found.append(
-            FeltWall(
+            EstimatedWall(
                 str(mode),
                 None if truth is None else truth.incidence_deg,
                 wall.truth_error_m,
@@ -266,7 +266,7 @@ def fly(point: Point, seed: int) -> Touched:
         return find_room(seed, point.spreads)
     mission = mission_of(point.case, seed)
     kept: list[FlightRecord] = []
-    verdict = fly_fast(mission, seed, None, spreads=point.spreads, take_record=kept.append)
+    verdict = fly_fast(mission, seed, None, spreads=point.spreads, keep_record=kept.append)
     return _touched(mission, verdict, [entry.record for entry in kept[0].log.entries])
 
 
@@ -335,7 +335,7 @@ def _flight_figures(mine: Sequence[Touched]) -> list[str]:
     ]
 
 
-def _directions(walls: Sequence[FeltWall]) -> str:
+def _directions(walls: Sequence[EstimatedWall]) -> str:
     rows = []
     for low, high in ((0.0, 6.0), (6.0, 15.0), (15.0, 30.0)):
         for mode in ("rigid", "flexible"):

@@ -78,7 +78,7 @@ class VehicleConfig(Section, frozen=True, kw_only=True):
         return (
             None
             if mode in self.modes
-            else f"this vehicle has no lock: it is always rigid, never {mode.value}"
+            else f"this vehicle has no lock: its mode is always rigid, not {mode.value}"
         )
 
     def hover_thrust_fraction(self) -> float:
@@ -230,7 +230,7 @@ def _refuse_unflyable(config: VehicleConfig, document: Document) -> None:
         raise document.error(
             ("thrust", "table" if config.thrust.table is not None else "full_n"),
             f"{count} motors of {most_n:g} N hover {config.airframe.mass_kg:g} kg at {hover:.0%} of full "
-            "thrust; at most 80 % is allowed",
+            "thrust, limit 80 %",
         )
     if config.airframe.listed is None:
         return
@@ -243,7 +243,8 @@ def _refuse_unflyable(config: VehicleConfig, document: Document) -> None:
     lift = np.linalg.pinv(turning)[:, 3]
     if lift.min() <= 0.0:
         text = (
-            f"level hover leaves nothing to motor {lift.argmin() + 1}: the centre of mass is not between them"
+            f"level hover leaves no thrust to motor {lift.argmin() + 1}: the centre of mass is not between "
+            "them"
         )
         raise document.error(("airframe", "motors"), text)
 

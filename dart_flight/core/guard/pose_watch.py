@@ -136,7 +136,7 @@ class PoseWatch:
             phase: phase of the flight.
         """
         if estimate_steps and (self.fault(phase) or self._now_us - self._recent_us < _RECENT_US):
-            return f"{self._recent}; PX4's estimate has stepped since"
+            return f"{self._recent}; then PX4's estimate stepped"
         if self._wrong and (self._now_us - self._withheld_us) * 1e-6 > LOST_LAND_S:
             return self._wrong
         return self._lost(LOST_LAND_S)
@@ -173,20 +173,20 @@ class PoseWatch:
         lasting_s = (self._now_us - self._tracked_us) * 1e-6
         if lasting_s <= limit_s or newest is None:
             return None
-        what = "no pose of body" if newest.received_us == self._tracked_us else "lost body"
-        return f"{what} {newest.body} for {lasting_s:.2f} s"
+        what = "no pose of body" if newest.received_us == self._tracked_us else "not tracking body"
+        return f"{what} {newest.body} for {lasting_s:.2f} s, limit {limit_s:g} s"
 
     def _two_senders(self) -> str | None:
         if self._alternates_us is None or self._now_us - self._alternates_us > _SENDERS_US:
             return None
         assert self._newest is not None
         assert self._other is not None
-        return f"poses from two senders: {' and '.join(sorted((self._newest.sender, self._other.sender)))}"
+        return f"two senders send poses: {' and '.join(sorted((self._newest.sender, self._other.sender)))}"
 
     def _turned(self, limit_s: float) -> str | None:
         if self._turned_us is None or (self._tracked_us - self._turned_us) * 1e-6 <= limit_s:
             return None
-        return f"the pose is turned by {self._turned_deg:.0f} deg against PX4's attitude: markers swapped?"
+        return f"the pose is rotated by {self._turned_deg:.0f} deg from PX4's attitude: markers swapped?"
 
     def _apart(self, limit_s: float) -> str | None:
         if self._apart_us is None or (self._tracked_us - self._apart_us) * 1e-6 <= limit_s:
@@ -197,14 +197,16 @@ class PoseWatch:
         if self._least_age_us is None or not self._ages:
             return None
         later_s = 1e-6 * (min(age_us for _, age_us in self._ages) - self._least_age_us)
-        return f"poses arrive {1e3 * later_s:.0f} ms later than at take-off" if later_s > LATER_S else None
+        if later_s <= LATER_S:
+            return None
+        return f"poses arrive {1e3 * later_s:.0f} ms later than at take-off, limit {1e3 * LATER_S:g} ms"
 
     def _slow(self) -> str | None:
         if len(self._intervals) < _INTERVALS:
             return None
         rate_hz = 1e6 / max(1, sorted(self._intervals)[_INTERVALS // 2])
         least_hz = RATE_SHARE * self._rate_hz
-        return f"poses at {rate_hz:.0f} Hz, needs {least_hz:.0f}" if rate_hz < least_hz else None
+        return f"poses arrive at {rate_hz:.0f} Hz, minimum {least_hz:.0f} Hz" if rate_hz < least_hz else None
 
     # -- comparisons --
 
@@ -240,7 +242,7 @@ class PoseWatch:
         self._jumped_us = self._jumped_us if self._jumped_us is not None else now_us
         if (now_us - self._jumped_us) * 1e-6 >= _JUMP_S:
             self._plausible, self._jumped_us = (now_us, position), None
-            self._jump = f"body jumped by {away_m:.2f} m: another body, or swapped markers"
+            self._jump = f"body jumped by {away_m:.2f} m: another body or swapped markers"
 
     def _compare_estimate(
         self, now_us: int, position: Vec3, attitude: Quaternion, state: FlightState
@@ -274,13 +276,13 @@ _DEAD_RECKONING: Final = frozenset({"position_uncertain", "estimator_flags", "od
 # fmt: off
 POSE_RULES: tuple[Rule, ...] = (
     Rule("pose_source_ground", Override.GIVE_UP, Scope.GROUND, RuleCondition(
-        "poses that this program forwards: body lost or jumped, poses slow, late, from two senders, or far "
+        "the forwarded poses are wrong: body lost or jumped, poses slow, late, from two senders, or far "
         "from PX4's estimate", f"{_GROUND_LOST_S:g} s, mocap.rate_hz", _present)),
     Rule("pose_source_blind", Override.LAND, Scope.AIR, RuleCondition(
-        "the same, and PX4's estimate has jumped with the poses, or the body has been lost for long",
+        "the same, and PX4's estimate jumped with the poses, or the body was lost for longer than the limit",
         f"{LOST_LAND_S:g} s", _blind), (OdometrySample,), explains=_DEAD_RECKONING),
     Rule("pose_source", Override.BREAK_OFF, Scope.FLYING, RuleCondition(
-        "the same, at once in an approach, but not before the end of a contact and its recovery",
+        "the same; immediate in an approach, delayed until a contact and its recovery are over",
         f"{LOST_APPROACH_S:g} s, {LOST_S:g} s, mocap.rate_hz", _present)),
 )
 # fmt: on

@@ -139,12 +139,12 @@ class OtherVehicles:
             apart_s = [c.clock_difference_s(received_us) for c in self._clocks.values()]
             found = [seconds for seconds in apart_s if seconds is not None]
             if len(found) > 1 and max(found) - min(found) < STAMP_TOLERANCE_S:
-                self.same_system = f"two alternating clocks, {found[0]:.1f} s apart"
+                self.same_system = f"two clocks alternate, {found[0]:.1f} s apart"
         if isinstance(item, OdometrySample):
             self._places.update(item)
             apart_m = self._places.position_difference_m(received_us)
             if apart_m is not None:
-                self.same_system = f"odometry with two alternating positions, {apart_m:.1f} m apart"
+                self.same_system = f"two positions alternate in the odometry, {apart_m:.1f} m apart"
 
     def add_system(self, system: int) -> None:
         """Record the id of another system on the link."""

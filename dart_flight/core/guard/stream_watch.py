@@ -98,7 +98,8 @@ class TelemetryDelay:
         """Return the delay as text."""
         shortest_us = min(self._last, default=0)
         also = f", round trip {shortest_us * 1e-3:.0f} ms" if shortest_us > self._limit_us else ""
-        return f"telemetry arrives {self.age_us * 1e-3:.0f} ms after it was sampled{also}"
+        limit_ms = self._limit_us * 1e-3
+        return f"telemetry arrives {self.age_us * 1e-3:.0f} ms after sampling, limit {limit_ms:.0f} ms{also}"
 
 
 class StreamWatch:
@@ -183,7 +184,7 @@ def _silence(
             return None
         age_s = min(age_s, _AGE_MAX_S)
         about = watch.state.text_about(message) if message else ""
-        return (words or "for {ms:.0f} ms").format(s=age_s, ms=1e3 * age_s) + about
+        return (words or "no data for {ms:.0f} ms").format(s=age_s, ms=1e3 * age_s) + about
 
     limits = [f"guard.{key}" if isinstance(key, str) else f"{key:g} s" for key in (alone, limit) if key]
     return RuleCondition(description, ", ".join(limits), cause)
@@ -192,7 +193,7 @@ def _silence(
 def _slow(v: Any) -> str | None:
     for name, rate_hz in v.streams.rates_hz.items():
         if rate_hz < BY_NAME[name].expected_hz:
-            return f"{name} at {rate_hz:.0f} Hz, needs {BY_NAME[name].expected_hz:.0f}"
+            return f"{name} arrives at {rate_hz:.0f} Hz, minimum {BY_NAME[name].expected_hz:.0f} Hz"
     return None
 
 
@@ -207,7 +208,7 @@ _AIR, _LAND = Scope.AIR, Override.LAND
 # fmt: off
 STREAM_RULES: tuple[Rule, ...] = tuple(rule._replace(of_streams=True) for rule in (
     Rule("link_lost", Override.RELEASE, _AIR, _silence(
-        "no telemetry at all: PX4's own failsafe must act",
+        "no telemetry arrives: PX4's own failsafe must act",
         _LINK, LINK_LOST_S, "no telemetry for {s:.1f} s")),
     Rule("imu_silent", _LAND, _AIR, _silence(
         "IMU stream timed out: impacts cannot be detected",
@@ -220,14 +221,14 @@ STREAM_RULES: tuple[Rule, ...] = tuple(rule._replace(of_streams=True) for rule i
         "actuator stream timed out: thrust and contact force cannot be separated",
         ("actuator",), ACTUATOR_TIMEOUT_S)),
     Rule("status_silent", _LAND, _AIR, _silence(
-        "heartbeat timed out", ("status",), STATUS_TIMEOUT_S, "for {s:.1f} s")),
+        "heartbeat timed out", ("status",), STATUS_TIMEOUT_S, "no heartbeat for {s:.1f} s")),
     Rule("stream_rate", Override.HOLD, Scope.FLYING, RuleCondition(
-        "a stream comes at less than the rate that a mission needs (`base/streams.py`)",
+        "a stream arrives at less than the minimum rate (`base/streams.py`)",
         "streams: expected_hz", _slow)),
     Rule("telemetry_late_ground", Override.GIVE_UP, Scope.GROUND, RuleCondition(
-        "telemetry arrives too late to act on", "guard.telemetry_late_s", _late)),
+        "telemetry arrives too late to react in time", "guard.telemetry_late_s", _late)),
     Rule("telemetry_late", _LAND, _AIR, RuleCondition(
-        "telemetry has been late for more than a moment", "guard.telemetry_late_s", _late),
+        "telemetry has arrived too late for several samples", "guard.telemetry_late_s", _late),
         explains=frozenset({"imu_silent", "attitude_silent", "odometry_silent", "status_silent"})),
 ))
 # fmt: on

@@ -296,7 +296,7 @@ class Executive:
         if self._has_arrived(state):
             self._start_next(PhaseTrigger.ARRIVED, state, p)
         elif self.progress.is_late(state):
-            p.add_finding("climb_timeout", "altitude not reached")
+            p.add_finding("climb_timeout", "the altitude was not reached in time")
 
     def _start_next(self, cue: PhaseTrigger, state: FlightState, p: Proposal) -> None:
         """Continue from rest at the target; `cue` is the trigger if a collision is next."""
@@ -305,7 +305,7 @@ class Executive:
         if waypoint is not None:
             waypoint = update_waypoint(waypoint, self.progress.walls)
         if waypoint is not None and waypoint.position is None:
-            waits = f"waiting for the operator (Enter or SIGUSR1); landing after {waypoint.hold_s:g} s"
+            waits = f"waiting {waypoint.hold_s:g} s for the operator (Enter or SIGUSR1), then landing"
             self._transition(PhaseTrigger.NEXT_PAUSE, state, p, waits)
         elif waypoint is not None and waypoint.position is not None:
             self._transition(PhaseTrigger.NEXT_WAYPOINT, state, p, waypoint.name)
@@ -326,7 +326,7 @@ class Executive:
             if reason is None:
                 return
             name = leg.name if isinstance(leg, Waypoint) else f"collision {leg.index}"
-            p.outputs.append(ProbeEnd(state.now_us, f"{name} left out: {reason}"))
+            p.outputs.append(ProbeEnd(state.now_us, f"{name} skipped: {reason}"))
             if isinstance(leg, Waypoint):
                 self.progress.stops += 1
             else:
@@ -348,7 +348,7 @@ class Executive:
             self.progress.reached_us = state.now_us
         if self.progress.reached_us is None:
             if self.progress.is_late(state, self.progress.course.duration_s):
-                p.add_finding("transit_timeout", f"{waypoint.name} not reached")
+                p.add_finding("transit_timeout", f"{waypoint.name} was not reached in time")
         elif state.now_us - self.progress.reached_us >= waypoint.hold_s * 1e6:
             self.progress.stops += 1
             self._start_next(PhaseTrigger.NEXT_COLLISION, state, p)
@@ -358,7 +358,7 @@ class Executive:
         assert waypoint is not None
         self._move_lock(self.mission.transit_mode, state, p)
         if self.progress.takes_longer_than(waypoint.hold_s, state):
-            p.add_finding("pause_timeout", f"operator did not resume within {waypoint.hold_s:g} s")
+            p.add_finding("pause_timeout", f"the operator did not resume within {waypoint.hold_s:g} s")
 
     def _on_operator_continue(self, state: FlightState, p: Proposal) -> None:
         """End a pause; outside of a pause the request has no effect."""
@@ -394,7 +394,7 @@ class Executive:
         if self._has_arrived(state):
             self._leave_run_up_point(state, p)
         elif self.progress.is_late(state, self.progress.course.duration_s):
-            p.add_finding("transit_timeout", "run-up point not reached")
+            p.add_finding("transit_timeout", "the run-up point was not reached in time")
 
     def _leave_run_up_point(self, state: FlightState, p: Proposal) -> None:
         """Continue at the run-up point: with the lock first, if there is one."""
@@ -427,7 +427,7 @@ class Executive:
             self._begin_approach(collision)
         elif lock is not None and self.progress.takes_longer_than(lock.timeout_s + 2.0, state):
             p.add_finding(
-                "lock_not_ready", f"lock not {collision.mode.value} before collision {collision.index}"
+                "lock_not_ready", f"the lock is not {collision.mode.value} before collision {collision.index}"
             )
 
     def _begin_approach(self, collision: Collision) -> None:
@@ -438,7 +438,7 @@ class Executive:
         collision = self.progress.collision
         assert collision is not None
         if not state.lock_is_in(collision.mode):
-            p.add_finding("lock_not_settled", f"lock left {collision.mode.value} during the approach")
+            p.add_finding("lock_not_settled", f"the lock left {collision.mode.value} during the approach")
         if collision.probe is not None:
             if self.progress.takes_longer_than(self.progress.course.duration_s + _NOTHING_MET_S, state):
                 self._end_probe(collision, state, p)
@@ -454,12 +454,12 @@ class Executive:
         assert impact is not None
         wall = self.progress.walls.known_wall(collision.wall, state.now_us)
         if since_s > late_s(guard, wall, impact, -collision.approach_m_s[0]):
-            detail = f"wall {collision.wall.name} not met {since_s:.1f} s after the planned impact"
+            detail = f"no contact with wall {collision.wall.name} {since_s:.1f} s after the planned impact"
             p.add_finding("wall_not_met", detail)
 
     def _end_probe(self, collision: Collision, state: FlightState, p: Proposal) -> None:
         """End a probe without a contact."""
-        p.outputs.append(ProbeEnd(state.now_us, f"nothing met on the probe for wall {collision.wall.name}"))
+        p.outputs.append(ProbeEnd(state.now_us, f"no contact on the probe for wall {collision.wall.name}"))
         self.progress.course = self.progress.course.hold(state.position)
         self.progress.lock = self.progress.lock.contact_ends(state.now_us)
         self._transition(PhaseTrigger.NOT_MET, state, p)
@@ -475,14 +475,14 @@ class Executive:
         guard = self.mission.vehicle.guard
         if overrun > overrun_m(guard, wall, (x, y)) and not sensed.in_contact:
             p.add_finding(
-                "wall_not_met", f"flew {overrun:.2f} m past wall {collision.wall.name} without contact"
+                "wall_not_met", f"no contact {overrun:.2f} m behind the plane of wall {collision.wall.name}"
             )
 
     # -- impact --
 
     def _contact(self, state: FlightState, sensed: Sensed, p: Proposal) -> None:
         if self.progress.takes_longer_than(2 * self.mission.vehicle.detection.peak_wait_s, state):
-            p.add_finding("no_peak", "contact without a peak")
+            p.add_finding("no_peak", "the contact force has no peak")
 
     # -- recovery and goal --
 
@@ -512,7 +512,8 @@ class Executive:
             self._check_lock_in_time(following, state, sensed, p)
             wall = self.progress.walls.known_wall(following.wall, state.now_us)
             if timed_out or self._replanning.is_late(self.progress.replan, wall, state):
-                p.add_finding("wall_not_met", f"wall {following.wall.name} not reached by the recovery")
+                detail = f"the recovery did not reach wall {following.wall.name} in time"
+                p.add_finding("wall_not_met", detail)
 
     def _mode_after(self, following: Collision | None, stops: bool) -> Mode:
         """Return the mode of the lock after a contact: the transit mode before waypoints and the goal."""
@@ -540,8 +541,8 @@ class Executive:
         ready_s = math.inf if ready_us is None else (ready_us - state.now_us) * 1e-6
         if met is None or not may_commit(self.mission, following, met, ready_s, state):
             detail = (
-                f"lock {state.lock.phase.value}, not {following.mode.value}, {distance:.2f} m before wall "
-                f"{following.wall.name} at {closing:.2f} m/s"
+                f"the lock is {state.lock.phase.value}, not {following.mode.value}, {distance:.2f} m before "
+                f"wall {following.wall.name} at {closing:.2f} m/s"
             )
             p.add_finding("lock_late", detail)
 
@@ -597,7 +598,7 @@ class Executive:
                 self.progress.course.duration_s + goal.hold_s + self.mission.limits.collision_timeout_s
             )
             if self.progress.takes_longer_than(allowed_s, state):
-                p.add_finding("goal_not_reached", f"still {distance:.2f} m from the goal")
+                p.add_finding("goal_not_reached", f"the vehicle is still {distance:.2f} m from the goal")
         elif self.progress.captured_us is None:
             self.progress.captured_us = state.now_us
         elif state.now_us - self.progress.captured_us >= goal.hold_s * 1e6:

@@ -74,7 +74,7 @@ class ImpactResponse:
         wall, (x, y, _) = progress.walls.known_wall(collision.wall, state.now_us), event.position_mission
         distance = wall.signed_distance((x, y))
         if collision.probe is None and distance > early_m(self._mission.vehicle.guard, wall, (x, y)):
-            text = f"{distance:.2f} m before wall {collision.wall.name}"
+            text = f"contact {distance:.2f} m before wall {collision.wall.name}"
             return change._replace(finding=MissionFinding("wall_met_early", text))
         if not state.lock_is_in(collision.mode):
             text = f"contact with wall {collision.wall.name} while the lock is not {collision.mode.value}"
@@ -103,7 +103,7 @@ class ImpactResponse:
             (nx, ny), (x, y, _) = progress.walls.known_wall(hit, state.now_us).normal, state.position
             away_m = self._mission.vehicle.guard.retreat_m
             course = progress.course.hold((x + away_m * nx, y + away_m * ny))
-        finding = MissionFinding("unplanned_hit", f"bounce, {_describe(event, progress)}", note_only=True)
+        finding = MissionFinding("unplanned_hit", f"bounce: {_describe(event, progress)}", note_only=True)
         return Change(finding=finding, course=course, replan=progress.replan.contact_begins())
 
     def on_detection_floor(self, event: DetectionFloor, progress: MissionState) -> Change:
@@ -116,7 +116,7 @@ class ImpactResponse:
         if hit is None or floor is None or hit.peak_normal_force_n >= floor:
             return NO_CHANGE
         what = f"{collision.mode.value}, {hit.peak_normal_force_n:.0f} N at wall {collision.wall.name}"
-        text = f"{what}: below the detection limit at this vibration level ({floor:.0f} N)"
+        text = f"{what}, below the detection limit of {floor:.0f} N at this vibration level"
         return Change(finding=MissionFinding("hit_in_noise", text))
 
     def on_peak(
@@ -150,7 +150,9 @@ class ImpactResponse:
         setpoint = make_setpoint(state.frame, trigger, Reference(course.target), heading, added=added)
         force, finding = math.hypot(event.normal_force_n, event.tangential_force_n), None
         if force > self._mission.limits.peak_force_n:
-            finding = MissionFinding("peak_force", f"{force:.0f} N at wall {collision.wall.name}")
+            limit_n = self._mission.limits.peak_force_n
+            detail = f"{force:.0f} N at wall {collision.wall.name}, limit {limit_n:g} N"
+            finding = MissionFinding("peak_force", detail)
         return Change(PhaseTrigger.PEAK, outputs=(setpoint,), finding=finding, course=course)
 
     # -- lock state indicated by a contact --
@@ -160,7 +162,7 @@ class ImpactResponse:
         if estimate.mode_felt is None or estimate.mode_reported in (None, estimate.mode_felt):
             return NO_CHANGE
         detail = (
-            f"contact at wall {estimate.wall} indicates {estimate.mode_felt.value} arms, the lock reports "
+            f"contact with wall {estimate.wall} indicates {estimate.mode_felt.value} arms, the lock reports "
             f"{estimate.mode_reported.value} (log odds {abs(estimate.log_odds):.1f})"
         )
         noted = self._mission.mode_mismatch is ModeMismatch.NOTE_ONLY

@@ -13,16 +13,16 @@ from dart_flight.core.mission.wall_uncertainty import EstimatedWalls
 def skip_reason(leg: Collision | Waypoint, walls: EstimatedWalls) -> str | None:
     """Return the reason why a leg is skipped, or None: its condition fails, or its wall was not found."""
     if leg.if_met is not None and not walls.is_measured(leg.if_met):
-        return f"wall {leg.if_met} was not met"
+        return f"no contact with wall {leg.if_met}"
     if leg.if_not_met is not None and walls.is_measured(leg.if_not_met):
-        return f"wall {leg.if_not_met} was met"
+        return f"contact with wall {leg.if_not_met}"
     if isinstance(leg, Waypoint):
         at = leg.wall_at
         name = at.name if at is not None and at.sought else None
     else:
         name = leg.wall.name if leg.wall.sought and leg.probe is None else None
     if name is not None and not walls.is_measured(name):
-        return f"wall {name} was not met"
+        return f"no contact with wall {name}"
     return None
 
 

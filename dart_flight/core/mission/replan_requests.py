@@ -191,13 +191,13 @@ def _refusal(replan: Replan, answer: PlanAnswer, now_us: int) -> str | None:
     """Return the reason to reject an answer, or None."""
     asked = replan.request
     if asked is None or answer.number != asked.number:
-        return "planned for an outdated state"
+        return "the plan is for an outdated state"
     if answer.problem:
         return answer.problem
     if now_us > asked.begin_us:
-        return f"{(now_us - asked.begin_us) * 1e-3:.0f} ms too late"
+        return f"the plan is {(now_us - asked.begin_us) * 1e-3:.0f} ms late"
     if not _is_consistent(answer, asked, replan.from_rest):
-        return "answer does not match the request"
+        return "the plan does not match the request"
     return None
 
 
@@ -226,7 +226,7 @@ def _rejection(replan: Replan, trajectory: Trajectory, answer: PlanAnswer, state
     beside_m_s = math.dist(at.velocity[:2], state.velocity[:2])
     if beside_m <= _BESIDE_M and beside_m_s <= _BESIDE_M_S:
         return ""
-    return f"vehicle is {beside_m:.2f} m and {beside_m_s:.2f} m/s off the start of the trajectory"
+    return f"the vehicle is {beside_m:.2f} m and {beside_m_s:.2f} m/s off the start of the trajectory"
 
 
 def _active_is_faster(replan: Replan, trajectory: Trajectory, answer: PlanAnswer, state: FlightState) -> bool:

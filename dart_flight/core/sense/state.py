@@ -301,7 +301,7 @@ class FlightState:
             command: refused command; if PX4 gives no other reason, its answer to the command is returned.
 
         Returns:
-            Text such as "; PX4 says: No offboard signal" to append, empty if there is no reason.
+            Text such as "; PX4 reports: No offboard signal" to append, empty if there is no reason.
         """
         own = self._recent(self._found_on_link)
         here = "; " + ", ".join(own) if own else ""
@@ -312,11 +312,11 @@ class FlightState:
         # Faults of other modes may be the cause: without a position there is no offboard signal.
         also = [word for word in others if word not in found][:_MAX_REASONS]
         if found:
-            return f"{here}; PX4 says: " + ", ".join(found) + ("; also " + ", ".join(also) if also else "")
+            return f"{here}; PX4 reports: " + ", ".join(found) + ("; also " + ", ".join(also) if also else "")
         answer = self._refused.get(command or "")
         answered = f"{here}; PX4 answers: {answer}" if answer else here
         if also:  # not necessarily the reason, but an older PX4 reports nothing else
-            return f"{answered}; PX4 gives no reason, but finds: " + ", ".join(also)
+            return f"{answered}; PX4 gives no reason, but reports: " + ", ".join(also)
         return answered
 
     def _recent(self, texts: Mapping[str, int]) -> list[str]:

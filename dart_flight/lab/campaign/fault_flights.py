@@ -115,8 +115,8 @@ def _log_problems(path: Path) -> Iterable[str]:
     try:
         named = bool(read_log(path).about.get("mission"))
     except Exception as error:
-        return [f"its log does not open: {error}"]
-    return [] if named else ["its log does not say what it is"]
+        return [f"cannot open its log: {error}"]
+    return [] if named else ["its log does not name its mission"]
 
 
 def matrix_cases() -> list[dict[str, str]]:

@@ -14,7 +14,7 @@ from rich.table import Table
 
 from dart_flight.cli.options import link_of, refuse_unwritable
 from dart_flight.cli.terminal import emit_json, messages, print_status, tables
-from dart_flight.cli.vehicle_line import say_vehicle
+from dart_flight.cli.vehicle_line import print_vehicle
 from dart_flight.config.document import InputError, Key
 from dart_flight.config.edit import write_values
 from dart_flight.config.provenance import find_vehicle
@@ -70,7 +70,7 @@ def run(arguments: argparse.Namespace) -> int:
     calibrate = _thrust if arguments.what == "thrust" else _inertia
     result, table, notes, values = calibrate(tracks, vehicle)
     print_status(*left_out)
-    say_vehicle(source, arguments)
+    print_vehicle(source, arguments)
     if arguments.json:
         emit_json({**result, "vehicle": source})
     else:
@@ -98,7 +98,7 @@ def _airframe(arguments: argparse.Namespace) -> int:
     else:
         motors = read_airframe(Path(arguments.logs[0]))
     refuse_unmeasured(motors, arguments.connection or arguments.logs[0])
-    say_vehicle(source, arguments)
+    print_vehicle(source, arguments)
     other, sizes = rotor_differences(vehicle.airframe.motors, motors)
     if arguments.json:
         emit_json({"motors": motors, "other_than_configured": other, "other_sizes": sizes})
@@ -170,7 +170,7 @@ def _table(r: ThrustCalibration) -> Table:
         table.add_column(column, justify="left" if not column else "right")
 
     def error(value: float | None) -> str:
-        return "kept, not determined by these flights" if value is None else f"{value:.3g}"
+        return "unchanged: these flights do not determine it" if value is None else f"{value:.3g}"
 
     table.add_row("full thrust of one motor, N", f"{r.full_n:.3f}", error(r.full_n_error))
     table.add_row("model factor", f"{r.model_factor:.3f}", error(r.model_factor_error))

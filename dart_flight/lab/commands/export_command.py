@@ -63,7 +63,7 @@ def _export_foxglove(path: Path, file: Path) -> dict[str, Any]:
 
 
 def _print_result(line: str, complete: bool) -> None:
-    cut = "" if complete else "; the log was cut and is exported up to there"
+    cut = "" if complete else "; the log is cut short and is exported to its end"
     print_status(f"{line}{cut}")
 
 

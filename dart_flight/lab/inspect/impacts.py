@@ -131,7 +131,7 @@ class ThresholdCrossing(msgspec.Struct):
     noise_n: float = 0.0
     level: float = 0.0
 
-    def ends(self, peak: ImpactPeak, newest: Iterable[Estimated], short: int) -> None:
+    def record_peak(self, peak: ImpactPeak, newest: Iterable[Estimated], short: int) -> None:
         """Record the peak, and compare the force with the possible thrust.
 
         Args:
@@ -244,7 +244,7 @@ class ImpactScan:
             self._place += 1
         return self._place < len(self._flying) and self._flying[self._place][0] <= t_s
 
-    def take(self, sample: Sample) -> None:
+    def process(self, sample: Sample) -> None:
         """Process the next sample of the log."""
         if isinstance(sample, AttitudeSample):
             if self.state.update_attitude(sample):
@@ -274,7 +274,7 @@ class ImpactScan:
                     ThresholdCrossing(event, detector.crossed_threshold_n, noise_n=noise, level=level)
                 )
             elif isinstance(event, ImpactPeak):
-                self.crossings[-1].ends(event, self._newest, self._short)
+                self.crossings[-1].record_peak(event, self._newest, self._short)
         if flying:
             self._keep(estimate)
 

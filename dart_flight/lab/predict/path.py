@@ -172,7 +172,7 @@ class ContactMotion:
         left: Array = np.exp(-self.coefficients.mu / self.mass_kg * self.impulse(t))
         return left
 
-    def way(self, time_s: ArrayLike) -> Array:
+    def slide(self, time_s: ArrayLike) -> Array:
         """Return the displacement along the wall over the tangential velocity at the onset, s."""
         t = np.asarray(time_s, dtype=float)
         return self._slipped.once(t) if self.has_contact else t.copy()
@@ -240,7 +240,7 @@ def trajectory(
     """
     t = np.asarray(time_s, dtype=float)
     x, vx, force = contact.normal(t)
-    slide, slip = contact.way(t), contact.slip(t)
+    slide, slip = contact.slide(t), contact.slip(t)
     lift, rise = contact.lift(t), contact.rise(t)
     c = contact.coefficients
     return HitHistory(

@@ -190,9 +190,13 @@ def _facts(flight: RecordedFlight) -> list[tuple[str, str]]:
         ("vehicle", _vehicle(v)),
         ("started", about.get("started_utc", "?")),
         ("software", f"dart-flight {about.get('software', '?')} on {about.get('host', '?')}"),
-        ("log", flight.log.source + ("" if flight.log.complete else " (cut: not all of the flight is here)")),
+        (
+            "log",
+            flight.log.source
+            + ("" if flight.log.complete else " (cut short: the end of the flight is missing)"),
+        ),
         ("PX4's own log", v.px4_log or _where_px4_log(flight)),
-        ("records lost", flight.log.end.get("lost", "unknown: the log was cut")),
+        ("records lost", flight.log.end.get("lost", "unknown: the log is cut short")),
         ("replayed", equal + (f"; {replayed.note}" if replayed.note else "")),
     ]
 

@@ -37,8 +37,8 @@ def export_foxglove(log: Log, path: Path) -> int:
     with written as file:
         file.write_metadata(_DESCRIPTION, {key: log.about[key] for key in _KEPT if key in log.about})
         for entry in log.entries:
-            for record in thinning.take(entry.record):
-                for message in translation.take(record):
+            for record in thinning.select(entry.record):
+                for message in translation.translate(record):
                     channels.publish(message)
                     count += 1
     return count

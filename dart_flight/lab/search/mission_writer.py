@@ -137,7 +137,7 @@ def recovery_gains(vehicle: VehicleConfig, wall: Wall, hit: TrajectoryHit) -> Ve
     At the outgoing velocity these gains make PX4's position loop command the thrust per mass of the hit, u =
     a + drag v, so that kv (kp A F - v) = u.
     """
-    response, px4 = ContactResponse.of(vehicle, wall, hit.mode), vehicle.px4
+    response, px4 = ContactResponse.at_wall(vehicle, wall, hit.mode), vehicle.px4
     drag_n, drag_t = drag_along(wall, vehicle.airframe.drag_per_s)
     thrust_n = hit.acceleration_m_s2[0] + drag_n * hit.normal_m_s
     thrust_t = hit.acceleration_m_s2[1] + drag_t * hit.tangential_m_s

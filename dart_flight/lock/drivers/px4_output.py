@@ -49,14 +49,14 @@ def required_parameters(config: LockConfig) -> tuple[RequiredParameter, ...]:
     flexible = round(config.servo.flexible_pulse_us)
     return (
         RequiredParameter(
-            f"{bank}_FUNC{pin}", function, f"no pin listens to actuator {px4.actuator_index} otherwise"
+            f"{bank}_FUNC{pin}", function, f"otherwise no pin outputs actuator {px4.actuator_index}"
         ),
-        RequiredParameter("COM_PREARM_MODE", PREARM_ALWAYS, "the servo moves only when armed otherwise"),
+        RequiredParameter("COM_PREARM_MODE", PREARM_ALWAYS, "otherwise the servo moves only when armed"),
         RequiredParameter(
             f"{bank}_MIN{pin}", round(px4.min_pulse_us), "it is the pulse of actuator value -1"
         ),
         RequiredParameter(f"{bank}_MAX{pin}", round(px4.max_pulse_us), "it is the pulse of actuator value 1"),
-        RequiredParameter(f"{bank}_DIS{pin}", flexible, "the servo would go elsewhere than flexible at boot"),
+        RequiredParameter(f"{bank}_DIS{pin}", flexible, "the servo would leave flexible at boot"),
         RequiredParameter(f"{bank}_TIM{px4.timer}", SERVO_RATE_HZ, "an analogue servo needs a 50 Hz frame"),
         RequiredParameter(f"{bank}_REV", 0, "the output would be reversed", mask=1 << (pin - 1)),
     )

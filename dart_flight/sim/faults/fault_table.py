@@ -94,11 +94,11 @@ KINDS: tuple[FaultKind, ...] = (
         -1000.0,
         1000.0,
     ),
-    FaultKind("imu-dropout", _P.LINK, "no more IMU samples in the telemetry"),
+    FaultKind("imu-dropout", _P.LINK, "the telemetry contains no IMU samples"),
     FaultKind("imu-stuck", _P.SENSOR, "the reported IMU repeats its last reading"),
     FaultKind("imu-clip", _P.SENSOR, "the accelerometer clips at this many g", "g", 4.0, 1.2, 16.0),
     FaultKind(
-        "ekf-jump", _P.SENSOR, "estimate and motion capture jump by this much north", "m", 0.5, -3.0, 3.0
+        "ekf-jump", _P.SENSOR, "estimate and motion capture jump north by this distance", "m", 0.5, -3.0, 3.0
     ),
     FaultKind(
         "heading-reset",
@@ -118,14 +118,16 @@ KINDS: tuple[FaultKind, ...] = (
         0.0,
         300.0,
     ),
-    FaultKind("clock-back", _P.AUTOPILOT, "the autopilot's clock goes back", "s", 5.0, 0.0, 1000.0),
-    FaultKind("low-battery", _P.AUTOPILOT, "charge left", "%", 10.0, 0.0, 100.0),
-    FaultKind("pilot", _P.AUTOPILOT, "the pilot takes over (position mode)"),
+    FaultKind(
+        "clock-back", _P.AUTOPILOT, "the autopilot's clock jumps back by this time", "s", 5.0, 0.0, 1000.0
+    ),
+    FaultKind("low-battery", _P.AUTOPILOT, "remaining charge", "%", 10.0, 0.0, 100.0),
+    FaultKind("pilot", _P.AUTOPILOT, "the pilot takes over in position mode"),
     FaultKind("kill-switch", _P.AUTOPILOT, "the pilot's kill switch: motors off, disarmed 5 s later"),
     FaultKind(
         "second-gcs",
         _P.AUTOPILOT,
-        "a second ground station sends setpoints, this far off",
+        "a second ground station sends setpoints at this distance",
         "m",
         1.0,
         -5.0,
@@ -136,23 +138,29 @@ KINDS: tuple[FaultKind, ...] = (
     FaultKind("servo-unplugged", _P.LOCK, "the servo's controller does not answer"),
     FaultKind("wall-missing", _P.PLANT, "the walls are missing"),
     FaultKind("wall-nearer", _P.PLANT, "the walls are nearer than planned", "m", 0.3, -1.0, 1.0),
-    FaultKind("other-material", _P.PLANT, "the walls are of the stiffest other material"),
+    FaultKind("other-material", _P.PLANT, "the walls have the stiffest other material"),
     FaultKind("gust", _P.PLANT, "a gust of 0.6 s along the wall's normal", "m/s", 5.0, -15.0, 15.0),
     FaultKind("mocap-lost", _P.MOCAP, "the marker body is not tracked for this long", "s", 1.0, 0.0, 60.0),
     FaultKind(
-        "mocap-flip", _P.MOCAP, "markers are swapped: the body is turned by this", "deg", 90.0, 0.0, 180.0
+        "mocap-flip",
+        _P.MOCAP,
+        "markers are swapped: the body is rotated by this angle",
+        "deg",
+        90.0,
+        0.0,
+        180.0,
     ),
     FaultKind(
         "mocap-other-body",
         _P.MOCAP,
-        "the poses are another vehicle's, which stands this far north of the start",
+        "the poses are those of another vehicle, this distance north of the start",
         "m",
         1.0,
         -10.0,
         10.0,
     ),
-    FaultKind("mocap-late", _P.MOCAP, "poses arrive later by this much", "ms", 50.0, 0.0, 1000.0),
-    FaultKind("mocap-slow", _P.MOCAP, "poses come at this rate", "Hz", 10.0, 1.0, 50.0),
+    FaultKind("mocap-late", _P.MOCAP, "poses arrive later by this time", "ms", 50.0, 0.0, 1000.0),
+    FaultKind("mocap-slow", _P.MOCAP, "poses arrive at this rate", "Hz", 10.0, 1.0, 50.0),
 )
 BY_NAME = {kind.name: kind for kind in KINDS}
 

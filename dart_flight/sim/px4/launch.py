@@ -39,7 +39,7 @@ from dart_flight.config.rotors import COUNT, MAV_TYPES, motors_from_parameters, 
 from dart_flight.config.vehicle import LockDriver, Motor, Px4Parameters, VehicleConfig, packaged
 from dart_flight.lock.drivers.px4_output import ACTUATOR_SET_1, PREARM_ALWAYS
 from dart_flight.sim.px4.bridge import servo_channel
-from dart_flight.vehicle.link import LinkLease, LinkTakenError, feed_of, holder_of, udp_port_is_free
+from dart_flight.vehicle.link import LinkInUseError, LinkLease, feed_name, find_holder, udp_port_is_free
 
 MODEL = "none_iris"  # PX4's airframe for an external simulator: a quadrotor in X
 ENVIRONMENT = "DART_PX4_DIR"
@@ -103,7 +103,7 @@ def find_install(directory: str | Path | None) -> Install:
                 raise InputError(text, source=str(base))
         return Install(program, etc)
     raise InputError(
-        "no PX4 SITL there: neither bin/px4 nor build/px4_sitl_default/bin/px4", source=str(root)
+        "no PX4 SITL in this folder: neither bin/px4 nor build/px4_sitl_default/bin/px4", source=str(root)
     )
 
 
@@ -266,12 +266,12 @@ def claim_instance() -> Instance:
     """
     for number in _INSTANCES:
         # The port that PX4 sends to is leased here by the sender, and in the app by the receiver.
-        lease = LinkLease(feed_of(ONBOARD_PORT + number), "dry-run --px4")
+        lease = LinkLease(feed_name(ONBOARD_PORT + number), "dry-run --px4")
         try:
             lease.acquire()
-        except LinkTakenError:
+        except LinkInUseError:
             continue
-        taken = holder_of(f"udpin://127.0.0.1:{ONBOARD_PORT + number}") is not None
+        taken = find_holder(f"udpin://127.0.0.1:{ONBOARD_PORT + number}") is not None
         listener = None if taken else _free_simulator_port(number)
         if listener is not None:
             return Instance(number, listener, lease)

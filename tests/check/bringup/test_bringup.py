@@ -45,14 +45,14 @@ class Hands:
                 "nose down": lambda: vehicle.tilt(pitch_deg=-30.0),
                 "right side down": lambda: vehicle.tilt(roll_deg=30.0),
                 "Push": vehicle.push,
-                "ahead of its nose": lambda: vehicle.carry(0.0),
+                "along its nose": lambda: vehicle.carry(0.0),
                 "to its right": lambda: vehicle.carry(90.0),
-                "level": vehicle.tilt,
+                "evel": vehicle.tilt,
                 "switch": vehicle.flip_switch,
                 "turn it left": vehicle.move,
             }
 
-    def tell(self, text: str) -> None:
+    def instruct(self, text: str) -> None:
         self.told.append(text)
         for word, act in self._acts.items():
             if word in text:
@@ -104,9 +104,9 @@ def test_each_thing_that_is_wrong_is_named() -> None:
     with BenchVehicle(MISSION, wrong=("axes", "frame", "radio")) as vehicle:
         found = walk(vehicle, "imu_axes", "position", "remote_control")
     assert {f.result for f in found.values()} == {StepOutcome.FAIL}
-    assert "turned by 90 degrees: set SENS_BOARD_ROT" in found["imu_axes"].message
+    assert "rotated by 90 degrees: set SENS_BOARD_ROT" in found["imu_axes"].message
     assert "left and right are exchanged" in found["position"].message
-    assert "no remote control is received" in found["remote_control"].message
+    assert "PX4 receives no remote control" in found["remote_control"].message
 
 
 @pytest.mark.realtime
@@ -141,10 +141,14 @@ def maestro(tmp_path: Path) -> Iterator[Mission]:
 @pytest.mark.parametrize(
     ("sees", "result", "words"),
     [
-        (lambda question: True, StepOutcome.PASS, "both ends reached"),
-        (lambda question: "Told" not in question, StepOutcome.FAIL, "it moves the other way: exchange"),
-        (lambda question: "Told to be rigid" not in question, StepOutcome.FAIL, "not rigid when told so"),
-        (lambda question: False, StepOutcome.NEEDS_OPERATOR, "not moved"),
+        (lambda question: True, StepOutcome.PASS, "the lock reaches both ends"),
+        (
+            lambda question: "Commanded" not in question,
+            StepOutcome.FAIL,
+            "the lock moves in the wrong direction",
+        ),
+        (lambda question: "Commanded rigid" not in question, StepOutcome.FAIL, "not rigid when commanded"),
+        (lambda question: False, StepOutcome.NEEDS_OPERATOR, "was not moved"),
     ],
 )
 def test_the_servo_moves_the_right_way_by_the_operators_word(
@@ -180,14 +184,14 @@ def test_it_is_remembered_and_filed(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert [step["result"] for step in told["steps"]] == ["pass", *["needs operator"] * 5]
     dated, page = (Path(name) for name in told["files"])
     assert json.loads(dated.read_text())["steps"] == again["steps"]
-    assert "needs somebody at the vehicle" in page.read_text()
+    assert "needs an operator at the vehicle" in page.read_text()
     assert again["steps"][0] == told["steps"][0]  # it has passed, and is not looked at again
 
 
 def test_a_file_that_is_none_of_ours_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "bringup.json").write_text("{}")
     assert main(["bringup", "--connection", "udpin://127.0.0.1:1", "--state", str(tmp_path), "--yes"]) == 2
-    assert "is no bring-up of ours" in capsys.readouterr().err
+    assert "not a bring-up record of dart-flight" in capsys.readouterr().err
 
 
 def test_a_file_that_cannot_be_read_is_not_called_foreign(
@@ -200,7 +204,7 @@ def test_a_file_that_cannot_be_read_is_not_called_foreign(
 
 def test_a_vehicle_that_answers_nothing_is_a_failed_step(monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(_: Bringup) -> None:
-        raise NoAnswerError("sends, but answers no request: TIMESYNC")
+        raise NoAnswerError("sends telemetry but answers no request: TIMESYNC")
 
     monkeypatch.setattr(Bringup, "_connect", refuse)
     found = carry_out(Bringup(MISSION, "udpin://127.0.0.1:1", Hands()), "link")

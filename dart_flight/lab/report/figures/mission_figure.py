@@ -144,7 +144,7 @@ def _flown_line(mission: Mission) -> str:
     """Return a sentence on the simulated flights recorded in the mission file."""
     record = mission.flown
     if record is None or record.digest != mission.digest:
-        return "Not flown in simulation in its present form, so its trajectories may not be flyable."
+        return "This version has not been flown in simulation; its trajectories may not be flyable."
     return f"Flown in simulation: {record.summary}."
 
 
