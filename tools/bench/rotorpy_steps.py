@@ -1,38 +1,39 @@
-"""Speed of rotorpy's Gymnasium environment, for `tools.bench.stepwise`; its interpreter has rotorpy.
+"""Speed of rotorpy's vehicle, for `tools.bench.stepwise`; run by an interpreter that has rotorpy.
 
     PYTHON tools/bench/rotorpy_steps.py STEPS
 
-It prints one JSON object for each rate of the environment: the steps and the simulated seconds per second.
-This file imports nothing of this program.
+It prints one JSON object for each period: the steps and the simulated seconds per second. This file imports
+nothing of this program.
 """
 
 import importlib
 import importlib.metadata
 import json
+import random
 import sys
 import time
 
-RATES_HZ = (100, 25)  # the environment's default, and the period of `DartShuttle-v0`
+PERIODS_S = (0.01, 0.04)  # the period of rotorpy's examples, and that of `DartShuttle-v0`
 
 
 def main(steps: int) -> None:
-    """Step with velocity commands near zero, which keep the vehicle within its bounds."""
-    environments = importlib.import_module("rotorpy.learning.quadrotor_environments")
+    """Step one vehicle with velocity commands."""
+    vehicles = importlib.import_module("rotorpy.vehicles.multirotor")
+    parameters = importlib.import_module("rotorpy.vehicles.crazyflie_params").quad_params
+    numpy = importlib.import_module("numpy")
     version = importlib.metadata.version("rotorpy")
-    for rate_hz in RATES_HZ:
-        environment = environments.QuadrotorEnv(control_mode="cmd_vel", sim_rate=rate_hz, max_time=10.0)
-        environment.action_space.seed(1)
-        environment.reset(seed=1)
-        spent_s = 0.0
+    rng = random.Random(1)
+    for period_s in PERIODS_S:
+        vehicle = vehicles.Multirotor(parameters, control_abstraction="cmd_vel")
+        state, spent_s = vehicle.initial_state, 0.0
         for _ in range(steps):
-            action = 0.3 * environment.action_space.sample()
+            command = {"cmd_v": numpy.array([rng.uniform(-0.5, 0.5) for _ in range(3)])}
             begin = time.process_time()
-            _, _, terminated, truncated, _ = environment.step(action)
+            state = vehicle.step(state, command, period_s)
             spent_s += time.process_time() - begin
-            if terminated or truncated:
-                environment.reset()
-        figures = {"steps_per_s": steps / spent_s, "flight_s_per_s": steps / rate_hz / spent_s}
-        print(json.dumps({"name": f"rotorpy {version}, {rate_hz} Hz", **figures}))
+        figures = {"steps_per_s": steps / spent_s, "flight_s_per_s": steps * period_s / spent_s}
+        speed_m_s = float(numpy.linalg.norm(state["v"]))
+        print(json.dumps({"name": f"rotorpy {version}, {period_s:g} s", "speed_m_s": speed_m_s, **figures}))
 
 
 if __name__ == "__main__":

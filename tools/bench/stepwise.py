@@ -1,10 +1,10 @@
-"""Benchmark of stepping a simulation from Python: `DartShuttle-v0`, and rotorpy's environment beside it.
+"""Benchmark of stepping a simulation from Python: `DartShuttle-v0`, and rotorpy's vehicle beside it.
 
     python -m tools.bench.stepwise [--rotorpy PYTHON]
 
 PYTHON is the interpreter of a virtual environment with rotorpy. A step here is 0.04 s of flight: 40 steps
 of the plant, and 10 of sensors, estimator, autopilot and force estimator. The figures are processor time
-without resets, and are in docs/results/speed.md.
+without resets, and are in docs/results/stepping.md.
 """
 
 from __future__ import annotations
