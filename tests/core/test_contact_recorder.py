@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TypeVar
 
 import msgspec
@@ -55,6 +56,15 @@ def test_a_request_has_the_contact_from_four_samples_before_it(hand_fed: HandFed
     nx, ny = peak.normal
     top = max(x * nx + y * ny for x, y, _ in request.force_mission)
     assert top == pytest.approx(peak.normal_force_n, rel=0.05)
+
+
+def test_the_normal_of_an_unplanned_contact_is_that_of_its_force(hand_fed: HandFedCore) -> None:
+    hand_fed.at_the_wood()
+    out = hand_fed.pulse((10.0, 16.0)) + hand_fed.run(0.1)
+    (peak,), (request,) = of(ImpactPeak, out), of(ContactRequest, out)
+    assert request.wall is None
+    assert request.normal == peak.normal
+    assert math.hypot(*request.normal) == pytest.approx(1.0)
 
 
 def test_an_answer_becomes_the_records_that_it_carries_once(hand_fed: HandFedCore) -> None:
