@@ -8,13 +8,17 @@ from pathlib import Path
 
 import pytest
 from hypothesis import settings
+from hypothesis.internal.conjecture import providers
 
 import dart_flight  # noqa: F401  before NumPy: it sets the number of its threads
 from tests.shared_flights import commanded, flown
 
 __all__ = ["commanded", "flown"]
 
-# Deterministic examples: the same commit gives the same answer on every machine.
+# Deterministic examples: the same commit gives the same answer on every machine. Hypothesis also draws
+# constants from the sources of all imported modules. The examples would then depend on what else a worker has
+# imported, and reading the sources takes 7 s of each worker.
+providers._get_local_constants = lambda: providers._local_constants
 settings.register_profile("ci", derandomize=True, deadline=None, max_examples=100)
 settings.load_profile("ci")
 

@@ -40,9 +40,9 @@ def test_check_says_how_late(late_s: float, go: bool, remark: bool, monkeypatch:
 def late_flight(late_us: int, world: World) -> Verdict:
     builder = VerdictBuilder(MISSION)
     for host_us in (0, 20_000, 40_000 + late_us, 60_000 + late_us):
-        builder.take(Tick(host_us))
-    builder.take(GuardEvent(1, "imu_silent", Override.LAND, "for 412 ms"))
-    builder.take(MissionEnd(1, Outcome.ABORTED, "imu_silent: for 412 ms", None))
+        builder.add(Tick(host_us))
+    builder.add(GuardEvent(1, "imu_silent", Override.LAND, "for 412 ms"))
+    builder.add(MissionEnd(1, Outcome.ABORTED, "imu_silent: for 412 ms", None))
     return builder.build(world, 1)
 
 
@@ -60,7 +60,7 @@ def test_a_dry_run_in_real_time_says_so_before_and_after(
     )
     assert main(["dry-run", str(SINGLE), "--realtime"]) == 1
     said = capsys.readouterr().err
-    advice = "the computer cannot keep up with real time; omit --realtime, or use --fast"
+    advice = "the computer is too slow for real time; omit --realtime or use --fast"
     assert f"this program lags by up to 100 ms: {advice}" in said
     assert f"this program lagged by up to 412 ms: {advice}" in said
 

@@ -6,24 +6,20 @@ import ast
 import tomllib
 from pathlib import Path
 
-import pytest
-
 ROOT = Path(__file__).parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 MODULES: list[str] = PROJECT["tool"]["hatch"]["build"]["targets"]["wheel"]["hooks"]["custom"]["modules"]
 
 
-@pytest.mark.parametrize("module", MODULES)
-def test_a_compiled_module_has_no_struct_and_no_arrays(module: str) -> None:
+def test_a_compiled_module_has_no_struct_and_no_arrays() -> None:
     """mypyc drops a Struct's options (frozen, gc, dict), and refuses an array where a float is declared."""
-    tree = ast.parse((ROOT / module).read_text(encoding="utf-8"))
-    bases = {
-        ast.unparse(base) for node in ast.walk(tree) if isinstance(node, ast.ClassDef) for base in node.bases
-    }
-    assert not {base for base in bases if base.endswith(("Struct", "Section", "Record"))}
-    imports = [node for node in ast.walk(tree) if isinstance(node, ast.Import | ast.ImportFrom)]
-    # `Number` is that of a rule for numbers and for arrays.
-    assert not {alias.name for node in imports for alias in node.names} & {"numpy", "Number"}
+    for module in MODULES:
+        nodes = list(ast.walk(ast.parse((ROOT / module).read_text(encoding="utf-8"))))
+        bases = {ast.unparse(base) for node in nodes if isinstance(node, ast.ClassDef) for base in node.bases}
+        assert not {base for base in bases if base.endswith(("Struct", "Section", "Record"))}, module
+        imports = [node for node in nodes if isinstance(node, ast.Import | ast.ImportFrom)]
+        # `Number` is that of a rule for numbers and for arrays.
+        assert not {alias.name for node in imports for alias in node.names} & {"numpy", "Number"}, module
 
 
 def test_no_compiled_module_stands_beside_its_source() -> None:
@@ -31,14 +27,13 @@ def test_no_compiled_module_stands_beside_its_source() -> None:
     assert not [path for path in (ROOT / "dart_flight").rglob("*") if path.suffix in (".so", ".pyd")]
 
 
-@pytest.mark.parametrize("module", MODULES)
-def test_final_names_are_what_mypyc_reads_right(module: str) -> None:
+def test_final_names_are_what_mypyc_reads_right() -> None:
     """Of a Final float, or tuple of floats, that is no literal, mypyc says at times that it was not set."""
-    tree = ast.parse((ROOT / module).read_text(encoding="utf-8"))
-    for node in tree.body:
-        if isinstance(node, ast.AnnAssign) and ast.unparse(node.annotation) == "Final":
-            assert node.value is not None
-            assert _is_safe(node.value), ast.unparse(node)
+    for module in MODULES:
+        for node in ast.parse((ROOT / module).read_text(encoding="utf-8")).body:
+            if isinstance(node, ast.AnnAssign) and ast.unparse(node.annotation) == "Final":
+                assert node.value is not None
+                assert _is_safe(node.value), f"{module}: {ast.unparse(node)}"
 
 
 def _is_safe(value: ast.expr) -> bool:

@@ -82,7 +82,7 @@ def test_a_live_view_that_fails_ends_no_flight(
             if view is not None:
                 view(StatusText(t_us, 0, "info", "a record"))
     said = capsys.readouterr().err
-    assert said.count("the flight goes on without it") == 1
+    assert said.count("the flight continues without it") == 1
 
 
 def test_a_picture_that_fails_ends_no_check(

@@ -33,7 +33,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     given = parser.parse_args()
     vehicle = load_vehicle(packaged("configs", "dart.yaml"))
-    c = vehicle.materials[given.surface].of(Mode(given.mode))
+    c = vehicle.materials[given.surface].coefficients(Mode(given.mode))
     random = np.random.default_rng(given.seed)
     given.folder.mkdir(parents=True, exist_ok=True)
     for i, size in enumerate(given.wall or given.drop, 1):

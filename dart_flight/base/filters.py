@@ -11,12 +11,12 @@ _MAX_STEP_S: Final = 0.05  # maximum weight of one sample after a gap in the str
 _OUTLIER: Final = 9.0  # maximum weight of a square, relative to the present variance
 
 
-def kept_share(dt_s: float, time_s: float) -> float:
+def decay_factor(dt_s: float, time_s: float) -> float:
     """Return the share of an old value that remains after `dt_s`, or 0 if the time constant is 0."""
     return math.exp(-dt_s / time_s) if time_s > 0.0 else 0.0
 
 
-def taken_share(dt_s: float, time_s: float) -> float:
+def average_weight(dt_s: float, time_s: float) -> float:
     """Return the weight of a new sample in a slow average; the time constant must be far above `dt_s`."""
     return (dt_s if dt_s < _MAX_STEP_S else _MAX_STEP_S) / time_s
 
@@ -36,10 +36,10 @@ class LowPass:
         self._dt_s, self._keep = 0.0, 1.0
         self.value: Vec3 = (0.0, 0.0, 0.0)
 
-    def follow(self, x: Vec3, dt_s: float) -> Vec3:
+    def update(self, x: Vec3, dt_s: float) -> Vec3:
         """Filter a sample that follows the previous one by `dt_s`; return the new value."""
         if dt_s != self._dt_s:
-            self._dt_s, self._keep = dt_s, kept_share(dt_s, self._time_s)
+            self._dt_s, self._keep = dt_s, decay_factor(dt_s, self._time_s)
         keep, old = self._keep, self.value
         self.value = (
             x[0] + (old[0] - x[0]) * keep,
@@ -49,7 +49,7 @@ class LowPass:
         return self.value
 
 
-class LearntVariance:
+class VarianceEstimate:
     """Running estimate of a noise variance from squares whose mean it is; outliers have little weight.
 
     The variance never reaches 0, because no noise is ever known to be absent.
@@ -65,7 +65,7 @@ class LearntVariance:
         self.value = value
         self._time_s, self._least, self._added = time_s, least, added
 
-    def learn(self, square: float, dt_s: float, least_share: float = 0.0) -> float:
+    def update(self, square: float, dt_s: float, least_share: float = 0.0) -> float:
         """Update the variance with a square, `dt_s` after the previous one; return the new variance."""
         share = (dt_s if dt_s < _MAX_STEP_S else _MAX_STEP_S) / self._time_s
         share = share if share > least_share else least_share

@@ -74,7 +74,7 @@ def distance_to_segment(place: Vec2, a: Vec2, b: Vec2) -> float:
 # --- rotations -------------------------------------------------------------------------------------
 
 
-def turn_between(a: Vec2, b: Vec2) -> float:
+def angle_between(a: Vec2, b: Vec2) -> float:
     """Return the plane angle from one direction to another, rad, counter-clockwise positive, -pi to pi."""
     return math.atan2(a[0] * b[1] - a[1] * b[0], a[0] * b[0] + a[1] * b[1])
 
@@ -301,7 +301,7 @@ class MissionFrame:
         x, y, z = p_mission
         return (x * c + y * s + self.north_m, x * s - y * c + self.east_m, -z + self.down_m)
 
-    def moved(self, x_m: float, y_m: float) -> MissionFrame:
+    def displaced(self, x_m: float, y_m: float) -> MissionFrame:
         """Return the frame with its origin displaced along its own axes."""
         north, east, _ = self.point_to_ned((x_m, y_m, 0.0))
         return MissionFrame(north, east, self.down_m, self.heading_rad)

@@ -48,7 +48,7 @@ UAVCAN = OutputScale("UAVCAN", 0.0, 8191.0)
 SHARE = OutputScale("", 0.0, 1.0)  # logs of a simulation
 
 
-def scale_of(lowest: float, highest: float) -> OutputScale | None:
+def identify_scale(lowest: float, highest: float) -> OutputScale | None:
     """Return the output scale that a range of raw values implies.
 
     Args:
@@ -115,4 +115,4 @@ class MotorOutputDecoder:
         if turning:
             self._lowest = min(self._lowest, *turning)
             self._highest = max(self._highest, *turning)
-            self.scale = scale_of(self._lowest, self._highest)
+            self.scale = identify_scale(self._lowest, self._highest)

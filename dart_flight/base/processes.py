@@ -48,7 +48,7 @@ class ChildProcess(subprocess.Popen[bytes]):
     Args:
         module: name of the module; it must exit when its standard input is closed.
         first: first line sent to it, of any length.
-        take: callback for every line it prints, on a separate thread; an empty line marks the end of output.
+        on_line: callback for every line it prints, on a separate thread; an empty line marks the end.
         errors: destination of its standard error; None inherits this process's.
 
     Raises:
@@ -56,7 +56,11 @@ class ChildProcess(subprocess.Popen[bytes]):
     """
 
     def __init__(
-        self, module: str, first: bytes, take: Callable[[bytes], None], errors: IO[bytes] | int | None = None
+        self,
+        module: str,
+        first: bytes,
+        on_line: Callable[[bytes], None],
+        errors: IO[bytes] | int | None = None,
     ) -> None:
         super().__init__(
             [sys.executable, "-m", module],
@@ -66,7 +70,7 @@ class ChildProcess(subprocess.Popen[bytes]):
             start_new_session=True,
         )
         assert self.stdin is not None
-        self._on_line = take
+        self._on_line = on_line
         self.pipe = self.stdin.fileno()
         self.send(first)
         if hasattr(fcntl, "F_SETPIPE_SZ"):

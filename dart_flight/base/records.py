@@ -615,7 +615,7 @@ class ContactSide(StrEnum):
     BOTH = "both"
 
     @classmethod
-    def of_lead(cls, lead_m: float) -> ContactSide:
+    def from_lead(cls, lead_m: float) -> ContactSide:
         """Return which point came first, by how much nearer to the wall the right one was."""
         if abs(lead_m) < MIN_LEAD_M:
             return cls.BOTH
@@ -695,11 +695,12 @@ class PhaseChange(Record, frozen=True, gc=False):
 
 
 class PosesWithheld(Record, frozen=True, gc=False):
-    """The end of forwarding: the poses are not the vehicle's, and PX4 flies better by its IMU."""
+    """The end of forwarding poses, or only their attitudes, which are not the vehicle's; PX4 uses its IMU."""
 
     topic: ClassVar[str] = "/event/poses_withheld"
     t_us: int
     reason: str
+    attitude_only: bool = False  # whether the positions are forwarded further
 
 
 class GuardEvent(Record, frozen=True, gc=False):

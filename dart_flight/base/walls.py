@@ -91,12 +91,12 @@ class Wall(msgspec.Struct, frozen=True):
         """Whether the configured position or direction of the wall has a tolerance."""
         return bool(self.position_sd_m or self.yaw_sd_rad)
 
-    def moved(self, away_m: float) -> Wall:
+    def displaced(self, away_m: float) -> Wall:
         """Return the wall displaced along its normal."""
         (x, y), (nx, ny) = self.point, self.normal
         return msgspec.structs.replace(self, point=(x + away_m * nx, y + away_m * ny))
 
-    def turned(self, angle_rad: float) -> Wall:
+    def rotated(self, angle_rad: float) -> Wall:
         """Return the wall rotated about its middle, counter-clockwise seen from above."""
         c, s = math.cos(angle_rad), math.sin(angle_rad)
         nx, ny = self.normal

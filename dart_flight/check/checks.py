@@ -1,7 +1,7 @@
 """The checks of `check`, `fly`, `survey` and hardware in the loop: one list, by stage.
 
-A command chooses stages (`checks_of`), creates a `FlightContext` and shows the findings of `run_checks`. To
-add a check, add one line to `CHECKS`. The steps on the bench have their own list, `bringup.steps.STEPS`.
+A command chooses stages (`select_checks`), creates a `FlightContext` and shows the findings of `run_checks`.
+To add a check, add one line to `CHECKS`. The steps on the bench have their own list, `bringup.steps.STEPS`.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ from pathlib import Path
 from dart_flight.check.computer_load import check_computer, check_core_speed, check_lateness
 from dart_flight.check.findings import CheckFinding
 from dart_flight.check.hitl_check import (
-    judge_hitl_lock,
-    judge_hitl_mode,
-    judge_hitl_outputs,
-    judge_hitl_parameters,
-    judge_own_parameters,
+    evaluate_hitl_lock,
+    evaluate_hitl_mode,
+    evaluate_hitl_outputs,
+    evaluate_hitl_parameters,
+    evaluate_own_parameters,
 )
 from dart_flight.check.inherited_check import check_inherited
 from dart_flight.check.log_space import check_log_space
@@ -32,24 +32,24 @@ from dart_flight.check.mission_check import (
     check_waypoints,
     predict_flight_path,
 )
-from dart_flight.check.place_check import check_heading, judge_place
-from dart_flight.check.pose_check import judge_poses
+from dart_flight.check.place_check import check_heading, evaluate_place
+from dart_flight.check.pose_check import evaluate_poses
 from dart_flight.check.probe_check import check_anchors
-from dart_flight.check.px4_parameters import judge_claim, judge_parameters, judge_position
+from dart_flight.check.px4_parameters import evaluate_claim, evaluate_parameters, evaluate_position
 from dart_flight.check.stages import Check, CheckContext, Stage
 from dart_flight.check.telemetry_check import (
-    judge_battery,
-    judge_motor_outputs,
-    judge_rates,
-    judge_resting_force,
-    judge_sources,
+    evaluate_battery,
+    evaluate_motor_outputs,
+    evaluate_rates,
+    evaluate_resting_force,
+    evaluate_sources,
 )
 from dart_flight.check.vehicle_check import (
-    judge_airframe,
-    judge_lock,
-    judge_mode,
-    judge_observation,
-    judge_round_trip,
+    evaluate_airframe,
+    evaluate_lock,
+    evaluate_mode,
+    evaluate_observation,
+    evaluate_round_trip,
 )
 from dart_flight.check.vehicle_reading import VehicleReading, read_for_hitl, read_vehicle
 from dart_flight.check.wall_check import check_walls
@@ -101,18 +101,18 @@ class FlightContext(CheckContext[CheckFinding]):
         """Judge the position source that the operator claims, if no vehicle is connected."""
         if self.url is not None or self.position_from is None:
             return []
-        return judge_claim(self.mission, self.position_from)
+        return evaluate_claim(self.mission, self.position_from)
 
     def check_parameters(self) -> list[CheckFinding]:
         """Judge PX4's parameters."""
         v = self.vehicle
-        return judge_parameters(self.mission, v.values, self.position_from or v.position_from, v.version)
+        return evaluate_parameters(self.mission, v.values, self.position_from or v.position_from, v.version)
 
     def check_own_parameters(self) -> list[CheckFinding]:
         """Judge the vehicle's own parameters if every other check for hardware in the loop has passed."""
         if not all(finding.go for finding in self.found):
             return []
-        return judge_own_parameters(self.mission, self.vehicle.values, self.position_from)
+        return evaluate_own_parameters(self.mission, self.vehicle.values, self.position_from)
 
 
 FlightCheck = Check[FlightContext, CheckFinding]
@@ -140,40 +140,40 @@ CHECKS: tuple[FlightCheck, ...] = (
     Check(
         "position",
         _VEHICLE,
-        lambda c: judge_position(
+        lambda c: evaluate_position(
             c.mission, c.vehicle.position_from, c.vehicle.observed.gps_fix, c.position_from
         ),
     ),
     Check("parameters", _VEHICLE, FlightContext.check_parameters),
-    Check("mode", _VEHICLE, lambda c: judge_mode(c.vehicle.mode)),
-    Check("airframe", _VEHICLE, lambda c: judge_airframe(c.mission, c.vehicle.values)),
-    Check("round_trip", _VEHICLE, lambda c: [judge_round_trip(c.mission, c.vehicle.round_trip_s)]),
-    Check("estimator", _VEHICLE, lambda c: judge_observation(c.vehicle.observed)),
-    Check("rates", _VEHICLE, lambda c: judge_rates(c.vehicle.observed, c.vehicle.values)),
-    Check("sources", _VEHICLE, lambda c: judge_sources(c.vehicle.observed)),
-    Check("pose_source", _VEHICLE, lambda c: judge_poses(c.mission.vehicle.mocap, c.vehicle.observed)),
-    Check("battery", _VEHICLE, lambda c: [judge_battery(c.mission, c.vehicle.observed)]),
-    Check("imu_scale", _VEHICLE, lambda c: judge_resting_force(c.vehicle.observed)),
+    Check("mode", _VEHICLE, lambda c: evaluate_mode(c.vehicle.mode)),
+    Check("airframe", _VEHICLE, lambda c: evaluate_airframe(c.mission, c.vehicle.values)),
+    Check("round_trip", _VEHICLE, lambda c: [evaluate_round_trip(c.mission, c.vehicle.round_trip_s)]),
+    Check("estimator", _VEHICLE, lambda c: evaluate_observation(c.vehicle.observed)),
+    Check("rates", _VEHICLE, lambda c: evaluate_rates(c.vehicle.observed, c.vehicle.values)),
+    Check("sources", _VEHICLE, lambda c: evaluate_sources(c.vehicle.observed)),
+    Check("pose_source", _VEHICLE, lambda c: evaluate_poses(c.mission.vehicle.mocap, c.vehicle.observed)),
+    Check("battery", _VEHICLE, lambda c: [evaluate_battery(c.mission, c.vehicle.observed)]),
+    Check("imu_scale", _VEHICLE, lambda c: evaluate_resting_force(c.vehicle.observed)),
     Check(
         "motor_outputs",
         _VEHICLE,
-        lambda c: judge_motor_outputs(c.mission, c.vehicle.observed, c.vehicle.values),
+        lambda c: evaluate_motor_outputs(c.mission, c.vehicle.observed, c.vehicle.values),
     ),
     Check(
         "place",
         _VEHICLE,
-        lambda c: judge_place(c.mission, c.vehicle.observed.position_ned, c.vehicle.observed.q_frd_to_ned),
+        lambda c: evaluate_place(c.mission, c.vehicle.observed.position_ned, c.vehicle.observed.q_frd_to_ned),
     ),
-    Check("lock", _VEHICLE, lambda c: judge_lock(c.mission, c.vehicle.values)),
+    Check("lock", _VEHICLE, lambda c: evaluate_lock(c.mission, c.vehicle.values)),
     Check("link", _HITL, lambda c: c.read(read_for_hitl)),
-    Check("lock", _HITL, lambda c: [judge_hitl_lock(c.mission)]),
-    Check("mode", _HITL, lambda c: judge_hitl_mode(c.vehicle.values, c.vehicle.mode)),
-    Check("hitl_parameters", _HITL, lambda c: judge_hitl_parameters(c.vehicle.values)),
-    Check("outputs", _HITL, lambda c: judge_hitl_outputs(c.vehicle.values)),
+    Check("lock", _HITL, lambda c: [evaluate_hitl_lock(c.mission)]),
+    Check("mode", _HITL, lambda c: evaluate_hitl_mode(c.vehicle.values, c.vehicle.mode)),
+    Check("hitl_parameters", _HITL, lambda c: evaluate_hitl_parameters(c.vehicle.values)),
+    Check("outputs", _HITL, lambda c: evaluate_hitl_outputs(c.vehicle.values)),
     Check("parameters", _HITL, FlightContext.check_own_parameters),
 )
 
 
-def checks_of(*stages: Stage) -> list[FlightCheck]:
+def select_checks(*stages: Stage) -> list[FlightCheck]:
     """Return the checks of the given stages, in the order of `CHECKS`."""
     return [check for check in CHECKS if check.stage in stages]

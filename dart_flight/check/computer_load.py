@@ -39,7 +39,7 @@ def check_lateness(mission: Mission) -> CheckFinding:
     says = f"this program lags by up to {late_s * 1e3:.0f} ms"
     if late_s <= LATE_S:
         return CheckFinding("lateness", True, says)
-    says += ": the computer cannot keep up with a real-time flight (use `dry-run --fast` or --speed 0.5)"
+    says += ": the computer is too slow for a real-time flight (use `dry-run --fast` or --speed 0.5)"
     go = late_s <= mission.vehicle.guard.stream_timeout_s
     return CheckFinding("lateness", go, says, remark=go)
 
@@ -57,10 +57,10 @@ def check_core_speed(mission: Mission, found: Sequence[CheckFinding] = ()) -> Ch
         item = next((f.item for f in found if not f.go and error.message in f.says), None)
         why = f": {error.message}" if item is None else f" because of {item}"
         return CheckFinding("core_speed", False, f"not measured{why}")
-    return judge_core_speed(step_s, interval_s)
+    return evaluate_core_speed(step_s, interval_s)
 
 
-def judge_core_speed(step_s: float, interval_s: float) -> CheckFinding:
+def evaluate_core_speed(step_s: float, interval_s: float) -> CheckFinding:
     """Return whether the core keeps up, and whether it finds a contact's peak before the next sample.
 
     Args:
@@ -68,15 +68,15 @@ def judge_core_speed(step_s: float, interval_s: float) -> CheckFinding:
         interval_s: time between two samples, seconds.
     """
     margin = interval_s / step_s
-    says = f"core needs {step_s * 1e3:.2f} of {interval_s * 1e3:.1f} ms a sample, margin {margin:.0f}"
+    says = f"the core needs {step_s * 1e3:.2f} of {interval_s * 1e3:.1f} ms per sample, margin {margin:.0f}"
     figures = {"core_step_ms": step_s * 1e3, "margin": margin}
     if margin >= _PEAK_FACTOR:
         return CheckFinding("core_speed", True, says, figures=figures)
     go = margin >= _LEAST_MARGIN
     if go:
-        says += f": a recovery begins {_PEAK_FACTOR * step_s * 1e3:.0f} ms after the peak's sample"
+        says += f": a recovery begins {_PEAK_FACTOR * step_s * 1e3:.0f} ms after the sample with the peak"
     else:
-        says += f", needs {_LEAST_MARGIN:g}: this computer is too slow"
+        says += f", minimum {_LEAST_MARGIN:g}: this computer is too slow"
     return CheckFinding("core_speed", go, says, remark=go, figures=figures)
 
 
@@ -117,20 +117,22 @@ def check_computer(sample: ComputerSample | None = None) -> list[CheckFinding]:
     findings = []
     if now.temperature_c is not None:
         hot = now.temperature_c >= _HOT_C
-        says = f"{now.temperature_c:.0f} degrees" + (": cool it, it slows down from 80 on" if hot else "")
+        says = f"{now.temperature_c:.0f} °C" + (
+            ": cool the computer, it slows down from 80 °C" if hot else ""
+        )
         findings.append(CheckFinding("temperature", now.temperature_c < _TOO_HOT_C, says, remark=hot))
     if now.undervoltage is not None:
-        says = "supply is well"
+        says = "power supply: no undervoltage"
         if now.undervoltage:
-            says = "supply is too low now: the computer may restart when the servo moves"
+            says = "power supply: undervoltage now, the computer may restart when the servo moves"
         elif now.was_undervoltage:
-            says = "supply was too low since the computer was switched on: a supply of its own for the servo"
+            says = "power supply: undervoltage since the start of the computer; give the servo its own supply"
         findings.append(CheckFinding("supply", not now.undervoltage, says, remark=bool(now.was_undervoltage)))
     if now.throttled is not None:
-        says = "clock is not held back"
+        says = "processor clock: not throttled"
         if now.throttled:
-            says = "clock is held back now (heat or supply): the flight would be late"
+            says = "processor clock: throttled now by heat or supply, the program would be late in flight"
         elif now.was_throttled:
-            says = "clock was held back since the computer was switched on (heat or supply)"
+            says = "processor clock: throttled since the start of the computer by heat or supply"
         findings.append(CheckFinding("throttling", not now.throttled, says, remark=bool(now.was_throttled)))
     return findings

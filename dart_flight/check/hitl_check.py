@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from dart_flight.check.findings import CheckFinding
-from dart_flight.check.px4_parameters import judge_parameters
+from dart_flight.check.px4_parameters import evaluate_parameters
 from dart_flight.config.mission import Mission
 from dart_flight.config.parameter_file import Parameter, PositionSource, differences, load_parameters
 from dart_flight.config.vehicle import LockDriver, packaged
@@ -27,7 +27,7 @@ def hitl_parameters() -> dict[str, Parameter]:
     return load_parameters(packaged("configs", "px4", "hitl.params"))
 
 
-def judge_hitl_parameters(values: Mapping[str, float]) -> list[CheckFinding]:
+def evaluate_hitl_parameters(values: Mapping[str, float]) -> list[CheckFinding]:
     """Return a no-go for each parameter that differs from `hitl.params`."""
     wanted = hitl_parameters()
     return [
@@ -37,20 +37,20 @@ def judge_hitl_parameters(values: Mapping[str, float]) -> list[CheckFinding]:
     ]
 
 
-def judge_own_parameters(
+def evaluate_own_parameters(
     mission: Mission, values: Mapping[str, float], position_from: PositionSource | None
 ) -> list[CheckFinding]:
     """Judge the vehicle's own parameters as before a flight, except those that this mode sets."""
     wanted = hitl_parameters()
-    return [f for f in judge_parameters(mission, values, position_from) if f.item not in wanted]
+    return [f for f in evaluate_parameters(mission, values, position_from) if f.item not in wanted]
 
 
-def judge_hitl_mode(values: Mapping[str, float], mode: HeartbeatMode | None) -> list[CheckFinding]:
+def evaluate_hitl_mode(values: Mapping[str, float], mode: HeartbeatMode | None) -> list[CheckFinding]:
     """Return whether the flight controller is disarmed and was restarted into this mode."""
     if mode is None:
         return [CheckFinding("heartbeat", False, "no heartbeat with a mode within 3 s")]
     if mode.armed:
-        return [CheckFinding("disarmed", False, "flight controller is armed: disarm it first")]
+        return [CheckFinding("disarmed", False, "the flight controller is armed: disarm it first")]
     set_up = round(values.get(HITL, 0)) == 1
     if set_up and not mode.hil:
         says = f"{HITL} is 1, but the flight controller does not fly from simulated sensors: restart it"
@@ -58,7 +58,7 @@ def judge_hitl_mode(values: Mapping[str, float], mode: HeartbeatMode | None) -> 
     return [CheckFinding("disarmed", True, "disarmed")]
 
 
-def judge_hitl_outputs(values: Mapping[str, float]) -> list[CheckFinding]:
+def evaluate_hitl_outputs(values: Mapping[str, float]) -> list[CheckFinding]:
     """Return a no-go if the firmware lacks simulated outputs, or if a PX4IO would drive real motors.
 
     A PX4IO keeps its outputs active in this mode (source of PX4 v1.18).
@@ -69,18 +69,18 @@ def judge_hitl_outputs(values: Mapping[str, float]) -> list[CheckFinding]:
         return [CheckFinding(ON_A_BOARD, False, says)]
     if WITH_IO not in values or not turning:
         return []
-    says = f"{', '.join(turning)} put out motors, and a PX4IO goes on in this mode: set them to 0, restart"
+    says = f"{', '.join(turning)} drive motors, and a PX4IO stays active in this mode: set them to 0, restart"
     return [CheckFinding("real_outputs", False, says)]
 
 
-def judge_hitl_lock(mission: Mission) -> CheckFinding:
+def evaluate_hitl_lock(mission: Mission) -> CheckFinding:
     """Return whether the lock's servo can move in this mode."""
     lock = mission.vehicle.lock
     if lock is not None and lock.driver is LockDriver.PX4:
         return CheckFinding(
             "lock_driver",
             False,
-            "lock.driver is px4, and hardware in the loop starts no real outputs: the servo would not move "
-            "(--driver maestro, pwm or mock)",
+            "lock.driver is px4, but hardware in the loop starts no real outputs: the servo would not move; "
+            "choose maestro, pwm or mock (--driver)",
         )
     return CheckFinding("lock_driver", True, "no lock" if lock is None else lock.driver.value)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from dart_flight.check.findings import CheckFinding
 from dart_flight.config.mission import Mission
-from dart_flight.core.mission.approach import transit_of, transit_segments
+from dart_flight.core.mission.approach import plan_transit, transit_segments
 from dart_flight.recording.writer import BYTES_PER_S
 
 _WAITS_FIRST = 4  # for telemetry, offboard mode, arming and climb
@@ -24,8 +24,8 @@ def check_log_space(mission: Mission, log_dir: Path) -> CheckFinding:
     longest_s = longest_flight_s(mission)
     needed = BYTES_PER_S * longest_s
     says = (
-        f"{_megabytes(left)} left for the log in {log_dir}, "
-        f"{longest_s / 60.0:.1f} minutes, the longest that this can take, need {_megabytes(needed)}"
+        f"{_megabytes(left)} free for the log in {log_dir}; "
+        f"the longest flight, {longest_s / 60.0:.1f} minutes, needs {_megabytes(needed)}"
     )
     return CheckFinding("log_space", left >= needed, says)
 
@@ -36,7 +36,7 @@ def longest_flight_s(mission: Mission) -> float:
     wait_s = vehicle.flying.ready_timeout_s
     lock_s = 0.0 if vehicle.lock is None else vehicle.lock.timeout_s
     ways_s = sum(
-        transit_of(mission, leg, leg.begin).duration_s
+        plan_transit(mission, leg, leg.begin).duration_s
         for leg in transit_segments(mission)
         if leg.begin is not None
     )

@@ -9,16 +9,16 @@ from collections.abc import Iterator
 from dart_flight.base.geometry import Vec3
 from dart_flight.base.records import AfterImpact
 from dart_flight.check.findings import CheckFinding
-from dart_flight.check.probe_check import check_found, check_probe
+from dart_flight.check.probe_check import check_located_wall, check_probe
 from dart_flight.config.mission import Collision, Mission
 from dart_flight.core.mission.approach import (
     NoApproachError,
     TransitSegment,
     check_segments_clear,
     is_blocked,
-    is_post_in_the_way,
+    is_blocked_by_post,
     plan_approach,
-    transit_of,
+    plan_transit,
     transit_segments,
 )
 from dart_flight.core.mission.commitment import SETPOINT_OUTSIDE_M, setpoint_outside_m
@@ -80,12 +80,12 @@ def check_places(mission: Mission) -> list[CheckFinding]:
             and abs(wall.signed_distance(point)) < _CLEARANCE_M + position_margin_m(wall, point)
         ]
         for distance, wall_name in near:
-            says = f"{name} is {distance:.2f} m from wall {wall_name}, less than {_CLEARANCE_M:g} m"
+            says = f"{name} is {distance:.2f} m from wall {wall_name}, minimum {_CLEARANCE_M:g} m"
             if distance >= _CLEARANCE_M:
-                says += f" if that stands {SURE_SD:g} of its standard deviations nearer"
+                says += f" if the wall is {SURE_SD:g} standard deviations nearer"
             findings.append(CheckFinding(f"{name.replace(' ', '_')}_clearance", False, says))
         for post in mission.posts:
-            if is_post_in_the_way(mission, post, point, point):
+            if is_blocked_by_post(mission, post, point, point):
                 away = post.distance_to_segment(point, point) - post.radius_m
                 says = f"{name} is {away:.2f} m from post {post.name}, too near for the vehicle"
                 findings.append(CheckFinding(f"{name.replace(' ', '_')}_clearance", False, says))
@@ -95,11 +95,11 @@ def check_places(mission: Mission) -> list[CheckFinding]:
             findings.append(CheckFinding("wall_bounds", False, says))
     for post in mission.posts:
         if mission.bounds.excess2(post.centre) > post.radius_m:
-            says = f"post {post.name} is outside bounds_m and in nobody's way"
+            says = f"post {post.name} is outside bounds_m and blocks no path"
             findings.append(CheckFinding("post_bounds", True, says, remark=True))
     if not findings:
         findings.append(
-            CheckFinding("places", True, "start, goal and walls lie within the bounds, clear of each other")
+            CheckFinding("places", True, "start, goal and walls are within bounds_m and clear of each other")
         )
     return findings
 
@@ -114,16 +114,16 @@ def check_waypoints(mission: Mission, planned: PredictedFlight | None) -> list[C
     except NoApproachError as error:
         return [CheckFinding("waypoints", False, str(error))]
     if mission.vehicle.flying.transit_speed_m_s > mission.limits.speed_m_s:
-        says = f"flying.transit_speed_m_s is over limits.speed_m_s {mission.limits.speed_m_s:g}"
+        says = f"flying.transit_speed_m_s exceeds limits.speed_m_s {mission.limits.speed_m_s:g}"
         return [CheckFinding("waypoints", False, says)]
-    known = [(leg, transit_of(mission, leg, leg.begin)) for leg in legs if leg.begin is not None]
+    known = [(leg, plan_transit(mission, leg, leg.begin)) for leg in legs if leg.begin is not None]
     way_m = sum(math.dist(t.begin, leg.end) for leg, t in known)
     held_s = sum(w.hold_s for w in mission.waypoints if w.position is not None) + mission.goal.hold_s
     flown_s = sum(t.duration_s for _, t in known) + held_s
     pauses = sum(w.position is None for w in mission.waypoints)
-    says = f"{way_m:.1f} m from rest to rest in {flown_s:.0f} s, holds included"
+    says = f"{way_m:.1f} m between stops in {flown_s:.0f} s, holds included"
     if len(known) < len(legs):
-        says += f", plus {len(legs) - len(known)} legs that begin after a contact, length not predicted"
+        says += f", plus {len(legs) - len(known)} legs after a contact, of unpredicted length"
     says += f", plus {pauses} pause{'s' if pauses > 1 else ''}" if pauses else ""
     findings = [CheckFinding("waypoints", True, says)]
     asked = {leg.name for leg in transit_segments(mission) if leg.begin is not None}
@@ -132,7 +132,7 @@ def check_waypoints(mission: Mission, planned: PredictedFlight | None) -> list[C
             continue
         peak = _PEAK_SPEED * math.dist(transit.begin, leg.end) / transit.duration_s
         if leg.speed_m_s > peak + 0.01 > 0.02:
-            slower = f"{leg.name}: the way is too short for {leg.speed_m_s:g} m/s, {peak:.2f} are reached"
+            slower = f"{leg.name}: the path is too short for {leg.speed_m_s:g} m/s, it reaches {peak:.2f} m/s"
             findings.append(CheckFinding("waypoint_speed", True, slower, remark=True))
     return findings
 
@@ -141,7 +141,7 @@ def check_collisions(mission: Mission, planned: PredictedFlight | None) -> Itera
     """Judge each collision: approach, force, noise, envelope, recovery and time for the lock."""
     for collision in mission.collisions:
         if collision.wall.sought and collision.probe is None:
-            yield from check_found(collision)
+            yield from check_located_wall(collision)
             yield from _check_force(mission, collision)
             continue
         yield from _check_approach(mission, collision)
@@ -159,7 +159,7 @@ def _check_approach(mission: Mission, collision: Collision) -> list[CheckFinding
     item = f"approach_{collision.index}"
     if collision.approach_m_s is None:
         way = "recovery" if collision.trajectory is None else "trajectory"
-        says = f"wall {collision.wall.name} is reached by the {way} from the collision before"
+        says = f"the {way} from the previous collision reaches wall {collision.wall.name}"
         return [CheckFinding(item, True, says)]
     try:
         approach = plan_approach(mission, collision)
@@ -167,14 +167,20 @@ def _check_approach(mission: Mission, collision: Collision) -> list[CheckFinding
         return [CheckFinding(item, False, str(error))]
     limit, speed_m_s = mission.limits.speed_m_s, math.hypot(*collision.approach_velocity())
     if speed_m_s > limit or mission.vehicle.flying.transit_speed_m_s > limit:
-        return [CheckFinding(item, False, f"{speed_m_s:.2f} m/s is over limits.speed_m_s {limit:g}")]
+        return [CheckFinding(item, False, f"{speed_m_s:.2f} m/s exceeds limits.speed_m_s {limit:g}")]
     if collision.probe is not None:
-        says = f"a probe for wall {collision.wall.name}, at its end after {approach.duration_s:.1f} s"
-        return [CheckFinding(item, True, f"{says} where it meets nothing")]
+        says = (
+            f"a probe for wall {collision.wall.name}, without a contact at its end after "
+            f"{approach.duration_s:.1f} s"
+        )
+        return [CheckFinding(item, True, says)]
     assert collision.impact_point is not None
     length_m = math.dist(approach.begin[:2], collision.impact_point)
     way = f"run-up of {length_m:.2f} m" if collision.trajectory is None else "a trajectory"
-    says = f"{way}, wall {collision.wall.name} met at {speed_m_s:.2f} m/s after {approach.duration_s:.1f} s"
+    says = (
+        f"{way}, impact on wall {collision.wall.name} at {speed_m_s:.2f} m/s after "
+        f"{approach.duration_s:.1f} s"
+    )
     return [CheckFinding(item, True, says)]
 
 
@@ -182,15 +188,15 @@ def _check_force(mission: Mission, collision: Collision) -> list[CheckFinding]:
     item, wall = f"force_{collision.index}", collision.wall.name
     hit = expected_hit(mission, collision)
     if hit is None:
-        return [CheckFinding(item, True, f"wall {wall}: not predicted in the mission (`plan` writes it)")]
+        return [CheckFinding(item, True, f"wall {wall}: the mission has no prediction (`plan` writes it)")]
     normal, friction = hit.peak_normal_force_n, hit.peak_friction_force_n
     force, limit = math.hypot(normal, friction), mission.limits.peak_force_n
     detection = mission.vehicle.detection.force_threshold_n
     says = f"wall {wall}: {force:.0f} N predicted ({normal:.0f} normal, {friction:.0f} along)"
     if force > limit:
-        return [CheckFinding(item, False, f"{says}, over limits.peak_force_n {limit:g}")]
+        return [CheckFinding(item, False, f"{says}, limits.peak_force_n is {limit:g} N")]
     if normal < _WEAK * detection:
-        weak = f"{says}, too near the detection threshold of {detection:g} N: it may go unnoticed"
+        weak = f"{says}, too near the detection threshold of {detection:g} N: the impact may not be detected"
         return [CheckFinding(item, False, weak)]
     clipping = clipping_warning(mission, collision)
     if clipping is not None:
@@ -205,13 +211,13 @@ def _check_noise(mission: Mission, collision: Collision) -> list[CheckFinding]:
     hit, vehicle = expected_hit(mission, collision), mission.vehicle
     if hit is None:
         return []
-    floor = ImpactDetector(vehicle).floor_n(hit.contact_time_s)
+    floor = ImpactDetector(vehicle).detection_floor_n(hit.contact_time_s)
     if hit.peak_normal_force_n >= floor:
         return []
     says = (
-        f"{collision.mode.value}, {hit.peak_normal_force_n:.1f} N at wall {collision.wall.name}: with "
-        f"vibration of {vehicle.estimation.imu_noise_m_s2:g} m/s2 only {floor:.1f} N is reliably "
-        "detected; run `inspect` to measure yours"
+        f"{collision.mode.value}, {hit.peak_normal_force_n:.1f} N at wall {collision.wall.name}, below the "
+        f"detection limit of {floor:.1f} N at a vibration of {vehicle.estimation.imu_noise_m_s2:g} m/s2; "
+        "measure yours with `inspect`"
     )
     return [CheckFinding(f"noise_{collision.index}", True, says, remark=True)]
 
@@ -243,14 +249,14 @@ def check_path(mission: Mission, planned: PredictedFlight | None) -> list[CheckF
                 worst, where, stops = excess, point, by_stopping
     place = f"({where[0]:.2f}, {where[1]:.2f})"
     if worst > 0.0 and stops:
-        says = f"on the predicted path the vehicle would stop at {place}, {worst:.2f} m outside bounds_m"
+        says = f"from the predicted path the vehicle would stop at {place}, {worst:.2f} m outside bounds_m"
         return [CheckFinding("path", False, says)]
     if worst > 0.0:
         says = f"the predicted path leads to {place}, {worst:.2f} m outside bounds_m"
         return [CheckFinding("path", False, says)]
     reached = "" if len(planned.hits) == len(mission.collisions) else ", as far as the model predicts"
     return [
-        CheckFinding("path", True, f"the predicted path and where it could stop lie within bounds_m{reached}")
+        CheckFinding("path", True, f"the predicted path and its stopping places are within bounds_m{reached}")
     ]
 
 
@@ -282,7 +288,7 @@ def _states(mission: Mission, planned: PredictedFlight) -> Iterator[tuple[float,
             yield x, y, vx, vy
     for leg in transit_segments(mission):
         if leg.begin is not None:
-            transit = transit_of(mission, leg, leg.begin)
+            transit = plan_transit(mission, leg, leg.begin)
             for i in range(_LEG_POINTS + 1):
                 at = transit.at(transit.duration_s * i / _LEG_POINTS)
                 yield at.position[0], at.position[1], at.velocity[0], at.velocity[1]
@@ -314,38 +320,38 @@ def _check_recovery(
         (collision.alpha_normal_m_per_n, collision.alpha_tangential_m_per_n),
         mission.altitude_at(collision.index - 1),
     )
-    says = f"setpoint after wall {collision.wall.name} near ({target[0]:.2f}, {target[1]:.2f})"
+    says = f"recovery setpoint after wall {collision.wall.name} near ({target[0]:.2f}, {target[1]:.2f})"
     following = next((c for c in mission.collisions if c.index == collision.index + 1), None)
     leg = next(
         (one for one in transit_segments(mission) if _begins_after_recovery(mission, one, collision)), None
     )
     if (mission.goal_trajectory if following is None else following.trajectory) is not None:
         return [
-            _judge_setpoint(mission, item, target, f"{says}, until a trajectory is planned from there", "it")
+            _evaluate_setpoint(
+                mission, item, target, f"{says}, until a trajectory is planned from there", "the trajectory"
+            )
         ]
     if following is not None and following.approach_m_s is None:
         beyond = following.wall.signed_distance(target)
         if beyond > 0.0:
-            short = f"{says}: {beyond:.2f} m short of wall {following.wall.name}, which it should lead to"
+            short = f"{says}: {beyond:.2f} m short of wall {following.wall.name}, the next one"
             return [CheckFinding(item, False, short)]
         leads = f"{says}, leads to wall {following.wall.name}"
-        return [_judge_setpoint(mission, item, target, leads, "that wall")]
+        return [_evaluate_setpoint(mission, item, target, leads, "that wall")]
     for wall in mission.walls:
         if wall is not collision.wall and leads_behind(wall, (place[0], place[1]), (target[0], target[1])):
-            return [
-                CheckFinding(item, False, f"{says}: behind wall {wall.name}, which is not to be hit next")
-            ]
+            return [CheckFinding(item, False, f"{says}: behind wall {wall.name}, which is not the next one")]
         if leg is not None and is_blocked(wall, target[:2], leg.end[:2]):
-            says = f"{says}: from there wall {wall.name} is in the way to {leg.name}"
+            says = f"{says}: from there wall {wall.name} blocks the path to {leg.name}"
             return [CheckFinding(item, False, says)]
     for post in mission.posts:
         way = (place[0], place[1]), (target[0], target[1])
-        if post.name != collision.wall.name and is_post_in_the_way(mission, post, *way):
-            return [CheckFinding(item, False, f"{says}: post {post.name} is in the way")]
-        if leg is not None and is_post_in_the_way(mission, post, target[:2], leg.end[:2]):
-            says = f"{says}: from there post {post.name} is in the way to {leg.name}"
+        if post.name != collision.wall.name and is_blocked_by_post(mission, post, *way):
+            return [CheckFinding(item, False, f"{says}: post {post.name} blocks the path to it")]
+        if leg is not None and is_blocked_by_post(mission, post, target[:2], leg.end[:2]):
+            says = f"{says}: from there post {post.name} blocks the path to {leg.name}"
             return [CheckFinding(item, False, says)]
-    return [_judge_setpoint(mission, item, target, says, "the goal" if leg is None else leg.name)]
+    return [_evaluate_setpoint(mission, item, target, says, "the goal" if leg is None else leg.name)]
 
 
 def _begins_after_recovery(mission: Mission, leg: TransitSegment, collision: Collision) -> bool:
@@ -356,7 +362,7 @@ def _begins_after_recovery(mission: Mission, leg: TransitSegment, collision: Col
     return (ends[0] if ends else len(mission.collisions)) == collision.index
 
 
-def _judge_setpoint(mission: Mission, item: str, target: Vec3, says: str, first: str) -> CheckFinding:
+def _evaluate_setpoint(mission: Mission, item: str, target: Vec3, says: str, first: str) -> CheckFinding:
     """Return a finding about the recovery setpoint's distance outside the bounds.
 
     A setpoint slightly outside is a remark, because the vehicle reaches `first` before it. A setpoint far
@@ -364,11 +370,14 @@ def _judge_setpoint(mission: Mission, item: str, target: Vec3, says: str, first:
     """
     outside = setpoint_outside_m(mission.bounds, target[0], target[1])
     if outside > SETPOINT_OUTSIDE_M:
-        far = f"{says}, {outside:.2f} m outside bounds_m, more than {SETPOINT_OUTSIDE_M:g} m"
-        return CheckFinding(item, False, far + ": is this alpha intended?")
+        far = f"{says}, {outside:.2f} m outside bounds_m, limit {SETPOINT_OUTSIDE_M:g} m"
+        return CheckFinding(item, False, far + ": check alpha")
     if outside > 0.0:
         return CheckFinding(
-            item, True, f"{says}, {outside:.2f} m outside bounds_m: {first} must come before", remark=True
+            item,
+            True,
+            f"{says}, {outside:.2f} m outside bounds_m: the vehicle must reach {first} first",
+            remark=True,
         )
     return CheckFinding(item, True, says)
 
@@ -394,10 +403,10 @@ def _check_servo(mission: Mission, collision: Collision) -> list[CheckFinding]:
         how = "at least"
     else:
         return []
-    says = f"the lock needs {needed:.2f} s between the contacts, {how} {free:.2f} s there are"
+    says = f"the lock needs {needed:.2f} s between the contacts, {free:.2f} s are available ({how})"
     go = free >= needed or how == "at least"
     if free < needed and go:
-        says += "; if the lock is late, the approach is aborted in flight"
+        says += "; if the lock is late, the vehicle breaks off the approach"
     return [CheckFinding(item, go, says)]
 
 
@@ -406,14 +415,14 @@ def check_flown(mission: Mission) -> CheckFinding:
     flown = mission.flown
     again = f"dart-flight dry-run {shlex.quote(mission.source)} --fast --runs 20 --vary all"
     if flown is None:
-        says = f"the mission file has no record of simulated flights; fly them: {again}"
+        says = f"no simulated flight of this mission is on record; run: {again}"
         return CheckFinding("flown", True, says, remark=True)
     if flown.digest != mission.digest:
-        says = f"mission or vehicle changed since the mission was flown in simulation; fly it again: {again}"
+        says = f"mission or vehicle has changed since the simulated flights; run: {again}"
         return CheckFinding("flown", True, says, remark=True)
     if flown.danger is not None:
         return CheckFinding(
-            "flown", False, f"in simulation {flown.danger}: plan it with lower speed or with touches"
+            "flown", False, f"in simulation {flown.danger}: plan a lower speed or touches first"
         )
     says = f"flown in simulation by {flown.software}: {flown.summary}"
     figures: dict[str, float] = {}

@@ -10,20 +10,20 @@ from pathlib import Path
 import msgspec
 
 from dart_flight.check.px4_parameters import position_source
-from dart_flight.check.vehicle_check import judge_autopilot
-from dart_flight.check.vehicle_reading import release_of
+from dart_flight.check.vehicle_check import evaluate_autopilot
+from dart_flight.check.vehicle_reading import parse_release
 from dart_flight.check.wanted_parameters import (
     METADATA,
     RESTART,
     RESTART_SOURCE,
     MetadataError,
     ParameterRow,
+    list_differences,
     restart_names,
-    rows_of,
     wanted_parameters,
     with_lock_output,
 )
-from dart_flight.config.document import writing
+from dart_flight.config.document import report_write_errors
 from dart_flight.config.mission import Mission
 from dart_flight.config.parameter_file import (
     PositionSource,
@@ -86,7 +86,7 @@ def read_differences(
         VehicleError: another autopilot answers.
         NoAnswerError: the vehicle does not answer requests.
     """
-    wrong = judge_autopilot(link.heartbeat_mode())
+    wrong = evaluate_autopilot(link.heartbeat_mode())
     if wrong:
         raise VehicleError(wrong[0].says)
     version = link.version()
@@ -100,7 +100,7 @@ def read_differences(
     else:
         source = claimed or _source(link, mission)
         wanted = wanted_parameters(mission, source)
-    release = release_of(version)
+    release = parse_release(version)
     names = [p.name for p in wanted.values() if not p.is_absent_in(release)]
     if restored is None:
         names += [name for name in with_lock_output(mission, {}, {}) if name not in names]
@@ -113,7 +113,7 @@ def read_differences(
     if not differences(wanted, values):
         return ParameterReading([], source, version, None)
     restart, known_from = _restart_names(link)
-    return ParameterReading(rows_of(wanted, values, restart), source, version, known_from)
+    return ParameterReading(list_differences(wanted, values, restart), source, version, known_from)
 
 
 def _source(link: GroundLink, mission: Mission) -> PositionSource | None:
@@ -130,7 +130,7 @@ def _restart_names(link: GroundLink) -> tuple[frozenset[str], str]:
         return RESTART, RESTART_SOURCE
 
 
-def save_former(rows: Iterable[ParameterRow], folder: Path, head: str, now: datetime | None = None) -> Path:
+def save_previous(rows: Iterable[ParameterRow], folder: Path, head: str, now: datetime | None = None) -> Path:
     """Save the vehicle's present values to a dated file that QGroundControl can load; return its path.
 
     Args:
@@ -145,9 +145,9 @@ def save_former(rows: Iterable[ParameterRow], folder: Path, head: str, now: date
     now = now or datetime.now(UTC)
     path = folder / f"px4_before_{now:%Y-%m-%d_%H%M%S}.params"
     values: Mapping[str, Value] = {row.name: row.vehicle for row in rows if row.vehicle is not None}
-    lines = [f"{head}: values before others were written, {now:%Y-%m-%d %H:%M:%S} UTC"]
+    lines = [f"{head}: values before the write, {now:%Y-%m-%d %H:%M:%S} UTC"]
     lines.append(f"to write them back: dart-flight parameters MISSION --restore {path.name}")
-    with writing(path), open(path, "x", encoding="utf-8") as file:
+    with report_write_errors(path), open(path, "x", encoding="utf-8") as file:
         file.write(format_parameters(values, lines))
     return path
 

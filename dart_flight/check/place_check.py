@@ -13,7 +13,7 @@ from dart_flight.base.geometry import MissionFrame, Quaternion, Vec2, Vec3, wrap
 from dart_flight.check.findings import CheckFinding
 from dart_flight.config.mission import Mission
 from dart_flight.core.mission.anchors import START_SD_M
-from dart_flight.core.mission.approach import is_blocked, is_post_in_the_way
+from dart_flight.core.mission.approach import is_blocked, is_blocked_by_post
 
 START_TOLERANCE_M: Final = 1.0  # largest distance between a vehicle placed by hand and the mission's start
 _FITS_DEG, _MISFITS_DEG = 15.0, 30.0  # largest error of a matching heading, smallest of another one
@@ -31,7 +31,7 @@ def check_heading(mission: Mission) -> list[CheckFinding]:
     return [CheckFinding("heading", True, says, remark=True)]
 
 
-def judge_place(
+def evaluate_place(
     mission: Mission, position_ned: Vec3 | None, q_frd_to_ned: Quaternion | None
 ) -> list[CheckFinding]:
     """Judge the vehicle's place before take-off: start, walls, heading.
@@ -55,14 +55,14 @@ def judge_place(
         figures |= {f"{name}_distance_m": distance_m, f"{name}_bearing_deg": bearing_deg}
     wrong = list(_departure_problems(mission, place, off_m))
     if wrong:
-        says = f"{'; '.join(wrong)}: check frame, normals and the vehicle's place. {says}"
+        says = f"{'; '.join(wrong)}: check frame, normals and the vehicle's position. {says}"
     behind = list(_walls_facing_away(mission, place))
     if behind:
         says += f"; the vehicle is behind the face of wall {', '.join(behind)}: check the sign of its normal"
     doubtful = not wrong and (off_m > START_SD_M or bool(behind))
     return [
         CheckFinding("place", not wrong, says, remark=doubtful, figures=figures),
-        *_judge_heading(mission, heading_deg),
+        *_evaluate_heading(mission, heading_deg),
     ]
 
 
@@ -76,7 +76,7 @@ def _surroundings(
     """
     to_surface_m = mission.vehicle.airframe.contact_distance_m
     points = [
-        (f"wall {wall.name}", wall.moved(-to_surface_m).foot(place), 0.0)
+        (f"wall {wall.name}", wall.displaced(-to_surface_m).foot(place), 0.0)
         for wall in mission.walls
         if not wall.sought and not wall.post_radius_m
     ]
@@ -92,17 +92,17 @@ def _departure_problems(mission: Mission, place: Vec2, off_m: float) -> Iterator
     """Yield one phrase for each reason not to take off from a place."""
     excess_m = mission.bounds.excess2(place)
     if excess_m > 0.0:
-        yield f"vehicle is {excess_m:.2f} m outside of bounds_m"
+        yield f"the vehicle is {excess_m:.2f} m outside bounds_m"
     if off_m > START_TOLERANCE_M:
-        yield f"vehicle is {off_m:.2f} m from start, {START_TOLERANCE_M:g} m allowed"
+        yield f"the vehicle is {off_m:.2f} m from start, limit {START_TOLERANCE_M:g} m"
     for wall in mission.walls:
         if not wall.sought and is_blocked(wall, place, mission.start):
             behind = wall.signed_distance(place) < 0.0 < wall.signed_distance(mission.start)
-            side = "behind" if behind else "too near to or cut off by"
-            yield f"vehicle is {side} wall {wall.name}"
+            side = "behind" if behind else "too near or cut off by"
+            yield f"the vehicle is {side} wall {wall.name}"
     for post in mission.posts:
-        if is_post_in_the_way(mission, post, place, mission.start):
-            yield f"post {post.name} is between vehicle and start"
+        if is_blocked_by_post(mission, post, place, mission.start):
+            yield f"post {post.name} is between the vehicle and start"
 
 
 def _walls_facing_away(mission: Mission, place: Vec2) -> Iterator[str]:
@@ -113,7 +113,7 @@ def _walls_facing_away(mission: Mission, place: Vec2) -> Iterator[str]:
             yield wall.name
 
 
-def _judge_heading(mission: Mission, heading_deg: float) -> Iterator[CheckFinding]:
+def _evaluate_heading(mission: Mission, heading_deg: float) -> Iterator[CheckFinding]:
     given = mission.frame.heading_deg
     in_radians = math.degrees(given)
     if 0.0 < abs(given) <= 2.0 * math.pi and (

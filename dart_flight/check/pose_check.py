@@ -15,7 +15,7 @@ _APART_M, _APART_DEG = 0.2, 10.0  # allowed deviation of PX4's estimate from the
 _ARRIVES_HZ = 0.2
 
 
-def judge_poses(config: MotionCapture, observed: Observation) -> list[CheckFinding]:
+def evaluate_poses(config: MotionCapture, observed: Observation) -> list[CheckFinding]:
     """Return a finding for each defect of the poses, or one finding that they are in order.
 
     Return nothing if this program forwards no poses.
@@ -33,28 +33,28 @@ def judge_poses(config: MotionCapture, observed: Observation) -> list[CheckFindi
     wrong = []
     if poses.rate_hz < _RATE_SHARE * config.rate_hz:
         wrong.append(
-            f"{poses.rate_hz:.0f} poses/s, needs {_RATE_SHARE * config.rate_hz:.0f}: "
-            "raise the camera rate, or look for losses in the network"
+            f"{poses.rate_hz:.0f} poses/s, minimum {_RATE_SHARE * config.rate_hz:.0f}: "
+            "raise the camera rate or check the network for losses"
         )
     if poses.lost > _LOST or poses.gaps:
         wrong.append(
             f"body lost in {100.0 * poses.lost:.0f} % of the poses, {poses.gaps} gaps of more than "
-            f"{1e-6 * GAP_US:g} s, longest {poses.longest_gap_s:.2f} s: look at markers and cameras"
+            f"{1e-6 * GAP_US:g} s, longest {poses.longest_gap_s:.2f} s: check markers and cameras"
         )
     if len(poses.senders) > 1:
-        wrong.append(f"two sources send the body: {', '.join(poses.senders)}; stop one")
+        wrong.append(f"two sources send the body: {', '.join(poses.senders)}; stop one of them")
     growth_ms = poses.age_growth_ms or 0.0
     if growth_ms > _GROWTH_MS:
-        wrong.append(f"age of the poses has grown by {growth_ms:.0f} ms: use a cable, or a lower camera rate")
+        wrong.append(f"the age of the poses grew by {growth_ms:.0f} ms: use a cable or a lower camera rate")
     elif poses.age_ms is not None and poses.age_ms > _AGE_MS:
-        wrong.append(f"poses are {poses.age_ms:.0f} ms old, allowed are {_AGE_MS:g} ms: use a cable")
+        wrong.append(f"poses are {poses.age_ms:.0f} ms old, limit {_AGE_MS:g} ms: use a cable")
     apart_m, apart_deg = poses.distance_to_px4_m, poses.angle_to_px4_deg
     if apart_m is None or apart_deg is None:
-        wrong.append("PX4 has no estimate from the poses: see EKF2_EV_CTRL and EKF2_HGT_REF")
+        wrong.append("PX4 has no estimate from the poses: check EKF2_EV_CTRL and EKF2_HGT_REF")
     elif apart_m > _APART_M or apart_deg > _APART_DEG:
         wrong.append(
             f"PX4's estimate is {apart_m:.2f} m and {apart_deg:.0f} deg off the poses: "
-            "see EKF2_EV_CTRL, and whether another program sends poses"
+            "check EKF2_EV_CTRL, and that no other program sends poses"
         )
     findings = [CheckFinding(_ITEM, False, says) for says in wrong]
     if not wrong:
@@ -71,7 +71,7 @@ def judge_poses(config: MotionCapture, observed: Observation) -> list[CheckFindi
     if answering:
         says = (
             f"{', '.join(answering)} sends TIMESYNC: if it answers PX4, PX4 stamps poses by that program's "
-            "clock and EKF2_EV_DELAY is wrong; switch it off there"
+            "clock and EKF2_EV_DELAY is wrong; switch TIMESYNC off there"
         )
         findings.append(CheckFinding(_ITEM, True, says, remark=True))
     return findings

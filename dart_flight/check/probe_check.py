@@ -27,22 +27,25 @@ def check_probe(mission: Mission, collision: Collision, probe: Probe) -> Iterato
     wall, item = collision.wall, f"probe_{collision.index}"
     (bx, by), (ex, ey) = probe.begin, probe.end
     length_m = math.hypot(ex - bx, ey - by)
-    way = f"wall {wall.name} is looked for from ({bx:.2f}, {by:.2f}) to ({ex:.2f}, {ey:.2f})"
+    way = f"the vehicle probes for wall {wall.name} from ({bx:.2f}, {by:.2f}) to ({ex:.2f}, {ey:.2f})"
     if collision.mode is Mode.FLEXIBLE and probe.speed_m_s < _LEAST_FLEXIBLE_M_S:
-        says = f"{way} at {probe.speed_m_s:g} m/s: too gentle to be felt with flexible arms; rigid, or "
-        yield CheckFinding(item, False, f"{says}{_LEAST_FLEXIBLE_M_S:g} m/s")
+        says = (
+            f"{way} at {probe.speed_m_s:g} m/s: too slow to detect a contact with flexible arms; probe "
+            "rigid or "
+        )
+        yield CheckFinding(item, False, f"{says}at {_LEAST_FLEXIBLE_M_S:g} m/s")
         return
     force_n, limit_n = _largest_force_n(mission, collision, probe), mission.limits.peak_force_n
-    surface = f"on {wall.material}" if wall.material_known else "on the stiffest surface of the table"
+    surface = f"on {wall.material}" if wall.material_known else "on the stiffest known material"
     says = f"{way} at {probe.speed_m_s:g} m/s, at most {force_n:.0f} N {surface}"
     if force_n > limit_n:
-        yield CheckFinding(item, False, f"{says}, over limits.peak_force_n {limit_n:g}")
+        yield CheckFinding(item, False, f"{says}, limits.peak_force_n is {limit_n:g} N")
         return
     if not wall.sought and collision.impact_point is not None:
         reach_m = length_m - math.dist(probe.begin, collision.impact_point)
         margin_m = float(position_margin_m(wall, collision.impact_point))
         if reach_m < margin_m:
-            says += f"; it ends {reach_m:.2f} m behind the plane, which may stand {margin_m:.2f} m further "
+            says += f"; it ends {reach_m:.2f} m behind the plane, which may be {margin_m:.2f} m further away "
             yield CheckFinding(item, True, f"{says}({SURE_SD:g} sd)", remark=True)
             return
     yield CheckFinding(item, True, f"{says}, limit {limit_n:g} N")
@@ -57,17 +60,21 @@ def _largest_force_n(mission: Mission, collision: Collision, probe: Probe) -> fl
     names = [wall.material] if wall.material_known else list(vehicle.materials)
     mass_kg, onset = vehicle.airframe.mass_kg, Onset(vehicle.onset)
     hits = (
-        contact_map.collide(vehicle.materials[name].of(collision.mode), mass_kg, -probe.speed_m_s, 0.0, onset)
+        contact_map.collide(
+            vehicle.materials[name].coefficients(collision.mode), mass_kg, -probe.speed_m_s, 0.0, onset
+        )
         for name in names
     )
     return max(float(hit.peak_normal_force_n) for hit in hits)
 
 
-def check_found(collision: Collision) -> Iterator[CheckFinding]:
+def check_located_wall(collision: Collision) -> Iterator[CheckFinding]:
     """Return a finding about a collision with a wall that a probe locates in flight."""
     assert collision.approach_m_s is not None
-    says = f"wall {collision.wall.name} is hit at {math.hypot(*collision.approach_m_s):.2f} m/s once a probe "
-    says += "has found it; room for the run-up is judged then"
+    says = (
+        f"wall {collision.wall.name} is hit at {math.hypot(*collision.approach_m_s):.2f} m/s after a probe "
+    )
+    says += "has found it; the room for the run-up is checked then"
     yield CheckFinding(f"approach_{collision.index}", True, says)
 
 
@@ -83,14 +90,19 @@ def check_anchors(mission: Mission) -> Iterator[CheckFinding]:
         if collision.probe is None and by:
             age_s = times[collision.index] - times[by[-1].index]
             sd_m = age_s * mission.vehicle.estimation.position_drift_m_s
-            says = f"collision {by[-1].index} puts the frame right along {collision.wall.name}'s normal about"
-            says += f" {age_s:.0f} s before it is hit: its place is then known to {sd_m:.2f} m (1 sd)"
+            says = (
+                f"collision {by[-1].index} corrects the frame along the normal of wall {collision.wall.name}"
+            )
+            says += (
+                f" about {age_s:.0f} s before the impact: its position is then known to {sd_m:.2f} m (1 sd)"
+            )
             yield CheckFinding(item, True, says, figures={"age_s": age_s, "sd_m": sd_m})
         elif collision.probe is None:
             says = (
-                f"wall {collision.wall.name} is hit without a probe before that puts the frame right along "
+                f"no probe corrects the frame along the normal of wall {collision.wall.name} before its "
+                "impact: "
             )
-            yield CheckFinding(item, False, f"{says}its normal: touch it, or a parallel wall, first")
+            yield CheckFinding(item, False, f"{says}touch it or a parallel wall first")
         if not collision.wall.sought:
             touched.append(collision)
 

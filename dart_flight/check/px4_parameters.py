@@ -19,7 +19,7 @@ from dart_flight.config.parameter_file import (
     differences,
     vehicle_parameters,
 )
-from dart_flight.planning.positioning import PLAIN_GPS, frame_problem, source_for
+from dart_flight.planning.positioning import PLAIN_GPS, effective_source, frame_problem
 
 _NO_TERMINATION = 121212  # CBRK_FLIGHTTERM: PX4's magic number for "off"
 _OVERRIDE_IN_OFFBOARD = 2  # bit 1 of COM_RC_OVERRIDE
@@ -51,15 +51,21 @@ _RC_LOSS_ACTIONS = {
 def _offboard_loss(value: float, mission: Mission) -> tuple[bool, str]:
     whole = value + mission.vehicle.guard.deadman_s
     return value <= 1.5, (
-        f"without setpoints PX4's offboard-loss failsafe acts after {value:g} s; with the deadman, a hung "
-        f"program flies on for at most {whole:.2f} s"
-        + ("" if value <= 1.5 else ", more than a wall at arm's length allows: at most 1.5 s")
+        f"without setpoints PX4's offboard-loss failsafe acts after {value:g} s; with the deadman's "
+        f"timeout, a hung program flies on for at most {whole:.2f} s"
+        + ("" if value <= 1.5 else "; too long near a wall: set it to 1.5 s or less")
     )
 
 
 def _loss_action(value: float, _: Mission) -> tuple[bool, str]:
     action = round(value)
-    return action in (0, 1, 2, 4, 5), f"on loss of offboard setpoints: {_LOSS_ACTIONS.get(action, 'unknown')}"
+    return action in (
+        0,
+        1,
+        2,
+        4,
+        5,
+    ), f"action on loss of offboard setpoints: {_LOSS_ACTIONS.get(action, 'unknown')}"
 
 
 def _rc_override(value: float, _: Mission) -> tuple[bool, str]:
@@ -79,37 +85,37 @@ def _stick_speed(value: float, _: Mission) -> tuple[bool, str]:
 
 def _rc_loss(value: float, _: Mission) -> tuple[bool, str]:
     action = round(value)
-    return action in (0, 1, 3), f"on RC loss: {_RC_LOSS_ACTIONS.get(action, 'unknown')}"
+    return action in (0, 1, 3), f"action on RC loss: {_RC_LOSS_ACTIONS.get(action, 'unknown')}"
 
 
 def _imbalance(value: float, _: Mission) -> tuple[bool, str]:
     quiet = value <= 0.0
     return quiet, (
-        "an imbalanced propeller is at most a warning"
+        "PX4 only warns of an imbalanced propeller"
         if quiet
-        else "an imbalanced propeller ends the mission, and a hit looks like one"
+        else "PX4 ends the mission for an imbalanced propeller, and an impact looks like one"
     )
 
 
 def _rc_exception(value: float, _: Mission) -> tuple[bool, str]:
     ignores = round(value) & 4
     return True, (
-        "the loss of the remote control is ignored in offboard: no second way out"
+        "PX4 ignores a loss of the remote control in offboard mode: the pilot cannot take over then"
         if ignores
-        else "the loss of the remote control ends offboard: fly with one, or it never starts"
+        else "a loss of the remote control ends offboard mode, and without one it never starts"
     )
 
 
 def _attitude_limit(value: float, mission: Mission) -> tuple[bool, str]:
     limit = mission.vehicle.guard.tilt_deg
     good = value == 0.0 or value >= limit
-    return good, f"PX4 sees a failure from {value:g} degrees on; the guard lands from {limit:g}" + (
-        "" if good else ": an impact could trip PX4 first"
+    return good, f"PX4 detects a failure above {value:g} degrees, the guard's limit is {limit:g} degrees" + (
+        "" if good else ": an impact could trigger PX4 first"
     )
 
 
 def _lockdown(value: float, _: Mission) -> tuple[bool, str]:
-    return True, f"a failure within {value:g} s of take-off stops the motors"
+    return True, f"PX4 stops the motors on a failure within {value:g} s of take-off"
 
 
 def _termination(value: float, _: Mission) -> tuple[bool, str]:
@@ -120,25 +126,25 @@ def _termination(value: float, _: Mission) -> tuple[bool, str]:
 
 def _gyro_rate(value: float, _: Mission) -> tuple[bool, str]:
     return value >= 400.0, f"rate control at up to {value:g} Hz" + (
-        "" if value >= 400.0 else ", a contact's torque needs at least 400"
+        "" if value >= 400.0 else ", minimum 400 Hz for the torque of a contact"
     )
 
 
 def _hitl(value: float, _: Mission) -> tuple[bool, str]:
     if value == 0.0:
-        return True, "the vehicle flies from its own sensors"
+        return True, "PX4 uses its own sensors"
     return False, (
-        "hardware in the loop is still on: the vehicle would fly from simulated sensors and its outputs are "
-        "off; set it to 0 and restart"
+        "hardware in the loop is still on: PX4 uses simulated sensors, and its outputs are off; set it to 0 "
+        "and restart"
     )
 
 
 def _disarm_land(value: float, _: Mission) -> tuple[bool, str]:
     return (
         True,
-        "does not disarm automatically after landing"
+        "PX4 does not disarm automatically after landing"
         if value <= 0.0
-        else f"disarms {value:g} s after landing",
+        else f"PX4 disarms {value:g} s after landing",
     )
 
 
@@ -162,7 +168,7 @@ PARAMETERS: dict[str, Callable[[float, Mission], tuple[bool, str]]] = {
 _LOCKDOWN, _LOCKDOWN_UNTIL = "COM_LKDOWN_TKO", (1, 17)  # removed after v1.17 without a replacement
 
 
-def names_to_read(version: Version | None = None) -> list[str]:
+def parameter_names(version: Version | None = None) -> list[str]:
     """Return the parameters that these checks need, except those that a version of PX4 does not have."""
     names, absent = [*PARAMETERS, *GAINS, *IMU_POSITION], set[str]()
     for source in PositionSource:
@@ -174,7 +180,7 @@ def names_to_read(version: Version | None = None) -> list[str]:
     return [name for name in dict.fromkeys(names) if name not in absent]
 
 
-def other_names(values: Mapping[str, float]) -> list[str]:
+def alternative_names(values: Mapping[str, float]) -> list[str]:
     """Return the names that other versions of PX4 use for the parameters that could not be read."""
     return [
         parameter.renamed
@@ -184,7 +190,7 @@ def other_names(values: Mapping[str, float]) -> list[str]:
     ]
 
 
-def judge_parameters(
+def evaluate_parameters(
     mission: Mission,
     values: Mapping[str, float],
     source: PositionSource | None,
@@ -209,15 +215,17 @@ def judge_parameters(
                 continue
             if name in wanted and _is_absent(wanted[name], wanted, values, version):
                 continue
-            findings.append(CheckFinding(name, False, "cannot be read: PX4's behaviour is unknown"))
+            findings.append(
+                CheckFinding(name, False, "PX4 does not report this parameter: its behaviour is unknown")
+            )
             continue
         go, says = judge(values[name], mission)
         if go and difference is not None:
             says += f"; recommended {difference.wanted:g}, not {difference.actual:g}: {difference.reason}"
         findings.append(CheckFinding(name, go, says, remark=go and difference is not None))
     if source is PositionSource.MOCAP and POSE_DELAY in values:
-        findings.append(_judge_pose_delay(mission, values[POSE_DELAY], different.pop(POSE_DELAY, None)))
-    findings += _judge_configured(different)
+        findings.append(_evaluate_pose_delay(mission, values[POSE_DELAY], different.pop(POSE_DELAY, None)))
+    findings += _evaluate_configured(different)
     findings += [CheckFinding(d.name, True, d.line(), remark=True) for d in different.values()]
     return findings
 
@@ -235,7 +243,7 @@ def _is_absent(
     )
 
 
-def _judge_configured(different: dict[str, ParameterDifference]) -> list[CheckFinding]:
+def _evaluate_configured(different: dict[str, ParameterDifference]) -> list[CheckFinding]:
     """Judge gains and IMU position, and remove them from the differences; skip values that were not read."""
     findings = []
     for name in (*GAINS, *IMU_POSITION):
@@ -245,18 +253,19 @@ def _judge_configured(different: dict[str, ParameterDifference]) -> list[CheckFi
         if name in GAINS:
             says = (
                 f"{difference.actual:g} on the vehicle, {difference.wanted:g} in the configuration: "
-                "recoveries go elsewhere"
+                "recoveries differ from the prediction"
             )
         else:
             says = (
                 f"{difference.actual:g} m on the vehicle, {difference.wanted:g} m in imu.position_m: PX4's "
-                "velocity or the force takes turning for motion; measure from the centre of mass and set both"
+                "velocity or the force mistakes rotation for motion; measure from the centre of mass and "
+                "set both"
             )
         findings.append(CheckFinding(name, name not in GAINS, says, remark=name not in GAINS))
     return findings
 
 
-def _judge_pose_delay(
+def _evaluate_pose_delay(
     mission: Mission, delay_ms: float, difference: ParameterDifference | None
 ) -> CheckFinding:
     """Compare the pose delay that PX4 assumes with the measured one.
@@ -272,8 +281,8 @@ def _judge_pose_delay(
     says = f"{delay_ms:g} ms on the vehicle, {measured_ms:g} ms in mocap.delay_ms"
     if apart_ms > _POSE_DELAY_TOLERANCE_MS:
         says += (
-            f": {apart_ms:g} ms apart, {_POSE_DELAY_TOLERANCE_MS:g} ms allowed, the position estimate would "
-            f"oscillate; set {POSE_DELAY} to {measured_ms:g}"
+            f": {apart_ms:g} ms apart, limit {_POSE_DELAY_TOLERANCE_MS:g} ms; the position estimate would "
+            f"oscillate: set {POSE_DELAY} to {measured_ms:g}"
         )
     return CheckFinding(POSE_DELAY, apart_ms <= _POSE_DELAY_TOLERANCE_MS, says)
 
@@ -298,7 +307,7 @@ def position_source(values: Mapping[str, float], gps_fix: str | None) -> Positio
     return None
 
 
-def judge_position(
+def evaluate_position(
     mission: Mission,
     found: PositionSource | None,
     gps_fix: str | None,
@@ -319,24 +328,22 @@ def judge_position(
     if claimed not in (None, found, PositionSource.PLAIN):
         other = "motion capture" if found is PositionSource.MOCAP else f"GPS ({fix})"
         return [
-            CheckFinding(
-                item, False, f"not {claimed} as specified: the vehicle's position comes from {other}"
-            )
+            CheckFinding(item, False, f"--position-from is {claimed}, but PX4's position comes from {other}")
         ]
     source = claimed or found
     if source is PositionSource.MOCAP:
-        return [CheckFinding(item, True, "motion capture"), *judge_claim(mission, source)]
+        return [CheckFinding(item, True, "motion capture"), *evaluate_claim(mission, source)]
     if source is PositionSource.RTK:
-        return [CheckFinding(item, True, f"GPS, {fix}"), *judge_claim(mission, source)]
-    return judge_claim(mission, source, f" (the receiver says: {fix})")
+        return [CheckFinding(item, True, f"GPS, {fix}"), *evaluate_claim(mission, source)]
+    return evaluate_claim(mission, source, f" (the receiver reports: {fix})")
 
 
-def judge_claim(mission: Mission, source: PositionSource, addition: str = "") -> list[CheckFinding]:
+def evaluate_claim(mission: Mission, source: PositionSource, addition: str = "") -> list[CheckFinding]:
     """Judge a position source for a mission; append `addition` to the text about plain GPS."""
     findings = []
-    source = source_for(mission, source)
+    source = effective_source(mission, source)
     if source is PositionSource.ANCHORED:
-        findings.append(CheckFinding("position_source", True, "plain GPS, put right by contacts" + addition))
+        findings.append(CheckFinding("position_source", True, "plain GPS, corrected by contacts" + addition))
     if source is PositionSource.PLAIN:
         findings.append(CheckFinding("position_source", False, PLAIN_GPS + addition))
     problem = frame_problem(mission, source)

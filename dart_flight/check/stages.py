@@ -60,14 +60,14 @@ class Check(NamedTuple, Generic[Context, Found]):
         name: name, unique within the stage.
         stage: stage of the check.
         run: function that returns the findings.
-        what: the subject of the check, as text for the operator.
+        subject: the subject of the check, as text for the operator.
         by_hand: whether the check needs an operator at the vehicle.
     """
 
     name: str
     stage: Stage
     run: Callable[[Context], Iterable[Found]]
-    what: str = ""
+    subject: str = ""
     by_hand: bool = False
 
 

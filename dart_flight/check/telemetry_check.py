@@ -36,9 +36,9 @@ class StreamRate(NamedTuple):
     unusable: str | None
 
     @property
-    def says(self) -> str:
+    def describe(self) -> str:
         """The rate and the required rate, or the reason why messages are unusable."""
-        return self.unusable or f"{self.rate_hz:.0f} Hz, needs {BY_NAME[self.name].expected_hz:g}"
+        return self.unusable or f"{self.rate_hz:.0f} Hz, minimum {BY_NAME[self.name].expected_hz:g} Hz"
 
 
 def stream_rates(rates_hz: Mapping[str, float], unusable: Mapping[str, str]) -> list[StreamRate]:
@@ -55,7 +55,7 @@ def stream_rates(rates_hz: Mapping[str, float], unusable: Mapping[str, str]) -> 
     ]
 
 
-def judge_rates(observed: Observation, values: Mapping[str, float]) -> list[CheckFinding]:
+def evaluate_rates(observed: Observation, values: Mapping[str, float]) -> list[CheckFinding]:
     """Return a finding for each stream: a sufficient rate, or the reason for a lower one.
 
     Args:
@@ -64,14 +64,14 @@ def judge_rates(observed: Observation, values: Mapping[str, float]) -> list[Chec
     """
     findings = []
     for stream in stream_rates(observed.rates_hz, unusable_streams(observed.sources)):
-        go, says = stream.enough, stream.says
+        go, says = stream.enough, stream.describe
         if stream.name == "odometry" and values.get(LOOPBACK):
             go, says = False, f"{says}: {LOOPBACK} is {values[LOOPBACK]:g}, set it to 0"
         findings.append(CheckFinding(f"rate_{stream.name}", go, says))
     return findings
 
 
-def judge_sources(observed: Observation) -> list[CheckFinding]:
+def evaluate_sources(observed: Observation) -> list[CheckFinding]:
     """Return a finding that names each stream's component and every other sender of its message."""
     taken = [s for s in observed.sources if s.is_vehicle and s.usable_hz > 0.0]
     if not taken:
@@ -102,7 +102,7 @@ def _describe(source: Source) -> str:
     )
 
 
-def judge_battery(mission: Mission, observed: Observation) -> CheckFinding:
+def evaluate_battery(mission: Mission, observed: Observation) -> CheckFinding:
     """Return whether the worst flight battery is sufficiently charged."""
     guard, left, volts = mission.vehicle.guard, observed.battery_remaining, observed.battery_v
     low = (left is not None and left < 2.0 * guard.battery_remaining) or (
@@ -119,12 +119,12 @@ def judge_battery(mission: Mission, observed: Observation) -> CheckFinding:
     return CheckFinding("battery", not low, says)
 
 
-def judge_resting_force(observed: Observation) -> list[CheckFinding]:
+def evaluate_resting_force(observed: Observation) -> list[CheckFinding]:
     """Return a no-go if the accelerometer of a vehicle at rest does not measure gravity."""
     force = observed.specific_force_m_s2
     if force is None or abs(force - GRAVITY_M_S2) <= _REST_TOLERANCE * GRAVITY_M_S2:
         return []
-    says = f"HIGHRES_IMU reads {force:.2f} m/s2 on the ground, not 9.81: wrong unit or not calibrated"
+    says = f"HIGHRES_IMU reports {force:.2f} m/s2 on the ground, not 9.81: wrong unit or not calibrated"
     return [CheckFinding("imu_scale", False, says)]
 
 
@@ -160,7 +160,7 @@ def _has_motors(bank: str, values: Mapping[str, float], motors: int) -> bool:
     return any(_MOTOR_1 <= function < _MOTOR_1 + motors for function in functions)
 
 
-def judge_motor_outputs(
+def evaluate_motor_outputs(
     mission: Mission, observed: Observation, values: Mapping[str, float]
 ) -> list[CheckFinding]:
     """Return the motors' output type and scale, or the reason why the outputs cannot be decoded.
@@ -178,9 +178,9 @@ def judge_motor_outputs(
             says = f"no output 1 to {motors} of {', '.join(_BANKS)} drives a motor: thrust is unknown"
             return [CheckFinding(item, False, says)]
         by_values = (
-            f"{observed_scale.describe()}, by the values"
+            f"{observed_scale.describe()}, judged by the values"
             if observed_scale
-            else "all 0 while disarmed: type not known yet"
+            else "all outputs are 0 while disarmed: type not known yet"
         )
         return [CheckFinding(item, True, by_values)]
     wrong = _problem_of(bank, values, motors)
@@ -188,7 +188,7 @@ def judge_motor_outputs(
         return [CheckFinding(item, False, wrong)]
     scale = _configured_scale(bank, values)
     if observed_scale is not None and observed_scale != scale:
-        says = f"{bank} is {scale.describe()} by its parameters, but sends {observed_scale.describe()}"
+        says = f"the parameters of {bank} give {scale.describe()}, but it sends {observed_scale.describe()}"
         return [CheckFinding(item, False, says)]
     return [CheckFinding(item, True, f"{scale.describe()}, on {bank}")]
 
@@ -213,7 +213,7 @@ def _problem_of(bank: str, values: Mapping[str, float], motors: int) -> str:
     if earlier:
         return (
             f"the motors are on {bank}, but PX4 reports only {earlier[0]}, which it starts first: thrust is "
-            f"unknown; free the outputs of {earlier[0]}, or move the motors there"
+            f"unknown; free the outputs of {earlier[0]} or move the motors there"
         )
     if _configured_scale(bank, values) is PWM:
         for k in range(1, motors + 1):

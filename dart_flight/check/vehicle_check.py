@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dart_flight.check.findings import CheckFinding
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission
-from dart_flight.config.rotors import motors_of, rotor_differences
+from dart_flight.config.rotors import motors_from_parameters, rotor_differences
 from dart_flight.config.vehicle import LockDriver
 from dart_flight.lock.drivers import DRIVERS, driver_names
 from dart_flight.lock.drivers.px4_output import parameter_problems
@@ -22,54 +22,56 @@ def round_trip_limit_s(mission: Mission) -> float:
     return 2.0 * mission.vehicle.guard.telemetry_late_s
 
 
-def judge_round_trip(mission: Mission, seconds: float | None) -> CheckFinding:
+def evaluate_round_trip(mission: Mission, seconds: float | None) -> CheckFinding:
     """Judge by the round trip whether samples are in time; `seconds` is None if no request was answered."""
     item, limit_s = "round_trip", round_trip_limit_s(mission)
     if seconds is None:
-        return CheckFinding(item, True, "vehicle does not answer TIMESYNC", remark=True)
-    says = f"{seconds * 1e3:.0f} ms between vehicle and program, allowed are {limit_s * 1e3:.0f} ms"
+        return CheckFinding(item, True, "the vehicle does not answer TIMESYNC", remark=True)
+    says = f"{seconds * 1e3:.0f} ms between vehicle and program, limit {limit_s * 1e3:.0f} ms"
     return CheckFinding(item, seconds <= limit_s, says)
 
 
-def judge_observation(observed: Observation) -> list[CheckFinding]:
+def evaluate_observation(observed: Observation) -> list[CheckFinding]:
     """Return findings about version, other vehicles and estimator."""
     findings = [
         CheckFinding(
-            "version", True, f"PX4 {observed.version}" if observed.version else "version not reported"
+            "version",
+            True,
+            f"PX4 {observed.version}" if observed.version else "PX4 does not report its version",
         )
     ]
     if observed.other_vehicle is not None:
         findings.append(CheckFinding("second_vehicle", False, observed.other_vehicle))
     reasons = ", ".join(dict.fromkeys([*observed.blocking, *observed.texts]))
-    says = "local position valid"
+    says = "the local position is valid"
     if not observed.local_position_ok:
-        says = "; ".join(["no valid local position", *observed.found_here])
-        says += f"; PX4 says: {reasons}" if reasons else ""
+        says = "; ".join(["no valid local position", *observed.own_findings])
+        says += f"; PX4 reports: {reasons}" if reasons else ""
     findings.append(CheckFinding("estimator", observed.local_position_ok, says))
     if observed.blocking or observed.texts:
         # Only a remark: PX4 judges its present mode, but `fly` arms in offboard mode.
-        begin = "PX4 would refuse to arm: " if observed.blocking else "PX4 says: "
+        begin = "PX4 would refuse to arm: " if observed.blocking else "PX4 reports: "
         findings.append(CheckFinding("px4_checks", True, begin + reasons, remark=True))
     return findings
 
 
-def judge_autopilot(mode: HeartbeatMode | None) -> list[CheckFinding]:
+def evaluate_autopilot(mode: HeartbeatMode | None) -> list[CheckFinding]:
     """Return a no-go with the autopilot's name if it is not PX4."""
     if mode is None or not mode.not_px4:
         return []
-    says = f"heartbeats arrive, none {mode.not_px4}: this program supports PX4 only"
+    says = f"heartbeats arrive, but none {mode.not_px4}: this program supports only PX4"
     return [CheckFinding("autopilot", False, says)]
 
 
-def judge_mode(mode: HeartbeatMode | None) -> list[CheckFinding]:
+def evaluate_mode(mode: HeartbeatMode | None) -> list[CheckFinding]:
     """Return a no-go if the vehicle has used simulated sensors since its start, whatever SYS_HITL is now."""
     if mode is None or not mode.hil:
         return []
-    says = "the vehicle flies from simulated sensors (hardware in the loop): restart it with SYS_HITL 0"
+    says = "PX4 uses simulated sensors (hardware in the loop): restart it with SYS_HITL 0"
     return [CheckFinding("hil_mode", False, says)]
 
 
-def judge_airframe(mission: Mission, values: Mapping[str, float]) -> list[CheckFinding]:
+def evaluate_airframe(mission: Mission, values: Mapping[str, float]) -> list[CheckFinding]:
     """Compare PX4's motors with those of the configuration.
 
     A different number, order or direction of the motors invalidates the estimated thrust and torque.
@@ -81,26 +83,26 @@ def judge_airframe(mission: Mission, values: Mapping[str, float]) -> list[CheckF
     """
     item, motors = "airframe", mission.vehicle.airframe.motors
     try:
-        actual = motors_of(values, "PX4")
+        actual = motors_from_parameters(values, "PX4")
     except InputError as error:
         return [CheckFinding(item, True, f"not compared: {error}", remark=True)]
     other, sizes = rotor_differences(motors, actual)
     if other:
-        hint = "; `calibrate airframe` prints PX4's"
+        hint = "; `calibrate airframe` prints PX4's values"
         return [CheckFinding(item, False, "; ".join(other) + hint)]
     if sizes:
-        return [CheckFinding(item, True, "; ".join(sizes) + ": measure, and set both", remark=True)]
+        return [CheckFinding(item, True, "; ".join(sizes) + ": measure and set both", remark=True)]
     return [CheckFinding(item, True, f"{len(motors)} motors, as in PX4")]
 
 
-def judge_lock(mission: Mission, values: Mapping[str, float]) -> list[CheckFinding]:
+def evaluate_lock(mission: Mission, values: Mapping[str, float]) -> list[CheckFinding]:
     """Return whether the lock's servo can move, or nothing if the vehicle has no lock."""
     lock = mission.vehicle.lock
     if lock is None:
         return []
     if not DRIVERS[lock.driver].moves:
         real = driver_names(lambda entry: entry.moves)
-        says = f"lock.driver is {lock.driver.value}: nothing real moves; choose {real} (--driver)"
+        says = f"lock.driver is {lock.driver.value}: no real servo moves; choose {real} (--driver)"
         return [CheckFinding("lock_driver", False, says)]
     if lock.driver is not LockDriver.PX4:
         return [

@@ -8,13 +8,13 @@ from collections.abc import Mapping
 import msgspec
 
 from dart_flight.check.hitl_check import BOARD, HITL, IO_OUTPUTS, ON_A_BOARD, WITH_IO, hitl_parameters
-from dart_flight.check.px4_parameters import names_to_read, other_names, position_source
+from dart_flight.check.px4_parameters import alternative_names, parameter_names, position_source
 from dart_flight.check.stages import EndOfStageError
 from dart_flight.check.telemetry_check import LOOPBACK, motor_output_names
-from dart_flight.check.vehicle_check import judge_autopilot, judge_round_trip
+from dart_flight.check.vehicle_check import evaluate_autopilot, evaluate_round_trip
 from dart_flight.config.mission import Mission
 from dart_flight.config.parameter_file import PositionSource, Version
-from dart_flight.config.rotors import COUNT, motors_of, rotor_names
+from dart_flight.config.rotors import COUNT, motors_from_parameters, rotor_names
 from dart_flight.config.vehicle import LockDriver, Motor
 from dart_flight.lock.drivers.px4_output import required_parameters
 from dart_flight.vehicle.ground_link import GroundLink, HeartbeatMode, Observation
@@ -40,7 +40,7 @@ class VehicleReading(msgspec.Struct, frozen=True):
     @property
     def version(self) -> Version | None:
         """PX4's major and minor version, or None if not reported (0.0.0)."""
-        return release_of(self.observed.version)
+        return parse_release(self.observed.version)
 
     @property
     def position_from(self) -> PositionSource | None:
@@ -52,7 +52,7 @@ class VehicleReading(msgspec.Struct, frozen=True):
         """The motors that PX4's parameters describe, or None if they describe none."""
         if not rotor_names(self.values.get(COUNT, 0.0)):
             return None
-        return motors_of(self.values, "the flight controller")
+        return motors_from_parameters(self.values, "the flight controller")
 
 
 def read_vehicle(mission: Mission, url: str) -> VehicleReading:
@@ -66,19 +66,19 @@ def read_vehicle(mission: Mission, url: str) -> VehicleReading:
     lock = mission.vehicle.lock
     with GroundLink(url, mission.vehicle.connection.timeout_s, mocap=mission.vehicle.mocap) as link:
         mode = link.heartbeat_mode()
-        other = judge_autopilot(mode)
+        other = evaluate_autopilot(mode)
         if other:
             raise EndOfStageError(other)  # another autopilot has neither PX4's parameters nor its modes
         round_trip_s = link.round_trip_s()
-        late = judge_round_trip(mission, round_trip_s)
+        late = evaluate_round_trip(mission, round_trip_s)
         if not late.go:
             raise EndOfStageError([late])  # over such a link, reading the parameters takes minutes
         observed = link.observe(mission.vehicle, _MEASURE_S)
-        names = [*names_to_read(release_of(observed.version)), COUNT]
+        names = [*parameter_names(parse_release(observed.version)), COUNT]
         if lock is not None and lock.driver is LockDriver.PX4:
             names += [required.name for required in required_parameters(lock)]
         values = link.read_parameters(names)
-        values |= link.read_parameters(dict.fromkeys(other_names(values)))
+        values |= link.read_parameters(dict.fromkeys(alternative_names(values)))
         values |= link.read_parameters(rotor_names(values.get(COUNT, 0.0)))
         values |= _read_outputs(link, len(mission.vehicle.airframe.motors))
         if any(s.reason for s in observed.sources if s.is_vehicle and s.sender.message == "ODOMETRY"):
@@ -107,12 +107,12 @@ def read_for_hitl(mission: Mission, url: str) -> VehicleReading:
         values |= link.read_parameters([WITH_IO, *IO_OUTPUTS] if ON_A_BOARD in values else [BOARD])
         if round(values.get(HITL, 0)) == 1:
             # Without HITL, the flight controller must be restarted first, and the rest takes a minute.
-            values |= link.read_parameters([name for name in names_to_read() if name not in values])
+            values |= link.read_parameters([name for name in parameter_names() if name not in values])
             values |= link.read_parameters(rotor_names(values.get(COUNT, 0.0)))
     return VehicleReading(mode, values)
 
 
-def release_of(text: str) -> Version | None:
+def parse_release(text: str) -> Version | None:
     """Return major and minor of a version string, or None without a version (empty or 0.0.0)."""
     major, _, rest = text.partition(".")
     minor = rest.partition(".")[0]

@@ -49,16 +49,16 @@ def _check_ends(mission: Mission, hits: Mapping[int, PredictedImpact]) -> Iterat
     wall = nearest.wall
     distance_m, slack = float(wall.end_distance_m(place)), float(position_margin_m(wall, place))
     side = "from" if distance_m >= 0.0 else "beyond"
-    says = f"wall {wall.name} is met {abs(distance_m):.2f} m {side} its end"
+    says = f"the impact on wall {wall.name} is {abs(distance_m):.2f} m {side} its end"
     needed = f"half a vehicle ({wall.half_vehicle_m:.2f} m)"
     if slack > 0.0:
-        needed += f" and {SURE_SD:g} standard deviations of its place ({slack:.2f} m)"
+        needed += f" and {SURE_SD:g} standard deviations of its position ({slack:.2f} m)"
     figures = {"distance_m": distance_m, "margin_m": wall.half_vehicle_m + slack}
     if room_m((nearest, place)) < 0.0:
-        says += f", nearer than {needed}"
+        says += f", minimum {needed}"
         if distance_m < mission.vehicle.airframe.guard_along_m + slack:
-            says += "; not all guards meet it there, and the hit turns the vehicle"
-        says += ": move the hit along the wall"
+            says += "; not all guards touch it there, and the contact rotates the vehicle"
+        says += ": move the impact along the wall"
     yield CheckFinding("wall_end", room_m((nearest, place)) >= 0.0, says, figures=figures)
 
 
@@ -71,10 +71,10 @@ def _check_collision(
         *_blocking_walls(mission, collision),
     ]
     if problems:
-        yield CheckFinding(item, False, f"by {SURE_SD:g} standard deviations {', '.join(problems)}")
+        yield CheckFinding(item, False, f"within {SURE_SD:g} standard deviations {', '.join(problems)}")
     elif wall.is_uncertain:
         slack = float(position_margin_m(wall, impact_place(collision, hits)))
-        says = f"wall {wall.name} is met within {slack:.2f} m ({SURE_SD:g} sd) of where the mission has it"
+        says = f"wall {wall.name} is within {slack:.2f} m ({SURE_SD:g} sd) of its position in the mission"
         yield CheckFinding(item, True, says)
     planned_deg, most_deg = (
         incidence_deg(mission, collision),
@@ -85,8 +85,8 @@ def _check_collision(
         yield CheckFinding(
             f"incidence_{collision.index}",
             False,
-            f"wall {wall.name} may be {off_deg:.0f} degrees off parallel ({_INCIDENCE_SD:g} sd), more than "
-            f"the {most_deg:g} that {collision.mode.value} arms tolerate: measure its direction",
+            f"wall {wall.name} may be {off_deg:.0f} degrees off parallel ({_INCIDENCE_SD:g} sd), limit "
+            f"{most_deg:g} degrees with {collision.mode.value} arms: measure its direction",
         )
 
 
@@ -99,10 +99,10 @@ def _target_wall_problems(mission: Mission, collision: Collision, place: Vec2) -
     nearest, furthest = (x + slack * nx, y + slack * ny), (x - slack * nx, y - slack * ny)
     excess = mission.bounds.excess2(furthest)
     if excess > 0.0:
-        yield f"wall {wall.name} may stand {excess:.2f} m outside bounds_m"
+        yield f"wall {wall.name} may be {excess:.2f} m outside bounds_m"
     for other in mission.walls:
         if other.name != wall.name and is_blocked(other, nearest, furthest, 0.0):
-            yield f"wall {wall.name} may stand beyond wall {other.name}"
+            yield f"wall {wall.name} may be behind wall {other.name}"
 
 
 def _blocking_walls(mission: Mission, collision: Collision) -> Iterator[str]:
@@ -112,8 +112,8 @@ def _blocking_walls(mission: Mission, collision: Collision) -> Iterator[str]:
         for wall in mission.walls:
             if wall.is_uncertain and wall.name != collision.wall.name:
                 slack_m = max(float(position_margin_m(wall, place)) for place in places)
-                if any(_crosses(wall.moved(slack_m), a, b) for a, b in itertools.pairwise(places)):
-                    yield f"wall {wall.name} may stand in the way to wall {collision.wall.name}"
+                if any(_crosses(wall.displaced(slack_m), a, b) for a, b in itertools.pairwise(places)):
+                    yield f"wall {wall.name} may block the trajectory to wall {collision.wall.name}"
         return
     if collision.approach_m_s is None:
         return
@@ -126,9 +126,9 @@ def _blocking_walls(mission: Mission, collision: Collision) -> Iterator[str]:
     legs = segments_to_impact(mission.start, approach.begin[:2], impact, collision.wall, first)
     for wall in mission.walls:
         if wall.is_uncertain and wall.name != collision.wall.name:
-            nearest = wall.moved(float(position_margin_m(wall, impact)))
+            nearest = wall.displaced(float(position_margin_m(wall, impact)))
             if any(is_blocked(nearest, *leg) for leg in legs(nearest)):
-                yield f"wall {wall.name} may stand in the way of the run-up to wall {collision.wall.name}"
+                yield f"wall {wall.name} may block the run-up to wall {collision.wall.name}"
 
 
 def _crosses(wall: Wall, a: Vec2, b: Vec2) -> bool:

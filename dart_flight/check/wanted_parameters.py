@@ -22,7 +22,7 @@ from dart_flight.config.parameter_file import (
 )
 from dart_flight.config.vehicle import LockDriver
 from dart_flight.lock.drivers.px4_output import required_parameters
-from dart_flight.planning.positioning import source_for
+from dart_flight.planning.positioning import effective_source
 
 POSE_DELAY = "EKF2_EV_DELAY"
 # The prediction of a recovery depends on these.
@@ -76,7 +76,7 @@ def wanted_parameters(mission: Mission, source: PositionSource | None) -> dict[s
         source: position source; None returns only the parameters that every vehicle needs.
     """
     vehicle = mission.vehicle
-    wanted = dict(vehicle_parameters(None if source is None else source_for(mission, source)))
+    wanted = dict(vehicle_parameters(None if source is None else effective_source(mission, source)))
     delay_ms = vehicle.mocap.delay_ms
     if delay_ms is not None and POSE_DELAY in wanted:
         says = "mocap.delay_ms, the measured age of a pose on arrival"
@@ -85,10 +85,10 @@ def wanted_parameters(mission: Mission, source: PositionSource | None) -> dict[s
         if wanted[name].value < vehicle.guard.tilt_deg:
             says = "guard.tilt_deg: PX4 must not stop the flight before the guard lands it"
             wanted[name] = Parameter(name, math.ceil(vehicle.guard.tilt_deg), says)
-    wanted[_HITL] = Parameter(_HITL, 0, "the vehicle flies from its own sensors")
+    wanted[_HITL] = Parameter(_HITL, 0, "PX4 uses its own sensors")
     for name in (*GAINS, _OFFBOARD_LOSS):
         value = float(getattr(vehicle.px4, name.lower()))
-        says = f"px4.{name} of the configuration, by which flights are predicted"
+        says = f"px4.{name} of the configuration, used to predict flights"
         wanted[name] = Parameter(name, value, says, tolerance=_GAIN_TOLERANCE * abs(value))
     for name, place, axis in zip(IMU_POSITION, vehicle.imu.position_m, "xyz", strict=True):
         says = f"imu.position_m, {axis}, metres from the centre of mass"
@@ -117,7 +117,7 @@ def with_lock_output(
     return found
 
 
-def rows_of(
+def list_differences(
     wanted: Mapping[str, Parameter], values: Mapping[str, Value], restart: Collection[str]
 ) -> list[ParameterRow]:
     """Return the parameters that differ from their wanted values, in the order of the files.

@@ -22,7 +22,7 @@ from dart_flight import __version__
 from dart_flight.base.errors import FlightError
 from dart_flight.base.processes import use_idle_priority
 from dart_flight.cli.terminal import OutputError, open_closed_streams, print_status, write_output
-from dart_flight.config.document import InputError, did_you_mean, or_known
+from dart_flight.config.document import InputError, did_you_mean, suggest_known
 from dart_flight.config.retired_keys import RetiredKeyWarning
 from dart_flight.lab_entries import COMMANDS as LAB_COMMANDS
 from dart_flight.lab_entries import load_entry
@@ -33,12 +33,12 @@ COMMANDS = {
     "dry-run": "fly a mission in simulation",
     "campaign": "fly thousands of simulated missions into a resumable results table",
     "simulate": "run a standalone simulated vehicle for `fly` in another terminal or a ground station",
-    "check": "preflight check of a mission and, where connected, of the vehicle",
-    "parameters": "list PX4's parameters that are not as wanted, write them, write them back",
-    "bringup": "bring a vehicle up on the bench, step by step, and file what was measured",
+    "check": "check a mission before a flight and, with --connection, the vehicle",
+    "parameters": "list PX4's parameters that differ from the wanted values, write or restore them",
+    "bringup": "bring up a vehicle on the bench step by step, and record the measurements",
     "mocap": "forward a motion capture's poses to PX4, and show their rate, gaps and age",
-    "survey": "touch a mission's walls gently, and write the mission with the walls as they were met",
-    "standby": "hold link and lock between flights, and fly by the buttons of a ground station",
+    "survey": "touch a mission's walls gently, and write the mission with the measured walls",
+    "standby": "hold link and lock between flights, and fly on the buttons of a ground station",
     "lock": "move or report the locking mechanism",
     "plan": "choose walls, velocities and modes for a scenario, and write the mission",
     "px4-log": "download PX4's own log of a flight into the flight's folder",
@@ -108,7 +108,7 @@ class _Parser(argparse.ArgumentParser):
         if action is None or action.choices is None:
             return message
         known = [str(choice) for choice in action.choices]
-        near = or_known(wrong["value"].strip("'"), known)
+        near = suggest_known(wrong["value"].strip("'"), known)
         what = "command" if action.dest == "command" else wrong["name"]
         return f"unknown {what} {wrong['value']}{near}"
 
@@ -209,7 +209,7 @@ def _need_working_folder() -> None:
     try:
         os.getcwd()
     except OSError as error:
-        raise InputError(f"the working folder cannot be used: {error.strerror}; cd to another one") from None
+        raise InputError(f"cannot use the working folder: {error.strerror}; cd to another one") from None
 
 
 def _system_error(error: OSError) -> str:

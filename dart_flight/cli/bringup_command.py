@@ -12,7 +12,7 @@ from dart_flight.check.bringup.steps import STEPS, WAIT_S, Bringup
 from dart_flight.check.stages import run_checks
 from dart_flight.cli.options import add_driver_option, add_mocap_option, link_of, number, refuse_unwritable
 from dart_flight.cli.terminal import emit_json, print_status
-from dart_flight.cli.vehicle_line import say_vehicle
+from dart_flight.cli.vehicle_line import print_vehicle
 from dart_flight.config.document import InputError
 from dart_flight.config.edit import write_values
 from dart_flight.config.mission import load_mission
@@ -25,14 +25,20 @@ from dart_flight.vehicle.link import LinkLease
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the command."""
-    parser.add_argument("mission", nargs="?", metavar="MISSION", help="for its vehicle and its frame")
-    parser.add_argument("--connection", metavar="URL", help="the vehicle's link (default: connection.url)")
-    parser.add_argument("--state", type=Path, metavar="DIR", help="where it is remembered and filed")
-    parser.add_argument("--again", action="store_true", help="also the steps that have passed")
     parser.add_argument(
-        "--wait", type=number(1.0, 600.0), default=WAIT_S, metavar="S", help="for each of your moves (60 s)"
+        "mission", nargs="?", metavar="MISSION", help="mission that names the vehicle and the frame"
     )
-    parser.add_argument("--yes", action="store_true", help="only what needs no hands")
+    parser.add_argument("--connection", metavar="URL", help="the vehicle's link (default: connection.url)")
+    parser.add_argument("--state", type=Path, metavar="DIR", help="folder of progress and records")
+    parser.add_argument("--again", action="store_true", help="repeat the steps that have passed")
+    parser.add_argument(
+        "--wait",
+        type=number(1.0, 600.0),
+        default=WAIT_S,
+        metavar="S",
+        help="timeout of each of your moves (60 s)",
+    )
+    parser.add_argument("--yes", action="store_true", help="do only the steps that need no operator")
     add_driver_option(parser)
     add_mocap_option(parser)
 
@@ -40,7 +46,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 class _Terminal:
     """The operator's terminal; questions are on standard error, so that they do not disturb `--json`."""
 
-    def tell(self, text: str) -> None:
+    def instruct(self, text: str) -> None:
         print_status(f"  {text}")
 
     def confirm(self, question: str) -> bool:
@@ -56,7 +62,7 @@ def _write_delay(arguments: argparse.Namespace, source: str | None, delay_ms: fl
         refuse_unwritable(arguments, path)
         write_values(path, {("mocap", "delay_ms"): delay_ms})
     except InputError as error:
-        print_status(f"  set mocap.delay_ms to {delay_ms:g} yourself: {error.one_line()}")
+        print_status(f"  set mocap.delay_ms to {delay_ms:g} by hand: {error.one_line()}")
     else:
         print_status(
             f"  wrote mocap.delay_ms {delay_ms:g} into {path}; `parameters --write` sets EKF2_EV_DELAY to it"
@@ -70,30 +76,33 @@ def run(arguments: argparse.Namespace) -> int:
     mission = with_mocap(with_driver(mission, arguments.driver), arguments.mocap)
     url = link_of(arguments, mission.vehicle.connection)
     folder = arguments.state or state_dir() / "bringup"
-    say_vehicle(mission.flown_vehicle(), arguments)
-    record = progress.load(folder, mission.flown_vehicle(), url)
-    written = progress.save(record, folder)
+    print_vehicle(mission.flown_vehicle(), arguments)
+    record = progress.load_record(folder, mission.flown_vehicle(), url)
+    written = progress.save_record(record, folder)
     with LinkLease(url, "bringup") as lease:
-        bringup = Bringup(mission, url, _Terminal(), arguments.wait, lease.close_device)
+        bringup = Bringup(mission, url, _Terminal(), arguments.wait, lease.lock_device)
         try:
             for k, (step, before) in enumerate(zip(STEPS, record.steps, strict=True), start=1):
-                print_status(f"{k}. {step.name}: {step.what}")
+                print_status(f"{k}. {step.name}: {step.subject}")
                 if before.result is StepOutcome.PASS and not arguments.again:
                     print_status(f"  passed on {before.date}")
                     continue
                 if arguments.yes and step.by_hand:
-                    finding = StepFinding(StepOutcome.NEEDS_OPERATOR, "needs somebody at the vehicle")
+                    finding = StepFinding(StepOutcome.NEEDS_OPERATOR, "needs an operator at the vehicle")
                 else:
                     (finding,) = run_checks([step], bringup)
                 delay_ms = finding.measured.get("delay_ms")
                 if finding.result is StepOutcome.PASS and isinstance(delay_ms, float):
                     _write_delay(arguments, mission.flown_vehicle().source, delay_ms)
-                progress.note(record, step.name, finding)
-                written = progress.save(record, folder)
+                progress.store_finding(record, step.name, finding)
+                written = progress.save_record(record, folder)
                 print_status(f"  {finding.result.value}: {finding.message}")
         finally:
             bringup.close()
-    print_status("next: `dart-flight parameters` lists what PX4 has otherwise than measured, and writes it")
+    print_status(
+        "next: `dart-flight parameters` lists the parameters that differ from the measurements, and "
+        "writes them"
+    )
     if arguments.json:
         emit_json({"steps": record.steps, "vehicle": record.vehicle, "files": [str(p) for p in written]})
     else:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from dart_flight.check.checks import FlightContext, checks_of
+from dart_flight.check.checks import FlightContext, select_checks
 from dart_flight.check.findings import CheckReport, decide
 from dart_flight.check.stages import Stage, run_checks
 from dart_flight.cli.mission_picture import add_plot_option, write_picture
@@ -23,7 +23,7 @@ from dart_flight.cli.options import (
     link_of,
 )
 from dart_flight.cli.terminal import emit_json, messages, print_status, styled
-from dart_flight.cli.vehicle_line import say_vehicle
+from dart_flight.cli.vehicle_line import print_vehicle
 from dart_flight.config.document import InputError, Stamp, noting_files, stamp_of
 from dart_flight.config.mission import load_mission
 from dart_flight.config.parameter_file import PX4_NAME
@@ -36,7 +36,7 @@ _LOOK_S = 0.5
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the command."""
     parser.add_argument("mission", metavar="MISSION", help="mission file, see missions/")
-    parser.add_argument("--connection", metavar="URL", help="also check the vehicle that answers here")
+    parser.add_argument("--connection", metavar="URL", help="also check the vehicle at this URL")
     add_overrule_option(parser)
     add_log_dir_option(parser)
     add_position_option(parser)
@@ -47,7 +47,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--watch",
         action="store_true",
-        help="check and draw again whenever the mission or a file it uses is saved",
+        help="repeat check and picture whenever the mission or a file that it uses is saved",
     )
 
 
@@ -56,7 +56,7 @@ def run(arguments: argparse.Namespace) -> int:
     if not arguments.watch:
         return _check(arguments)
     if arguments.json or arguments.connection is not None:
-        raise InputError("only for files: not with --json or --connection", key=("--watch",))
+        raise InputError("--watch cannot be combined with --json or --connection", key=("--watch",))
     return keep_checking(lambda: _check(arguments))
 
 
@@ -103,12 +103,12 @@ def _check(arguments: argparse.Namespace) -> int:
     context = FlightContext(mission, arguments.log_dir, position_from=arguments.position_from)
     if arguments.connection is not None:
         context.url = link_of(arguments, mission.vehicle.connection)
-    run_checks(checks_of(Stage.FILE, Stage.COMPUTER, Stage.DESK), context)
+    run_checks(select_checks(Stage.FILE, Stage.COMPUTER, Stage.DESK), context)
     if context.url is not None:
         with LinkLease(context.url, "check"):
-            run_checks(checks_of(Stage.VEHICLE), context)
+            run_checks(select_checks(Stage.VEHICLE), context)
     report = decide(mission, context.found, arguments.overrule)
-    say_vehicle(mission.flown_vehicle(), arguments)
+    print_vehicle(mission.flown_vehicle(), arguments)
     if arguments.json:
         emit_json(report)
     else:
@@ -128,7 +128,7 @@ def show(report: CheckReport, console: Console) -> None:
         console.print(line, soft_wrap=True)
     if any(PX4_NAME.match(f.item) and (f.remark or not f.go) for f in report.findings):
         console.print(
-            "parameters that differ: `dart-flight parameters` lists and writes them", soft_wrap=True
+            "some parameters differ: `dart-flight parameters` lists and writes them", soft_wrap=True
         )
     end = styled(("go", "bold green")) if report.go else styled(("no-go", "bold red"), ": do not fly")
     console.print(end)

@@ -14,7 +14,7 @@ _FOLDERS = {"DIR"}
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the command."""
-    parser.add_argument("shell", choices=SHELLS, help="the shell that reads the script")
+    parser.add_argument("shell", choices=SHELLS, help="shell")
 
 
 def run(arguments: argparse.Namespace) -> int:

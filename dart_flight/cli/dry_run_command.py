@@ -20,7 +20,7 @@ from dart_flight.cli.flight_output import (
     show_end,
     summary_table,
 )
-from dart_flight.cli.hitl_preflight import prepare_hitl, say_how_to_end
+from dart_flight.cli.hitl_preflight import prepare_hitl, print_hitl_exit
 from dart_flight.cli.live_options import add_live_options, live_view
 from dart_flight.cli.options import (
     add_emulated_mocap_option,
@@ -32,12 +32,12 @@ from dart_flight.cli.options import (
 )
 from dart_flight.cli.px4_options import add_px4_options, position_source_of, position_warnings
 from dart_flight.cli.terminal import emit_json, keep_status, messages, styled, tables
-from dart_flight.cli.vehicle_line import say_vehicle
+from dart_flight.cli.vehicle_line import print_vehicle
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission
 from dart_flight.config.provenance import display_path
 from dart_flight.planning.envelope import impact_warnings
-from dart_flight.planning.positioning import source_for
+from dart_flight.planning.positioning import effective_source
 from dart_flight.recording.verdict import Verdict
 from dart_flight.run.embedded import fly_embedded
 from dart_flight.run.fast import fly_fast
@@ -45,8 +45,8 @@ from dart_flight.run.many_flights import RunsInterruptedError, fly_fast_many, fl
 from dart_flight.run.prepare import as_rehearsal, load_flyable, with_driver, with_simulated_mocap
 from dart_flight.run.px4_flight import fly_px4
 from dart_flight.sim.draws import parse_vary
-from dart_flight.sim.faults.fault_table import FaultSite, parse_fault_of
-from dart_flight.sim.pipe import FULL_SPEED, need_mavlink
+from dart_flight.sim.faults.fault_table import FaultSite, parse_mission_fault
+from dart_flight.sim.pipe import FULL_SPEED, require_mavlink
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -63,9 +63,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--realtime",
         action="store_true",
-        help="simulated time does not wait for this program; a busy computer may fail it (docs/time.md)",
+        help="simulated time does not wait for this program; on a busy computer it may fail (docs/time.md)",
     )
-    parser.add_argument("--fast", action="store_true", help="in process, in simulated time, without MAVLink")
+    parser.add_argument(
+        "--fast", action="store_true", help="in one process, in simulated time, without MAVLink"
+    )
     parser.add_argument("--seed", type=whole_number(0, 2**31 - 1), default=1, help="random seed (default 1)")
     parser.add_argument(
         "--runs",
@@ -77,7 +79,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--fault",
         type=str,
         metavar="NAME[=VALUE][@PHASE]",
-        help="inject a fault, from this phase on (see docs/faults.md)",
+        help="inject a fault, from a phase on (docs/faults.md)",
     )
     add_live_options(parser)
     add_set_option(parser)
@@ -98,12 +100,12 @@ def flight_function(arguments: argparse.Namespace, mission: Mission) -> Callable
     Raises:
         InputError: the options do not fit together.
     """
-    position_from = source_for(mission, position_source_of(arguments))
-    fault = None if arguments.fault is None else parse_fault_of(mission, arguments.fault)
+    position_from = effective_source(mission, position_source_of(arguments))
+    fault = None if arguments.fault is None else parse_mission_fault(mission, arguments.fault)
     spreads = parse_vary(arguments.vary, mission.vehicle)
-    of_mocap = fault is not None and fault.kind.place is FaultSite.MOCAP
+    of_mocap = fault is not None and fault.kind.site is FaultSite.MOCAP
     if fault is not None and (arguments.runs is not None or (arguments.px4 is not None and not of_mocap)):
-        raise InputError("--fault is for one flight in the fast or the embedded world")
+        raise InputError("--fault needs a single flight with --fast or the embedded autopilot")
     if arguments.fast and (arguments.speed is not None or arguments.realtime):
         raise InputError("--fast always runs at full speed: omit --speed and --realtime")
     if arguments.realtime and arguments.speed == FULL_SPEED:
@@ -111,11 +113,11 @@ def flight_function(arguments: argparse.Namespace, mission: Mission) -> Callable
     speed = arguments.speed or (1.0 if arguments.runs is None or arguments.realtime else FULL_SPEED)
     if arguments.live and (arguments.fast or arguments.runs is not None):
         raise InputError(
-            "--live needs a single real-time flight; `export --foxglove` shows any flight afterwards"
+            "--live needs a single flight in real time; to see any flight afterwards, use `export --foxglove`"
         )
     if arguments.px4 is None and arguments.fast:
         return partial(fly_fast, fault=fault, spreads=spreads)
-    need_mavlink()
+    require_mavlink()
     if arguments.hitl is not None:
         return prepare_hitl(arguments, mission, position_from, spreads)
     if arguments.px4 is None:
@@ -156,7 +158,7 @@ def is_realtime(arguments: argparse.Namespace, mission: Mission) -> bool:
         return True
     if arguments.fault is None or arguments.fast:
         return False
-    return parse_fault_of(mission, arguments.fault).kind.of_real_time
+    return parse_mission_fault(mission, arguments.fault).kind.needs_real_time
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -166,15 +168,16 @@ def run(arguments: argparse.Namespace) -> int:
     mission = with_emulated_mocap(arguments, mission)
     fly = flight_function(arguments, mission)
     console = messages()
-    say_vehicle(mission.flown_vehicle(), arguments)
+    print_vehicle(mission.flown_vehicle(), arguments)
     warnings = [
         *impact_warnings(mission),
-        *position_warnings(source_for(mission, position_source_of(arguments))),
+        *position_warnings(effective_source(mission, position_source_of(arguments))),
     ]
     realtime = is_realtime(arguments, mission)
     if realtime and not arguments.realtime and arguments.hitl is None:
         warnings.append(
-            f"the fault {arguments.fault} concerns time or link: flown in real time, not in lockstep"
+            f"the fault {arguments.fault} affects time or link: this flight runs in real time, not in "
+            "lockstep"
         )
     late_s = measure_lateness_s() if realtime else 0.0
     if late_s > LATE_S:
@@ -196,7 +199,7 @@ def _fly_one(arguments: argparse.Namespace, mission: Mission, fly: Callable[...,
             verdict.speed = verdict.flight_time_s / (time.monotonic() - began_s)
     show_end(verdict, console, arguments.json)
     if arguments.hitl is not None:
-        say_how_to_end()
+        print_hitl_exit()
     return exit_status(verdict)
 
 
@@ -251,7 +254,7 @@ def _show_runs(
         console.print(f"logs: {len(verdicts)} flights in {display_path(arguments.log_dir)}", soft_wrap=True)
     cut = [verdict for verdict in verdicts if verdict.log_failure is not None]
     if cut:
-        line = styled((f"{len(cut)} logs are not complete", "red"), f": {cut[0].log_failure}")
+        line = styled((f"{len(cut)} logs are incomplete", "red"), f": {cut[0].log_failure}")
         console.print(line, soft_wrap=True)
     if interrupted:
         return EXIT_INTERRUPTED

@@ -21,7 +21,7 @@ from dart_flight.recording.plan_versus_flight import format_departures
 from dart_flight.recording.verdict import Verdict
 from dart_flight.run.many_flights import RunsSummary
 
-TOO_BUSY = "the computer cannot keep up with real time; omit --realtime, or use --fast"
+TOO_BUSY = "the computer is too slow for real time; omit --realtime or use --fast"
 
 
 class FlightLines:
@@ -41,10 +41,10 @@ class FlightLines:
 
     def __call__(self, record: Record) -> None:
         """Print a record if it is a decision."""
-        self._time.take(record)
+        self._time.add(record)
         if self._live_line is not None:
             self._live_line(record)
-        event = self._events.event_of(record)
+        event = self._events.format_event(record)
         if event is None or (event.level is Level.DEBUG and not self._verbose):
             return
         self.close()
@@ -82,7 +82,7 @@ def show_end(verdict: Verdict, console: Console, as_json: bool) -> None:
         why = TOO_BUSY if simulated else "the computer was too busy (see docs/latency.md)"
         console.print(f"this program lagged by up to {late_ms:.0f} ms: {why}", style="yellow", soft_wrap=True)
     if verdict.log_failure is not None:
-        text = f"log: {verdict.log} is not complete: {verdict.log_failure}"
+        text = f"log: {verdict.log} is incomplete: {verdict.log_failure}"
         console.print(text, soft_wrap=True, style="red")
         return
     for line in [f"log: {verdict.log}", *(f"  {step}" for step in next_steps(verdict))]:
@@ -105,7 +105,7 @@ def wall_lines(verdict: Verdict) -> list[str]:
         (x, y), (nx, ny) = wall.point_m, wall.normal
         text = f"wall {wall.name}: at ({x:.3f}, {y:.3f}) ± {wall.position_sd_m:.3f} m along its normal "
         text += f"({nx:.3f}, {ny:.3f}) ± {wall.yaw_sd_deg:.2f} deg"
-        lines.append(text + (f", {wall.material}" if wall.material is not None else ", of no known material"))
+        lines.append(text + (f", {wall.material}" if wall.material is not None else ", material unknown"))
     return lines
 
 
@@ -155,7 +155,7 @@ def verdict_table(verdict: Verdict) -> RenderableType:
             _add_collision(table, collision)
         parts.append(table)
     elif verdict.outcome is not Outcome.COMPLETED:
-        parts.append(Text("no planned collision was flown"))
+        parts.append(Text("no planned collision took place"))
     figures = [
         f"{name} {value:.2f}\N{NO-BREAK SPACE}{unit}"
         for name, value, unit in (
@@ -184,9 +184,9 @@ def _resets_line(verdict: Verdict) -> Text:
     resets = verdict.estimator_resets
     position_m, velocity_m_s = max(r.position_m for r in resets), max(r.velocity_m_s for r in resets)
     heading_deg = max((r.heading_deg for r in resets), key=abs)
-    figures = f"{position_m:.2f} m, {velocity_m_s:.2f} m/s, heading {heading_deg:.1f} deg"
+    figures = f"position {position_m:.2f} m, velocity {velocity_m_s:.2f} m/s, heading {heading_deg:.1f} deg"
     times = "once" if len(resets) == 1 else f"{len(resets)} times"
-    return Text(f"PX4 reset its estimator {times}, by at most {figures}", style="yellow")
+    return Text(f"PX4 reset its estimator {times}; largest steps {figures}", style="yellow")
 
 
 def _goal_line(verdict: Verdict) -> Text:
@@ -195,7 +195,7 @@ def _goal_line(verdict: Verdict) -> Text:
         return Text("goal reached")
     text = "goal not reached"
     if verdict.goal_miss_m is not None and verdict.goal_miss_planned_m is not None:
-        text += f": passed at {verdict.goal_miss_m:.2f} m, {verdict.goal_miss_planned_m:.2f} m predicted"
+        text += f": passed at {verdict.goal_miss_m:.2f} m, predicted {verdict.goal_miss_planned_m:.2f} m"
     return Text(text, style="yellow")
 
 
@@ -209,7 +209,7 @@ def _plan_line(verdict: Verdict) -> Text:
 def _add_collision(table: Table, c: CollisionVerdict) -> None:
     head = styled((f"{c.index} {c.wall}, {c.mode}", "bold"), (" clipped" if c.clipped else "", "red"))
     if c.mode_felt not in (None, c.mode):
-        head.append(f" but contact indicates {c.mode_felt}", style="red")
+        head.append(f", but the contact indicates {c.mode_felt}", style="red")
     table.add_row(head)
     rows: list[tuple[str, Velocities | None]] = [
         ("planned", c.planned),

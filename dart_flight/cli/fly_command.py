@@ -8,7 +8,7 @@ import shlex
 from pathlib import Path
 
 from dart_flight.base.errors import FlightError
-from dart_flight.check.checks import FlightContext, checks_of
+from dart_flight.check.checks import FlightContext, select_checks
 from dart_flight.check.findings import CheckFinding, decide
 from dart_flight.check.stages import Stage, run_checks
 from dart_flight.cli.check_command import show
@@ -24,7 +24,7 @@ from dart_flight.cli.options import (
 )
 from dart_flight.cli.px4_log_command import download_px4_log
 from dart_flight.cli.terminal import confirm, emit_json, messages, print_status
-from dart_flight.cli.vehicle_line import say_vehicle
+from dart_flight.cli.vehicle_line import print_vehicle
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission, Waypoint
 from dart_flight.config.provenance import display_path
@@ -70,12 +70,12 @@ def _fly(arguments: argparse.Namespace, mission: Mission, url: str, lease: LinkL
     if arguments.plot is not None:
         write_picture(mission, arguments.plot)
     else:
-        see = f"to see it first: dart-flight check {shlex.quote(arguments.mission)} --plot mission.png"
+        see = f"to see the path first: dart-flight check {shlex.quote(arguments.mission)} --plot mission.png"
         print_status(see)
-    say_vehicle(mission.flown_vehicle(), arguments)
+    print_vehicle(mission.flown_vehicle(), arguments)
     console.print(_flight_summary(mission, url), soft_wrap=True)
     context = FlightContext(mission, arguments.log_dir, url, arguments.position_from)
-    findings = run_checks(checks_of(Stage.FILE, Stage.COMPUTER, Stage.VEHICLE), context)
+    findings = run_checks(select_checks(Stage.FILE, Stage.COMPUTER, Stage.VEHICLE), context)
     before = _listed(mission, url) if arguments.px4_log else None
     verdict = fly_if_go(arguments, mission, url, lease, findings)
     if verdict is None:
@@ -92,7 +92,7 @@ def _listed(mission: Mission, url: str) -> list[Px4LogEntry] | None:
     try:
         return list_px4_logs(url, mission.vehicle.connection.timeout_s)
     except FlightError as error:
-        print_status(f"{error}; the log of this flight will be chosen by its date")
+        print_status(f"{error}; this flight's log will be chosen by its date")
         return None
 
 
@@ -122,7 +122,7 @@ def fly_if_go(
             emit_json(report)
         return None
     if not arguments.yes and not confirm("Fly?"):
-        console.print("cancelled, not flown")
+        console.print("cancelled: not flown")
         return None
     lines = FlightLines(console, arguments.verbose > 0, live_line_for(mission, console))
     with live_view(arguments, mission) as live, contextlib.closing(lines):
@@ -140,9 +140,9 @@ def _flight_summary(mission: Mission, url: str) -> str:
     for c in mission.collisions:
         if c.approach_m_s is not None:
             normal, tangential = c.approach_m_s
-            how = f"at {normal:g} m/s normal, {tangential:g} m/s along"
+            how = f"at {normal:g} m/s normal, {tangential:g} m/s tangential"
         else:
-            how = "reached by the recovery from the previous collision"
+            how = "by the recovery from the previous collision"
         mode = "" if lock is None else f" {c.mode.value}"
         lines.append(f"  hit {c.wall.name} ({c.wall.material}){mode}, {how}")
         lines += [line for after, line in stops if after == c.index]
@@ -153,7 +153,7 @@ def _flight_summary(mission: Mission, url: str) -> str:
 
 def _stop(w: Waypoint) -> str:
     if w.position is None:
-        return f"  pause until Enter or SIGUSR1, at most {w.hold_s:g} s, then land"
+        return f"  pause until Enter or SIGUSR1; land after {w.hold_s:g} s"
     x, y, z = w.position
     held = f", hold for {w.hold_s:g} s" if w.hold_s else ""
     return f"  fly to ({x:g}, {y:g}) at {z:g} m at up to {w.speed_m_s:g} m/s{held}"

@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 from functools import partial
 
 from dart_flight.base.errors import FlightError
-from dart_flight.check.checks import FlightContext, checks_of
+from dart_flight.check.checks import FlightContext, select_checks
 from dart_flight.check.findings import decide
 from dart_flight.check.hitl_check import hitl_parameters
 from dart_flight.check.stages import Stage, run_checks
@@ -45,15 +45,16 @@ def prepare_hitl(
     url = link_of(arguments, mission.vehicle.connection)
     if endpoint_of(hitl_url).key == endpoint_of(url).key:
         raise InputError(
-            "is also the app's link; the flight controller needs a port for each", key=("--hitl",)
+            "is also the link of the application; the flight controller needs one port for each",
+            key=("--hitl",),
         )
     context = FlightContext(mission, url=url, position_from=position_from)
     with LinkLease(url, "dry-run --hitl"):
-        run_checks(checks_of(Stage.HITL), context)
+        run_checks(select_checks(Stage.HITL), context)
     report = decide(mission, context.found)
     show(report, messages())
     if not report.go:
-        raise FlightError("flight controller not ready for hardware in the loop; not flown")
+        raise FlightError("the flight controller is not ready for hardware in the loop; not flown")
     motors = context.vehicle.motors
     _confirm()
     return partial(
@@ -71,13 +72,13 @@ def _confirm() -> None:
     sys.stderr.write(f"Motors may turn. Take the propellers off, then type '{_WORD}': ")
     sys.stderr.flush()
     if sys.stdin.readline().strip().lower() != _WORD:
-        raise InputError(f"not confirmed by typing '{_WORD}'; not flown", key=("--hitl",))
+        raise InputError(f"'{_WORD}' was not typed; not flown", key=("--hitl",))
 
 
-def say_how_to_end() -> None:
+def print_hitl_exit() -> None:
     """Print how to switch hardware-in-the-loop off."""
     others = ", ".join(p.name for p in hitl_parameters().values() if p.name != "SYS_HITL")
     print_status(
-        f"to switch it off: set SYS_HITL to 0, put back what you had in GPS_1_CONFIG, {others}, restart the "
+        f"to switch it off: set SYS_HITL to 0, restore GPS_1_CONFIG, {others}, restart the "
         "flight controller; until then `fly` and `check` refuse it"
     )

@@ -11,12 +11,14 @@ from dart_flight.config.starter import DART, VEHICLES, first_mission, write_star
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the command."""
-    parser.add_argument("directory", type=Path, metavar="DIR", help="where the files go; made if need be")
+    parser.add_argument(
+        "directory", type=Path, metavar="DIR", help="folder for the files; created if missing"
+    )
     parser.add_argument(
         "--vehicle",
         default=DART,
         metavar="NAME",
-        help="whose configuration and missions: " + ", ".join(VEHICLES) + f" (default: {DART})",
+        help="vehicle to copy the files of: " + ", ".join(VEHICLES) + f" (default: {DART})",
     )
 
 

@@ -54,7 +54,7 @@ class LiveLine:
 
     def __call__(self, record: Record) -> None:
         """Update the line with a record of the flight."""
-        self._anchor.take(record)
+        self._anchor.add(record)
         handler = self._handlers.get(type(record))
         if handler is not None:
             handler(record)

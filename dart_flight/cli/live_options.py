@@ -52,7 +52,7 @@ class LiveView:
             action(*arguments)
         except Exception as error:
             self._failed = True
-            print_status(f"the live view failed ({error!r}); the flight goes on without it")
+            print_status(f"the live view failed ({error!r}); the flight continues without it")
 
 
 def add_live_options(parser: argparse.ArgumentParser) -> None:
@@ -65,12 +65,12 @@ def add_live_options(parser: argparse.ArgumentParser) -> None:
         "--live-port",
         type=whole_number(1, 65535),
         metavar="PORT",
-        help=f"that viewers connect to (default {DEFAULT_PORT})",
+        help=f"port for viewers (default {DEFAULT_PORT})",
     )
     group.add_argument(
         "--live-host",
         metavar="ADDRESS",
-        help=f"to listen at (default {DEFAULT_HOST}: this machine only; 0.0.0.0: all may watch)",
+        help=f"address to listen at (default {DEFAULT_HOST}: this computer only; 0.0.0.0: every computer)",
     )
 
 
@@ -79,8 +79,8 @@ def live_view(
     arguments: argparse.Namespace,
     mission: Mission,
     *,
-    furnished: bool = True,
-    placed: bool = False,
+    show_room: bool = True,
+    frame_known: bool = False,
     from_truth: bool = False,
 ) -> Iterator[LiveView | None]:
     """Open the live view of `--live` as a context and print its address; the value is None without `--live`.
@@ -88,8 +88,8 @@ def live_view(
     Args:
         arguments: parsed arguments of the command.
         mission: mission that is shown.
-        furnished: whether to show the mission's room.
-        placed: whether the mission frame lies as the mission specifies from the beginning.
+        show_room: whether to show the mission's room.
+        frame_known: whether the mission frame lies as the mission specifies from the beginning.
         from_truth: whether to show a simulated vehicle alone, at its true pose.
 
     Raises:
@@ -104,7 +104,7 @@ def live_view(
 
     host = arguments.live_host or DEFAULT_HOST
     port = arguments.live_port or DEFAULT_PORT
-    view = _open(mission, host, port, furnished, placed, from_truth)
+    view = _open(mission, host, port, show_room, frame_known, from_truth)
     if view is None:
         yield None
         return
@@ -114,7 +114,7 @@ def live_view(
             f"live: in Foxglove or Lichtblick open the connection ws://{host}:{view.port}; layout {layout}"
         )
         if host not in _LOCAL:
-            print_status(f"live: anyone who can reach {host} may watch (read-only)")
+            print_status(f"live: every computer that reaches {host} can watch (read-only)")
         yield view
     finally:
         view.close()
@@ -127,5 +127,5 @@ def _open(mission: Mission, host: str, port: int, *shown: bool) -> LiveView | No
     except InputError:
         raise
     except Exception as error:
-        print_status(f"no live view ({error!r}); the flight goes on without it")
+        print_status(f"no live view ({error!r}); the flight continues without it")
         return None

@@ -13,7 +13,7 @@ from dart_flight.base.records import LockPhase, LockState, Mode
 from dart_flight.cli import EXIT_INCOMPLETE, EXIT_OK
 from dart_flight.cli.options import add_driver_option, link_of, refuse_unwritable
 from dart_flight.cli.terminal import emit_json, messages, print_status, tables
-from dart_flight.cli.vehicle_line import say_vehicle
+from dart_flight.cli.vehicle_line import print_vehicle
 from dart_flight.config.document import Document, InputError
 from dart_flight.config.edit import write_values
 from dart_flight.config.provenance import find_vehicle
@@ -23,7 +23,7 @@ from dart_flight.lock.calibration import HELP, Calibration, CalibrationError
 from dart_flight.lock.drivers import DRIVERS, Driver, DriverError, SetActuator, driver_names
 from dart_flight.lock.drivers.px4_output import parameter_problems, required_parameters
 from dart_flight.lock.ground import GroundLock, calibration, ground_driver
-from dart_flight.lock.persistence import CommandStore, ServoOwnership, ServoTakenError, forget_last, load_last
+from dart_flight.lock.persistence import CommandStore, ServoInUseError, ServoOwnership, delete_last, load_last
 from dart_flight.lock.state_machine import describe
 from dart_flight.vehicle.link import LinkLease
 
@@ -34,9 +34,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add_driver_option(parser)
     parser.add_argument("--connection", metavar="URL", help="autopilot, for the px4 driver")
     parser.add_argument(
-        "--release", action="store_true", help="switch the pulses off once settled (else they hold the rods)"
+        "--release",
+        action="store_true",
+        help="switch the pulses off once settled (default: they hold the rods)",
     )
-    parser.add_argument("--yes", action="store_true", help="calibrate: write without confirmation")
+    parser.add_argument("--yes", action="store_true", help="with calibrate: write without confirmation")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -59,7 +61,7 @@ def run(arguments: argparse.Namespace) -> int:
             config, link.read_parameters(required.name for required in required_parameters(config))
         )
         for problem in problems:
-            print_status(f"PX4 would not move the servo: {problem}")
+            print_status(f"PX4 cannot move the servo: {problem}")
         if problems and arguments.action != "status":
             return EXIT_INCOMPLETE
         return _owned(arguments, config, path, link.set_actuator)
@@ -72,7 +74,7 @@ def _owned(
     try:
         with owner:
             return _with_servo(arguments, config, path, set_actuator)
-    except ServoTakenError as error:
+    except ServoInUseError as error:
         return _taken(arguments, config, error)
     except DriverError as error:
         if error.key:
@@ -98,13 +100,13 @@ def _with_servo(
     driver.open()
     if not DRIVERS[config.driver].moves and arguments.action != "status":
         real = driver_names(lambda entry: entry.moves)
-        print_status(f"lock.driver is {config.driver.value}: no servo moves; choose {real} (--driver)")
+        print_status(f"lock.driver is {config.driver.value}: no real servo moves; choose {real} (--driver)")
     try:
         if arguments.action == "calibrate":
             return _calibrate(arguments, config, path, driver)
         store = CommandStore(config.driver)
-        lock = GroundLock(config, driver, store.note)
-        state = lock.look()
+        lock = GroundLock(config, driver, store.store)
+        state = lock.read_state()
         wanted = None
         if arguments.action != "status":
             if arguments.action != "toggle":
@@ -136,7 +138,7 @@ def _report(
     ok: bool,
     owner_pid: int | None = None,
 ) -> None:
-    say_vehicle(arguments.vehicle, arguments)
+    print_vehicle(arguments.vehicle, arguments)
     last = load_last()
     if arguments.json:
         report: dict[str, Any] = {
@@ -161,7 +163,7 @@ def _report(
         tables().print(f"last command: {last.describe()}", soft_wrap=True)
 
 
-def _taken(arguments: argparse.Namespace, config: LockConfig, error: ServoTakenError) -> int:
+def _taken(arguments: argparse.Namespace, config: LockConfig, error: ServoInUseError) -> int:
     """Report that another process owns the servo: `status` shows the last command, other actions fail."""
     print_status(f"lock: {error}")
     status = arguments.action == "status"
@@ -176,14 +178,14 @@ def _taken(arguments: argparse.Namespace, config: LockConfig, error: ServoTakenE
 def _calibrate(arguments: argparse.Namespace, config: LockConfig, path: Path, driver: Driver) -> int:
     steps = calibration(config, driver)
     if driver.read().pulse_us is None:
-        print_status(f"The servo will go to {steps.pulse_us:g} us at once. Are the rods free to move? [y/N]")
+        print_status(f"The servo moves to {steps.pulse_us:g} us at once. Are the rods free to move? [y/N]")
         if not _yes(arguments):
-            return _unchanged(arguments, config, "nothing moved")
-    forget_last()
+            return _unchanged(arguments, config, "the servo was not moved")
+    delete_last()
     driver.set_pulse(steps.pulse_us)
     print_status(HELP)
     if not _seek(steps):
-        return _unchanged(arguments, config, "left as it was; nothing written")
+        return _unchanged(arguments, config, "cancelled: nothing written")
     found = steps.result()
     for key, value in steps.values().items():
         before = getattr(config.servo, str(key[-1]))
@@ -192,8 +194,8 @@ def _calibrate(arguments: argparse.Namespace, config: LockConfig, path: Path, dr
     if not _yes(arguments):
         return _unchanged(arguments, config, "nothing written")
     write_values(path, steps.values())
-    lock = GroundLock(found, driver, CommandStore(config.driver).note)
-    lock.look()
+    lock = GroundLock(found, driver, CommandStore(config.driver).store)
+    lock.read_state()
     state = lock.move(Mode.FLEXIBLE, release=arguments.release)
     settled = state.phase is LockPhase.SETTLED
     _report(arguments, found, state, ok=settled)
@@ -209,13 +211,13 @@ def _unchanged(arguments: argparse.Namespace, config: LockConfig, why: str) -> i
 
 def _seek(steps: Calibration) -> bool:
     """Process lines from standard input until both ends are known; return False if the operator quits."""
-    while steps.seeking is not None:
-        print_status(f"{steps.seeking} end, now {steps.pulse_us:g} us:")
+    while steps.current_end is not None:
+        print_status(f"{steps.current_end} end, now {steps.pulse_us:g} us:")
         line = sys.stdin.readline()
         if not line or line.strip().lower() in ("quit", "q"):
             return False
         try:
-            steps.enter(line)
+            steps.execute(line)
         except CalibrationError as error:
             print_status(str(error))
     return True

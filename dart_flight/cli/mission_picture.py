@@ -18,7 +18,7 @@ def add_plot_option(parser: argparse.ArgumentParser) -> None:
         "--plot",
         type=Path,
         metavar="FILE",
-        help="picture of the mission, where it leads and what uncertain walls change: png, svg or pdf",
+        help="file for a picture of the mission, its path and the effect of uncertain walls: png, svg or pdf",
     )
 
 
@@ -35,6 +35,6 @@ def write_picture(mission: Mission, path: Path) -> None:
     except InputError:
         raise
     except Exception as error:
-        print_status(f"no picture ({error!r})")
+        print_status(f"no picture: {error!r}")
         return
     print_status(f"picture: {path}")

@@ -12,7 +12,7 @@ from rich.text import Text
 
 from dart_flight.cli.options import add_mocap_option, link_of, number
 from dart_flight.cli.terminal import emit_json, styled, tables
-from dart_flight.cli.vehicle_line import say_vehicle
+from dart_flight.cli.vehicle_line import print_vehicle
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import load_mission
 from dart_flight.config.vehicle import packaged
@@ -41,7 +41,7 @@ def run(arguments: argparse.Namespace) -> int:
     if mission.vehicle.mocap.url is None:
         raise InputError("no motion capture: give --mocap URL, or set mocap.url (docs/motion_capture.md)")
     url = link_of(arguments, mission.vehicle.connection)
-    say_vehicle(mission.flown_vehicle(), arguments)
+    print_vehicle(mission.flown_vehicle(), arguments)
     newest: PoseFigures = PoseFigures()
     problem: str | None = None
     with contextlib.ExitStack() as stack:
@@ -57,7 +57,7 @@ def run(arguments: argparse.Namespace) -> int:
                 live.update(line(figures, why), refresh=True)
 
         with contextlib.suppress(KeyboardInterrupt):
-            asyncio.run(forward_poses(mission, url, show, _PERIOD_S, arguments.seconds, lease.close_device))
+            asyncio.run(forward_poses(mission, url, show, _PERIOD_S, arguments.seconds, lease.lock_device))
     if arguments.json:
         emit_json({**msgspec.structs.asdict(newest), "problem": problem, "vehicle": mission.flown_vehicle()})
     return 0
@@ -73,6 +73,6 @@ def line(figures: PoseFigures, problem: str | None) -> Text:
     if f.distance_to_px4_m is None or f.angle_to_px4_deg is None:
         parts.append("PX4 has no estimate yet")
     else:
-        parts.append(f"PX4 {f.distance_to_px4_m:.2f} m and {f.angle_to_px4_deg:.1f} deg away")
+        parts.append(f"PX4 {f.distance_to_px4_m:.2f} m and {f.angle_to_px4_deg:.1f} deg off")
     rate = (f"{f.rate_hz:.0f} Hz", "green" if f.rate_hz > 0.0 else "red")
     return styled(rate, "   " + "   ".join(parts), *(() if problem is None else ((f"   {problem}", "red"),)))

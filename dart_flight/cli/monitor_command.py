@@ -17,7 +17,7 @@ from dart_flight.base.text import printable
 from dart_flight.cli.live_options import add_live_options, live_view
 from dart_flight.cli.options import add_mocap_option, link_of, number
 from dart_flight.cli.terminal import emit_json, print_status, styled, tables
-from dart_flight.cli.vehicle_line import say_vehicle
+from dart_flight.cli.vehicle_line import print_vehicle
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission, load_mission
 from dart_flight.config.vehicle import default_config_path, packaged
@@ -25,7 +25,7 @@ from dart_flight.recording.about import flown_mission
 from dart_flight.recording.follow import LogFollower
 from dart_flight.run.monitor import MonitorView, TelemetryMonitor, monitor_log, monitor_vehicle
 from dart_flight.run.prepare import with_mocap
-from dart_flight.vehicle.link import Holder, LinkLease, LinkTakenError, endpoint_of, held_links, holder_of
+from dart_flight.vehicle.link import Holder, LinkInUseError, LinkLease, endpoint_of, find_holder, held_links
 
 _PERIOD_S = 0.2
 _BAR_N, _BAR_WIDTH = 40.0, 24
@@ -36,7 +36,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--connection",
         metavar="URL",
-        help="watch the vehicle here (default: a flight under way on this machine, else connection.url)",
+        help="vehicle to watch (default: a flight in progress on this computer, else connection.url)",
     )
     parser.add_argument("--mission", metavar="FILE", help="show forces along this mission's axes")
     parser.add_argument("--log", type=Path, metavar="FILE", help="follow this flight's log")
@@ -79,21 +79,20 @@ def _watch(arguments: argparse.Namespace, show: Callable[[MonitorView], None]) -
             return _follow(*flight, show, arguments)
     mission = with_mocap(mission, arguments.mocap)
     url = link_of(arguments, connection)
-    say_vehicle(mission.flown_vehicle(), arguments)
+    print_vehicle(mission.flown_vehicle(), arguments)
     lease = LinkLease(url, "monitor")
     try:
         lease.acquire()
-    except LinkTakenError as error:
+    except LinkInUseError as error:
         raise InputError(
-            f"{error.message}; without --connection `monitor` watches a flight by its log", source=url
+            f"{error.message}; without --connection, `monitor` follows the log of a flight in progress",
+            source=url,
         ) from None
     seconds, timeout_s = arguments.seconds, connection.timeout_s
     try:
-        with live_view(arguments, mission, furnished=placed, placed=True) as live:
+        with live_view(arguments, mission, show_room=placed, frame_known=True) as live:
             watcher = TelemetryMonitor(mission, placed, live or _ignore)
-            asyncio.run(
-                monitor_vehicle(watcher, url, timeout_s, show, _PERIOD_S, seconds, lease.close_device)
-            )
+            asyncio.run(monitor_vehicle(watcher, url, timeout_s, show, _PERIOD_S, seconds, lease.lock_device))
     finally:
         lease.release()
     return mission
@@ -116,12 +115,12 @@ def _flight(log: Path | None, url: str) -> tuple[Path, Callable[[], bool]] | Non
         several = "; ".join(f"{holder.describe()}: {holder.log}" for holder in flights)
         raise InputError(f"several flights are in progress; choose one with --log: {several}")
     flight = here[0] if here else flights[0]
-    print_status(f"watching {flight.describe()} by its log {flight.log}")
+    print_status(f"watching {flight.describe()} through its log {flight.log}")
     return Path(flight.log or ""), _still_held(flight)
 
 
 def _still_held(flight: Holder) -> Callable[[], bool]:
-    return lambda: holder_of(flight.url) == flight
+    return lambda: find_holder(flight.url) == flight
 
 
 def _ignore(record: Record) -> None:
@@ -139,11 +138,11 @@ def _follow(
     follower = LogFollower(log)
     first = follower.read()
     mission = flown_mission(follower.about, str(log))
-    watcher = TelemetryMonitor(mission, placed=True)
+    watcher = TelemetryMonitor(mission, frame_known=True)
     with live_view(arguments, mission) as live:
         viewer = live.feed if live is not None else _ignore
         for entry in first:
-            watcher.take_record(entry.record)
+            watcher.process_record(entry.record)
             viewer(entry.record)
         monitor_log(watcher, follower, show, _PERIOD_S, arguments.seconds, flying, viewer)
     return mission
@@ -169,7 +168,7 @@ def _force(view: MonitorView) -> Table:
         table.add_row("standard deviation", sigma, styled(("clipped" if view.clipped else "", "red")))
     table.add_row("detection", "", view.detection)
     for age, normal, tangential in view.peaks[:3]:
-        table.add_row(f"impact {age:.1f} s ago", f"{normal:.1f}", f"along the wall {tangential:+.1f}")
+        table.add_row(f"impact {age:.1f} s ago", f"{normal:.1f}", f"tangential {tangential:+.1f}")
     for one in view.walls:
         figures = ", ".join(
             f"{name} {after:.4g} ± {100.0 * sd:.0f} % ({before:.4g})"

@@ -25,7 +25,7 @@ def add_flight_options(parser: argparse.ArgumentParser) -> None:
         "--standoff",
         type=float,
         metavar="M",
-        help="rehearsal: instead of hitting a wall, stop this many metres before it",
+        help="rehearsal: stop this many metres before each wall instead of hitting it",
     )
 
 
@@ -55,7 +55,7 @@ def add_driver_option(parser: argparse.ArgumentParser) -> None:
         type=LockDriver,
         choices=list(LockDriver),
         metavar="DRIVER",
-        help=f"what moves the lock: {known} (default: lock.driver of the configuration)",
+        help=f"driver of the lock: {known} (default: lock.driver of the configuration)",
     )
 
 
@@ -66,7 +66,7 @@ def add_set_option(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="KEY=VALUE",
-        help="a key of the configuration, such as simulation.contact.body=point; repeatable",
+        help="change a key of the configuration, such as simulation.contact.body=point; repeatable",
     )
 
 
@@ -77,7 +77,7 @@ def add_vary_option(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="NAME[=SD]",
-        help="what is drawn anew by every seed, all for everything; repeatable (docs/draws.md)",
+        help="quantity to draw for every seed, or all; repeatable (docs/draws.md)",
     )
 
 
@@ -88,7 +88,7 @@ def add_position_option(parser: argparse.ArgumentParser) -> None:
         type=PositionSource,
         choices=list(PositionSource),
         metavar="SOURCE",
-        help="where PX4's position comes from: "
+        help="source of PX4's position: "
         + ", ".join(PositionSource)
         + " (default: as reported by the vehicle)",
     )

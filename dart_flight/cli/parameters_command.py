@@ -12,13 +12,13 @@ from rich.table import Table
 from dart_flight.check.parameter_setting import (
     ParameterReading,
     read_differences,
-    save_former,
+    save_previous,
     write_rows,
 )
 from dart_flight.check.wanted_parameters import ParameterRow
 from dart_flight.cli.options import add_driver_option, add_position_option, add_set_option, link_of
 from dart_flight.cli.terminal import confirm, emit_json, messages, print_status, tables
-from dart_flight.cli.vehicle_line import say_vehicle
+from dart_flight.cli.vehicle_line import print_vehicle
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import load_mission
 from dart_flight.run.prepare import with_driver
@@ -28,9 +28,11 @@ from dart_flight.vehicle.link import LinkLease
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the command."""
-    parser.add_argument("mission", metavar="MISSION", help="for its vehicle and its frame")
+    parser.add_argument("mission", metavar="MISSION", help="mission that names the vehicle and the frame")
     parser.add_argument("--connection", metavar="URL", help="the vehicle's link (default: connection.url)")
-    parser.add_argument("--write", action="store_true", help="write the wanted values, disarmed only")
+    parser.add_argument(
+        "--write", action="store_true", help="write the wanted values; the vehicle must be disarmed"
+    )
     parser.add_argument(
         "--restore", type=Path, metavar="FILE", help="write the values of a .params file instead"
     )
@@ -40,7 +42,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         type=Path,
         default=Path(),
         metavar="DIR",
-        help="where the former values go (default: the working folder)",
+        help="folder for the previous values (default: the working folder)",
     )
     add_position_option(parser)
     add_driver_option(parser)
@@ -53,12 +55,12 @@ def run(arguments: argparse.Namespace) -> int:
     mission = with_driver(mission, arguments.driver)
     url = link_of(arguments, mission.vehicle.connection)
     if not arguments.save_dir.is_dir():
-        raise InputError("is no folder", source=str(arguments.save_dir), key=("--save-dir",))
-    say_vehicle(mission.flown_vehicle(), arguments)
+        raise InputError("not a folder", source=str(arguments.save_dir), key=("--save-dir",))
+    print_vehicle(mission.flown_vehicle(), arguments)
     saved, refused, written = None, dict[str, str](), False
     timeout_s = mission.vehicle.connection.timeout_s
     with LinkLease(url, "parameters") as lease, GroundLink(url, timeout_s) as link:
-        lease.close_device()
+        lease.lock_device()
         with _shown("reading parameters") as progress:
             found = read_differences(link, mission, arguments.position_from, arguments.restore, progress)
         if not arguments.json:
@@ -68,8 +70,8 @@ def run(arguments: argparse.Namespace) -> int:
             link.require_disarmed()
             if arguments.yes or confirm(f"Write {len(rows)} parameters?"):
                 link.require_disarmed()
-                saved = save_former(rows, arguments.save_dir, f"{url}, PX4 {found.version or 'unknown'}")
-                print_status(f"former values: {saved}")
+                saved = save_previous(rows, arguments.save_dir, f"{url}, PX4 {found.version or 'unknown'}")
+                print_status(f"previous values: {saved}")
                 with _shown("writing parameters") as progress:
                     refused = write_rows(link, rows, progress)
                 written = True
@@ -100,7 +102,7 @@ def _show(found: ParameterReading) -> None:
     if found.position_from is not None:
         print_status(f"position from {found.position_from} (--position-from)")
     if not found.rows:
-        print_status("every parameter is as wanted")
+        print_status("all parameters have the wanted values")
         return
     table = Table()
     table.add_column("parameter", no_wrap=True)
@@ -115,14 +117,16 @@ def _show(found: ParameterReading) -> None:
     missing = [row.name for row in found.rows if row.vehicle is None]
     if missing:
         print_status(f"not on this vehicle, skipped: {', '.join(missing)}")
-    print_status(f"restart: by {found.restart_source}")
+    print_status(f"restart: according to {found.restart_source}")
 
 
 def _report_written(rows: list[ParameterRow]) -> None:
     later = [row.name for row in rows if row.restart]
     print_status(f"{len(rows)} parameters written and read back")
     if later:
-        print_status(f"restart the flight controller; until then without effect: {', '.join(later)}")
+        print_status(
+            f"restart the flight controller; without a restart these have no effect: {', '.join(later)}"
+        )
 
 
 @contextlib.contextmanager

@@ -13,7 +13,7 @@ from dart_flight.cli.terminal import emit_json, messages, print_status
 from dart_flight.config.document import InputError
 from dart_flight.config.provenance import display_path
 from dart_flight.recording.about import armed_span, flown_mission
-from dart_flight.recording.found import PX4_LOG, logs_in
+from dart_flight.recording.found import PX4_LOG, find_logs
 from dart_flight.recording.reader import read_log
 from dart_flight.run.px4_log_download import fetch_px4_log
 from dart_flight.vehicle.downloads import Px4LogEntry
@@ -27,21 +27,24 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--connection", metavar="URL", help="the vehicle's link (default: that of the flight)"
     )
     parser.add_argument(
-        "--log-id", type=whole_number(0, 65535), metavar="N", help="the log's number, if several may be it"
+        "--log-id",
+        type=whole_number(0, 65535),
+        metavar="N",
+        help="number of the log, if several are possible",
     )
-    parser.add_argument("--again", action="store_true", help="also if the log is there already")
+    parser.add_argument("--again", action="store_true", help="download the log even if the file exists")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command and return the exit status."""
-    found = logs_in([arguments.flight])
+    found = find_logs([arguments.flight])
     if len(found) != 1:
-        raise InputError(f"{len(found)} flights below this folder, name one", source=arguments.flight)
+        raise InputError(f"{len(found)} flights below this folder; name one", source=arguments.flight)
     log = read_log(found[0])
     connection = flown_mission(log.about, log.source).vehicle.connection
     path = found[0].with_name(PX4_LOG)
     if path.exists() and not arguments.again:
-        print_status(f"already there: {display_path(path)} (--again downloads it again)")
+        print_status(f"the file exists: {display_path(path)} (--again downloads it again)")
     else:
         url = link_of(arguments, connection)
         download_px4_log(url, connection.timeout_s, path.parent, armed_span(log), log_id=arguments.log_id)
@@ -96,9 +99,9 @@ def download_px4_log(
             armed,
             before=before,
             choose=choose,
-            say=print_status,
+            print_line=print_status,
             progress=lambda share: bar.update(task, completed=share),
-            opened=lease.close_device,
+            opened=lease.lock_device,
         )
     print_status(f"PX4's log: {display_path(path)}")
     return path
@@ -106,9 +109,9 @@ def download_px4_log(
 
 def _choose_log(found: list[Px4LogEntry]) -> int:
     """Ask the operator for the flight's log and return its number, or -1 for an invalid answer."""
-    print_status("several logs may be this flight's:", *(f"  {entry.line()}" for entry in found))
+    print_status("several logs may belong to this flight:", *(f"  {entry.line()}" for entry in found))
     if not sys.stdin.isatty():
-        raise InputError("several logs may be this flight's: name its number", key=("--log-id",))
+        raise InputError("several logs may belong to this flight: give the number", key=("--log-id",))
     sys.stderr.write("Which number? ")
     sys.stderr.flush()
     answer = sys.stdin.readline().strip()

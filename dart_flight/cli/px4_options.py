@@ -29,7 +29,9 @@ def add_px4_options(parser: argparse.ArgumentParser, with_hitl: bool = True) -> 
             "serial:///dev/ttyACM0:921600 or UDP (docs/hitl.md)",
         )
         group.add_argument(
-            "--connection", metavar="URL", help="with --hitl: the app's own link (default: connection.url)"
+            "--connection",
+            metavar="URL",
+            help="with --hitl: link of the application (default: connection.url)",
         )
     place = group.add_mutually_exclusive_group()
     place.add_argument("--indoor", action="store_true", help="motion capture, no GPS (default)")

@@ -12,7 +12,7 @@ from rich.table import Table
 from dart_flight.cli.terminal import emit_json, print_status, styled, tables
 from dart_flight.config.mission import Mission
 from dart_flight.recording.about import flown_mission
-from dart_flight.recording.found import from_each, logs_in
+from dart_flight.recording.found import find_logs, read_each
 from dart_flight.recording.reader import read_log
 from dart_flight.run.replay import Replay, decision_rows, replay
 
@@ -39,7 +39,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     With --json, print one object. For several logs it contains whether all are equal, and an object per log.
     """
-    paths = logs_in(arguments.logs)
+    paths = find_logs(arguments.logs)
     summaries: list[dict[str, Any]] = []
 
     def one(path: Path) -> bool:
@@ -55,7 +55,7 @@ def run(arguments: argparse.Namespace) -> int:
             _print(name, result)
         return result.equal
 
-    equal = all(from_each(paths, one, print_status))
+    equal = all(read_each(paths, one, print_status))
     if arguments.json:
         emit_json(summaries[0] if len(paths) == 1 else {"equal": equal, "replays": summaries})
     return 0 if equal else 1
@@ -80,7 +80,7 @@ def _summary(path: Path, mission: Mission, result: Replay) -> dict[str, Any]:
 
 def _print(name: str, result: Replay) -> None:
     out = tables()
-    how = "bit for bit" if result.exact else "to 1e-9 (recorded on another kind of machine)"
+    how = "bit for bit" if result.exact else "to 1e-9 (recorded on another type of machine)"
     if result.equal:
         out.print(
             styled(

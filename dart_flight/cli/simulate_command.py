@@ -8,11 +8,11 @@ import contextlib
 from dart_flight.cli.live_options import add_live_options, live_view
 from dart_flight.cli.options import add_set_option, whole_number
 from dart_flight.cli.terminal import messages
-from dart_flight.cli.vehicle_line import say_vehicle
+from dart_flight.cli.vehicle_line import print_vehicle
 from dart_flight.config.mission import load_mission
 from dart_flight.config.vehicle import default_config_path, packaged
-from dart_flight.sim.pipe import need_mavlink
-from dart_flight.vehicle.link import LinkLease, LinkTakenError, feed_of
+from dart_flight.sim.pipe import require_mavlink
+from dart_flight.vehicle.link import LinkInUseError, LinkLease, feed_name
 
 GROUND_STATION_PORT = 14550
 
@@ -23,13 +23,13 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "mission",
         metavar="MISSION",
         nargs="?",
-        help="its walls and start (default: the dual collision)",
+        help="mission that gives walls and start (default: the dual collision)",
     )
     parser.add_argument(
         "--port",
         type=whole_number(1024, 65535),
         default=14540,
-        help="UDP port it sends to, as PX4 does to a companion (default 14540; a ground station: 14550)",
+        help="UDP port to send to (default 14540, for a companion computer; 14550 for a ground station)",
     )
     parser.add_argument("--seed", type=whole_number(0, 2**31 - 1), default=1, help="random seed (default 1)")
     add_live_options(parser)
@@ -38,7 +38,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command and return the exit status."""
-    need_mavlink()
+    require_mavlink()
     from dart_flight.sim.standalone import VehiclePortLease, run_vehicle
 
     path = arguments.mission or packaged("missions", "dual_collision.yaml")
@@ -46,18 +46,20 @@ def run(arguments: argparse.Namespace) -> int:
     config = arguments.config or (None if arguments.mission else default_config_path())
     mission = load_mission(path, config, arguments.set)
     console = messages()
-    say_vehicle(mission.flown_vehicle(), arguments)
+    print_vehicle(mission.flown_vehicle(), arguments)
     with contextlib.ExitStack() as held:
         feed = VehiclePortLease(arguments.port)
         held.callback(feed.release)
         ports = [arguments.port]
         try:
             if arguments.port != GROUND_STATION_PORT:
-                held.enter_context(LinkLease(feed_of(GROUND_STATION_PORT), "simulate"))
+                held.enter_context(LinkLease(feed_name(GROUND_STATION_PORT), "simulate"))
                 ports.append(GROUND_STATION_PORT)
-        except LinkTakenError as error:
+        except LinkInUseError as error:
             # A ground station cannot distinguish two vehicles with the same system id.
-            console.print(f"nothing goes to UDP {GROUND_STATION_PORT}: {error.message}", soft_wrap=True)
+            console.print(
+                f"no messages go to UDP port {GROUND_STATION_PORT}: {error.message}", soft_wrap=True
+            )
         lock = mission.vehicle.lock
         servo = (
             "" if lock is None else f"; its lock servo listens to PX4's actuator {lock.px4.actuator_index}"

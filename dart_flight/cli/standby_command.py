@@ -9,7 +9,7 @@ import msgspec
 
 from dart_flight.cli.options import add_driver_option, add_log_dir_option, link_of
 from dart_flight.cli.terminal import print_status, write_output
-from dart_flight.cli.vehicle_line import say_vehicle
+from dart_flight.cli.vehicle_line import print_vehicle
 from dart_flight.config.document import InputError
 from dart_flight.config.provenance import find_vehicle
 from dart_flight.config.vehicle import default_config_path
@@ -22,7 +22,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "missions", metavar="MISSION", nargs="*", help="missions of the buttons Fly 1, Fly 2, ..., in order"
     )
-    parser.add_argument("--connection", metavar="URL", help="of the vehicle (default: connection.url)")
+    parser.add_argument("--connection", metavar="URL", help="link of the vehicle (default: connection.url)")
     add_driver_option(parser)
     add_log_dir_option(parser)
 
@@ -38,13 +38,14 @@ def run(arguments: argparse.Namespace) -> int:
         for mission in flown[1:]:
             if (mission.vehicle.lock, mission.vehicle.mocap) != (vehicle.lock, vehicle.mocap):
                 raise InputError(
-                    "another lock or motion capture than the first mission", source=mission.source
+                    "its lock or motion capture differs from those of the first mission",
+                    source=mission.source,
                 )
     elif arguments.driver is not None and vehicle.lock is not None:
         lock = msgspec.structs.replace(vehicle.lock, driver=arguments.driver)
         vehicle = msgspec.structs.replace(vehicle, lock=lock)
     url = link_of(arguments, vehicle.connection)
-    say_vehicle(source, arguments)
+    print_vehicle(source, arguments)
     options = [f"--log-dir={arguments.log_dir}"]
     for option in ("config", "driver"):
         if getattr(arguments, option) is not None:

@@ -14,7 +14,7 @@ import msgspec
 import yaml
 from rich.table import Table
 
-from dart_flight.check.checks import FlightContext, checks_of
+from dart_flight.check.checks import FlightContext, select_checks
 from dart_flight.check.stages import Stage, run_checks
 from dart_flight.cli.dry_run_command import flight_function, with_emulated_mocap
 from dart_flight.cli.flight_output import FlightLines, exit_status, figure_or_dash, live_line_for, show_end
@@ -32,13 +32,13 @@ from dart_flight.cli.options import (
 )
 from dart_flight.cli.px4_options import add_px4_options
 from dart_flight.cli.terminal import emit_json, keep_status, messages, tables
-from dart_flight.cli.vehicle_line import say_vehicle
-from dart_flight.config.document import InputError, writing
+from dart_flight.cli.vehicle_line import print_vehicle
+from dart_flight.config.document import InputError, report_write_errors
 from dart_flight.config.file_kinds import FileKind, load_document
 from dart_flight.config.mission import Mission, load_mission
 from dart_flight.core.mission.approach import NoApproachError, check_segments_clear
 from dart_flight.lab_entries import ROOM_PICTURE, load_entry
-from dart_flight.planning.room import RoomContact, RoomFit, plan_star, room_keys, touches_of
+from dart_flight.planning.room import RoomContact, RoomFit, contacts_from_walls, plan_star, room_keys
 from dart_flight.planning.survey import plan_survey, surveyed_collisions, surveyed_walls
 from dart_flight.recording.measured_walls import MeasuredWall
 from dart_flight.recording.verdict import Verdict
@@ -58,8 +58,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add_px4_options(parser, with_hitl=False)
     parser.set_defaults(fault=None, runs=None, speed=None, realtime=False)
     parser.set_defaults(live=False, live_port=None, live_host=None)
-    parser.add_argument("--fast", action="store_true", help="in process, in simulated time, without MAVLink")
-    parser.add_argument("--connection", metavar="URL", help="touch the walls with the vehicle there")
+    parser.add_argument(
+        "--fast", action="store_true", help="in one process, in simulated time, without MAVLink"
+    )
+    parser.add_argument("--connection", metavar="URL", help="touch the walls with the vehicle at this URL")
     add_overrule_option(parser)
     parser.add_argument("--yes", action="store_true", help="do not ask before flying")
     parser.add_argument("--seed", type=whole_number(0, 2**31 - 1), default=1, help="random seed (default 1)")
@@ -70,8 +72,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
         metavar="M_S",
         help=f"speed of the touches (default {_SPEED_M_S:g} m/s)",
     )
-    parser.add_argument("--plot", type=Path, metavar="FILE", help="map of a room that was looked for")
-    parser.add_argument("-o", "--output", type=Path, metavar="FILE", help="the mission with measured walls")
+    parser.add_argument("--plot", type=Path, metavar="FILE", help="map of a room found by touch")
+    parser.add_argument(
+        "-o", "--output", type=Path, metavar="FILE", help="mission file to write, with the measured walls"
+    )
     add_position_option(parser)
     parser.add_argument(
         "--mocap",
@@ -100,8 +104,8 @@ def run(arguments: argparse.Namespace) -> int:
     survey = plan_survey(mission, arguments.touch_speed)
     console = messages()
     for name, reason in survey.unreachable.items():
-        console.print(f"wall {name} is skipped: {reason}", style="yellow", soft_wrap=True)
-    say_vehicle(mission.flown_vehicle(), arguments)
+        console.print(f"wall {name} skipped: {reason}", style="yellow", soft_wrap=True)
+    print_vehicle(mission.flown_vehicle(), arguments)
     verdict = _fly(arguments, survey.mission)
     if verdict is None:
         return 1
@@ -127,7 +131,7 @@ def run(arguments: argparse.Namespace) -> int:
     if missed:
         console.print(f"not touched: {', '.join(missed)}", style="red", soft_wrap=True)
     if unfit is not None:
-        text = f"written, but it does not fit its walls as they were met; plan it anew: {unfit}"
+        text = f"written, but the mission cannot be flown with the measured walls; plan it again: {unfit}"
         console.print(text, style="red", soft_wrap=True)
     return exit_status(verdict) or bool(missed or unfit)
 
@@ -135,7 +139,7 @@ def run(arguments: argparse.Namespace) -> int:
 def _survey_room(arguments: argparse.Namespace, written: Any, mission: Mission) -> int:
     """Search for the walls of an unknown room, flight by flight, until its outline is closed."""
     console = messages()
-    say_vehicle(mission.flown_vehicle(), arguments)
+    print_vehicle(mission.flown_vehicle(), arguments)
     directions = [2.0 * math.pi * k / _DIRECTIONS for k in range(_DIRECTIONS)]
     touches: list[RoomContact] = []
     flights: list[Verdict] = []
@@ -145,7 +149,7 @@ def _survey_room(arguments: argparse.Namespace, written: Any, mission: Mission) 
         if verdict is None:
             return 1
         flights.append(verdict)
-        touches += touches_of(verdict.walls, directions)
+        touches += contacts_from_walls(verdict.walls, directions)
         room = RoomFit(mission.start, touches, airframe.guard_along_m, airframe.contact_distance_m).fit()
         state = "closed" if room.is_closed else f"open in {len(room.gaps_rad)} directions"
         text = f"flight {len(flights)}: {len(touches)} contacts, {len(room.walls)} walls, outline {state}"
@@ -173,7 +177,7 @@ def _survey_room(arguments: argparse.Namespace, written: Any, mission: Mission) 
 
 
 def _room_table(walls: dict[str, dict[str, Any]]) -> Table:
-    table = Table("wall", "middle of its surface, m", "normal", "length m", "± m", "± deg")
+    table = Table("wall", "centre of its surface, m", "normal", "length m", "± m", "± deg")
     for name, keys in walls.items():
         (x, y), (nx, ny) = keys["point_m"], keys["normal"]
         place, normal = f"({x:.3f}, {y:.3f})", f"({nx:.3f}, {ny:.3f})"
@@ -190,7 +194,7 @@ def _fly(arguments: argparse.Namespace, mission: Mission) -> Verdict | None:
         url = link_of(arguments, mission.vehicle.connection)
         with LinkLease(url, "survey") as lease:
             context = FlightContext(mission, url=url, position_from=arguments.position_from)
-            findings = run_checks(checks_of(Stage.FILE, Stage.VEHICLE), context)
+            findings = run_checks(select_checks(Stage.FILE, Stage.VEHICLE), context)
             return fly_if_go(arguments, mission, url, lease, findings)
     fly = flight_function(arguments, mission)
     live_line = None if arguments.fast else live_line_for(mission, console)
@@ -212,10 +216,10 @@ def _write(
     if isinstance(tree.get("vehicle"), str):
         vehicle = Path(mission.source).parent / tree["vehicle"]
         tree["vehicle"] = Path(os.path.relpath(vehicle.resolve(), path.resolve().parent)).as_posix()
-    head = f"# {Path(mission.source).name} with its walls as `dart-flight survey` has measured them.\n"
+    head = f"# {Path(mission.source).name} with its walls as measured by `dart-flight survey`.\n"
     head += "".join(f"# {line}\n" for wall in walls.values() for line in _coefficient_lines(wall))
     body = yaml.safe_dump(msgspec.to_builtins(tree), sort_keys=False, default_flow_style=None, width=110)
-    with writing(path):
+    with report_write_errors(path):
         path.write_text(head + body, encoding="utf-8")
     try:
         check_segments_clear(load_mission(path, arguments.config, arguments.set))
@@ -232,7 +236,7 @@ def _coefficient_lines(wall: MeasuredWall) -> Iterator[str]:
 
 
 def _table(walls: list[MeasuredWall]) -> Table:
-    table = Table("wall", "middle, m", "normal", "± m", "± deg", "material", "off by m", "off by deg")
+    table = Table("wall", "centre, m", "normal", "± m", "± deg", "material", "error m", "error deg")
     for wall in walls:
         (x, y), (nx, ny) = wall.point_m, wall.normal
         table.add_row(

@@ -18,7 +18,7 @@ import msgspec
 
 from dart_flight.base.errors import FlightError
 from dart_flight.base.text import ESCAPED, printable
-from dart_flight.config.document import writing
+from dart_flight.config.document import report_write_errors
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -150,7 +150,7 @@ def write_text(path: Path, text: str) -> None:
     Raises:
         InputError: the file cannot be written.
     """
-    with writing(path):
+    with report_write_errors(path):
         path.write_text(text, encoding="utf-8", errors=ESCAPED)
     print_status(f"wrote {path}")
 

@@ -5,10 +5,12 @@ from __future__ import annotations
 import argparse
 
 from dart_flight.cli.terminal import messages
-from dart_flight.config.provenance import VehicleSource, passed_over
+from dart_flight.config.provenance import VehicleSource, unused_configurations
 
 
-def say_vehicle(source: VehicleSource | None, arguments: argparse.Namespace, *, flown: bool = False) -> None:
+def print_vehicle(
+    source: VehicleSource | None, arguments: argparse.Namespace, *, flown: bool = False
+) -> None:
     """Print the configuration and its mass, and a note if another configuration was found but not used.
 
     Args:
@@ -24,7 +26,7 @@ def say_vehicle(source: VehicleSource | None, arguments: argparse.Namespace, *, 
         which = f"the packaged configuration ({which})"
     changed = f", with {', '.join(source.set)}" if source.set else ""
     console.print(f"vehicle: {which}, {source.mass_kg:g} kg{changed}", soft_wrap=True)
-    others = [] if flown or arguments.config is not None else passed_over(source)
+    others = [] if flown or arguments.config is not None else unused_configurations(source)
     if others:
         more = f" (and {len(others) - 1} more)" if len(others) > 1 else ""
         console.print(

@@ -21,7 +21,7 @@ import msgspec
 import yaml
 
 from dart_flight.base.text import printable
-from dart_flight.config.units import unit_of
+from dart_flight.config.units import unit_from_name
 
 T = TypeVar("T")
 Key = tuple[str | int, ...]
@@ -74,12 +74,12 @@ def utf8_path(path: str | Path) -> str:
     """
     text = str(path)
     if printable(text) != text:
-        raise InputError("the name is not UTF-8; rename it or choose another folder", source=text)
+        raise InputError("the file name is not UTF-8; rename the file or choose another folder", source=text)
     return text
 
 
 @contextlib.contextmanager
-def writing(path: str | Path) -> Iterator[None]:
+def report_write_errors(path: str | Path) -> Iterator[None]:
     """Convert write errors inside the context to `InputError`.
 
     Raises:
@@ -168,7 +168,7 @@ def dotted(key: Key) -> str:
     return text
 
 
-def leaves_of(tree: Any, key: Key = (), *, in_lists: bool = False) -> Iterator[tuple[Key, Any]]:
+def iterate_leaves(tree: Any, key: Key = (), *, in_lists: bool = False) -> Iterator[tuple[Key, Any]]:
     """Yield the values of a tree with their keys; a list is one value unless `in_lists` is set."""
     inner: Iterable[tuple[str | int, Any]]
     if isinstance(tree, Mapping):
@@ -179,7 +179,7 @@ def leaves_of(tree: Any, key: Key = (), *, in_lists: bool = False) -> Iterator[t
         yield key, tree
         return
     for name, value in inner:
-        yield from leaves_of(value, (*key, name), in_lists=in_lists)
+        yield from iterate_leaves(value, (*key, name), in_lists=in_lists)
 
 
 class Document:
@@ -209,7 +209,7 @@ class Document:
             problem = f"not valid YAML: {error.problem or error.context}"
             lines = text.splitlines()
             if mark is not None and mark.line < len(lines) and "\t" in lines[mark.line][: mark.column + 1]:
-                problem = "a tab in front of the text: YAML is indented by spaces"
+                problem = "a tab before the text: indent YAML with spaces"
             raise InputError(problem, source=source, line=line) from None
         except (yaml.YAMLError, ValueError, RecursionError) as error:
             raise InputError(f"not valid YAML: {error}", source=source) from None
@@ -227,7 +227,7 @@ class Document:
         return cls(read_text(path, _MAX_BYTES), printable(str(path)))
 
     @classmethod
-    def of(cls, tree: Mapping[str, Any], source: str = IN_PYTHON) -> Document:
+    def from_tree(cls, tree: Mapping[str, Any], source: str = IN_PYTHON) -> Document:
         """Return a document built in Python, as if its keys and values had been read from a file.
 
         Raises:
@@ -236,12 +236,12 @@ class Document:
         """
         document = cls.__new__(cls)
         document.source, document.lines, document.set_by, document.above = source, {}, {}, ()
-        document.tree = plain(tree, (), source)
+        document.tree = to_plain(tree, (), source)
         return document
 
     def part(self, name: str) -> Document:
         """Return the mapping below a key as a document; its errors name place and key in this one."""
-        part = Document.of(self.tree[name], self.source)
+        part = Document.from_tree(self.tree[name], self.source)
         part.lines = {key[1:]: line for key, line in self.lines.items() if key[:1] == (name,)}
         part.above = (*self.above, name)
         return part
@@ -318,7 +318,7 @@ class Document:
                 raise self._error_at(event, "keys must be plain names", key)
             name = event.value
             if name in values:
-                raise self._error_at(event, "this key is given twice", (*key, name))
+                raise self._error_at(event, "this key appears twice", (*key, name))
             self.lines[(*key, name)] = self._line(event)
             values[name] = self._node(next(events), events, (*key, name))
         return values
@@ -353,7 +353,7 @@ class Document:
 # --- values from Python ------------------------------------------------------------------------------
 
 
-def plain(value: Any, key: Key = (), source: str = IN_PYTHON) -> Any:
+def to_plain(value: Any, key: Key = (), source: str = IN_PYTHON) -> Any:
     """Return a Python value as plain data: dicts, lists, text, numbers, booleans, None.
 
     Raises:
@@ -367,10 +367,11 @@ def plain(value: Any, key: Key = (), source: str = IN_PYTHON) -> Any:
         raise InputError(f"nested deeper than {_MAX_DEPTH} levels", source=source, key=key)
     if isinstance(value, Mapping):
         return {
-            _name(name, key, source): plain(part, (*key, str(name)), source) for name, part in value.items()
+            _name(name, key, source): to_plain(part, (*key, str(name)), source)
+            for name, part in value.items()
         }
     if isinstance(value, list | tuple):
-        return [plain(part, (*key, i), source) for i, part in enumerate(value)]
+        return [to_plain(part, (*key, i), source) for i, part in enumerate(value)]
     if isinstance(value, Enum):
         return value.value
     if isinstance(value, Path):
@@ -400,7 +401,7 @@ def _locate_error(value: Any, type_: Any, key: Key, text: str) -> tuple[Key, str
     text = text.split(" - at `", maxsplit=1)[0]
     for part_key, part, part_type in _parts(value, type_):
         if part_type is None:
-            return (*key, part_key), f"unknown key{or_known(str(part_key), _field_names(type_))}"
+            return (*key, part_key), f"unknown key{suggest_known(str(part_key), _field_names(type_))}"
         try:
             msgspec.convert(part, part_type)
         except msgspec.ValidationError as error:
@@ -472,7 +473,7 @@ def _range(type_: Any, value: Any, key: Key) -> str:
         return ""
     low = limits.ge if limits.ge is not None else limits.gt
     high = limits.le if limits.le is not None else limits.lt
-    unit = unit_of(next((part for part in reversed(key) if isinstance(part, str)), ""))
+    unit = unit_from_name(next((part for part in reversed(key) if isinstance(part, str)), ""))
     if low is None or high is None:
         return ""
     shown = f"{low:g} to {high:g}{' ' if unit else ''}{unit}"
@@ -506,10 +507,10 @@ def _explain(text: str, type_: Any) -> str:
 def unknown_name(name: str, known: list[str], what: str = "") -> str:
     """Return the message for an unknown name; `what` describes the kind of name."""
     shown = f"{what} {name!r}" if what else name
-    return f"unknown {shown}{or_known(name, known)}"
+    return f"unknown {shown}{suggest_known(name, known)}"
 
 
-def or_known(name: str, known: Iterable[str]) -> str:
+def suggest_known(name: str, known: Iterable[str]) -> str:
     """Return the continuation of a message on an unknown name: the nearest known name, or all of them."""
     names = list(known)
     return did_you_mean(name, names) or f", known: {', '.join(names)}"

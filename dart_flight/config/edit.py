@@ -9,7 +9,7 @@ from pathlib import Path
 
 import yaml
 
-from dart_flight.config.document import Document, InputError, Key, read_text, writing
+from dart_flight.config.document import Document, InputError, Key, read_text, report_write_errors
 
 
 def edit_values(text: str, values: Mapping[Key, float], source: str = "") -> str:
@@ -41,7 +41,7 @@ def write_values(path: Path, values: Mapping[Key, float]) -> None:
         InputError: as in `edit_values`; or the file cannot be written.
     """
     target = path.resolve()  # keep a symbolic link to the configuration
-    with writing(path):
+    with report_write_errors(path):
         text = edit_values(read_text(target), values, str(path))
         descriptor, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
         try:

@@ -68,7 +68,7 @@ def load_document(path: str | Path | Mapping[str, Any], wanted: FileKind) -> Doc
         InputError: as in `Document.load`, or the file is of another kind, which the message names.
     """
     if isinstance(path, Mapping):
-        document = Document.of(path)
+        document = Document.from_tree(path)
         refuse_other_keys(document, wanted)
         return document
     try:

@@ -41,7 +41,7 @@ def resolve_space(
     return planes
 
 
-def within_limits(vehicle: VehicleConfig, limits: Limits) -> VehicleConfig:
+def apply_limits(vehicle: VehicleConfig, limits: Limits) -> VehicleConfig:
     """Return the vehicle with the mission's limits of acceleration and jerk, if it has any."""
     if limits.acceleration_m_s2 is None and limits.jerk_m_s3 is None:
         return vehicle
@@ -68,7 +68,7 @@ def resolve_walls(
         key: Key = (section, name)
         length = math.hypot(*spec.normal)
         if not length > 1e-9:
-            raise document.error((*key, "normal"), "the normal has no length")
+            raise document.error((*key, "normal"), "the normal has length 0")
         normal = spec.normal
         if abs(length - 1.0) > _UNIT_TOLERANCE:  # a unit vector stays bit-equal
             normal = (spec.normal[0] / length, spec.normal[1] / length)
@@ -94,7 +94,7 @@ def resolve_posts(
     """
     for name, spec in specs.items():
         if name in walls:
-            raise document.error(("posts", name), f"a wall has the name {name}")
+            raise document.error(("posts", name), f"a wall already has the name {name}")
         if spec.material not in vehicle.materials:
             key: Key = ("posts", name, "material")
             raise document.error(key, unknown_name(spec.material, list(vehicle.materials)))
@@ -114,7 +114,7 @@ def tangent_wall(post: Post, impact: Vec2, vehicle: VehicleConfig, key: Key, doc
     dx, dy = impact[0] - post.centre[0], impact[1] - post.centre[1]
     distance = math.hypot(dx, dy)
     if abs(distance - reach) > _ON_POST_M:
-        text = f"is {distance:.3f} m from the axis of post {post.name}, which is touched at {reach:.3f} m"
+        text = f"is {distance:.3f} m from the axis of post {post.name}, minimum {reach:.3f} m"
         if distance > 0.0:
             x, y = post.centre[0] + dx / distance * reach, post.centre[1] + dy / distance * reach
             text += f", there at [{x:.3f}, {y:.3f}]"
@@ -134,7 +134,7 @@ def check_clear_of_posts(
     """
     for post in posts.values():
         if post.distance_to_segment(point, point) <= post.radius_m + vehicle.airframe.contact_distance_m:
-            raise document.error((*key, "position_m"), f"lies in or at post {post.name}")
+            raise document.error((*key, "position_m"), f"is in or at post {post.name}")
 
 
 def wall_as_written(wall: Wall) -> WallSpec:
@@ -176,7 +176,7 @@ def check_place(
         )
     for name, wall in walls.items():
         if wall.spans(point) and -0.5 < wall.signed_distance(point) <= 0.0:
-            raise document.error((*key, "position_m"), f"lies in or behind wall {name}")
+            raise document.error((*key, "position_m"), f"is in or behind wall {name}")
 
 
 def refuse_mode(mode: Mode, vehicle: VehicleConfig, key: Key, document: Document) -> None:

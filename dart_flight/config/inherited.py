@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from dart_flight.config.document import Document, InputError, dotted, leaves_of
+from dart_flight.config.document import Document, InputError, dotted, iterate_leaves
 from dart_flight.config.file_kinds import EXTENDS
 from dart_flight.config.vehicle import VehicleConfig, load_vehicle, packaged
 
@@ -118,7 +118,7 @@ def _given_and_base(path: Path) -> tuple[set[str], Path] | None:
 
 
 def _by_name(tree: Mapping[str, Any]) -> dict[str, Any]:
-    return {dotted(key): value for key, value in leaves_of(tree)}
+    return {dotted(key): value for key, value in iterate_leaves(tree)}
 
 
 def _values(vehicle: VehicleConfig) -> dict[str, Any]:

@@ -40,10 +40,10 @@ def link_problem(url: str) -> str | None:
     """Return the problem of a URL's form and the allowed forms, or None."""
     link = parse_link(url)
     if link is None:
-        return f"{url!r} is not a connection URL, allowed are: {FORMS}"
+        return f"{url!r} is not a connection URL, expected: {FORMS}"
     if link.kind == "serial":
-        return None if link.number > 0 else "a baud rate is above 0, such as 921600"
-    return None if 0 < link.number < 65536 else f"port {link.number} is not one from 1 to 65535"
+        return None if link.number > 0 else "the baud rate must be above 0, such as 921600"
+    return None if 0 < link.number < 65536 else f"the port must be from 1 to 65535, not {link.number}"
 
 
 def usable_link(url: str, key: str = "--connection") -> str:
@@ -60,6 +60,6 @@ def usable_link(url: str, key: str = "--connection") -> str:
         there = [str(p) for pattern in ("ttyA*", "ttyU*") for p in sorted(Path("/dev").glob(pattern))]
         known = ", ".join(there[:_MAX_SHOWN]) or "none"
         raise InputError(
-            f"there is no serial port {link.place} (here: {known}); allowed are: {FORMS}", key=(key,)
+            f"the serial port {link.place} does not exist (found: {known}); expected: {FORMS}", key=(key,)
         )
     return url

@@ -20,6 +20,7 @@ from dart_flight.base.walls import Post, Wall
 from dart_flight.config.document import IN_PYTHON, Document, InputError, Key, unknown_name
 from dart_flight.config.file_kinds import FileKind, load_document, refuse_other_keys
 from dart_flight.config.flight_space import (
+    apply_limits,
     check_clear_of_posts,
     check_place,
     refuse_mode,
@@ -29,7 +30,6 @@ from dart_flight.config.flight_space import (
     resolve_walls,
     tangent_wall,
     wall_as_written,
-    within_limits,
 )
 from dart_flight.config.mission_file import (
     ApproachSpec,
@@ -45,9 +45,9 @@ from dart_flight.config.mission_file import (
     WaypointKeys,
     WaypointSpec,
 )
-from dart_flight.config.probes import Probe, place_at, resolve_probe, sought_walls
-from dart_flight.config.provenance import FoundVehicle, VehicleSource, display_path, find_vehicle
-from dart_flight.config.section import keys_of, without_defaults
+from dart_flight.config.probes import Probe, resolve_place, resolve_probe, unknown_walls
+from dart_flight.config.provenance import LoadedVehicle, VehicleSource, display_path, find_vehicle
+from dart_flight.config.section import shared_keys, without_defaults
 from dart_flight.config.settings import apply_changes
 from dart_flight.config.vehicle import VehicleConfig, load_vehicle
 
@@ -109,7 +109,7 @@ class Collision(CollisionKeys, frozen=True, kw_only=True, forbid_unknown_fields=
         if self.approach_m_s is not None:
             approach = ApproachSpec(*self.approach_m_s)
         return CollisionSpec(
-            **keys_of(self, CollisionKeys),
+            **shared_keys(self, CollisionKeys),
             wall=self.wall.name,
             approach=approach,
             impact_point_m=impact,
@@ -129,7 +129,7 @@ class Collision(CollisionKeys, frozen=True, kw_only=True, forbid_unknown_fields=
             from_here=probe.from_here,
             material=self.wall.material if self.wall.sought and self.wall.material_known else None,
         )
-        return CollisionSpec(**keys_of(self, CollisionKeys), wall=self.wall.name, probe=written)
+        return CollisionSpec(**shared_keys(self, CollisionKeys), wall=self.wall.name, probe=written)
 
 
 class Waypoint(WaypointKeys, frozen=True, kw_only=True, forbid_unknown_fields=False):
@@ -249,7 +249,7 @@ class Mission(MissionKeys, frozen=True, kw_only=True, forbid_unknown_fields=Fals
     def _own_keys(self) -> dict[str, Any]:
         """Return the mission as `to_dict`, without the vehicle."""
         written = MissionFile(
-            **keys_of(self, MissionKeys),
+            **shared_keys(self, MissionKeys),
             version=1,
             start=StartSpec(self.start, self.altitude_m),
             bounds_m=self.bounds,
@@ -290,7 +290,7 @@ class Mission(MissionKeys, frozen=True, kw_only=True, forbid_unknown_fields=Fals
                 source = msgspec.structs.replace(
                     source, mass_kg=vehicle.airframe.mass_kg, set=(*source.set, *given)
                 )
-        document = Document.of(self._own_keys(), IN_PYTHON)
+        document = Document.from_tree(self._own_keys(), IN_PYTHON)
         apply_changes(own, document)
         return msgspec.structs.replace(parse_mission(document, vehicle), vehicle_source=source)
 
@@ -311,7 +311,7 @@ def _waypoints_as_written(mission: Mission) -> Iterator[WaypointSpec]:
     """Yield waypoints and pauses as a file specifies them, without values that follow from others."""
     altitude_m, usual_m_s = mission.altitude_m, mission.vehicle.flying.transit_speed_m_s
     for one in mission.waypoints:
-        keys = keys_of(one, WaypointKeys)
+        keys = shared_keys(one, WaypointKeys)
         if one.position is None:
             yield WaypointSpec(**keys, pause="operator", timeout_s=one.hold_s)
             continue
@@ -346,7 +346,7 @@ def load_mission(
 
 def parse_mission(
     document: Document,
-    config: str | Path | VehicleConfig | FoundVehicle | None = None,
+    config: str | Path | VehicleConfig | LoadedVehicle | None = None,
     settings: Sequence[str] = (),
 ) -> Mission:
     """Resolve a parsed mission, as `load_mission`; `config` may be a loaded configuration."""
@@ -354,7 +354,7 @@ def parse_mission(
     spec = document.convert(MissionFile)
     if isinstance(config, VehicleConfig):
         return resolve(spec, config, document)
-    if not isinstance(config, FoundVehicle):
+    if not isinstance(config, LoadedVehicle):
         config = _find_vehicle(spec, config, document, settings)
     mission = resolve(spec, config.config, document)
     return msgspec.structs.replace(mission, vehicle_source=config.source)
@@ -362,12 +362,12 @@ def parse_mission(
 
 def _find_vehicle(
     spec: MissionFile, config: str | Path | None, document: Document, settings: Sequence[str]
-) -> FoundVehicle:
+) -> LoadedVehicle:
     """Return the vehicle of a mission: `config`, the mission's vehicle or the default, in this order."""
     if config is None and isinstance(spec.vehicle, dict):
         vehicle = load_vehicle(document.part("vehicle"), settings)
         source = None if document.source == IN_PYTHON else display_path(document.source)
-        return FoundVehicle(vehicle, VehicleSource(source, False, vehicle.airframe.mass_kg, tuple(settings)))
+        return LoadedVehicle(vehicle, VehicleSource(source, False, vehicle.airframe.mass_kg, tuple(settings)))
     if config is None and isinstance(spec.vehicle, str):
         config = Path(document.source).parent / spec.vehicle
     return find_vehicle(config, settings)
@@ -379,7 +379,7 @@ def resolve(spec: MissionFile, vehicle: VehicleConfig, document: Document) -> Mi
     Raises:
         InputError: the parts of the mission contradict each other.
     """
-    vehicle = within_limits(vehicle, spec.limits)
+    vehicle = apply_limits(vehicle, spec.limits)
     walls = resolve_space(spec.start, spec.goal, spec.bounds_m, spec.walls, vehicle, document)
     refuse_mode(spec.transit_mode, vehicle, ("transit_mode",), document)
     posts = resolve_posts(spec.posts, walls, vehicle, document)
@@ -387,14 +387,14 @@ def resolve(spec: MissionFile, vehicle: VehicleConfig, document: Document) -> Mi
     check_clear_of_posts(posts, spec.goal.position_m, vehicle, ("goal",), document)
     _add_tangent_walls(spec, posts, vehicle, walls, document)
     _check_goal_trajectory(spec, document)
-    sought = sought_walls(spec, vehicle, walls, document)
+    sought = unknown_walls(spec, vehicle, walls, document)
     collisions = tuple(
         _resolve_collision(i, one, spec, vehicle, walls | sought, document)
         for i, one in enumerate(spec.collisions)
     )
     simulated = resolve_walls(spec.simulated_walls, vehicle, document, "simulated_walls")
     return Mission(
-        **keys_of(spec, MissionKeys),
+        **shared_keys(spec, MissionKeys),
         source=document.source,
         vehicle=vehicle,
         start=spec.start.position_m,
@@ -428,10 +428,13 @@ def _add_tangent_walls(
         if one.probe is not None:
             raise document.error((*key, "probe"), f"{one.wall} is a post: a probe looks for a wall")
         if one.impact_point_m is None:
-            raise document.error(key, f"a hit of post {one.wall} needs impact_point_m")
+            raise document.error(key, f"a collision with post {one.wall} needs impact_point_m")
         wall = tangent_wall(posts[one.wall], one.impact_point_m, vehicle, key, document)
         if walls.setdefault(one.wall, wall) != wall:
-            text = f"post {one.wall} is hit elsewhere before; a mission hits a post in one place"
+            text = (
+                f"an earlier collision hits post {one.wall} in another place; a mission hits a post in one "
+                "place"
+            )
             raise document.error((*key, "impact_point_m"), text)
 
 
@@ -453,7 +456,7 @@ def _resolve_waypoints(
         if one.pause is None:
             position = one.position_m
             if one.at_wall is not None and wall_at is not None:
-                position = place_at(wall_at, one.at_wall)
+                position = resolve_place(wall_at, one.at_wall)
             assert position is not None
             altitude_m = altitude_m if one.altitude_m is None else one.altitude_m
             check_place(spec.bounds_m, walls, position, one.altitude_m, key, document)
@@ -461,13 +464,13 @@ def _resolve_waypoints(
             speed = one.speed_m_s or vehicle.flying.transit_speed_m_s
             if speed > spec.limits.speed_m_s:
                 raise document.error(
-                    (*key, "speed_m_s"), f"{speed:g} m/s is over limits.speed_m_s {spec.limits.speed_m_s:g}"
+                    (*key, "speed_m_s"), f"{speed:g} m/s exceeds limits.speed_m_s {spec.limits.speed_m_s:g}"
                 )
             place: Vec3 | None = (*position, altitude_m)
             hold_s = one.hold_s or 0.0
         else:
             place, speed, hold_s = None, 0.0, one.timeout_s or _PAUSE_S
-        keys = keys_of(one, WaypointKeys)
+        keys = shared_keys(one, WaypointKeys)
         found.append(
             Waypoint(**keys, index=i + 1, position=place, speed_m_s=speed, hold_s=hold_s, wall_at=wall_at)
         )
@@ -519,7 +522,7 @@ def _resolve_collision(
     if spec.probe is not None:
         probe, probe_m_s, met = resolve_probe(i, spec, mission, wall, document)
         return Collision(
-            **keys_of(spec, CollisionKeys) | {"mode": mode},
+            **shared_keys(spec, CollisionKeys) | {"mode": mode},
             index=i + 1,
             wall=wall,
             approach_m_s=probe_m_s,
@@ -538,7 +541,7 @@ def _resolve_collision(
         speed = math.hypot(*approach)
         if speed > mission.limits.speed_m_s:
             raise document.error(
-                (*key, "approach"), f"{speed:.2f} m/s is over limits.speed_m_s {mission.limits.speed_m_s:g}"
+                (*key, "approach"), f"{speed:.2f} m/s exceeds limits.speed_m_s {mission.limits.speed_m_s:g}"
             )
         if spec.trajectory is None or (spec.impact_point_m or spec.impact_along_m) is not None:
             impact = _impact_point(spec, mission.start.position_m, wall, approach, key, document)
@@ -556,9 +559,9 @@ def _resolve_collision(
         _check_trajectory(spec.trajectory, i, spec, mission, wall, document)
     for name in ("impact_point_m", "impact_along_m"):
         if approach is None and getattr(spec, name) is not None and not wall.post_radius_m:
-            raise document.error((*key, name), "only a collision with an approach has one")
+            raise document.error((*key, name), "only a collision with an approach can have this key")
     return Collision(
-        **keys_of(spec, CollisionKeys) | {"mode": mode},
+        **shared_keys(spec, CollisionKeys) | {"mode": mode},
         index=i + 1,
         wall=wall,
         approach_m_s=approach,
@@ -579,7 +582,7 @@ def _check_trajectory(
     """Raise InputError if a trajectory does not lead from the vehicle's position to this impact."""
     key: Key = ("collisions", i, "trajectory")
     if spec.predicted is None:
-        raise document.error(key, "needs predicted: what the hit leads to")
+        raise document.error(key, "needs the key predicted, the expected impact")
     planned, end = spec.predicted, written.states()[-1]
     off_m = abs(wall.signed_distance(end.position))
     if off_m > _TRAJECTORY_OFF_M:
@@ -598,7 +601,7 @@ def _check_trajectory(
 
 def _check_replanned(mission: MissionFile, key: Key, document: Document) -> None:
     if mission.after_impact is not AfterImpact.REPLAN:
-        raise document.error(key, "a trajectory from a hit is flown with after_impact: replan only")
+        raise document.error(key, "a trajectory after a collision needs after_impact: replan")
 
 
 def _rest_before(mission: MissionFile, flown: int) -> Vec2 | None:
@@ -612,7 +615,7 @@ def _check_from_rest(written: TrajectoryPieces, place: Vec2 | None, key: Key, do
         raise document.error(key, "a trajectory from rest needs a waypoint before it")
     off_m = math.dist(written.position_m, place)
     if off_m > _TRAJECTORY_OFF_M or any((*written.velocity_m_s, *written.acceleration_m_s2)):
-        text = f"must begin at rest at ({place[0]:g}, {place[1]:g}), {off_m:.2f} m from where it does"
+        text = f"must begin at rest at ({place[0]:g}, {place[1]:g}), not {off_m:.2f} m away"
         raise document.error(key, text)
 
 
@@ -623,9 +626,9 @@ def _check_goal_trajectory(mission: MissionFile, document: Document) -> None:
         return
     count = len(mission.collisions)
     if count and any(w.after == count for w in mission.waypoints):
-        raise document.error(key, "after a waypoint the goal is flown to straight, without one")
+        raise document.error(key, "the path from a waypoint to the goal is straight: remove the trajectory")
     if count and mission.collisions[-1].probe is not None:
-        raise document.error(key, "after a probe the goal is flown to straight, without one")
+        raise document.error(key, "the path from a probe to the goal is straight: remove the trajectory")
     if count:
         _check_replanned(mission, key, document)
     else:
@@ -646,7 +649,7 @@ def _impact_point(
         raise document.error((*key, "impact_along_m"), "give this or impact_point_m, not both")
     if wall.sought:
         if given is not None:
-            text = f"nobody knows where wall {wall.name} stands: give impact_along_m"
+            text = f"the position of wall {wall.name} is unknown: give impact_along_m"
             raise document.error((*key, "impact_point_m"), text)
         along = along or 0.0
     if given is not None:
@@ -663,7 +666,7 @@ def _impact_point(
         return _project_onto_wall(start, wall, approach_m_s)
     (x, y), (tx, ty), reach = wall.point, wall.tangent, 0.5 * wall.length_m
     if abs(along) > reach:
-        text = f"{along:g}, the wall reaches from {-reach:g} to {reach:g}"
+        text = f"{along:g} m is beyond the wall, which extends from {-reach:g} to {reach:g} m"
         raise document.error((*key, "impact_along_m"), text)
     return (x + along * tx, y + along * ty)
 

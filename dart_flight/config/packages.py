@@ -25,7 +25,7 @@ def missing_package(what: str, extra: str, *, source: str = "", key: Key = ()) -
     """
     error = sys.exception()
     if isinstance(error, ImportError) and not isinstance(error, ModuleNotFoundError):
-        return InputError(f"{what}, which does not load: {error}", source=source, key=key)
+        return InputError(f"{what}, but it does not load: {error}", source=source, key=key)
     return InputError(f"{what}: {install_command(extra)}", source=source, key=key)
 
 

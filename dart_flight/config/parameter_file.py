@@ -131,7 +131,7 @@ def load_parameters(path: str | Path) -> dict[str, Parameter]:
             found = _VERSIONS.match(line)
             if found is None:
                 raise InputError(
-                    f"{line!r}, allowed are `#? absent before v1.16`, `#? absent without MODULE` and "
+                    f"{line!r}, expected `#? absent before v1.16`, `#? absent without MODULE` and "
                     "`#? renamed NAME after v1.17`",
                     source=str(path),
                     line=number,
@@ -143,7 +143,7 @@ def load_parameters(path: str | Path) -> dict[str, Parameter]:
             try:
                 parameter = _parse(line, " ".join(reason), versions)
                 if parameter.name in parameters:
-                    raise ValueError(f"{parameter.name} is given twice")
+                    raise ValueError(f"{parameter.name} appears twice")
             except ValueError as error:
                 raise InputError(str(error), source=str(path), line=number) from None
             parameters[parameter.name] = parameter
@@ -185,7 +185,7 @@ def _parse(line: str, reason: str, versions: tuple[str, str | None]) -> Paramete
     if not PX4_NAME.match(name):
         raise ValueError(f"{name!r} is not a PX4 parameter name")
     if kind not in _TYPES:
-        raise ValueError(f"{name}: type {kind!r}, allowed 6 (INT32) and 9 (REAL32)")
+        raise ValueError(f"{name}: type {kind!r}, expected 6 (INT32) or 9 (REAL32)")
     try:
         value: Value = _TYPES[kind](text)
     except ValueError:

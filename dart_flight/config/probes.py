@@ -46,7 +46,7 @@ class Probe(msgspec.Struct, frozen=True):
         return msgspec.structs.replace(self, begin=here, end=(here[0] + ex - bx, here[1] + ey - by))
 
 
-def sought_walls(
+def unknown_walls(
     spec: MissionFile, vehicle: VehicleConfig, walls: dict[str, Wall], document: Document
 ) -> dict[str, Wall]:
     """Return the walls at unknown positions, each placed across the end of its probe, by name.
@@ -55,7 +55,7 @@ def sought_walls(
         InputError: the probe has no direction, an unknown material or a name in use; a collision at such a
             wall comes before its probe; or a condition names no probe.
     """
-    stiffest = max(vehicle.materials, key=lambda name: vehicle.materials[name].of(Mode.RIGID).k)
+    stiffest = max(vehicle.materials, key=lambda name: vehicle.materials[name].coefficients(Mode.RIGID).k)
     looked_for = {one.wall for one in spec.collisions if one.probe is not None}
     sought: dict[str, Wall] = {}
     probed: set[str] = set()
@@ -67,19 +67,21 @@ def sought_walls(
                 _check_waypoint_wall(waypoint, probed, walls, ("waypoints", j), document)
         if one.probe is None:
             if one.wall not in walls and one.wall not in probed and one.wall in looked_for:
-                raise document.error((*key, "wall"), f"no probe before this looks for wall {one.wall}")
+                raise document.error((*key, "wall"), f"no earlier probe looks for wall {one.wall}")
             continue
         if one.wall in walls:
             probed.add(one.wall)
             continue
         if one.wall in probed:
-            raise document.error((*key, "wall"), f"{one.wall} is looked for twice; give the second a name")
+            raise document.error(
+                (*key, "wall"), f"two probes look for {one.wall}; give the second wall another name"
+            )
         probed.add(one.wall)
         if one.wall in spec.simulated_walls:
-            raise document.error((*key, "wall"), f"the name {one.wall} is taken by a simulated wall")
+            raise document.error((*key, "wall"), f"a simulated wall already has the name {one.wall}")
         if one.probe.direction is None:
             known = ", ".join(walls) or "none"
-            text = f"{one.wall} is no wall of the mission ({known}): a probe for it needs a direction"
+            text = f"{one.wall} is not a wall of the mission ({known}): a probe for it needs a direction"
             raise document.error((*key, "probe"), text)
         material = one.probe.material
         if material is not None and material not in vehicle.materials:
@@ -110,7 +112,7 @@ def _check_conditions(
     for name in ("if_met", "if_not_met"):
         wall = getattr(one, name)
         if wall is not None and wall not in probed:
-            text = unknown_name(wall, sorted(probed)) if probed else "no probe comes before this"
+            text = unknown_name(wall, sorted(probed)) if probed else "there is no earlier probe"
             raise document.error((*key, name), text)
 
 
@@ -126,7 +128,7 @@ def _check_waypoint_wall(
 def _probe_direction(direction: Vec2, key: Key, document: Document) -> Vec2:
     length = math.hypot(*direction)
     if not length > 1e-9:
-        raise document.error((*key, "probe", "direction"), "the direction has no length")
+        raise document.error((*key, "probe", "direction"), "the direction has length 0")
     return (direction[0] / length, direction[1] / length)
 
 
@@ -163,17 +165,20 @@ def resolve_probe(
             where = f"({place[0]:.2f}, {place[1]:.2f})"
             raise document.error((*key, "probe", name), f"{where} is {excess_m:.2f} m outside bounds_m")
     if probe.speed_m_s > mission.limits.speed_m_s:
-        text = f"{probe.speed_m_s:g} m/s is over limits.speed_m_s {mission.limits.speed_m_s:g}"
+        text = f"{probe.speed_m_s:g} m/s exceeds limits.speed_m_s {mission.limits.speed_m_s:g}"
         raise document.error((*key, "probe", "speed_m_s"), text)
     share = probe.speed_m_s / probe.length_m
     vx, vy = share * (end[0] - probe.from_m[0]), share * (end[1] - probe.from_m[1])
     normal_m_s, tangential_m_s, _ = wall.to_collision((vx, vy, 0.0))
     if not normal_m_s < -0.5 * probe.speed_m_s or wall.signed_distance(probe.from_m) <= 0.0:
-        text = f"begins behind wall {wall.name}, or leads past it: it needs at most 60 degrees to its normal"
+        text = (
+            f"begins behind wall {wall.name} or leads past it: the angle to the normal must be at most 60 "
+            "degrees"
+        )
         raise document.error((*key, "probe"), text)
     reach_m = wall.signed_distance(probe.from_m) / -normal_m_s * probe.speed_m_s
     if reach_m > probe.length_m + _ON_PLANE_M:
-        text = f"wall {wall.name} is {reach_m:.2f} m away; longer by what its place leaves open is better"
+        text = f"wall {wall.name} is {reach_m:.2f} m away; give that plus the uncertainty of its position"
         raise document.error((*key, "probe", "length_m"), text)
     met = reach_m / probe.length_m
     impact = (
@@ -184,7 +189,7 @@ def resolve_probe(
     return flown, (normal_m_s, tangential_m_s), impact
 
 
-def place_at(wall: Wall, place: PlaceAtWall) -> Vec2:
+def resolve_place(wall: Wall, place: PlaceAtWall) -> Vec2:
     """Return the position of a place at a wall in its assumed position, mission frame."""
     (x, y), (nx, ny), (tx, ty) = wall.point, wall.normal, wall.tangent
     return (x + place.away_m * nx + place.along_m * tx, y + place.away_m * ny + place.along_m * ty)

@@ -36,14 +36,14 @@ class VehicleSource(msgspec.Struct, frozen=True, omit_defaults=True):
     set: tuple[str, ...] = ()
 
 
-class FoundVehicle(NamedTuple):
+class LoadedVehicle(NamedTuple):
     """A configuration with its origin."""
 
     config: VehicleConfig
     source: VehicleSource
 
 
-def find_vehicle(path: str | Path | None = None, settings: Sequence[str] = ()) -> FoundVehicle:
+def find_vehicle(path: str | Path | None = None, settings: Sequence[str] = ()) -> LoadedVehicle:
     """Load a vehicle configuration (`load_vehicle`) and identify it.
 
     Args:
@@ -60,7 +60,7 @@ def find_vehicle(path: str | Path | None = None, settings: Sequence[str] = ()) -
         refuse_other_kind(taken, FileKind.CONFIGURATION)
         raise
     mass_kg = config.airframe.mass_kg
-    return FoundVehicle(
+    return LoadedVehicle(
         config, VehicleSource(display_path(taken), _is_packaged(taken), mass_kg, tuple(settings))
     )
 
@@ -83,7 +83,7 @@ def _is_packaged(path: Path) -> bool:
     return taken == packaged("configs", "dart.yaml").resolve() and taken != _LOCAL.resolve()
 
 
-def passed_over(source: VehicleSource) -> list[str]:
+def unused_configurations(source: VehicleSource) -> list[str]:
     """Return configurations that the operator may have meant although the packaged one is used.
 
     Candidates are the file in $DART_FLIGHT_CONFIG and those in the working folder and its `configs/`, as

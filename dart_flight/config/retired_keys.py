@@ -57,7 +57,7 @@ RETIRED: Final[Mapping[str, RetiredKey]] = {
     "estimation.hover.time_constant_s": RetiredKey(2.0, "core.sense.bias.LEARNING_S"),
     "estimation.hover.bias_limit_m_s2": RetiredKey(0.4, "core.sense.bias.BIAS_LIMIT_M_S2"),
     "estimation.hover.thrust_scale_limit": RetiredKey(0.25, "core.sense.bias.THRUST_SCALE_LIMIT"),
-    "estimation.walls.scatter": RetiredKey(0.05, "planning.contact_fit.HIT_SCATTER"),
+    "estimation.walls.scatter": RetiredKey(0.05, "planning.contact_fit.CONTACT_SCATTER"),
     "estimation.walls.sure_log_odds": RetiredKey(5.3, "planning.contact_fit.SURE_LOG_ODDS"),
     "detection.release_fraction": RetiredKey(0.4, "core.sense.detector.RELEASE_FRACTION"),
     "detection.peak_drop_fraction": RetiredKey(0.12, "core.sense.detector.PEAK_DROP_FRACTION"),
@@ -91,7 +91,7 @@ RETIRED: Final[Mapping[str, RetiredKey]] = {
 }
 
 
-def take_out_retired(tree: dict[str, Any]) -> dict[str, Any]:
+def remove_retired(tree: dict[str, Any]) -> dict[str, Any]:
     """Remove the retired keys from a configuration.
 
     Args:
@@ -114,28 +114,31 @@ def take_out_retired(tree: dict[str, Any]) -> dict[str, Any]:
     return found
 
 
-def leave_out_retired(document: Document) -> None:
+def ignore_retired(document: Document) -> None:
     """Remove the retired keys from a vehicle's document and warn about them.
 
     A key whose value differs from its constant has a separate warning; all others share one.
     """
-    found = take_out_retired(document.tree)
+    found = remove_retired(document.tree)
     same = [key for key, value in found.items() if value == RETIRED[key].value]
     if len(same) > 1:
-        text = f"{len(same)} keys are ignored, they are fixed at these values now: remove {', '.join(same)}"
+        text = (
+            f"{len(same)} keys are ignored, because they are now fixed at these values: remove "
+            f"{', '.join(same)}"
+        )
         warnings.warn(document.error((), text).one_line(), RetiredKeyWarning, stacklevel=2)
     for key in found:
         if len(same) > 1 and key in same:
             continue
-        text = f"is ignored, it is fixed at {json.dumps(RETIRED[key].value)} now: remove it"
+        text = f"is ignored, because it is now fixed at {json.dumps(RETIRED[key].value)}: remove it"
         warnings.warn(document.error(tuple(key.split(".")), text).one_line(), RetiredKeyWarning, stacklevel=2)
 
 
 def changed_retired(tree: dict[str, Any]) -> list[str]:
     """Remove the retired keys from a configuration, and describe those that differ from their constants."""
-    found = take_out_retired(tree)
+    found = remove_retired(tree)
     return [
-        f"{key} was {json.dumps(value)} and is {json.dumps(RETIRED[key].value)} now"
+        f"{key} was {json.dumps(value)} and is now {json.dumps(RETIRED[key].value)}"
         for key, value in found.items()
         if value != RETIRED[key].value
     ]

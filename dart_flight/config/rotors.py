@@ -29,7 +29,7 @@ def rotor_names(count: float) -> list[str]:
     return [f"CA_ROTOR{i}_{axis}" for i in range(min(_MAX, round(count))) for axis in _AXES]
 
 
-def motors_of(parameters: Mapping[str, float], source: str) -> tuple[Motor, ...]:
+def motors_from_parameters(parameters: Mapping[str, float], source: str) -> tuple[Motor, ...]:
     """Return PX4's motors from its parameters.
 
     Raises:
@@ -68,7 +68,7 @@ def rotor_differences(motors: Sequence[Motor], actual: Sequence[Motor]) -> tuple
             (other if opposite else sizes).append(f"motor {number}: {name} {a:g}, PX4 {b:g}")
         a, b = own.yaw_torque_per_thrust_m, px4.yaw_torque_per_thrust_m
         if a * b < 0.0:
-            other.append(f"motor {number} turns the other way round (yaw torque {a:g} m, PX4 {b:g})")
+            other.append(f"motor {number} turns in the other direction (yaw torque {a:g} m, PX4 {b:g})")
         elif abs(a - b) > _KM_TOLERANCE * max(abs(a), abs(b)):
             sizes.append(f"motor {number}: yaw_torque_per_thrust_m {a:g}, PX4 {b:g}")
     return other, sizes

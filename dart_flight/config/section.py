@@ -49,7 +49,7 @@ def _default_of(field: msgspec.structs.FieldInfo) -> Any:
     return field.default
 
 
-def keys_of(section: Section, kind: type[Section]) -> dict[str, Any]:
+def shared_keys(section: Section, kind: type[Section]) -> dict[str, Any]:
     """Return the values of the keys that a section shares with others of its kind, by name.
 
     Conversions in both directions between a file and its resolved form use this function, so that neither

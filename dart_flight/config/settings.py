@@ -7,7 +7,7 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from dart_flight.config.document import Document, InputError, Key, plain, unknown_name
+from dart_flight.config.document import Document, InputError, Key, to_plain, unknown_name
 
 
 def apply_settings(settings: Sequence[str], *documents: Document) -> list[Document]:
@@ -51,7 +51,7 @@ def apply_changes(changes: Mapping[str, Any], document: Document) -> None:
         key, setting = _key(name), f"{name}={value!s:.60}"
         if not key:
             raise InputError(f"{name!r} is not a key")
-        _set(document, key, plain(value, key), setting)
+        _set(document, key, to_plain(value, key), setting)
 
 
 def _settable(document: Document) -> set[str]:
@@ -89,7 +89,7 @@ def _set(document: Document, key: Key, value: Any, setting: str) -> None:
     elif isinstance(node, dict):
         node[str(last)] = value
     else:
-        raise InputError(f"{setting}: there is nothing below {key[-2]}")
+        raise InputError(f"{setting}: there is no key below {key[-2]}")
 
 
 def _child(node: Any, part: str | int, setting: str) -> Any:

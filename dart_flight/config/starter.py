@@ -10,9 +10,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from dart_flight.config.document import InputError, unknown_name, writing
+from dart_flight.config.document import InputError, report_write_errors, unknown_name
 from dart_flight.config.vehicle import packaged
-from dart_flight.config.vehicle.configuration import base_of
+from dart_flight.config.vehicle.configuration import extended_file
 
 DART = "dart"
 # DART, and the vehicles with missions
@@ -38,7 +38,7 @@ def starter_files(vehicle: str = DART) -> dict[Path, Path]:
             if suffix in _SHARED or _owner(relative) == vehicle:
                 files[Path(folder) / relative] = path
     own = packaged("configs", f"{vehicle}.yaml")
-    while (base := base_of(own)) is not None:
+    while (base := extended_file(own)) is not None:
         own = own.parent / base
         files[Path("configs") / base] = own
     return files
@@ -67,10 +67,10 @@ def write_starter(directory: Path, vehicle: str = DART) -> list[Path]:
     if there:
         others = f" and {len(there) - 1} more" if len(there) > 1 else ""
         raise InputError(
-            f"is already there{others}, nothing is overwritten; name an empty folder", source=str(there[0])
+            f"already exists{others} and is not overwritten; give an empty folder", source=str(there[0])
         )
     for path, source in files.items():
-        with writing(path):
+        with report_write_errors(path):
             path.parent.mkdir(parents=True, exist_ok=True)
             with path.open("xb") as file:
                 file.write(source.read_bytes())

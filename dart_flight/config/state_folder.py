@@ -30,7 +30,7 @@ def state_dir() -> Path:
     return (Path(xdg) if xdg else Path.home() / ".local" / "state") / "dart-flight"
 
 
-def usable(folder: Path) -> Path:
+def ensure_folder(folder: Path) -> Path:
     """Return the folder; create it if it is missing.
 
     Raises:
@@ -154,7 +154,7 @@ class HeldFile:
             _held.discard(self)
 
     def _open(self) -> int:
-        usable(self._path.parent)
+        ensure_folder(self._path.parent)
         try:
             return os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
         except OSError as error:
@@ -182,7 +182,7 @@ class Lease(ABC):
         self.release()
 
 
-def content_of_held(path: Path) -> bytes | None:
+def read_held(path: Path) -> bytes | None:
     """Return the content that the holder of a file wrote, or None if the file is not held.
 
     Raises:

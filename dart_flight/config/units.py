@@ -35,12 +35,12 @@ _ENDINGS = {
 COEFFICIENTS = {"k": "N/m", "f": "N s/m", "mu": "s/m", "nu": "N"}
 
 
-def parted(name: str) -> tuple[str, str]:
+def split_unit(name: str) -> tuple[str, str]:
     """Return a name without its unit ending, and the unit; empty if the name has none."""
     end = max((end for end in _ENDINGS if name.endswith(end)), key=len, default="")
     return name.removesuffix(end), _ENDINGS.get(end, "")
 
 
-def unit_of(name: str) -> str:
+def unit_from_name(name: str) -> str:
     """Return the unit of a number from the name of its key, or an empty string."""
-    return COEFFICIENTS.get(name) or parted(name)[1]
+    return COEFFICIENTS.get(name) or split_unit(name)[1]

@@ -23,7 +23,7 @@ class CoefficientArrays(NamedTuple):
     nu: Array
 
     @classmethod
-    def of(cls, table: Coefficients | Sequence[Coefficients]) -> CoefficientArrays:
+    def from_table(cls, table: Coefficients | Sequence[Coefficients]) -> CoefficientArrays:
         """Return one set as zero-dimensional arrays, or n sets (mode, material) as arrays of shape (n,)."""
         if isinstance(table, Coefficients):
             return cls(*(np.asarray(v, dtype=float) for v in (table.k, table.f, table.mu, table.nu)))
@@ -34,6 +34,6 @@ class CoefficientArrays(NamedTuple):
         """`Coefficients.lead_s` of every set."""
         return self.f / self.k
 
-    def take(self, rows: Rows) -> CoefficientArrays:
+    def select(self, rows: Rows) -> CoefficientArrays:
         """Return the sets of the given rows, one per collision."""
         return CoefficientArrays(*(values[rows] for values in self))

@@ -41,7 +41,7 @@ from dart_flight.contact.law import Onset
 from dart_flight.contact.oscillator import (
     ContactTimes,
     Oscillation,
-    enter,
+    begin_contact,
     falling_root,
     find_contact_times,
     first_zero,
@@ -237,7 +237,7 @@ def _solve_with_push(
     `state` is the normal velocity, the tangential velocity and the acceleration.
     """
     normal, tangential, acceleration = state
-    course = enter(c, mass, normal, onset, acceleration)
+    course = begin_contact(c, mass, normal, onset, acceleration)
     events = find_contact_times(course)
     hits, zeta, v = course.hits, course.zeta, course.speed
     stays = ~np.isfinite(events.end)
@@ -330,7 +330,7 @@ class _Batch:
         """Return the coefficients and masses (kg) of a slice: one per impact, or one for all."""
         if self.rows is not None:
             rows = self.rows[part]
-            return self.table.take(rows), self.mass[rows]
+            return self.table.select(rows), self.mass[rows]
         if self.mass.size == 1:
             return self.table, self.mass
         return CoefficientArrays(*(v[part] for v in self.table)), self.mass[part]
@@ -420,7 +420,7 @@ def collide(
 ) -> WallHit[float]:
     """Predict one wall hit; arguments, results and errors as in `contact_map`."""
     push = acceleration_m_s2 or None
-    table = CoefficientArrays.of(coefficients)
+    table = CoefficientArrays.from_table(coefficients)
     result = contact_map(table, mass_kg, normal_m_s, tangential_m_s, onset, acceleration_m_s2=push)
     return WallHit(*(float(v) for v in result))
 
@@ -479,5 +479,5 @@ def drop_map(
 
 def drop(coefficients: Coefficients, mass_kg: float, height_m: float, onset: Onset) -> Drop[float]:
     """Predict one drop; arguments, results and errors as in `drop_map`."""
-    result = drop_map(CoefficientArrays.of(coefficients), mass_kg, height_m, onset)
+    result = drop_map(CoefficientArrays.from_table(coefficients), mass_kg, height_m, onset)
     return Drop(*(float(v) for v in result))

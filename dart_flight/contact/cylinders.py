@@ -250,13 +250,13 @@ class WallWithEnds:
         """Coefficients of the pressed edge, or None."""
         return next((edge.coefficients for edge in self.edges if edge.share is not None), None)
 
-    def moved(self, away_m: float) -> WallWithEnds:
+    def displaced(self, away_m: float) -> WallWithEnds:
         """Return the wall displaced along its normal, without contact state."""
         p, n = self.plane.point, self.plane.normal
         point = (p[0] + away_m * n[0], p[1] + away_m * n[1], p[2] + away_m * n[2])
         return WallWithEnds(self.plane._replace(point=point), self._guards)
 
-    def arrive(self, q: Quaternion, position: Vec3) -> None:
+    def reset_contacts(self, q: Quaternion, position: Vec3) -> None:
         """Initialise the contact state: guards behind the surface did not pass through it."""
         self.beside = {i for i, h, _ in self._foot_points(q, position) if h < 0.0}
         for edge, near in self.nearest(q, position):

@@ -49,4 +49,4 @@ def coefficients_in_force(
     """
     table = vehicle.materials[material]
     folds = abs(incidence_rad) < math.radians(vehicle.airframe.incidence_rigid_deg)
-    return table.of(mode if folds else Mode.RIGID)
+    return table.coefficients(mode if folds else Mode.RIGID)

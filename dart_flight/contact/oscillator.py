@@ -56,7 +56,9 @@ class Oscillation(NamedTuple):
     hits: NDArray[np.bool_]
 
 
-def enter(c: CoefficientArrays, mass: Array, normal: Array, onset: Onset, acceleration: Array) -> Oscillation:
+def begin_contact(
+    c: CoefficientArrays, mass: Array, normal: Array, onset: Onset, acceleration: Array
+) -> Oscillation:
     """Return the contact after an approach at `normal` (m/s, < 0) under a constant `acceleration` (m/s2)."""
     omega, zeta, w2 = oscillator(c, mass)
     speed = np.maximum(-normal, 0.0) + np.abs(acceleration) / omega

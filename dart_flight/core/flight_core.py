@@ -111,13 +111,13 @@ class FlightCore:
         guard, executive, state = self._guard, self._executive, self._senses.state
         kept = guard.review(item, state, sensed, executive.progress.phase, proposal)
         if guard.overrules:
-            kept += executive.overruled(state.now_us, guard.reason or "")
+            kept += executive.record_override(state.now_us, guard.reason or "")
             # While the guard holds or backs off, a wall is an impact; the ground at the end is not.
             if guard.landing:
                 self._expected = ExpectedContact()
         if guard.end is not None:
             self.end = guard.end
-            kept += executive.ended(guard.end)
+            kept += executive.record_end(guard.end)
         elif proposal.end is not None and not guard.overrules:
             self.end = proposal.end
             kept.append(proposal.end)

@@ -23,7 +23,7 @@ from dart_flight.config.provenance import find_vehicle
 from dart_flight.config.settings import apply_settings
 from dart_flight.config.vehicle import VehicleConfig, packaged
 from dart_flight.config.vehicle import load_vehicle as load_vehicle_file
-from dart_flight.config.vehicle.configuration import vehicle_of
+from dart_flight.config.vehicle.configuration import parse_vehicle
 from dart_flight.contact.coefficients import CoefficientArrays
 from dart_flight.contact.contact_map import Drop, WallHit, collide, contact_map, drop
 from dart_flight.lab.identify.estimates import Identification
@@ -45,7 +45,7 @@ from dart_flight.run.fast import fly_fast
 from dart_flight.run.flight_record import FlightRecord
 from dart_flight.run.prepare import refuse_unflyable
 from dart_flight.sim.draws import parse_vary
-from dart_flight.sim.faults.fault_table import Fault, parse_fault_of
+from dart_flight.sim.faults.fault_table import Fault, parse_mission_fault
 
 Written = str | Path | Mapping[str, Any]  # a file, or its content
 Numbers = Sequence[float] | NDArray[Any]
@@ -101,9 +101,9 @@ def load_mission(
 def _with_settings(vehicle: VehicleConfig, settings: Sequence[str]) -> VehicleConfig:
     if not settings:
         return vehicle
-    document = Document.of(vehicle.to_dict())
+    document = Document.from_tree(vehicle.to_dict())
     apply_settings(settings, document)
-    return vehicle_of(document)
+    return parse_vehicle(document)
 
 
 # --- flights --------------------------------------------------------------------------------------------
@@ -161,11 +161,11 @@ def simulate(
     mission = load_mission(mission)
     refuse_unflyable(mission)
     spreads = parse_vary(_settings_of(vary), mission.vehicle)
-    broken = parse_fault_of(mission, fault) if isinstance(fault, str) else fault
+    broken = parse_mission_fault(mission, fault) if isinstance(fault, str) else fault
     folder = None if log_dir is None else Path(log_dir)
     records: list[FlightRecord] = []
     keep = records.append
-    verdict = fly_fast(mission, int(seed), folder, fault=broken, spreads=spreads, take_record=keep)
+    verdict = fly_fast(mission, int(seed), folder, fault=broken, spreads=spreads, keep_record=keep)
     return Flight(mission, verdict, records[0])
 
 
@@ -232,7 +232,7 @@ def predict(
         return collide(
             condition.coefficients, condition.mass_kg, float(normal), float(tangential), condition.onset
         )
-    table = CoefficientArrays.of([condition.coefficients])
+    table = CoefficientArrays.from_table([condition.coefficients])
     rows = np.zeros(np.broadcast(normal, tangential).shape, dtype=np.intp)
     return contact_map(table, condition.mass_kg, normal, tangential, condition.onset, rows=rows)
 
@@ -303,7 +303,7 @@ class PlanResult:
 
     def _plan(self, rank: int) -> Plan:
         if not 1 <= rank <= len(self.plans):
-            raise InputError(f"{rank}; there are plans 1 to {len(self.plans)}", key=("rank",))
+            raise InputError(f"plan {rank} does not exist, expected 1 to {len(self.plans)}", key=("rank",))
         return self.plans[rank - 1]
 
 
@@ -349,7 +349,9 @@ def plan(
     if not isinstance(scenario, Scenario):
         scenario = load_scenario(scenario, vehicle)
     elif vehicle is not None:
-        raise InputError("a loaded scenario has its vehicle: give it to load_scenario", key=("vehicle",))
+        raise InputError(
+            "a loaded scenario already has a vehicle: give the vehicle to load_scenario", key=("vehicle",)
+        )
     if objective is not None:
         if objective not in list(Objective):
             raise InputError(f"{objective!r} is none of {', '.join(Objective)}", key=("objective",))

@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple, ParamSpec
 
-from dart_flight.config.document import InputError, writing
+from dart_flight.config.document import InputError, report_write_errors
 from dart_flight.config.packages import missing_package
 
 TRUE = {"color": "#000000", "linestyle": "-", "linewidth": 1.8}
@@ -151,11 +151,11 @@ def save_figure(figure: Any, path: Path) -> None:
         InputError: the extension is unknown, or the file cannot be written.
     """
     if path.suffix.lower() not in (".png", ".svg", ".pdf"):
-        raise InputError("a picture is a file .png, .svg or .pdf", source=str(path))
+        raise InputError("the picture must be a .png, .svg or .pdf file", source=str(path))
     drawn = io.BytesIO()  # a failed drawing keeps the previous picture
     with _styled(PAGE):
         figure.savefig(drawn, format=path.suffix.lower()[1:], dpi=200)
-    with writing(path):
+    with report_write_errors(path):
         path.write_bytes(drawn.getvalue())
 
 
@@ -168,7 +168,7 @@ def save_pages(figures: Iterable[Any], path: Path) -> None:
     with _styled(PAGE):
         from matplotlib.backends.backend_pdf import PdfPages  # noqa: PLC0415
 
-        with writing(path), PdfPages(path, metadata={"CreationDate": None}) as pages:
+        with report_write_errors(path), PdfPages(path, metadata={"CreationDate": None}) as pages:
             for figure in figures:
                 pages.savefig(figure)
 

@@ -22,7 +22,7 @@ from dart_flight.base.records import (
 )
 from dart_flight.config.mission import Mission
 from dart_flight.recording.anchor import MissionFrameReader
-from dart_flight.recording.flight_time import zero_of
+from dart_flight.recording.flight_time import find_zero
 from dart_flight.recording.reader import Log
 from dart_flight.recording.topics import Topic
 
@@ -80,7 +80,7 @@ class FlightArrays:
     def __init__(self, log: Log, mission: Mission) -> None:
         self.log, self._mission = log, mission
         self.records: list[Record] = [entry.record for entry in log.entries]
-        self.start_us = zero_of(self.records)
+        self.start_us = find_zero(self.records)
         self._frames = _frames(self.records, mission)
         self.frame = self._frames[0][1] if self._frames else None
         odometry = self.topic_in_ned(OdometrySample)
@@ -164,7 +164,7 @@ def _frames(records: Sequence[Record], mission: Mission) -> list[tuple[int, Miss
     reader = MissionFrameReader(mission)
     found: list[tuple[int, MissionFrame]] = []
     for record in records:
-        reader.take(record)
+        reader.add(record)
         if not isinstance(record, PhaseChange | FrameAnchor) or reader.frame is None:
             continue
         if not found or reader.frame is not found[-1][1]:

@@ -199,7 +199,7 @@ class SteppedSimulation:
             self._vehicle.set_horn(self._servo.pulse_at(autopilot.time_us))
         self._vehicle.advance()
         self._ticks += 1
-        for sample in self._sender.due(self._ticks, autopilot.time_us):
+        for sample in self._sender.samples(self._ticks, autopilot.time_us):
             estimate = self._senses.update(sample, _NO_CONTACT).estimate
             if estimate is not None:
                 self._force = estimate.force_mission

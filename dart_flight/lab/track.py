@@ -29,7 +29,7 @@ from dart_flight.lab.ulog import (
     refuse_other_vehicles,
     seconds,
 )
-from dart_flight.recording.reader import Log, NothingInItError, read_log
+from dart_flight.recording.reader import Log, MissingDataError, read_log
 
 _TOPICS = (
     "sensor_combined",
@@ -103,7 +103,7 @@ def _own_track(log: Log) -> Track:
     kinds = (ImuSample, ActuatorSample, AttitudeSample, OdometrySample, StatusSample)
     imu, sent, attitude, moved, status = (log[kind.topic] for kind in kinds)
     if not len(imu) or not len(sent):
-        raise NothingInItError("has no IMU samples or no motor commands", source=log.source)
+        raise MissingDataError("has no IMU samples or no motor commands", source=log.source)
     # PX4's land detector may report a touch-down half a second late: leave out the whole landing.
     landing = status["flight_mode"] == FlightMode.LAND
     known = np.isfinite(status["battery_v"])
@@ -129,7 +129,7 @@ def calibration_series_of(log: ULogFile, motors: MotorCommands = NO_MOTORS) -> T
     """Return the measurements of an open ULog, with motor commands already read from it."""
     imu, attitude = log.first("sensor_combined"), log.first("vehicle_attitude")
     moved, volts = log.first("vehicle_local_position"), battery(log)
-    notes = [motors.said, volts.said]
+    notes = [motors.description, volts.problem]
     if log.first("vehicle_land_detected") is None:
         notes.append("no vehicle_land_detected: time on the ground is unknown")
     track = Track(

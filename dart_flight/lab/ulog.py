@@ -19,7 +19,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from dart_flight.base.motor_outputs import PWM, scale_of
+from dart_flight.base.motor_outputs import PWM, identify_scale
 from dart_flight.config.document import InputError, open_file
 from dart_flight.config.file_kinds import FileKind, refuse_other_kind
 from dart_flight.config.packages import missing_package
@@ -90,21 +90,21 @@ class MotorCommands(msgspec.Struct):
 
     Attributes:
         time_s: stamps, seconds.
-        values: (samples, motors), 0 to 1.
-        said: description of the source and of the decoding.
+        description: the source and its decoding.
+        description: the source and of the decoding.
     """
 
     time_s: Array
     values: Array
-    said: str
+    description: str
 
 
 class Battery(msgspec.Struct):
-    """Battery voltage over time; `said` is the reason for leaving it out, or empty."""
+    """Battery voltage over time; `problem` is the reason for leaving it out, or empty."""
 
     time_s: Array
     volts: Array
-    said: str = ""
+    problem: str = ""
 
 
 def open_ulog(path: str | Path, topics: Sequence[str]) -> ULogFile:
@@ -183,7 +183,7 @@ def refuse_other_vehicles(log: ULogFile) -> None:
         )
     other = _other_than_multicopter(log)
     if other is not None:
-        raise InputError(f"log of a {other}: only multicopters are supported", source=log.source)
+        raise InputError(f"the log is of a {other}: only multicopters are supported", source=log.source)
     status = log.first("vehicle_status")
     if status is not None and not (np.asarray(status["arming_state"]) == ARMED).any():
         raise InputError("the vehicle was never armed: the log contains no flight", source=log.source)
@@ -251,7 +251,7 @@ def _decoded(log: ULogFile, instance: int, data: dict[str, Any]) -> MotorCommand
     top = float(raw.max(initial=0.0))
     if top <= 0.0:
         return None
-    scale = scale_of(float(raw[raw > 0.0].min()), top)
+    scale = identify_scale(float(raw[raw > 0.0].min()), top)
     if scale is None:
         return None
     low, high = np.full(raw.shape[1], scale.stop), np.full(raw.shape[1], scale.full)
@@ -293,6 +293,6 @@ def battery(log: ULogFile) -> Battery:
     volts = np.asarray(data["voltage_v"], dtype=float)
     usual = float(np.median(volts[np.isfinite(volts)])) if np.isfinite(volts).any() else 0.0
     if usual < _MIN_CELL_V:
-        return Battery(empty, empty, f"battery voltage {usual:.2f} V is implausible")
+        return Battery(empty, empty, f"the battery voltage of {usual:.2f} V is implausible")
     good = np.isfinite(volts) & (volts >= _MIN_CELL_V)
     return Battery(seconds(data)[good], volts[good])

@@ -46,11 +46,11 @@ class Calibration:
         self.found: dict[Mode, float] = {}
 
     @property
-    def seeking(self) -> Mode | None:
+    def current_end(self) -> Mode | None:
         """End that is being calibrated, or None if both are stored."""
         return next((mode for mode in self.ORDER if mode not in self.found), None)
 
-    def enter(self, line: str) -> None:
+    def execute(self, line: str) -> None:
         """Execute one line of the operator; see `HELP`, except quit.
 
         Raises:
@@ -109,7 +109,7 @@ class Calibration:
         try:
             number = float(word)
         except ValueError:
-            raise CalibrationError(f"{word or 'an empty line'} is not understood: {HELP}") from None
+            raise CalibrationError(f"{word or 'an empty line'} is not a command: {HELP}") from None
         target = self.pulse_us + number if word[0] in "+-" else number
         low, high = self._config.servo.min_pulse_us, self._config.servo.max_pulse_us
         if not low <= target <= high:
@@ -125,11 +125,11 @@ class Calibration:
             self.pulse_us = following
 
     def _store_end(self) -> None:
-        mode = self.seeking
+        mode = self.current_end
         if mode is None:
             raise CalibrationError("both ends are known")
         self.found[mode] = self.pulse_us
-        if self.seeking is None:
+        if self.current_end is None:
             try:
                 self.result()
             except CalibrationError:

@@ -57,7 +57,7 @@ class GroundLock:
         self.session = LockSession(adopting, driver, clock_us, on_change)
         self.session.permit(True)
 
-    def look(self) -> LockState:
+    def read_state(self) -> LockState:
         """Determine the lock's state without moving it."""
         self.session.start()
         return self._settle()

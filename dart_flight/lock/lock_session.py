@@ -84,7 +84,7 @@ class LockSession:
             try:
                 if isinstance(action, SetPulse):
                     self.driver.set_pulse(action.pulse_us)
-                    self.machine.sent(self._clock_us(), action.pulse_us)
+                    self.machine.confirm_sent(self._clock_us(), action.pulse_us)
                 elif isinstance(action, PulsesOff):
                     self.driver.release()
                 else:

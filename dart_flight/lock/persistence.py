@@ -15,7 +15,7 @@ import msgspec
 
 from dart_flight.base.records import LockPhase, LockState, Mode
 from dart_flight.config.document import InputError
-from dart_flight.config.state_folder import REMEDY, HeldError, HeldFile, Lease, state_dir, usable
+from dart_flight.config.state_folder import REMEDY, HeldError, HeldFile, Lease, ensure_folder, state_dir
 from dart_flight.config.vehicle import LockDriver
 
 # --- the last command --------------------------------------------------------------------------------
@@ -46,7 +46,7 @@ class LastCommand(msgspec.Struct, frozen=True):
             LockPhase.SETTLED: "settled then" + ("" if self.feedback else " (no feedback)"),
             LockPhase.TRAVELLING: "arrival not confirmed",
         }.get(self.phase, "ended in a fault")
-        return f"{self.mode} through {self.driver} at {self.at_utc}, {how}"
+        return f"{self.mode} by {self.driver} at {self.at_utc}, {how}"
 
 
 class CommandStore:
@@ -63,11 +63,11 @@ class CommandStore:
             InputError: the folder cannot be created.
         """
         self._driver = driver
-        self._folder = usable(folder or state_dir())
+        self._folder = ensure_folder(folder or state_dir())
         self._mode: Mode | None = None
         self.problem: str | None = None
 
-    def note(self, state: LockState) -> None:
+    def store(self, state: LockState) -> None:
         """Store a state atomically; a state that follows no command is not stored."""
         self._mode = state.mode or self._mode
         if state.commanded_us is None or self._mode is None:
@@ -113,7 +113,7 @@ def load_last(folder: Path | None = None) -> LastCommand | None:
         raise InputError(f"cannot read: {error.strerror}; {REMEDY}", source=str(path)) from None
 
 
-def forget_last(folder: Path | None = None) -> None:
+def delete_last(folder: Path | None = None) -> None:
     """Delete the stored command, because the servo is about to be moved without the state machine."""
     ((folder or state_dir()) / "last_command.json").unlink(missing_ok=True)
 
@@ -121,7 +121,7 @@ def forget_last(folder: Path | None = None) -> None:
 # --- the owner ---------------------------------------------------------------------------------------
 
 
-class ServoTakenError(Exception):
+class ServoInUseError(Exception):
     """Another process owns the servo.
 
     Attributes:
@@ -144,13 +144,13 @@ class ServoOwnership(Lease):
         """Acquire the servo.
 
         Raises:
-            ServoTakenError: another process, or another part of this one, owns it.
+            ServoInUseError: another process, or another part of this one, owns it.
             InputError: the state folder cannot be used.
         """
         try:
             self._file.acquire(f"{os.getpid()}\n".encode())
         except HeldError as error:
-            raise ServoTakenError(_pid_in(error.content)) from None
+            raise ServoInUseError(_pid_in(error.content)) from None
 
     def release(self) -> None:
         """Release the servo; has no effect if it is not owned."""

@@ -223,7 +223,7 @@ class LockStateMachine:
 
     # -- inputs: results and time --
 
-    def sent(self, t_us: int, pulse_us: float) -> None:
+    def confirm_sent(self, t_us: int, pulse_us: float) -> None:
         """Start the travel time: the driver has accepted `SetPulse(pulse_us)`."""
         if self._state.phase is LockPhase.TRAVELLING and self._at_target(pulse_us) and self._sent_us is None:
             self._sent_us = t_us
@@ -284,7 +284,7 @@ class LockStateMachine:
         elif reading.pulse_us is None and not self._pulses_off:
             fault = "the controller lost the pulse"
         elif not self._pulse_is_expected(reading):
-            fault = f"the controller puts out {reading.pulse_us:.0f} us"
+            fault = f"the controller outputs {reading.pulse_us:.0f} us"
         if self._fault_has_lasted(t_us, bool(fault)):
             self._transition(t_us, LockEvent.DISPLACED, reason=self._fault_reason(fault, reading))
 
@@ -314,7 +314,7 @@ class LockStateMachine:
         target, last = self._target, self._last
         within = f"within {self.config.timeout_s:g} s"
         if target is None or self._sent_us is None:
-            return f"the driver did not take the command {within}"
+            return f"the driver did not accept the command {within}"
         if last is None or self._last_reading_us < self._sent_us:
             return f"the driver reported nothing {within}"
         if last.switch(target.other):
@@ -324,8 +324,8 @@ class LockStateMachine:
         if not self._pulse_is_expected(last):
             shown = "no pulses" if last.pulse_us is None else f"{last.pulse_us:.0f} us"
             wanted = f"{self.config.servo.pulse_us(target):.0f} us"
-            return self._fault_reason(f"the controller puts out {shown} instead of {wanted}", last)
-        return f"no reading came after the travel time {within}"
+            return self._fault_reason(f"the controller outputs {shown} instead of {wanted}", last)
+        return f"no reading arrived after the travel time {within}"
 
     def _find_position(self, reading: DriverReading | None) -> tuple[Mode | None, str]:
         if reading is None:
@@ -342,7 +342,7 @@ class LockStateMachine:
             return by_pulse, ""
         if reading.pulse_us is None:
             return None, "nothing to adopt: pulses are off"
-        return None, f"nothing to adopt: {reading.pulse_us:.0f} us is neither end"
+        return None, f"nothing to adopt: {reading.pulse_us:.0f} us is not the pulse of an end"
 
     # -- changes --
 

@@ -21,7 +21,7 @@ from dart_flight.core.mission.commitment import (
     SETPOINT_OUTSIDE_M,
     SETTLED_BEFORE_S,
     STOP_MARGIN_M,
-    bearable_in_either_mode,
+    is_acceptable_in_either_mode,
     setpoint_outside_m,
 )
 from dart_flight.core.mission.position_loop import ATTITUDE_LAG_S, STOP_TIME_S, least_distance_m, stop_share
@@ -252,9 +252,9 @@ class Constraints:
         late = after_s < self.lock_s
         rows = np.flatnonzero(~late & ~self.lock_in_time(ready, wall))
         if rows.size:
-            at = impact.take(rows)
+            at = impact.select(rows)
             (nx, ny), (tx, ty) = wall.normal, wall.tangent
-            bearable = bearable_in_either_mode(
+            bearable = is_acceptable_in_either_mode(
                 self._vehicle,
                 self.limits,
                 self.bounds,

@@ -50,7 +50,7 @@ from dart_flight.core.sense.contact_recorder import undecided
 Array = NDArray[np.float64]
 
 FIT_US: Final = 50_000  # duration of a fit in simulated time (docs/felt.md)
-HIT_SCATTER: Final = 0.05  # of k, f, mu and nu between contacts with the same wall, relative
+CONTACT_SCATTER: Final = 0.05  # of k, f, mu and nu between contacts with the same wall, relative
 SURE_LOG_ODDS: Final = 5.3  # 200 to 1; at most one mode in a thousand is wrong (docs/felt.md)
 _FEWEST: Final = 4  # readings in contact that a fit needs
 _SLOWEST_M_S: Final = 0.02
@@ -209,7 +209,7 @@ class ContactFit:
     """
 
     def __init__(
-        self, contact: Contact, before: list[Belief], vehicle: VehicleConfig, scatter: float = HIT_SCATTER
+        self, contact: Contact, before: list[Belief], vehicle: VehicleConfig, scatter: float = CONTACT_SCATTER
     ) -> None:
         self.contact, self.before, self._vehicle, self._scatter = contact, before, vehicle, scatter
         self._mass, self._along = vehicle.airframe.mass_kg, vehicle.airframe.guard_along_m
@@ -465,7 +465,7 @@ class ContactFitter:
             t_us=request.t_us,
             first_us=onset.first_us,
             final=True,
-            side=ContactSide.of_lead(lead),
+            side=ContactSide.from_lead(lead),
             lead_m=lead,
             incidence_rad=found.incidence_rad,
             incidence_sigma_rad=found.incidence_sd,
@@ -480,7 +480,7 @@ class ContactFitter:
         c = fit.contact
         back_s = (onset.t_us - begin_us) * 1e-6
         there = wall.signed_distance(onset.position_mission) - c.velocity[0] * back_s
-        normal = wall.turned(c.incidence_rad - found.incidence_rad).normal
+        normal = wall.rotated(c.incidence_rad - found.incidence_rad).normal
         (x, y, _), (vx, vy, _), away = onset.position_mission, onset.velocity_mission, found.place_m
         estimate = msgspec.structs.replace(
             undecided(request, wall, self._vehicle),
@@ -520,7 +520,7 @@ class ContactFitter:
             self._ticks(request),
             (onset.first_us - begin_us) * 1e-6 - 0.75 * imu.tick_s,
             velocity,
-            seen_incidence(request.frame_heading_rad, request.q_frd_to_ned[0], request.normal),
+            measure_incidence(request.frame_heading_rad, request.q_frd_to_ned[0], request.normal),
             max(1e-2, request.noise_n),
             max(1e-4, abs(request.noise_frd_nm[2])),
             place_sd,
@@ -567,9 +567,15 @@ class ContactFitter:
         if found is not None:
             return found
         if wall is None or not wall.material_known:
-            c, sd = middle_of(m.of(mode) for m in self._vehicle.materials.values()), _UNKNOWN_SPREAD
+            c, sd = (
+                mean_coefficients(m.coefficients(mode) for m in self._vehicle.materials.values()),
+                _UNKNOWN_SPREAD,
+            )
         else:
-            c, sd = self._vehicle.materials[wall.material].of(mode), self._vehicle.estimation.walls.spread
+            c, sd = (
+                self._vehicle.materials[wall.material].coefficients(mode),
+                self._vehicle.estimation.walls.spread,
+            )
         return Belief(c.k, c.f, c.mu, c.nu, sd, sd, sd, sd)
 
     def _likely_material(self, felt: Belief, mode: Mode) -> str | None:
@@ -577,7 +583,7 @@ class ContactFitter:
         spread2 = self._vehicle.estimation.walls.spread**2
 
         def misfit(name: str) -> float:
-            c = self._vehicle.materials[name].of(mode)
+            c = self._vehicle.materials[name].coefficients(mode)
             pairs = ((felt.k, felt.k_sd, c.k), (felt.f, felt.f_sd, c.f), (felt.mu, felt.mu_sd, c.mu))
             return sum(math.log(value / of) ** 2 / (sd * sd + spread2) for value, sd, of in pairs if of > 0.0)
 
@@ -609,13 +615,13 @@ def _torque_peak(request: ContactRequest, fit: ContactFit, found: Hypothesis, mo
     return largest
 
 
-def seen_incidence(frame_heading_rad: float, q: Quaternion, normal: Vec2) -> float:
+def measure_incidence(frame_heading_rad: float, q: Quaternion, normal: Vec2) -> float:
     """Return the angle of incidence of the edge nearest to a wall, rad, from attitude and normal."""
     seen = wrap_angle(frame_heading_rad - yaw_ned_of(q) - math.atan2(-normal[1], -normal[0]))
     return seen - _QUARTER * round(seen / _QUARTER)
 
 
-def middle_of(coefficients: Iterable[Coefficients]) -> Coefficients:
+def mean_coefficients(coefficients: Iterable[Coefficients]) -> Coefficients:
     """Return the geometric mean over the materials, the prior of an unplanned wall."""
     every = np.array([[c.k, c.f, c.mu, c.nu] for c in coefficients])
     return Coefficients(*np.exp(np.log(np.maximum(every, 1e-6)).mean(axis=0)).tolist())

@@ -35,7 +35,13 @@ from dart_flight.config.vehicle import Coefficients, VehicleConfig
 from dart_flight.contact.coefficients import CoefficientArrays
 from dart_flight.contact.contact_map import friction_per_speed
 from dart_flight.contact.law import Onset
-from dart_flight.contact.oscillator import Oscillation, enter, falling_root, find_contact_times, motion
+from dart_flight.contact.oscillator import (
+    Oscillation,
+    begin_contact,
+    falling_root,
+    find_contact_times,
+    motion,
+)
 from dart_flight.core.mission.position_loop import PositionLoop
 from dart_flight.core.sense.detector import PEAK_DROP_FRACTION
 
@@ -165,7 +171,7 @@ class ContactStage:
         self._push: Array = np.zeros((0, 0))  # weights times acceleration per input at the nodes
         self._push_speed: Array = np.zeros((0, 0))
         self._ends: Array = np.zeros((2, 3))  # acceleration and integral at T per input a, i, s
-        self._friction = friction_per_speed(CoefficientArrays.of(coefficients), mass_kg, onset)
+        self._friction = friction_per_speed(CoefficientArrays.from_table(coefficients), mass_kg, onset)
 
     # -- impacts --
 
@@ -243,14 +249,16 @@ def build_stages(
     """
     onset, mass = Onset(vehicle.onset), vehicle.airframe.mass_kg
     stages = [ContactStage(c, mass, onset, pair) for c, pair in zip(table, alphas, strict=True)]
-    c = CoefficientArrays.of(list(table))
-    course = enter(c, np.full(len(table), mass), np.full(len(table), -1.0), onset, np.zeros(len(table)))
+    c = CoefficientArrays.from_table(list(table))
+    course = begin_contact(
+        c, np.full(len(table), mass), np.full(len(table), -1.0), onset, np.zeros(len(table))
+    )
     events = find_contact_times(course)
     omega = course.omega
     drop = _time_of_drop(course, events.peak, events.end, PEAK_DROP_FRACTION)
     delay = np.maximum((drop - events.peak) / omega, _MIN_AFTER_PEAK_S) + 1.0 / vehicle.imu.rate_hz
     engaged = events.peak / omega + np.maximum(delay + _SETPOINT_USED_S + np.asarray(extra_delay_s), 0.0)
-    loop = PositionLoop.of(vehicle.px4)
+    loop = PositionLoop.from_px4(vehicle.px4)
     for i, stage in enumerate(stages):
         if not math.isfinite(events.end[i]):
             continue

@@ -42,8 +42,8 @@ def impact_problem(mission: Mission) -> str | None:
         force = expected_force_n(mission, collision)
         if force is not None and force > mission.limits.peak_force_n:
             return (
-                f"collision {collision.index} with {collision.wall.name} will peak at {force:.0f} N, over "
-                f"limits.peak_force_n {mission.limits.peak_force_n:g}"
+                f"collision {collision.index} with {collision.wall.name} will peak at {force:.0f} N, "
+                f"limits.peak_force_n is {mission.limits.peak_force_n:g} N"
             )
     return None
 

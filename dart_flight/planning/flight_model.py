@@ -43,7 +43,7 @@ class SetpointResponse(NamedTuple):
     goal_x: Array
     goal_y: Array
 
-    def take(self, rows: Rows | NDArray[np.bool_]) -> SetpointResponse:
+    def select(self, rows: Rows | NDArray[np.bool_]) -> SetpointResponse:
         """Return the selected candidates."""
         return SetpointResponse(self.x[:, rows], self.y[:, rows], self.goal_x[rows], self.goal_y[rows])
 
@@ -108,7 +108,7 @@ class FreeFlight:
     """
 
     def __init__(self, vehicle: VehicleConfig, horizon_s: float) -> None:
-        self.loop = PositionLoop.of(vehicle.px4)
+        self.loop = PositionLoop.from_px4(vehicle.px4)
         self.count = math.ceil(horizon_s / GRID_S / WINDOW) * WINDOW
         self.times: Array = GRID_S * np.arange(self.count + 1, dtype=np.float64)
         bx, by, _ = vehicle.airframe.drag_per_s
@@ -154,7 +154,7 @@ class Grid(NamedTuple):
     goal_x: Array32
     goal_y: Array32
 
-    def take(self, rows: Rows | NDArray[np.bool_]) -> Grid:
+    def select(self, rows: Rows | NDArray[np.bool_]) -> Grid:
         """Return the selected candidates."""
         return Grid(self.flight, self.x[rows], self.y[rows], self.goal_x[rows], self.goal_y[rows])
 

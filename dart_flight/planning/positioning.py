@@ -11,14 +11,14 @@ PLAIN_GPS = (
 )
 
 
-def source_for(mission: Mission, source: PositionSource) -> PositionSource:
+def effective_source(mission: Mission, source: PositionSource) -> PositionSource:
     """Return the effective position source: plain GPS counts as anchored if contacts correct the frame."""
     return PositionSource.ANCHORED if source is PositionSource.PLAIN and mission.is_anchored else source
 
 
 def simulated_source(mission: Mission) -> PositionSource:
     """Return the source of the embedded autopilot's position, from the vehicle's configuration."""
-    return source_for(mission, PositionSource(mission.vehicle.simulation.position_from))
+    return effective_source(mission, PositionSource(mission.vehicle.simulation.position_from))
 
 
 def frame_problem(mission: Mission, source: PositionSource) -> str | None:

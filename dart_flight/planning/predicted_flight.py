@@ -30,7 +30,7 @@ from dart_flight.planning.rollout import (
     new_flight,
     stages_for,
 )
-from dart_flight.planning.task import MissionTask, task_of
+from dart_flight.planning.task import MissionTask, make_task
 
 _POINTS = 60  # per leg
 
@@ -183,7 +183,8 @@ def _add_written(planned: PredictedFlight, mission: Mission, group: Sequence[Col
         assert collision.predicted is not None
         predicted, wall = collision.predicted, collision.wall
         friction_ns = (
-            mission.vehicle.materials[wall.material].of(collision.mode).mu * predicted.tangential_m_s
+            mission.vehicle.materials[wall.material].coefficients(collision.mode).mu
+            * predicted.tangential_m_s
         )
         friction_n = -friction_ns * predicted.peak_force_n
         (nx, ny), (tx, ty), (x, y) = wall.normal, wall.tangent, predicted.position_m
@@ -227,7 +228,7 @@ def _fly(
     mission: Mission, group: Sequence[Collision], draws: Sequence[UncertaintyDraw | None]
 ) -> tuple[FreeFlight, Vec2, list[Arrivals | None]]:
     """Return one approach's flight, run-up point and arrivals per draw; None where it fails."""
-    task = task_of(mission, group)
+    task = make_task(mission, group)
     flight = new_flight(task)
     rollout = _rollout(task, flight)
     assert group[0].approach_m_s is not None

@@ -61,7 +61,7 @@ class RejoiningTrajectories(NamedTuple):
     acceleration: Array
     jerk: Array
 
-    def take(self, rows: Rows) -> RejoiningTrajectories:
+    def select(self, rows: Rows) -> RejoiningTrajectories:
         """Return the selected trajectories."""
         by_row = (v[rows] for v in self[2:6])
         return RejoiningTrajectories(self.planned, self.shares, *by_row, *(v[:, rows] for v in self[6:]))
@@ -90,7 +90,7 @@ class RejoiningTrajectories(NamedTuple):
         return Trajectory.level(*axes, planned.z[0], pieces)
 
 
-def rejoin(
+def candidate_trajectories(
     planned: Trajectory,
     start: tuple[Array, Array],
     moved: Vec2,

@@ -33,7 +33,7 @@ from dart_flight.config.mission import Collision, Mission
 from dart_flight.config.vehicle import Coefficients
 from dart_flight.core.mission.anchors import FrameAnchors
 from dart_flight.core.mission.commitment import SETTLED_BEFORE_S
-from dart_flight.core.mission.contact_feedforward import balancing_m_s2
+from dart_flight.core.mission.contact_feedforward import balancing_acceleration_m_s2
 from dart_flight.core.mission.planned_impact import impact_velocity
 from dart_flight.core.mission.position_loop import ATTITUDE_LAG_S, PositionLoop
 from dart_flight.core.mission.trajectories import Trajectory
@@ -43,7 +43,7 @@ from dart_flight.planning.contact_stage import build_stages, expm
 from dart_flight.planning.flight_model import Array, GridWindow, Rows, loop_matrix
 from dart_flight.planning.polynomials import quintic
 from dart_flight.planning.predicted_flight import impact_place, predict_mission
-from dart_flight.planning.rejoining import SETTLED_S, RejoiningTrajectories, rejoin
+from dart_flight.planning.rejoining import SETTLED_S, RejoiningTrajectories, candidate_trajectories
 from dart_flight.planning.task import MissionTask, drag_along
 
 _DURATIONS_S = np.arange(0.3, 4.01, 0.05)
@@ -104,7 +104,7 @@ class Replanner:
             {c.wall.name: (c.alpha_normal_m_per_n, c.alpha_tangential_m_per_n) for c in mission.collisions},
         )
         self._constraints = Constraints(self._task, posts=mission.posts)
-        loop = PositionLoop.of(mission.vehicle.px4)
+        loop = PositionLoop.from_px4(mission.vehicle.px4)
         self._coefficients: dict[tuple[str, Mode], Coefficients] = {}
         drift_m_s = mission.vehicle.estimation.position_drift_m_s
         self._anchors = FrameAnchors(drift_m_s) if mission.is_anchored else None
@@ -139,7 +139,7 @@ class Replanner:
         """Move the estimated walls into the mission frame that a contact has corrected."""
         self._survey.move_frame(anchor.moved_mission)
         if self._anchors is not None:
-            self._anchors.follow(anchor)
+            self._anchors.add_recorded(anchor)
 
     def answer(self, request: PlanRequest, received_us: int) -> PlanAnswer:
         """Return the trajectory from a request's state, or an answer with a `problem` if there is none.
@@ -156,7 +156,7 @@ class Replanner:
         if request.collision is None:
             to_goal = self._rejoined(found, request, None)
             if to_goal is None and request.under_way:
-                return _no_plan(found, "no way back to the mission's trajectory")
+                return _no_plan(found, "no feasible path back to the mission's trajectory")
             to_goal = to_goal or self._choose(found, request, self._to_goal(), None)
             return to_goal or _no_plan(found, "no trajectory to the goal within the limits")
         collision = self._mission.collisions[request.collision - 1]
@@ -171,8 +171,8 @@ class Replanner:
         if rejoined is not None:
             return rejoined
         if request.under_way:
-            return _no_plan(found, "no way back to the mission's trajectory")
-        wall = self._survey.wall_now(collision.wall, request.t_us)
+            return _no_plan(found, "no feasible path back to the mission's trajectory")
+        wall = self._survey.known_wall(collision.wall, request.t_us)
         slack = float(position_margin_m(wall, impact_place(collision, self._planned)))
         for share, (straight_s, slacks) in itertools.product(_SPEED_SHARES, _straights(slack)):
             wanted = (share * velocity[0], share * velocity[1])
@@ -195,28 +195,28 @@ class Replanner:
             # With a configured attitude delay the attitude follows the plan to its end; otherwise it lags.
             follows = bool(self._mission.vehicle.flying.attitude_delay_s)
             settled_s = SETTLED_S if follows else 0.0
-            wall = self._survey.wall_now(collision.wall, request.t_us)
+            wall = self._survey.known_wall(collision.wall, request.t_us)
             place = written.at(written.duration_s).position
             away = collision.wall.signed_distance(place) - wall.signed_distance(place)
             moved = (away * wall.normal[0], away * wall.normal[1])
             out_m = self._mission.vehicle.airframe.contact_distance_m
-            push_m_s2 = balancing_m_s2(request.contact_height_m, out_m)
+            push_m_s2 = balancing_acceleration_m_s2(request.contact_height_m, out_m)
             if collision.mode is Mode.RIGID:
                 removed_share = 1.0 if follows else _THRUST_OFF_SHARE
                 push_m_s2 -= removed_share * max(0.0, self._thrust_off(wall, written))
             pushed = (push_m_s2 * wall.normal[0], push_m_s2 * wall.normal[1])
-        rejoining = rejoin(written, self._start(request), moved, pushed, settled_s)
+        rejoining = candidate_trajectories(written, self._start(request), moved, pushed, settled_s)
         if collision is not None:
             assert request.lock_ready_us is not None
             ready_s = (request.lock_ready_us - request.begin_us) * 1e-6
-            rejoining = rejoining.take(np.flatnonzero(rejoining.duration_s >= ready_s + SETTLED_BEFORE_S))
+            rejoining = rejoining.select(np.flatnonzero(rejoining.duration_s >= ready_s + SETTLED_BEFORE_S))
         push = np.hypot(rejoining.acceleration[0], rejoining.acceleration[1]).max(axis=1, initial=0.0)
         jerk = np.hypot(rejoining.jerk[0], rejoining.jerk[1]).max(axis=1, initial=0.0)
         fine = (push <= self._most_m_s2) & (jerk <= _JERK_M_S3)
         # Prefer the mission's limit of acceleration plus an allowance. Jerk has only the attitude loop's
         # limit, because the mission's limit would make a leg up to a tenth slower than planned.
         over = push > _REJOINING_ALLOWANCE * self._planned_m_s2
-        rejoining, over = rejoining.take(np.flatnonzero(fine)), over[fine]
+        rejoining, over = rejoining.select(np.flatnonzero(fine)), over[fine]
         push = push[fine] / self._most_m_s2
         if rejoining.duration_s.size:
             states = (v.astype(np.float32) for v in (*rejoining.position, *rejoining.velocity))
@@ -224,11 +224,11 @@ class Replanner:
             until = np.full(rejoining.duration_s.size, rejoining.shares.size)
             walls = self._obstacles(self._start(request), request.t_us)
             clear = self._constraints.path(window, until, wall, begins=True, walls=walls) == 0
-            rejoining, push, over = rejoining.take(np.flatnonzero(clear)), push[clear], over[clear]
+            rejoining, push, over = rejoining.select(np.flatnonzero(clear)), push[clear], over[clear]
         # Prefer the planned impact speed: a slower impact is a different one.
         slow = (rejoining.slower > _SPEED_TOLERANCE) & (collision is not None)
         if request.under_way:  # a slower one does not improve on the trajectory in progress
-            rejoining, push = rejoining.take(np.flatnonzero(~slow)), push[~slow]
+            rejoining, push = rejoining.select(np.flatnonzero(~slow)), push[~slow]
             over, slow = over[~slow], slow[~slow]
         if wall is not None:
             over = over + _leans_in_late(rejoining, wall)
@@ -277,7 +277,7 @@ class Replanner:
         self, request: PlanRequest, collision: Collision, velocity: Vec2, straight_s: float
     ) -> _EndStates:
         """Return end states `straight_s` before the wall, at a velocity in its collision frame."""
-        wall = self._survey.wall_now(collision.wall, request.t_us)
+        wall = self._survey.known_wall(collision.wall, request.t_us)
         vx, vy, _ = wall.from_collision((*velocity, 0.0))
         place = wall.foot(impact_place(collision, self._planned))
         along, duration = (v.ravel() for v in np.meshgrid(_ALONG_M, _DURATIONS_S))
@@ -371,9 +371,9 @@ class Replanner:
         """
         place = (float(start[0][0]), float(start[1][0]))
         walls = []
-        for wall in (self._survey.wall_now(one, now_us) for one in self._constraints.walls):
+        for wall in (self._survey.known_wall(one, now_us) for one in self._constraints.walls):
             depth_m = wall.signed_distance(place)
-            walls.append(wall.moved(depth_m) if -_COMPRESSED_M < depth_m < 0.0 else wall)
+            walls.append(wall.displaced(depth_m) if -_COMPRESSED_M < depth_m < 0.0 else wall)
         return walls
 
     def _stays_clear(
@@ -397,7 +397,7 @@ class Replanner:
         drag_n, drag_t = drag_along(wall, vehicle.airframe.drag_per_s)
         coefficients = self._coefficients.get((wall.name, collision.mode))
         if coefficients is None:
-            coefficients = vehicle.materials[wall.material].of(collision.mode)
+            coefficients = vehicle.materials[wall.material].coefficients(collision.mode)
         (stage,) = build_stages(vehicle, [coefficients], [self._task.alphas[wall.name]], [drag_n], [0.0])
         out = stage.normal(vn, drag_n * vn, zero)
         slide = stage.tangential(stage.tangential_shape(vn), vt, drag_t * vt, zero)

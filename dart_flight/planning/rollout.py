@@ -77,9 +77,9 @@ class Hits(NamedTuple):
         """Peak of normal force and friction together."""
         return np.hypot(self.normal_n, self.tangential_n)
 
-    def take(self, rows: Rows | NDArray[np.bool_]) -> Hits:
+    def select(self, rows: Rows | NDArray[np.bool_]) -> Hits:
         """Return the selected candidates."""
-        return Hits._make((self.wall, *(v[rows] for v in self[1:-1]), self.leg.take(rows)))
+        return Hits._make((self.wall, *(v[rows] for v in self[1:-1]), self.leg.select(rows)))
 
 
 class Arrivals(NamedTuple):
@@ -118,10 +118,10 @@ class _Released(NamedTuple):
     leg: SetpointResponse
     hits: tuple[Hits, ...]
 
-    def take(self, rows: Rows | NDArray[np.bool_]) -> _Released:
+    def select(self, rows: Rows | NDArray[np.bool_]) -> _Released:
         """Return the selected candidates."""
-        hits = tuple(hit.take(rows) for hit in self.hits)
-        return _Released._make((*(v[rows] for v in self[:5]), self.leg.take(rows), hits))
+        hits = tuple(hit.select(rows) for hit in self.hits)
+        return _Released._make((*(v[rows] for v in self[:5]), self.leg.select(rows), hits))
 
 
 def _merge(fronts: list[_Released]) -> _Released:
@@ -160,11 +160,11 @@ class UncertaintyDraw(NamedTuple):
     walls: dict[str, Wall] = {}  # noqa: RUF012  (never changed): walls that differ from the plan
 
 
-def drawn_wall(wall: Wall, rng: np.random.Generator) -> Wall:
+def draw_wall(wall: Wall, rng: np.random.Generator) -> Wall:
     """Draw a wall's true position and direction from its standard deviations."""
     away, angle = rng.standard_normal(2)
-    moved = wall.moved(float(away) * (wall.position_sd_m or 0.0))
-    return moved.turned(float(angle) * (wall.yaw_sd_rad or 0.0))
+    moved = wall.displaced(float(away) * (wall.position_sd_m or 0.0))
+    return moved.rotated(float(angle) * (wall.yaw_sd_rad or 0.0))
 
 
 def stages_for(task: Task, draws: Sequence[UncertaintyDraw | None]) -> list[Stages]:
@@ -174,7 +174,7 @@ def stages_for(task: Task, draws: Sequence[UncertaintyDraw | None]) -> list[Stag
     for draw in draws:
         for name, mode in keys:
             wall = task.walls[name] if draw is None else draw.walls.get(name, task.walls[name])
-            c = task.vehicle.materials[wall.material].of(mode)
+            c = task.vehicle.materials[wall.material].coefficients(mode)
             if draw is not None:
                 k, f, mu = draw.factors[name, mode]
                 c = c.scaled(k, f, mu)
@@ -354,7 +354,7 @@ class Rollout:
         if self.constraints is None:
             return front
         stays = self._refuse(self.constraints.command(leg, self.flight.loop), number)
-        return front.take(stays) if stays.any() else None
+        return front.select(stays) if stays.any() else None
 
     # -- to the next wall --
 
@@ -363,7 +363,7 @@ class Rollout:
         index, order = self._search_wall(front, wall, number - 1)
         if order.size == 0:
             return []
-        reached = front.take(order)
+        reached = front.select(order)
         near = self.flight.near(reached.leg, index)
         series = near.along(wall.normal)
         series[0] -= wall.normal[0] * wall.point[0] + wall.normal[1] * wall.point[1]
@@ -376,7 +376,7 @@ class Rollout:
             codes = self._reached_codes(reached, wall, i, leg, after)
             if codes is not None:
                 stays = np.flatnonzero(self._refuse(codes, number))
-                here, leg, after = here.take(stays), leg.take(stays), after[stays]
+                here, leg, after = here.select(stays), leg.select(stays), after[stays]
             if after.size:
                 fronts.append(self._collide(stage, wall, number, here, leg, after))
         return [front for front in fronts if front is not None]
@@ -412,12 +412,12 @@ class Rollout:
         before = np.flatnonzero(side > offset)
         if before.size < live.size:
             self._refuse_all(Refusal.WALL_NOT_REACHED, live.size - before.size, number)
-            live, grid = live[before], grid.take(before)
+            live, grid = live[before], grid.select(before)
         for first in range(0, self.flight.count, WINDOW):
             never = grid.stays_before(wall.normal, offset, first)
             if never.any():
                 self._refuse_all(Refusal.WALL_NOT_REACHED, int(never.sum()), number)
-                live, grid = live[~never], grid.take(~never)
+                live, grid = live[~never], grid.select(~never)
             if live.size == 0:
                 break
             w = grid.window(first)
@@ -440,7 +440,7 @@ class Rollout:
             found.append(live[good])
             stays = np.flatnonzero(~crossed & fine)
             if stays.size < live.size:
-                live, grid = live[stays], grid.take(stays)
+                live, grid = live[stays], grid.select(stays)
         self._refuse_all(Refusal.WALL_NOT_REACHED, live.size, number)
         return np.concatenate([*indices, _NONE]), np.concatenate([*found, _NONE])
 
@@ -467,7 +467,7 @@ class Rollout:
             if stays.size == 0:
                 return None
             if stays.size < codes.size:
-                front, out, slide = front.take(stays), _select_rows(out, stays), _select_rows(slide, stays)
+                front, out, slide = front.select(stays), _select_rows(out, stays), _select_rows(slide, stays)
                 x, y, vn, vt, time = (v[stays] for v in (x, y, vn, vt, time))
         before = (front.rows, front.modes, time, front.force_n, front.hits)
         return self._release(stage, wall, number, (x, y), (vn, vt), (out, slide), before)
@@ -477,7 +477,7 @@ class Rollout:
     def _arrive(self, front: _Released) -> list[Arrivals]:
         """Return the closest approaches by the executive's rule for a passed goal, per sequence of modes."""
         index, order = self._search_goal(front)
-        arrived = front.take(order)
+        arrived = front.select(order)
         near = self.flight.near(arrived.leg, index)
         low = np.where(index == 0, 0.0, -GRID_S)
         high = np.where(index == self.flight.count, 0.0, GRID_S)
@@ -492,7 +492,7 @@ class Rollout:
         for number, modes in enumerate(itertools.product(self.task.modes, repeat=len(self.walls))):
             mine = np.flatnonzero(passes & (arrived.modes == number))
             if mine.size:
-                hits = tuple(hit.take(mine) for hit in arrived.hits)
+                hits = tuple(hit.select(mine) for hit in arrived.hits)
                 columns = (arrived.rows[mine], modes, *(v[mine] for v in every), hits)
                 arrivals.append(Arrivals._make(columns))
         return arrivals
@@ -536,7 +536,7 @@ class Rollout:
             live, best, where, earliest = live[stays], bottom[stays], where[stays], earliest[stays]
             if live.size == 0:
                 break
-            grid = grid.take(stays)
+            grid = grid.select(stays)
         return np.concatenate([*indices, where]), np.concatenate([*found, live])
 
 

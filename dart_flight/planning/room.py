@@ -246,7 +246,7 @@ def _crossing(a: RoomWall, b: RoomWall) -> Vec2 | None:
     return ((a.offset_m * by - b.offset_m * ay) / det, (ax * b.offset_m - bx * a.offset_m) / det)
 
 
-def touches_of(walls: Sequence[Any], directions_rad: Sequence[float]) -> list[RoomContact]:
+def contacts_from_walls(walls: Sequence[Any], directions_rad: Sequence[float]) -> list[RoomContact]:
     """Return the contacts of a flight that `plan_star` planned in these directions.
 
     Args:

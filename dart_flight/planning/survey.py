@@ -15,7 +15,7 @@ from dart_flight.base.records import Mode
 from dart_flight.base.walls import Wall
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission
-from dart_flight.core.mission.approach import is_blocked, is_post_in_the_way
+from dart_flight.core.mission.approach import is_blocked, is_blocked_by_post
 from dart_flight.core.mission.wall_uncertainty import position_margin_m
 
 _SPEED_M_S = 0.5  # slow, but well above the detection threshold in either mode
@@ -50,7 +50,7 @@ def plan_survey(mission: Mission, speed_m_s: float = _SPEED_M_S) -> SurveyPlan:
         legs = {wall.name: _probe_leg(mission, wall, here) for wall in left}
         near = [(distance2(here, leg.begin), wall) for wall in left if (leg := legs[wall.name]) is not None]
         if not near:
-            unreachable |= {wall.name: "no clear way to it" for wall in left}
+            unreachable |= {wall.name: "no clear path to it" for wall in left}
             break
         _, wall = min(near, key=lambda found: found[0])
         leg = legs[wall.name]
@@ -71,7 +71,7 @@ def plan_survey(mission: Mission, speed_m_s: float = _SPEED_M_S) -> SurveyPlan:
             )
         here = leg.back
     if not probes:
-        raise InputError("no wall can be touched: there is no clear way to any", source=mission.source)
+        raise InputError("no wall can be touched: there is no clear path to any", source=mission.source)
     changes = {
         "name": f"survey-{mission.name}"[:64],
         "collisions": probes,
@@ -130,7 +130,7 @@ def _probe_leg(mission: Mission, wall: Wall, here: Vec2) -> _SurveyLeg | None:
 def _is_clear(mission: Mission, a: Vec2, b: Vec2) -> bool:
     """Return whether the segment between two places is clear of walls and posts."""
     walls = any(is_blocked(wall, a, b) for wall in mission.walls)
-    return not walls and not any(is_post_in_the_way(mission, post, a, b) for post in mission.posts)
+    return not walls and not any(is_blocked_by_post(mission, post, a, b) for post in mission.posts)
 
 
 def _modes(mission: Mission, wall: Wall) -> Sequence[Mode]:

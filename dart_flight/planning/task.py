@@ -1,6 +1,6 @@
 """The inputs of a rollout: vehicle, room, and the options at each wall.
 
-`task_of` makes one from a part of a mission; a scenario of the planner is one.
+`make_task` makes one from a part of a mission; a scenario of the planner is one.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ class Task(Protocol):
         """Gains (A_n, A_t) of the recovery setpoint per wall, m/N."""
 
 
-def task_of(mission: Mission, group: Sequence[Collision]) -> MissionTask:
+def make_task(mission: Mission, group: Sequence[Collision]) -> MissionTask:
     """Return the task whose only candidate is the approach of the group's first collision."""
     first = group[0]
     assert first.approach_m_s is not None

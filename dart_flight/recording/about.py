@@ -20,9 +20,9 @@ from dart_flight import __version__
 from dart_flight.base.records import StatusSample, World
 from dart_flight.config.document import Document, InputError
 from dart_flight.config.mission import Mission, parse_mission
-from dart_flight.config.retired_keys import changed_retired, leave_out_retired, take_out_retired
+from dart_flight.config.retired_keys import changed_retired, ignore_retired, remove_retired
 from dart_flight.config.vehicle import VehicleConfig
-from dart_flight.recording.reader import Log, NothingInItError
+from dart_flight.recording.reader import Log, MissingDataError
 
 
 def describe_flight(mission: Mission, world: World, seed: int | None) -> dict[str, str]:
@@ -87,14 +87,14 @@ def flown_mission(about: dict[str, str], source: str) -> Mission:
     """
     text = about.get("flown")
     if text is None:
-        raise NothingInItError("the log does not hold its mission", source=source)
+        raise MissingDataError("the log does not contain its mission", source=source)
     try:
         tree = msgspec.json.decode(text)
         if isinstance(tree, dict) and isinstance(tree.get("vehicle"), dict):
-            take_out_retired(tree["vehicle"])
+            remove_retired(tree["vehicle"])
         return msgspec.convert(tree, Mission)
     except msgspec.MsgspecError as error:
-        raise InputError(f"the mission in it does not fit this version: {error}", source=source) from None
+        raise InputError(f"this version cannot read the mission in the log: {error}", source=source) from None
 
 
 def written_mission(about: dict[str, str], source: str) -> tuple[Document, Document]:
@@ -104,10 +104,10 @@ def written_mission(about: dict[str, str], source: str) -> tuple[Document, Docum
         InputError: they are missing.
     """
     if "mission_text" not in about or "vehicle" not in about:
-        raise InputError("the log does not hold its mission's text", source=source)
+        raise InputError("the log does not contain its mission's text", source=source)
     text = msgspec.json.format(about["vehicle"], indent=2)
     vehicle = Document(text, f"{source}: vehicle")
-    take_out_retired(vehicle.tree)
+    remove_retired(vehicle.tree)
     return Document(about["mission_text"], f"{source}: mission"), vehicle
 
 
@@ -122,7 +122,7 @@ def parse_written(mission: Document, vehicle: Document) -> Mission:
     Raises:
         InputError: a key is unknown, or a value has the wrong type or is out of range.
     """
-    leave_out_retired(vehicle)
+    ignore_retired(vehicle)
     return parse_mission(mission, vehicle.convert(VehicleConfig))
 
 

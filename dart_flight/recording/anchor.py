@@ -25,10 +25,10 @@ class MissionFrameReader:
         self._climbs = False
         self.frame: MissionFrame | None = None
 
-    def take(self, record: Record) -> None:
+    def add(self, record: Record) -> None:
         """Process the next record; most kinds are ignored."""
         if isinstance(record, FrameAnchor) and self.frame is not None:
-            self.frame = self.frame.moved(*record.moved_mission)
+            self.frame = self.frame.displaced(*record.moved_mission)
         if self._climbs:
             return
         if isinstance(record, OdometrySample):

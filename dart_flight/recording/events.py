@@ -76,7 +76,7 @@ class EventFormatter:
         self._every_problem = every_problem
         self._problems: tuple[str, ...] = ()
 
-    def event_of(self, record: Record) -> Event | None:
+    def format_event(self, record: Record) -> Event | None:
         """Return the event of a record, or None if it has none."""
         if record.frequent:  # the usual case
             return None
@@ -97,7 +97,8 @@ class EventFormatter:
             level = Level.WARNING if record.action is Override.NONE else Level.ERROR
             return Event(level, "guard", f"guard: {record.rule} → {record.action}", record.detail)
         if isinstance(record, PosesWithheld):
-            return Event(Level.ERROR, "guard", f"poses withheld from PX4: {record.reason}")
+            what = "attitudes of the poses" if record.attitude_only else "poses"
+            return Event(Level.ERROR, "guard", f"{what} withheld from PX4: {record.reason}")
         if isinstance(record, GoalPassed):
             words = "goal timed out, closest approach" if record.timed_out else "goal passed, miss distance"
             return Event(Level.INFO, "mission", f"{words} {record.miss_m:.2f} m")

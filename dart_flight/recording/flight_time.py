@@ -21,7 +21,7 @@ class FlightTime:
     def __init__(self) -> None:
         self.zero_us: int | None = None
 
-    def take(self, record: Record) -> None:
+    def add(self, record: Record) -> None:
         """Process the next record; only the first IMU sample matters."""
         if self.zero_us is None and isinstance(record, ImuSample):
             self.zero_us = record.t_us
@@ -31,7 +31,7 @@ class FlightTime:
         return None if self.zero_us is None else (t_us - self.zero_us) * 1e-6
 
 
-def zero_of(records: Iterable[Record]) -> int:
+def find_zero(records: Iterable[Record]) -> int:
     """Return the autopilot time of 0 s of a recorded flight, microseconds.
 
     Without an IMU sample the first record with a time is the zero.
@@ -39,7 +39,7 @@ def zero_of(records: Iterable[Record]) -> int:
     time = FlightTime()
     first_us = 0
     for record in records:
-        time.take(record)
+        time.add(record)
         if time.zero_us is not None:
             return time.zero_us
         first_us = first_us or getattr(record, "t_us", 0)

@@ -129,7 +129,7 @@ class ImpactCollector:
 
     Attributes:
         impacts: impacts so far, in the order flown.
-        takers: handlers of the records, by kind.
+        handlers: handlers of the records, by kind.
 
     Args:
         mission: the mission flown.
@@ -146,7 +146,7 @@ class ImpactCollector:
         self._onset: ImpactOnset | None = None
         self._lock_mode: Mode | None = Mode.RIGID if lock is None else None
         self._left_us: int | None = None  # end of the last contact, until the velocity after it is known
-        self.takers: dict[type, Callable[[Any], None]] = {
+        self.handlers: dict[type, Callable[[Any], None]] = {
             ImpactOnset: self._handle_onset,
             PhaseChange: self._handle_phase,
             ImpactPeak: self._handle_peak,
@@ -178,7 +178,7 @@ class ImpactCollector:
                 true.normal_in_m_s,
                 true.tangential_in_m_s,
                 true.peak_normal_force_n,
-                ContactSide.of_lead(true.lead_m),
+                ContactSide.from_lead(true.lead_m),
                 math.degrees(true.incidence_rad),
                 true.peak_torque_nm,
                 true.normal_out_m_s,

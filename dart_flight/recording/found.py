@@ -7,14 +7,14 @@ from pathlib import Path
 from typing import TypeVar
 
 from dart_flight.config.document import InputError
-from dart_flight.recording.reader import NothingInItError
+from dart_flight.recording.reader import MissingDataError
 
 LOG_NAME = "flight.mcap"
 PX4_LOG = "px4.ulg"  # PX4's own log, in the same folder, if PX4 flew
 T = TypeVar("T")
 
 
-def logs_in(paths: Iterable[str | Path]) -> list[Path]:
+def find_logs(paths: Iterable[str | Path]) -> list[Path]:
     """Return every file unchanged, and the flight logs below every folder, sorted by name.
 
     Raises:
@@ -47,32 +47,33 @@ def px4_logs_in(paths: Iterable[str | Path]) -> list[Path]:
         below = sorted((path.parent if flight else path).rglob(PX4_LOG))
         if not below:
             raise InputError(
-                f"no PX4 log ({PX4_LOG}) there; `dart-flight px4-log` fetches it", source=str(path)
+                f"no PX4 log ({PX4_LOG}) in this folder; download it with `dart-flight px4-log`",
+                source=str(path),
             )
         found += below
     return list(dict.fromkeys(found))
 
 
-def from_each(paths: Iterable[Path], read: Callable[[Path], T], left_out: Callable[[str], None]) -> list[T]:
+def read_each(paths: Iterable[Path], read: Callable[[Path], T], left_out: Callable[[str], None]) -> list[T]:
     """Return the result of `read` for every log; omit logs without the wanted data if others have it.
 
     Args:
         paths: the logs.
-        read: raises `NothingInItError` for a log that lacks the wanted data.
+        read: raises `MissingDataError` for a log that lacks the wanted data.
         left_out: receives one line for each omitted log.
 
     Raises:
-        InputError: as `read`; `NothingInItError` if no log has the data.
+        InputError: as `read`; `MissingDataError` if no log has the data.
     """
     results: list[T] = []
-    empty: list[NothingInItError] = []
+    empty: list[MissingDataError] = []
     for path in paths:
         try:
             results.append(read(path))
-        except NothingInItError as error:
+        except MissingDataError as error:
             empty.append(error)
     if empty and not results:
         raise empty[0]
     for one in empty:
-        left_out(f"left out: {one.one_line()}")
+        left_out(f"skipped: {one.one_line()}")
     return results

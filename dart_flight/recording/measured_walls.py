@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 import msgspec
 
-from dart_flight.base.geometry import Vec2, turn_between
+from dart_flight.base.geometry import Vec2, angle_between
 from dart_flight.base.records import FrameAnchor, Record, TruthContact, WallEstimate
 from dart_flight.base.walls import Wall
 from dart_flight.config.mission import Mission
@@ -57,7 +57,7 @@ class WallMeasurements:
         self._coefficients: dict[str, dict[str, dict[str, tuple[float, float]]]] = {}
         self._truths: list[TruthContact] = []
 
-    def take(self, record: Record) -> None:
+    def add(self, record: Record) -> None:
         """Process the next record; most kinds are ignored."""
         if isinstance(record, WallEstimate) and record.wall in self._walls:
             self._found.add_estimate(record, self._walls[record.wall])
@@ -77,7 +77,7 @@ class WallMeasurements:
 
     def wall(self, name: str) -> Wall | None:
         """Return a wall as estimated at its last contact, or None if it was not touched."""
-        return self._found.wall_now(self._walls[name]) if self._found.is_met(name) else None
+        return self._found.known_wall(self._walls[name]) if self._found.is_measured(name) else None
 
     def build(self, end_us: int, drawn: Mapping[str, float | str]) -> list[MeasuredWall]:
         """Return the touched walls, in the order of their first contact.
@@ -89,7 +89,7 @@ class WallMeasurements:
         return [self._measured(name, end_us, drawn) for name in self._estimates]
 
     def _measured(self, name: str, end_us: int, drawn: Mapping[str, float | str]) -> MeasuredWall:
-        wall, estimate = self._found.wall_now(self._walls[name]), self._estimates[name]
+        wall, estimate = self._found.known_wall(self._walls[name]), self._estimates[name]
         yaw_sd_rad = wall.yaw_sd_rad
         found = MeasuredWall(
             name,
@@ -108,7 +108,7 @@ class WallMeasurements:
             point = estimate.plane_point_mission
             at = wall.foot(point) if point is not None else wall.point
             found.truth_error_m = true.signed_distance(at)
-            found.truth_error_deg = math.degrees(turn_between(true.normal, wall.normal))
+            found.truth_error_deg = math.degrees(angle_between(true.normal, wall.normal))
         return found
 
     def _true_wall(self, name: str, estimate: WallEstimate, drawn: Mapping[str, float | str]) -> Wall | None:
@@ -117,5 +117,5 @@ class WallMeasurements:
         if not near or near[0].wall not in self._standing:
             return None
         wall = self._standing[near[0].wall]
-        wall = wall.moved(float(drawn.get(f"wall_offset_m.{wall.name}", 0.0)))
-        return wall.turned(math.radians(float(drawn.get(f"wall_yaw_deg.{wall.name}", 0.0))))
+        wall = wall.displaced(float(drawn.get(f"wall_offset_m.{wall.name}", 0.0)))
+        return wall.rotated(math.radians(float(drawn.get(f"wall_yaw_deg.{wall.name}", 0.0))))

@@ -34,7 +34,7 @@ _DAMAGES = (McapError, ZstdError, struct.error, msgspec.MsgspecError, ValueError
 DECODERS = {kind.topic: msgspec.json.Decoder(kind) for kind in RECORD_TYPES}
 
 
-class NothingInItError(InputError):
+class MissingDataError(InputError):
     """A flight log without the wanted data: the flight ended early, or the log was cut near its start.
 
     If several logs are given, such a log is omitted with a message.

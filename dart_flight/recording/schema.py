@@ -15,7 +15,7 @@ from typing import Any, Union, get_args, get_origin, get_type_hints
 import msgspec
 
 from dart_flight.base.records import Input, Note, Output, Record
-from dart_flight.config.units import unit_of
+from dart_flight.config.units import unit_from_name
 
 INPUTS: tuple[type[Record], ...] = get_args(Input)
 OUTPUTS: tuple[type[Record], ...] = get_args(Output)
@@ -73,7 +73,7 @@ def _longest(name: str, table: dict[str, str], ends: bool) -> str:
 def _unit(name: str) -> str:
     if name.endswith("_us"):
         return f"microseconds, {CLOCKS.get(name, 'autopilot clock')}"
-    return _longest(name, QUANTITIES, ends=False) or unit_of(name)
+    return _longest(name, QUANTITIES, ends=False) or unit_from_name(name)
 
 
 def _frame(name: str) -> str:

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dart_flight.base.records import Record
-from dart_flight.config.document import or_known
-from dart_flight.recording.flight_time import zero_of
+from dart_flight.config.document import suggest_known
+from dart_flight.recording.flight_time import find_zero
 from dart_flight.recording.schema import RECORD_TYPES
 
 _BY_TOPIC = {kind.topic: kind for kind in RECORD_TYPES}
@@ -48,7 +48,7 @@ class Topic:
 
     def __getitem__(self, name: str) -> NDArray[Any]:
         if name not in self.fields:
-            raise KeyError(f"{self.kind.topic} has no field {name}{or_known(name, self.fields)}")
+            raise KeyError(f"{self.kind.topic} has no field {name}{suggest_known(name, self.fields)}")
         if name not in self._made:
             values = [getattr(record, name) for record in self.records]
             self._made[name] = _array(values, get_type_hints(self.kind)[name])
@@ -81,7 +81,7 @@ class Topics:
         found: dict[type[Record], list[Record]] = {}
         stamps: dict[type[Record], list[int]] = {}
         everything = list(records)
-        t_us = zero_us = zero_of(everything)
+        t_us = zero_us = find_zero(everything)
         for record in everything:
             t_us = getattr(record, "t_us", 0) or t_us
             kind = type(record)
@@ -97,7 +97,7 @@ class Topics:
 
     def __getitem__(self, name: str) -> Topic:
         if name not in _BY_TOPIC:
-            raise KeyError(f"no channel {name}{or_known(name, _BY_TOPIC)}")
+            raise KeyError(f"no channel {name}{suggest_known(name, _BY_TOPIC)}")
         if name not in self._topics:
             return Topic(_BY_TOPIC[name], [], np.empty(0))
         return self._topics[name]

@@ -59,9 +59,9 @@ def find_uncontrolled(
         falls: whether the vehicle is meant to fall, for example after a kill switch.
     """
     if not completed and not explained:
-        yield "not completed, and no reason given"
+        yield "not completed, without a reason"
     if truth.excursion_m > allowed_m:
-        yield f"{truth.excursion_m:.2f} m out of bounds, {allowed_m:.2f} allowed"
+        yield f"{truth.excursion_m:.2f} m outside bounds_m, limit {allowed_m:.2f} m"
     if truth.landing_m_s > _LANDING_M_S and not falls:
         yield f"hit the ground at {truth.landing_m_s:.2f} m/s"
     if math.degrees(truth.tilt_rad) > _TILT_DEG and not falls:

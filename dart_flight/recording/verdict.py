@@ -1,7 +1,7 @@
 """The verdict on a flight: a pure function of its records (decisions, samples, truth).
 
 It is the only source for every world, for `--json`, for the terminal and for the report. For a recorded
-flight use `verdict_of`. During a flight, pass every record to `VerdictBuilder.take`, in order, and then call
+flight use `verdict_of`. During a flight, pass every record to `VerdictBuilder.add`, in order, and then call
 `build`.
 """
 
@@ -150,11 +150,11 @@ class PositionError:
         self._estimates: deque[tuple[int, Vec3]] = deque(maxlen=_KEPT)
         self._truths: deque[tuple[int, Vec3]] = deque(maxlen=_KEPT)
 
-    def take_estimate(self, t_us: int, position: Vec3) -> None:
+    def add_estimate(self, t_us: int, position: Vec3) -> None:
         """Add an estimated position, mission frame."""
         self._estimates.append((t_us, position))
 
-    def take_truth(self, t_us: int, position: Vec3) -> None:
+    def add_truth(self, t_us: int, position: Vec3) -> None:
         """Add a true position, mission frame, and compare it with the waiting estimates."""
         truths, estimates = self._truths, self._estimates
         if truths and t_us <= truths[-1][0]:
@@ -180,7 +180,7 @@ class VerdictBuilder:
     """Builds the verdict of one flight from its records, in order.
 
     Attributes:
-        takers: handlers of the records, by kind; other kinds are irrelevant.
+        handlers: handlers of the records, by kind; other kinds are irrelevant.
         end: end of the flight, or None while it flies.
     """
 
@@ -205,14 +205,14 @@ class VerdictBuilder:
         self._late_us: int | None = None  # largest delay between ticks
         self._settled: set[Mode] = set()
         self._true_modes: set[Mode] = set()
-        anchor, walls = self._anchor.take, self._walls.take
+        anchor, walls = self._anchor.add, self._walls.add
         # By kind: most records are irrelevant here, and one look-up skips them.
-        self.takers = _merge_handlers(
+        self.handlers = _merge_handlers(
             {OdometrySample: anchor, PhaseChange: anchor, FrameAnchor: anchor},
             {WallEstimate: walls, TruthContact: walls, FrameAnchor: walls},
-            self._impacts.takers,
+            self._impacts.handlers,
             {
-                ImuSample: self._estimator.take_imu,
+                ImuSample: self._estimator.add_imu,
                 EstimatorSample: self._handle_estimator,
                 AttitudeSample: self._handle_attitude,
                 OdometrySample: self._handle_odometry,
@@ -226,9 +226,9 @@ class VerdictBuilder:
             },
         )
 
-    def take(self, record: Any) -> None:
+    def add(self, record: Any) -> None:
         """Process the next record; irrelevant kinds are skipped."""
-        handler = self.takers.get(type(record))
+        handler = self.handlers.get(type(record))
         if handler is not None:
             handler(record)
 
@@ -238,12 +238,12 @@ class VerdictBuilder:
 
     def _handle_estimator(self, record: EstimatorSample) -> None:
         counter, flies = record.reset_counter, self._is_airborne
-        if counter is not None and self._estimator.take_counter(counter, record.t_us) and flies:
+        if counter is not None and self._estimator.update_counter(counter, record.t_us) and flies:
             assert self._estimator.newest is not None
             self._resets.append(self._estimator.newest)
 
     def _handle_attitude(self, record: AttitudeSample) -> None:
-        self._estimator.take_attitude(record)
+        self._estimator.add_attitude(record)
         if self._is_airborne:
             self._tilt_rad = max(self._tilt_rad or 0.0, tilt_of(record.q_frd_to_ned))
 
@@ -254,7 +254,7 @@ class VerdictBuilder:
         self._ticked_us = record.host_us
 
     def _handle_truth(self, record: TruthSample) -> None:
-        self._position_error.take_truth(record.t_us, record.position_mission)
+        self._position_error.add_truth(record.t_us, record.position_mission)
         self._true_modes.add(record.mode)
         self._extremes.update(record)
 
@@ -273,10 +273,10 @@ class VerdictBuilder:
             so_far.flight_time_s = (record.t_us - self._airborne_us) * 1e-6
 
     def _handle_odometry(self, record: OdometrySample) -> None:
-        self._estimator.take_odometry(record)
+        self._estimator.add_odometry(record)
         frame = self._anchor.frame
         if frame is not None and self._is_airborne:
-            self._position_error.take_estimate(record.t_us, frame.point_from_ned(record.position_ned))
+            self._position_error.add_estimate(record.t_us, frame.point_from_ned(record.position_ned))
 
     def _handle_phase(self, record: PhaseChange) -> None:
         if self._phase in ON_GROUND and record.after is Phase.CLIMB:
@@ -378,7 +378,7 @@ def _chain(handlers: Sequence[Callable[[Any], None]]) -> Callable[[Any], None]:
     return handle
 
 
-def judge(log: Log) -> tuple[Verdict, list[FlownImpact]]:
+def evaluate(log: Log) -> tuple[Verdict, list[FlownImpact]]:
     """Return the verdict on a recorded flight, and its impacts.
 
     The verdict equals that of the flight itself, except for data that are not in the log: `px4`, and the
@@ -389,7 +389,7 @@ def judge(log: Log) -> tuple[Verdict, list[FlownImpact]]:
     """
     builder = VerdictBuilder(flown_mission(log.about, log.source))
     for entry in log.entries:
-        builder.take(entry.record)
+        builder.add(entry.record)
     beside = Path(log.source).with_name(PX4_LOG)
     source = None if log.source == IN_MEMORY else log.source
     drawn = msgspec.json.decode(log.about["drawn"]) if "drawn" in log.about else {}
@@ -398,5 +398,5 @@ def judge(log: Log) -> tuple[Verdict, list[FlownImpact]]:
 
 
 def verdict_of(log: Log) -> Verdict:
-    """Return the verdict on a recorded flight; raises what `judge` raises."""
-    return judge(log)[0]
+    """Return the verdict on a recorded flight; raises what `evaluate` raises."""
+    return evaluate(log)[0]

@@ -137,7 +137,7 @@ class LockThread:
         self._open()
         self._orders.put(order)
 
-    def look(self) -> None:
+    def poll_if_due(self) -> None:
         """Poll the driver if that is due; called after every step in lockstep."""
         assert self._lockstep is not None
         if self._lockstep.clock.host_us() >= self._due_us:
@@ -282,7 +282,7 @@ class FlightApp:
             self._session = session
             unanswered = await session.measure_link(timeout_s)
             if unanswered:
-                says = f"vehicle sends telemetry but does not answer requests: {', '.join(unanswered)}"
+                says = f"the vehicle sends telemetry but does not answer requests: {', '.join(unanswered)}"
                 raise NoAnswerError(says, source=self._url)
             if self._mission.vehicle.lock is not None:
                 self._lock = self._make_lock(session, self._mission.vehicle.lock)
@@ -397,7 +397,7 @@ class FlightApp:
         while not self._done.is_set():
             with contextlib.suppress(TimeoutError):
                 await asyncio.wait_for(self._done.wait(), _LOOK_PERIOD_S)
-            await session.look_for_others()
+            await session.detect_other_autopilot()
             if self._world is not None and self._world.died and not self._done.is_set():
                 self._core.put(OperatorRequest(self._host_us(), Request.WORLD_DIED, self._world.cause))
         await asyncio.sleep(_END_GRACE_S)
@@ -455,7 +455,7 @@ class FlightApp:
         if not session.armed:
             return
         now_us = self._host_us()
-        text = "poses are forwarded until the vehicle is disarmed; Ctrl-C ends that"
+        text = "forwarding poses until the vehicle is disarmed; Ctrl-C ends it"
         self.show(StatusText(session.clock.to_autopilot(now_us), now_us, "warning", text, found_here=True))
         self._stopped.clear()
         while session.armed and not self._stopped.is_set():
@@ -502,7 +502,7 @@ class FlightApp:
     def _after_step(self) -> None:
         """Run other work that is due at this simulated time, in lockstep."""
         if self._lock is not None:
-            self._lock.look()
+            self._lock.poll_if_due()
         self._deliver_answers()
 
     def _handle_answer(self, answer: PlanAnswer | ContactAnswer) -> None:
@@ -521,7 +521,7 @@ class FlightApp:
         self._core.put(state)
         self._lock_text = status_text(state)
         if state.phase is not LockPhase.TRAVELLING and self._session is not None:
-            self._session.tell_ground(self._lock_text)
+            self._session.send_text(self._lock_text)
 
     # -- commands of the core, on the core thread (`runner.CommandSink`) --
 
@@ -566,11 +566,11 @@ class FlightApp:
                 planner.send(output)
         elif isinstance(output, PosesWithheld):
             if self._bridge is not None:
-                self._bridge.withhold()
+                self._bridge.withhold(attitude_only=output.attitude_only)
         elif isinstance(output, PhaseChange):
             self._phase = output.after
             # For `monitor`; sent from the event loop, so that setpoints do not wait.
-            self.loop.call_soon_threadsafe(self._session.tell_ground, f"phase {output.after}")
+            self.loop.call_soon_threadsafe(self._session.send_text, f"phase {output.after}")
         elif isinstance(output, Silence):
             self._fall_silent()
         elif isinstance(output, MissionEnd):

@@ -55,11 +55,11 @@ class ComputerWatch:
     """Context in which a thread samples the state of the computer once per second.
 
     Args:
-        take: callback for every sample, on that thread.
+        deliver: callback for every sample, on that thread.
     """
 
-    def __init__(self, take: Callable[[Record], None]) -> None:
-        self._deliver = take
+    def __init__(self, deliver: Callable[[Record], None]) -> None:
+        self._deliver = deliver
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="computer", daemon=True)
 

@@ -119,7 +119,7 @@ class CoreThread:
         now_us = self._host_us()
         if now_us - self._ticked_us >= _TICK_S * 1e6:
             self._ticked_us = now_us
-            self._runner.take(Tick(now_us))
+            self._runner.step(Tick(now_us))
 
     def _step_queued(self) -> None:
         """Step the queued inputs; of a backlog, step only the newest state samples. Owner only."""
@@ -136,7 +136,7 @@ class CoreThread:
         left = len(items)
         for item in items:
             left -= 1
-            self._runner.take(item, more=left > 0)
+            self._runner.step(item, more=left > 0)
         self._pace = self._runner.core.pace
         if self._lockstep is not None and items:
             self._tick()

@@ -36,7 +36,7 @@ def fly_vehicle(
 
     Raises:
         InputError: the log cannot be written.
-        LinkTakenError: another program has the link.
+        LinkInUseError: another program has the link.
         VehicleError: no vehicle answers.
     """
     if lease is None:
@@ -46,8 +46,8 @@ def fly_vehicle(
     record = FlightRecord(mission, World.DRONE, None, log_dir, viewer=viewer)
     try:
         note = record.folder / DEADMAN_NOTE
-        lease.note_log(record.path)
-        app = FlightApp(mission, url, record, None, progress, deadman_note=note, opened=lease.close_device)
+        lease.store_log_path(record.path)
+        app = FlightApp(mission, url, record, None, progress, deadman_note=note, opened=lease.lock_device)
         record.notice = app.show
         with ComputerWatch(record.truth):
             asyncio.run(app.run())

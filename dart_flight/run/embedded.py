@@ -16,9 +16,9 @@ from dart_flight.run.program_fault import ProgramFault
 from dart_flight.run.simulator_process import SimulatorProcess, fly_simulated
 from dart_flight.sim.draws import draw_world
 from dart_flight.sim.faults.fault_table import Fault
-from dart_flight.sim.pipe import SimulatorSpec, need_mavlink
+from dart_flight.sim.pipe import SimulatorSpec, require_mavlink
 from dart_flight.vehicle.clock import LockstepClock
-from dart_flight.vehicle.link import free_link
+from dart_flight.vehicle.link import acquire_free_link
 
 DEADMAN_NOTE = "deadman.txt"
 
@@ -54,15 +54,15 @@ def fly_embedded(
         InputError: the log cannot be written.
         SimulatorError, VehicleError: the simulated vehicle did not start or did not answer.
     """
-    need_mavlink()
+    require_mavlink()
     drawn = draw_world(mission, seed, spreads or {})
     record = FlightRecord(mission, World.EMBEDDED, seed, log_dir, drawn.drawn, viewer=viewer)
     try:
-        port, lease = free_link("dry-run", record.path)
+        port, lease = acquire_free_link("dry-run", record.path)
     except InputError:
         record.close()
         raise
-    realtime = realtime or (fault is not None and fault.kind.of_real_time)
+    realtime = realtime or (fault is not None and fault.kind.needs_real_time)
     record.time = TimeKind.REALTIME if realtime else TimeKind.LOCKSTEP
     spec = SimulatorSpec(
         mission,

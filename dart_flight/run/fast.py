@@ -104,7 +104,7 @@ class TelemetrySender:
         )
         self._resets = -1
 
-    def due(self, ticks: int, received: int) -> Iterator[Input]:
+    def samples(self, ticks: int, received: int) -> Iterator[Input]:
         """Yield the samples of a tick, received at a host time in microseconds."""
         a, t_us = self._autopilot, self._autopilot.time_us
         e = a.estimator
@@ -169,7 +169,7 @@ class FastFlight:
         true = mission if world is None else world.mission
         self.vehicle = SimulatedVehicle(true, seed, driver)
         self.autopilot = self.vehicle.autopilot
-        self.autopilot.say = self._on_text
+        self.autopilot.send_text = self._on_text
         self.deadman_s = mission.vehicle.guard.deadman_s
         self._observe = observe
         self.core = FlightCore(mission)
@@ -221,16 +221,16 @@ class FastFlight:
 
         Without a limit, a simulated flight that never ends would block a campaign.
         """
-        limit_s = longest_s(self.mission)
-        self.take(ClockOffset(self.host_us, 0))
+        limit_s = time_limit_s(self.mission)
+        self.step(ClockOffset(self.host_us, 0))
         if self.lock is not None:
             self.lock.start()
         while self.core.end is None and self.autopilot.now_s < limit_s and not self._orphaned:
             self.tick()
         silent = self.faulted is not None and self.faulted.app_silent
         if self.core.end is None and not (self._orphaned or silent):
-            says = f"the simulated flight did not end within {limit_s:.0f} s of its time"
-            self.take(OperatorRequest(self.host_us, Request.WORLD_DIED, says))
+            says = f"the simulated flight did not end within {limit_s:.0f} s of simulated time"
+            self.step(OperatorRequest(self.host_us, Request.WORLD_DIED, says))
 
     @property
     def _orphaned(self) -> bool:
@@ -259,14 +259,14 @@ class FastFlight:
         if self._ticks % _HOST_EVERY == 0:
             if self.lock is not None:
                 self.lock.poll()
-            self.take(Tick(self.host_us))
+            self.step(Tick(self.host_us))
         while self._lock_states:
-            self.take(self._lock_states.pop(0))
+            self.step(self._lock_states.pop(0))
         while self._answers and self._answers[0][0] <= self.host_us:
-            self.take(self._answers.pop(0)[1])
+            self.step(self._answers.pop(0)[1])
         if self._continue_us is not None and self._continue_us <= self.host_us:
             self._continue_us = None
-            self.take(OperatorRequest(self.host_us, Request.CONTINUE))
+            self.step(OperatorRequest(self.host_us, Request.CONTINUE))
         self._telemetry()
         if self.poses is not None:
             self.poses.tick()
@@ -283,12 +283,12 @@ class FastFlight:
             self._runner.note(plant.finished.pop(0))
 
     def _telemetry(self) -> None:
-        for item in self._sender.due(self._ticks, self.host_us):
+        for item in self._sender.samples(self._ticks, self.host_us):
             self._receive(item)
         if self.faulted is not None and self.faulted.twin is not None:
             if self._twin_sender is None:
                 self._twin_sender = TelemetrySender(self.faulted.twin, begins=False)
-            for item in self._twin_sender.due(self._ticks, self.host_us):
+            for item in self._twin_sender.samples(self._ticks, self.host_us):
                 self._receive(item)
         while self._texts:
             severity, text = self._texts.pop(0)
@@ -303,7 +303,7 @@ class FastFlight:
     def _arrive(self, item: Input) -> None:
         self._connected = self._connected or isinstance(item, RoundTrip)
         if self._connected:
-            self.take(item)
+            self.step(item)
 
     def _request_time(self) -> None:
         """Send TIMESYNC, as the app does."""
@@ -317,9 +317,9 @@ class FastFlight:
 
     # -- inputs and commands of the core (`runner.CommandSink`) --
 
-    def take(self, item: Input) -> None:
+    def step(self, item: Input) -> None:
         """Step the core with an input; external callers pass an operator's request or a fault's sample."""
-        self._runner.take(item)
+        self._runner.step(item)
 
     def _observe_record(self, record: Record, number: int) -> None:
         if self._observe is not None:
@@ -329,7 +329,7 @@ class FastFlight:
             waits = record.after is Phase.PAUSE and self._operator_us is not None
             self._continue_us = self.host_us + (self._operator_us or 0) if waits else None
         if self.faulted is not None:
-            self.faulted.sees(record)
+            self.faulted.observe(record)
 
     def send(self, setpoint: Setpoint) -> None:
         """Send a setpoint to the autopilot, and repeat it like MAVSDK."""
@@ -353,7 +353,7 @@ class FastFlight:
         elif isinstance(output, FrameAnchor) and self._replanner is not None:
             self._replanner.move_frame(output)
         elif isinstance(output, PosesWithheld) and self.poses is not None:
-            self.poses.withhold()
+            self.poses.withhold(attitude_only=output.attitude_only)
         elif isinstance(output, Silence):
             self._last_setpoint = None
 
@@ -411,10 +411,10 @@ class FastFlight:
             ok = a.set_mode(FLIGHT_MODES[action])
             if action is not VehicleAction.OFFBOARD:
                 self._last_setpoint = None
-        self.take(CommandResult(a.time_us, action.value, ok, "" if ok else "denied"))
+        self.step(CommandResult(a.time_us, action.value, ok, "" if ok else "denied"))
 
 
-def longest_s(mission: Mission) -> float:
+def time_limit_s(mission: Mission) -> float:
     """Return the simulated time after which a flight of this mission is ended, seconds."""
     return _LONGEST_S + mission.goal.hold_s + sum(waypoint.hold_s for waypoint in mission.waypoints)
 
@@ -428,7 +428,7 @@ def simulated_driver(mission: Mission) -> LockDriver:
     driver = mission.vehicle.lock_driver or LockDriver.MOCK
     if not DRIVERS[driver].simulated:
         others = driver_names(lambda entry: entry.simulated)
-        raise InputError(f"the lock driver {driver.value} cannot be simulated, only {others}")
+        raise InputError(f"the lock driver {driver.value} cannot be simulated; choose {others}")
     return driver
 
 
@@ -440,7 +440,7 @@ def fly_fast(
     lock_faults: MockFaults | None = None,
     fault: Fault | None = None,
     spreads: Mapping[str, float] | None = None,
-    take_record: Callable[[FlightRecord], None] | None = None,
+    keep_record: Callable[[FlightRecord], None] | None = None,
 ) -> Verdict:
     """Fly in process and in simulated time, and return the verdict.
 
@@ -452,7 +452,7 @@ def fly_fast(
         lock_faults: faults of the mock servo from the start of the flight; None: those that are drawn.
         fault: fault to inject, with its time.
         spreads: standard deviations of the quantities that the seed draws (`sim.draws`).
-        take_record: callback for the complete record; without `log_dir` its log is in memory.
+        keep_record: callback for the complete record; without `log_dir` its log is in memory.
 
     Raises:
         InputError: the log cannot be written, or the lock driver does not work in simulated time.
@@ -460,13 +460,13 @@ def fly_fast(
     driver = simulated_driver(mission)
     world = draw_world(mission, seed, spreads or {})
     faults = lock_faults or world.lock_faults
-    record = FlightRecord(mission, World.FAST, seed, log_dir, world.drawn, in_memory=take_record is not None)
+    record = FlightRecord(mission, World.FAST, seed, log_dir, world.drawn, in_memory=keep_record is not None)
     if progress is not None:
         record.onlookers.append(progress)
         record.notice = progress
     flight = FastFlight(mission, seed, driver, faults=faults, observe=record, fault=fault, world=world)
     flight.run()
     record.close()
-    if take_record is not None:
-        take_record(record)
+    if keep_record is not None:
+        keep_record(record)
     return record.build()

@@ -60,7 +60,7 @@ class FastPoses:
     def __init__(
         self, mission: Mission, autopilot: Autopilot, clock: Clock, deliver: Callable[[PoseSample], None]
     ) -> None:
-        autopilot.expect_poses()
+        autopilot.use_external_poses()
         self._autopilot = autopilot
         source = _PlantPoses()
         mocap = mission.vehicle.mocap
@@ -72,9 +72,9 @@ class FastPoses:
         """Deliver and forward the pose that is due at this time."""
         self._feed.tick(self._autopilot.now_s, self._autopilot.pose)
 
-    def withhold(self) -> None:
-        """Stop forwarding poses."""
-        self._bridge.withhold()
+    def withhold(self, *, attitude_only: bool) -> None:
+        """Stop forwarding poses, or only their attitudes."""
+        self._bridge.withhold(attitude_only=attitude_only)
 
     def begin_fault(self, fault: Fault) -> None:
         """Begin a fault of the motion capture."""
@@ -82,4 +82,4 @@ class FastPoses:
 
     def _send(self, message: Any) -> None:
         pose = forwarded_pose(message)
-        self._autopilot.take_pose((pose.x, pose.y, pose.z), pose.q)
+        self._autopilot.fuse_external_pose((pose.x, pose.y, pose.z), pose.attitude)

@@ -21,8 +21,8 @@ from dart_flight.sim.faults.fault_table import (
     FaultSite,
     Trigger,
     VehicleFault,
-    impairment_of,
-    mock_faults_of,
+    make_impairment,
+    make_mock_faults,
 )
 from dart_flight.sim.faults.impairment import Impairment, LossyLink
 from dart_flight.sim.faults.twin import make_second_vehicle
@@ -83,7 +83,7 @@ class FlightWithFault:
     @property
     def app_silent(self) -> bool:
         """Whether the app has stopped working."""
-        stops = self.fault.kind.place is FaultSite.APP and self.fault.name != "disk-full"
+        stops = self.fault.kind.site is FaultSite.APP and self.fault.name != "disk-full"
         return self.began_us is not None and stops
 
     @property
@@ -94,15 +94,15 @@ class FlightWithFault:
         starve_s = 0.0 if self.fault.name == "sigkill" else self._flight.deadman_s
         return self._flight.host_us - self.began_us >= starve_s * 1e6
 
-    def sees(self, record: Record) -> None:
+    def observe(self, record: Record) -> None:
         """Update the trigger with a record of the flight."""
-        self._trigger.sees(record)
+        self._trigger.process(record)
 
     def tick(self) -> None:
         """Advance by one tick: begin the fault when it is due, and continue it."""
         flight = self._flight
         if self.began_us is None:
-            if not self._trigger.due(flight.autopilot.time_us):
+            if not self._trigger.is_due(flight.autopilot.time_us):
                 return
             self.began_us = flight.host_us
             self._begin()
@@ -120,14 +120,14 @@ class FlightWithFault:
             flight.deliver(order)
 
     def _begin(self) -> None:
-        flight, fault, place = self._flight, self.fault, self.fault.kind.place
+        flight, fault, place = self._flight, self.fault, self.fault.kind.site
         if fault.name == "second-vehicle":
             self.twin = make_second_vehicle(flight.mission, self._seed, fault.value, flight.autopilot.time_us)
         if place is FaultSite.LINK:
-            self._in.impairment = self._out.impairment = impairment_of(fault)
+            self._in.impairment = self._out.impairment = make_impairment(fault)
         elif place is FaultSite.LOCK:
             if flight.mock is not None:
-                flight.mock.inject(mock_faults_of(fault))
+                flight.mock.inject(make_mock_faults(fault))
         elif place is FaultSite.MOCAP:
             if flight.poses is not None:
                 flight.poses.begin_fault(fault)

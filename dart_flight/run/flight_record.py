@@ -73,7 +73,7 @@ class FlightRecord:
         self._world, self._seed, self._drawn = world, seed, dict(drawn or {})
         self.verdict = VerdictBuilder(mission)
         # Most records are irrelevant to the verdict and are skipped here.
-        self._takers = self.verdict.takers
+        self._handlers = self.verdict.handlers
         self.onlookers: list[Onlooker] = []
         self.viewers: list[Onlooker] = [] if viewer is None else [viewer]
         self.notice: Onlooker = lambda record: None
@@ -113,7 +113,7 @@ class FlightRecord:
             log.put(record, number)
             if not self._fails and log.shortfall is not None:
                 self._report_failure(log.shortfall, getattr(record, "t_us", 0))
-        take = self._takers.get(type(record))
+        take = self._handlers.get(type(record))
         if take is not None:
             take(record)
         for onlooker in self.onlookers:
@@ -134,7 +134,7 @@ class FlightRecord:
             self._first = self._first or self._last
         if self._log is not None:
             self._log.put(record, 0)
-        self.verdict.take(record)
+        self.verdict.add(record)
         for viewer in self.viewers:
             viewer(record)
 

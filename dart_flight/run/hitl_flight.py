@@ -55,7 +55,7 @@ def fly_hitl(
 
     Raises:
         InputError: the log cannot be written.
-        LinkTakenError: another program has one of the links.
+        LinkInUseError: another program has one of the links.
         SimulatorError, VehicleError: the flight controller does not answer on one of its links.
     """
     mission = with_px4_delays(mission)
@@ -63,7 +63,7 @@ def fly_hitl(
     with LinkLease(url, "dry-run --hitl") as lease, LinkLease(hitl_url, "dry-run --hitl"):
         record = FlightRecord(mission, World.HITL, seed, log_dir, drawn.drawn, viewer=viewer)
         record.time = TimeKind.REALTIME
-        lease.note_log(record.path)
+        lease.store_log_path(record.path)
         hitl = HitlSpec(hitl_url, motors, position_from)
         spec = SimulatorSpec(mission, seed, [], hitl=hitl, spreads=dict(spreads or {}))
 
@@ -75,7 +75,7 @@ def fly_hitl(
                 world,
                 progress,
                 deadman_note=record.folder / DEADMAN_NOTE,
-                opened=lease.close_device,
+                opened=lease.lock_device,
                 unwanted=[_HIL_ACTUATOR_CONTROLS],
             )
 
@@ -100,5 +100,5 @@ def _leave_disarmed(mission: Mission, url: str) -> None:
                 link.kill()
     except Exception as error:
         raise FlightError(
-            f"cannot tell that the flight controller is disarmed ({error}): unplug it"
+            f"cannot confirm that the flight controller is disarmed ({error}): unplug it"
         ) from None

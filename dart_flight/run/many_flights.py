@@ -173,13 +173,15 @@ def unexplained_modes(verdict: Verdict) -> list[str]:
     """
     if verdict.drawn.get(LOCK_TRUE_MODE, AS_COMMANDED) != AS_COMMANDED:
         return []
-    found = [] if verdict.arms_moved is not False else ["the arms never followed the lock"]
+    found = [] if verdict.arms_moved is not False else ["the arms did not follow the lock"]
     for c in verdict.collisions:
         if c.mode_true not in (None, c.mode):
-            found.append(f"collision {c.index}: the arms were {c.mode_true}, the lock {c.mode}")
+            found.append(f"collision {c.index}: the arms were {c.mode_true}, the lock reported {c.mode}")
         if c.mode_felt not in (None, c.mode):
-            truly = "" if c.mode_true is None else f", truly {c.mode_true}"
-            found.append(f"collision {c.index}: felt {c.mode_felt}, the lock {c.mode}{truly}")
+            truly = "" if c.mode_true is None else f", true mode {c.mode_true}"
+            found.append(
+                f"collision {c.index}: the contact indicates {c.mode_felt}, the lock reports {c.mode}{truly}"
+            )
     return found
 
 

@@ -115,19 +115,19 @@ class TelemetryMonitor:
 
     Args:
         mission: mission with the frame and the vehicle's configuration.
-        placed: whether to use the mission's frame; otherwise forces are along north, west and up.
+        frame_known: whether to use the mission's frame; otherwise forces are along north, west and up.
         viewer: callback for every record and for the results of the senses; must not block.
     """
 
     def __init__(
-        self, mission: Mission, placed: bool, viewer: Callable[[Record], None] = lambda record: None
+        self, mission: Mission, frame_known: bool, viewer: Callable[[Record], None] = lambda record: None
     ) -> None:
         self._queued: deque[Input] = deque()  # not yet processed
         self._viewer = viewer
         self._senses = Senses(mission)
-        self._placed = placed
+        self._placed = frame_known
         # Without a mission, the frame with heading 0: north, west, up.
-        self._senses.state.anchor(mission.frame_at((0.0, 0.0, 0.0)) if placed else MissionFrame())
+        self._senses.state.anchor(mission.frame_at((0.0, 0.0, 0.0)) if frame_known else MissionFrame())
         self.estimation, self.motors = mission.vehicle.estimation, len(mission.vehicle.airframe.motors)
         self._estimate: ForceEstimate | None = None
         self._peaks: deque[ImpactPeak] = deque(maxlen=5)
@@ -142,7 +142,7 @@ class TelemetryMonitor:
         self._began_us = host_us()
         self._cpu = (time.monotonic(), time.process_time())
 
-    def take_record(self, record: Record) -> None:
+    def process_record(self, record: Record) -> None:
         """Process a record of a flight's log: an input, a phase, a wall estimate or a plan."""
         if isinstance(record, PhaseChange):
             self._phase = record.after.value
@@ -153,24 +153,24 @@ class TelemetryMonitor:
         elif isinstance(record, _INPUTS):
             self._process(record)
 
-    def _store_wall(self, felt: WallEstimate) -> None:
-        mode = felt.mode_felt or felt.mode_reported
-        if mode is None or felt.wall not in self._materials:
+    def _store_wall(self, estimate: WallEstimate) -> None:
+        mode = estimate.mode_felt or estimate.mode_reported
+        if mode is None or estimate.wall not in self._materials:
             return
-        prior = self._materials[felt.wall].of(mode)
-        self._walls[felt.wall] = WallView(
-            felt.wall,
-            None if felt.mode_felt is None else felt.mode_felt.value,
+        prior = self._materials[estimate.wall].coefficients(mode)
+        self._walls[estimate.wall] = WallView(
+            estimate.wall,
+            None if estimate.mode_felt is None else estimate.mode_felt.value,
             (prior.k, prior.f, prior.mu),
-            (felt.k_n_per_m, felt.f_ns_per_m, felt.mu_s_per_m),
-            (felt.k_sd, felt.f_sd, felt.mu_sd),
+            (estimate.k_n_per_m, estimate.f_ns_per_m, estimate.mu_s_per_m),
+            (estimate.k_sd, estimate.f_sd, estimate.mu_sd),
         )
 
-    def take(self, item: Input) -> None:
-        """Queue a record of the telemetry for `work`; any thread, never blocks."""
+    def put(self, item: Input) -> None:
+        """Queue a record of the telemetry for `process_queued`; any thread, never blocks."""
         self._queued.append(item)
 
-    def work(self) -> None:
+    def process_queued(self) -> None:
         """Process the queued records in order."""
         while self._queued:
             self._process(self._queued.popleft())
@@ -215,7 +215,7 @@ class TelemetryMonitor:
 
     def view(self) -> MonitorView:
         """Return the present state for a screen."""
-        self.work()
+        self.process_queued()
         now, state, e = host_us(), self._senses.state, self._estimate
         newest = state.imu.t_us if state.imu else 0
         source = self._senses.estimator.thrust.source
@@ -227,7 +227,7 @@ class TelemetryMonitor:
             filtered_n=e.filtered_mission if e else None,
             sigma_n=math.sqrt(max(0.0, 0.5 * (e.variance_n2[0] + e.variance_n2[1]))) if e else None,
             clipped=e.clipped if e else False,
-            detection=self._senses.detector.stage if self._in_air else "not watching: on the ground",
+            detection=self._senses.detector.stage if self._in_air else "not monitored on the ground",
             peaks=[
                 ((newest - p.t_us) * 1e-6, p.normal_force_n, p.tangential_force_n)
                 for p in reversed(self._peaks)
@@ -306,7 +306,7 @@ async def monitor_vehicle(
         InputError: the motion capture cannot be opened.
     """
     wait_s = timeout_s if seconds is None else min(timeout_s, seconds)
-    async with connect(url, wait_s, watcher.take, ground=True, opened=opened) as session:
+    async with connect(url, wait_s, watcher.put, ground=True, opened=opened) as session:
         session.subscribe(watcher.estimation, watcher.motors, guarded=False)
         rates = asyncio.create_task(_raise_rates(watcher, session))
         end = None if seconds is None else time.monotonic() + seconds
@@ -315,11 +315,11 @@ async def monitor_vehicle(
         try:
             if await _may_forward(watcher, session):
                 poses.enter_context(
-                    forwarding(watcher.mocap, session.send_message, session.clock, watcher.take)
+                    forwarding(watcher.mocap, session.send_message, session.clock, watcher.put)
                 )
             while end is None or time.monotonic() < end:
                 await asyncio.sleep(_WORK_S)
-                watcher.work()
+                watcher.process_queued()
                 if time.monotonic() - shown_s >= period_s:
                     shown_s = time.monotonic()
                     show(watcher.view())
@@ -362,7 +362,7 @@ def monitor_log(
         alive = flying()  # before reading, so that the last records are read
         entries = log.read()
         for entry in entries:
-            watcher.take_record(entry.record)
+            watcher.process_record(entry.record)
             viewer(entry.record)
         now = time.monotonic()
         if now - shown_s >= period_s:

@@ -72,13 +72,13 @@ def reply_in_flight(press: Press, phase: Phase, lock: str) -> Reply:
     if button is Button.FLY:
         return _denied("a mission is flying")
     if button is None:
-        return _denied(f"no button has the number {press.button}")
+        return _denied(f"there is no button {press.button}")
     if phase is Phase.CONTACT:
-        return Reply(Result.TEMPORARILY_REJECTED, "in contact: press again")
+        return Reply(Result.TEMPORARILY_REJECTED, "in contact: press again after it")
     if button is Button.CONTINUE:
         if phase is Phase.PAUSE:
             return Reply(Result.ACCEPTED, "continuing", Request.CONTINUE)
-        return _denied(f"no pause to end in {phase}")
+        return _denied(f"there is no pause in phase {phase}")
     return _denied("the mission moves the lock while it flies")
 
 
@@ -119,7 +119,7 @@ class StandbyButtons:
         button, asked = button_of(press), self._asked
         self._asked = None  # any other button between the two presses cancels the first
         if button is None:
-            return _denied(f"no button has the number {press.button}")
+            return _denied(f"there is no button {press.button}")
         if button in _MODES:
             return _reply_lock(_MODES[button], state)
         if button in (Button.CONTINUE, Button.LAND):
@@ -150,7 +150,7 @@ def _reply_lock(mode: Mode, state: StandbyState) -> Reply:
     if not state.has_lock:
         return _denied("this vehicle has no lock")
     if state.travelling not in (None, mode):
-        return Reply(Result.TEMPORARILY_REJECTED, f"the lock is travelling to {state.travelling}")
+        return Reply(Result.TEMPORARILY_REJECTED, f"the lock is moving to {state.travelling}")
     return Reply(Result.ACCEPTED, f"moving to {mode}", mode)
 
 

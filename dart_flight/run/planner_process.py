@@ -88,7 +88,7 @@ class PlannerProcess:
         while self._open:
             with contextlib.suppress(KeyError):  # another thread has answered the request
                 number, request = self._open.popitem()
-                now_us, problem = self._host_us(), "the planner has died"
+                now_us, problem = self._host_us(), "the planner process ended"
                 if isinstance(request, PlanRequest):
                     self._deliver(PlanAnswer(now_us, number, request.begin_us, problem=problem))
                 else:

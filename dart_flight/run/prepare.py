@@ -141,5 +141,5 @@ def as_rehearsal(mission: Mission, standoff_m: float | None) -> Mission:
     if standoff_m is None:
         return mission
     if not 0.1 <= standoff_m <= 2.0:
-        raise InputError(f"{standoff_m:g} m, allowed is 0.1 to 2 m", key=("--standoff",))
+        raise InputError(f"{standoff_m:g} m, expected 0.1 to 2 m", key=("--standoff",))
     return msgspec.structs.replace(mission, standoff_m=standoff_m)

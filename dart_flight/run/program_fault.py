@@ -13,7 +13,7 @@ from pathlib import Path
 from dart_flight.base.records import Record
 from dart_flight.run.app import FlightApp
 from dart_flight.run.simulator_process import SimulatorProcess
-from dart_flight.sim.faults.fault_table import Fault, FaultSite, Trigger, mock_faults_of
+from dart_flight.sim.faults.fault_table import Fault, FaultSite, Trigger, make_mock_faults
 
 _HANG_S = 60
 
@@ -37,10 +37,10 @@ class ProgramFault:
 
     def __call__(self, record: Record) -> None:
         """Process a record, and begin the fault when it is due."""
-        if self._begun or not self._trigger.sees(record):
+        if self._begun or not self._trigger.process(record):
             return
         now_us = getattr(record, "t_us", 0)
-        if now_us and self._trigger.due(now_us):
+        if now_us and self._trigger.is_due(now_us):
             self._begun = True
             # For measurements in another process; all processes share the monotonic clock.
             sys.stderr.write(f"fault {self.fault.name} at monotonic {time.monotonic():.4f} s\n")
@@ -49,10 +49,10 @@ class ProgramFault:
 
     def _begin(self) -> None:
         fault, loop, mock = self.fault, self._app.loop, self._app.mock
-        if fault.kind.place is FaultSite.LOCK:
+        if fault.kind.site is FaultSite.LOCK:
             if mock is not None:
-                mock.inject(mock_faults_of(fault))
-        elif fault.kind.place is not FaultSite.APP:
+                mock.inject(make_mock_faults(fault))
+        elif fault.kind.site is not FaultSite.APP:
             if self._world is not None:
                 self._world.send_fault(fault)
         elif fault.name == "hang-core":

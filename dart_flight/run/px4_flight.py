@@ -23,9 +23,9 @@ from dart_flight.run.program_fault import ProgramFault
 from dart_flight.run.simulator_process import Px4SimulatorProcess, SimulatorProcess, fly_simulated
 from dart_flight.sim.draws import draw_world
 from dart_flight.sim.faults.fault_table import Fault
-from dart_flight.sim.pipe import Px4SimulatorSpec, SimulatorSpec, need_mavlink
+from dart_flight.sim.pipe import Px4SimulatorSpec, SimulatorSpec, require_mavlink
 from dart_flight.vehicle.clock import LockstepClock
-from dart_flight.vehicle.link import LinkLease, free_link
+from dart_flight.vehicle.link import LinkLease, acquire_free_link
 
 _LOCKSTEP_PAUSE_S = 0.5
 
@@ -65,7 +65,7 @@ def fly_px4(
         InputError: there is no PX4, a parameter file is wrong, or GPS cannot provide the mission's frame.
         SimulatorError, VehicleError: PX4 did not start or did not answer.
     """
-    need_mavlink()
+    require_mavlink()
     from dart_flight.sim.px4.launch import find_install, flight_parameters, motors_from, values_of  # noqa: PLC0415
 
     install = find_install(directory)
@@ -93,7 +93,7 @@ def fly_px4(
 
     with contextlib.ExitStack() as leases:
         if not realtime:
-            port, lease = free_link("dry-run --px4", record.path)
+            port, lease = acquire_free_link("dry-run --px4", record.path)
             leases.callback(lease.release)
             spec.ports = [port]
 
@@ -130,9 +130,7 @@ def _px4_figures(ulog: Path, version: str | None, notify: Onlooker) -> Px4Figure
     except ImportError:
         return Px4Figures(version)
     except Exception as error:
-        notify(
-            StatusText(0, 0, "warning", f"PX4's log {ulog.name} was not read ({error!r})", found_here=True)
-        )
+        notify(StatusText(0, 0, "warning", f"cannot read PX4's log {ulog.name}: {error!r}", found_here=True))
         return Px4Figures(version)
     return figures
 

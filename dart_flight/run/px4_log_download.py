@@ -34,7 +34,7 @@ def fetch_px4_log(
     *,
     before: Collection[Px4LogEntry] | None = None,
     choose: Callable[[list[Px4LogEntry]], Px4LogEntry],
-    say: Callable[[str], None],
+    print_line: Callable[[str], None],
     progress: Callable[[float], None] = lambda share: None,
     opened: Callable[[], None] = lambda: None,
 ) -> Path:
@@ -47,9 +47,9 @@ def fetch_px4_log(
         armed: times of the flight's arming and of its end, or None if not known.
         before: logs that existed before the flight, or None if not known.
         choose: function that selects a log if several may be the flight's.
-        say: callback for lines to the operator.
+        print_line: callback for lines to the operator.
         progress: callback for the received share, 0 to 1.
-        opened: called once the link is open (`LinkLease.close_device`).
+        opened: called once the link is open (`LinkLease.lock_device`).
 
     Raises:
         VehicleError: no vehicle answers at the URL, or it is armed.
@@ -62,15 +62,15 @@ def fetch_px4_log(
         time.sleep(_WRITTEN_S)
         found = logs_of_flight(logs.entries(), armed, before)
         if not found:
-            raise DownloadError("PX4 has no log of this flight: SDLOG_MODE, or no card")
+            raise DownloadError("PX4 has no log of this flight: check SDLOG_MODE and the SD card")
         entry = found[0] if len(found) == 1 else choose(found)
-        say(f"PX4's log {entry.line()}; Ctrl-C skips it")
+        print_line(f"downloading PX4's log {entry.line()}; Ctrl-C skips it")
         expected = DownloadTime(entry.size_bytes, time.monotonic())
 
         def report(share: float) -> None:
             line = expected.line(share, time.monotonic())
             if line is not None:
-                say(line)
+                print_line(line)
             progress(share)
 
         logs.download(entry, path, report)

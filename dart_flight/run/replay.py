@@ -44,7 +44,7 @@ from dart_flight.core.flight_core import FlightCore
 from dart_flight.core.mission.approach import NoApproachError
 from dart_flight.recording.about import changed_keys, flown_mission, machine, parse_written, written_mission
 from dart_flight.recording.encoding import encode
-from dart_flight.recording.flight_time import zero_of
+from dart_flight.recording.flight_time import find_zero
 from dart_flight.recording.reader import Log
 from dart_flight.recording.schema import INPUTS, OUTPUTS
 
@@ -80,9 +80,9 @@ class Difference(msgspec.Struct, frozen=True):
         """Return the difference in one line."""
         kind = type(self.recorded or self.replayed).__name__
         if self.recorded is None:
-            return f"{kind} not in the recording: {_show(self.replayed)}"
+            return f"{kind} is not in the recording: {_show(self.replayed)}"
         if self.replayed is None:
-            return f"{kind} recorded but not reproduced: {_show(self.recorded)}"
+            return f"{kind} is recorded but not reproduced: {_show(self.recorded)}"
         if type(self.recorded) is not type(self.replayed):
             return f"{_show(self.recorded)} became {_show(self.replayed)}"
         before, after = msgspec.structs.asdict(self.recorded), msgspec.structs.asdict(self.replayed)
@@ -147,7 +147,7 @@ def replay(log: Log, settings: Sequence[str] = (), *, exact: bool | None = None)
     last = inputs[-1][0] if inputs else -1
     compared_to = last if log.complete else last - _IN_FLIGHT
     result = Replay(0, 0, exact, [], [], [], _missing([n for n, _ in inputs]), "")
-    result.zero_us = zero_of(item for _, item in inputs)
+    result.zero_us = find_zero(item for _, item in inputs)
     t_us = 0
     for number, item in inputs:
         t_us = getattr(item, "t_us", t_us)
@@ -176,10 +176,10 @@ def _missing(numbers: list[int]) -> int:
 def _note(log: Log, result: Replay) -> str:
     notes = changed_keys(log.about)
     if result.missing:
-        lost = f"the log lost {result.missing} inputs; from there on the replay may differ from the flight"
+        lost = f"the log lost {result.missing} inputs; after the first, the replay may differ from the flight"
         notes.append(lost)
     elif not log.complete:
-        notes.append("the log was cut; replayed up to there")
+        notes.append("the log is cut short; replayed to its end")
     return "; ".join(notes)
 
 
@@ -305,7 +305,7 @@ def changed_mission(log: Log, settings: Sequence[str]) -> Mission:
     # The flown mission differs from its text (a rehearsal), so keep it and change only the vehicle.
     if of_mission:
         raise InputError(
-            "the flight differs from its mission text (a rehearsal); only vehicle keys can be set",
+            "this flight was a rehearsal, so --set accepts only keys of the vehicle",
             source=log.source,
         )
     return msgspec.structs.replace(flown, vehicle=changed.vehicle)

@@ -63,7 +63,7 @@ class CoreRunner:
         self._number = 0
         self._held: Setpoint | None = None
 
-    def take(self, item: Input, *, more: bool = False) -> None:
+    def step(self, item: Input, *, more: bool = False) -> None:
         """Step the core with an input and carry out its outputs, setpoints first.
 
         Args:

@@ -18,7 +18,15 @@ from dart_flight.config.document import utf8_path
 from dart_flight.run.app import FlightApp
 from dart_flight.run.flight_record import FlightRecord
 from dart_flight.sim.faults.fault_table import Fault
-from dart_flight.sim.pipe import FaultLine, Horn, Ready, SimulatorDied, SimulatorSpec, Truth, WorldOutput
+from dart_flight.sim.pipe import (
+    FaultLine,
+    HornPosition,
+    Ready,
+    SimulatorDied,
+    SimulatorSpec,
+    Truth,
+    WorldOutput,
+)
 
 _LAST_WORDS_S = 0.2  # shorter than the deadman's timeout of the event loop
 
@@ -96,7 +104,7 @@ class SimulatorProcess:
 
     def send_horn(self, pulse_us: float) -> None:
         """Send the position of the mock servo's horn to the plant."""
-        self.process.send(msgspec.json.encode(Horn(pulse_us)))
+        self.process.send(msgspec.json.encode(HornPosition(pulse_us)))
 
     def send_line(self, line: bytes) -> bool:
         """Send an encoded line, from any thread, without blocking."""

@@ -23,14 +23,14 @@ from dart_flight.base.records import LockCommand, LockPhase, LockState, Mode
 from dart_flight.config.vehicle import LockConfig, VehicleConfig
 from dart_flight.lock.drivers import DriverError
 from dart_flight.lock.ground import GroundLock, clock_us, ground_driver
-from dart_flight.lock.persistence import CommandStore, ServoOwnership, ServoTakenError, load_last
+from dart_flight.lock.persistence import CommandStore, ServoInUseError, ServoOwnership, load_last
 from dart_flight.lock.state_machine import describe, status_text
 from dart_flight.run.app import LockThread
 from dart_flight.run.deadman import SystemdNotice
 from dart_flight.run.operator_buttons import Errand, RcSwitch, Reply, StandbyButtons, StandbyState
 from dart_flight.vehicle import messages
 from dart_flight.vehicle.command_server import Press, Result
-from dart_flight.vehicle.link import LinkLease, LinkTakenError
+from dart_flight.vehicle.link import LinkInUseError, LinkLease
 from dart_flight.vehicle.motion_capture.pose_bridge import forwarding
 from dart_flight.vehicle.vehicle_session import VehicleError, VehicleSession, connect
 
@@ -68,9 +68,9 @@ class StandbyDesk:
 
     def __init__(self, missions: Sequence[str], rc_channel: int | None, has_lock: bool) -> None:
         self._missions, self._has_lock, self._channel = tuple(missions), has_lock, rc_channel
-        self.take_link()
+        self.reset()
 
-    def take_link(self) -> None:
+    def reset(self) -> None:
         """Reset the state, which may have changed while another process had the link."""
         self._buttons, self._switch = StandbyButtons(), RcSwitch()
         self._radio_s = -math.inf  # when PX4 last reported a remote control
@@ -83,19 +83,19 @@ class StandbyDesk:
         state = StandbyState(self._missions, self._has_lock, self._travelling, self._armed, radio)
         return self._buttons.reply(press, state, now_s)
 
-    def take_lock(self, state: LockState) -> None:
+    def update_lock(self, state: LockState) -> None:
         """Store the lock's state."""
         self._travelling = state.mode if state.phase is LockPhase.TRAVELLING else None
 
-    def take_armed(self, armed: bool) -> None:
+    def update_armed(self, armed: bool) -> None:
         """Store whether the motors may turn."""
         self._armed = armed
 
-    def take_sensors(self, present: int, now_s: float) -> None:
+    def update_sensors(self, present: int, now_s: float) -> None:
         """Store whether PX4's sensors include the receiver of a valid remote control."""
         self._radio_s = now_s if present & _RC_RECEIVER else -math.inf
 
-    def take_channels(self, pulses_us: Sequence[int], now_s: float) -> Mode | None:
+    def update_switch(self, pulses_us: Sequence[int], now_s: float) -> Mode | None:
         """Return the mode to which the transmitter's switch moves the lock, or None."""
         if now_s - self._radio_s > _RADIO_S or self._channel is None or self._channel > len(pulses_us):
             return None  # after a loss of the link, receivers may send preset positions
@@ -112,7 +112,7 @@ def describe_end(name: str, fly: bool, ended: Ended) -> list[str]:
         report = {}
     if ended.status < 0:
         how = signal.Signals(-ended.status).name
-        after = ": PX4's failsafe has the vehicle" if fly else ""
+        after = ": PX4's failsafe flies the vehicle" if fly else ""
         return [f"{name}: the process was killed by {how}{after}"]
     if "outcome" in report:
         reason = f": {report['reason']}" if report.get("reason") else ""
@@ -134,7 +134,7 @@ class Standby:
         vehicle: configuration with the lock, the link and the motion capture.
         url: MAVSDK connection URL.
         options: additional options of `fly` and `check`.
-        say: callback for messages: a kind (`standby`, `child` or `problem`) and a line.
+        report: callback for messages: a kind (`standby`, `child` or `problem`) and a line.
     """
 
     def __init__(
@@ -143,10 +143,10 @@ class Standby:
         vehicle: VehicleConfig,
         url: str,
         options: Sequence[str],
-        say: Callable[[str, str], None],
+        report: Callable[[str, str], None],
     ) -> None:
         self._missions, self._vehicle, self._url = missions, vehicle, url
-        self._options, self._say = options, say
+        self._options, self._say = options, report
         channel = None if vehicle.lock is None else vehicle.lock.rc_channel
         self._desk = StandbyDesk([name for name, _ in missions], channel, vehicle.has_lock)
         self._news: list[str] = []  # for the ground station, once the link is back
@@ -175,10 +175,10 @@ class Standby:
                 try:
                     await self._hold()
                     problem = ""
-                except (LinkTakenError, VehicleError, ServoTakenError, DriverError) as error:
+                except (LinkInUseError, VehicleError, ServoInUseError, DriverError) as error:
                     if str(error) != problem:  # report it once
                         problem = str(error)
-                        self._say("problem", f"{problem}; trying again")
+                        self._say("problem", f"{problem}; retrying")
                     await self._rest(_RETRY_S)
                 errand, self._errand = self._errand, None
                 if errand is not None and not self._stops:
@@ -204,24 +204,24 @@ class Standby:
         """Hold link, lock and motion capture until an errand or the end of standby."""
         vehicle = self._vehicle
         self._wake.clear()
-        self._desk.take_link()
+        self._desk.reset()
         async with contextlib.AsyncExitStack() as held:
             lease = held.enter_context(LinkLease(self._url, "standby"))
-            opening = connect(self._url, _CONNECT_S, lambda record: None, opened=lease.close_device)
+            opening = connect(self._url, _CONNECT_S, lambda record: None, opened=lease.lock_device)
             session = await held.enter_async_context(opening)
             if vehicle.lock is not None:
                 self._lock = held.enter_context(self._holding_lock(vehicle.lock, session))
             poses = forwarding(vehicle.mocap, session.send_message, session.clock, lambda pose: None)
             held.enter_context(poses)
-            session.listen(messages.HEARTBEAT, lambda beat, _: self._desk.take_armed(beat.armed))
+            session.listen(messages.HEARTBEAT, lambda beat, _: self._desk.update_armed(beat.armed))
             session.listen(
-                messages.SYS_STATUS, lambda s, _: self._desk.take_sensors(s.present, time.monotonic())
+                messages.SYS_STATUS, lambda s, _: self._desk.update_sensors(s.present, time.monotonic())
             )
             session.listen(messages.RC_CHANNELS, lambda pulses, _: self._handle_channels(pulses))
             session.serve_operator(vehicle.ground_station.system_id, self._answer)
             self._say("standby", "holding the link")
             for text in [*self._news, "standby"]:
-                session.tell_ground(text)
+                session.send_text(text)
                 await asyncio.sleep(_TEXT_PAUSE_S)
             self._news.clear()
             while not self._wake.is_set():
@@ -233,19 +233,19 @@ class Standby:
         """Own the servo and step the lock; the servo does not move without a command.
 
         Raises:
-            ServoTakenError: another process moves the servo.
+            ServoInUseError: another process moves the servo.
             DriverError: the driver cannot be made.
         """
         store, states = CommandStore(config.driver), queue.SimpleQueue[LockState]()
 
         def keep(state: LockState) -> None:
-            store.note(state)
+            store.store(state)
             states.put(state)
 
         def handle(state: LockState) -> None:
-            self._desk.take_lock(state)
+            self._desk.update_lock(state)
             if state.phase is not LockPhase.TRAVELLING:
-                session.tell_ground(status_text(state))
+                session.send_text(status_text(state))
                 self._say("standby", f"lock {describe(state)}")
 
         with ServoOwnership():
@@ -265,7 +265,7 @@ class Standby:
     def _answer(self, press: Press) -> tuple[Result, str]:
         """Answer a button; on MAVSDK's thread."""
         if self._errand is not None:
-            return Result.TEMPORARILY_REJECTED, "the link is being handed over"
+            return Result.TEMPORARILY_REJECTED, "the link is being passed to another command"
         reply = self._desk.press(press, time.monotonic())
         if isinstance(reply.effect, Mode):
             self._move(reply.effect)
@@ -278,7 +278,7 @@ class Standby:
         return reply.result, reply.text
 
     def _handle_channels(self, pulses_us: Sequence[int]) -> None:
-        mode = self._desk.take_channels(pulses_us, time.monotonic())
+        mode = self._desk.update_switch(pulses_us, time.monotonic())
         if mode is not None:
             self._say("standby", f"transmitter: moving to {mode}")
             self._move(mode)
@@ -294,7 +294,7 @@ class Standby:
         for number in errand.missions:
             name, path = self._missions[number - 1]
             command = ["fly", path, "--yes"] if errand.fly else ["check", path]
-            self._say("standby", f"handing the link to dart-flight {command[0]} {path}")
+            self._say("standby", f"passing the link to dart-flight {command[0]} {path}")
             lines = describe_end(name, errand.fly, await self._run_child(command))
             for line in lines:
                 self._say("standby", line)

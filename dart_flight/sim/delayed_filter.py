@@ -84,7 +84,7 @@ class DelayedFilter:
         self._covariance: _Matrix = np.diag(_START_SD**2)
         self._steps: deque[tuple[float, Vec3, Vec3]] = deque()  # end, mean specific force, mean rate
         self._outputs: deque[tuple[Vec3, Vec3, Quaternion]] = deque()  # at the ends of these steps
-        self._poses: deque[tuple[float, Vec3, Quaternion]] = deque()  # with their configured times
+        self._poses: deque[tuple[float, Vec3, Quaternion | None]] = deque()  # with their configured times
         self._ticks: list[tuple[Vec3, Vec3]] = []
         self._turn: Vec3 = (0.0, 0.0, 0.0)  # rad/s that correct the output's attitude
         self._off_v: Vec3 = (0.0, 0.0, 0.0)  # sums of the output's errors
@@ -115,12 +115,12 @@ class DelayedFilter:
             self._step(*self._steps.popleft())
             self._follow(self._outputs.popleft())
 
-    def correct(self, t_s: float, position_ned: Vec3, q: Quaternion) -> None:
+    def correct(self, t_s: float, position_ned: Vec3, q: Quaternion | None) -> None:
         """Queue a pose that arrives now; its true time `t_s` is ignored."""
         self._updates += 1
         if self._updates == 1:
-            self._of.position, self._of.q = position_ned, q
-            self._at_p, self._at_q = position_ned, q
+            self._of.position, self._of.q = position_ned, q or self._of.q
+            self._at_p, self._at_q = self._of.position, self._of.q
         self._poses.append((self._now_s - self._delay_s - 0.5 * _STEP_S, position_ned, q))
         self._of.ok = self._of.ok or (self._updates > 50 and self._now_s - self._fused_s < _INVALID_AFTER_S)
 
@@ -144,7 +144,7 @@ class DelayedFilter:
         while self._poses and self._poses[0][0] <= t_s:
             pose = self._poses.popleft()
         if pose is not None and t_s - pose[0] < _REACH_S:
-            self._fuse(t_s, pose[1], yaw_ned_of(pose[2]))
+            self._fuse(t_s, pose[1], None if pose[2] is None else yaw_ned_of(pose[2]))
 
     def _grow(self, f: Vec3) -> None:
         """Propagate the covariance by one step."""
@@ -158,9 +158,10 @@ class DelayedFilter:
         grown = _STEP_S * np.repeat((0.0, _ACCELERATION_M_S2, _RATE_RAD_S, _BIAS_M_S3), 3)
         self._covariance = step @ self._covariance @ step.T + np.diag(grown**2)
 
-    def _fuse(self, t_s: float, position_ned: Vec3, yaw_ned: float) -> None:
-        turned = wrap_angle(yaw_ned - yaw_ned_of(self._at_q))
-        self._correct_by(8, turned, _YAW_RAD, _YAW_GATE)
+    def _fuse(self, t_s: float, position_ned: Vec3, yaw_ned: float | None) -> None:
+        if yaw_ned is not None:
+            turned = wrap_angle(yaw_ned - yaw_ned_of(self._at_q))
+            self._correct_by(8, turned, _YAW_RAD, _YAW_GATE)
         away = subtract(position_ned, self._at_p)
         sd = np.sqrt(np.diag(self._covariance)[:3] + _POSITION_M**2)
         near = [abs(away[axis]) <= _POSITION_GATE * sd[axis] for axis in range(3)]

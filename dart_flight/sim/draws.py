@@ -134,7 +134,7 @@ def _contact(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
         per_mode = {}
         for mode in mission.vehicle.modes:
             factors = [_factor(rng, sd) for _ in range(4)]
-            c = old.of(mode)
+            c = old.coefficients(mode)
             per_mode[mode] = c.scaled(*factors)
             for symbol, factor in zip(("k", "f", "mu", "nu"), factors, strict=True):
                 drawn[f"contact.{wall.name}.{mode.value}.{symbol}"] = factor
@@ -176,7 +176,7 @@ def _wall_offset(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld
     for wall in world.mission.standing_walls:
         own = wall.position_sd_m
         away = (sd if own is None else own) * rng.gauss(0.0, 1.0)
-        walls[wall.name] = wall.moved(away)
+        walls[wall.name] = wall.displaced(away)
         drawn[f"wall_offset_m.{wall.name}"] = away
     return with_walls(world, walls)._replace(drawn=world.drawn | drawn)
 
@@ -187,7 +187,7 @@ def _wall_yaw(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
     for wall in world.mission.standing_walls:
         own = wall.yaw_sd_rad
         angle_deg = (sd if own is None else math.degrees(own)) * rng.gauss(0.0, 1.0)
-        walls[wall.name] = wall.turned(math.radians(angle_deg))
+        walls[wall.name] = wall.rotated(math.radians(angle_deg))
         drawn[f"wall_yaw_deg.{wall.name}"] = angle_deg
     return with_walls(world, walls)._replace(drawn=world.drawn | drawn)
 

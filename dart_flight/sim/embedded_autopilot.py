@@ -53,7 +53,7 @@ class Autopilot:
     Args:
         plant: the body and its world.
         seed: seed of the noise of all sensors.
-        say: receives (severity, text) of every STATUSTEXT.
+        send_text: receives (severity, text) of every STATUSTEXT.
         position_from: motion capture or a GPS receiver.
     """
 
@@ -61,7 +61,7 @@ class Autopilot:
         self,
         plant: Plant,
         seed: int,
-        say: Callable[[str, str], None] | None = None,
+        send_text: Callable[[str, str], None] | None = None,
         position_from: PositionSource = PositionSource.MOCAP,
     ) -> None:
         self.plant = plant
@@ -77,7 +77,7 @@ class Autopilot:
         v = self.vehicle
         self.cascade = Cascade(self.parameters, v.hover_thrust_fraction(), v.thrust, v.airframe.motors)
         self._stopped, self._idle = ((u,) * len(v.airframe.motors) for u in (0.0, _IDLE))
-        self.say = say or (lambda severity, text: None)
+        self.send_text = send_text or (lambda severity, text: None)
         self.armed = False
         self.mode = FlightMode.HOLD
         self.landed = LandedState.ON_GROUND
@@ -85,7 +85,7 @@ class Autopilot:
         self._killed_at_s: float | None = None
         self.actuator_set: list[float] = [math.nan] * 6
         self.pose: tuple[float, Vec3, Quaternion] | None = None  # pose by motion capture at this tick
-        self.fuses_own_pose = True  # False if poses arrive by `take_pose`
+        self.fuses_own_pose = True  # False if poses arrive by `fuse_external_pose`
         self.imu = ImuReading(0, (0.0, 0.0, -GRAVITY_M_S2), (0.0, 0.0, 0.0))
         self.failsafe: str | None = None
         self.imu_stuck = False  # fault: the reported IMU repeats its sample, the estimator's does not
@@ -134,29 +134,29 @@ class Autopilot:
         if self.armed:
             return True
         if self._killed_at_s is not None:
-            self.say("critical", "Arming denied: kill switch engaged")
+            self.send_text("critical", "Arming denied: kill switch engaged")
             return False
         if not self.estimator.ok:
-            self.say("critical", "Arming denied: no local position")
+            self.send_text("critical", "Arming denied: no local position")
             return False
         if self.mode in (FlightMode.LAND, FlightMode.RETURN) and not force:
-            self.say("critical", "Arming denied: switch to another mode first")
+            self.send_text("critical", "Arming denied: switch to another mode first")
             return False
         self.armed = True
         self.failsafe = None
         self.cascade.reset()
         self._hold_here()
-        self.say("info", "Armed by external command")
+        self.send_text("info", "Armed by external command")
         return True
 
     def disarm(self, force: bool = False) -> bool:
         """Disarm on the ground, or anywhere if forced; return whether the vehicle is disarmed."""
         if self.armed and self.landed is not LandedState.ON_GROUND and not force:
-            self.say("critical", "Disarming denied: not landed")
+            self.send_text("critical", "Disarming denied: not landed")
             return False
         if self.armed:
             self.armed = False
-            self.say("info", "Disarmed")
+            self.send_text("info", "Disarmed")
         return True
 
     def kill(self) -> None:
@@ -166,7 +166,7 @@ class Autopilot:
     def set_mode(self, mode: FlightMode) -> bool:
         """Change the flight mode and return whether it was accepted; offboard mode needs fresh setpoints."""
         if mode is FlightMode.OFFBOARD and self.now_s - self._offboard_at_s > _OFFBOARD_PROOF_S:
-            self.say("critical", "Switching to offboard is not possible: no setpoints")
+            self.send_text("critical", "Switching to offboard is not possible: no setpoints")
             return False
         if mode is not self.mode:
             self.mode = mode
@@ -190,12 +190,12 @@ class Autopilot:
         self._offboard = setpoint
         self._offboard_at_s = self.now_s
 
-    def expect_poses(self) -> None:
-        """Switch from the poses of the simulated motion capture to the poses of `take_pose`."""
+    def use_external_poses(self) -> None:
+        """Switch from the poses of the simulated motion capture to the poses of `fuse_external_pose`."""
         self.fuses_own_pose = False
         self.estimator.assume_delay(self.now_s, 1e-3 * float(self.parameters["EKF2_EV_DELAY"]))
 
-    def take_pose(self, position_ned: Vec3, q_frd_to_ned: Quaternion) -> None:
+    def fuse_external_pose(self, position_ned: Vec3, q_frd_to_ned: Quaternion | None) -> None:
         """Fuse an external pose, if the vehicle does not fuse its own."""
         if not self.fuses_own_pose:
             self.estimator.correct(self.now_s, position_ned, q_frd_to_ned)
@@ -278,7 +278,7 @@ class Autopilot:
         if self.mode is FlightMode.TAKEOFF:
             e = self.estimator
             if abs(e.position[2] - self._hold.position[2]) < 0.1 and abs(e.velocity[2]) < 0.2:
-                self.say("info", "Takeoff finished")
+                self.send_text("info", "Takeoff finished")
                 target = self._hold.position
                 self.mode = FlightMode.HOLD
                 self._hold_here()
@@ -310,12 +310,12 @@ class Autopilot:
         now = self.now_s
         lost = now - self._offboard_at_s > self.parameters["COM_OF_LOSS_T"]
         if self.mode is FlightMode.OFFBOARD and lost:
-            self.say("critical", "Failsafe: offboard lost, holding")
+            self.send_text("critical", "Failsafe: offboard lost, holding")
             self.set_mode(FlightMode.HOLD)
             self.failsafe = "offboard lost"
             self._failsafe_since_s = now
         elif self._failsafe_since_s is not None and now - self._failsafe_since_s > _FAILSAFE_HOLD_S:
-            self.say("critical", "Failsafe: offboard lost, landing")
+            self.send_text("critical", "Failsafe: offboard lost, landing")
             self.set_mode(FlightMode.LAND)
             self.failsafe = "offboard lost"
             self._failsafe_since_s = None
@@ -330,7 +330,7 @@ class Autopilot:
                 self.landed = LandedState.IN_AIR
         elif quiet > 0.5:
             self.landed = LandedState.ON_GROUND
-            self.say("info", "Landing detected")
+            self.send_text("info", "Landing detected")
         disarm_after = self.parameters["COM_DISARM_LAND"]
         if (
             self.armed
@@ -383,6 +383,8 @@ def default_parameters(
     return parameters
 
 
-def make_autopilot(mission: Mission, seed: int, say: Callable[[str, str], None] | None = None) -> Autopilot:
+def make_autopilot(
+    mission: Mission, seed: int, send_text: Callable[[str, str], None] | None = None
+) -> Autopilot:
     """Return a simulated vehicle on the ground below a mission's start."""
-    return Autopilot(make_plant(mission, seed=seed), seed, say, simulated_source(mission))
+    return Autopilot(make_plant(mission, seed=seed), seed, send_text, simulated_source(mission))

@@ -11,7 +11,7 @@ from typing import IO
 from dart_flight.base.errors import FlightError
 from dart_flight.base.records import FlightMode
 from dart_flight.sim.draws import draw_world
-from dart_flight.sim.faults.fault_table import Fault, FaultSite, VehicleFault, impairment_of
+from dart_flight.sim.faults.fault_table import Fault, FaultSite, VehicleFault, make_impairment
 from dart_flight.sim.faults.impairment import Impairment
 from dart_flight.sim.faults.twin import make_second_vehicle
 from dart_flight.sim.lockstep import Lockstep
@@ -42,14 +42,14 @@ class EmbeddedSimulator:
         self._autopilot = self._vehicle.autopilot
         self._endpoint = MavlinkEndpoint(self._autopilot, tuple(spec.ports))
         self._log = WorldLog(spec.log)
-        self._to_link = self._autopilot.say
-        self._autopilot.say = self._report
+        self._to_link = self._autopilot.send_text
+        self._autopilot.send_text = self._report
         self._fault: VehicleFault | None = None
         self._link_back_s: float | None = None
         self._twin: tuple[SimulatedVehicle, MavlinkEndpoint] | None = None
         self._mocap: EmulatedMotionCapture | None = None
         if spec.mocap is not None:
-            self._autopilot.expect_poses()
+            self._autopilot.use_external_poses()
             self._mocap = EmulatedMotionCapture(spec.mocap, spec.mission, self._autopilot.plant)
 
     def run(self, commands: IO[bytes], truth: IO[bytes]) -> None:
@@ -97,9 +97,9 @@ class EmbeddedSimulator:
     def begin_fault(self, fault: Fault) -> None:
         """Implement `ServedWorld`."""
         self._report("warning", f"fault {fault.name} {fault.value:g}")
-        if self._mocap is not None and fault.kind.place is FaultSite.MOCAP:
+        if self._mocap is not None and fault.kind.site is FaultSite.MOCAP:
             self._mocap.feed.begin_fault(fault, self._autopilot.now_s)
-        elif fault.kind.place is not FaultSite.LINK:
+        elif fault.kind.site is not FaultSite.LINK:
             self._fault = VehicleFault(self._vehicle, fault)
         elif fault.name == "imu-dropout":
             self._endpoint.stop_imu()
@@ -108,7 +108,7 @@ class EmbeddedSimulator:
             twin = make_second_vehicle(spec.mission, spec.seed, fault.value, self._autopilot.time_us)
             self._twin = (twin, MavlinkEndpoint(twin.autopilot, tuple(spec.ports)))
         else:
-            self._endpoint.impair(impairment_of(fault))
+            self._endpoint.impair(make_impairment(fault))
             if fault.name == "link-loss" and fault.value > 0.0:
                 self._link_back_s = self._autopilot.now_s + fault.value
 

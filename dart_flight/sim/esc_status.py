@@ -17,7 +17,7 @@ _FIELDS = struct.Struct("<Q4i4f4fB")
 _MOTORS = 4  # per message
 
 
-class EscStatuses:
+class EscStatusMessages:
     """Speeds of all motors in the autopilot's order, four per message as in PX4.
 
     Args:

@@ -109,17 +109,18 @@ class Estimator:
         """Assume that every further pose is `delay_s` old on arrival, like PX4 with EKF2_EV_DELAY."""
         self._delayed = DelayedFilter(self, self._updates > 0, now_s, delay_s)
 
-    def correct(self, t_s: float, position_ned: Vec3, q: Quaternion) -> None:
-        """Correct by a pose measured at `t_s`, which may be in the past."""
+    def correct(self, t_s: float, position_ned: Vec3, q: Quaternion | None) -> None:
+        """Correct by a pose measured at `t_s`, which may be in the past; None: its attitude is unknown."""
         if self._delayed is not None:
             self._delayed.correct(t_s, position_ned, q)
             return
         self._updates += 1
         if self._updates == 1 or not self._history:
-            self.position, self.q = position_ned, q
+            self.position, self.q = position_ned, q or self.q
             return
         then = self._at(t_s)
-        self._correct_attitude(then[3], q)
+        if q is not None:
+            self._correct_attitude(then[3], q)
         innovation = subtract(position_ned, then[1])
         self._move(scale(innovation, _POSITION_GAIN), scale(innovation, _VELOCITY_GAIN))
         self.ok = self._updates > 50

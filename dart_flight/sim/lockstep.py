@@ -47,7 +47,7 @@ class LinkEnd(Protocol):
     def arrived(self) -> Mapping[str, Sequence[float]]:
         """The last message of each kind received from the application, as in `Stepped.sent`."""
 
-    def rest(self) -> None:
+    def answer_requests(self) -> None:
         """Answer requests that have arrived while time stands still."""
 
 
@@ -79,7 +79,7 @@ class Lockstep:
         return self._waits_at_first if self._report is None else self._report.flies
 
     @property
-    def holds(self) -> bool:
+    def limits_pace(self) -> bool:
         """Whether lockstep limits the world's time, so that no other pace is needed."""
         report = self._report
         return self.engaged and not (report is not None and report.commands and not self._answers_at_rest)
@@ -142,7 +142,7 @@ class Lockstep:
         polled_s, waited_s = time.monotonic(), 0.0
         while look():
             # Read first, because data that has been read no longer wakes `select`.
-            self._autopilot.rest()
+            self._autopilot.answer_requests()
             missing = self.outstanding(next_us)
             if missing is None:
                 return

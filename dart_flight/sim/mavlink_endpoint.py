@@ -135,9 +135,9 @@ class MavlinkEndpoint:
             mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH: self._do_return,
             mavlink.MAV_CMD_DO_SET_ACTUATOR: self._do_set_actuator,
         }
-        autopilot.say = self.say
+        autopilot.send_text = self.send_text
 
-    def say(self, severity: str, text: str) -> None:
+    def send_text(self, severity: str, text: str) -> None:
         """Send a STATUSTEXT on every link."""
         self._texts.append((severity, text))
 
@@ -162,7 +162,7 @@ class MavlinkEndpoint:
         """The descriptors that become readable when data has arrived."""
         return [link.socket.fileno() for link in self.links]
 
-    def rest(self) -> None:
+    def answer_requests(self) -> None:
         """Answer requests that have arrived while simulated time stands still.
 
         MAVSDK treats a vehicle without a heartbeat as lost after 3 s of the computer's time.
@@ -374,7 +374,8 @@ class MavlinkEndpoint:
         local = message.frame_id in (mavlink.MAV_FRAME_LOCAL_NED, mavlink.MAV_FRAME_LOCAL_FRD)
         if local and message.estimator_type == mavlink.MAV_ESTIMATOR_TYPE_VISION:
             w, x, y, z = message.q
-            self.autopilot.take_pose((message.x, message.y, message.z), (w, x, y, z))
+            attitude = None if math.isnan(w) else (w, x, y, z)
+            self.autopilot.fuse_external_pose((message.x, message.y, message.z), attitude)
 
     # -- parameters --
 
@@ -566,7 +567,7 @@ class MavlinkEndpoint:
         a = self.autopilot
         per_rpm2 = a.vehicle.estimation.esc_thrust_n_per_rpm2 or _ESC_THRUST_N_PER_RPM2
         rpm = [round(math.sqrt(a.vehicle.thrust.force_n(u) / per_rpm2)) for u in a.plant.motor]
-        return esc_status.EscStatuses(a.time_us, rpm)
+        return esc_status.EscStatusMessages(a.time_us, rpm)
 
     def _autopilot_version(self) -> Any:
         capabilities = (

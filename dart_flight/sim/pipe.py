@@ -70,7 +70,7 @@ class SimulatorSpec(msgspec.Struct):
     mocap: str | None = None  # kind of the emulated motion capture that provides the autopilot's position
 
 
-class Horn(msgspec.Struct, tag="horn"):
+class HornPosition(msgspec.Struct, tag="horn"):
     """The position of the mock servo's simulated horn, as a pulse in microseconds."""
 
     pulse_us: float
@@ -108,7 +108,7 @@ class Stepped(msgspec.Struct, tag="stepped"):
     flies: bool = True
 
 
-WorldInput = Horn | Ping | FaultLine | Stepped
+WorldInput = HornPosition | Ping | FaultLine | Stepped
 
 
 class Ready(msgspec.Struct, tag="ready"):
@@ -205,7 +205,7 @@ class LineReader:
         os.eventfd_write(self.wake, 1)
 
 
-def need_mavlink() -> None:
+def require_mavlink() -> None:
     """Check that the packages of the simulated vehicle's process are installed.
 
     Raises:

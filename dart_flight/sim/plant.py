@@ -110,9 +110,9 @@ class _WallPlane:
 
     def move(self, away_m: float) -> None:
         """Move the wall along its normal."""
-        self.wall = self.wall.moved(away_m)
+        self.wall = self.wall.displaced(away_m)
         self.point = add(self.point, scale(self.normal, away_m))
-        self.ends = self.ends.moved(away_m)
+        self.ends = self.ends.displaced(away_m)
 
 
 class _StandingPost:
@@ -555,7 +555,7 @@ class Plant:
             plane.away = True
             return None
         if plane.away:
-            plane.ends.arrive(self.q, self.position)
+            plane.ends.reset_contacts(self.q, self.position)
             plane.away = False
         plane.near_end = inside_m < reach_m or not plane.ends.is_plain
         yaw = self.frame.yaw_from_ned(yaw_ned_of(self.q))

@@ -18,7 +18,7 @@ from dart_flight.sim.lockstep import Lockstep
 from dart_flight.sim.pipe import (
     FULL_SPEED,
     FaultLine,
-    Horn,
+    HornPosition,
     LineReader,
     LineWriter,
     Stepped,
@@ -110,7 +110,7 @@ def serve(
         reader.clear()
         while reader.items:
             item = reader.items.popleft()
-            if isinstance(item, Horn):
+            if isinstance(item, HornPosition):
                 world.set_horn(item.pulse_us)
             elif isinstance(item, FaultLine):
                 world.begin_fault(item.fault)
@@ -131,7 +131,7 @@ def serve(
             lockstep.publish("pose", frame)
             lockstep.wait(world.time_us + TICK_US, (reader.wake, *wake), process_lines)
         # Run without a limit only while lockstep holds the world back.
-        waits = lockstep is not None and lockstep.holds and not reader.closed
+        waits = lockstep is not None and lockstep.limits_pace and not reader.closed
         pace.wait(TICK_S / (1.0 if speed == FULL_SPEED and not waits else speed))
         plant = world.advance()
         if tick % _TRUTH_EVERY == 0:

@@ -32,7 +32,7 @@ class LockServo:
             self._wanted = Mode.RIGID if rigid else Mode.FLEXIBLE
         self._plant.set_mode(self._wanted)
 
-    def follow(self, t_us: int, pulse_us: float | None) -> None:
+    def track_pulse(self, t_us: int, pulse_us: float | None) -> None:
         """Move towards a commanded pulse (None: no new command) until `t_us`, and set the arms' mode."""
         if pulse_us is not None:
             self._model.command(t_us, pulse_us)
@@ -65,5 +65,5 @@ class SimulatedVehicle:
         """Advance servo, wind, plant and autopilot by one tick."""
         self._wind.step(self.autopilot.plant)
         if self._by_autopilot and self._servo is not None:
-            self._servo.follow(self.autopilot.time_us, self.autopilot.lock_pulse_us())
+            self._servo.track_pulse(self.autopilot.time_us, self.autopilot.lock_pulse_us())
         self.autopilot.step()

@@ -19,7 +19,7 @@ from dart_flight.config.vehicle import LockDriver
 from dart_flight.sim.mavlink_endpoint import MavlinkEndpoint
 from dart_flight.sim.served_world import ticks_in_real_time
 from dart_flight.sim.simulated_vehicle import SimulatedVehicle
-from dart_flight.vehicle.link import LinkLease, LinkTakenError, feed_of, owner_of_udp_port, udp_port_is_free
+from dart_flight.vehicle.link import LinkInUseError, LinkLease, feed_name, owner_of_udp_port, udp_port_is_free
 
 _OWN_PORT = 40  # offset of PX4's own port, 14580, from the port that it sends to, 14540
 _LISTEN_S = 0.4  # a vehicle sends dozens of messages per second
@@ -36,16 +36,16 @@ class VehiclePortLease:
         port: port to send to.
 
     Raises:
-        LinkTakenError: something already sends there; the message names it if known.
+        LinkInUseError: something already sends there; the message names it if known.
         InputError: the state folder cannot be used.
     """
 
     def __init__(self, port: int) -> None:
         self.port, self.own_port = port, port + _OWN_PORT if port + _OWN_PORT < 1 << 16 else port - _OWN_PORT
-        self._lease = LinkLease(feed_of(port), "simulate")
+        self._lease = LinkLease(feed_name(port), "simulate")
         try:
             self._lease.acquire()
-        except LinkTakenError as error:
+        except LinkInUseError as error:
             raise self._taken_error(f": {error.message}") from None
         try:
             if not udp_port_is_free(self.own_port):
@@ -58,9 +58,9 @@ class VehiclePortLease:
             self._lease.release()
             raise
 
-    def _taken_error(self, by: str) -> LinkTakenError:
+    def _taken_error(self, by: str) -> LinkInUseError:
         where = f"UDP port {self.port}"
-        return LinkTakenError(f"another vehicle already sends to this port{by}", source=where)
+        return LinkInUseError(f"another vehicle already sends to this port{by}", source=where)
 
     def release(self) -> None:
         """Release the port."""
@@ -98,23 +98,23 @@ def run_vehicle(
     mission: Mission,
     seed: int,
     ports: tuple[int, ...],
-    say: Callable[[str], None],
+    print_line: Callable[[str], None],
     own_port: int = 0,
     viewer: Callable[[Record], None] = lambda record: None,
 ) -> None:
-    """Simulate in real time until SIGINT or SIGTERM; `say` prints a line in the terminal.
+    """Simulate in real time until SIGINT or SIGTERM; `print_line` prints a line in the terminal.
 
     `own_port` is the UDP port used for sending to the first of the ports; 0 selects any. `viewer` receives
     the true motion of the vehicle.
     """
     vehicle = SimulatedVehicle(mission, seed, LockDriver.PX4)
     endpoint = MavlinkEndpoint(vehicle.autopilot, ports, own_port)
-    to_link = vehicle.autopilot.say
+    to_link = vehicle.autopilot.send_text
     stopped: list[int] = []
 
     def report(severity: str, text: str) -> None:
         to_link(severity, text)
-        say(f"{vehicle.autopilot.now_s:8.2f} s  {text}")
+        print_line(f"{vehicle.autopilot.now_s:8.2f} s  {text}")
 
     def step() -> None:
         vehicle.advance()
@@ -124,13 +124,13 @@ def run_vehicle(
         while plant.finished:
             hit = plant.finished.pop(0)
             viewer(hit)
-            say(
+            print_line(
                 f"{vehicle.autopilot.now_s:8.2f} s  hit {hit.wall} {hit.mode.value} at "
                 f"{hit.normal_in_m_s:.2f} m/s normal, {hit.tangential_in_m_s:.2f} m/s along: "
                 f"{hit.peak_normal_force_n:.1f} N"
             )
 
-    vehicle.autopilot.say = report
+    vehicle.autopilot.send_text = report
     for number in (signal.SIGINT, signal.SIGTERM):
         with contextlib.suppress(ValueError):  # not the main thread
             signal.signal(number, lambda signum, _frame: stopped.append(signum))

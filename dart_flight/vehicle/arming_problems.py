@@ -37,7 +37,7 @@ def severity(log_level: Any) -> str:
     return SEVERITIES[level] if 0 <= level < len(SEVERITIES) else "debug"
 
 
-def of_checks(report: Any) -> Report:
+def report_from_checks(report: Any) -> Report:
     """Return a report from PX4's health and arming checks by MAVSDK; skip messages below a warning."""
     mode = report.current_mode_intention
     blocking = () if mode.can_arm_or_run else _problem_texts(mode.problems)
@@ -45,7 +45,7 @@ def of_checks(report: Any) -> Report:
     return bool(mode.can_arm_or_run), blocking, others
 
 
-def of_sys_status(sensors: Sensors) -> Report:
+def report_from_sys_status(sensors: Sensors) -> Report:
     """Return a report from SYS_STATUS for a PX4 without health reports: the enabled but unhealthy sensors."""
     bad = sensors.enabled & ~sensors.healthy
     words = tuple(f"{name} not healthy" for bit, name in _SENSORS.items() if bad & 1 << bit)

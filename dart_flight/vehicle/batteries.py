@@ -34,19 +34,19 @@ class Batteries:
         """Remove a battery that is no longer connected; return whether it was stored."""
         return self._readings.pop(number, None) is not None
 
-    def counted(self) -> list[BatteryReading]:
+    def flight_batteries(self) -> list[BatteryReading]:
         """Return the flight batteries, or all batteries if there is no flight battery."""
         able = [reading for reading in self._readings.values() if self._is_flight_battery(reading)]
         return able or list(self._readings.values())
 
-    def others(self) -> list[BatteryReading]:
+    def other_batteries(self) -> list[BatteryReading]:
         """Return the batteries that are not judged."""
-        counted = self.counted()
+        counted = self.flight_batteries()
         return [reading for reading in self._readings.values() if reading not in counted]
 
     def worst(self) -> BatteryReading | None:
         """Return the battery to judge: below the lowest voltage first, then with the least charge."""
-        return min(self.counted(), key=self._rank, default=None)
+        return min(self.flight_batteries(), key=self._rank, default=None)
 
     def _is_flight_battery(self, reading: BatteryReading) -> bool:
         highest_v = self._highest_v.get(reading.id)

@@ -100,7 +100,7 @@ class Px4LogEntry(msgspec.Struct, frozen=True):
         return f"{self.id}: {date}, {self.size_bytes / 1e6:.1f} MB"
 
 
-def entry_of(entry: Entry) -> Px4LogEntry:
+def parse_entry(entry: Entry) -> Px4LogEntry:
     """Return an entry of MAVSDK's list as `Px4LogEntry`."""
     ended = None
     with contextlib.suppress(ValueError):
@@ -147,13 +147,13 @@ class Px4Logs:
             DownloadError: the flight controller does not answer.
         """
         try:
-            return [entry_of(entry) for entry in self._plugin.get_entries()]
+            return [parse_entry(entry) for entry in self._plugin.get_entries()]
         except MavsdkError as error:
             result = getattr(getattr(error, "result", None), "name", str(error))
             if result == "NO_LOGFILES":
                 return []
             says = result.lower().replace("_", " ")
-            raise DownloadError(f"PX4's list of logs cannot be read: {says}") from None
+            raise DownloadError(f"cannot read PX4's list of logs: {says}") from None
 
     def download(self, entry: Px4LogEntry, path: Path, progress: Callable[[float], None]) -> None:
         """Download a log to a file, which exists only after a complete download, even after Ctrl-C.
@@ -182,7 +182,7 @@ class Px4Logs:
                 raise
             with part.open("rb") as file:
                 if file.read(len(_ULOG_MAGIC)) != _ULOG_MAGIC:
-                    raise DownloadError(f"{path.name}: what came is no ULog")
+                    raise DownloadError(f"{path.name}: the received data is not a ULog")
             os.replace(part, path)
         finally:
             part.unlink(missing_ok=True)
@@ -215,4 +215,4 @@ class DownloadTime:
             return None
         self._is_reported = True
         rate = share * self._size_bytes / elapsed_s
-        return f"{(1.0 - share) * self._size_bytes / rate / 60.0:.1f} min to go, at {rate / 1e3:.0f} kB/s"
+        return f"{(1.0 - share) * self._size_bytes / rate / 60.0:.1f} min left at {rate / 1e3:.0f} kB/s"

@@ -90,7 +90,7 @@ class Observation(msgspec.Struct):
     blocking: tuple[str, ...] = ()  # PX4's reasons for not arming in its present mode
     other_vehicle: str | None = None  # description of another vehicle on the same link
     texts: list[str] = []  # PX4's texts and events of severity warning or higher
-    found_here: list[str] = []  # this program's own findings on the link
+    own_findings: list[str] = []  # this program's own findings on the link
     sources: tuple[Source, ...] = ()
     battery_id: int | None = None
     batteries: tuple[BatteryReading, ...] = ()  # flight batteries
@@ -148,13 +148,13 @@ class _Listener:
             self._imu_samples += 1
             seen.specific_force_m_s2 = self._forces_m_s2 / self._imu_samples
             self._clocks.update(record.t_us, record.received_us)
-            apart_s = self._clocks.apart_s(record.received_us)
+            apart_s = self._clocks.clock_difference_s(record.received_us)
             if apart_s is not None:
                 seen.other_vehicle = f"two clocks alternate under one system id, {apart_s:.1f} s apart"
         elif isinstance(record, OdometrySample):
             seen.position_ned = record.position_ned
             self._places.update(record)
-            apart_m = self._places.apart_m(record.received_us)
+            apart_m = self._places.position_difference_m(record.received_us)
             if apart_m is not None:
                 seen.other_vehicle = f"two positions alternate under one system id, {apart_m:.1f} m apart"
         elif isinstance(record, AttitudeSample):
@@ -166,7 +166,7 @@ class _Listener:
         elif isinstance(record, HealthReport):
             seen.blocking = record.blocking
         elif isinstance(record, StatusText):
-            texts = seen.found_here if record.found_here else seen.texts
+            texts = seen.own_findings if record.found_here else seen.texts
             if record.severity in reasons.SEVERE and record.text not in texts:
                 texts.append(record.text)
         elif isinstance(record, RoundTrip) and record.autopilot_us is not None:
@@ -265,7 +265,9 @@ class GroundLink:
         unanswered = await self._session.measure_link(_ROUND_TRIP_MAX_S)
         if unanswered:
             says = (
-                "sends, but answers no request" if self._system.is_connected() else "has fallen silent after"
+                "sends telemetry but answers no request"
+                if self._system.is_connected()
+                else "went silent after"
             )
             raise NoAnswerError(f"the vehicle {says}: {', '.join(unanswered)}", source=self._url)
         with contextlib.suppress(TimeoutError):
@@ -287,11 +289,13 @@ class GroundLink:
                 self._answered = True
                 raise
             if not self._system.is_connected():
-                says = f"vehicle stopped responding; no answer to {what}"
+                says = f"the vehicle stopped responding; no answer to {what}"
                 raise NoAnswerError(says, source=self._url) from None
             self._unanswered.append(what)
             if not self._answered and len(self._unanswered) >= _MAX_UNANSWERED:
-                says = f"vehicle sends telemetry but does not answer requests: {', '.join(self._unanswered)}"
+                says = (
+                    f"the vehicle sends telemetry but does not answer requests: {', '.join(self._unanswered)}"
+                )
                 raise NoAnswerError(says, source=self._url) from None
             raise
         self._answered = True
@@ -302,7 +306,7 @@ class GroundLink:
         beat = self._session.next(messages.HEARTBEAT, _HEARTBEAT_S)
         if beat is not None:
             return HeartbeatMode(armed=beat.armed, hil=beat.hil)
-        other = self._session.refused_because(messages.HEARTBEAT)
+        other = self._session.unusable_reason(messages.HEARTBEAT)
         return HeartbeatMode(armed=False, hil=False, not_px4=other) if other else None
 
     def require_disarmed(self) -> None:
@@ -340,7 +344,7 @@ class GroundLink:
         for done, name in enumerate(names):
             progress(done)
             if time.monotonic() > end_s:
-                says = f"parameter {name} and others not received within {_PARAMETERS_S:g} s"
+                says = f"the vehicle did not send parameter {name} and others within {_PARAMETERS_S:g} s"
                 raise NoAnswerError(says, source=self._url)
             for read in (self._param.get_param_int, self._param.get_param_float):
                 try:
@@ -415,7 +419,10 @@ class GroundLink:
             for name in _RATED
         }
         batteries = session.batteries
-        seen.batteries, seen.other_batteries = tuple(batteries.counted()), tuple(batteries.others())
+        seen.batteries, seen.other_batteries = (
+            tuple(batteries.flight_batteries()),
+            tuple(batteries.other_batteries()),
+        )
         seen.motor_scale = None if session.motor_outputs is None else session.motor_outputs.scale
         for system in self._mavsdk.get_systems():
             if system.has_autopilot() and system.get_system_id() != self._system.get_system_id():

@@ -25,14 +25,14 @@ import msgspec
 from dart_flight.base.text import printable
 from dart_flight.config.document import InputError
 from dart_flight.config.link_url import parse_link
-from dart_flight.config.state_folder import HeldError, HeldFile, Lease, content_of_held, lock_file, state_dir
+from dart_flight.config.state_folder import HeldError, HeldFile, Lease, lock_file, read_held, state_dir
 
 _PAUSE_S = 0.02
 _STARTING_S = 2.0
 _FREE_LINK_ATTEMPTS = 20
 
 
-class LinkTakenError(InputError):
+class LinkInUseError(InputError):
     """Another program has the link."""
 
 
@@ -90,7 +90,7 @@ def endpoint_of(url: str) -> LinkEndpoint:
     return LinkEndpoint(f"{kind[:3]}-{'in' if kind.endswith('in') else 'out'}-{host}-{port}")
 
 
-def feed_of(port: int) -> str:
+def feed_name(port: int) -> str:
     """Return the name that a simulated vehicle leases to send to a UDP port; a receiver leases its URL."""
     return f"feed:{port}"
 
@@ -109,7 +109,7 @@ class LinkLease(Lease):
         log: path of the flight's log.
 
     Raises:
-        LinkTakenError: on entering, if another program has the link; the message names that program.
+        LinkInUseError: on entering, if another program has the link; the message names that program.
         InputError: on entering, if the state folder cannot be used.
     """
 
@@ -124,7 +124,7 @@ class LinkLease(Lease):
         """Acquire the link.
 
         Raises:
-            LinkTakenError: another program has the link; the message names that program.
+            LinkInUseError: another program has the link; the message names that program.
             InputError: the state folder or the serial device cannot be used.
         """
         try:
@@ -132,7 +132,7 @@ class LinkLease(Lease):
         except HeldError as error:
             holder = _decoded(error.content)
             words = holder.describe() if holder is not None else "another dart-flight"
-            raise LinkTakenError(f"in use by {words}", source=self._url) from None
+            raise LinkInUseError(f"in use by {words}", source=self._url) from None
         try:
             self._check_port()
             if self._endpoint.device is not None:
@@ -141,12 +141,12 @@ class LinkLease(Lease):
             self.release()
             raise
 
-    def note_log(self, log: Path) -> None:
+    def store_log_path(self, log: Path) -> None:
         """Store the path of the flight's log in the lease, for `monitor`."""
         self._holder = msgspec.structs.replace(self._holder, log=_path_text(log))
         self._file.write(self._content())
 
-    def close_device(self) -> None:
+    def lock_device(self) -> None:
         """Lock the serial device exclusively and make its reads blocking.
 
         Call after MAVSDK has opened the device. MAVSDK 4 sets VMIN to 0, so that its reads return at once
@@ -177,33 +177,33 @@ class LinkLease(Lease):
         if port is None:
             return
         # A starting `simulate` listens on the port briefly to detect other senders.
-        end = time.monotonic() + (_STARTING_S if holder_of(feed_of(port)) is not None else 0.0)
+        end = time.monotonic() + (_STARTING_S if find_holder(feed_name(port)) is not None else 0.0)
         while not udp_port_is_free(port, self._endpoint.host) and time.monotonic() < end:
             time.sleep(_PAUSE_S)
         if not udp_port_is_free(port, self._endpoint.host):
-            raise LinkTakenError(f"UDP port {port} is in use by {owner_of_udp_port(port)}", source=self._url)
+            raise LinkInUseError(f"UDP port {port} is in use by {owner_of_udp_port(port)}", source=self._url)
 
     def _lock_device(self, device: Path) -> None:
         try:
             self._device = os.open(device, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK | os.O_CLOEXEC)
         except FileNotFoundError:
-            raise InputError("there is no such serial device", source=self._url) from None
+            raise InputError("this serial device does not exist", source=self._url) from None
         except OSError as error:
             if error.errno == errno.EBUSY:
                 owners = _owners_of_device(device)
-                raise LinkTakenError(f"{device} is in use by {owners}", source=self._url) from None
+                raise LinkInUseError(f"{device} is in use by {owners}", source=self._url) from None
             raise InputError(f"cannot open {device}: {error.strerror}", source=self._url) from None
         others = _owners_of_device(device, besides=os.getpid())
         free = lock_file(self._device, device, "connect through another device")
         if not free or others != _UNKNOWN_OWNER:
-            raise LinkTakenError(f"{device} is in use by {others}", source=self._url)
+            raise LinkInUseError(f"{device} is in use by {others}", source=self._url)
 
 
-def free_link(command: str, log: Path | None = None) -> tuple[int, LinkLease]:
+def acquire_free_link(command: str, log: Path | None = None) -> tuple[int, LinkLease]:
     """Return an unused UDP port of the loopback interface and its acquired lease.
 
     Raises:
-        LinkTakenError: all tried ports are in use by other programs.
+        LinkInUseError: all tried ports are in use by other programs.
         InputError: the state folder cannot be used.
     """
     attempts = _FREE_LINK_ATTEMPTS
@@ -215,13 +215,13 @@ def free_link(command: str, log: Path | None = None) -> tuple[int, LinkLease]:
         try:
             lease.acquire()
             return port, lease
-        except LinkTakenError:  # another program has opened or leased the port in the meantime
+        except LinkInUseError:  # another program has opened or leased the port in the meantime
             attempts -= 1
             if not attempts:
                 raise
 
 
-def holder_of(url: str) -> Holder | None:
+def find_holder(url: str) -> Holder | None:
     """Return the program of this software that holds a link, or None."""
     return _holder_in(_file_of(url))
 
@@ -239,7 +239,7 @@ def _file_of(url: str) -> Path:
 
 
 def _holder_in(path: Path) -> Holder | None:
-    content = content_of_held(path)
+    content = read_held(path)
     return None if content is None else _decoded(content)
 
 
@@ -279,7 +279,7 @@ def udp_port_is_free(port: int, host: str = "") -> bool:
         if error.errno == errno.EADDRINUSE:
             return False
         place = f"{host}:{port}" if host else str(port)
-        raise InputError(f"UDP port {place} cannot be opened: {error.strerror}") from None
+        raise InputError(f"cannot open UDP port {place}: {error.strerror}") from None
     return True
 
 

@@ -299,7 +299,7 @@ def _odometry(m: _OdometryFields) -> Odometry | Unusable:
     if vx is None or vy is None or vz is None:
         return Unusable("with a velocity")
     if m.quality < 0:
-        return Unusable("of a valid estimate (quality -1)")
+        return Unusable("with a valid estimate (quality -1)")
     if max(abs(x), abs(y), abs(z)) > _MAX_POSITION_M or max(abs(vx), abs(vy), abs(vz)) > _MAX_SPEED_M_S:
         return Unusable(f"within {_MAX_POSITION_M:g} m and {_MAX_SPEED_M_S:g} m/s: another unit")
     return Odometry(m.time_usec, (x, y, z), (vx, vy, vz), m.reset_counter)

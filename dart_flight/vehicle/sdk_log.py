@@ -29,10 +29,10 @@ _repeated: dict[str, tuple[int, str, int]] = {}
 
 def redirect() -> None:
     """Send every further message to the logger `dart_flight.mavsdk` only."""
-    log_subscribe(take)
+    log_subscribe(log_message)
 
 
-def take(level: Any, message: str, _file: str | None, _line: int) -> bool:
+def log_message(level: Any, message: str, _file: str | None, _line: int) -> bool:
     """Log a message, as MAVSDK's callback on its threads; return True so that MAVSDK does not print it."""
     number = _LEVELS.get(int(level), logging.INFO)
     if _closing and _SOCKET_CLOSED in message:

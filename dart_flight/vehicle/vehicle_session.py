@@ -57,7 +57,7 @@ from dart_flight.vehicle.clock import Clock, ClockEstimate, host_us
 from dart_flight.vehicle.command_server import CommandServer, Press, Result
 from dart_flight.vehicle.messages import AUTOPILOT, MessageEntry, Unusable
 from dart_flight.vehicle.text_parts import TextAssembler, split_text
-from dart_flight.vehicle.timesync import request
+from dart_flight.vehicle.timesync import make_request
 
 _ACTION_TIMEOUT_S = 5.0
 _SYSTEM_STATUS = re.compile(r'"system_status":\s*(\d+)')
@@ -256,7 +256,7 @@ class VehicleSession:
         finally:
             self._direct.unsubscribe_message(handle)
 
-    def refused_because(self, entry: MessageEntry) -> str:
+    def unusable_reason(self, entry: MessageEntry) -> str:
         """Return why the autopilot's last message was refused, or an empty string if it was not."""
         own = self._raw.get_system_id()
         for (name, system, component, _), count in self.senders.items():
@@ -345,7 +345,7 @@ class VehicleSession:
             now = host_us()  # identifies the request even in lockstep, where time may not advance
             self._requests_us.append(now)
             with contextlib.suppress(Exception):  # a broken link is detected by missing answers
-                self._direct.send_message(request(now))
+                self._direct.send_message(make_request(now))
             await asyncio.sleep(_REQUEST_PERIOD_S)
 
     def _handle_answer(self, answer: messages.Timesync, _: int) -> Unusable | None:
@@ -468,7 +468,7 @@ class VehicleSession:
     def _deliver_text(self, text: tuple[str, str], received: int) -> None:
         self._deliver(StatusText(self.clock.to_autopilot(received), received, *text))
 
-    async def look_for_others(self) -> None:
+    async def detect_other_autopilot(self) -> None:
         """Deliver a record of another autopilot on the link, once; its system id identifies its messages."""
         if self._other is not None:
             return
@@ -507,11 +507,11 @@ class VehicleSession:
 
     def _on_checks(self, report: Any, _: Any) -> None:
         self.checked = True
-        self._deliver_health(*reasons.of_checks(report))
+        self._deliver_health(*reasons.report_from_checks(report))
 
     def _on_sys_status(self, sensors: messages.Sensors, _: int) -> None:
         if not self.checked:
-            self._deliver_health(*reasons.of_sys_status(sensors))
+            self._deliver_health(*reasons.report_from_sys_status(sensors))
 
     def _deliver_health(self, can_arm: bool, blocking: tuple[str, ...], others: tuple[str, ...]) -> None:
         now = (can_arm, blocking, others)
@@ -599,7 +599,7 @@ class VehicleSession:
         except MavsdkError as error:
             raise VehicleError(str(error)) from error
 
-    def tell_ground(self, text: str) -> None:
+    def send_text(self, text: str) -> None:
         """Send a text to the ground station as STATUSTEXT, in parts if it is long; ignore errors."""
         self._text_id = self._text_id % _MAX_TEXT_ID + 1
         with contextlib.suppress(Exception):
@@ -619,7 +619,7 @@ class VehicleSession:
         """
 
         def note(text: str) -> None:
-            self.tell_ground(text)
+            self.send_text(text)
             received = self._host_us()
             t_us = self.clock.to_autopilot(received)
             self._deliver(StatusText(t_us, received, "info", f"ground station: {text}", found_here=True))

@@ -13,7 +13,7 @@ from dart_flight.base.motor_outputs import (
     UAVCAN,
     MotorOutputDecoder,
     OutputScale,
-    scale_of,
+    identify_scale,
 )
 
 THROTTLE = st.floats(0.0, 1.0)
@@ -48,7 +48,7 @@ def test_what_comes_out_is_a_throttle_or_a_reason(raw: list[float | None], airbo
     ],
 )  # fmt: skip
 def test_a_type_follows_from_the_range(lowest: float, highest: float, scale: OutputScale | None) -> None:
-    assert scale_of(lowest, highest) is scale
+    assert identify_scale(lowest, highest) is scale
 
 
 def test_a_motor_that_stands_still_on_the_ground_tells_no_type() -> None:

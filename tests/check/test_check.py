@@ -18,21 +18,21 @@ from dart_flight.base.records import Record, TruthContact, TruthSample
 from dart_flight.check.findings import CheckFinding, decide
 from dart_flight.check.px4_parameters import (
     PARAMETERS,
-    judge_claim,
-    judge_parameters,
-    judge_position,
-    names_to_read,
+    evaluate_claim,
+    evaluate_parameters,
+    evaluate_position,
+    parameter_names,
     position_source,
 )
 from dart_flight.check.telemetry_check import (
-    judge_battery,
-    judge_motor_outputs,
-    judge_rates,
-    judge_resting_force,
-    judge_sources,
+    evaluate_battery,
+    evaluate_motor_outputs,
+    evaluate_rates,
+    evaluate_resting_force,
+    evaluate_sources,
     motor_output_names,
 )
-from dart_flight.check.vehicle_check import judge_lock, judge_mode, judge_observation
+from dart_flight.check.vehicle_check import evaluate_lock, evaluate_mode, evaluate_observation
 from dart_flight.check.wanted_parameters import IMU_POSITION
 from dart_flight.cli import main
 from dart_flight.cli.check_command import show
@@ -170,8 +170,8 @@ GOOD = {
 
 
 def test_a_vehicle_in_hardware_in_the_loop_is_refused_by_its_heartbeat_too() -> None:
-    assert judge_mode(HeartbeatMode(armed=False, hil=False)) == judge_mode(None) == []
-    (found,) = judge_mode(HeartbeatMode(armed=False, hil=True))
+    assert evaluate_mode(HeartbeatMode(armed=False, hil=False)) == evaluate_mode(None) == []
+    (found,) = evaluate_mode(HeartbeatMode(armed=False, hil=True))
     assert (found.go, found.item) == (False, "hil_mode")
 
 
@@ -180,7 +180,7 @@ def remarks(findings: list[CheckFinding]) -> list[str]:
 
 
 def test_a_vehicle_set_up_by_our_files_is_go_without_a_remark() -> None:
-    findings = judge_parameters(mocap_mission(), GOOD, PositionSource.MOCAP)
+    findings = evaluate_parameters(mocap_mission(), GOOD, PositionSource.MOCAP)
     assert not no_goes(findings)
     assert not remarks(findings)
     assert (set(PARAMETERS) - {"MAN_OVERRIDE_SPD"}) | {"EKF2_EV_DELAY"} == {f.item for f in findings}
@@ -197,21 +197,23 @@ def test_a_vehicle_of_a_version_that_has_renamed_and_dropped_parameters_is_go(
     version: tuple[int, int] | None,
 ) -> None:
     """v1.18 has MAN_OVERRIDE_SPD instead of COM_RC_OVERRIDE, no COM_IMB_PROP_ACT, no COM_LKDOWN_TKO."""
-    findings = judge_parameters(mocap_mission(), NEWER, PositionSource.MOCAP, version)
+    findings = evaluate_parameters(mocap_mission(), NEWER, PositionSource.MOCAP, version)
     assert not no_goes(findings)
     assert not remarks(findings)
     assert {"MAN_OVERRIDE_SPD"} == {f.item for f in findings} - set(GOOD)
     assert not {"COM_RC_OVERRIDE", "COM_IMB_PROP_ACT"} & {f.item for f in findings}
-    unable = judge_parameters(mission(), {**NEWER, "MAN_OVERRIDE_SPD": -1.0}, PositionSource.MOCAP, version)
+    unable = evaluate_parameters(
+        mission(), {**NEWER, "MAN_OVERRIDE_SPD": -1.0}, PositionSource.MOCAP, version
+    )
     assert no_goes(unable) == ["MAN_OVERRIDE_SPD"]
 
 
 @pytest.mark.parametrize("name", ["COM_RC_OVERRIDE", "COM_IMB_PROP_ACT"])
 def test_a_parameter_that_the_version_has_and_that_was_not_read_is_a_no_go(name: str) -> None:
     missing = {n: value for n, value in GOOD.items() if n != name}
-    assert no_goes(judge_parameters(mission(), missing, PositionSource.MOCAP, V1_16)) == [name]
+    assert no_goes(evaluate_parameters(mission(), missing, PositionSource.MOCAP, V1_16)) == [name]
     without_both = {n: v for n, v in missing.items() if n not in ("COM_RC_OVERRIDE", "COM_IMB_PROP_ACT")}
-    assert set(no_goes(judge_parameters(mission(), without_both, PositionSource.MOCAP))) == {
+    assert set(no_goes(evaluate_parameters(mission(), without_both, PositionSource.MOCAP))) == {
         "COM_RC_OVERRIDE",
         "COM_IMB_PROP_ACT",
         "MAN_OVERRIDE_SPD",
@@ -233,7 +235,7 @@ def test_a_parameter_that_the_version_has_and_that_was_not_read_is_a_no_go(name:
     ],
 )
 def test_a_dangerous_parameter_is_a_no_go(name: str, value: float) -> None:
-    findings = judge_parameters(mocap_mission(), {**GOOD, name: value}, PositionSource.MOCAP)
+    findings = evaluate_parameters(mocap_mission(), {**GOOD, name: value}, PositionSource.MOCAP)
     assert no_goes(findings) == [name]
     assert [f.item for f in findings].count(name) == 1
 
@@ -253,7 +255,7 @@ def test_a_dangerous_parameter_is_a_no_go(name: str, value: float) -> None:
     ],
 )
 def test_another_difference_is_a_remark_with_the_files_reason(name: str, value: float, words: str) -> None:
-    findings = judge_parameters(mocap_mission(), {**GOOD, name: value}, PositionSource.MOCAP)
+    findings = evaluate_parameters(mocap_mission(), {**GOOD, name: value}, PositionSource.MOCAP)
     assert not no_goes(findings)
     assert remarks(findings) == [name]
     says = next(f.says for f in findings if f.item == name)
@@ -262,7 +264,7 @@ def test_another_difference_is_a_remark_with_the_files_reason(name: str, value: 
 
 
 def _delay_finding(actual_ms: float, measured_ms: float | None) -> CheckFinding:
-    findings = judge_parameters(
+    findings = evaluate_parameters(
         mocap_mission(measured_ms), {**GOOD, "EKF2_EV_DELAY": actual_ms}, PositionSource.MOCAP
     )
     (found,) = (f for f in findings if f.item == "EKF2_EV_DELAY")
@@ -275,7 +277,7 @@ def test_a_pose_delay_far_from_the_measured_one_is_a_no_go(actual_ms: float, mea
     assert found.go is (abs(actual_ms - measured_ms) <= 30.0)
     assert not found.remark
     if not found.go:
-        assert "30 ms allowed" in found.says
+        assert "limit 30 ms" in found.says
         assert f"set EKF2_EV_DELAY to {measured_ms:g}" in found.says
 
 
@@ -290,18 +292,18 @@ def test_a_pose_delay_that_nobody_has_measured_is_a_remark(actual_ms: float, wor
 
 @pytest.mark.parametrize("source", [PositionSource.RTK, PositionSource.PLAIN, None])
 def test_the_pose_delay_does_not_matter_without_motion_capture(source: PositionSource | None) -> None:
-    findings = judge_parameters(mocap_mission(), {**GOOD, "EKF2_EV_DELAY": 300.0}, source)
+    findings = evaluate_parameters(mocap_mission(), {**GOOD, "EKF2_EV_DELAY": 300.0}, source)
     assert "EKF2_EV_DELAY" not in {f.item for f in findings}
 
 
 def test_the_imus_place_is_compared_with_the_configuration() -> None:
     """PX4's own and `imu.position_m` mean the same three metres; a difference is a remark, and names both."""
     names = dict.fromkeys(IMU_POSITION, 0.0)
-    assert set(IMU_POSITION) <= set(names_to_read())
-    as_configured = judge_parameters(mission(), {**GOOD, **names}, PositionSource.MOCAP)
+    assert set(IMU_POSITION) <= set(parameter_names())
+    as_configured = evaluate_parameters(mission(), {**GOOD, **names}, PositionSource.MOCAP)
     assert not [f for f in as_configured if f.item in IMU_POSITION]
     assert not no_goes(as_configured)
-    moved = judge_parameters(mission(), {**GOOD, **names, "EKF2_IMU_POS_Y": 0.03}, PositionSource.MOCAP)
+    moved = evaluate_parameters(mission(), {**GOOD, **names, "EKF2_IMU_POS_Y": 0.03}, PositionSource.MOCAP)
     (found,) = [f for f in moved if f.item in IMU_POSITION]
     assert (found.item, found.remark) == ("EKF2_IMU_POS_Y", True)
     assert "0.03 m on the vehicle, 0 m in imu.position_m" in found.says
@@ -309,13 +311,13 @@ def test_the_imus_place_is_compared_with_the_configuration() -> None:
 
 
 def test_what_cannot_be_read_is_no_go_where_it_can_hurt_and_a_remark_elsewhere() -> None:
-    silent = judge_parameters(mission(), {}, PositionSource.RTK)
+    silent = evaluate_parameters(mission(), {}, PositionSource.RTK)
     assert set(no_goes(silent)) == set(PARAMETERS)
     assert set(remarks(silent)) == set(vehicle_parameters(PositionSource.RTK)) - set(no_goes(silent))
 
 
 def test_every_compared_parameter_is_read() -> None:
-    names = names_to_read()
+    names = parameter_names()
     assert len(names) == len(set(names))
     for source in PositionSource:
         assert set(vehicle_parameters(source)) <= set(names)
@@ -343,7 +345,7 @@ def test_where_the_position_comes_from(
     ("found", "fix", "claimed", "go", "words"),
     [
         (PositionSource.MOCAP, None, None, True, "motion capture"),
-        (PositionSource.MOCAP, None, PositionSource.RTK, False, "not rtk as specified"),
+        (PositionSource.MOCAP, None, PositionSource.RTK, False, "--position-from is rtk, but"),
         (PositionSource.RTK, "rtk_fixed", None, True, "GPS, rtk fixed"),
         (PositionSource.RTK, "rtk_fixed", PositionSource.MOCAP, False, "comes from GPS (rtk fixed)"),
         (PositionSource.PLAIN, "fix_3d", None, False, "a wall mission needs RTK, motion capture or"),
@@ -354,15 +356,15 @@ def test_where_the_position_comes_from(
 def test_the_position_must_be_good_enough_for_a_wall(
     found: PositionSource | None, fix: str | None, claimed: PositionSource | None, go: bool, words: str
 ) -> None:
-    (finding,) = judge_position(mission(), found, fix, claimed)
+    (finding,) = evaluate_position(mission(), found, fix, claimed)
     assert (finding.item, finding.go) == ("position_source", go)
     assert words in finding.says
 
 
 def test_a_surveyed_room_means_nothing_to_gps() -> None:
     moved = msgspec.structs.replace(mission(), start=(0.5, 0.0))
-    assert no_goes(judge_claim(moved, PositionSource.RTK)) == ["frame"]
-    assert no_goes(judge_claim(moved, PositionSource.MOCAP)) == []
+    assert no_goes(evaluate_claim(moved, PositionSource.RTK)) == ["frame"]
+    assert no_goes(evaluate_claim(moved, PositionSource.MOCAP)) == []
 
 
 def test_plain_gps_is_refused_without_a_vehicle_too(capsys: pytest.CaptureFixture[str]) -> None:
@@ -379,12 +381,12 @@ OBSERVED = Observation("1.16.0", RATES, 15.6, 0.9, True)
 
 def judged(observed: Observation, **values: float) -> dict[str, CheckFinding]:
     findings = [
-        *judge_observation(observed),
-        *judge_rates(observed, values),
-        *judge_sources(observed),
-        judge_battery(mission(), observed),
-        *judge_resting_force(observed),
-        *judge_motor_outputs(mission(), observed, values),
+        *evaluate_observation(observed),
+        *evaluate_rates(observed, values),
+        *evaluate_sources(observed),
+        evaluate_battery(mission(), observed),
+        *evaluate_resting_force(observed),
+        *evaluate_motor_outputs(mission(), observed, values),
     ]
     return {finding.item: finding for finding in findings}
 
@@ -395,7 +397,7 @@ def test_what_this_program_finds_is_not_put_into_px4s_mouth() -> None:
     assert judged(observed)["estimator"].says == f"no valid local position; {here}"
     assert "px4_checks" not in judged(observed)
     both = msgspec.structs.replace(observed, texts=["no heading"])
-    assert judged(both)["estimator"].says == f"no valid local position; {here}; PX4 says: no heading"
+    assert judged(both)["estimator"].says == f"no valid local position; {here}; PX4 reports: no heading"
 
 
 def test_what_is_observed_is_judged() -> None:
@@ -462,7 +464,7 @@ NO_MAIN = dict.fromkeys((f"PWM_MAIN_FUNC{k}" for k in range(1, 5)), 0.0)
         (MAIN, PWM, True, "PWM 1000 to 2000 us, on PWM_MAIN"),
         ({**MAIN, "PWM_MAIN_TIM0": -4.0}, None, True, "DShot 0 to 1999, on PWM_MAIN"),
         ({**NO_MAIN, **CAN}, None, True, "UAVCAN 0 to 8191, on UAVCAN_EC"),
-        ({}, DSHOT, True, "DShot 0 to 1999, by the values"),
+        ({}, DSHOT, True, "DShot 0 to 1999, judged by the values"),
         (MAIN, DSHOT, False, "sends DShot"),
         (
             {**MAIN, "PWM_MAIN_FUNC2": 103.0},
@@ -499,12 +501,12 @@ def test_what_the_motors_are_connected_to_is_read_bank_by_bank(has: dict[str, fl
 
 def test_a_lock_that_would_not_move_is_a_no_go() -> None:
     plain = mission()
-    assert no_goes(judge_lock(plain, {})) == ["lock_driver"]  # mock: nothing real moves
+    assert no_goes(evaluate_lock(plain, {})) == ["lock_driver"]  # mock: nothing real moves
     by_px4 = with_driver(plain, LockDriver.PX4)
-    assert no_goes(judge_lock(by_px4, {})) == ["lock_driver"]
+    assert no_goes(evaluate_lock(by_px4, {})) == ["lock_driver"]
     assert by_px4.vehicle.lock is not None
     values = {required.name: float(required.value) for required in required_parameters(by_px4.vehicle.lock)}
-    assert not no_goes(judge_lock(by_px4, values))
+    assert not no_goes(evaluate_lock(by_px4, values))
 
 
 @pytest.mark.realtime
@@ -541,7 +543,7 @@ def test_check_and_fly_with_a_vehicle(tmp_path: Path) -> None:
         assert float(items["rate_imu"].split()[0]) > 150.0
         elsewhere = command("check", "--connection", url, "--driver", "px4", "--position-from", "rtk")
         assert elsewhere.returncode == 1
-        assert "position_source: not rtk as specified" in elsewhere.stderr
+        assert "position_source: --position-from is rtk, but" in elsewhere.stderr
         refused = command("fly", "--yes", "--connection", url, "--log-dir", str(tmp_path / "none"))
         assert refused.returncode == 1
         assert "lock_driver" in refused.stderr

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dart_flight.check.bringup.steps import STEPS
-from dart_flight.check.checks import CHECKS, checks_of
+from dart_flight.check.checks import CHECKS, select_checks
 from dart_flight.check.stages import Check, CheckContext, EndOfStageError, Stage, run_checks
 
 
@@ -77,7 +77,7 @@ def test_a_check_is_told_by_stage_and_name() -> None:
 
 
 def test_stages_are_chosen_in_the_order_of_the_list() -> None:
-    chosen = checks_of(Stage.VEHICLE, Stage.FILE)
+    chosen = select_checks(Stage.VEHICLE, Stage.FILE)
     assert [check.stage for check in chosen] == sorted(
         (check.stage for check in chosen), key=[Stage.FILE, Stage.VEHICLE].index
     )

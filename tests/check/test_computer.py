@@ -8,7 +8,7 @@ from typing import get_args
 import pytest
 
 from dart_flight.base.records import ComputerSample, Input, Note, Output, Record, World
-from dart_flight.check.computer_load import check_computer, check_core_speed, judge_core_speed
+from dart_flight.check.computer_load import check_computer, check_core_speed, evaluate_core_speed
 from dart_flight.config.mission import load_mission
 from dart_flight.config.vehicle import packaged
 from dart_flight.run.computer import ComputerWatch, read_computer
@@ -64,11 +64,11 @@ def test_heat_and_a_weak_supply_are_told(sample: ComputerSample, no_go: set[str]
 
 
 def test_a_computer_that_cannot_keep_up_is_told_by_its_margin() -> None:
-    fast, slow, too_slow = (judge_core_speed(ms * 1e-3, 4e-3) for ms in (0.1, 0.5, 2.0))
+    fast, slow, too_slow = (evaluate_core_speed(ms * 1e-3, 4e-3) for ms in (0.1, 0.5, 2.0))
     assert (fast.go, fast.remark) == (True, False)
     assert fast.figures["margin"] == pytest.approx(40.0)
     assert (slow.go, slow.remark) == (True, True)
-    assert "6 ms after the peak" in slow.says
+    assert "6 ms after the sample with the peak" in slow.says
     assert (too_slow.go, "too slow" in too_slow.says) == (False, True)
 
 

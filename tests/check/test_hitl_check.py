@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import pytest
 
-from dart_flight.check.checks import FlightContext, checks_of
+from dart_flight.check.checks import FlightContext, select_checks
 from dart_flight.check.findings import CheckFinding
 from dart_flight.check.hitl_check import hitl_parameters
 from dart_flight.check.stages import Stage, run_checks
@@ -40,7 +40,7 @@ def found_of(
 ) -> list[CheckFinding]:
     reading = VehicleReading(mode, values)
     context = FlightContext(mission, position_from=PositionSource.MOCAP, reading=reading)
-    return run_checks(checks_of(Stage.HITL), context)
+    return run_checks(select_checks(Stage.HITL), context)
 
 
 def refusals(
@@ -104,7 +104,7 @@ def test_motors_on_a_px4io_are_refused_only_where_there_is_one(
 def test_a_servo_on_px4s_own_output_would_not_move(mission: Mission, board: dict[str, float]) -> None:
     found = refusals(with_driver(mission, LockDriver.PX4), board)
     assert set(found) == {"lock_driver"}
-    assert "--driver maestro" in found["lock_driver"]
+    assert "choose maestro, pwm or mock (--driver)" in found["lock_driver"]
 
 
 def test_dangerous_parameters_of_the_vehicle_are_refused_as_in_check(

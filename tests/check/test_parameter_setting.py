@@ -12,14 +12,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dart_flight.check import parameter_setting as setting
-from dart_flight.check.px4_parameters import judge_parameters
+from dart_flight.check.px4_parameters import evaluate_parameters
 from dart_flight.check.wanted_parameters import (
     METADATA,
     RESTART,
     MetadataError,
     ParameterRow,
+    list_differences,
     restart_names,
-    rows_of,
     wanted_parameters,
     with_lock_output,
 )
@@ -122,9 +122,9 @@ def test_a_vehicle_as_wanted_is_go(source: PositionSource) -> None:
         if p.renamed is not None or not p.is_absent_in((1, 18))
     }
     values |= {"COM_LKDOWN_TKO": 5.0, "COM_DISARM_LAND": 2.0}
-    found = judge_parameters(of, values, source, (1, 18))
+    found = evaluate_parameters(of, values, source, (1, 18))
     assert [f for f in found if not f.go or f.remark] == []
-    assert rows_of(wanted_parameters(of, source), values, ()) == []
+    assert list_differences(wanted_parameters(of, source), values, ()) == []
 
 
 def test_the_lock_s_output_keeps_the_bits_of_other_pins() -> None:
@@ -143,7 +143,7 @@ def test_rows_have_the_vehicle_s_type_and_its_reason() -> None:
         "C": Parameter("C", 1, "why c"),
         "D": Parameter("D", 1.0, "", tolerance=0.1),
     }
-    rows = rows_of(wanted, {"A": 0.0, "B": 3, "D": 1.05}, {"B"})
+    rows = list_differences(wanted, {"A": 0.0, "B": 3, "D": 1.05}, {"B"})
     assert rows == [
         ParameterRow("A", 0.0, 4.0, "why a", False),
         ParameterRow("B", 3, 2, "why b", True),
@@ -172,7 +172,7 @@ def test_written_read_back_and_written_back(tmp_path: Path) -> None:
     link = FakeLink(dict(before))
     found = read(link)
     assert {row.name for row in found.writable} == set(before)
-    saved = setting.save_former(found.writable, tmp_path, "a vehicle", NOW)
+    saved = setting.save_previous(found.writable, tmp_path, "a vehicle", NOW)
     assert saved.name == "px4_before_2026-11-26_050000.params"
     assert setting.write_rows(link, found.writable) == {}
     assert read(link).writable == []
@@ -181,7 +181,7 @@ def test_written_read_back_and_written_back(tmp_path: Path) -> None:
     assert setting.write_rows(link, back.writable) == {}
     assert link.values == pytest.approx(before, rel=1e-8)
     with pytest.raises(InputError, match="exists"):
-        setting.save_former(found.writable, tmp_path, "a vehicle", NOW)  # never over another's values
+        setting.save_previous(found.writable, tmp_path, "a vehicle", NOW)  # never over another's values
 
 
 def test_what_the_vehicle_does_not_take_is_named() -> None:

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from dart_flight.base.geometry import quaternion_from_euler
 from dart_flight.check.findings import CheckFinding
-from dart_flight.check.place_check import judge_place
+from dart_flight.check.place_check import evaluate_place
 from dart_flight.config.mission import Mission, load_mission
 from dart_flight.config.vehicle import packaged
 from tests.mission_findings import check_mission
@@ -25,7 +25,7 @@ def place(
     """Findings for a vehicle that stands at a place of the mission's frame."""
     frame = mission.frame_at((0.0, 0.0, 0.0))
     q = quaternion_from_euler(0.0, 0.0, math.radians(heading_deg))
-    return {f.item: f for f in judge_place(mission, frame.point_to_ned((x, y, 0.0)), q)}
+    return {f.item: f for f in evaluate_place(mission, frame.point_to_ned((x, y, 0.0)), q)}
 
 
 def test_at_the_start_place_heading_and_walls_are_stated() -> None:
@@ -62,10 +62,10 @@ def test_distances_do_not_depend_on_the_frame(
 @pytest.mark.parametrize(
     ("x", "y", "says"),
     [
-        (20.0, 0.0, "17.80 m outside of bounds_m"),
-        (0.0, 1.4, "1.40 m from start, 1 m allowed"),
+        (20.0, 0.0, "17.80 m outside bounds_m"),
+        (0.0, 1.4, "1.40 m from start, limit 1 m"),
         (1.9, 0.0, "behind wall acrylic"),
-        (0.3, -1.05, "too near to or cut off by wall wood"),
+        (0.3, -1.05, "too near or cut off by wall wood"),
     ],
 )
 def test_a_start_that_the_mission_does_not_tolerate_is_a_no_go(x: float, y: float, says: str) -> None:
@@ -142,4 +142,4 @@ def test_shipped_missions_are_go_at_their_start(name: str) -> None:
 
 
 def test_without_a_position_nothing_is_said() -> None:
-    assert judge_place(DUAL, None, None) == []
+    assert evaluate_place(DUAL, None, None) == []

@@ -3,7 +3,7 @@
 import msgspec
 import pytest
 
-from dart_flight.check.pose_check import judge_poses
+from dart_flight.check.pose_check import evaluate_poses
 from dart_flight.config.vehicle.mocap import MotionCapture
 from dart_flight.vehicle.ground_link import Observation, Source
 from dart_flight.vehicle.motion_capture.pose_statistics import PoseFigures
@@ -22,50 +22,50 @@ GOOD = PoseFigures(
 
 
 def test_good_poses_are_one_go() -> None:
-    (finding,) = judge_poses(CONFIG, Observation(poses=GOOD))
+    (finding,) = evaluate_poses(CONFIG, Observation(poses=GOOD))
     assert finding.go
     assert finding.item == "pose_source"
     assert finding.says == "100 poses/s, 12 ms old; PX4's estimate is 0.01 m and 0.5 deg off"
 
 
 def test_without_forwarded_poses_nothing_is_judged() -> None:
-    assert judge_poses(MotionCapture(), Observation()) == []
+    assert evaluate_poses(MotionCapture(), Observation()) == []
 
 
 @pytest.mark.parametrize(
     ("changes", "says"),
     [
         ({"rate_hz": 0.0}, "no poses from udp://0.0.0.0:9763/dart: the body is not tracked"),
-        ({"rate_hz": 30.0}, "30 poses/s, needs 40"),
+        ({"rate_hz": 30.0}, "30 poses/s, minimum 40"),
         ({"lost": 0.2}, "body lost in 20 %"),
         ({"gaps": 2, "longest_gap_s": 0.4}, "2 gaps of more than 0.1 s, longest 0.40 s"),
         ({"senders": ("a:1", "b:2")}, "two sources send the body: a:1, b:2"),
-        ({"age_growth_ms": 35.0}, "grown by 35 ms"),
-        ({"age_ms": 140.0}, "140 ms old, allowed are 100"),
+        ({"age_growth_ms": 35.0}, "grew by 35 ms"),
+        ({"age_ms": 140.0}, "140 ms old, limit 100 ms"),
         ({"distance_to_px4_m": None}, "PX4 has no estimate from the poses"),
         ({"angle_to_px4_deg": 90.0}, "0.01 m and 90 deg off the poses"),
     ],
 )
 def test_a_defect_is_a_no_go_that_names_it(changes: dict[str, object], says: str) -> None:
-    (finding,) = judge_poses(CONFIG, Observation(poses=msgspec.structs.replace(GOOD, **changes)))
+    (finding,) = evaluate_poses(CONFIG, Observation(poses=msgspec.structs.replace(GOOD, **changes)))
     assert not finding.go
     assert says in finding.says
 
 
 def test_every_defect_has_a_line_of_its_own() -> None:
     poses = msgspec.structs.replace(GOOD, rate_hz=30.0, gaps=1, senders=("a:1", "b:2"), age_growth_ms=50.0)
-    assert [finding.go for finding in judge_poses(CONFIG, Observation(poses=poses))] == [False] * 4
+    assert [finding.go for finding in evaluate_poses(CONFIG, Observation(poses=poses))] == [False] * 4
 
 
 def test_the_sources_own_reason_is_told() -> None:
     observed = Observation(poses=PoseFigures(), pose_problem="no object dart, only wand")
-    assert "no object dart, only wand" in judge_poses(CONFIG, observed)[0].says
+    assert "no object dart, only wand" in evaluate_poses(CONFIG, observed)[0].says
 
 
 def test_another_program_with_timesync_is_named() -> None:
     sources = tuple(
         Source(Sender("TIMESYNC", 1, component, 0), 10.0, 10.0, component == 1, "") for component in (1, 191)
     )
-    _, remark = judge_poses(CONFIG, Observation(poses=GOOD, sources=sources))
+    _, remark = evaluate_poses(CONFIG, Observation(poses=GOOD, sources=sources))
     assert remark.remark
     assert "system 1 component 191 sends TIMESYNC" in remark.says

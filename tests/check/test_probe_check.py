@@ -21,16 +21,19 @@ def findings(name: str, changes: Mapping[str, Any] | None = None) -> dict[str, C
 def test_a_wall_that_nobody_knows_is_judged_in_flight() -> None:
     found = findings("find_a_wall")
     assert all(finding.go for finding in found.values())
-    assert "at most 37 N on the stiffest surface" in found["probe_1"].says
-    assert "once a probe has found it" in found["approach_2"].says
+    assert "at most 37 N on the stiffest known material" in found["probe_1"].says
+    assert "after a probe has found it" in found["approach_2"].says
     assert not {"wall_end", "path", "incidence_2", "survey_2"} & set(found)
 
 
 @pytest.mark.parametrize(
     ("changes", "says"),
     [
-        ({"collisions[0].mode": "flexible", "collisions[0].probe.speed_m_s": 0.2}, "too gentle to be felt"),
-        ({"collisions[0].probe.speed_m_s": 2.5}, "over limits.peak_force_n 150"),
+        (
+            {"collisions[0].mode": "flexible", "collisions[0].probe.speed_m_s": 0.2},
+            "too slow to detect a contact",
+        ),
+        ({"collisions[0].probe.speed_m_s": 2.5}, "limits.peak_force_n is 150 N"),
     ],
 )
 def test_a_probe_that_is_not_felt_or_not_borne_is_a_no_go(changes: Mapping[str, Any], says: str) -> None:
@@ -43,7 +46,7 @@ def test_a_probe_that_may_end_before_its_wall_is_remarked() -> None:
     uncertain = {"walls.wood.position_sd_m": 0.6}
     probe = findings("dual_collision_gps", uncertain)["probe_1"]
     assert (probe.go, probe.remark) == (True, True)
-    assert "may stand 1.80 m further" in probe.says
+    assert "may be 1.80 m further away" in probe.says
 
 
 def test_how_old_an_anchor_will_be_is_told_with_what_is_left_of_it() -> None:
@@ -61,4 +64,4 @@ def test_a_wall_without_a_touch_before_is_a_no_go_where_the_frame_drifts() -> No
     drifting = mission.replace({"frame.origin": "takeoff", "frame.anchored_by": "touch"})
     found = {finding.item: finding for finding in check_mission(drifting)}
     assert not found["anchor_1"].go
-    assert "touch it, or a parallel wall, first" in found["anchor_1"].says
+    assert "touch it or a parallel wall first" in found["anchor_1"].says

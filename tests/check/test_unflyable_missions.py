@@ -28,7 +28,7 @@ UNFLYABLE = {
     ),
     "post in the run-up": (
         ("collisions:", "posts: {pole: {centre_m: [0.8, 0.4], radius_m: 0.05, material: wood}}\ncollisions:"),
-        "post pole is in the way of the run-up",
+        "post pole blocks the run-up",
     ),
     "wall in the way to a waypoint": (
         (
@@ -36,7 +36,7 @@ UNFLYABLE = {
             "  screen: {point_m: [-0.6, 0.0], normal: [1.0, 0.0], length_m: 1.0, material: wood}\n"
             "waypoints: [{position_m: [-1.2, 0.0], after: 0}]\ncollisions:",
         ),
-        "wall screen is in the way",
+        "wall screen blocks the",
     ),
 }
 

@@ -184,7 +184,7 @@ def test_a_point_beside_the_wall_is_told_with_the_nearest_on_it(tmp_path: Path) 
 @pytest.mark.parametrize(
     ("keys", "said"),
     [
-        ("impact_along_m: 99.0", "the wall reaches from"),
+        ("impact_along_m: 99.0", "the wall, which extends from"),
         ("impact_along_m: 0.1, impact_point_m: [0, 0]", "not both"),
     ],
 )
@@ -222,7 +222,7 @@ def test_the_animation_of_a_vehicle_without_a_lock_shows_none(
 
 def test_a_package_that_is_there_and_does_not_load_is_not_called_missing() -> None:
     for error, says in (
-        (ImportError("libopenblas.so.0: cannot open"), "needs SciPy, which does not load: libopenblas.so.0"),
+        (ImportError("libopenblas.so.0: cannot open"), "needs SciPy, but it does not load: libopenblas.so.0"),
         (ModuleNotFoundError("No module named 'scipy'"), "needs SciPy: "),
     ):
         try:

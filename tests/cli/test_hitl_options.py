@@ -40,8 +40,8 @@ def refused(capsys: pytest.CaptureFixture[str], *words: str) -> str:
         (["--hitl", HITL, "--fault", "servo-slow"], "--fault and --hitl exclude each other"),
         (["--hitl", HITL, "--speed", "2"], "--speed and --hitl exclude each other"),
         (["--hitl", "rubbish", "--connection", LINK], "not a connection URL"),
-        (["--hitl", "serial:///dev/no-such-port:921600", "--connection", LINK], "no serial port"),
-        (["--hitl", LINK, "--connection", LINK], "also the app's link"),
+        (["--hitl", "serial:///dev/no-such-port:921600", "--connection", LINK], "the serial port"),
+        (["--hitl", LINK, "--connection", LINK], "also the link of the application"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
 )
@@ -58,7 +58,7 @@ def test_one_port_by_two_names_is_one_port(tmp_path: Path, capsys: pytest.Captur
     by_id = tmp_path / "by-id"
     by_id.symlink_to(os.ttyname(slave))
     urls = (f"serial://{os.ttyname(slave)}:921600", f"serial://{by_id}:921600")
-    assert "also the app's link" in refused(capsys, "--hitl", urls[0], "--connection", urls[1])
+    assert "also the link of the application" in refused(capsys, "--hitl", urls[0], "--connection", urls[1])
     os.close(slave)
     os.close(master)
 
@@ -92,7 +92,7 @@ def test_not_confirmed_is_not_flown(
     monkeypatch.setattr(sys, "stdin", io.StringIO(typed))
     err = refused(capsys, "--hitl", HITL, "--connection", LINK)
     assert "Take the propellers off" in err
-    assert err.splitlines()[-1].endswith("not confirmed by typing 'propellers off'; not flown")
+    assert err.splitlines()[-1].endswith("'propellers off' was not typed; not flown")
 
 
 def test_a_flight_controller_that_is_not_ready_is_not_flown(

@@ -164,7 +164,7 @@ def test_a_campaign_needs_names_that_it_can_keep(
     odd_mission: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["campaign", str(odd_mission), "--runs", "1", "--out", str(tmp_path / "c")]) == 2
-    assert "the name is not UTF-8" in capsys.readouterr().err
+    assert "the file name is not UTF-8" in capsys.readouterr().err
 
 
 def test_json_of_any_text_is_json(capsys: pytest.CaptureFixture[str]) -> None:
@@ -183,7 +183,7 @@ def test_json_of_any_text_is_json(capsys: pytest.CaptureFixture[str]) -> None:
 @pytest.mark.parametrize("command", [["check", str(MISSION)], ["dry-run", str(MISSION), "--fast"], PREDICT])
 def test_a_removed_working_folder_is_one_line(command: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     assert main(command) == 2
-    line = "the working folder cannot be used: No such file or directory; cd to another one\n"
+    line = "cannot use the working folder: No such file or directory; cd to another one\n"
     assert capsys.readouterr().err == line
 
 
@@ -200,7 +200,7 @@ def test_a_px4_folder_that_leads_to_itself_is_one_line(
     (tmp_path / "b").symlink_to(tmp_path / "a")
     for folder in (str(tmp_path / "a"), "~nobody-of-that-name/px4"):
         assert main(["dry-run", str(MISSION), "--px4", folder]) == 2
-        assert "no PX4 SITL there" in capsys.readouterr().err
+        assert "no PX4 SITL in this folder" in capsys.readouterr().err
 
 
 def test_an_unexpected_system_error_is_a_line_with_its_place(

@@ -32,9 +32,9 @@ def test_listed_written_and_written_back(
         assert "@reboot_required" in listed["restart_source"]  # this autopilot has no files to read it from
         status, done, said = run("--write", "--yes", "--json")
         assert (status, done["refused"], set(done["written"])) == (0, {}, set(differing))
-        assert "former values: " in said
+        assert "previous values: " in said
         status, _, said = run()
-        assert (status, "every parameter is as wanted" in said) == (0, True)
+        assert (status, "all parameters have the wanted values" in said) == (0, True)
         status, back, _ = run("--restore", done["saved"], "--yes", "--json")
         assert status == 0
         assert {row["name"]: row["wanted"] for row in back["parameters"]} == {

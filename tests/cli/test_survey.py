@@ -40,8 +40,8 @@ def test_walls_that_stand_elsewhere_are_measured_and_written(
     before, after = load_mission(DUAL), load_mission("new/mission.yaml")
     assert [wall.name for wall in after.flat_walls] == [wall.name for wall in before.flat_walls]
     for old, new in zip(before.flat_walls, after.flat_walls, strict=True):
-        true = old.moved(drawn[f"wall_offset_m.{old.name}"])
-        true = true.turned(math.radians(drawn[f"wall_yaw_deg.{old.name}"]))
+        true = old.displaced(drawn[f"wall_offset_m.{old.name}"])
+        true = true.rotated(math.radians(drawn[f"wall_yaw_deg.{old.name}"]))
         found = next(w for w in printed["walls"] if w["name"] == old.name)
         assert abs(found["truth_error_m"]) < 0.02
         assert abs(found["truth_error_deg"]) < 2.0
@@ -67,7 +67,7 @@ def test_a_plan_along_trajectories_that_no_longer_fits_is_named(
     mission = packaged("missions", "touch_and_return.yaml")
     words = ["survey", str(mission), "--fast", "--seed", "4", "--vary", "wall_offset_m=0.15"]
     assert main([*words, "-o", "new.yaml"]) == 1
-    assert "does not fit its walls as they were met; plan it anew" in capsys.readouterr().err
+    assert "cannot be flown with the measured walls; plan it again" in capsys.readouterr().err
     assert (folder / "new.yaml").exists()
 
 

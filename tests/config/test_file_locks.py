@@ -12,11 +12,11 @@ import pytest
 
 from dart_flight.cli import main
 from dart_flight.config.document import InputError
-from dart_flight.config.state_folder import HeldError, HeldFile, content_of_held
+from dart_flight.config.state_folder import HeldError, HeldFile, read_held
 from dart_flight.config.vehicle import packaged
 from dart_flight.lab.campaign.table import Table
 from dart_flight.vehicle import link
-from dart_flight.vehicle.link import LinkLease, LinkTakenError, free_link
+from dart_flight.vehicle.link import LinkInUseError, LinkLease, acquire_free_link
 
 MISSION = str(packaged("missions", "single_wall.yaml"))
 REFUSALS = [errno.ENOLCK, errno.ENOSYS, errno.EIO, errno.ESTALE]
@@ -49,7 +49,7 @@ def test_a_refused_lock_is_not_held(tmp_path: Path, refusal: str) -> None:
     ):
         file.acquire(b"1")
     with pytest.raises(InputError, match=refusal):
-        content_of_held(tmp_path / "lock.pid")
+        read_held(tmp_path / "lock.pid")
 
 
 def test_a_held_lock_is_held(tmp_path: Path) -> None:
@@ -58,23 +58,23 @@ def test_a_held_lock_is_held(tmp_path: Path) -> None:
     first.acquire(b"first")
     with pytest.raises(HeldError) as held:
         second.acquire(b"second")
-    assert held.value.content == content_of_held(path) == b"first"
+    assert held.value.content == read_held(path) == b"first"
     first.release()
-    assert content_of_held(path) is None
+    assert read_held(path) is None
     second.acquire(b"second")
     second.release()
 
 
 def test_a_free_link_is_refused_and_not_sought_for_ever(refusal: str) -> None:
     with pytest.raises(InputError, match=refusal) as error:
-        free_link("dry-run")
-    assert not isinstance(error.value, LinkTakenError)
+        acquire_free_link("dry-run")
+    assert not isinstance(error.value, LinkInUseError)
 
 
 def test_a_free_link_is_given_up_where_every_port_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(link, "udp_port_is_free", lambda *_: False)
-    with pytest.raises(LinkTakenError, match="in use"):
-        free_link("dry-run")
+    with pytest.raises(LinkInUseError, match="in use"):
+        acquire_free_link("dry-run")
 
 
 def test_a_serial_device_that_cannot_be_locked_is_not_in_use(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -90,7 +90,7 @@ def test_a_serial_device_that_cannot_be_locked_is_not_in_use(monkeypatch: pytest
     lease = LinkLease(f"serial://{os.ttyname(terminal)}:57600", "fly")
     with pytest.raises(InputError, match=f"cannot lock {os.ttyname(terminal)}: Function not") as error:
         lease.acquire()
-    assert not isinstance(error.value, LinkTakenError)
+    assert not isinstance(error.value, LinkInUseError)
 
 
 def test_a_campaign_table_that_cannot_be_locked_is_not_being_written(tmp_path: Path, refusal: str) -> None:
@@ -134,7 +134,7 @@ def test_a_state_folder_on_a_full_disk_is_one_line(
     problem = "cannot write: No space left on device; set DART_FLIGHT_STATE_DIR to a local disk"
     assert last == f"{state}/lock.pid: {problem}"
     monkeypatch.undo()
-    assert content_of_held(state / "lock.pid") is None
+    assert read_held(state / "lock.pid") is None
 
 
 def test_a_lock_file_that_cannot_be_removed_does_not_end_a_flight(
@@ -147,7 +147,7 @@ def test_a_lock_file_that_cannot_be_removed_does_not_end_a_flight(
     file.acquire(b"1")
     monkeypatch.setattr(Path, "unlink", read_only)
     file.release()
-    assert content_of_held(tmp_path / "lock.pid") is None
+    assert read_held(tmp_path / "lock.pid") is None
 
 
 def test_a_held_file_that_cannot_be_looked_at_is_not_in_use(

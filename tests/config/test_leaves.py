@@ -7,7 +7,7 @@ from typing import Any
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dart_flight.config.document import dotted, leaves_of
+from dart_flight.config.document import dotted, iterate_leaves
 
 VALUES = st.none() | st.integers() | st.text(max_size=3)
 TREES = st.recursive(
@@ -29,7 +29,7 @@ def at(tree: Any, key: tuple[str | int, ...]) -> Any:
 @given(TREES)
 def test_every_leaf_is_at_its_key(tree: Any) -> None:
     for in_lists, inner in ((False, dict), (True, dict | list)):
-        found = list(leaves_of(tree, in_lists=in_lists))
+        found = list(iterate_leaves(tree, in_lists=in_lists))
         assert all(at(tree, key) is value for key, value in found)
         assert not any(isinstance(value, inner) for _, value in found)
         assert len({dotted(key) for key, _ in found}) == len(found)
@@ -37,5 +37,5 @@ def test_every_leaf_is_at_its_key(tree: Any) -> None:
 
 def test_a_list_is_one_value_unless_it_is_entered() -> None:
     tree = {"a": {"b": [1, {"c": 2}]}, "d": {}}
-    assert list(leaves_of(tree)) == [(("a", "b"), [1, {"c": 2}])]
-    assert {dotted(k): v for k, v in leaves_of(tree, in_lists=True)} == {"a.b[0]": 1, "a.b[1].c": 2}
+    assert list(iterate_leaves(tree)) == [(("a", "b"), [1, {"c": 2}])]
+    assert {dotted(k): v for k, v in iterate_leaves(tree, in_lists=True)} == {"a.b[0]": 1, "a.b[1].c": 2}

@@ -11,7 +11,7 @@ import pytest
 from dart_flight.cli import main
 from dart_flight.config.mission import load_mission
 from dart_flight.config.mission_file import MissionFile
-from dart_flight.config.units import unit_of
+from dart_flight.config.units import unit_from_name
 from dart_flight.config.vehicle import VehicleConfig, packaged
 from dart_flight.lab.search.scenario import ScenarioFile
 
@@ -137,5 +137,5 @@ def test_what_the_planner_writes_is_go(
 
 def test_units_are_read_from_names() -> None:
     units = {"mass_kg": "kg", "drag_per_s": "1/s", "alpha_m_per_n": "m/N", "speed_m_s": "m/s", "k": "N/m"}
-    assert {name: unit_of(name) for name in units} == units
-    assert unit_of("exponent") == ""
+    assert {name: unit_from_name(name) for name in units} == units
+    assert unit_from_name("exponent") == ""

@@ -50,14 +50,14 @@ def test_a_post_that_is_hit_is_a_wall_of_its_tangent_plane() -> None:
     ("changes", "says"),
     [
         ({"collisions": [HIT | {"impact_point_m": None}]}, "needs impact_point_m"),
-        ({"collisions": [HIT | {"impact_point_m": [1.1, 0.0]}]}, r"touched at 0.300 m, there at \[1.200"),
-        ({"collisions": [HIT, HIT | {"impact_point_m": [1.5, 0.3]}]}, "is hit elsewhere before"),
+        ({"collisions": [HIT | {"impact_point_m": [1.1, 0.0]}]}, r"minimum 0.300 m, there at \[1.200"),
+        ({"collisions": [HIT, HIT | {"impact_point_m": [1.5, 0.3]}]}, "hits post pole in another place"),
         ({"posts": {"pole": POLE | {"material": "cheese"}}}, "cheese"),
         ({"posts": {"pole": POLE | {"radius_m": 0.0}}}, "radius_m"),
-        ({"start": {"position_m": [1.3, 0.0], "altitude_m": 1.2}}, "lies in or at post pole"),
+        ({"start": {"position_m": [1.3, 0.0], "altitude_m": 1.2}}, "is in or at post pole"),
         (
             {"walls": {"pole": {"point_m": [1, 1], "normal": [-1, 0], "length_m": 1, "material": "acrylic"}}},
-            "a wall has the name",
+            "a wall already has the name",
         ),
     ],
 )
@@ -69,7 +69,7 @@ def test_what_contradicts_itself_is_refused(changes: dict[str, Any], says: str) 
 def test_a_post_stands_in_the_way_and_too_near() -> None:
     posts = {"pole": POLE, "other": POLE | {"centre_m": [0.5, 0.2]}}
     one = mission(posts=posts)
-    with pytest.raises(NoApproachError, match="post other is in the way"):
+    with pytest.raises(NoApproachError, match="post other blocks the run-up"):
         plan_approach(one, one.collisions[0])
     says = [finding for finding in check_mission(one) if not finding.go]
     assert any("post other" in finding.says for finding in says)

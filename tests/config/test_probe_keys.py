@@ -54,8 +54,8 @@ def test_a_wall_that_nobody_knows_stands_across_the_end_of_its_probe() -> None:
     assert (wall.name, wall.point, wall.normal) == ("east", (1.8, 0.0), (-1.0, 0.0))
     assert (wall.sought, wall.material_known) == (True, False)
     vehicle = one.vehicle
-    stiffest = max(m.of(Mode.RIGID).k for m in vehicle.materials.values())
-    assert vehicle.materials[wall.material].of(Mode.RIGID).k == stiffest, (
+    stiffest = max(m.coefficients(Mode.RIGID).k for m in vehicle.materials.values())
+    assert vehicle.materials[wall.material].coefficients(Mode.RIGID).k == stiffest, (
         "the hardest hit it may turn out to be"
     )
     assert looked_for.probe is not None
@@ -156,25 +156,34 @@ STAY = {"after": 1, "at_wall": {"wall": "east", "away_m": 1.0}}
         ([probe(EAST, material="cheese")], {}, r"probe.material: .*cheese"),
         ([probe(EAST, from_m=[3.0, 0.0])], {}, r"probe.from_m: \(3.00, 0.00\) is 1.00 m outside bounds_m"),
         ([probe(EAST, length_m=2.5)], {}, r"probe.length_m: \(2.50, 0.00\) is 0.50 m outside bounds_m"),
-        ([probe(EAST, speed_m_s=3.0)], {"limits": {"speed_m_s": 2.0}}, "3 m/s is over limits.speed_m_s 2"),
+        ([probe(EAST, speed_m_s=3.0)], {"limits": {"speed_m_s": 2.0}}, "3 m/s exceeds limits.speed_m_s 2"),
         ([probe(EAST, speed_m_s=0.05)], {}, "probe.speed_m_s"),
-        ([probe(EAST, direction=[0.0, 0.0])], {}, "probe.direction: the direction has no length"),
-        ([probe(EAST, direction=None)], {}, r"probe: east is no wall of the mission \(none\): .* direction"),
-        ([probe(AT_BOARD, direction=[0.0, 1.0])], WALLS, "leads past it: it needs at most 60 degrees"),
+        ([probe(EAST, direction=[0.0, 0.0])], {}, "probe.direction: the direction has length 0"),
+        (
+            [probe(EAST, direction=None)],
+            {},
+            r"probe: east is not a wall of the mission \(none\): .* "
+            r"direction",
+        ),
+        (
+            [probe(AT_BOARD, direction=[0.0, 1.0])],
+            WALLS,
+            "leads past it: the angle to the normal must be at most 60 degrees",
+        ),
         ([probe(AT_BOARD, direction=[-1.0, 0.0])], WALLS, "leads past it"),
         ([probe(AT_BOARD, from_m=[1.8, 0.0], length_m=0.1)], WALLS, "begins behind wall board"),
-        ([probe(AT_BOARD, length_m=1.2)], WALLS, "probe.length_m: wall board is 1.50 m away; longer"),
-        ([EAST, EAST], {}, r"collisions\[1\].wall: east is looked for twice"),
-        ([EAST], {"simulated_walls": {"east": BOARD}}, "the name east is taken"),
+        ([probe(AT_BOARD, length_m=1.2)], WALLS, "probe.length_m: wall board is 1.50 m away; give that plus"),
+        ([EAST, EAST], {}, r"collisions\[1\].wall: two probes look for east"),
+        ([EAST], {"simulated_walls": {"east": BOARD}}, "a simulated wall already has the name east"),
         (
             [EAST],
             {"posts": {"east": {"centre_m": [-1.5, 1.5], "radius_m": 0.1, "material": "wood"}}},
             r"collisions\[0\].probe: east is a post",
         ),
-        ([EAST | {"if_met": "east"}], {}, r"collisions\[0\].if_met: no probe comes before this"),
+        ([EAST | {"if_met": "east"}], {}, r"collisions\[0\].if_met: there is no earlier probe"),
         ([EAST, AGAIN | {"if_not_met": "west"}], {}, r"collisions\[1\].if_not_met: .*west"),
-        ([AGAIN, EAST], {}, r"collisions\[0\].wall: no probe before this looks for wall east"),
-        ([EAST, AGAIN | {"impact_point_m": [1.8, 0.0]}], {}, "nobody knows where wall east stands"),
+        ([AGAIN, EAST], {}, r"collisions\[0\].wall: no earlier probe looks for wall east"),
+        ([EAST, AGAIN | {"impact_point_m": [1.8, 0.0]}], {}, "the position of wall east is unknown"),
         (
             [EAST, {k: v for k, v in AGAIN.items() if k != "approach"}],
             {},
@@ -183,17 +192,21 @@ STAY = {"after": 1, "at_wall": {"wall": "east", "away_m": 1.0}}
         ([EAST], {"waypoints": [STAY | {"after": 0}]}, r"waypoints\[0\].at_wall.wall: .*east"),
         ([EAST], {"waypoints": [STAY | {"position_m": [0, 0]}]}, "exactly one of position_m, at_wall"),
         ([EAST], {"waypoints": [{"after": 1, "position_m": [0, 0], "if_met": "west"}]}, r"if_met: .*west"),
-        ([EAST], {"waypoints": [{"position_m": [0, 0], "if_met": "east"}]}, "if_met: no probe comes before"),
+        (
+            [EAST],
+            {"waypoints": [{"position_m": [0, 0], "if_met": "east"}]},
+            "if_met: there is no earlier probe",
+        ),
         (
             [],
             {"simulated_walls": {"b": BOARD | {"normal": [0, 0]}}},
-            r"simulated_walls.b.normal: .* no length",
+            r"simulated_walls.b.normal: .* length 0",
         ),
         ([], {"simulated_walls": {"b": BOARD | {"material": "cheese"}}}, "simulated_walls.b.material"),
         (
             [EAST],
             {"goal_trajectory": every_key()["goal_trajectory"], "after_impact": "replan"},
-            "goal_trajectory: after a probe the goal is flown to straight",
+            "goal_trajectory: the path from a probe to the goal is straight",
         ),
         ([], {"frame": {"anchored_by": "gps"}}, "frame.anchored_by"),
     ],

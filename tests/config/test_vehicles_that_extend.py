@@ -26,7 +26,7 @@ OWN = {
 @pytest.mark.parametrize("name", OWN)
 def test_what_scales_with_the_vehicle_is_its_own(name: str) -> None:
     v = load_vehicle(packaged("configs", f"{name}.yaml"))
-    acrylic = v.materials["acrylic"].of(Mode.RIGID)
+    acrylic = v.materials["acrylic"].coefficients(Mode.RIGID)
     figures = (
         v.airframe.mass_kg, v.airframe.contact_distance_m, v.airframe.inertia_kg_m2[0], v.airframe.arm_x_m,
         v.airframe.guard_along_m, v.thrust.full_n, v.estimation.battery.reference_v,

@@ -20,7 +20,7 @@ from tests.oracles.stepping import Corner, simulate, step_corner, step_normal, s
 
 MASS = 1.3
 VEHICLE = load_vehicle(packaged("configs", "dart.yaml"))
-TABLE = [VEHICLE.materials[m].of(mode) for m in ("concrete", "acrylic") for mode in Mode]
+TABLE = [VEHICLE.materials[m].coefficients(mode) for m in ("concrete", "acrylic") for mode in Mode]
 CORNER_CASES = 100_000  # seeded; in one batch they take half a second
 
 pytestmark = pytest.mark.filterwarnings("error")
@@ -29,7 +29,7 @@ pytestmark = pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("onset", list(Onset))
 @pytest.mark.parametrize("push", [0.0, -3.0])
 def test_converges_to_the_closed_form_with_first_order(onset: Onset, push: float) -> None:
-    table = CoefficientArrays.of(TABLE)
+    table = CoefficientArrays.from_table(TABLE)
     normal, tangential = np.array([-0.3, -0.8, -1.5, -2.5]), np.array([0.5, -1.0, 0.2, 1.5])
     exact = contact_map(table, MASS, normal, tangential, onset, acceleration_m_s2=push)
     errors = []
@@ -43,11 +43,11 @@ def test_converges_to_the_closed_form_with_first_order(onset: Onset, push: float
 
 
 def test_stepped_map_leaves_alone_what_does_not_approach() -> None:
-    r = stepped_map(CoefficientArrays.of(TABLE[0]), MASS, [0.3, 0.0], 0.2, Onset.LCP, step_s=1e-3)
+    r = stepped_map(CoefficientArrays.from_table(TABLE[0]), MASS, [0.3, 0.0], 0.2, Onset.LCP, step_s=1e-3)
     np.testing.assert_array_equal(r.normal_out_m_s, [0.3, 0.0])
     np.testing.assert_array_equal(r.contact_time_s, 0.0)
     with pytest.raises(ValueError, match="step"):
-        stepped_map(CoefficientArrays.of(TABLE[0]), MASS, -1.0, 0.2, Onset.LCP, step_s=0.0)
+        stepped_map(CoefficientArrays.from_table(TABLE[0]), MASS, -1.0, 0.2, Onset.LCP, step_s=0.0)
 
 
 def test_simulated_drop_is_the_drop_of_the_closed_form() -> None:
@@ -79,7 +79,7 @@ states = st.tuples(st.floats(-0.05, 0.05), st.floats(-3.0, 3.0))
 def test_complementarity_at_the_end_of_a_step(
     k: float, f: float, state: tuple[float, float], h: float, a: float
 ) -> None:
-    c = CoefficientArrays.of(Coefficients(k=k, f=f, mu=0.0, nu=0.0))
+    c = CoefficientArrays.from_table(Coefficients(k=k, f=f, mu=0.0, nu=0.0))
     x, v = np.asarray(state[0]), np.asarray(state[1])
     end = step_normal(c, MASS, (x, v + h * a), h, Onset.LCP)
     w = float(end.force + k * end.x + f * end.v)
@@ -131,7 +131,7 @@ def test_complementarity_in_any_corner(
     angle: float,
 ) -> None:
     h = 1e-3
-    c = CoefficientArrays.of(pair)
+    c = CoefficientArrays.from_table(pair)
     k, f = c.k, c.f
     corner = Corner(np.array([[1.0, 0.0], [math.cos(angle), math.sin(angle)]]), np.zeros(2), c)
     p, v = np.array([[one[0], two[0]]]), np.array([[one[1], two[1]]])
@@ -144,7 +144,7 @@ def test_complementarity_in_any_corner(
 
 def test_corner_with_one_plane_far_away_is_one_plane() -> None:
     c = TABLE[3]
-    table = CoefficientArrays(*(np.repeat(np.atleast_1d(v), 2) for v in CoefficientArrays.of(c)))
+    table = CoefficientArrays(*(np.repeat(np.atleast_1d(v), 2) for v in CoefficientArrays.from_table(c)))
     corner = Corner(np.array([[1.0, 0.0], [0.0, 1.0]]), np.array([0.0, -50.0]), table)
     h, p, v = 1e-4, np.array([[0.005, 0.0]]), np.array([[-1.0, 0.6]])
     for _ in range(1500):

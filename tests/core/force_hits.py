@@ -186,7 +186,7 @@ class Judge:
 
     def take(self, imu: ImuSample) -> list[object]:
         """An IMU sample; the detector's events."""
-        if not self.state.take_imu(imu):
+        if not self.state.update_imu(imu):
             return []
         estimate = self.estimator.estimate(imu, self.state, self.detector.in_contact)
         if estimate is None:
@@ -256,11 +256,11 @@ def _odometry(judge: Judge, tick: Tick, command: float, noise: GaussianNoise) ->
     t, s = tick.t_us, _ATTITUDE_SIGMA_RAD
     twist = quaternion_from_rotation_vector(noise.three(s))
     attitude = AttitudeSample(t // 1000 * 1000, t + 1000, quaternion_multiply(tick.q, twist))
-    if judge.state.take_attitude(attitude):
-        judge.estimator.take_attitude(attitude)
+    if judge.state.update_attitude(attitude):
+        judge.estimator.add_attitude(attitude)
     velocity = add(tick.velocity, noise.three(_VELOCITY_SIGMA_M_S))
-    judge.state.take_odometry(OdometrySample(t, t + 1000, tick.position, velocity))
-    judge.estimator.thrust.take_actuator(ActuatorSample(t, t + 1000, (command,) * 4))
+    judge.state.update_odometry(OdometrySample(t, t + 1000, tick.position, velocity))
+    judge.estimator.thrust.add_commands(ActuatorSample(t, t + 1000, (command,) * 4))
 
 
 def grid(

@@ -145,10 +145,10 @@ class _Flight:
         self.max_tilt = max(self.max_tilt, self.state.tilt_rad)
         if (t // 4000) % 2 == 0 and self.rng.random() > 0.02 and self.freeze <= 0:
             attitude = AttitudeSample(t // 1000 * 1000, t + 1000, e.q)
-            if self.state.take_attitude(attitude):
-                self.judge.estimator.take_attitude(attitude)
-            self.state.take_odometry(OdometrySample(t, t + 1000, e.position, e.velocity))
-            self.judge.estimator.thrust.take_actuator(ActuatorSample(t + 1500, t + 1500, a.motors))
+            if self.state.update_attitude(attitude):
+                self.judge.estimator.add_attitude(attitude)
+            self.state.update_odometry(OdometrySample(t, t + 1000, e.position, e.velocity))
+            self.judge.estimator.thrust.add_commands(ActuatorSample(t + 1500, t + 1500, a.motors))
         self.freeze -= 1
         if self.freeze < -500 and self.rng.random() < 0.002:
             self.freeze = self.rng.randrange(3, 12)  # attitude and the rest pause for up to 50 ms

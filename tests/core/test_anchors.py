@@ -109,7 +109,7 @@ def test_who_follows_the_contacts_of_another_knows_as_much(
     for at, (one, at_s, told_m) in enumerate(sorted(found, key=lambda c: c[1])):
         wall = msgspec.structs.replace(WOOD, normal=unit(one))
         estimate = felt(None, None, 0.1, t_us=(10 + at_s) * S, plane_offset_sigma_m=told_m)
-        planner.follow(core.take(wall, estimate, (10 + at_s) * S + at))
+        planner.add_recorded(core.correct_frame(wall, estimate, (10 + at_s) * S + at))
     if found:
         assert planner.sd_m(unit(angle), 90 * S) == pytest.approx(core.sd_m(unit(angle), 90 * S), rel=1e-12)
         assert planner.age_s(unit(angle), 90 * S) == core.age_s(unit(angle), 90 * S)
@@ -152,38 +152,38 @@ def felt(place: Vec2 | None, normal: Vec2 | None, offset_m: float = 0.0, **chang
 def test_a_wall_is_where_it_was_met_last_however_often(place_sd: float | None, yaw_sd: float | None) -> None:
     wall = msgspec.structs.replace(WOOD, position_sd_m=place_sd, yaw_sd_rad=yaw_sd)
     walls = EstimatedWalls()
-    assert not walls.is_met("wood")
+    assert not walls.is_measured("wood")
     for x in (2.3, 2.31, 2.29):
-        expected = walls.wall_now(wall)
+        expected = walls.known_wall(wall)
         walls.add_estimate(felt((x, 0.0), (-1.0, 0.0), expected.signed_distance((x, 0.0))), wall)
-        assert walls.wall_now(wall).point == pytest.approx((x, 0.0))
+        assert walls.known_wall(wall).point == pytest.approx((x, 0.0))
     for nothing_new in (felt(None, None), felt((2.1, 0.0), None), felt(None, (-1.0, 0.0))):
         walls.add_estimate(nothing_new, wall)
-    assert walls.wall_now(wall).point == pytest.approx((2.29, 0.0)), "too few readings: nothing new"
-    assert walls.is_met("wood")
+    assert walls.known_wall(wall).point == pytest.approx((2.29, 0.0)), "too few readings: nothing new"
+    assert walls.is_measured("wood")
 
 
 def test_only_a_direction_that_may_be_wrong_is_taken_from_a_contact() -> None:
-    normal = WOOD.turned(0.1).normal
+    normal = WOOD.rotated(0.1).normal
     for yaw_sd, expected in ((None, WOOD.normal), (0.1, normal)):
         wall = msgspec.structs.replace(WOOD, position_sd_m=0.1, yaw_sd_rad=yaw_sd)
         walls = EstimatedWalls()
         walls.add_estimate(felt((2.1, 1.0), normal), wall)
-        now = walls.wall_now(wall)
+        now = walls.known_wall(wall)
         assert now.normal == pytest.approx(expected)
         assert now.signed_distance((2.1, 1.0)) == pytest.approx(0.0, abs=1e-12)
         assert now.yaw_sd_rad == (None if yaw_sd is None else 0.02)
-        assert walls.turned(wall) == pytest.approx(0.1)
+        assert walls.rotation(wall) == pytest.approx(0.1)
 
 
 def test_a_wall_that_was_sought_has_its_middle_where_it_was_met_and_its_material_by_the_contact() -> None:
     wall = msgspec.structs.replace(WOOD, sought=True, material_known=False, yaw_sd_rad=0.26)
     walls = EstimatedWalls()
-    assert walls.walls_now((), 0) == ()
-    walls.add_estimate(felt((1.2, 0.4), WOOD.turned(-0.2).normal, material="acrylic"), wall)
-    (now,) = walls.walls_now((), 0)
+    assert walls.known_walls((), 0) == ()
+    walls.add_estimate(felt((1.2, 0.4), WOOD.rotated(-0.2).normal, material="acrylic"), wall)
+    (now,) = walls.known_walls((), 0)
     assert now.point == pytest.approx((1.2, 0.4))
-    assert now.normal == pytest.approx(WOOD.turned(-0.2).normal)
+    assert now.normal == pytest.approx(WOOD.rotated(-0.2).normal)
     assert (now.material, now.material_known, now.sought) == ("acrylic", True, False)
     assert (now.position_sd_m, now.yaw_sd_rad) == (0.012, 0.02)
 
@@ -196,9 +196,9 @@ def test_a_frame_that_moves_leaves_the_walls_that_were_met_where_they_are(
     wall = msgspec.structs.replace(WOOD, sought=True, yaw_sd_rad=0.26)
     walls, frame = EstimatedWalls(), MissionFrame(0.3, -0.2, 0.0, heading)
     walls.add_estimate(felt(met, unit(angle)), wall)
-    before = walls.wall_now(wall)
+    before = walls.known_wall(wall)
     walls.move_frame(by)
-    after, moved = walls.wall_now(wall), frame.moved(*by)
+    after, moved = walls.known_wall(wall), frame.displaced(*by)
     # A point of its plane in local NED is one of its plane by the new frame as well.
     for away in (-1.0, 0.0, 1.0):
         (px, py), (tx, ty) = before.point, before.tangent
@@ -213,7 +213,7 @@ def test_a_frame_that_moves_leaves_the_walls_that_were_met_where_they_are(
 @settings(deadline=None)
 def test_a_moved_frame_s_origin_is_so_far_away_in_its_axes(by: Vec2, heading: float) -> None:
     frame = MissionFrame(0.3, -0.2, 0.1, heading)
-    moved = frame.moved(*by)
+    moved = frame.displaced(*by)
     assert frame.point_from_ned((moved.north_m, moved.east_m, 0.0))[:2] == pytest.approx(by, abs=1e-9)
     assert distance2((moved.north_m, moved.east_m), (0.3, -0.2)) == pytest.approx(math.hypot(*by), abs=1e-9)
 
@@ -221,17 +221,17 @@ def test_a_moved_frame_s_origin_is_so_far_away_in_its_axes(by: Vec2, heading: fl
 def test_a_wall_is_the_less_known_the_older_the_anchor_of_its_normal() -> None:
     anchors = FrameAnchors(DRIFT_M_S)
     walls = EstimatedWalls(anchors)
-    assert walls.wall_now(WOOD).position_sd_m is None
-    start = walls.wall_now(WOOD, 0).position_sd_m
+    assert walls.known_wall(WOOD).position_sd_m is None
+    start = walls.known_wall(WOOD, 0).position_sd_m
     assert start == pytest.approx(START_SD_M)
     anchors.add(Anchor((1.0, 0.0), 0, 0.02))
-    fresh, old = (walls.wall_now(WOOD, t * S).position_sd_m for t in (0, 8))
+    fresh, old = (walls.known_wall(WOOD, t * S).position_sd_m for t in (0, 8))
     assert fresh is not None
     assert old is not None
     assert fresh < 0.021
     assert old > 0.2
     own = msgspec.structs.replace(WOOD, position_sd_m=0.1)
-    assert walls.wall_now(own, 0).position_sd_m == pytest.approx(math.hypot(0.1, fresh))
+    assert walls.known_wall(own, 0).position_sd_m == pytest.approx(math.hypot(0.1, fresh))
 
 
 @pytest.mark.parametrize(("along_m", "sd_m"), [(0.0, 0.012), (1.5, math.hypot(0.012, 1.5 * math.tan(0.02)))])
@@ -242,7 +242,7 @@ def test_the_middle_of_a_wall_is_the_less_known_the_farther_from_it_the_contact_
     walls, (tx, ty) = EstimatedWalls(), WOOD.tangent
     met = (WOOD.point[0] + along_m * tx, WOOD.point[1] + along_m * ty)
     walls.add_estimate(felt(met, WOOD.normal), wall)
-    assert walls.wall_now(wall).position_sd_m == pytest.approx(sd_m)
+    assert walls.known_wall(wall).position_sd_m == pytest.approx(sd_m)
 
 
 @pytest.mark.parametrize("sought", [True, False])

@@ -192,7 +192,7 @@ def test_a_way_between_known_ends_is_refused_where_something_stands_in_it(
 ) -> None:
     mission = through([waypoint], post)
     if blocked:
-        with pytest.raises(NoApproachError, match="is in the way to"):
+        with pytest.raises(NoApproachError, match="blocks the path to"):
             check_segments_clear(mission)
     else:
         check_segments_clear(mission)
@@ -200,7 +200,7 @@ def test_a_way_between_known_ends_is_refused_where_something_stands_in_it(
 
 @pytest.mark.parametrize(
     ("post", "says"),
-    [((0.8, 0.4), "of the run-up"), ((-0.3, -0.9), "to the run-up"), ((0.8, -1.0), None)],
+    [((0.8, 0.4), "the run-up"), ((-0.3, -0.9), "the path to the run-up"), ((0.8, -1.0), None)],
 )
 def test_a_post_is_in_the_way_of_an_approach_where_it_stands_in_its_run_up_or_before_it(
     post: tuple[float, float], says: str | None
@@ -209,5 +209,5 @@ def test_a_post_is_in_the_way_of_an_approach_where_it_stands_in_its_run_up_or_be
     if says is None:
         assert plan_approach(mission, mission.collisions[0]).after is AfterEnd.CONTINUE
     else:
-        with pytest.raises(NoApproachError, match=f"post pole is in the way {says}"):
+        with pytest.raises(NoApproachError, match=f"post pole blocks {says}"):
             plan_approach(mission, mission.collisions[0])

@@ -31,8 +31,8 @@ def hovering(mission: Mission, seconds: float, drift_m_s: float = 0.0) -> float 
         x += drift_m_s * STEP_US * 1e-6
         position = (x, 0.0, -mission.altitude_m)
         velocity = (drift_m_s + shake[0], shake[1], shake[2])
-        state.take_attitude(AttitudeSample(t, t, (1.0, 0.0, 0.0, 0.0)))
-        state.take_odometry(OdometrySample(t, t, position, velocity))
+        state.update_attitude(AttitudeSample(t, t, (1.0, 0.0, 0.0, 0.0)))
+        state.update_odometry(OdometrySample(t, t, position, velocity))
         if flown._has_arrived(state):
             return t * 1e-6
     return None
@@ -62,6 +62,6 @@ def test_the_mean_is_over_what_the_time_holds() -> None:
     assert state.mean_velocity(0.3) == (0.0, 0.0, 0.0)
     state.anchor(MissionFrame())
     for i in range(1, 101):
-        state.take_odometry(OdometrySample(i * 10_000, i * 10_000, (0.0, 0.0, 0.0), (float(i), 0.0, 0.0)))
+        state.update_odometry(OdometrySample(i * 10_000, i * 10_000, (0.0, 0.0, 0.0), (float(i), 0.0, 0.0)))
     assert state.mean_velocity(0.0)[0] == pytest.approx(100.0)
     assert state.mean_velocity(0.1)[0] == pytest.approx(95.5)  # the newest ten

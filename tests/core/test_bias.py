@@ -129,7 +129,7 @@ def test_no_sensor_is_without_noise() -> None:
 def test_a_slow_force_is_followed_forty_milliseconds_late() -> None:
     baseline, values = ForceBaseline(ESTIMATION), []
     for _ in range(round(BASELINE_S / DT_S)):
-        baseline.follow(0.5, -0.3, DT_S)
+        baseline.update(0.5, -0.3, DT_S)
         values.append(baseline.value)
     assert values[:8] == [(0.0, 0.0)] * 8
     assert values[9][0] > 0.0
@@ -141,29 +141,29 @@ def test_a_slow_force_is_followed_forty_milliseconds_late() -> None:
 def test_the_baseline_is_limited_in_size_and_pace() -> None:
     baseline, fast = ForceBaseline(ESTIMATION), ForceBaseline(ESTIMATION)
     for _ in range(round(20 * BASELINE_S / DT_S)):
-        baseline.follow(40.0, -40.0, DT_S)
+        baseline.update(40.0, -40.0, DT_S)
     limit = ESTIMATION.baseline_limit_n / math.sqrt(2.0)
     assert baseline.value == pytest.approx((limit, -limit), rel=0.01)
     first = ForceBaseline(ESTIMATION)
     for _ in range(10):
-        fast.follow(-100.0, 0.0, DT_S)
-        first.follow(-2.0, 0.0, DT_S)
+        fast.update(-100.0, 0.0, DT_S)
+        first.update(-2.0, 0.0, DT_S)
     assert fast.value[0] == pytest.approx(first.value[0], rel=0.05)
 
 
 def test_a_contact_takes_the_baseline_back_to_before_its_foot() -> None:
     baseline = ForceBaseline(ESTIMATION)
     for _ in range(500):
-        baseline.follow(0.5, 0.0, DT_S)
+        baseline.update(0.5, 0.0, DT_S)
     before = baseline.value
-    baseline.follow(9.0, 0.0, DT_S)
+    baseline.update(9.0, 0.0, DT_S)
     baseline.settle()
     assert baseline.value[0] == pytest.approx(before[0], rel=0.01)
     again = baseline.value
     for _ in range(5):
-        baseline.follow(9.0, 0.0, DT_S)
+        baseline.update(9.0, 0.0, DT_S)
         assert baseline.value == again  # as late as before
     baseline.settle()
     for _ in range(12):
-        baseline.follow(*baseline.value, DT_S)
+        baseline.update(*baseline.value, DT_S)
     assert baseline.value[0] == pytest.approx(before[0], rel=0.01)

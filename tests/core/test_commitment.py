@@ -9,9 +9,9 @@ import pytest
 from dart_flight.base.records import LockPhase, LockState
 from dart_flight.config.mission import Mission, load_mission
 from dart_flight.config.vehicle import packaged
-from dart_flight.core.mission.commitment import SETTLED_BEFORE_S, bearable_in_either_mode, may_commit
+from dart_flight.core.mission.commitment import SETTLED_BEFORE_S, is_acceptable_in_either_mode, may_commit
 from dart_flight.core.mission.executive import Executive
-from dart_flight.core.mission.position_loop import PlaneMet, least_distance_m, meets_plane
+from dart_flight.core.mission.position_loop import PlaneImpact, least_distance_m, predict_impact
 from dart_flight.core.mission.proposal import Proposal
 from dart_flight.core.sense.senses import Sensed
 from dart_flight.core.sense.state import FlightState
@@ -47,14 +47,14 @@ def before_the_wall() -> FlightState:
 def test_a_wall_is_committed_to_where_the_lock_is_in_time_and_either_mode_bearable(
     mission: Mission, ready_s: float, commits: bool
 ) -> None:
-    assert may_commit(mission, ACRYLIC, PlaneMet(0.3, -1.6), ready_s, before_the_wall()) is commits
+    assert may_commit(mission, ACRYLIC, PlaneImpact(0.3, -1.6), ready_s, before_the_wall()) is commits
 
 
 def test_a_mode_that_is_not_planned_counts_as_well() -> None:
     """A flexible hit that a rigid one would make too hard is not committed to: the servo may be stuck."""
     flexible = msgspec.structs.replace(ACRYLIC, mode=ACRYLIC.mode.other)
     mission = limited(peak_force_n=90.0)  # flexible 55 N, rigid 102 N
-    assert not may_commit(mission, flexible, PlaneMet(0.3, -1.6), 0.1, before_the_wall())
+    assert not may_commit(mission, flexible, PlaneImpact(0.3, -1.6), 0.1, before_the_wall())
 
 
 def test_numbers_and_arrays_are_judged_alike() -> None:
@@ -62,9 +62,11 @@ def test_numbers_and_arrays_are_judged_alike() -> None:
     place = rng.uniform((1.6, -1.5), (1.7, 1.5), (200, 2))
     velocity = rng.uniform((-4.0, -1.5), (-0.1, 1.5), (200, 2))
     args = (STIFF.vehicle, STIFF.limits, STIFF.bounds, ACRYLIC.wall, (0.025, 0.025))
-    together = bearable_in_either_mode(*args, (place[:, 0], place[:, 1]), (velocity[:, 0], velocity[:, 1]))
+    together = is_acceptable_in_either_mode(
+        *args, (place[:, 0], place[:, 1]), (velocity[:, 0], velocity[:, 1])
+    )
     single = [
-        bool(bearable_in_either_mode(*args, (float(p[0]), float(p[1])), (float(v[0]), float(v[1]))))
+        bool(is_acceptable_in_either_mode(*args, (float(p[0]), float(p[1])), (float(v[0]), float(v[1]))))
         for p, v in zip(place, velocity, strict=True)
     ]
     assert together.tolist() == single
@@ -82,7 +84,7 @@ def test_a_hit_along_the_wall_is_bearable_only_where_its_recovery_leads_inwards(
     def bearable(along_y_m_s: float, alpha_t: float) -> bool:
         velocity = (-0.5, onward * along_y_m_s)
         return bool(
-            bearable_in_either_mode(
+            is_acceptable_in_either_mode(
                 STIFF.vehicle, STIFF.limits, bounds, wall, (0.01, alpha_t), place, velocity
             )
         )
@@ -94,13 +96,13 @@ def test_a_hit_along_the_wall_is_bearable_only_where_its_recovery_leads_inwards(
 
 def test_the_plane_is_met_where_the_course_crosses_it() -> None:
     px4 = STIFF.vehicle.px4
-    met = meets_plane(0.5, 1.0, 0.0, -0.5, px4)
+    met = predict_impact(0.5, 1.0, 0.0, -0.5, px4)
     assert met is not None
     assert met.normal_m_s < 0.0
     assert least_distance_m(0.5, 1.0, 0.0, -0.5, px4, horizon_s=met.after_s + 0.02) <= 0.0
     assert least_distance_m(0.5, 1.0, 0.0, -0.5, px4, horizon_s=met.after_s - 0.02) > 0.0
-    assert meets_plane(0.5, 0.0, 0.0, 0.5, px4) is None
-    behind = meets_plane(-0.1, 1.0, 0.0, -0.5, px4)
+    assert predict_impact(0.5, 0.0, 0.0, 0.5, px4) is None
+    behind = predict_impact(-0.1, 1.0, 0.0, -0.5, px4)
     assert behind is not None
     assert behind.after_s <= 0.01
 
@@ -110,10 +112,10 @@ def test_a_plane_that_is_met_only_later_is_not_within_the_horizon() -> None:
     px4, late = STIFF.vehicle.px4, 0
     for target_mm in np.arange(30.0, 36.0, 0.1):
         found = (0.5, 0.01, 0.0, float(1e-3 * target_mm), px4)
-        met = meets_plane(*found, horizon_s=10.0)
+        met = predict_impact(*found, horizon_s=10.0)
         soon = met is not None and met.after_s <= 2.0
         late += met is not None and not soon
-        assert meets_plane(*found) == (met if soon else None)
+        assert predict_impact(*found) == (met if soon else None)
     assert late > 0
 
 
@@ -157,13 +159,13 @@ def test_a_wall_is_looked_for_as_far_ahead_as_the_loop_may_need_to_it(
     closing_m_s: float, after_s: float
 ) -> None:
     """On the way to a setpoint a decimetre behind it; who flies away from it at first is there later."""
-    met = meets_plane(0.5, closing_m_s, 0.0, -0.1, STIFF.vehicle.px4)
+    met = predict_impact(0.5, closing_m_s, 0.0, -0.1, STIFF.vehicle.px4)
     assert met is not None
     assert met.after_s == pytest.approx(after_s, abs=0.03)
     assert least_distance_m(0.5, 0.0, 0.0, -0.1, STIFF.vehicle.px4) < 0.0
 
 
 def test_on_the_way_out_from_behind_the_plane_it_is_met_in_the_next_step() -> None:
-    met = meets_plane(-0.1, -0.5, 0.0, 0.3, STIFF.vehicle.px4)
+    met = predict_impact(-0.1, -0.5, 0.0, 0.3, STIFF.vehicle.px4)
     assert met is not None
     assert met.after_s == pytest.approx(0.01)

@@ -19,7 +19,7 @@ from dart_flight.base.geometry import (
 )
 from dart_flight.base.records import ContactRequest, ImpactOnset, Mode
 from dart_flight.base.walls import Wall
-from dart_flight.core.mission.contact_feedforward import balancing_m_s2
+from dart_flight.core.mission.contact_feedforward import balancing_acceleration_m_s2
 from dart_flight.core.sense.contact_height import ContactHeight
 
 OUT_M = 0.2
@@ -132,10 +132,12 @@ def test_a_lean_brings_the_guards_level_with_the_centre_of_mass(
     planned: Mode | None, height_m: float, share: float
 ) -> None:
     wanted = -share * height_m / OUT_M * GRAVITY_M_S2
-    assert balancing_m_s2(height_m, OUT_M, planned) == pytest.approx(wanted)
+    assert balancing_acceleration_m_s2(height_m, OUT_M, planned) == pytest.approx(wanted)
 
 
 def test_a_height_that_is_not_known_or_beyond_reason_leans_to_no_more_than_0_3() -> None:
-    assert balancing_m_s2(None, OUT_M, Mode.RIGID) == 0.0
+    assert balancing_acceleration_m_s2(None, OUT_M, Mode.RIGID) == 0.0
     for height_m in (0.5, -0.5):
-        assert abs(balancing_m_s2(height_m, OUT_M, Mode.RIGID)) == pytest.approx(0.3 * GRAVITY_M_S2)
+        assert abs(balancing_acceleration_m_s2(height_m, OUT_M, Mode.RIGID)) == pytest.approx(
+            0.3 * GRAVITY_M_S2
+        )

@@ -85,7 +85,7 @@ def test_without_an_answer_mode_and_wall_are_undecided_after_its_time(hand_fed: 
     assert felt.problem == "no answer within 300 ms"
     assert (felt.wall, felt.mode_felt, felt.mode_reported) == ("wood", None, Mode.FLEXIBLE)
     assert (felt.log_odds, felt.plane_offset_m, felt.plane_point_mission) == (0.0, 0.0, None)
-    wood = hand_fed.core.mission.vehicle.materials["wood"].of(Mode.FLEXIBLE)
+    wood = hand_fed.core.mission.vehicle.materials["wood"].coefficients(Mode.FLEXIBLE)
     assert (felt.k_n_per_m, felt.f_ns_per_m, felt.mu_s_per_m) == (wood.k, wood.f, wood.mu)
     assert not of(WallEstimate, hand_fed.run(2.0 * WITHIN_S))
     late = ContactFitter(hand_fed.core.mission.vehicle).answer(request, hand_fed.t_us)
@@ -94,7 +94,7 @@ def test_without_an_answer_mode_and_wall_are_undecided_after_its_time(hand_fed: 
     assert not of(ImpactBody, out)
 
 
-@pytest.mark.parametrize("problem", ["the planner has died", ""])
+@pytest.mark.parametrize("problem", ["the planner process ended", ""])
 def test_an_answer_that_says_nothing_is_undecided_at_once(hand_fed: HandFedCore, problem: str) -> None:
     request, _ = hit(hand_fed)
     (felt,) = of(WallEstimate, hand_fed.give(ContactAnswer(hand_fed.t_us, request.number, problem=problem)))

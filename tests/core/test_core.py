@@ -70,15 +70,17 @@ def test_it_asks_for_offboard_only_with_set_points_streaming(hand_fed: HandFedCo
     assert not of(VehicleCommand, [o for o in out if getattr(o, "action", None) is VehicleAction.ARM])
 
 
-def test_acknowledgements_prove_nothing(hand_fed: HandFedCore) -> None:
+def test_acknowledgements_prove_nothing(impatient: HandFedCore) -> None:
     """Only telemetry moves it on: without it the command is repeated, then the mission given up."""
-    hand_fed.set_lock(Mode.RIGID)
-    out = hand_fed.run(25.0)
+    impatient.set_lock(Mode.RIGID)
+    out = impatient.run(5.0)
     asked = [o for o in of(VehicleCommand, out) if o.action is VehicleAction.OFFBOARD]
-    assert len(asked) >= 15
+    assert len(asked) >= 3
     ends = of(MissionEnd, out)
-    assert [(e.outcome, e.reason) for e in ends] == [("aborted", "offboard_refused: PX4 refused offboard")]
-    assert of(PhaseChange, out)[-1].reason == "PX4 refused offboard"
+    assert [(e.outcome, e.reason) for e in ends] == [
+        ("aborted", "offboard_refused: PX4 refused offboard mode")
+    ]
+    assert of(PhaseChange, out)[-1].reason == "PX4 refused offboard mode"
 
 
 def test_an_estimate_that_settles_on_the_ground_carries_the_mission_with_it(hand_fed: HandFedCore) -> None:
@@ -92,13 +94,13 @@ def test_an_estimate_that_settles_on_the_ground_carries_the_mission_with_it(hand
     hand_fed.set_status(armed=True)
     hand_fed.run(4.0)
     climb = next(c for c in of(PhaseChange, hand_fed.outputs) if c.after is Phase.CLIMB)
-    assert climb.reason == "confirmed by telemetry; the position moved by 1.17 m on the ground"
+    assert climb.reason == "confirmed by telemetry; the position estimate moved by 1.17 m on the ground"
     last = of(Setpoint, hand_fed.outputs)[-1]
     # Height counts from where the vehicle stands; a surveyed room stays where it is.
     assert last.position_ned == pytest.approx((0.2, 0.1, 1.15 - hand_fed.core.mission.altitude_m), abs=1e-6)
     reader = MissionFrameReader(hand_fed.core.mission)
     for record in hand_fed.seen:
-        reader.take(record)
+        reader.add(record)
     assert reader.frame is not None
     assert reader.frame.point_from_ned((0.2, 0.1, 1.15)) == pytest.approx((0.2, -0.1, 0.0), abs=1e-9)
 
@@ -356,17 +358,17 @@ def reason(outputs: list[Output]) -> str:
     return str(end.reason)
 
 
-def test_a_refusal_carries_what_px4_says(hand_fed: HandFedCore) -> None:
-    hand_fed.set_lock(Mode.RIGID)
-    hand_fed.run(18.0)
-    t_us = hand_fed.t_us
-    hand_fed.give(
+def test_a_refusal_carries_what_px4_says(impatient: HandFedCore) -> None:
+    impatient.set_lock(Mode.RIGID)
+    impatient.run(2.0)
+    t_us = impatient.t_us
+    impatient.give(
         HealthReport(t_us, t_us, False, ("Heading estimate invalid",), ("No manual control input",))
     )
-    hand_fed.give(StatusText(t_us, t_us, "critical", "Arming denied: Resolve system health failures first"))
-    hand_fed.give(StatusText(t_us, t_us, "info", "logging: opened log file"))
-    assert reason(hand_fed.run(10.0)) == (
-        "offboard_refused: PX4 refused offboard; PX4 says: Heading estimate invalid, "
+    impatient.give(StatusText(t_us, t_us, "critical", "Arming denied: Resolve system health failures first"))
+    impatient.give(StatusText(t_us, t_us, "info", "logging: opened log file"))
+    assert reason(impatient.run(10.0)) == (
+        "offboard_refused: PX4 refused offboard mode; PX4 reports: Heading estimate invalid, "
         "Arming denied: Resolve system health failures first; also No manual control input"
     )
 
@@ -391,31 +393,34 @@ def test_words_of_long_ago_explain_nothing(hand_fed: HandFedCore) -> None:
     hand_fed.set_lock(Mode.RIGID)
     hand_fed.run(0.2)
     hand_fed.give(StatusText(hand_fed.t_us, hand_fed.t_us, "warning", "compass swung"))
-    assert reason(hand_fed.run(25.0)) == "offboard_refused: PX4 refused offboard"
+    assert reason(hand_fed.run(25.0)) == "offboard_refused: PX4 refused offboard mode"
 
 
-def test_without_words_the_answer_is_told(hand_fed: HandFedCore) -> None:
-    hand_fed.set_lock(Mode.RIGID)
-    hand_fed.run(1.0)
-    hand_fed.give(CommandResult(hand_fed.t_us, "offboard", False, "COMMAND_DENIED"))
-    assert reason(hand_fed.run(25.0)) == "offboard_refused: PX4 refused offboard; PX4 answers: COMMAND_DENIED"
+def test_without_words_the_answer_is_told(impatient: HandFedCore) -> None:
+    impatient.set_lock(Mode.RIGID)
+    impatient.run(1.0)
+    impatient.give(CommandResult(impatient.t_us, "offboard", False, "COMMAND_DENIED"))
+    assert (
+        reason(impatient.run(5.0))
+        == "offboard_refused: PX4 refused offboard mode; PX4 answers: COMMAND_DENIED"
+    )
 
 
-def test_what_is_wrong_for_other_modes_is_told_where_nothing_else_is(hand_fed: HandFedCore) -> None:
-    hand_fed.set_lock(Mode.RIGID)
-    hand_fed.give(HealthReport(hand_fed.t_us, hand_fed.t_us, True, (), ("No offboard signal",)))
-    assert reason(hand_fed.run(25.0)).endswith("; PX4 gives no reason, but finds: No offboard signal")
+def test_what_is_wrong_for_other_modes_is_told_where_nothing_else_is(impatient: HandFedCore) -> None:
+    impatient.set_lock(Mode.RIGID)
+    impatient.give(HealthReport(impatient.t_us, impatient.t_us, True, (), ("No offboard signal",)))
+    assert reason(impatient.run(5.0)).endswith("; PX4 gives no reason, but reports: No offboard signal")
 
 
-def test_no_flight_at_a_wall_begins_where_px4_is_not_sure_of_its_position(hand_fed: HandFedCore) -> None:
-    hand_fed.set_status(landed=LandedState.ON_GROUND)
-    hand_fed.set_lock(Mode.RIGID)
-    hand_fed.give(EstimatorSample(hand_fed.t_us, hand_fed.t_us, healthy=True, position_sd_m=0.23))
-    why = "not_ready: no position to 0.10 m (its standard deviation by PX4 is 0.23 m)"
-    assert reason(hand_fed.run(25.0)) == why
+def test_no_flight_at_a_wall_begins_where_px4_is_not_sure_of_its_position(impatient: HandFedCore) -> None:
+    impatient.set_status(landed=LandedState.ON_GROUND)
+    impatient.set_lock(Mode.RIGID)
+    impatient.give(EstimatorSample(impatient.t_us, impatient.t_us, healthy=True, position_sd_m=0.23))
+    why = "not_ready: standard deviation of the position 0.23 m, limit 0.10 m"
+    assert reason(impatient.run(5.0)) == why
 
 
-def test_a_lock_that_is_not_ready_is_not_px4s_affair(hand_fed: HandFedCore) -> None:
-    hand_fed.run(1.0)
-    hand_fed.give(HealthReport(hand_fed.t_us, hand_fed.t_us, False, ("Battery low",), ()))
-    assert reason(hand_fed.run(25.0)) == "not_ready: no lock rigid"
+def test_a_lock_that_is_not_ready_is_not_px4s_affair(impatient: HandFedCore) -> None:
+    impatient.run(1.0)
+    impatient.give(HealthReport(impatient.t_us, impatient.t_us, False, ("Battery low",), ()))
+    assert reason(impatient.run(5.0)) == "not_ready: the lock is not rigid"

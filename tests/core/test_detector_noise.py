@@ -99,7 +99,7 @@ def test_without_it_noise_makes_impacts() -> None:
 def test_a_pulse_at_the_stated_floor_is_found(duration_s: float, seed: int) -> None:
     forces = noisy(12.0, 3.9, seed)
     detector, _ = run(forces[: round(8.0 / 0.004)])
-    floor = detector.floor_n(duration_s)
+    floor = detector.detection_floor_n(duration_s)
     short, long = detector.noise_n
     at_most = (
         6.0 * short / half_sine_share(8, duration_s, 0.004),
@@ -120,7 +120,7 @@ def test_where_it_is_quiet_the_longer_means_are_not_asked_and_promise_nothing() 
             (least + _MARGIN_SIGMA * window.noise_n) / half_sine_share(i + 1, duration_s, tick_s)
             for i, window in enumerate(detector._windows[:2])
         ]
-        assert detector.floor_n(duration_s) == pytest.approx(min(asked))
+        assert detector.detection_floor_n(duration_s) == pytest.approx(min(asked))
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -137,7 +137,7 @@ def test_no_threshold_is_under_the_configured_one_whatever_is_learnt(seed: int) 
             ForceEstimate(t, force, False, noise_n=size), t, state, ExpectedContact(i % 1000 < 600)
         )
         assert min(detector.thresholds_n()) >= VEHICLE.detection.force_threshold_n
-        assert detector.floor_n(0.05) >= VEHICLE.detection.force_threshold_n
+        assert detector.detection_floor_n(0.05) >= VEHICLE.detection.force_threshold_n
 
 
 @pytest.mark.parametrize("sigma_n", [0.0, 0.3, 3.9])

@@ -106,7 +106,7 @@ def readings_of(
 @pytest.mark.parametrize("phase_s", [0.0, 0.001, 0.0035])
 @pytest.mark.parametrize(("mode", "push_n"), [(Mode.RIGID, 0.0), (Mode.FLEXIBLE, 7.0), (Mode.FLEXIBLE, -2.0)])
 def test_the_fit_puts_back_what_tick_and_filter_take_away(mode: Mode, push_n: float, phase_s: float) -> None:
-    c = VEHICLE.materials["acrylic"].of(mode)
+    c = VEHICLE.materials["acrylic"].coefficients(mode)
     pulse = true_pulse(c.k, c.f, 1.0, push_n, 0.5, c.mu)
     readings = readings_of(pulse, phase_s, 1e-4, 1e9, 0.00073)
     # A first guess that is 20 % off in stiffness.
@@ -177,7 +177,7 @@ def test_a_clipped_pulse_is_reconstructed(share: float) -> None:
 
 @pytest.mark.parametrize("mode", list(Mode))
 def test_a_noisy_pulse_misfits_by_its_noise_and_the_peak_is_as_sure_as_it_scatters(mode: Mode) -> None:
-    c, noise_n, rng = VEHICLE.materials["acrylic"].of(mode), 1.5, random.Random(4)
+    c, noise_n, rng = VEHICLE.materials["acrylic"].coefficients(mode), 1.5, random.Random(4)
     clean = readings_of(true_pulse(c.k, c.f, 1.0, 1.0, 0.0, 0.0), 0.002, 0.0, 1e9, 0.00073)
     prior = PulsePrior(math.sqrt(c.k / MASS), 0.5 * c.f / MASS, 0.2)
     fits = []
@@ -236,15 +236,15 @@ def test_the_best_fresh_thrust_source_is_taken() -> None:
     model = ThrustModel(with_estimation(esc_thrust_n_per_rpm2=1.1e-8))
     assert model.mean_over_tick(1_000_000) == pytest.approx(MASS * 9.81)
     assert model.source is None
-    model.take_actuator(ActuatorSample(1_008_000, 0, (HOVER,) * 4))
+    model.add_commands(ActuatorSample(1_008_000, 0, (HOVER,) * 4))
     model.mean_over_tick(1_008_000)
     assert model.source is ThrustSource.ACTUATOR
-    model.take_esc(EscSample(1_008_000, 0, (17_000.0,) * 4))
-    model.take_esc(EscSample(1_012_000, 0, (17_000.0,) * 4))
+    model.update_esc(EscSample(1_008_000, 0, (17_000.0,) * 4))
+    model.update_esc(EscSample(1_012_000, 0, (17_000.0,) * 4))
     model.mean_over_tick(1_012_000)
     assert model.mean_over_tick(1_016_000) == pytest.approx(4 * 1.1e-8 * 17_000.0**2)
     assert model.source is ThrustSource.ESC
-    model.take_actuator(ActuatorSample(1_200_000, 0, (HOVER,) * 4))
+    model.add_commands(ActuatorSample(1_200_000, 0, (HOVER,) * 4))
     model.mean_over_tick(1_200_000)
     assert model.source is ThrustSource.ACTUATOR  # the ESC's telemetry is stale
 
@@ -252,7 +252,7 @@ def test_the_best_fresh_thrust_source_is_taken() -> None:
 def test_without_a_fresh_source_hovering_is_assumed_and_no_motor_known() -> None:
     model = ThrustModel(with_estimation(esc_thrust_n_per_rpm2=1.1e-8))
     for t_us in (1_000_000, 1_004_000):
-        model.take_esc(EscSample(t_us, 0, (17_000.0,) * 4))
+        model.update_esc(EscSample(t_us, 0, (17_000.0,) * 4))
         model.mean_over_tick(t_us)
     known = (model.source, model.each_n)
     assert known == (ThrustSource.ESC, tuple([1.1e-8 * 17_000.0 * 17_000.0] * 4))
@@ -265,9 +265,9 @@ def test_without_a_fresh_source_hovering_is_assumed_and_no_motor_known() -> None
 def test_slow_or_uncalibrated_motor_speeds_are_no_source(period_us: int, constant: float | None) -> None:
     model = ThrustModel(with_estimation(esc_thrust_n_per_rpm2=constant))
     for t_us in range(1_000_000, 1_400_000, 4_000):
-        model.take_actuator(ActuatorSample(t_us, 0, (HOVER,) * 4))
+        model.add_commands(ActuatorSample(t_us, 0, (HOVER,) * 4))
         if t_us % period_us == 0:
-            model.take_esc(EscSample(t_us, 0, (17_000.0,) * 4))
+            model.update_esc(EscSample(t_us, 0, (17_000.0,) * 4))
         model.mean_over_tick(t_us)
         assert model.source is ThrustSource.ACTUATOR
 
@@ -275,16 +275,16 @@ def test_slow_or_uncalibrated_motor_speeds_are_no_source(period_us: int, constan
 def test_battery_voltage_scales_the_curve() -> None:
     battery = msgspec.structs.replace(VEHICLE.estimation.battery, exponent=1.5)
     model = ThrustModel(with_estimation(battery=battery))
-    model.take_actuator(ActuatorSample(1_000_000, 0, (HOVER,) * 4))
+    model.add_commands(ActuatorSample(1_000_000, 0, (HOVER,) * 4))
     full = model.mean_over_tick(1_004_000)
-    model.take_voltage(0.9 * battery.reference_v)
+    model.update_voltage(0.9 * battery.reference_v)
     model.mean_over_tick(1_008_000)
     assert model.mean_over_tick(1_012_000) == pytest.approx(full * 0.9**1.5)
-    model.take_voltage(None)
+    model.update_voltage(None)
     assert model.mean_over_tick(1_016_000) == pytest.approx(full * 0.9**1.5)
-    model.take_voltage(0.0)  # as who measures none may say
+    model.update_voltage(0.0)  # as who measures none may say
     assert model.mean_over_tick(1_020_000) == pytest.approx(full * 0.9**1.5)
-    model.take_voltage(0.5)
+    model.update_voltage(0.5)
     model.mean_over_tick(1_024_000)
     assert model.mean_over_tick(1_028_000) == pytest.approx(full * (0.5 / battery.reference_v) ** 1.5)
 
@@ -335,15 +335,15 @@ class Hovering:
             self.t_us += 4000
             t, f, b = self.t_us, self.force, self.bias
             attitude = AttitudeSample(t, t, self.q)
-            self.state.take_attitude(attitude)
-            self.estimator.take_attitude(attitude)
+            self.state.update_attitude(attitude)
+            self.estimator.add_attitude(attitude)
             self.velocity = (
                 self.velocity[0] + 0.004 * f[0] / MASS,
                 self.velocity[1] + 0.004 * f[1] / MASS,
                 0.0,
             )
-            self.state.take_odometry(OdometrySample(t, t, (0.0, 0.0, -1.0), self.velocity))
-            self.estimator.thrust.take_actuator(ActuatorSample(t, t, (HOVER,) * 4))
+            self.state.update_odometry(OdometrySample(t, t, (0.0, 0.0, -1.0), self.velocity))
+            self.estimator.thrust.add_commands(ActuatorSample(t, t, (HOVER,) * 4))
             noise = [self.rng.gauss(0.0, self.sigma) for _ in range(3)]
             imu = ImuSample(
                 t,
@@ -355,7 +355,7 @@ class Hovering:
                 ),
                 (0.0, 0.0, 0.0),
             )
-            self.state.take_imu(imu)
+            self.state.update_imu(imu)
             estimate = self.estimator.estimate(imu, self.state)
             assert estimate is not None
             out.append(estimate)
@@ -406,10 +406,10 @@ def test_the_force_is_what_thrust_gravity_and_drag_do_not_explain(seed: int) -> 
     frame = MissionFrame(1.0, 2.0, -3.0, rng.uniform(-3.0, 3.0))
     state.anchor(frame)
     velocity_ned, rate, f = drawn(2.0), drawn(3.0), drawn(20.0)
-    state.take_odometry(OdometrySample(1_000_000, 0, (0.0, 0.0, 0.0), velocity_ned))
+    state.update_odometry(OdometrySample(1_000_000, 0, (0.0, 0.0, 0.0), velocity_ned))
     q = quaternion_from_euler(*drawn(1.5))
-    estimator.take_attitude(AttitudeSample(1_000_000, 0, q))
-    estimator.thrust.take_actuator(ActuatorSample(900_000, 0, (HOVER,) * 4))
+    estimator.add_attitude(AttitudeSample(1_000_000, 0, q))
+    estimator.thrust.add_commands(ActuatorSample(900_000, 0, (HOVER,) * 4))
     hover = estimator.hover
     hover.bias_x, hover.bias_y, hover.scale = 0.3, -0.2, 0.9
     t_us = 1_050_000
@@ -439,7 +439,7 @@ def test_an_attitude_is_carried_on_for_sixty_milliseconds(away_us: int, near: bo
     estimator, state = ForceEstimator(VEHICLE), FlightState()
     state.anchor(MissionFrame())
     at_us = 1_000_000 - round(VEHICLE.imu.reading_lag_s * 1e6)
-    estimator.take_attitude(AttitudeSample(at_us + away_us, 0, IDENTITY))
+    estimator.add_attitude(AttitudeSample(at_us + away_us, 0, IDENTITY))
     imu = ImuSample(1_000_000, 0, (0.0, 0.0, -9.81), (0.0, 0.0, 0.0))
     assert (estimator.estimate(imu, state) is not None) is near
 

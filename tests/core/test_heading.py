@@ -99,12 +99,12 @@ def test_a_wall_is_turned_as_it_was_felt() -> None:
         incidence_sigma_rad=0.01,
     )
     walls = EstimatedWalls()
-    assert walls.turned(wall) == 0.0
+    assert walls.rotation(wall) == 0.0
     walls.add_estimate(felt, wall)
-    assert walls.turned(wall) == pytest.approx(-0.07)
+    assert walls.rotation(wall) == pytest.approx(-0.07)
     unsure = msgspec.structs.replace(felt, plane_normal_mission=(-1.0, 0.0), plane_normal_sigma_rad=0.1)
     walls.add_estimate(unsure, wall)
-    assert walls.turned(wall) == pytest.approx(-0.07)
+    assert walls.rotation(wall) == pytest.approx(-0.07)
 
 
 def test_walls_that_were_met_stay_where_they_are_when_the_frame_moves() -> None:
@@ -113,19 +113,19 @@ def test_walls_that_were_met_stay_where_they_are_when_the_frame_moves() -> None:
     coefficients, plane = (1.0,) * 8, (0.0, 0.1, 0.05, 0.02)
     walls, here = EstimatedWalls(), (0.5, 0.2)
     walls.add_estimate(WallEstimate(0, 0, "met", None, None, 0.0, *coefficients, *plane), met)
-    before_m = walls.wall_now(met).signed_distance(here)
+    before_m = walls.known_wall(met).signed_distance(here)
     assert before_m == pytest.approx(met.signed_distance(here) - 0.05)
     by = (0.3, -0.1)
     walls.move_frame(by)
     moved = (here[0] - by[0], here[1] - by[1])
-    assert walls.wall_now(met).signed_distance(moved) == pytest.approx(before_m)
-    assert walls.wall_now(other) == other
+    assert walls.known_wall(met).signed_distance(moved) == pytest.approx(before_m)
+    assert walls.known_wall(other) == other
 
 
 @pytest.mark.parametrize("sd_m", [0.3, None])
 def test_a_walls_place_is_as_unsure_as_it_and_the_frame_are_together(sd_m: float | None) -> None:
     wall = Wall("wood", (2.0, 1.0), (-0.6, -0.8), 2.0, "acrylic", position_sd_m=sd_m)
     anchors = FrameAnchors(0.1)
-    seen = EstimatedWalls(anchors).wall_now(wall, 5_000_000)
+    seen = EstimatedWalls(anchors).known_wall(wall, 5_000_000)
     assert seen.position_sd_m == pytest.approx(math.hypot(sd_m or 0.0, anchors.sd_m(wall.normal, 5_000_000)))
-    assert EstimatedWalls(anchors).wall_now(wall) == EstimatedWalls().wall_now(wall, 5_000_000) == wall
+    assert EstimatedWalls(anchors).known_wall(wall) == EstimatedWalls().known_wall(wall, 5_000_000) == wall

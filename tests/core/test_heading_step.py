@@ -49,7 +49,7 @@ def reset_heading(
     chance, resets = random.Random(seed), EstimatorResets()
     q = quaternion_from_euler(*(chance.uniform(-1.0, 1.0) for _ in range(3)))
     swing = [(chance.uniform(-11.0, 11.0), chance.uniform(1.0, 8.0), chance.uniform(0.0, 6.0)) for _ in NED]
-    resets.take_counter(counter[0], 0)
+    resets.update_counter(counter[0], 0)
     for tick in range(1, 250):
         t_us = 1_000_000 + 4000 * tick
         rate = [a * math.sin(f * tick * 0.02 + p) for a, f, p in swing]
@@ -60,12 +60,12 @@ def reset_heading(
         attitude_first = chance.random() < 0.5
         arrives = tick % 2 == 0 and chance.random() >= lost
         if arrives and attitude_first:
-            resets.take_attitude(AttitudeSample(t_us, t_us, q))
-        resets.take_imu(ImuSample(t_us, t_us, NED, rate_frd))
+            resets.add_attitude(AttitudeSample(t_us, t_us, q))
+        resets.add_imu(ImuSample(t_us, t_us, NED, rate_frd))
         if arrives and not attitude_first:
-            resets.take_attitude(AttitudeSample(t_us, t_us, q))
+            resets.add_attitude(AttitudeSample(t_us, t_us, q))
         if tick == 125 + lag:
-            resets.take_counter(counter[1], t_us)
+            resets.update_counter(counter[1], t_us)
     return 0.0 if resets.newest is None else math.degrees(resets.newest.heading_rad)
 
 
@@ -97,37 +97,37 @@ def test_a_heading_far_from_the_counter_is_not_its() -> None:
 
 def test_a_step_of_the_tilt_is_none_of_the_heading() -> None:
     resets, q = EstimatorResets(), quaternion_from_euler(0.0, 0.0, 1.0)
-    resets.take_counter(0, 0)
+    resets.update_counter(0, 0)
     for tick in range(1, 40):
         if tick == 20:
-            resets.take_counter(1, 4000 * tick)
+            resets.update_counter(1, 4000 * tick)
             q = quaternion_multiply(quaternion_from_euler(0.3, 0.0, 0.0), q)
-        resets.take_imu(ImuSample(4000 * tick, 4000 * tick, NED, NED))
-        resets.take_attitude(AttitudeSample(4000 * tick, 4000 * tick, q))
+        resets.add_imu(ImuSample(4000 * tick, 4000 * tick, NED, NED))
+        resets.add_attitude(AttitudeSample(4000 * tick, 4000 * tick, q))
     assert resets.newest is not None
     assert abs(math.degrees(resets.newest.heading_rad)) < 0.1
 
 
 def test_without_rates_in_between_nothing_can_be_compared() -> None:
     resets = EstimatorResets()
-    resets.take_counter(0, 0)
+    resets.update_counter(0, 0)
     for t_us, yaw in ((0, 0.0), (4000, 0.0), (400_000, 1.0), (404_000, 1.0)):
-        resets.take_imu(ImuSample(t_us, t_us, NED, NED))
-        resets.take_attitude(AttitudeSample(t_us, t_us, quaternion_from_euler(0.0, 0.0, yaw)))
-    resets.take_counter(1, 404_000)
+        resets.add_imu(ImuSample(t_us, t_us, NED, NED))
+        resets.add_attitude(AttitudeSample(t_us, t_us, quaternion_from_euler(0.0, 0.0, yaw)))
+    resets.update_counter(1, 404_000)
     assert resets.newest is not None
     assert resets.newest.heading_rad == 0.0
 
 
 def test_steps_of_position_and_velocity_are_measured_beside_the_motion() -> None:
     resets = EstimatorResets()
-    resets.take_counter(250, 0)
+    resets.update_counter(250, 0)
     for n in range(40):
         t_us, late = 8000 * n, n >= 20
         x = 0.008 * n * 2.0 + (0.3 if late else 0.0)
-        resets.take_odometry(OdometrySample(t_us, t_us, (x, 0.0, 0.0), (2.0, 0.1 if late else 0.0, 0.0)))
+        resets.add_odometry(OdometrySample(t_us, t_us, (x, 0.0, 0.0), (2.0, 0.1 if late else 0.0, 0.0)))
         if n == 22:
-            assert resets.take_counter(251, t_us)
+            assert resets.update_counter(251, t_us)
     assert resets.newest is not None
     assert resets.newest.position_m == pytest.approx(0.3, abs=1e-6)
     assert resets.newest.velocity_m_s == pytest.approx(0.1, abs=1e-6)
@@ -158,7 +158,7 @@ def test_a_step_of_the_heading_breaks_off_before_the_wall(step_deg: float) -> No
     c.to_flight()
     assert c.core.phase is Phase.APPROACH
     turn(c, step_deg)
-    assert fired(c) == [("heading_reset", f"by {step_deg:.1f} deg, 5 deg allowed")]
+    assert fired(c) == [("heading_reset", f"heading stepped by {step_deg:.1f} deg, limit 5 deg")]
     assert c.core.override is Override.BREAK_OFF
 
 
@@ -211,7 +211,7 @@ def test_the_verdict_lists_resets_of_the_estimator(fault: str, outcome: str, hea
     mission = load_flyable(packaged("missions", "paper_dual_collision.yaml"))
     verdict = fly_fast(mission, 1, None, fault=parse_fault(fault))
     assert verdict.outcome == outcome
-    assert (verdict.reason or "").startswith("heading_reset: by") is (outcome == "aborted")
+    assert (verdict.reason or "").startswith("heading_reset: heading stepped by") is (outcome == "aborted")
     (reset,) = verdict.estimator_resets
     assert reset.heading_deg == pytest.approx(heading_deg, rel=0.06)  # motion capture has begun to correct
     assert reset.position_m < 0.05

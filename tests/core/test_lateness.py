@@ -32,10 +32,10 @@ def feed(
         way_s = delay_s(now_s)
         if trips and i % 25 == 0:
             here_us = round(1e6 * now_s)
-            lateness.take_round_trip(
+            lateness.add_round_trip(
                 RoundTrip(here_us + round(1e6 * way_s), here_us - round(1e6 * way_s), autopilot_us)
             )
-        lateness.take_sample(autopilot_us, round(1e6 * (now_s + way_s)))
+        lateness.add_sample(autopilot_us, round(1e6 * (now_s + way_s)))
         was_late = was_late or lateness.late
     return was_late
 
@@ -52,14 +52,14 @@ def test_a_delay_that_is_always_the_same_is_found_by_the_round_trip() -> None:
     assert abs(lateness.age_us - 50e3) < 1.0
     lateness = TelemetryDelay(0.075)
     assert feed(lateness, 0.3, lambda t: 1.0)
-    assert lateness.describe() == "telemetry arrives 1000 ms after it was sampled, round trip 2000 ms"
+    assert lateness.describe() == "telemetry arrives 1000 ms after sampling, limit 75 ms, round trip 2000 ms"
 
 
 def test_a_delay_that_comes_later_shows_although_no_request_is_answered_any_more() -> None:
     lateness = TelemetryDelay(0.075)
     assert not feed(lateness, 60.0, lambda t: 0.003)
     assert feed(lateness, 0.3, lambda t: 0.1, from_s=60.0, trips=False)
-    assert lateness.describe() == "telemetry arrives 100 ms after it was sampled"
+    assert lateness.describe() == "telemetry arrives 100 ms after sampling, limit 75 ms"
 
 
 def test_it_stays_late_however_long_that_lasts() -> None:
@@ -101,7 +101,7 @@ def test_samples_are_late_once_they_are_for_a_sixth_of_a_second(every_ms: int, s
     while not lateness.late:
         count += 1
         now_us = 996_000 + 1000 * every_ms * count
-        lateness.take_sample(AHEAD_US + now_us - 80_000, now_us)
+        lateness.add_sample(AHEAD_US + now_us - 80_000, now_us)
     assert count == samples
 
 
@@ -111,19 +111,19 @@ def test_a_round_trip_counts_again_when_the_clocks_may_have_drifted_as_far_as_it
 ) -> None:
     """After 100 s by 20 ms, on top of the millisecond by which the one before may err."""
     lateness = TelemetryDelay(0.075)
-    lateness.take_round_trip(RoundTrip(1_000, -1_000, AHEAD_US))
+    lateness.add_round_trip(RoundTrip(1_000, -1_000, AHEAD_US))
     later_us, way_us = 100_001_000, 1000 * way_ms
     autopilot_us = AHEAD_US + later_us - way_us + 5_000
-    lateness.take_round_trip(RoundTrip(later_us, later_us - 2 * way_us, autopilot_us))
-    lateness.take_sample(AHEAD_US, 10_000)
+    lateness.add_round_trip(RoundTrip(later_us, later_us - 2 * way_us, autopilot_us))
+    lateness.add_sample(AHEAD_US, 10_000)
     assert lateness.age_us == (15_000.0 if taken else 10_000.0)
 
 
 def test_where_clocks_cannot_be_compared_the_shortest_of_three_round_trips_counts() -> None:
     lateness, ages_us = TelemetryDelay(0.075), []
     for took_us in (10_000, 400_000, 400_000, 400_000):
-        lateness.take_round_trip(RoundTrip(took_us, 0, None))
-        lateness.take_sample(0, 0)
+        lateness.add_round_trip(RoundTrip(took_us, 0, None))
+        lateness.add_sample(0, 0)
         ages_us.append(lateness.age_us)
     assert ages_us == [5_000.0, 5_000.0, 5_000.0, 200_000.0]
 
@@ -133,9 +133,9 @@ def test_a_clock_that_jumps_is_compared_anew() -> None:
     feed(lateness, 1.0, lambda t: 0.003)
     for i in range(250):
         now_us = 1_000_000 + 4000 * i
-        lateness.take_sample(now_us, now_us)  # 300 s back
+        lateness.add_sample(now_us, now_us)  # 300 s back
         if i % 25 == 20:
-            lateness.take_round_trip(RoundTrip(now_us + 3000, now_us - 3000, now_us))
+            lateness.add_round_trip(RoundTrip(now_us + 3000, now_us - 3000, now_us))
     assert lateness.age_us == 0.0
     assert not lateness.late
 
@@ -146,8 +146,8 @@ def test_a_clock_that_jumps_is_compared_anew_by_whatever_round_trip_comes(back_m
     lateness = TelemetryDelay(0.075)
     feed(lateness, 1.0, lambda t: 0.003)
     way_us = 1000 * back_ms
-    lateness.take_round_trip(RoundTrip(1_000_000 + way_us, 1_000_000 - way_us, 1_000_000))  # 300 s back
-    lateness.take_sample(1_000_000, 1_000_000)
+    lateness.add_round_trip(RoundTrip(1_000_000 + way_us, 1_000_000 - way_us, 1_000_000))  # 300 s back
+    lateness.add_sample(1_000_000, 1_000_000)
     assert lateness.age_us == 0.0
 
 
@@ -155,8 +155,8 @@ def test_a_slower_round_trip_does_not_spoil_what_a_faster_one_has_told() -> None
     """Forty milliseconds there and none back: of that, half would be taken for a delay."""
     lateness = TelemetryDelay(0.075)
     feed(lateness, 1.0, lambda t: 0.003)
-    lateness.take_round_trip(RoundTrip(1_000_000, 960_000, AHEAD_US + 1_000_000))
-    lateness.take_sample(AHEAD_US + 1_000_000, 1_003_000)
+    lateness.add_round_trip(RoundTrip(1_000_000, 960_000, AHEAD_US + 1_000_000))
+    lateness.add_sample(AHEAD_US + 1_000_000, 1_003_000)
     assert lateness.age_us == pytest.approx(3000.0, abs=1.0)
 
 
@@ -166,14 +166,14 @@ def test_where_the_autopilots_time_goes_at_any_pace_round_trips_alone_count() ->
         now_us = 4000 * i
         if i % 25 == 0:
             slow_us = 400_000 if i == 500 else 10_000  # one hiccup
-            lateness.take_round_trip(RoundTrip(now_us, now_us - slow_us, None))
-        lateness.take_sample(now_us // 2, now_us)
+            lateness.add_round_trip(RoundTrip(now_us, now_us - slow_us, None))
+        lateness.add_sample(now_us // 2, now_us)
         assert not lateness.late
     for i in range(1000, 1200):
         now_us = 4000 * i
         if i % 25 == 0:
-            lateness.take_round_trip(RoundTrip(now_us, now_us - 400_000, None))
-        lateness.take_sample(now_us // 2, now_us)
+            lateness.add_round_trip(RoundTrip(now_us, now_us - 400_000, None))
+        lateness.add_sample(now_us // 2, now_us)
     assert lateness.late
 
 

@@ -15,11 +15,11 @@ from hypothesis import strategies as st
 from dart_flight.base.geometry import Vec2, distance2
 from dart_flight.base.records import LockPhase, LockState, Phase, ProbeEnd
 from dart_flight.config.mission import Mission, load_mission
-from dart_flight.config.probes import place_at
+from dart_flight.config.probes import resolve_place
 from dart_flight.config.vehicle import packaged
 from dart_flight.core.mission.approach import plan_approach
 from dart_flight.core.mission.executive import Executive
-from dart_flight.core.mission.legs import collision_now, mission_now, waypoint_now, why_left_out
+from dart_flight.core.mission.legs import skip_reason, update_collision, update_mission, update_waypoint
 from dart_flight.core.mission.proposal import Proposal
 from dart_flight.core.mission.trajectories import Trajectory
 from dart_flight.core.mission.wall_uncertainty import EstimatedWalls
@@ -43,34 +43,34 @@ def test_legs_are_left_out_that_depend_on_a_wall_which_was_not_met_or_was() -> N
     probe, again, other = FIND.collisions
     for leg, walls, reason in (
         (probe, EstimatedWalls(), None),
-        (again, EstimatedWalls(), "wall east was not met"),
+        (again, EstimatedWalls(), "no contact with wall east"),
         (again, met("east"), None),
         (other, EstimatedWalls(), None),
-        (other, met("east"), "wall east was met"),
-        (AWAY, EstimatedWalls(), "wall east was not met"),
+        (other, met("east"), "contact with wall east"),
+        (AWAY, EstimatedWalls(), "no contact with wall east"),
         (AWAY, met("east"), None),
-        (AWAY, met("west"), "wall east was not met"),
+        (AWAY, met("west"), "no contact with wall east"),
     ):
-        assert why_left_out(leg, walls) == reason
+        assert skip_reason(leg, walls) == reason
     asked = msgspec.structs.replace(probe, if_met="west")
-    assert why_left_out(asked, met("east")) == "wall west was not met"
-    assert why_left_out(asked, met("west")) is None
+    assert skip_reason(asked, met("east")) == "no contact with wall west"
+    assert skip_reason(asked, met("west")) is None
 
 
 def test_a_hit_and_a_waypoint_are_as_far_along_the_wall_as_it_was_met() -> None:
     walls = met("east")
-    hit = collision_now(FIND.collisions[1], walls, 0, HERE)
+    hit = update_collision(FIND.collisions[1], walls, 0, HERE)
     assert (hit.wall.point, hit.wall.sought) == ((1.9, 0.1), False)
     assert hit.impact_point is not None
     assert hit.wall.signed_distance(hit.impact_point) == pytest.approx(0.0, abs=1e-12)
     assert hit.wall.along(hit.impact_point) == pytest.approx(0.3)
-    waits = waypoint_now(AWAY, walls)
+    waits = update_waypoint(AWAY, walls)
     assert waits.position is not None
     assert waits.position[:2] == pytest.approx((1.9 - 0.8, 0.1 + 0.6))
     assert waits.position[2] == 1.0
     unknown = EstimatedWalls()
-    assert collision_now(FIND.collisions[1], unknown, 0, HERE) == FIND.collisions[1]
-    assert waypoint_now(AWAY, unknown) == AWAY
+    assert update_collision(FIND.collisions[1], unknown, 0, HERE) == FIND.collisions[1]
+    assert update_waypoint(AWAY, unknown) == AWAY
 
 
 @pytest.mark.parametrize("from_here", [True, False])
@@ -80,7 +80,7 @@ def test_a_probe_may_begin_where_the_vehicle_rests(from_here: bool) -> None:
     one = msgspec.structs.replace(
         FIND.collisions[0], probe=msgspec.structs.replace(probe, from_here=from_here)
     )
-    now = collision_now(one, EstimatedWalls(), 0, HERE).probe
+    now = update_collision(one, EstimatedWalls(), 0, HERE).probe
     assert now is not None
     assert now.begin == (HERE if from_here else probe.begin)
     way, before = (tuple(e - b for b, e in zip(p.begin, p.end, strict=True)) for p in (now, probe))
@@ -88,11 +88,11 @@ def test_a_probe_may_begin_where_the_vehicle_rests(from_here: bool) -> None:
 
 
 def test_a_mission_as_it_is_known_now_has_the_walls_that_were_found() -> None:
-    now = mission_now(FIND, met("east"), 0, HERE)
+    now = update_mission(FIND, met("east"), 0, HERE)
     assert [wall.name for wall in now.walls] == ["east"]
     assert [w.index for w in now.waypoints] == [1]
     assert now.start == HERE
-    before = mission_now(FIND, EstimatedWalls(), 0, HERE)
+    before = update_mission(FIND, EstimatedWalls(), 0, HERE)
     assert (before.walls, before.waypoints) == ((), ())
 
 
@@ -101,7 +101,7 @@ def test_a_mission_as_it_is_known_now_has_the_walls_that_were_found() -> None:
 def test_a_place_at_a_wall_is_so_far_from_it_and_along_it(away_m: float, along_m: float) -> None:
     wall = FIND.simulated_walls[0]
     assert AWAY.at_wall is not None
-    place = place_at(wall, msgspec.structs.replace(AWAY.at_wall, away_m=away_m, along_m=along_m))
+    place = resolve_place(wall, msgspec.structs.replace(AWAY.at_wall, away_m=away_m, along_m=along_m))
     assert wall.signed_distance(place) == pytest.approx(away_m, abs=1e-9)
     assert wall.along(place) == pytest.approx(along_m, abs=1e-9)
 
@@ -168,6 +168,4 @@ def test_a_probe_that_meets_nothing_ends_where_the_vehicle_is() -> None:
     assert (flown.progress.phase, flown.progress.index) == (Phase.RECOVERY, 1)
     assert flown.progress.course.target[:2] == state.position[:2]
     assert flown.progress.lock.contact_end_us == state.now_us, "nothing keeps the lock from moving"
-    assert [o.what for o in p.outputs if isinstance(o, ProbeEnd)] == [
-        "nothing met on the probe for wall east"
-    ]
+    assert [o.what for o in p.outputs if isinstance(o, ProbeEnd)] == ["no contact on the probe for wall east"]

@@ -302,7 +302,7 @@ def test_what_has_died_is_said_where_it_is_known(detail: str) -> None:
     c.to_flight()
     c.give(OperatorRequest(c.t_us, Request.WORLD_DIED, detail))
     said = [o.detail for o in c.outputs if isinstance(o, GuardEvent)]
-    assert said == [detail or "simulated vehicle terminated"]
+    assert said == [detail or "the simulated vehicle ended"]
 
 
 # --- heading -----------------------------------------------------------------------------------------------

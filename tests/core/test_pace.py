@@ -46,7 +46,7 @@ def state_at(mission: Mission, place: tuple[float, float], velocity: tuple[float
     state = FlightState()
     state.anchor(mission.frame_at((0.0, 0.0, 0.0)))
     ned = mission.frame_at((0.0, 0.0, 0.0))
-    state.take_odometry(
+    state.update_odometry(
         OdometrySample(8000, 8000, ned.point_to_ned((*place, 1.0)), ned.vector_to_ned((*velocity, 0.0)))
     )
     return state

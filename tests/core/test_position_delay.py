@@ -42,7 +42,7 @@ class Imu:
 
 def step(delay: PositionDelay, imu: Imu, t_us: int, velocity: Vec3) -> None:
     if t_us >= delay.due_us:
-        delay.take_odometry(t_us, velocity, imu.momenta)
+        delay.compare_odometry(t_us, velocity, imu.momenta)
 
 
 def fly(

@@ -35,7 +35,7 @@ def test_a_wall_in_the_way_stops_at_its_plane(
     expected = max(0.0, distance / way) if stops else 1.0
     assert stop_share((), position, velocity) == 1.0
     assert stop_share((wall,), position, velocity) == pytest.approx(expected)
-    further = wall.moved(0.2)  # met sooner
+    further = wall.displaced(0.2)  # met sooner
     both = stop_share((wall, further), position, velocity)
     assert both == pytest.approx(min(expected, float(stop_share((further,), position, velocity))))
 

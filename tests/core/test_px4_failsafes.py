@@ -168,7 +168,7 @@ def test_nothing_that_was_said_counts_for_longer_than_three_seconds(said: list[t
     evidence, now_us = FailsafeEvidence(), 10_000_000
     for text, after_us in said:
         now_us += after_us
-        evidence.take_text(StatusText(now_us, now_us, "critical", text), now_us)
+        evidence.add_text(StatusText(now_us, now_us, "critical", text), now_us)
         if "switching to" in text:
             assert evidence.announcement(now_us) == text
     now_us += 3_000_000

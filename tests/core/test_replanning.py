@@ -18,7 +18,7 @@ from dart_flight.base.walls import Wall
 from dart_flight.config.mission import Collision, Mission, load_mission
 from dart_flight.config.mission_file import TrajectoryPieces
 from dart_flight.config.vehicle import packaged
-from dart_flight.core.mission.lock_orders import LockMemory
+from dart_flight.core.mission.lock_commands import LockCommandState
 from dart_flight.core.mission.mission_state import NO_CHANGE, Change, MissionState
 from dart_flight.core.mission.replan import Replan
 from dart_flight.core.mission.replan_requests import ReplanRequests
@@ -142,11 +142,11 @@ def test_an_answer_in_time_is_flown_from_its_moment_on() -> None:
     assert change.outputs == (PlanTaken(request.begin_us, request.number, True),)
     assert planning.replan.since_us == request.begin_us
     assert planning.trajectory(moved_to(request)) == NO_CHANGE  # once
-    met = planning.replan.meets_plane(1.2, state_at(request.begin_us + 300_000))
+    met = planning.replan.predict_impact(1.2, state_at(request.begin_us + 300_000))
     assert met is not None
     assert met.after_s == pytest.approx(1.0)
     assert met.normal_m_s == -1.2
-    beyond = planning.replan.meets_plane(1.2, state_at(request.begin_us + 1_400_000))
+    beyond = planning.replan.predict_impact(1.2, state_at(request.begin_us + 1_400_000))
     assert beyond is not None
     assert beyond.after_s == 0.0  # it is due, and not over
     end_us = request.begin_us + 1_000_000
@@ -161,13 +161,13 @@ def test_an_answer_in_time_is_flown_from_its_moment_on() -> None:
     [
         ({"number": 7}, "outdated state"),
         ({"problem": "no trajectory to wall acrylic"}, "no trajectory to wall acrylic"),
-        ({"begin_us": 1}, "answer does not match the request"),
-        ({"collision": None}, "answer does not match the request"),
-        ({"impact_s": None}, "answer does not match the request"),
-        ({"duration_s": 0.0}, "answer does not match the request"),
-        ({"x_mission": (1.0, 2.0)}, "answer does not match the request"),
-        ({"y_mission": (math.nan,) * 6}, "answer does not match the request"),
-        ({"x_mission": (math.inf,) * 6}, "answer does not match the request"),
+        ({"begin_us": 1}, "the plan does not match the request"),
+        ({"collision": None}, "the plan does not match the request"),
+        ({"impact_s": None}, "the plan does not match the request"),
+        ({"duration_s": 0.0}, "the plan does not match the request"),
+        ({"x_mission": (1.0, 2.0)}, "the plan does not match the request"),
+        ({"y_mission": (math.nan,) * 6}, "the plan does not match the request"),
+        ({"x_mission": (math.inf,) * 6}, "the plan does not match the request"),
     ],
 )
 def test_an_answer_that_cannot_be_flown_is_refused_with_its_reason(
@@ -187,8 +187,8 @@ def test_what_was_felt_is_waited_for_where_the_same_wall_comes_again() -> None:
     def asks(again: bool, after_us: int, felt: bool = False) -> bool:
         sensed = Sensed(estimate=ForceEstimate(NOW_US, (0.0, 0.0, 0.0), False))
         planning.contact_begins()
-        planning.progress.replan = planning.replan._replace(felt=felt)
-        planning.progress.lock = LockMemory(contact_end_us=NOW_US)
+        planning.progress.replan = planning.replan._replace(has_wall_estimate=felt)
+        planning.progress.lock = LockCommandState(contact_end_us=NOW_US)
         between = (hit, hit if again else following)
         return planning.request(between, state_at(NOW_US + after_us), sensed) is not None
 
@@ -213,7 +213,7 @@ def test_an_approach_from_rest_goes_towards_its_wall(
     assert request is not None
     answer = msgspec.structs.replace(answer_to(request), normal_m_s=normal_m_s, tangential_m_s=tangential_m_s)
     refusal = refusal_of(planning, answer, NOW_US + 40_000)
-    assert refusal == (None if flown else "answer does not match the request")
+    assert refusal == (None if flown else "the plan does not match the request")
     change = planning.apply(planning.rules.approach(planning.progress, NOW_US + 40_000))
     approach = change.approach
     assert (approach is not None) is flown
@@ -226,7 +226,7 @@ def test_an_approach_from_rest_goes_towards_its_wall(
 
 def test_an_answer_that_comes_late_is_not_flown() -> None:
     planning, request = asked()
-    assert refusal_of(planning, answer_to(request), request.begin_us + 20_000) == "20 ms too late"
+    assert refusal_of(planning, answer_to(request), request.begin_us + 20_000) == "the plan is 20 ms late"
 
 
 def test_no_wall_is_to_be_met_before_a_vehicle_that_a_contact_has_turned_is_square_to_it() -> None:
@@ -295,7 +295,7 @@ def test_a_contact_ends_what_was_planned_before_it() -> None:
     flown.contact_begins()
     much_later = state_at(request.begin_us + 60_000_000)
     assert flown.replan.since_us is None
-    assert flown.replan.meets_plane(1.2, much_later) is None
+    assert flown.replan.predict_impact(1.2, much_later) is None
     assert not flown.is_late(MISSION.walls[1], much_later)
     assert not flown.replan.is_over(much_later.now_us)
 

@@ -278,9 +278,9 @@ def test_it_has_arrived_once_it_was_there_slow_and_heading_right_for_a_while() -
         for _ in range(round(seconds / 0.01)):
             t_us += 10_000
             half = 0.5 * yaw
-            state.take_attitude(AttitudeSample(t_us, t_us, (math.cos(half), 0.0, 0.0, -math.sin(half))))
+            state.update_attitude(AttitudeSample(t_us, t_us, (math.cos(half), 0.0, 0.0, -math.sin(half))))
             there, moving = (beside_m, 0.0, -ALTITUDE_M), (speed_m_s, 0.0, 0.0)
-            state.take_odometry(OdometrySample(t_us, t_us, there, moving))
+            state.update_odometry(OdometrySample(t_us, t_us, there, moving))
             arrived = flown._has_arrived(state) or arrived
         return arrived
 

@@ -34,12 +34,12 @@ def at(t_us: int, position: Vec3 = HERE, velocity: Vec3 = HERE) -> OdometrySampl
 def test_the_newest_sample_counts_in_a_frame_that_comes_after_it() -> None:
     after, before = FlightState(), FlightState()
     attitude = AttitudeSample(8, 8, quaternion_from_euler(0.1, -0.2, 0.5))
-    after.take_odometry(SAMPLE)
-    after.take_attitude(attitude)
+    after.update_odometry(SAMPLE)
+    after.update_attitude(attitude)
     after.anchor(FRAME)
     before.anchor(FRAME)
-    before.take_odometry(SAMPLE)
-    before.take_attitude(attitude)
+    before.update_odometry(SAMPLE)
+    before.update_attitude(attitude)
     assert after.position == before.position == pytest.approx(FRAME.point_from_ned(SAMPLE.position_ned))
     assert after.velocity == before.velocity == pytest.approx(FRAME.vector_from_ned(SAMPLE.velocity_ned))
     assert after.yaw == before.yaw == pytest.approx(FRAME.yaw_from_ned(0.5))
@@ -54,7 +54,7 @@ def test_the_acceleration_is_that_of_the_velocity_with_a_lag_of_60_ms(push: Vec3
     share = 1.0
     for i in range(1, steps):
         moved = (push[0] * i * h, push[1] * i * h, push[2] * i * h)
-        state.take_odometry(at(i * period_us, HERE, frame.vector_to_ned(moved)))
+        state.update_odometry(at(i * period_us, HERE, frame.vector_to_ned(moved)))
         if i > 1:
             share *= 1.0 - h / 0.06
         for axis in range(3):
@@ -65,8 +65,8 @@ def test_the_acceleration_is_that_of_the_velocity_with_a_lag_of_60_ms(push: Vec3
 def test_a_pause_leaves_no_more_than_the_mean_acceleration() -> None:
     state = FlightState()
     state.anchor(MissionFrame())
-    state.take_odometry(at(1_000_000))
-    state.take_odometry(at(1_500_000, HERE, (2.0, 0.0, 0.0)))
+    state.update_odometry(at(1_000_000))
+    state.update_odometry(at(1_500_000, HERE, (2.0, 0.0, 0.0)))
     assert state.acceleration[0] == pytest.approx(4.0)
 
 
@@ -81,29 +81,29 @@ def test_what_no_vehicle_can_do_is_not_taken(field: str, most: float, sign: floa
 
     for refused in (most, math.inf, math.nan):
         state = FlightState()
-        assert not state.take_odometry(with_value(refused))
+        assert not state.update_odometry(with_value(refused))
         assert state.odometry is None
-    assert FlightState().take_odometry(with_value(0.99 * most))
+    assert FlightState().update_odometry(with_value(0.99 * most))
 
 
 def test_what_is_not_newer_is_not_taken() -> None:
     state = FlightState()
     state.anchor(MissionFrame())
     attitude = AttitudeSample(20_000, 20_000, quaternion_from_euler(0.0, 0.0, 0.0))
-    assert state.take_odometry(at(20_000))
-    assert state.take_attitude(attitude)
+    assert state.update_odometry(at(20_000))
+    assert state.update_attitude(attitude)
     for t_us in (20_000, 12_000):
-        assert not state.take_odometry(at(t_us, (1.0, 0.0, 0.0)))
-        assert not state.take_attitude(msgspec.structs.replace(attitude, t_us=t_us))
+        assert not state.update_odometry(at(t_us, (1.0, 0.0, 0.0)))
+        assert not state.update_attitude(msgspec.structs.replace(attitude, t_us=t_us))
     assert state.position == HERE
-    assert state.take_odometry(at(20_001, (1.0, 0.0, 0.0)))
+    assert state.update_odometry(at(20_001, (1.0, 0.0, 0.0)))
 
 
 def test_between_samples_it_flies_straight_on() -> None:
     state = FlightState()
     assert state.position_at(5) == HERE
     state.anchor(MissionFrame())
-    state.take_odometry(at(1_000_000, (1.0, 2.0, -3.0), (0.5, -1.0, 0.25)))
+    state.update_odometry(at(1_000_000, (1.0, 2.0, -3.0), (0.5, -1.0, 0.25)))
     assert state.position_at(1_200_000) == pytest.approx((1.1, -1.8, 2.95))
     assert state.position_at(900_000) == pytest.approx((0.95, -2.1, 3.025))
 
@@ -112,7 +112,7 @@ def test_velocities_are_remembered_for_a_second() -> None:
     state = FlightState()
     state.anchor(MissionFrame())
     for i in range(1, 301):
-        state.take_odometry(at(i * 10_000, HERE, (0.01 * i, 0.0, 0.0)))
+        state.update_odometry(at(i * 10_000, HERE, (0.01 * i, 0.0, 0.0)))
     assert state.velocity_before(2_500_000)[0] == pytest.approx(2.49)
     assert state.velocity_before(2_500_001)[0] == pytest.approx(2.50)
     assert state.velocity_before(2_000_001)[0] == pytest.approx(2.00)
@@ -124,61 +124,63 @@ def test_velocities_are_remembered_for_a_second() -> None:
 def test_while_the_streams_are_silent_time_goes_on_by_the_hosts_clock() -> None:
     """Autopilot 5 s ahead of the host; never back, and a leap of the offset moves it by a second at most."""
     state = FlightState()
-    state.take_tick(Tick(900_000))
+    state.advance(Tick(900_000))
     assert (state.now_us, state.host_us) == (0, 900_000)
-    state.take_odometry(OdometrySample(6_000_000, 1_000_000, HERE, HERE))
-    state.take_clock(ClockOffset(0, 5_000_000))
+    state.update_odometry(OdometrySample(6_000_000, 1_000_000, HERE, HERE))
+    state.update_clock(ClockOffset(0, 5_000_000))
     for host_us, now_us in ((1_000_000, 6_000_000), (1_400_000, 6_400_000), (1_200_000, 6_400_000)):
-        state.take_tick(Tick(host_us))
+        state.advance(Tick(host_us))
         assert state.now_us == now_us
-    state.take_clock(ClockOffset(0, 50_000_000))
-    state.take_tick(Tick(1_500_000))
+    state.update_clock(ClockOffset(0, 50_000_000))
+    state.advance(Tick(1_500_000))
     assert state.now_us == 6_000_000 + 500_000 + 1_000_000
     assert state.host_us == 1_500_000
 
 
 def test_a_stamp_that_leaps_is_believed_when_it_lasts() -> None:
     state = FlightState()
-    state.take_odometry(at(1_000_000))
+    state.update_odometry(at(1_000_000))
     for i in range(1, 25):
         t_us = 1_000_000 + 8000 * i
-        assert not state.take_odometry(OdometrySample(t_us + 9_000_000, t_us, HERE, HERE))
-    assert state.take_odometry(OdometrySample(10_200_000, 1_200_000, HERE, HERE))
+        assert not state.update_odometry(OdometrySample(t_us + 9_000_000, t_us, HERE, HERE))
+    assert state.update_odometry(OdometrySample(10_200_000, 1_200_000, HERE, HERE))
     assert state.now_us == 10_200_000
 
 
 def test_a_single_stamp_that_leaps_counts_for_no_later_ones() -> None:
     state = FlightState()
-    state.take_odometry(at(1_000_000))
+    state.update_odometry(at(1_000_000))
     for i in range(1, 60):
         t_us = 1_000_000 + 8000 * i
-        assert not state.take_odometry(OdometrySample(t_us + 9_000_000, t_us, HERE, HERE))
-        assert state.take_odometry(at(t_us))
+        assert not state.update_odometry(OdometrySample(t_us + 9_000_000, t_us, HERE, HERE))
+        assert state.update_odometry(at(t_us))
 
 
 def test_after_a_pause_a_stamp_may_be_as_much_later() -> None:
     """Up to twenty times as fast as the host's clock, and a second."""
     for ahead_us, taken in ((11_000_000, True), (11_000_001, False)):
         state = FlightState()
-        state.take_odometry(at(1_000_000))
+        state.update_odometry(at(1_000_000))
         later = OdometrySample(1_000_000 + ahead_us, 1_500_000, HERE, HERE)
-        assert state.take_odometry(later) is taken
+        assert state.update_odometry(later) is taken
 
 
 def test_how_sure_px4_is_of_its_position_stays_known() -> None:
     state = FlightState()
-    state.take_estimator(EstimatorSample(0, 10, position_sd_m=0.3))
-    state.take_estimator(EstimatorSample(0, 20))
+    state.update_estimator(EstimatorSample(0, 10, position_sd_m=0.3))
+    state.update_estimator(EstimatorSample(0, 20))
     assert (state.position_sd_m, state.host_us) == (0.3, 20)
 
 
 # --- what PX4 says -----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("later_us", "said"), [(14_999_999, "; PX4 says: compass swung"), (15_000_000, "")])
+@pytest.mark.parametrize(
+    ("later_us", "said"), [(14_999_999, "; PX4 reports: compass swung"), (15_000_000, "")]
+)
 def test_px4s_words_explain_for_fifteen_seconds(later_us: int, said: str) -> None:
     state = FlightState()
-    state.take_text(StatusText(0, 0, "warning", "compass swung"))
+    state.add_text(StatusText(0, 0, "warning", "compass swung"))
     state.now_us = later_us
     assert state.reasons() == said
 
@@ -186,39 +188,39 @@ def test_px4s_words_explain_for_fifteen_seconds(later_us: int, said: str) -> Non
 def test_of_px4s_words_the_newest_six_are_told_each_once() -> None:
     state = FlightState()
     for text in ("A", "B", "C", "D", "E", "F", "A", "G"):
-        state.take_text(StatusText(0, 0, "warning", text))
-    state.take_text(StatusText(0, 0, "info", "H"))
-    assert state.reasons() == "; PX4 says: C, D, E, F, A, G"
+        state.add_text(StatusText(0, 0, "warning", text))
+    state.add_text(StatusText(0, 0, "info", "H"))
+    assert state.reasons() == "; PX4 reports: C, D, E, F, A, G"
 
 
 def test_words_of_its_checks_come_first_and_none_twice() -> None:
     state = FlightState()
-    state.take_text(StatusText(0, 0, "error", "no heading"))
-    state.take_text(StatusText(0, 0, "error", "low battery"))
-    state.take_health(HealthReport(0, 0, False, ("low battery",), ("no heading", "no sticks")))
-    assert state.reasons() == "; PX4 says: low battery, no heading; also no sticks"
+    state.add_text(StatusText(0, 0, "error", "no heading"))
+    state.add_text(StatusText(0, 0, "error", "low battery"))
+    state.update_health(HealthReport(0, 0, False, ("low battery",), ("no heading", "no sticks")))
+    assert state.reasons() == "; PX4 reports: low battery, no heading; also no sticks"
 
 
 def test_what_this_program_finds_is_not_put_into_px4s_mouth() -> None:
     state, here = FlightState(), "ODOMETRY arrives, none with a velocity"
-    state.take_text(StatusText(0, 0, "error", here, found_here=True))
+    state.add_text(StatusText(0, 0, "error", here, found_here=True))
     assert state.reasons() == f"; {here}"
     assert state.text_about("ODOMETRY") == f"; {here}"
-    state.take_text(StatusText(0, 0, "error", "no heading"))
-    assert state.reasons() == f"; {here}; PX4 says: no heading"
+    state.add_text(StatusText(0, 0, "error", "no heading"))
+    assert state.reasons() == f"; {here}; PX4 reports: no heading"
     state.now_us = 15_000_000
     assert state.reasons() == ""
-    state.take_text(StatusText(0, 0, "error", here, found_here=True))
-    state.take_result(CommandResult(0, "arm", False, "DENIED"))
+    state.add_text(StatusText(0, 0, "error", here, found_here=True))
+    state.add_result(CommandResult(0, "arm", False, "DENIED"))
     assert state.reasons("arm") == f"; {here}; PX4 answers: DENIED"
 
 
 def test_an_answer_is_told_of_the_command_that_was_refused_until_it_is_not() -> None:
     state = FlightState()
-    state.take_result(CommandResult(0, "arm", False, "DENIED"))
+    state.add_result(CommandResult(0, "arm", False, "DENIED"))
     assert state.reasons("offboard") == state.reasons() == ""
     assert state.reasons("arm") == "; PX4 answers: DENIED"
-    state.take_health(HealthReport(0, 0, True, (), ("no sticks",)))
-    assert state.reasons("arm") == "; PX4 answers: DENIED; PX4 gives no reason, but finds: no sticks"
-    state.take_result(CommandResult(0, "arm", True, ""))
-    assert state.reasons("arm") == "; PX4 gives no reason, but finds: no sticks"
+    state.update_health(HealthReport(0, 0, True, (), ("no sticks",)))
+    assert state.reasons("arm") == "; PX4 answers: DENIED; PX4 gives no reason, but reports: no sticks"
+    state.add_result(CommandResult(0, "arm", True, ""))
+    assert state.reasons("arm") == "; PX4 gives no reason, but reports: no sticks"

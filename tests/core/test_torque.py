@@ -87,10 +87,10 @@ def felt_while_spinning(vehicle: VehicleConfig, at: Vec3) -> list[float]:
         mean, change = 0.5 * (rate + last), (rate - last) / 0.004
         last = rate
         q = advance_attitude(q, (0.0, 0.0, mean), 0.004)
-        state.take_attitude(AttitudeSample(t, t, q))
-        estimator.take_attitude(AttitudeSample(t, t, q))
-        state.take_odometry(OdometrySample(t, t, (0.0, 0.0, -1.0), (0.0, 0.0, 0.0)))
-        estimator.thrust.take_actuator(ActuatorSample(t, t, (HOVER,) * 4))
+        state.update_attitude(AttitudeSample(t, t, q))
+        estimator.add_attitude(AttitudeSample(t, t, q))
+        state.update_odometry(OdometrySample(t, t, (0.0, 0.0, -1.0), (0.0, 0.0, 0.0)))
+        estimator.thrust.add_commands(ActuatorSample(t, t, (HOVER,) * 4))
         x, y, _ = at
         force = (-change * y - mean * mean * x, change * x - mean * mean * y, -9.81)
         imu = ImuSample(t, t, force, (0.0, 0.0, rate))
@@ -149,12 +149,12 @@ def sense(
         t = 1_000_000 + round(plant.time_s * 1e6)
         touched = touched or plant.in_contact
         attitude = AttitudeSample(t, t, plant.q)
-        state.take_attitude(attitude)
-        force.take_attitude(attitude)
-        state.take_odometry(OdometrySample(t, t, plant.position, plant.velocity))
-        force.thrust.take_actuator(ActuatorSample(t, t, commands))
+        state.update_attitude(attitude)
+        force.add_attitude(attitude)
+        state.update_odometry(OdometrySample(t, t, plant.position, plant.velocity))
+        force.thrust.add_commands(ActuatorSample(t, t, commands))
         imu = ImuSample(t, t, (reading[0], reading[1], reading[2]), plant.rate)
-        state.take_imu(imu)
+        state.update_imu(imu)
         estimate = force.estimate(imu, state, detector.in_contact)
         each = force.thrust.each_n
         found = torque.estimate(t, force.turning, each, 1.0, not touched)
@@ -190,7 +190,7 @@ def test_torque_is_the_walls(mode: Mode, yaw: float) -> None:
     assert last.peak_torque_nm == pytest.approx(seen.contact.peak_torque_nm, rel=0.1, abs=0.15)
     assert last.incidence_rad == pytest.approx(seen.contact.incidence_rad, abs=math.radians(1.0))
     assert last.lead_m * seen.contact.lead_m > 0.0
-    assert last.side is ContactSide.of_lead(seen.contact.lead_m)
+    assert last.side is ContactSide.from_lead(seen.contact.lead_m)
 
 
 @pytest.mark.parametrize("heading_rad", [0.4, -1.1])
@@ -259,7 +259,7 @@ def test_the_motors_are_not_external(difference: tuple[float, float, float, floa
         sign = 1.0 if i // 10 % 2 == 0 else -1.0
         commands = tuple(HOVER + sign * d for d in difference)
         a, b, c, d = commands
-        force.thrust.take_actuator(ActuatorSample(t, t, (a, b, c, d)))
+        force.thrust.add_commands(ActuatorSample(t, t, (a, b, c, d)))
         plant.advance((a, b, c, d), 4)
         turning.update(ImuSample(t + 4000, t, (0.0, 0.0, 0.0), plant.rate))
         force.thrust.mean_over_tick(t + 4000)

@@ -54,8 +54,8 @@ ages = st.one_of(st.floats(0.0, 0.6), st.floats(0.0, 7.0), st.floats(900.0, 1900
 def says(rules: tuple[Rule, ...], **conditions: object) -> dict[str, str]:
     found = {}
     for rule in rules:
-        assert rule.judge.cause is not None
-        detail = rule.judge.cause(SimpleNamespace(**conditions))
+        assert rule.condition.cause is not None
+        detail = rule.condition.cause(SimpleNamespace(**conditions))
         if detail is not None:
             found[rule.name] = detail
     return found
@@ -111,7 +111,7 @@ def test_a_rate_is_that_of_the_stamps_over_a_second(name: str, step_ms: int, sta
     fields = {f: getattr(item, f) for f in item.__struct_fields__ if f not in ("t_us", "received_us")}
     for i in range(2200 // step_ms + 2):
         t_us = start_us + 1000 * step_ms * i
-        watch.take(name, kind(t_us=t_us, received_us=t_us, **fields), None)  # type: ignore[arg-type]
+        watch.add_sample(name, kind(t_us=t_us, received_us=t_us, **fields), None)  # type: ignore[arg-type]
     assert watch.rates_hz[name] == pytest.approx(1000.0 / step_ms, rel=1e-9)
     watch.state.host_us = start_us
     needed = BY_NAME[name].expected_hz
@@ -136,12 +136,12 @@ def test_the_estimator_is_judged_by_the_size_of_its_steps_and_after_impacts_not_
     def step(item: OdometrySample | None, now_us: int, position_ok: bool = True) -> dict[str, str]:
         watch.begin(now_us, excused)
         if item is not None:
-            watch.take_odometry(item)
+            watch.add_odometry(item)
         watch.finish(position_ok)
         return says(ESTIMATOR_RULES, estimator=watch)
 
     watch.begin(t_us, excused)
-    watch.take_report(EstimatorSample(t_us, t_us, reset_counter=1), Phase.TRANSIT)
+    watch.add_report(EstimatorSample(t_us, t_us, reset_counter=1), Phase.TRANSIT)
     assert step(OdometrySample(t_us, t_us, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)), t_us) == {}
     later_us = t_us + 20_000
     moved_m = away_m + 0.5 * 0.02 * faster_m_s  # the mean of the two velocities explains the second part
@@ -150,7 +150,7 @@ def test_the_estimator_is_judged_by_the_size_of_its_steps_and_after_impacts_not_
     if abs(away_m - POSITION_JUMP_M) > 1e-9 and not excused:
         assert ("estimator_jump" in found) is (away_m > POSITION_JUMP_M or faster_m_s > VELOCITY_JUMP_M_S)
     if counted:
-        watch.take_report(EstimatorSample(later_us, later_us, reset_counter=2), Phase.TRANSIT)
+        watch.add_report(EstimatorSample(later_us, later_us, reset_counter=2), Phase.TRANSIT)
     found = step(None, later_us + round(1e6 * after_s))
     assert "estimator_jump" not in found
     near = counted and round(1e6 * after_s) <= 100_000

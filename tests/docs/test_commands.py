@@ -11,19 +11,16 @@ import shlex
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
-import msgspec
 import pytest
 
 from dart_flight.cli import COMMANDS, build_parser, main
 from dart_flight.lab.commands import plan_command
-from dart_flight.lab.search.limited_sight import plan_limited_sight
-from dart_flight.lab.search.quickest import QuickestResult
-from dart_flight.lab.search.scenario import Scenario
 from tests.docs.snippets import PAGES, ROOT, Command, commands, name_of
 from tests.shared_flights import LiveFlights, SharedFlights
+from tests.shared_plans import limited_sight_plan
 
 # What is not run here, and why. What calls dart-flight is still parsed.
 NOT_RUN: list[tuple[str, str]] = [
@@ -47,6 +44,7 @@ NOT_RUN: list[tuple[str, str]] = [
     ),
     (r":14541", "needs the lossy proxy, which waits"),
     (r"> /srv/", "needs the installed service"),
+    (r"missions/unknown_room\.yaml", "takes 12 s; tests/cli/test_survey.py flies it"),
 ]
 # In real time, together: test_in_real_time.
 REAL_TIME = re.compile(r"^dart-flight (simulate|fly .*udpin://127\.0\.0\.1:14540|dry-run (?!.*--fast))")
@@ -142,7 +140,7 @@ def _run(words: list[str], folder: Path, root: Path) -> None:
 
 # Run on every page that has them they would teach nothing more: the same command on the same flight.
 ONCE = re.compile(
-    r"^dart-flight (campaign|check|predict|replay|report|identify|calibrate|export|dry-run .*--fast)\b"
+    r"^dart-flight (campaign|check|predict|replay|report|identify|calibrate|export|survey|dry-run .*--fast)\b"
 )
 # The laboratory's own flight, wherever a page keeps it.
 ITS_FLIGHT = re.compile(
@@ -162,7 +160,7 @@ def _essence(text: str) -> str:
 
     Of a campaign also without its missions: what they are like is seen where each is flown.
     """
-    text = re.sub(r"[\w.]+(?=/\*/flight\.mcap)", "", re.sub(r" (-o|--log-dir|--out) \S+", "", text))
+    text = re.sub(r"[\w.]+(?=/\*/flight\.mcap)", "", re.sub(r" (-o|--output|--log-dir|--out) \S+", "", text))
     return re.sub(r" missions/\S+", " MISSION", text) if text.startswith("dart-flight campaign") else text
 
 
@@ -242,20 +240,12 @@ def test_what_is_run_once_is_run_somewhere() -> None:
     assert {_essence(text) for _, text in REPEATED} <= run
 
 
-PLANNED: dict[bytes, QuickestResult] = {}
-
-
 @pytest.fixture
-def planned_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Plan a scenario with `sight` once for all commands that show it, because that takes seconds."""
-
-    def plan(scenario: Scenario, progress: Callable[[int, int], None]) -> QuickestResult:
-        key = msgspec.json.encode(scenario.spec)
-        if key not in PLANNED:
-            PLANNED[key] = plan_limited_sight(scenario, progress)
-        return PLANNED[key]
-
-    monkeypatch.setattr(plan_command, "plan_limited_sight", plan)
+def planned_once(flown: SharedFlights, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Plan a scenario with `sight` once for all tests that show it, because that takes seconds."""
+    monkeypatch.setattr(
+        plan_command, "plan_limited_sight", lambda scenario, progress: limited_sight_plan(flown, scenario)
+    )
 
 
 @pytest.mark.usefixtures("planned_once")

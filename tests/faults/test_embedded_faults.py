@@ -22,7 +22,7 @@ NEAR = ROOT / "tests/data/near_wall.yaml"
 def flown(text: str, folder: Path, settings: Sequence[str] = ()) -> tuple[str, list[object], Fault]:
     """A flight with a fault, in real time where the fault is about time."""
     fault = parse_fault(text)
-    speed = 1.0 if fault.kind.of_real_time else FULL_SPEED
+    speed = 1.0 if fault.kind.needs_real_time else FULL_SPEED
     verdict = fly_embedded(load_flyable(NEAR, settings=settings), 1, folder, fault=fault, speed=speed)
     assert verdict.log is not None
     log = read_log(next(folder.glob("*/flight.mcap")))
@@ -43,7 +43,7 @@ def flown(text: str, folder: Path, settings: Sequence[str] = ()) -> tuple[str, l
     ],
 )
 def test_a_cell_through_mavsdk(text: str, tmp_path: Path) -> None:
-    came, records, fault = flown(text, tmp_path, PATIENT if parse_fault(text).kind.of_real_time else ())
+    came, records, fault = flown(text, tmp_path, PATIENT if parse_fault(text).kind.needs_real_time else ())
     row = text.partition("@")[0]
     assert came in expected()[row if row in ROWS else fault.name, str(fault.phase)]
     if came != "completed":

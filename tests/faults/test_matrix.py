@@ -62,7 +62,7 @@ def test_with_late_telemetry_nothing_leaves_the_ground(delay_ms: float) -> None:
     reason = flight.core.end.reason or ""
     found = re.fullmatch(
         r"telemetry_late_ground: telemetry arrives "
-        r"(\d+) ms after it was sampled, round trip (\d+) ms",
+        r"(\d+) ms after sampling, limit 75 ms, round trip (\d+) ms",
         reason,
     )
     assert found, reason
@@ -70,7 +70,7 @@ def test_with_late_telemetry_nothing_leaves_the_ground(delay_ms: float) -> None:
     assert int(found[2]) == pytest.approx(2 * delay_ms, abs=10)
 
 
-@pytest.mark.parametrize("number", range(3))  # thousands: tools/campaigns/faults_random.yaml
+@pytest.mark.parametrize("number", range(2))  # thousands: tools/campaigns/faults_random.yaml
 def test_random_faults_stay_controlled(number: int) -> None:
     flown = fly_fault(*random_fault(7 * number), 7 * number)
     assert not flown.problems, flown
@@ -105,7 +105,7 @@ def test_a_second_vehicle_on_the_link_is_named_at_once_in_every_phase(phase: str
         assert began_us is None or flight.host_us - began_us < 100_000
     assert events[-1].rule == "second_vehicle"
     assert re.match(
-        "two alternating clocks, 238.0 s|odometry with two alternating positions, [45]", events[-1].detail
+        "two clocks alternate, 238.0 s|two positions alternate in the odometry, [45]", events[-1].detail
     )
 
 

@@ -24,7 +24,7 @@ MISSION = "missions/single_wall.yaml"
         ([], r"NO-GO +round_trip: 2\d\d ms between vehicle and program"),
         (
             ["--overrule", "round_trip"],
-            r"telemetry_late_ground: telemetry arrives 1\d\d ms after it was sampled",
+            r"telemetry_late_ground: telemetry arrives 1\d\d ms after sampling, limit 75 ms",
         ),
     ],
 )

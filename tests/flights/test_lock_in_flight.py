@@ -40,7 +40,7 @@ def test_a_servo_known_to_be_too_slow_breaks_the_second_approach_off() -> None:
     verdict = fly_fast(with_travel(1.0), 1, None)
     assert verdict.outcome == "aborted"
     assert verdict.reason is not None
-    assert verdict.reason.startswith("lock_late: lock travelling, not rigid")
+    assert verdict.reason.startswith("lock_late: the lock is travelling, not rigid")
     assert [c.wall for c in verdict.collisions] == ["wood"]  # the acrylic wall was never touched
     assert verdict.flight_time_s is not None  # and it has landed
 
@@ -52,7 +52,7 @@ def test_a_limit_switch_that_stays_silent_breaks_it_off_too() -> None:
     verdict = fly_fast(mission, 1, None, lock_faults=MockFaults(switch_silent=True))
     assert verdict.outcome == "aborted"
     assert verdict.reason is not None
-    assert "no lock rigid" in verdict.reason
+    assert "the lock is not rigid" in verdict.reason
     assert verdict.flight_time_s is None
 
 
@@ -62,7 +62,7 @@ def test_a_switch_that_falls_silent_in_flight_breaks_it_off() -> None:
 
     mission = dual(limit_switch=LimitSwitch(chip="gpiochip0", rigid_line=17))
     builder = VerdictBuilder(mission)
-    flight = FastFlight(mission, 1, observe=lambda record, _: builder.take(record))
+    flight = FastFlight(mission, 1, observe=lambda record, _: builder.add(record))
     assert flight.lock is not None
     flight.lock.start()
     while flight.core.phase != "approach":

@@ -26,17 +26,17 @@ def test_it_sees_force_and_impacts_of_a_flight() -> None:
     mission = load_mission(
         ROOT / "missions" / "paper_single_wall.yaml", settings=["simulation.contact.body=point"]
     )
-    watcher = TelemetryMonitor(mission, placed=True)
+    watcher = TelemetryMonitor(mission, frame_known=True)
     flight = FastFlight(mission, 1)
     step = flight.core.step
 
     def both(item: object) -> object:
-        watcher.take(item)  # type: ignore[arg-type]
+        watcher.put(item)  # type: ignore[arg-type]
         return step(item)  # type: ignore[arg-type]
 
     flight.core.step = both  # type: ignore[method-assign,assignment]
     flight.run()
-    watcher.take(StatusText(0, 0, "info", "lock settled rigid"))
+    watcher.put(StatusText(0, 0, "info", "lock settled rigid"))
     view = watcher.view()
     assert len(view.peaks) == 1
     # It does not know of the wall: normal is where the force points. The core, which does, says 34.5 N.
@@ -57,7 +57,7 @@ def test_before_any_telemetry_it_says_so(hand_fed_view: str) -> None:
 
 @pytest.fixture
 def hand_fed_view() -> str:
-    watcher = TelemetryMonitor(HandFedCore().core.mission, placed=False)
+    watcher = TelemetryMonitor(HandFedCore().core.mission, frame_known=False)
     console = Console(record=True, width=100, file=open("/dev/null", "w"))  # noqa: SIM115
     console.print(screen(watcher.view()))
     return console.export_text()

@@ -9,7 +9,7 @@ import msgspec
 import pytest
 
 from dart_flight.base.records import LockCommand, LockPermission, LockState, Mode, PhaseChange, WallEstimate
-from dart_flight.check.vehicle_check import judge_lock
+from dart_flight.check.vehicle_check import evaluate_lock
 from dart_flight.cli import main
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission, load_mission
@@ -100,7 +100,9 @@ def test_flexible_is_refused_in_one_line(folder: Path, old: str, new: str, where
     path.write_text(path.read_text().replace(old, new))
     with pytest.raises(InputError) as error:
         load_mission(path)
-    assert str(error.value) == f"{path}{where}this vehicle has no lock: it is always rigid, never flexible"
+    assert (
+        str(error.value) == f"{path}{where}this vehicle has no lock: its mode is always rigid, not flexible"
+    )
 
 
 def test_with_a_lock_the_mode_has_to_be_given(folder: Path) -> None:
@@ -153,7 +155,7 @@ def test_a_rehearsal_and_planning_again_go_without_a_lock(mission: Mission) -> N
 
 
 def test_check_has_no_finding_about_a_lock(mission: Mission) -> None:
-    assert judge_lock(mission, {}) == []
+    assert evaluate_lock(mission, {}) == []
     items = [finding.item for finding in check_mission(mission)]
     assert items
     assert not [item for item in items if "lock" in item or "servo" in item]

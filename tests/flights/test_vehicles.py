@@ -33,7 +33,7 @@ def test_a_rigid_cage_pauses_goes_on_at_the_signal_and_hits_a_wall(tmp_path: Pat
         text=True,
     ) as flight:
         assert flight.stderr is not None
-        told = next((line for line in flight.stderr if "waiting for the operator" in line), "")
+        told = next((line for line in flight.stderr if "for the operator" in line), "")
         assert "Enter or SIGUSR1" in told
         flight.send_signal(signal.SIGUSR1)
         out, errors = flight.communicate(timeout=90.0)

@@ -25,7 +25,7 @@ from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission, load_mission
 from dart_flight.config.vehicle import packaged
 from dart_flight.core.flight_core import FlightCore
-from dart_flight.core.mission.approach import NoApproachError, transit_of, transit_segments
+from dart_flight.core.mission.approach import NoApproachError, plan_transit, transit_segments
 from dart_flight.lab.report.page import flight_page
 from dart_flight.lab.report.recorded_flight import RecordedFlight
 from dart_flight.recording.reader import Log, read_log
@@ -83,9 +83,9 @@ AIR = ["offboard", "arming", "climb"]
 DOWN = ["goal", "landing", "done"]
 
 
-@pytest.mark.parametrize("lines", [(), ("collisions: []", "walls: {}", "waypoints: []")])
-def test_a_flight_without_a_collision_takes_off_flies_to_the_goal_and_lands(lines: tuple[str, ...]) -> None:
-    one = mission(*lines)
+def test_a_flight_without_a_collision_takes_off_flies_to_the_goal_and_lands() -> None:
+    one = mission()
+    assert mission("collisions: []", "walls: {}", "waypoints: []") == one
     verdict = fly_fast(one, 1, None)
     assert verdict.outcome is Outcome.COMPLETED
     assert (verdict.collisions, verdict.guard, verdict.deviations) == ([], [], [])
@@ -119,7 +119,7 @@ def test_way_points_are_flown_in_order_held_and_change_the_altitude() -> None:
     for end_us in (second, third):
         assert at(end_us) == pytest.approx((0.6, -0.6, 1.5), abs=0.12)
     assert third - second == pytest.approx(2e6, abs=0.1e6)  # simulation.operator_s
-    transit = transit_of(one, transit_segments(one)[0], (0.0, 0.0, 1.0))
+    transit = plan_transit(one, transit_segments(one)[0], (0.0, 0.0, 1.0))
     assert second - first >= (transit.duration_s + 1.0) * 1e6  # flown, then held
     # At the altitude asked for last until the landing.
     setpoints = [s for s in all_of(log, Setpoint) if isinstance(s, Setpoint) and s.t_us > third]
@@ -172,7 +172,7 @@ class Operated:
         self.flight = FastFlight(one, 1, observe=self._see)
 
     def _see(self, record: Record, _: int) -> None:
-        self.builder.take(record)
+        self.builder.add(record)
         if isinstance(record, PhaseChange):
             self.changes.append(record)
 
@@ -185,7 +185,7 @@ class Operated:
             if not said and self.flight.core.phase == self._phase:
                 said = True
                 word: Input = OperatorRequest(self.flight.host_us, self._request)
-                self.flight.take(word)
+                self.flight.step(word)
 
 
 def silent_operator(one: Mission) -> Mission:
@@ -199,7 +199,7 @@ PAUSE = "waypoints: [{pause: operator, timeout_s: 3.0}]"
 def test_a_pause_without_a_word_lands() -> None:
     verdict = fly_fast(silent_operator(mission(PAUSE)), 1, None)
     assert verdict.outcome is Outcome.ABORTED
-    assert verdict.reason == "pause_timeout: operator did not resume within 3 s"
+    assert verdict.reason == "pause_timeout: the operator did not resume within 3 s"
     assert [(g.rule, g.action) for g in verdict.guard] == [("pause_timeout", "land")]
     assert verdict.flight_time_s is not None
 
@@ -236,7 +236,7 @@ WRONG = [
         "waypoints: [{position_m: [0, 0], altitude_m: 5}]",
         "waypoints[0].altitude_m: must be within bounds_m z",
     ),
-    ("waypoints: [{position_m: [0, 0], speed_m_s: 3.5}]", "waypoints[0].speed_m_s: 3.5 m/s is over limits"),
+    ("waypoints: [{position_m: [0, 0], speed_m_s: 3.5}]", "waypoints[0].speed_m_s: 3.5 m/s exceeds limits"),
     (
         "waypoints: [{hold_s: 1}]",
         "waypoints[0]: give exactly one of position_m, at_wall (waypoints) and pause",
@@ -250,7 +250,7 @@ WRONG = [
     ("waypoints: [{pause: pilot}]", "waypoints[0].pause: 'pilot' is not allowed, only: operator"),
     ("waypoints: [{pause: operator, after: 1}]", "waypoints[0].after: 1, expected 0 to 0"),
     ("waypoints: [{pause: operator, timeout_s: 0}]", "waypoints[0].timeout_s: "),
-    (WALL + "waypoints: [{position_m: [1.8, 0]}]", "waypoints[0].position_m: lies in or behind wall acrylic"),
+    (WALL + "waypoints: [{position_m: [1.8, 0]}]", "waypoints[0].position_m: is in or behind wall acrylic"),
     (
         f"{WALL}collisions: [{HIT}]\nwaypoints: [{{pause: operator, after: 1}}, {{pause: operator}}]",
         "waypoints[1].after: 0, expected 1 to 1",
@@ -280,13 +280,13 @@ def findings(one: Mission) -> dict[str, CheckFinding]:
 
 def test_a_wall_between_way_points_is_found_before_the_flight() -> None:
     walls = WALL + BOARD.format([1.0, 0.6], 0.8)
-    with pytest.raises(InputError, match="wall board is in the way to waypoint 2"):
+    with pytest.raises(InputError, match="wall board blocks the path to waypoint 2"):
         mission(f"{walls}waypoints: [{{position_m: [1.0, 0.0]}}, {{position_m: [1.0, 1.2]}}]")
     one = load_mission("mission.yaml")
     with pytest.raises(NoApproachError):
         FlightCore(one)
     found = findings(one)["waypoints"]
-    assert (found.go, found.says) == (False, "wall board is in the way to waypoint 2")
+    assert (found.go, found.says) == (False, "wall board blocks the path to waypoint 2")
     # Round it, and home the same way.
     left = "{position_m: [0.0, 1.2]}"
     around = mission(f"{walls}waypoints: [{left}, {{position_m: [1.0, 1.2]}}, {left}]")
@@ -302,7 +302,7 @@ def test_check_judges_legs_behind_a_recovery_and_speeds_that_are_not_reached() -
     )
     found = findings(one)
     assert not found["recovery_1"].go
-    assert "wall board is in the way to waypoint 1" in found["recovery_1"].says
+    assert "wall board blocks the path to waypoint 1" in found["recovery_1"].says
     assert found["waypoint_speed"].remark
 
 

@@ -69,8 +69,8 @@ def test_inspect_says_where_a_log_has_a_hole_and_where_it_is_cut(
     assert not [what for what in whole if "hole" in what or "cut" in what]
     holed = felt(write_ulog(tmp_path / "hole.ulg", _without(topics(), 12.0, 13.5)), capsys)["unknown"]
     assert "hole of 1.50 s in sensor_combined, at 12.00 s" in holed
-    short = felt(write_ulog(tmp_path / "short.ulg", _without(topics(), 35.0, 99.0)), capsys)["unknown"]
-    assert "cut: the log ends in the air, at 35.00 s" in short
+    short = felt(write_ulog(tmp_path / "short.ulg", _without(topics(), 20.0, 99.0)), capsys)["unknown"]
+    assert "cut: the log ends in the air, at 20.00 s" in short
     late = felt(write_ulog(tmp_path / "late.ulg", _without(topics(), 0.0, 8.0)), capsys)["unknown"]
     assert "cut: the log begins in the air" in late
 
@@ -129,7 +129,6 @@ def test_report_says_at_its_top_where_a_log_is_cut_or_has_a_hole(flown: SharedFl
     whole = flown("single_wall", 1).log
     log = read_log(whole)
     assert describe_missing_parts(log) == []
-    assert "does not contain the whole flight" not in flight_page(RecordedFlight(log))
     cut = _edited(log, cut_s=8.0)
     (line,) = describe_missing_parts(cut)
     assert line == "cut: the log ends at 8.00 s"

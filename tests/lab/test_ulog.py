@@ -27,7 +27,7 @@ def commands(
     tmp_path: Path, topics: Topics, parameters: dict[str, float] | None = None
 ) -> tuple[set[float], str]:
     found = motor_commands(open_ulog(write_ulog(tmp_path / "a.ulg", topics, parameters), TOPICS))
-    return {round(float(v), 3) for v in found.values.ravel()}, found.said
+    return {round(float(v), 3) for v in found.values.ravel()}, found.description
 
 
 @pytest.mark.parametrize(
@@ -99,7 +99,7 @@ def test_only_a_plausible_voltage_is_one(tmp_path: Path, volts: float, kept: int
     )
     found = battery(log)
     assert len(found.volts) == kept
-    assert bool(found.said) == (kept == 0)
+    assert bool(found.problem) == (kept == 0)
 
 
 def test_the_version_is_read(tmp_path: Path) -> None:

@@ -25,11 +25,11 @@ def test_both_ends_in_small_steps(vary: Vary) -> None:
     moved = [1500.0]
     steps = Calibration(vary(), 1500.0, moved.append)
     for line in ("-", "-100", "1064.5", "ok\n"):
-        assert steps.seeking is Mode.FLEXIBLE
-        steps.enter(line)
+        assert steps.current_end is Mode.FLEXIBLE
+        steps.execute(line)
     for line in ("1900", "+", " +22.25 ", "OK"):
-        steps.enter(line)
-    assert steps.seeking is None
+        steps.execute(line)
+    assert steps.current_end is None
     assert steps.found == {Mode.FLEXIBLE: 1064.5, Mode.RIGID: 1932.25}
     assert max(abs(b - a) for a, b in pairwise(moved)) <= STEP_US + 1e-9
     assert moved[-1] == 1932.25
@@ -43,7 +43,7 @@ def test_both_ends_in_small_steps(vary: Vary) -> None:
 def test_a_mirrored_cam(vary: Vary) -> None:
     steps = Calibration(vary(), 1950.0, lambda pulse: None)
     for line in ("ok", "1050", "ok"):
-        steps.enter(line)
+        steps.execute(line)
     assert steps.values()["lock", "servo", "direction"] == -1
     assert steps.result().servo.us_per_deg == pytest.approx(10.0)
 
@@ -53,32 +53,32 @@ def test_what_is_not_a_step_moves_nothing(vary: Vary, line: str) -> None:
     moved: list[float] = []
     steps = Calibration(vary(), 1500.0, moved.append)
     with pytest.raises(CalibrationError):
-        steps.enter(line)
+        steps.execute(line)
     assert moved == []
 
 
 def test_two_ends_at_one_place_are_no_calibration(vary: Vary) -> None:
     steps = Calibration(vary(), 1500.0, lambda pulse: None)
-    steps.enter("ok")
+    steps.execute("ok")
     with pytest.raises(CalibrationError, match="must differ"):
-        steps.enter("ok")
-    assert steps.seeking is Mode.RIGID
+        steps.execute("ok")
+    assert steps.current_end is Mode.RIGID
     for line in ("1980", "ok"):
-        steps.enter(line)
+        steps.execute(line)
     with pytest.raises(CalibrationError, match="both ends"):
-        steps.enter("ok")
+        steps.execute("ok")
 
 
 @pytest.mark.parametrize(("rigid_us", "apart"), [("1940", 440), ("1100", 400), ("1540", 40)])
 def test_ends_nearer_than_a_cam_can_need_are_refused(vary: Vary, rigid_us: str, apart: int) -> None:
     steps = Calibration(vary(), 1500.0, lambda pulse: None)
-    steps.enter("ok")
-    steps.enter(rigid_us)
+    steps.execute("ok")
+    steps.execute(rigid_us)
     with pytest.raises(CalibrationError, match=f"the ends are {apart} us apart, needs 450 us"):
-        steps.enter("ok")
-    assert steps.seeking is Mode.RIGID
-    steps.enter("1960")
-    steps.enter("ok")
+        steps.execute("ok")
+    assert steps.current_end is Mode.RIGID
+    steps.execute("1960")
+    steps.execute("ok")
     assert steps.result().servo.us_per_deg == pytest.approx(460.0 / 90.0)
 
 
@@ -89,7 +89,7 @@ def test_a_failing_step_leaves_the_position_known(vary: Vary) -> None:
 
     steps = Calibration(vary(), 1500.0, fails)
     with pytest.raises(TimeoutError):
-        steps.enter("+100")
+        steps.execute("+100")
     assert steps.pulse_us == 1520.0
 
 
@@ -172,5 +172,5 @@ def test_it_begins_where_the_servo_is_held_and_moves_it(
     driver.set_pulse.side_effect = moved.append
     steps = ground.calibration(vary(servo={"min_pulse_us": 900.0, "max_pulse_us": 2100.0}), driver)
     assert (steps.pulse_us, moved) == (begins_us, [])
-    steps.enter("+15")
+    steps.execute("+15")
     assert moved[-1] == steps.pulse_us == begins_us + 15.0

@@ -126,7 +126,12 @@ def test_horn_never_leaves_its_stops_nor_outruns_the_motor(
             "lock",
             "flexible_deg 0 is outside the cam's range 20 to 110",
         ),
-        ("rigid_deg: 90.0", "rigid_deg: 60.0", "lock", "over the servo's end stops: 90 degrees is 2460 us"),
+        (
+            "rigid_deg: 90.0",
+            "rigid_deg: 60.0",
+            "lock",
+            "exceeds the servo's end stops: 90 degrees is 2460 us",
+        ),
         ("rigid_deg: 90.0", "rigid_deg: 0.0", "lock.servo", "rigid_deg and flexible_deg must differ"),
         ("r_mm: 8.0", "r_mm: 23.0", "lock.cam", "must not exceed r_cam_mm"),
         ("supply_v: 4.8", "supply_v: 12.0", "lock.servo.supply_v", "<= 6"),

@@ -150,5 +150,5 @@ def test_a_package_that_does_not_load_is_not_called_missing(monkeypatch: pytest.
         raise ImportError("libgpiod.so.3: cannot open shared object file")
 
     monkeypatch.setattr(importlib, "import_module", broken)
-    with pytest.raises(DriverError, match=r"the gpiod package does not load: libgpiod\.so\.3"):
+    with pytest.raises(DriverError, match=r"cannot load the gpiod package: libgpiod\.so\.3"):
         GpioLimitSwitch(LimitSwitch("/dev/gpiochip0", rigid_line=23))

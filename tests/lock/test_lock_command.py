@@ -117,7 +117,7 @@ def test_status_moves_nothing_and_is_honest(
     assert main(world.command("status")) == 0
     unknown, last = capsys.readouterr().out.splitlines()
     assert unknown == "maestro: unknown; nothing to adopt: pulses are off"
-    assert last.startswith("last command: rigid through maestro at ")
+    assert last.startswith("last command: rigid by maestro at ")
     assert last.endswith(", settled then (no feedback)")
     assert main(world.command("rigid")) == 0
     capsys.readouterr()
@@ -141,7 +141,7 @@ def test_a_servo_that_does_not_get_there_is_status_1(
     maestro.limits_us = (992.0, 1900.0)
     status, told = report(world, capsys, "rigid")
     assert (status, told["ok"]) == (1, False)
-    assert told["text"] == "fault; the controller puts out 1900 us instead of 1980 us"
+    assert told["text"] == "fault; the controller outputs 1900 us instead of 1980 us"
 
 
 def test_a_controller_that_does_not_answer_is_status_1(
@@ -151,7 +151,7 @@ def test_a_controller_that_does_not_answer_is_status_1(
     assert main(world.command("rigid")) == 1
     captured = capsys.readouterr()
     assert captured.err.count("\n") == 1
-    assert "no sensible answer" in captured.err
+    assert "no valid answer" in captured.err
 
 
 @pytest.mark.parametrize(
@@ -235,7 +235,7 @@ def test_calibrate_writes_the_two_ends(world: World, maestro: EmulatedMaestro) -
     assert process.returncode == 0, error
     assert out == "maestro: flexible: settled (no feedback)\n"
     assert "Are the rods free to move?" in error
-    assert "up is not understood" in error
+    assert "up is not a command" in error
     changed = [a for a, b in zip(world.config.read_text().splitlines(), before, strict=True) if a != b]
     assert [line.split("#")[0].strip() for line in changed] == [
         "rigid_pulse_us: 1700.0",
@@ -248,7 +248,7 @@ def test_calibrate_writes_the_two_ends(world: World, maestro: EmulatedMaestro) -
 @pytest.mark.parametrize(
     ("lines", "said"),
     [
-        ("n\n", "nothing moved"),
+        ("n\n", "the servo was not moved"),
         ("y\n1480\nquit\n", "nothing written"),
         ("y\n1480\n", "nothing written"),
         ("y\n1450\nok\n1520\nok\nno\n", "nothing written"),
@@ -283,7 +283,7 @@ def test_the_mock_says_first_that_no_servo_moves(
     capsys.readouterr()
     assert main(world.command(action)) == 0
     first = capsys.readouterr().err.splitlines()[0]
-    assert re.fullmatch(r"lock.driver is mock: no servo moves; choose .+ or \w+ \(--driver\)", first)
+    assert re.fullmatch(r"lock.driver is mock: no real servo moves; choose .+ or \w+ \(--driver\)", first)
     assert all(kind.value in first for kind in LockDriver)
     status, told = report(world, capsys, "rigid")
     assert (status, told["moves"]) == (0, False)

@@ -176,7 +176,7 @@ def test_endless_garbage_is_a_fault_and_the_next_command_works(make_rig: MakeRig
     rig.controller.add_noise(*(bytes((17 + i, 3 * i)) for i in range(8)))
     rig.session.command(Mode.RIGID)
     assert rig.session.state.phase is LockPhase.FAULT
-    assert "no sensible answer" in (rig.session.state.reason or "")
+    assert "no valid answer" in (rig.session.state.reason or "")
     rig.run(0.4)
     rig.session.command(Mode.RIGID)
     assert rig.run(0.4).phase is LockPhase.SETTLED
@@ -187,7 +187,7 @@ def test_a_silent_controller_is_a_fault_in_bounded_time(make_rig: MakeRig) -> No
     rig.driver.open()
     rig.controller.mute()
     begun = time.monotonic()
-    with pytest.raises(DriverError, match="no sensible answer"):
+    with pytest.raises(DriverError, match="no valid answer"):
         rig.driver.read()
     assert time.monotonic() - begun < 1.5
     rig.controller.mute(False)
@@ -249,7 +249,7 @@ def test_a_channel_range_that_clamps_is_a_fault(make_rig: MakeRig) -> None:
     state = rig.run(1.6)
     assert (state.phase, state.reason) == (
         LockPhase.FAULT,
-        "the controller puts out 1900 us instead of 1980 us",
+        "the controller outputs 1900 us instead of 1980 us",
     )
 
 
@@ -285,7 +285,7 @@ def test_a_port_without_permission(vary: Vary, tmp_path: Path, monkeypatch: pyte
     # Everything is writable for root, so the system's answer is given for it.
     monkeypatch.setattr("os.access", lambda path, mode: False)
     (tmp_path / "port").write_text("")
-    with pytest.raises(DriverError, match="is not writable; are you in the group") as caught:
+    with pytest.raises(DriverError, match="is not writable; add the user to the group") as caught:
         MaestroDriver(vary(maestro={"port": str(tmp_path / "port")})).open()
     assert caught.value.key == ("maestro", "port")
 

@@ -17,9 +17,9 @@ from dart_flight.config.state_folder import state_dir
 from dart_flight.config.vehicle import LockDriver
 from dart_flight.lock.persistence import (
     CommandStore,
+    ServoInUseError,
     ServoOwnership,
-    ServoTakenError,
-    forget_last,
+    delete_last,
     load_last,
 )
 
@@ -82,20 +82,20 @@ def test_last_command_is_what_was_commanded(
     assert load_last() is None
     store = CommandStore(LockDriver.PWM)
     for phase, of in states:
-        store.note(state(phase, of))
+        store.store(state(phase, of))
     last = load_last()
     assert last is not None
     assert (last.driver, last.mode, last.pid) == (LockDriver.PWM, mode, os.getpid())
     assert last.describe() == f"{mode} through pwm at {last.at_utc}, {text}"
     assert [path.name for path in folder.iterdir()] == ["last_command.json"]
-    forget_last()
-    forget_last()
+    delete_last()
+    delete_last()
     assert load_last() is None
 
 
 def test_states_without_a_command_are_not_written() -> None:
     store = CommandStore(LockDriver.PWM)
-    store.note(LockState(t_us=1, phase=LockPhase.SETTLED, mode=Mode.RIGID))
+    store.store(LockState(t_us=1, phase=LockPhase.SETTLED, mode=Mode.RIGID))
     assert load_last() is None
 
 
@@ -118,17 +118,17 @@ def test_a_disk_that_is_full_is_said_and_stops_nothing(monkeypatch: pytest.Monke
 
     store = CommandStore(LockDriver.PWM)
     monkeypatch.setattr("os.replace", full)
-    store.note(state(LockPhase.TRAVELLING, Mode.RIGID))
+    store.store(state(LockPhase.TRAVELLING, Mode.RIGID))
     assert "No space left on device" in (store.problem or "")
     assert list(folder.iterdir()) == []
     monkeypatch.undo()
     monkeypatch.setenv("DART_FLIGHT_STATE_DIR", str(folder))
-    store.note(state(LockPhase.TRAVELLING, Mode.RIGID))
+    store.store(state(LockPhase.TRAVELLING, Mode.RIGID))
     assert store.problem is None
 
 
 def test_a_second_process_is_told_the_owners_pid(holder: subprocess.Popen[str]) -> None:
-    with pytest.raises(ServoTakenError, match=f"in use by process {holder.pid}") as caught:
+    with pytest.raises(ServoInUseError, match=f"in use by process {holder.pid}") as caught:
         ServoOwnership().acquire()
     assert caught.value.pid == holder.pid
 
@@ -142,7 +142,7 @@ def test_a_crash_gives_the_servo_back_even_with_a_child_alive(holder: subprocess
 
 def test_one_owner_within_a_process_too() -> None:
     with ServoOwnership():
-        with pytest.raises(ServoTakenError) as caught:
+        with pytest.raises(ServoInUseError) as caught:
             ServoOwnership().acquire()
         assert caught.value.pid == os.getpid()
     with ServoOwnership():

@@ -181,12 +181,12 @@ def test_a_whole_toggle(config: LockConfig, tmp_path: Path, monkeypatch: pytest.
 def test_what_is_missing_is_said(
     vary: Vary, config: LockConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    with pytest.raises(DriverError, match=r"pwmchip0 does not exist; is dtoverlay=pwm-2chan") as caught:
+    with pytest.raises(DriverError, match=r"pwmchip0 does not exist; check dtoverlay=pwm-2chan") as caught:
         PwmDriver(config).open()
     assert caught.value.key == ("pwm", "chip")
     unopened = PwmDriver(config)
     for use in (unopened.read, unopened.release, lambda: unopened.set_pulse(1500.0)):
-        with pytest.raises(DriverError, match="is dtoverlay=pwm-2chan"):
+        with pytest.raises(DriverError, match="check dtoverlay=pwm-2chan"):
             use()
     sysfs = Sysfs(tmp_path, monkeypatch, exported=False)
     with pytest.raises(DriverError, match="pwmchip0 has 2 channels, from 0") as caught:
@@ -210,7 +210,7 @@ def test_a_channel_without_permission(
     Sysfs(tmp_path, monkeypatch)
     monkeypatch.setattr(pwm, "_APPEAR_S", 0.02)
     monkeypatch.setattr("os.access", lambda path, mode: False)  # as for a user that is not root
-    with pytest.raises(DriverError, match="pwm1 is not writable; are you in the group gpio"):
+    with pytest.raises(DriverError, match="pwm1 is not writable; add the user to the group gpio"):
         PwmDriver(config).open()
 
 

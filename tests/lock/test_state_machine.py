@@ -185,7 +185,7 @@ def test_contact_with_the_arms_locked_or_unlocking_changes_nothing(vary: Vary) -
         ),
         (MockFaults(servo=ServoFaults(slow=6.0)), "the rigid limit switch did not close within 1.5 s"),
         (MockFaults(switch_silent=True), "the rigid limit switch did not close within 1.5 s"),
-        (MockFaults(brown_out=True), "the controller lost the pulse; the controller has restarted"),
+        (MockFaults(brown_out=True), "the controller lost the pulse; the controller restarted"),
         (MockFaults(unplugged=True), "the controller does not answer (unplugged)"),
     ],
 )
@@ -222,7 +222,7 @@ def test_the_mock_says_that_it_has_restarted_until_it_is_told_again(vary: Vary) 
     bench = homed(vary(), MockFaults(brown_out=True))
     bench.session.command(Mode.RIGID)
     bench.run(0.4)
-    assert bench.mock.read().errors == ("the controller has restarted",)
+    assert bench.mock.read().errors == ("the controller restarted",)
     bench.mock.inject(MockFaults())
     bench.session.command(Mode.RIGID)
     assert bench.mock.read().errors == ()
@@ -265,7 +265,7 @@ def test_a_bouncing_switch_neither_confirms_nor_faults(vary: Vary) -> None:
     machine = LockStateMachine(vary(limit_switch=BOTH_SWITCHES))
     machine.permit(0, True)
     machine.command(0, Mode.RIGID)
-    machine.sent(0, 1980.0)
+    machine.confirm_sent(0, 1980.0)
     for t_us in range(10_000, 1_000_000, 10_000):
         closed = (t_us // 10_000) % 2 == 0
         machine.reading(t_us, DriverReading(1980.0, rigid_switch=closed, flexible_switch=False))
@@ -276,22 +276,22 @@ def test_a_controller_that_clamps_is_a_fault(vary: Vary) -> None:
     machine = LockStateMachine(vary())
     machine.permit(0, True)
     machine.command(0, Mode.RIGID)
-    machine.sent(0, 1980.0)
+    machine.confirm_sent(0, 1980.0)
     machine.reading(400_000, DriverReading(1900.0, errors=("protocol error",)))
     assert machine.state.phase is LockPhase.TRAVELLING
     machine.step(1_500_000)
     assert phase_and_reason(machine.state) == (
         LockPhase.FAULT,
-        "the controller puts out 1900 us instead of 1980 us; protocol error",
+        "the controller outputs 1900 us instead of 1980 us; protocol error",
     )
 
 
 @pytest.mark.parametrize(
     ("sent_us", "reading_us", "reason"),
     [
-        (None, 400_000, "the driver did not take the command within 1.5 s"),
+        (None, 400_000, "the driver did not accept the command within 1.5 s"),
         (10_000, None, "the driver reported nothing within 1.5 s"),
-        (10_000, 200_000, "no reading came after the travel time within 1.5 s"),
+        (10_000, 200_000, "no reading arrived after the travel time within 1.5 s"),
     ],
 )
 def test_a_command_alone_never_settles(
@@ -300,7 +300,7 @@ def test_a_command_alone_never_settles(
     machine = LockStateMachine(vary())
     machine.command(0, Mode.FLEXIBLE)
     if sent_us is not None:
-        machine.sent(sent_us, 1020.0)
+        machine.confirm_sent(sent_us, 1020.0)
     if reading_us is not None:
         machine.reading(reading_us, DriverReading(1020.0))
     for t_us in range(400_000, 1_490_000, 10_000):
@@ -312,13 +312,13 @@ def test_a_command_alone_never_settles(
 
 def test_the_travel_time_runs_from_when_the_driver_first_had_this_travels_pulse(vary: Vary) -> None:
     machine = LockStateMachine(vary())
-    machine.sent(0, 1020.0)  # nothing travels
+    machine.confirm_sent(0, 1020.0)  # nothing travels
     machine.command(0, Mode.FLEXIBLE)
     assert machine.due_us is None
-    machine.sent(5_000, 1980.0)  # another pulse
+    machine.confirm_sent(5_000, 1980.0)  # another pulse
     assert machine.due_us is None
     for t_us in (10_000, 200_000):
-        machine.sent(t_us, 1020.0)
+        machine.confirm_sent(t_us, 1020.0)
         assert machine.due_us == 10_000 + 315_000
     phases = []
     for t_us in (320_000, 330_000):
@@ -356,7 +356,7 @@ def test_of_a_driver_that_takes_too_long_every_state_is_told(
 def test_a_reading_from_before_the_driver_had_the_command_counts_for_nothing(vary: Vary) -> None:
     machine = LockStateMachine(vary())
     machine.command(0, Mode.FLEXIBLE)
-    machine.sent(15_000, 1020.0)
+    machine.confirm_sent(15_000, 1020.0)
     machine.reading(0, DriverReading(None))  # taken first, delivered late
     phases = []
     for t_us in (20_000, 40_000):
@@ -385,11 +385,11 @@ def test_a_fault_does_not_make_the_next_travels_first_reading_one(vary: Vary) ->
     machine = LockStateMachine(vary())
     machine.command(0, Mode.FLEXIBLE)
     for t_us in (0, 20_000, 40_000):
-        machine.sent(0, 1020.0)
+        machine.confirm_sent(0, 1020.0)
         machine.reading(t_us, DriverReading(None))
     assert machine.state.phase is LockPhase.FAULT
     machine.command(100_000, Mode.FLEXIBLE)
-    machine.sent(100_000, 1020.0)
+    machine.confirm_sent(100_000, 1020.0)
     machine.reading(110_000, DriverReading(None))  # the controller needs a moment
     phases = []
     for t_us in (120_000, 420_000):
@@ -468,7 +468,7 @@ def test_home_to_rigid_waits_for_permission(vary: Vary) -> None:
     [
         (None, None, False, "nothing to adopt: no reading"),
         (DriverReading(None), None, False, "nothing to adopt: pulses are off"),
-        (DriverReading(1500.0), None, False, "nothing to adopt: 1500 us is neither end"),
+        (DriverReading(1500.0), None, False, "nothing to adopt: 1500 us is not the pulse of an end"),
         (DriverReading(1980.0), Mode.RIGID, False, None),
         (DriverReading(None, rigid_switch=True), Mode.RIGID, True, None),
         (DriverReading(1020.0, flexible_switch=True), Mode.FLEXIBLE, True, None),
@@ -628,6 +628,6 @@ def test_never_a_rigid_pulse_without_permission(
             if isinstance(action, SetPulse):
                 assert permitted or action.mode is Mode.FLEXIBLE
                 pulse = action.pulse_us
-                machine.sent(t_us, pulse)
+                machine.confirm_sent(t_us, pulse)
         if not permitted and machine.state.phase is LockPhase.TRAVELLING:
             assert machine.state.mode is Mode.FLEXIBLE

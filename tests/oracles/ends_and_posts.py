@@ -201,9 +201,16 @@ class Scene:
         """The state after `duration_s`: position, velocity, rotation matrix (by rows), body rate."""
         t = 0.0
         self.remember(y)
-        count = len(self._watched(y))
+        seen, values = y, self._watched(y)
+
+        def watched(z: Array, number: int) -> float:
+            nonlocal seen, values
+            if z is not seen:  # the integrator asks for every event of one state in turn
+                seen, values = z, self._watched(z)
+            return float(values[number])
+
         while t < duration_s:
-            events = [lambda _, z, i=i: self._watched(z)[i] for i in range(count)]
+            events = [lambda _, z, i=i: watched(z, i) for i in range(len(values))]
             for event in events:
                 event.terminal = True  # type: ignore[attr-defined]
             part = solve_ivp(

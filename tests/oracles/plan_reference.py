@@ -136,7 +136,7 @@ def solve_candidate(
     grid: ApproachGrid,
 ) -> Terminal:
     """One candidate by the ODE solver; `grid` holds its approach alone."""
-    loop = PositionLoop.of(scenario.vehicle.px4)
+    loop = PositionLoop.from_px4(scenario.vehicle.px4)
     b = scenario.vehicle.airframe.drag_per_s
     walls = [scenario.walls[name] for name in sequence]
     vn, vt = velocity

@@ -83,7 +83,7 @@ def stepped_map(
     """
     if not step_s > 0.0:
         raise ValueError("the step must be positive")
-    c = coefficients if rows is None else coefficients.take(rows)
+    c = coefficients if rows is None else coefficients.select(rows)
     vn, vt, *_ = np.broadcast_arrays(
         np.asarray(normal_m_s, dtype=float), np.asarray(tangential_m_s, dtype=float), *c
     )
@@ -96,7 +96,7 @@ def stepped_map(
     out.normal_out_m_s[:], out.tangential_out_m_s[:] = v_in, slip_in
 
     index = np.flatnonzero(v_in < 0.0)  # the hits that are still in contact
-    c = c.take(index)
+    c = c.select(index)
     v, slip = v_in[index], slip_in[index]
     x = -c.f * v / c.k if onset is Onset.LCP else np.zeros_like(v)
     begun = np.zeros(index.size, dtype=bool)
@@ -170,7 +170,7 @@ def simulate(
         drag_per_s: deceleration per speed along the axes.
         vertical_sign: -1 as the paper writes lz, or 1.
     """
-    table = CoefficientArrays.of(c)
+    table = CoefficientArrays.from_table(c)
     n = round(duration_s / step_s)
     p, v = np.array(position_m, dtype=float), np.array(velocity_m_s, dtype=float)
     a, b = np.array(acceleration_m_s2), 1.0 + step_s * np.array(drag_per_s)

@@ -61,7 +61,7 @@ def scaled(c: Coefficients, k: float = 1.0, f: float = 1.0, mu: float = 1.0) -> 
 
 
 def belief_of(material: str, mode: Mode, sd: float = SPREAD) -> Belief:
-    c = VEHICLE.materials[material].of(mode)
+    c = VEHICLE.materials[material].coefficients(mode)
     return Belief(c.k, c.f, c.mu, c.nu, sd, sd, sd, sd)
 
 
@@ -152,7 +152,7 @@ def odds_of(contact: Contact, material: str) -> float:
 def test_the_true_mode_and_its_coefficients_are_found(
     mode: Mode, material: str, along: float, k: float, f: float, mu: float
 ) -> None:
-    true = scaled(VEHICLE.materials[material].of(mode), k, f, mu)
+    true = scaled(VEHICLE.materials[material].coefficients(mode), k, f, mu)
     contact = pulse(true, -0.9, along, seed=3, push=0.5)
     after = fitted(contact, belief_of(material, mode)).belief
     assert after.k == pytest.approx(true.k, rel=0.05)
@@ -165,7 +165,7 @@ def test_the_true_mode_and_its_coefficients_are_found(
 @pytest.mark.parametrize("mode", list(Mode))
 @pytest.mark.parametrize("degrees", [-10.0, -7.0, 4.0, 7.0, 10.0])
 def test_a_wall_is_found_that_one_guard_meets_first(degrees: float, mode: Mode) -> None:
-    true = VEHICLE.materials["wood"].of(mode)
+    true = VEHICLE.materials["wood"].coefficients(mode)
     found = fitted(met_by_a_guard(true, degrees, 1), belief_of("wood", mode))
     assert found.belief.k == pytest.approx(true.k, rel=0.04)
     assert math.degrees(found.incidence_rad) == pytest.approx(degrees, abs=1.0)
@@ -175,7 +175,7 @@ def test_a_wall_is_found_that_one_guard_meets_first(degrees: float, mode: Mode) 
 @pytest.mark.parametrize("mode", list(Mode))
 @pytest.mark.parametrize("degrees", [2.0, 4.0, 7.0, 10.0])
 def test_what_is_felt_of_a_mirrored_hit_is_the_mirror_image(degrees: float, mode: Mode) -> None:
-    true = VEHICLE.materials["wood"].of(mode)
+    true = VEHICLE.materials["wood"].coefficients(mode)
     one, other = (
         fitted(met_by_a_guard(true, side * degrees, along=side * 0.3), belief_of("wood", mode))
         for side in (1.0, -1.0)
@@ -197,7 +197,7 @@ def test_a_wall_between_both_modes_is_undecided() -> None:
 
 @pytest.mark.parametrize("onset", list(Onset))
 def test_both_onsets_are_fitted(onset: Onset) -> None:
-    true = scaled(VEHICLE.materials["acrylic"].of(Mode.FLEXIBLE), 1.2)
+    true = scaled(VEHICLE.materials["acrylic"].coefficients(Mode.FLEXIBLE), 1.2)
     vehicle = msgspec.structs.replace(VEHICLE, onset=onset.value)
     contact = pulse(true, -1.0, 0.3, onset=onset)
     found = fitted(contact, belief_of("acrylic", Mode.FLEXIBLE), vehicle=vehicle)
@@ -254,7 +254,7 @@ def test_a_place_off_the_plan_is_found() -> None:
 def test_the_posterior_lies_between_prior_and_data(
     mode: Mode, k: float, mu: float, normal: float, along: float, seed: int
 ) -> None:
-    contact = pulse(scaled(VEHICLE.materials["acrylic"].of(mode), k, 1.0, mu), normal, along, seed)
+    contact = pulse(scaled(VEHICLE.materials["acrylic"].coefficients(mode), k, 1.0, mu), normal, along, seed)
     before = belief_of("acrylic", mode)
     # Nothing but k is let loose: what the data alone say of it.
     loose = fitted(contact, before._replace(k_sd=20.0)).belief.k
@@ -281,7 +281,7 @@ def test_readings_never_make_less_sure(
     mode: Mode, k: float, normal: float, along: float, sd: float, scatter: float, seed: int
 ) -> None:
     """Absolute deviations: a coefficient that turns out smaller may be less sure relative to itself."""
-    contact = pulse(scaled(VEHICLE.materials["acrylic"].of(mode), k), normal, along, seed)
+    contact = pulse(scaled(VEHICLE.materials["acrylic"].coefficients(mode), k), normal, along, seed)
     before = belief_of("acrylic", mode, sd)
     after = fitted(contact, before, scatter).belief
     for name in ("k", "f", "mu", "nu"):
@@ -315,7 +315,7 @@ def test_without_a_vertical_coefficient_the_vertical_force_says_nothing() -> Non
 
 
 def test_hits_of_one_wall_add_up_to_the_scatter_and_no_further() -> None:
-    true = VEHICLE.materials["wood"].of(Mode.FLEXIBLE)
+    true = VEHICLE.materials["wood"].coefficients(Mode.FLEXIBLE)
     before = belief_of("wood", Mode.FLEXIBLE)
     sds = [before.k_sd]
     for hit in range(8):

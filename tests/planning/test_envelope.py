@@ -19,7 +19,7 @@ DUAL = load_mission(packaged("missions", "paper_dual_collision.yaml"))
 
 def with_second_wall_turned(angle_deg: float, mode: Mode) -> Mission:
     first, second = DUAL.collisions
-    wall = second.wall.turned(math.radians(angle_deg))
+    wall = second.wall.rotated(math.radians(angle_deg))
     collision = msgspec.structs.replace(second, wall=wall, mode=mode)
     return msgspec.structs.replace(DUAL, walls=(first.wall, wall), collisions=(first, collision))
 
@@ -73,7 +73,7 @@ def test_faster_hits_bear_less_below_the_centre() -> None:
 
 def test_the_planner_does_not_plan_a_recovery_into_a_wall_at_too_much_incidence() -> None:
     scenario = load_scenario(packaged("missions", "scenarios", "dual_collision.yaml"))
-    walls = scenario.walls | {"acrylic": scenario.walls["acrylic"].turned(math.radians(25.0))}
+    walls = scenario.walls | {"acrylic": scenario.walls["acrylic"].rotated(math.radians(25.0))}
     found = search(msgspec.structs.replace(scenario, walls=walls))
     assert found.refused[Refusal.INCIDENCE] > 0
     assert all(plan.collisions[1].mode is Mode.RIGID for plan in found.plans)

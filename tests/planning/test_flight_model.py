@@ -44,7 +44,7 @@ def test_state_between_grid_points_is_the_exact_solution(dual: Scenario) -> None
     for index, d in ((0, 0.03), (17, -0.05), (40, 0.05)):
         after = flight.near(leg, np.full(2, index)).leg_at(np.full(2, d))
         t = flight.times[index] + d
-        loop = PositionLoop.of(dual.vehicle.px4)
+        loop = PositionLoop.from_px4(dual.vehicle.px4)
         assert after.x == pytest.approx(scipy_expm(loop_matrix(loop, 0.2) * t) @ leg.x, abs=1e-11)
         assert after.y == pytest.approx(scipy_expm(loop_matrix(loop, 0.4) * t) @ leg.y, abs=1e-11)
 

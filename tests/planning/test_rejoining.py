@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from dart_flight.config.mission_file import TrajectoryPieces
 from dart_flight.core.mission.trajectories import Trajectory
-from dart_flight.planning.rejoining import rejoin
+from dart_flight.planning.rejoining import candidate_trajectories
 
 PLANNED = Trajectory.from_mission(
     TrajectoryPieces(
@@ -33,7 +33,7 @@ def state_at(t_s: float, away: tuple[float, ...] = (0.0,) * 6) -> tuple[np.ndarr
 
 
 def test_on_the_trajectory_it_goes_on_as_planned() -> None:
-    ways = rejoin(PLANNED, state_at(0.12), (0.0, 0.0))
+    ways = candidate_trajectories(PLANNED, state_at(0.12), (0.0, 0.0))
     row = next(k for k in range(ways.from_s.size) if ways.from_s[k] == 0.12 and ways.slower[k] == 1.0)
     way = ways.trajectory(row)
     assert way.duration_s == pytest.approx(PLANNED.duration_s - 0.12)
@@ -50,7 +50,7 @@ def test_every_way_begins_at_the_vehicle_and_ends_as_planned(
     away: tuple[float, ...], moved: tuple[float, float], settled_s: float
 ) -> None:
     start = state_at(0.1, away)
-    ways = rejoin(PLANNED, start, moved, (0.0, 0.0), settled_s)
+    ways = candidate_trajectories(PLANNED, start, moved, (0.0, 0.0), settled_s)
     assert ways.from_s.size > 20
     planned = PLANNED.at(PLANNED.duration_s)
     for row in range(0, ways.from_s.size, 5):
@@ -68,7 +68,7 @@ def test_every_way_begins_at_the_vehicle_and_ends_as_planned(
 def test_before_a_wall_the_last_tenths_are_the_plans(
     away: tuple[float, ...], moved: tuple[float, float], pushed: tuple[float, float]
 ) -> None:
-    ways = rejoin(PLANNED, state_at(0.1, away), moved, pushed, 0.2)
+    ways = candidate_trajectories(PLANNED, state_at(0.1, away), moved, pushed, 0.2)
     for row in range(0, ways.from_s.size, 7):
         way, slower = ways.trajectory(row), float(ways.slower[row])
         settled_s = way.duration_s - float(ways.settled_s[row])
@@ -87,7 +87,7 @@ def test_before_a_wall_the_last_tenths_are_the_plans(
 @given(st.tuples(*[SMALL] * 6), st.sampled_from([0.0, 0.2]))
 def test_what_is_judged_is_what_is_flown(away: tuple[float, ...], settled_s: float) -> None:
     """Samples of a way, by which it is chosen, against the polynomials sent; and no step between those."""
-    ways = rejoin(PLANNED, state_at(0.0, away), (0.1, 0.0), (0.0, 0.3), settled_s)
+    ways = candidate_trajectories(PLANNED, state_at(0.0, away), (0.1, 0.0), (0.0, 0.3), settled_s)
     for row in range(0, ways.from_s.size, 11):
         way = ways.trajectory(row)
         for k, share in enumerate(ways.shares[:-1]):
@@ -107,9 +107,9 @@ def test_what_is_judged_is_what_is_flown(away: tuple[float, ...], settled_s: flo
 
 def test_too_near_to_its_end_there_is_no_way_back() -> None:
     short = Trajectory.from_mission(TrajectoryPieces((0.0, 0.0), [(0.15, 1.0, 0.0)]), 1.0)
-    assert rejoin(short, state_at(0.0), (0.0, 0.0)).from_s.size == 0
+    assert candidate_trajectories(short, state_at(0.0), (0.0, 0.0)).from_s.size == 0
 
 
 def test_a_way_goes_over_the_pipe_of_the_planner() -> None:
-    way = rejoin(PLANNED, state_at(0.1, (0.1,) * 6), (0.0, 0.0)).trajectory(3)
+    way = candidate_trajectories(PLANNED, state_at(0.1, (0.1,) * 6), (0.0, 0.0)).trajectory(3)
     assert msgspec.json.decode(msgspec.json.encode(way), type=Trajectory) == way

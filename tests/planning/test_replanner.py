@@ -176,7 +176,7 @@ def test_a_fault_of_the_planner_is_a_problem_and_no_exception(monkeypatch: pytes
 
 
 def felt(reported: Mode | None, found: Mode | None, stiffer: float) -> WallEstimate:
-    c = MISSION.vehicle.materials["acrylic"].of(Mode.RIGID)
+    c = MISSION.vehicle.materials["acrylic"].coefficients(Mode.RIGID)
     own, spread, plane = (stiffer * c.k, c.f, c.mu, c.nu), (0.1, 0.1, 0.1, 0.1), (0.0, 0.1, 0.0, 0.1)
     return WallEstimate(1, 0, "acrylic", reported, found, 0.0, *own, *spread, *plane)
 
@@ -395,7 +395,7 @@ def test_a_trajectory_under_way_is_not_given_up_for_a_slower_hit() -> None:
         (1.48, 0.0, 1.0), 0, True,
     )  # fmt: skip
     replanner = Replanner(shuttle)
-    assert replanner.answer(late, 0).problem == "no way back to the mission's trajectory"
+    assert replanner.answer(late, 0).problem == "no feasible path back to the mission's trajectory"
     early = msgspec.structs.replace(
         late, position_mission=(-0.935, 0.01, 1.142), velocity_mission=(2.038, -0.018, 0.074),
         acceleration_mission=(2.88, 0.02, 0.0),
@@ -488,7 +488,7 @@ def test_no_trajectory_leads_into_a_post(place: Vec2, velocity: Vec2, share: flo
 @pytest.mark.parametrize("turned_rad", [0.0, 0.4, -0.9])
 @pytest.mark.parametrize("straight_s", [0.1, 0.3])
 def test_straight_on_from_where_they_end_all_meet_the_wall(turned_rad: float, straight_s: float) -> None:
-    wall = ACRYLIC.turned(turned_rad)
+    wall = ACRYLIC.rotated(turned_rad)
     collision = msgspec.structs.replace(MISSION.collisions[1], wall=wall)
     ends = REPLANNER._to_wall(TO_WALL, collision, (-1.0, 0.3), straight_s)
     assert ends.x.size > 0

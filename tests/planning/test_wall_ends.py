@@ -40,9 +40,9 @@ def test_a_hit_sixteen_millimetres_from_a_doors_end_is_no_go() -> None:
     finding = wall_end(met_at(0.016))
     assert not finding.go
     assert finding.figures == pytest.approx({"distance_m": 0.016, "margin_m": HALF_M})
-    assert "0.02 m from its end, nearer than half a vehicle (0.20 m)" in finding.says
+    assert "0.02 m from its end, minimum half a vehicle (0.20 m)" in finding.says
     assert wall_end(met_at(HALF_M + 0.01)).go
-    assert "not all guards meet it there" in finding.says
+    assert "not all guards touch it there" in finding.says
     assert "guards" not in wall_end(met_at(HALF_M - 0.01)).says
 
 

@@ -43,7 +43,7 @@ def test_force_is_the_contact_laws(tmp_path: Path) -> None:
 
 
 def test_an_impact_over_the_missions_own_limit_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"with wall will peak at 127 N, over limits.peak_force_n 120"):
+    with pytest.raises(InputError, match=r"with wall will peak at 127 N, limits.peak_force_n is 120 N"):
         load_flyable(limit_to(sweep(tmp_path, 2.0), 120.0))
     load_flyable(limit_to(sweep(tmp_path, 2.0), 130.0))
 

@@ -33,13 +33,13 @@ from dart_flight.sim.px4.launch import (
     SIMULATOR_PORT,
     Px4Error,
     arguments,
+    check_version,
     claim_instance,
     environment,
     find_install,
-    fitting,
     flight_parameters,
-    judge_version,
     parse_version,
+    select_parameters,
 )
 from tests.doubles import ground_station
 from tests.doubles.fake_px4 import install
@@ -60,7 +60,7 @@ def test_what_is_missing_of_an_install_is_named(tmp_path: Path, monkeypatch: pyt
     monkeypatch.delenv(ENVIRONMENT, raising=False)
     with pytest.raises(InputError, match=ENVIRONMENT):
         find_install(None)
-    with pytest.raises(InputError, match="no PX4 SITL there"):
+    with pytest.raises(InputError, match="no PX4 SITL in this folder"):
         find_install(tmp_path)
     folder = install(tmp_path / "px4")
     (folder / "etc/init.d-posix/airframes/10016_none_iris").unlink()
@@ -197,13 +197,13 @@ def test_version_out_of_what_px4_says(answer: str, version: tuple[int, int, int]
 
 
 def test_an_old_version_is_refused_and_another_one_noted() -> None:
-    assert judge_version((1, 16, 2)) is None
-    assert judge_version((1, 14, 4)) is None
-    assert judge_version((1, 18, 0)) is None
-    assert "v1.19.1" in (judge_version((1, 19, 1)) or "")
-    assert "does not report" in (judge_version(None) or "")
+    assert check_version((1, 16, 2)) is None
+    assert check_version((1, 14, 4)) is None
+    assert check_version((1, 18, 0)) is None
+    assert "v1.19.1" in (check_version((1, 19, 1)) or "")
+    assert "does not report" in (check_version(None) or "")
     with pytest.raises(Px4Error, match=r"v1\.13\.3 is too old"):
-        judge_version((1, 13, 3))
+        check_version((1, 13, 3))
 
 
 # --- the world process with the stand-in ---------------------------------------------------------
@@ -352,15 +352,15 @@ def test_what_a_version_goes_without_is_left_out_and_said(tmp_path: Path, launch
 def test_a_renamed_parameter_goes_by_its_name_there() -> None:
     wanted = flight_parameters(load_mission(MISSION).vehicle, PositionSource.RTK)
     before = dict.fromkeys(wanted, 0.0)
-    assert fitting(wanted, before)["EKF2_GPS_DELAY"] == 100.0
+    assert select_parameters(wanted, before)["EKF2_GPS_DELAY"] == 100.0
     after = {**before, "SENS_GPS0_DELAY": 10.0}
     del after["EKF2_GPS_DELAY"]
-    chosen = fitting(wanted, after)
+    chosen = select_parameters(wanted, after)
     assert chosen["SENS_GPS0_DELAY"] == 100.0
     assert "EKF2_GPS_DELAY" not in chosen
     del after["SENS_GPS0_DELAY"]  # a delay that nobody can set is not gone without
     with pytest.raises(Px4Error, match="EKF2_GPS_DELAY"):
-        fitting(wanted, after)
+        select_parameters(wanted, after)
 
 
 def test_px4_dying_in_flight_is_told_to_the_app(tmp_path: Path, launched: list[Watched]) -> None:
@@ -411,7 +411,7 @@ def test_two_worlds_at_once_have_instances_of_their_own(tmp_path: Path, launched
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (["--px4", "/nowhere"], "no PX4 SITL there"),
+        (["--px4", "/nowhere"], "no PX4 SITL in this folder"),
         (["--outdoor"], "--outdoor needs --px4"),
         (["--fast", "--speed", "2"], "--fast always runs at full speed"),
         (["--px4", "/nowhere", "--gps", "rtk"], "--gps needs --outdoor"),

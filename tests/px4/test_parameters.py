@@ -95,7 +95,7 @@ def test_a_wrong_line_is_named(tmp_path: Path, line: str, message: str) -> None:
 def test_a_duplicate_and_a_missing_file_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "twice.params"
     path.write_text("1\t1\tA\t4\t6\n1\t1\tA\t5\t6\n")
-    with pytest.raises(InputError, match="given twice"):
+    with pytest.raises(InputError, match="appears twice"):
         load_parameters(path)
     with pytest.raises(InputError, match="cannot read"):
         load_parameters(tmp_path / "none.params")

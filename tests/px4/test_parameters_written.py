@@ -11,8 +11,8 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from dart_flight.check.checks import FlightContext, checks_of
-from dart_flight.check.parameter_setting import read_differences, save_former, write_rows
+from dart_flight.check.checks import FlightContext, select_checks
+from dart_flight.check.parameter_setting import read_differences, save_previous, write_rows
 from dart_flight.check.stages import Stage, run_checks
 from dart_flight.check.wanted_parameters import METADATA, RESTART, restart_names, wanted_parameters
 from dart_flight.config.mission import Mission
@@ -80,7 +80,7 @@ def test_defaults_become_a_vehicle_that_is_go_and_come_back(px4_dir: Path, tmp_p
         found = read_differences(link, mission, MOCAP, None)
         named = restart_names(link.read_file(METADATA))
         former = {row.name: row.vehicle for row in found.writable}
-        saved = save_former(found.writable, tmp_path, url)
+        saved = save_previous(found.writable, tmp_path, url)
         assert write_rows(link, found.writable) == {}
         keep_saved(work, kept)
     assert {row.name for row in found.rows if row.restart} >= {"EKF2_EV_DELAY", "EKF2_HGT_REF"}
@@ -94,7 +94,7 @@ def test_defaults_become_a_vehicle_that_is_go_and_come_back(px4_dir: Path, tmp_p
     restarted = restarting(px4_dir, kept, tmp_path / "install")
     with px4_with_defaults(mission, restarted, tmp_path / "second") as (url, _):
         context = FlightContext(mission, url=url)
-        findings = run_checks(checks_of(Stage.VEHICLE), context)
+        findings = run_checks(select_checks(Stage.VEHICLE), context)
         assert {f.item for f in findings if not f.go} == {"lock_driver"}  # the mission's lock is the mock
         with GroundLink(url, 30.0) as link:
             assert read_differences(link, mission, None, None).writable == []

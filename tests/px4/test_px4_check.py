@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from dart_flight.check.checks import FlightContext, checks_of
+from dart_flight.check.checks import FlightContext, select_checks
 from dart_flight.check.findings import CheckFinding
 from dart_flight.check.stages import Stage, run_checks
 from dart_flight.config.mission import Mission
@@ -55,7 +55,7 @@ def test_our_own_setup_is_go_and_each_change_is_told(px4_dir: Path, tmp_path: Pa
     mission = load_flyable(MISSION)
     changes = {"NAV_RCL_ACT": 2, "COM_FAIL_ACT_T": 5.0}
     with waiting_px4(mission, px4_dir, tmp_path, PositionSource.MOCAP, changes) as url:
-        found = by_item(run_checks(checks_of(Stage.VEHICLE), FlightContext(mission, url=url)))
+        found = by_item(run_checks(select_checks(Stage.VEHICLE), FlightContext(mission, url=url)))
     assert found["position_source"].says == "motion capture"
     assert found["version"].says.startswith("PX4 1.")
     # The lock's driver of this mission is the mock.
@@ -75,7 +75,7 @@ def test_a_receiver_is_known_by_its_fix(
 ) -> None:
     mission = load_flyable(MISSION)
     with waiting_px4(mission, px4_dir, tmp_path, source, {}) as url:
-        found = by_item(run_checks(checks_of(Stage.VEHICLE), FlightContext(mission, url=url)))
+        found = by_item(run_checks(select_checks(Stage.VEHICLE), FlightContext(mission, url=url)))
     position = found["position_source"]
     assert position.go is go
     assert ("rtk fixed" if go else "needs RTK, motion capture or") in position.says
@@ -89,7 +89,7 @@ def test_a_vehicle_without_a_lock_is_go_without_an_overrule(
 ) -> None:
     mission = load_flyable(MISSION.parent / vehicle / "single_wall.yaml")
     with waiting_px4(mission, px4_dir, tmp_path, PositionSource.MOCAP, {}) as url:
-        found = by_item(run_checks(checks_of(Stage.VEHICLE), FlightContext(mission, url=url)))
+        found = by_item(run_checks(select_checks(Stage.VEHICLE), FlightContext(mission, url=url)))
     assert [f"{item}: {f.says}" for item, f in found.items() if not f.go] == []
     assert not any("lock" in item for item in found)
     assert found["airframe"].go

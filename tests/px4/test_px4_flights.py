@@ -105,7 +105,7 @@ def test_plain_gps_does_not_fly_at_a_wall(px4_dir: Path, tmp_path: Path) -> None
     mission = load_flyable(MISSIONS / "paper_single_wall.yaml")
     verdict = fly_px4(mission, px4_dir, 1, tmp_path, position_from=PositionSource.PLAIN, speed=FULL_SPEED)
     assert verdict.reason is not None
-    assert verdict.reason.startswith("not_ready: no position to 0.10 m")
+    assert verdict.reason.startswith("not_ready: standard deviation of the position")
     assert verdict.flight_time_s is None
 
 

@@ -83,7 +83,7 @@ def judge(refused: Refused, begins: str, words: str) -> None:
     assert any(word in reason for word in (words, *WITHOUT_WORDS)), reason
     assert text in refused.said
     assert refused.guard == [reason]
-    quoted = re.split("PX4 says: |, but finds: ", text)[-1].replace("; also ", ", ").split(", ")
+    quoted = re.split("PX4 reports: |, but reports: ", text)[-1].replace("; also ", ", ").split(", ")
     assert all(any(word in given for given in refused.given) for word in quoted), refused
 
 
@@ -106,7 +106,7 @@ def test_refused_offboard_says_why_in_terminal_log_and_verdict(px4_dir: Path, tm
     changes: dict[str, int | float] = {"COM_OF_LOSS_T": 0.0, "COM_DISARM_PRFLT": -1.0}
     flight = DryRun(px4_dir, tmp_path, changes, "--outdoor")
     assert arm(flight.instance())
-    judge(flight.refused(), "offboard_refused: PX4 refused offboard; PX4 ", "No offboard signal")
+    judge(flight.refused(), "offboard_refused: PX4 refused offboard mode; PX4 ", "No offboard signal")
 
 
 def checked(px4_dir: Path, folder: Path, changes: dict[str, int | float]) -> dict[str, Any]:
@@ -130,4 +130,4 @@ def test_check_on_a_connection_says_that_there_is_no_local_position_and_why(
 ) -> None:
     found = checked(px4_dir, tmp_path, NO_POSITION)
     assert not found["estimator"]["go"]
-    assert re.match("no valid local position; PX4 says: .*(osition|failed)", found["estimator"]["says"])
+    assert re.match("no valid local position; PX4 reports: .*(osition|failed)", found["estimator"]["says"])

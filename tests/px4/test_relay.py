@@ -128,9 +128,9 @@ def test_px4s_heartbeat_is_repeated_while_simulated_time_stands_still(
     ends.px4.send(packed(imu(4_000)) + beat)
     ends.app.recv(4096)
     ends.relay._heartbeat_s -= 1.5
-    ends.relay.rest()
+    ends.relay.answer_requests()
     assert ends.app.recv(4096) == beat
-    ends.relay.rest()
+    ends.relay.answer_requests()
     ends.px4.send(b"next")
     assert ends.app.recv(4096) == b"next", "not more than once a second"
 
@@ -146,4 +146,4 @@ def test_a_network_that_fails_ends_the_wait_with_its_own_text(ends: Ends) -> Non
     ends.px4.send(packed(attitude(1)))
     ends.relay._thread.join(timeout=5.0)
     with pytest.raises(FlightError, match=r"cannot send to 127\.0\.0\.1:0"):
-        ends.relay.rest()
+        ends.relay.answer_requests()

@@ -114,7 +114,7 @@ def records_of(drawn: list[Drawn]) -> list[Record]:
 def test_each_impact_has_what_is_its_own(drawn: list[Drawn]) -> None:
     builder = VerdictBuilder(MISSION)
     for record in records_of(drawn):
-        builder.take(record)
+        builder.add(record)
     planned = [(n, one) for n, one in enumerate(drawn, 1) if one.is_planned][: len(MISSION.collisions)]
     impacts = builder.impacts()
     assert [impact.index for impact in impacts] == list(range(1, len(planned) + 1))
@@ -148,7 +148,7 @@ def test_each_impact_has_what_is_its_own(drawn: list[Drawn]) -> None:
 def test_the_verdict_shows_the_same_impacts_however_often_it_is_asked(drawn: list[Drawn]) -> None:
     builder = VerdictBuilder(MISSION)
     for record in records_of(drawn):
-        builder.take(record)
+        builder.add(record)
     first, second = builder.build(None, None), builder.build(None, None)
     assert first == second
     for shown, impact in zip(first.collisions, builder.impacts(), strict=True):
@@ -161,10 +161,10 @@ def test_a_contact_at_another_wall_is_no_truth_of_this_one() -> None:
     builder = VerdictBuilder(MISSION)
     hit = Drawn(True, (-1.0, 0.0), 20.0, None, 50, (0.5, 0.0), False, None)
     for record in records_of([hit]):
-        builder.take(record)
+        builder.add(record)
     other = MISSION.collisions[1].wall.name
     assert other != MISSION.collisions[0].wall.name
-    builder.take(
+    builder.add(
         TruthContact(APART_US, APART_US, other, Mode.RIGID, -1.0, 0.0, 0.5, 0.0, 9.0, 0.0, (0.0,) * 3)
     )
     assert builder.impacts()[0].truth is None

@@ -38,7 +38,7 @@ def test_it_is_told_once_in_flight_and_stands_in_the_verdict(tmp_path: Path) -> 
     for number in range(2, 10):
         record(Tick(number), number)
     assert [type(one) for one in told] == [LogFailure]
-    event = EventFormatter().event_of(told[0])
+    event = EventFormatter().format_event(told[0])
     assert event is not None
     assert event.head == "flight log incomplete: No space left on device"
     assert (record.build().log_failure or "").startswith("No space left on device, ")
@@ -59,7 +59,7 @@ def test_a_flight_whose_log_is_cut_says_so_and_does_not_end_well(
     said = capsys.readouterr()
     last = said.err.strip().splitlines()[-1]
     assert last.startswith("log: ")
-    assert "is not complete: No space left on device, " in last
+    assert "is incomplete: No space left on device, " in last
     assert "dart-flight report" not in said.err, "nothing is offered that needs the log"
     assert main([*words, "--json"]) == 1
     verdict = msgspec.json.decode(capsys.readouterr().out, type=Verdict)
@@ -75,9 +75,9 @@ def test_check_compares_the_room_with_the_longest_flight(
     monkeypatch.setattr(shutil, "disk_usage", lambda path: SimpleNamespace(free=1_000_000))
     found = check_log_space(MISSION, tmp_path)
     assert not found.go
-    assert "1.0 MB left for the log" in found.says
+    assert "1.0 MB free for the log" in found.says
     assert main(["check", str(SINGLE), "--log-dir", str(tmp_path)]) == 1
-    assert "NO-GO     log_space: 1.0 MB left" in capsys.readouterr().err
+    assert "NO-GO     log_space: 1.0 MB free" in capsys.readouterr().err
 
 
 def test_a_record_that_cannot_be_written_is_named_with_its_kind_of_error(

@@ -102,11 +102,13 @@ def test_a_log_of_another_version_is_refused_by_the_key(flight: Log) -> None:
         other = msgspec.json.decode(about[name])
         del (other["vehicle"] if name == "flown" else other)["guard"]["retreat_m"]
         about[name] = msgspec.json.encode(other).decode()
-    with pytest.raises(InputError, match=r"does not fit this version: .*`retreat_m`.*guard"):
+    with pytest.raises(
+        InputError, match=r"this version cannot read the mission in the log: .*`retreat_m`.*guard"
+    ):
         flown_mission(about, "log")
     with pytest.raises(InputError, match="retreat_m"):
         parse_written(*written_mission(about, "log"))
-    with pytest.raises(InputError, match="does not fit"):
+    with pytest.raises(InputError, match="this version cannot read"):
         flown_mission({**about, "flown": "[]"}, "log")
 
 

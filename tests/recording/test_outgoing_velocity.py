@@ -35,7 +35,7 @@ def test_without_the_contacts_end_it_is_not_known() -> None:
     for entry in log.entries:
         if ended is not None and isinstance(entry.record, OdometrySample) and entry.record.t_us >= ended:
             break
-        builder.take(entry.record)
+        builder.add(entry.record)
         if isinstance(entry.record, ContactEnd):
             ended = entry.record.t_us
     (hit,) = builder.build(None, None).collisions

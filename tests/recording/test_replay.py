@@ -26,6 +26,12 @@ def changed(log: Log, index: int, record: object) -> Log:
     return Log(log.source, log.about, log.end, entries, log.complete)
 
 
+def beginning(log: Log, inputs: int, about: dict[str, str] | None = None) -> Log:
+    """The first inputs of a log and what follows from them, as if that were the whole flight."""
+    entries = [entry for entry in log.entries if entry.number < inputs]
+    return Log(log.source, about or log.about, log.end, entries, True)
+
+
 def test_a_flight_replays_bit_for_bit(flight: Log) -> None:
     result = replay(flight)
     assert result.exact
@@ -54,18 +60,20 @@ def test_one_changed_bit_of_an_input_is_noticed(flight: Log) -> None:
     x, y, z = sample.specific_force_frd
     moved = msgspec.structs.replace(sample, specific_force_frd=(x + 4e-15 * max(1.0, abs(x)), y, z))
     assert moved != sample
-    result = replay(changed(flight, index, moved))
+    log = changed(beginning(flight, flight.entries[index].number + 50), index, moved)
+    result = replay(log)
     assert not result.equal
     assert "ForceEstimate: force_mission" in result.differences[0].text()
     # On another kind of machine such a difference is none.
-    assert replay(changed(flight, index, moved), exact=False).equal
+    assert replay(log, exact=False).equal
 
 
 def test_a_decision_that_was_not_taken_is_noticed(flight: Log) -> None:
     index = next(i for i, e in enumerate(flight.entries) if isinstance(e.record, ImpactPeak))
+    flight = beginning(flight, flight.entries[index].number + 50)
     entries = flight.entries[:index] + flight.entries[index + 1 :]
     result = replay(Log(flight.source, flight.about, flight.end, entries, True))
-    assert result.differences[0].text().startswith("ImpactPeak not in the recording")
+    assert result.differences[0].text().startswith("ImpactPeak is not in the recording")
 
 
 def test_a_higher_threshold_detects_later(flight: Log) -> None:
@@ -100,7 +108,7 @@ def test_a_gain_changes_the_recovery_only(flight: Log) -> None:
         ("materials.steel.rigid.k=1", "materials.steel.rigid.k=1: missing key f"),
         ("start.altitude_m=9", "bounds_m z"),
         ("airframe.mass_kg=[", "not valid YAML"),
-        ("airframe.mass_kg.kg=1", "nothing below"),
+        ("airframe.mass_kg.kg=1", "no key below"),
     ],
 )
 def test_wrong_settings_are_refused_in_words(
@@ -122,7 +130,7 @@ def test_a_flight_that_was_changed_by_options_is_replayed_as_flown(single_wall: 
     log = Log("log", describe_flight(flown, World.FAST, 1), {}, entries, True)
     assert replay(log).equal
     assert changed_mission(log, ["detection.force_threshold_n=6"]).altitude_m == 1.2
-    with pytest.raises(InputError, match="only vehicle keys"):
+    with pytest.raises(InputError, match="only keys of the vehicle"):
         changed_mission(log, ["start.altitude_m=1.1"])
 
 
@@ -131,7 +139,7 @@ def test_a_cut_log_replays_up_to_there(flight: Log) -> None:
         log = Log(flight.source, flight.about, {}, flight.entries[:cut], False)
         result = replay(log)
         assert result.equal
-        assert result.note.startswith("the log was cut")
+        assert result.note.startswith("the log is cut short")
 
 
 def with_retired(vehicle: dict[str, Any]) -> None:
@@ -150,17 +158,18 @@ def test_a_key_that_is_a_constant_of_another_value_now_is_said(flight: Log) -> N
         tree = msgspec.json.decode(about[name])
         with_retired(tree["vehicle"] if name == "flown" else tree)
         about[name] = msgspec.json.encode(tree).decode()
-    old = Log(flight.source, about, flight.end, flight.entries, True)
-    assert (replay(old).equal, replay(old).note) == (True, "")
+    result = replay(beginning(flight, 1000, about))
+    assert (result.equal, result.note) == (True, "")
     tree = msgspec.json.decode(about["vehicle"])
     tree["guard"]["imu_stuck_s"] = 0.5
     about["vehicle"] = msgspec.json.encode(tree).decode()
-    assert replay(old).note == "guard.imu_stuck_s was 0.5 and is 0.1 now"
+    old = Log(flight.source, about, flight.end, flight.entries, True)
+    assert replay(beginning(old, 1000)).note == "guard.imu_stuck_s was 0.5 and is now 0.1"
     assert replay(old, ["detection.force_threshold_n=15"]).differences
 
 
 def test_lost_inputs_are_said(flight: Log) -> None:
-    entries = [e for e in flight.entries if not 100 <= e.number < 110]
+    entries = [e for e in beginning(flight, 1000).entries if not 100 <= e.number < 110]
     result = replay(Log(flight.source, flight.about, flight.end, entries, True))
     assert result.missing == 10
     assert "lost 10 inputs" in result.note

@@ -30,8 +30,8 @@ def verdict(
 ) -> Verdict:
     builder = VerdictBuilder(MISSION)
     for sample in samples:
-        builder.take(sample)
-    builder.take(MissionEnd(0, outcome, reason, 0.0))
+        builder.add(sample)
+    builder.add(MissionEnd(0, outcome, reason, 0.0))
     return builder.build(World.FAST, 1)
 
 
@@ -42,9 +42,9 @@ HIGH = truth((0.0, 0.0, 1.0))
     ("sample", "word"),
     [
         (truth((X + 0.49, 0.0, 1.0)), None),
-        (truth((X + 0.51, 0.0, 1.0)), "0.51 m out of bounds"),
-        (truth((0.0, Y + 0.6, 1.0)), "0.60 m out of bounds"),
-        (truth((0.0, 0.0, Z + 0.6)), "0.60 m out of bounds"),
+        (truth((X + 0.51, 0.0, 1.0)), "0.51 m outside bounds_m"),
+        (truth((0.0, Y + 0.6, 1.0)), "0.60 m outside bounds_m"),
+        (truth((0.0, 0.0, Z + 0.6)), "0.60 m outside bounds_m"),
         (truth((0.0, 0.0, 1.0), tilt_deg=79.0), None),
         (truth((0.0, 0.0, 1.0), tilt_deg=90.0), "tilted by 90 degrees"),
         (truth((0.0, 0.0, 0.01), down_m_s=1.4), None),
@@ -58,7 +58,7 @@ def test_each_limit_is_a_cause_of_its_own(sample: TruthSample, word: str | None)
 
 
 def test_a_flight_that_ends_without_a_reason_is_uncontrolled() -> None:
-    assert verdict(HIGH, outcome=Outcome.ABORTED).uncontrolled == ["not completed, and no reason given"]
+    assert verdict(HIGH, outcome=Outcome.ABORTED).uncontrolled == ["not completed, without a reason"]
     assert verdict(HIGH, outcome=Outcome.ABORTED, reason="bounds: left them").uncontrolled == []
 
 

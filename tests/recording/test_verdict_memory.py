@@ -22,19 +22,19 @@ def hover(builder: VerdictBuilder, minutes: float, from_us: int) -> int:
     """Odometry and truth at 125 Hz, as a simulated flight has them; returns the next stamp."""
     t_us = from_us
     for _ in range(round(minutes * 60 * 125)):
-        builder.take(
+        builder.add(
             TruthSample(t_us, (0.0, 0.0, 1.0), (0.0,) * 3, (0.0,) * 3, (1.0, 0.0, 0.0, 0.0), Mode.RIGID)
         )
-        builder.take(OdometrySample(t_us, t_us, (0.0, 0.01, -1.0), (0.0, 0.0, 0.0)))
+        builder.add(OdometrySample(t_us, t_us, (0.0, 0.01, -1.0), (0.0, 0.0, 0.0)))
         t_us += 8000
     return t_us
 
 
 def test_it_does_not_grow_with_the_flight() -> None:
     builder = VerdictBuilder(MISSION)
-    builder.take(OdometrySample(1000, 1000, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)))
-    builder.take(PhaseChange(1000, Phase.READYING, Phase.OFFBOARD, ""))
-    builder.take(PhaseChange(1000, Phase.ARMING, Phase.CLIMB, ""))
+    builder.add(OdometrySample(1000, 1000, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)))
+    builder.add(PhaseChange(1000, Phase.READYING, Phase.OFFBOARD, ""))
+    builder.add(PhaseChange(1000, Phase.ARMING, Phase.CLIMB, ""))
     t_us = hover(builder, 0.5, 8000)
     tracemalloc.start()
     before, _ = tracemalloc.get_traced_memory()
@@ -75,7 +75,7 @@ def feed(
     for i in range(len(true) + abs(lag)):
         if 0 <= i + min(lag, 0) < len(estimates):
             t_us, (x, y, z) = estimates[i + min(lag, 0)]
-            error.take_estimate(t_us, (x, y, z))
+            error.add_estimate(t_us, (x, y, z))
         if 0 <= i - max(lag, 0) < len(true):
-            error.take_truth(*true[i - max(lag, 0)])
-    error.take_truth(true[-1][0] + 8000, true[-1][1])
+            error.add_truth(*true[i - max(lag, 0)])
+    error.add_truth(true[-1][0] + 8000, true[-1][1])

@@ -76,7 +76,7 @@ class Session:
     def set_actuator(self, index: int, value: float) -> None:
         self.asked.append((index, value))
 
-    def tell_ground(self, text: str) -> None:
+    def send_text(self, text: str) -> None:
         self.asked.append(text)
 
     async def perform(self, action: VehicleAction) -> str:
@@ -318,7 +318,7 @@ class Flight(Session):
     async def set_rates(self) -> list[str]:
         return []
 
-    async def look_for_others(self) -> None:
+    async def detect_other_autopilot(self) -> None:
         self.end()
 
 

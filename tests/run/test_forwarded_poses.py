@@ -22,6 +22,7 @@ from dart_flight.run.embedded import fly_embedded
 from dart_flight.run.prepare import load_flyable, with_mocap, with_simulated_mocap
 from dart_flight.run.replay import replay
 from dart_flight.sim.pipe import FULL_SPEED
+from dart_flight.vehicle.motion_capture.pose_bridge import forwarded_pose
 from dart_flight.vehicle.motion_capture.source import RawPose
 from tests.run.test_app import Flight, connect_to
 
@@ -89,12 +90,15 @@ def test_a_pose_goes_to_px4_and_to_the_core_until_the_core_withholds_it(
     def at_end(app: FlightApp, source: ScriptedSource) -> None:
         assert source.deliver is not None
         source.deliver(POSE)
+        app.execute(PosesWithheld(1, "turned", attitude_only=True))
+        source.deliver(POSE._replace(source_us=500_000))
         app.execute(PosesWithheld(1, "another body"))
         source.deliver(POSE._replace(source_us=1_000_000))
 
     session, source, records = flown(monkeypatch, 0, at_end)
-    assert [message.message_name for message in session.sent] == ["ODOMETRY"]
-    assert {r.source_us for r in records if isinstance(r, PoseSample)} == {1_000, 1_000_000}
+    whole, positioned = map(forwarded_pose, session.sent)
+    assert (whole.attitude is None, positioned.attitude is None) == (False, True)
+    assert {r.source_us for r in records if isinstance(r, PoseSample)} == {1_000, 500_000, 1_000_000}
     assert source.stops == 1
     assert not [r for r in records if isinstance(r, StatusText)]
 
@@ -102,15 +106,14 @@ def test_a_pose_goes_to_px4_and_to_the_core_until_the_core_withholds_it(
 def test_a_pilot_who_takes_over_keeps_his_position_until_he_disarms(monkeypatch: pytest.MonkeyPatch) -> None:
     _, source, records = flown(monkeypatch, 5, lambda app, source: None)
     (text,) = (r.text for r in records if isinstance(r, StatusText))
-    assert text == "poses are forwarded until the vehicle is disarmed; Ctrl-C ends that"
+    assert text == "forwarding poses until the vehicle is disarmed; Ctrl-C ends it"
     assert source.stops == 1
 
 
 @pytest.mark.mavlink
-@pytest.mark.parametrize("kind", ["udp", "vicon"])
-def test_a_latency_is_one_of_simulated_time_and_the_flight_replays(kind: str, tmp_path: Path) -> None:
+def test_a_latency_is_one_of_simulated_time_and_the_flight_replays(tmp_path: Path) -> None:
     settings = ["simulation.pose_delay_s=0.02", "mocap.delay_ms=20", "mocap.up=y"]
-    mission = with_simulated_mocap(load_flyable(NEAR, None, settings), kind)
+    mission = with_simulated_mocap(load_flyable(NEAR, None, settings), "udp")
     verdict = fly_embedded(mission, 1, tmp_path, speed=FULL_SPEED)
     assert verdict.outcome is Outcome.COMPLETED
     assert verdict.ekf_error_m is not None
@@ -119,11 +122,10 @@ def test_a_latency_is_one_of_simulated_time_and_the_flight_replays(kind: str, tm
     poses = [e.record for e in log.entries if isinstance(e.record, PoseSample)]
     frames = [p.frame_number for p in poses if p.frame_number is not None]
     assert {b - a for a, b in pairwise(frames)} == {1}
-    if kind == "udp":  # Vicon's stream has no stamps
-        # Until the world goes on without the program.
-        (end_us,) = (e.record.t_us for e in log.entries if isinstance(e.record, MissionEnd))
-        ages_us = [p.t_us - p.source_us for p in poses[1:] if p.source_us and p.t_us < end_us]
-        assert set(ages_us) == {7_020_000}  # the autopilot's clock began at 7 s
+    # Until the world goes on without the program.
+    (end_us,) = (e.record.t_us for e in log.entries if isinstance(e.record, MissionEnd))
+    ages_us = [p.t_us - p.source_us for p in poses[1:] if p.source_us and p.t_us < end_us]
+    assert set(ages_us) == {7_020_000}  # the autopilot's clock began at 7 s
     course = FlightArrays(log, flown_mission(log.about, log.source))
     assert course.posed.time_s.size > 400
     assert replay(log).equal

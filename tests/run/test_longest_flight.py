@@ -15,13 +15,15 @@ HOVER = load_mission(packaged("missions", "hover.yaml"))
 
 def test_a_flight_that_does_not_end_is_ended_with_a_reason(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(fast, "_LONGEST_S", 3.0)
-    verdict, limit_s = fast.fly_fast(HOVER, 1, None), fast.longest_s(HOVER)
+    verdict, limit_s = fast.fly_fast(HOVER, 1, None), fast.time_limit_s(HOVER)
     assert verdict.outcome is Outcome.ABORTED
     assert verdict.reason == (
-        f"world_died: the simulated flight did not end within {limit_s:.0f} s of its time"
+        f"world_died: the simulated flight did not end within {limit_s:.0f} s of simulated time"
     )
 
 
 def test_a_mission_that_holds_longer_may_last_longer() -> None:
     goal = structs.replace(HOVER.goal, hold_s=HOVER.goal.hold_s + 400.0)
-    assert fast.longest_s(structs.replace(HOVER, goal=goal)) == pytest.approx(fast.longest_s(HOVER) + 400.0)
+    assert fast.time_limit_s(structs.replace(HOVER, goal=goal)) == pytest.approx(
+        fast.time_limit_s(HOVER) + 400.0
+    )

@@ -23,7 +23,13 @@ from dart_flight.recording.found import px4_logs_in
 from dart_flight.recording.reader import read_log
 from dart_flight.run.px4_log_download import fetch_px4_log, list_px4_logs
 from dart_flight.vehicle import downloads
-from dart_flight.vehicle.downloads import DownloadError, DownloadTime, Px4LogEntry, entry_of, logs_of_flight
+from dart_flight.vehicle.downloads import (
+    DownloadError,
+    DownloadTime,
+    Px4LogEntry,
+    logs_of_flight,
+    parse_entry,
+)
 from tests.doubles.log_vehicle import LogVehicle
 
 FLIGHT = Path(__file__).parents[1] / "data" / "flights" / "px4.mcap"
@@ -69,10 +75,10 @@ def test_never_one_that_was_there_before(logs: list[tuple[float | None, int]], d
 
 
 def test_a_date_before_the_clock_was_set_is_none() -> None:
-    assert entry_of(Entry(3, "1970-01-01T00:12:00Z", 5)) == Px4LogEntry(3, None, 5)
-    assert entry_of(Entry(3, "nonsense", 5)).ended is None
-    assert entry_of(Entry(3, "2026-11-26T05:00:00Z", 5)).ended == BEGAN
-    assert entry_of(Entry(3, "2026-11-26T05:00:00Z", 5_000_000)).line() == (
+    assert parse_entry(Entry(3, "1970-01-01T00:12:00Z", 5)) == Px4LogEntry(3, None, 5)
+    assert parse_entry(Entry(3, "nonsense", 5)).ended is None
+    assert parse_entry(Entry(3, "2026-11-26T05:00:00Z", 5)).ended == BEGAN
+    assert parse_entry(Entry(3, "2026-11-26T05:00:00Z", 5_000_000)).line() == (
         "3: ended 2026-11-26 05:00:00 UTC, 5.0 MB"
     )
 
@@ -81,7 +87,7 @@ def test_the_expected_duration_is_told_once_and_from_the_measured_rate() -> None
     expected = DownloadTime(12_000_000, 100.0)
     assert expected.line(0.01, 101.0) is None
     assert expected.line(0.0, 103.0) is None  # nothing has come
-    assert expected.line(0.01, 104.0) == "6.6 min to go, at 30 kB/s"
+    assert expected.line(0.01, 104.0) == "6.6 min left at 30 kB/s"
     assert expected.line(0.02, 105.0) is None
 
 
@@ -115,14 +121,16 @@ def test_downloaded_whole_and_byte_for_byte(tmp_path: Path) -> None:
     logs = [(end_s - 900, ulog(40_000, 1)), (end_s + 2, ulog(123_457, 2))]
     said: list[str] = []
     with vehicle(logs) as v:
-        path = fetch_px4_log(v.url, 10.0, tmp_path, ARMED, choose=no_choice, say=said.append)
+        path = fetch_px4_log(v.url, 10.0, tmp_path, ARMED, choose=no_choice, print_line=said.append)
         assert path.read_bytes() == logs[1][1]
         assert sorted(p.name for p in tmp_path.iterdir()) == ["px4.ulg"]
         assert "0.1 MB" in said[0]
         before = list_px4_logs(v.url, 10.0)
         assert [entry.size_bytes for entry in before] == [40_000, 123_457]
         logs.insert(0, (0, ulog(5_000, 3)))  # the flight controller has lost its clock
-        path = fetch_px4_log(v.url, 10.0, tmp_path, None, before=before, choose=no_choice, say=said.append)
+        path = fetch_px4_log(
+            v.url, 10.0, tmp_path, None, before=before, choose=no_choice, print_line=said.append
+        )
         assert path.read_bytes() == logs[0][1]
 
 
@@ -138,15 +146,15 @@ def test_a_download_that_stops_or_is_stopped_leaves_nothing(tmp_path: Path) -> N
         vehicle([(end_s, ulog(200_000, 1))], 100_000) as v,
         pytest.raises(DownloadError, match="no data for"),
     ):
-        fetch_px4_log(v.url, 10.0, tmp_path, ARMED, choose=no_choice, say=lambda line: None)
+        fetch_px4_log(v.url, 10.0, tmp_path, ARMED, choose=no_choice, print_line=lambda line: None)
     with vehicle([(end_s, ulog(2_000_000, 1))]) as v, pytest.raises(KeyboardInterrupt):
         fetch_px4_log(
-            v.url, 10.0, tmp_path, ARMED, choose=no_choice, say=lambda line: None, progress=interrupt
+            v.url, 10.0, tmp_path, ARMED, choose=no_choice, print_line=lambda line: None, progress=interrupt
         )
-    with vehicle([(end_s, b"not a ULog at all")]) as v, pytest.raises(DownloadError, match="no ULog"):
-        fetch_px4_log(v.url, 10.0, tmp_path, ARMED, choose=no_choice, say=lambda line: None)
+    with vehicle([(end_s, b"not a ULog at all")]) as v, pytest.raises(DownloadError, match="not a ULog"):
+        fetch_px4_log(v.url, 10.0, tmp_path, ARMED, choose=no_choice, print_line=lambda line: None)
     with vehicle([]) as v, pytest.raises(DownloadError, match="no log of this flight"):
-        fetch_px4_log(v.url, 10.0, tmp_path, ARMED, choose=no_choice, say=lambda line: None)
+        fetch_px4_log(v.url, 10.0, tmp_path, ARMED, choose=no_choice, print_line=lambda line: None)
     assert [p.name for p in tmp_path.iterdir()] == ["flight.mcap"]
 
 
@@ -155,7 +163,7 @@ def test_not_while_armed(tmp_path: Path) -> None:
     with vehicle([(0, ulog(1000, 1))]) as v:
         v.autopilot.armed = True
         with pytest.raises(FlightError, match="armed"):
-            fetch_px4_log(v.url, 10.0, tmp_path, None, choose=no_choice, say=lambda line: None)
+            fetch_px4_log(v.url, 10.0, tmp_path, None, choose=no_choice, print_line=lambda line: None)
 
 
 @pytest.mark.mavlink

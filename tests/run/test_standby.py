@@ -30,7 +30,7 @@ CENTRED = (1500,) * 8
 
 def desk(channel: int | None = 7) -> StandbyDesk:
     standby = StandbyDesk(("one", "two"), channel, has_lock=True)
-    standby.take_armed(False)
+    standby.update_armed(False)
     return standby
 
 
@@ -40,44 +40,44 @@ def desk(channel: int | None = 7) -> StandbyDesk:
 def test_fly_needs_a_remote_control_that_is_there_now() -> None:
     standby = desk()
     assert standby.press(FLY, 10.0).text == "PX4 receives no remote control"
-    standby.take_sensors(RECEIVER | 1, 11.0)
+    standby.update_sensors(RECEIVER | 1, 11.0)
     assert standby.press(FLY, 12.0).result == OK
     assert standby.press(FLY, 14.5).result == NO, "PX4 is silent since 3.5 s"
-    standby.take_sensors(RECEIVER, 15.0)
-    standby.take_sensors(1, 15.2)  # the transmitter is off
+    standby.update_sensors(RECEIVER, 15.0)
+    standby.update_sensors(1, 15.2)  # the transmitter is off
     assert standby.press(FLY, 15.3).result == NO
 
 
 def test_a_loss_between_the_two_presses_cancels_the_first() -> None:
     standby = desk()
-    standby.take_sensors(RECEIVER, 10.0)
+    standby.update_sensors(RECEIVER, 10.0)
     assert standby.press(FLY, 10.1).result == OK
-    standby.take_sensors(0, 10.5)
+    standby.update_sensors(0, 10.5)
     assert standby.press(FLY, 11.0).result == NO
-    standby.take_sensors(RECEIVER, 11.1)
+    standby.update_sensors(RECEIVER, 11.1)
     assert standby.press(FLY, 11.2).effect is None
 
 
 def test_the_link_back_in_hand_everything_begins_afresh() -> None:
     standby = desk()
-    standby.take_sensors(RECEIVER, 10.0)
+    standby.update_sensors(RECEIVER, 10.0)
     standby.press(FLY, 10.1)
-    standby.take_link()
+    standby.reset()
     assert standby.press(FLY, 10.2).text == "PX4 has sent no heartbeat yet"
-    standby.take_armed(False)
+    standby.update_armed(False)
     assert standby.press(FLY, 10.4).text == "PX4 receives no remote control"
-    standby.take_sensors(RECEIVER, 10.5)
+    standby.update_sensors(RECEIVER, 10.5)
     assert standby.press(FLY, 10.6).effect is None, "a press before it counts no more"
 
 
 def test_armed_and_travelling_decide() -> None:
     standby = desk()
-    standby.take_sensors(RECEIVER, 10.0)
-    standby.take_armed(True)
+    standby.update_sensors(RECEIVER, 10.0)
+    standby.update_armed(True)
     assert standby.press(FLY, 10.1).text == "the vehicle is armed"
-    standby.take_lock(LockState(1, LockPhase.TRAVELLING, Mode.RIGID))
+    standby.update_lock(LockState(1, LockPhase.TRAVELLING, Mode.RIGID))
     assert standby.press(Press(Button.LOCK_FLEXIBLE), 10.2).result == LATER
-    standby.take_lock(LockState(2, LockPhase.SETTLED, Mode.RIGID))
+    standby.update_lock(LockState(2, LockPhase.SETTLED, Mode.RIGID))
     assert standby.press(Press(Button.LOCK_FLEXIBLE), 10.3).effect is Mode.FLEXIBLE
 
 
@@ -86,8 +86,8 @@ def switched(standby: StandbyDesk, *pulses_us: int, present: int = RECEIVER) -> 
     for pulse_us in pulses_us:
         for _ in range(10):
             now_s += 0.1
-            standby.take_sensors(present, now_s)
-            mode = standby.take_channels((*CENTRED[:6], pulse_us, 1500), now_s)
+            standby.update_sensors(present, now_s)
+            mode = standby.update_switch((*CENTRED[:6], pulse_us, 1500), now_s)
             found += [mode] if mode is not None else []
     return found
 
@@ -130,7 +130,7 @@ def test_the_configured_channel_moves_the_lock() -> None:
             -9,
             None,
             "",
-            ["wall: the process was killed by SIGKILL: PX4's failsafe has the vehicle"],
+            ["wall: the process was killed by SIGKILL: PX4's failsafe flies the vehicle"],
         ),
         (False, -15, None, "", ["wall: the process was killed by SIGTERM"]),
     ],
@@ -200,7 +200,7 @@ def test_an_errand_hands_the_link_over_and_keeps_what_it_came_to() -> None:
     assert standby._news == [
         "one: go",
         "two: go",
-        "two: the process was killed by SIGKILL: PX4's failsafe has the vehicle",
+        "two: the process was killed by SIGKILL: PX4's failsafe flies the vehicle",
         "one: completed",
     ]
 
@@ -210,7 +210,7 @@ def test_a_vehicle_that_is_away_is_said_once_and_tried_again(monkeypatch: pytest
     away = VehicleError("no autopilot on udpin://127.0.0.1:1 within 5 s")
     standby = Hands([away, away, away, Errand(False, (1,))], [GO])
     asyncio.run(standby.run())
-    assert [text for kind, text in standby.said if kind == "problem"] == [f"{away}; trying again"]
+    assert [text for kind, text in standby.said if kind == "problem"] == [f"{away}; retrying"]
     assert standby.commands == [["check", "one.yaml"]]
 
 

@@ -89,18 +89,18 @@ def test_three_standard_deviations_come_on_top_the_more_the_further_from_the_mid
 
 def test_a_contact_tells_where_the_plane_is_and_how_surely() -> None:
     survey = EstimatedWalls()
-    assert survey.wall_now(known(0.1)) == known(0.1)
+    assert survey.known_wall(known(0.1)) == known(0.1)
     felt = WallEstimate(0, 0, "board", Mode.RIGID, None, 0.0, *(1.0,) * 8, 0.0, 0.1, 0.07, 0.02)
     survey.add_estimate(felt, known(0.1))
-    seen = survey.wall_now(known(0.1))
+    seen = survey.known_wall(known(0.1))
     assert seen.point == pytest.approx((0.93, 0.0))
     assert seen.position_sd_m == 0.02
     surer = EstimatedWalls()
     surer.add_estimate(felt, known(0.01))
-    assert surer.wall_now(known(0.01)).position_sd_m == 0.01
+    assert surer.known_wall(known(0.01)).position_sd_m == 0.01
     unsaid = EstimatedWalls()
     unsaid.add_estimate(felt, WALL)
-    assert unsaid.wall_now(WALL).position_sd_m is None
+    assert unsaid.known_wall(WALL).position_sd_m is None
 
 
 def test_the_run_up_is_steady_before_where_the_wall_may_stand_nearest() -> None:
@@ -232,7 +232,7 @@ def test_a_moved_wall_of_a_draw_is_met_like_one_planned_there(away_m: float) -> 
     (sequence, *_) = scenario.sequences
     name = sequence[0]
     there = msgspec.structs.replace(
-        scenario, walls=scenario.walls | {name: scenario.walls[name].moved(away_m)}
+        scenario, walls=scenario.walls | {name: scenario.walls[name].displaced(away_m)}
     )
     vn, vt = np.array([-0.8, -1.0]), np.array([0.2, 0.0])
     flight, stages = new_flight(scenario), stages_for(there, [None])[0]
@@ -292,11 +292,11 @@ def test_check_says_where_another_wall_may_be_in_the_way() -> None:
         "  screen: {point_m: [1.9, 0.5], normal: [-1.0, 0.0], length_m: 3.0, material: wood}\ncollisions:"
     )
     near = single(wide, (POINT, f"{POINT}, position_sd_m: 0.1"), ("collisions:", behind))
-    assert "beyond wall screen" in no_goes(check_mission(near))["survey_1"]
+    assert "behind wall screen" in no_goes(check_mission(near))["survey_1"]
     side = "  side: {point_m: [1.2, 0.05], normal: [0.0, 1.0], length_m: 0.4, material: wood"
     side += ", position_sd_m: 0.12}\ncollisions:"
     beside = no_goes(check_mission(single(wide, ("collisions:", side))))
-    assert "wall side may stand in the way of the run-up to wall acrylic" in beside["survey_1"]
+    assert "wall side may block the run-up to wall acrylic" in beside["survey_1"]
 
 
 @pytest.mark.parametrize(("north_sd_m", "go"), [(0.01, True), (0.1, False)])
@@ -308,7 +308,7 @@ def test_along_a_trajectory_walls_are_passed_where_it_leads(north_sd_m: float, g
     tree["walls"]["north"]["position_sd_m"] = north_sd_m
     found = no_goes(check_mission(load_mission(tree)))
     assert ("survey_1" not in found) == go
-    assert go or "wall north may stand in the way to wall end" in found["survey_1"]
+    assert go or "wall north may block the trajectory to wall end" in found["survey_1"]
 
 
 def test_figures_that_are_borne_are_a_go() -> None:

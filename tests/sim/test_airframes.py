@@ -14,11 +14,11 @@ from hypothesis import strategies as st
 
 from dart_flight.base.geometry import MissionFrame
 from dart_flight.base.records import ActuatorSample, Record, TorqueEstimate, TruthContact
-from dart_flight.check.vehicle_check import judge_airframe
+from dart_flight.check.vehicle_check import evaluate_airframe
 from dart_flight.cli import main
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission, load_mission
-from dart_flight.config.rotors import motors_of, rotor_parameters
+from dart_flight.config.rotors import motors_from_parameters, rotor_parameters
 from dart_flight.config.vehicle import Thrust, effectiveness
 from dart_flight.config.vehicle.configuration import load_vehicle
 from dart_flight.lab.calibrate.airframe_reader import motors_block
@@ -199,7 +199,7 @@ def hexarotor_mission() -> Mission:
 
 def test_px4_s_parameters_say_where_the_motors_are_and_back() -> None:
     motors = load_vehicle(HEXAROTOR).airframe.motors
-    assert motors_of(rotor_parameters(motors), "here") == motors
+    assert motors_from_parameters(rotor_parameters(motors), "here") == motors
 
 
 @pytest.mark.parametrize(
@@ -207,20 +207,20 @@ def test_px4_s_parameters_say_where_the_motors_are_and_back() -> None:
     [
         ({}, True, "6 motors, as in PX4"),
         ({"CA_ROTOR_COUNT": 4}, False, "PX4 has 4 motors, the configuration 6"),
-        ({"CA_ROTOR2_KM": 0.016}, False, "motor 3 turns the other way round"),
+        ({"CA_ROTOR2_KM": 0.016}, False, "motor 3 turns in the other direction"),
         ({"CA_ROTOR4_PX": -0.173}, False, "motor 5: x_m 0.173, PX4 -0.173"),
         ({"CA_ROTOR4_PX": 0.43, "CA_ROTOR2_KM": -0.05}, True, "motor 5: x_m 0.173, PX4 0.43"),
     ],
 )
 def test_check_says_which_motor_differs(change: dict[str, float], go: bool, says: str) -> None:
     mission = hexarotor_mission()
-    (finding,) = judge_airframe(mission, rotor_parameters(mission.vehicle.airframe.motors) | change)
+    (finding,) = evaluate_airframe(mission, rotor_parameters(mission.vehicle.airframe.motors) | change)
     assert finding.go is go
     assert says in finding.says
 
 
 def test_check_says_where_px4_has_no_airframe_to_compare() -> None:
-    (finding,) = judge_airframe(hexarotor_mission(), {})
+    (finding,) = evaluate_airframe(hexarotor_mission(), {})
     assert (finding.go, finding.remark) == (True, True)
     assert "has no CA_ROTOR_COUNT" in finding.says
 

@@ -7,7 +7,7 @@ import pytest
 
 from dart_flight.base.geometry import distance2
 from dart_flight.base.records import FlightMode, LandedState
-from dart_flight.check.px4_parameters import names_to_read
+from dart_flight.check.px4_parameters import parameter_names
 from dart_flight.config.mission import load_mission
 from dart_flight.sim.cascade import TrajectorySetpoint
 from dart_flight.sim.embedded_autopilot import Autopilot, make_autopilot
@@ -46,7 +46,7 @@ def airborne(autopilot: Autopilot) -> TrajectorySetpoint:
 
 def test_it_has_every_parameter_that_check_reads(autopilot: Autopilot) -> None:
     """MAVSDK asks for one that is not there again and again, for three seconds."""
-    assert not set(names_to_read()) - set(autopilot.parameters)
+    assert not set(parameter_names()) - set(autopilot.parameters)
 
 
 def test_arming_waits_for_the_estimator(autopilot: Autopilot) -> None:

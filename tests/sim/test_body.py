@@ -156,7 +156,7 @@ def test_agrees_with_an_independent_rigid_body(
     plant.q = quaternion_from_euler(roll, 0.5 * roll, yaw)
     plant.rate = (0.3 * rate, -0.2 * rate, rate)
     contact = vehicle.simulation.contact
-    c = vehicle.materials["acrylic"].of(mode)
+    c = vehicle.materials["acrylic"].coefficients(mode)
     body = Body(
         vehicle.airframe.mass_kg,
         np.array(vehicle.airframe.inertia_kg_m2),

@@ -130,7 +130,7 @@ def test_a_wrong_delay_breaks_the_flight_off_before_its_wall(delay_ms: int) -> N
     flown = Flown(f"ev-delay={delay_ms}")
     (event,) = flown.found
     assert event.rule == "position_delayed"
-    assert "ahead of the IMU" in event.detail
+    assert "leads the IMU" in event.detail
     assert flown.onset_us == math.inf
     assert event.t_us < flown.approach_us + 2_000_000
     assert flown.end is not None
@@ -140,7 +140,7 @@ def test_a_wrong_delay_breaks_the_flight_off_before_its_wall(delay_ms: int) -> N
 def test_poses_that_are_older_than_configured_put_the_estimate_behind() -> None:
     flown = Flown("ev-delay=10", {"vehicle.simulation.pose_delay_s": 0.12})
     assert [event.rule for event in flown.found] == ["position_delayed"]
-    assert "behind the IMU" in flown.found[0].detail
+    assert "lags the IMU" in flown.found[0].detail
     assert flown.onset_us == math.inf
 
 

@@ -57,7 +57,7 @@ def adrift(
 def oracle(plant: Plant, mode: Mode) -> Scene:
     """The same body before the same obstacles."""
     vehicle = plant.vehicle
-    contact, c = vehicle.simulation.contact, vehicle.materials["acrylic"].of(mode)
+    contact, c = vehicle.simulation.contact, vehicle.materials["acrylic"].coefficients(mode)
     body = Body(
         vehicle.airframe.mass_kg,
         np.array(vehicle.airframe.inertia_kg_m2),
@@ -193,7 +193,7 @@ def test_no_contact_puts_energy_in(
 ) -> None:
     """Without the law's vertical force a vehicle never leaves a contact with more than it came with."""
     vehicle = body_vehicle(friction_lever_share=share)
-    c = vehicle.materials["acrylic"].of(mode)
+    c = vehicle.materials["acrylic"].coefficients(mode)
     c = Coefficients(c.k, damping * c.f, friction, 0.0)
     vehicle = msgspec.structs.replace(vehicle, materials={"acrylic": Material(c, c)})
     walls: tuple[Wall, ...] = ()
@@ -232,19 +232,19 @@ def test_what_is_left_out_far_from_an_end_changes_no_flight_past_it(monkeypatch:
     monkeypatch.setattr(WallWithEnds, "touch", counted)
     rng = np.random.default_rng(5)
     places, velocities = (
-        rng.uniform((0.4, -0.4), (1.4, 0.5), (8, 2)),
-        rng.uniform((-1.0, -2.0), (2.5, 2.0), (8, 2)),
+        rng.uniform((0.4, -0.4), (1.4, 0.5), (4, 2)),
+        rng.uniform((-1.0, -2.0), (2.5, 2.0), (4, 2)),
     )
     cases = [
         ((float(x), float(y)), (float(u), float(v)), float(yaw))
-        for (x, y), (u, v), yaw in zip(places, velocities, rng.uniform(0.0, 1.5, 8), strict=True)
+        for (x, y), (u, v), yaw in zip(places, velocities, rng.uniform(0.0, 1.5, 4), strict=True)
     ]
     quick = [flown(*case) for case in cases]
     looked_at = len(calls)
     monkeypatch.setattr(WallWithEnds, "may_touch", lambda *_: True)
     thorough = [flown(*case) for case in cases]
     assert looked_at < 0.8 * (len(calls) - looked_at)
-    assert sum(hits for _, hits in quick) > 3
+    assert sum(hits for _, hits in quick) > 1
     for (one, hits), (other, others) in zip(quick, thorough, strict=True):
         assert hits == others
         assert one.position == pytest.approx(other.position, abs=1e-6)

@@ -16,7 +16,7 @@ from dart_flight.base.geometry import GRAVITY_M_S2, Vec3, subtract
 from dart_flight.config.mission import load_mission
 from dart_flight.config.parameter_file import PositionSource
 from dart_flight.config.vehicle import packaged
-from dart_flight.planning.positioning import source_for
+from dart_flight.planning.positioning import effective_source
 from dart_flight.sim.embedded_autopilot import TICK_S, default_parameters, make_autopilot
 from dart_flight.sim.estimator import Estimator
 from dart_flight.sim.gps_filter import GpsFilter, GpsWeights
@@ -97,13 +97,13 @@ def test_the_shipped_receiver_has_the_bias_and_an_anchored_mission_the_weights()
     assert GPS_QUALITIES[PositionSource.ANCHORED] == plain
     mission = load_mission(packaged("missions", "dual_collision_gps.yaml"))
     changed = mission.replace({"vehicle.simulation.position_from": "plain"})
-    assert source_for(mission, PositionSource.PLAIN) is PositionSource.ANCHORED
-    assert source_for(mission, PositionSource.RTK) is PositionSource.RTK
+    assert effective_source(mission, PositionSource.PLAIN) is PositionSource.ANCHORED
+    assert effective_source(mission, PositionSource.RTK) is PositionSource.RTK
     autopilot = make_autopilot(changed, 1)
     assert autopilot.gps is not None
     assert autopilot.parameters["EKF2_GPS_P_NOISE"] == 10.0
     without = changed.replace({"frame.anchored_by": "none"})
-    assert source_for(without, PositionSource.PLAIN) is PositionSource.PLAIN
+    assert effective_source(without, PositionSource.PLAIN) is PositionSource.PLAIN
     assert make_autopilot(without, 1).parameters["EKF2_GPS_P_NOISE"] == 0.5
     assert make_autopilot(mission, 1).gps is None, "motion capture, by default"
     assert "EKF2_GPS_P_NOISE" in default_parameters(mission.vehicle)

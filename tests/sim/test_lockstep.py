@@ -29,7 +29,7 @@ class Sender:
         self.arrived: dict[str, tuple[float, ...]] = {}
         self.rests = 0
 
-    def rest(self) -> None:
+    def answer_requests(self) -> None:
         self.rests += 1
 
 
@@ -129,7 +129,7 @@ def test_time_goes_on_for_an_autopilot_that_answers_commands_only_then(answers_a
     world.update(Stepped({"imu": 4_000}, {"setpoint": SETPOINT}, commands=1))
     sender.sent_us = {"imu": 4_000}
     assert (world.outstanding(8_000) is None) != answers_at_rest, "a setpoint waits for the result"
-    assert world.holds is answers_at_rest, "else a world at full speed would run away"
+    assert world.limits_pace is answers_at_rest, "else a world at full speed would run away"
     sender.sent_us = {"imu": 8_000}
     assert world.outstanding(12_000) is not None, "telemetry is waited for, whatever is asked"
 
@@ -147,7 +147,7 @@ def test_a_setpoint_that_arrives_between_two_looks_does_not_wait_for_the_next_da
     monkeypatch: pytest.MonkeyPatch, wake: int
 ) -> None:
     class Arriving(Sender):
-        def rest(self) -> None:
+        def answer_requests(self) -> None:
             self.arrived["setpoint"] = tuple(math.nan if value is None else value for value in SETPOINT)
 
     host = Host(monkeypatch)

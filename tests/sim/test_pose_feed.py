@@ -5,7 +5,13 @@ from pathlib import Path
 
 import pytest
 
-from dart_flight.base.geometry import Quaternion, Vec3, quaternion_conjugate, quaternion_multiply
+from dart_flight.base.geometry import (
+    Quaternion,
+    Vec3,
+    quaternion_conjugate,
+    quaternion_multiply,
+    yaw_ned_of,
+)
 from dart_flight.config.vehicle.mocap import MotionCapture
 from dart_flight.run.fast import fly_fast
 from dart_flight.run.prepare import load_flyable, with_simulated_mocap
@@ -90,17 +96,32 @@ def test_slow_poses_come_at_their_rate() -> None:
 
 def test_the_embedded_autopilot_has_no_position_but_the_one_it_is_sent() -> None:
     autopilot = make_autopilot(load_flyable(SINGLE), 1)
-    autopilot.expect_poses()
+    autopilot.use_external_poses()
     for _ in range(500):
         autopilot.step()
     assert not autopilot.estimator.ok
     for _ in range(100):
         autopilot.step()
-        autopilot.take_pose(autopilot.plant.position, autopilot.plant.q)
+        autopilot.fuse_external_pose(autopilot.plant.position, autopilot.plant.q)
     assert autopilot.estimator.ok
     for _ in range(1400):  # 5.6 s
         autopilot.step()
     assert not autopilot.estimator.ok
+
+
+def test_poses_without_attitude_hold_the_position_and_leave_the_heading_to_the_gyro() -> None:
+    autopilot = make_autopilot(load_flyable(SINGLE), 1)
+    autopilot.use_external_poses()
+    for _ in range(300):
+        autopilot.step()
+        autopilot.fuse_external_pose(autopilot.plant.position, autopilot.plant.q)
+    heading = yaw_ned_of(autopilot.estimator.q)
+    for _ in range(1400):  # 5.6 s
+        autopilot.step()
+        autopilot.fuse_external_pose(autopilot.plant.position, None)
+    assert autopilot.estimator.ok
+    assert math.dist(autopilot.estimator.position, autopilot.plant.position) < 0.03
+    assert yaw_ned_of(autopilot.estimator.q) == pytest.approx(heading, abs=math.radians(3.0))
 
 
 def test_an_autopilot_with_a_position_of_its_own_ignores_poses() -> None:
@@ -108,7 +129,7 @@ def test_an_autopilot_with_a_position_of_its_own_ignores_poses() -> None:
     for _ in range(200):
         plain.step()
         sent.step()
-        sent.take_pose((9.0, 9.0, -9.0), LEVEL)
+        sent.fuse_external_pose((9.0, 9.0, -9.0), LEVEL)
     assert sent.estimator.position == plain.estimator.position
 
 

@@ -19,12 +19,12 @@ from dart_flight.cli import main
 from dart_flight.config.document import InputError
 from dart_flight.config.vehicle import packaged
 from dart_flight.vehicle.link import (
+    LinkInUseError,
     LinkLease,
-    LinkTakenError,
+    acquire_free_link,
     endpoint_of,
-    free_link,
+    find_holder,
     held_links,
-    holder_of,
     udp_port_is_free,
 )
 
@@ -83,10 +83,10 @@ def test_two_ways_to_write_one_place_are_one_place(tmp_path: Path) -> None:
 def test_the_program_that_holds_a_link_is_named(
     flying: subprocess.Popen[str], url: str, tmp_path: Path
 ) -> None:
-    with pytest.raises(LinkTakenError) as caught:
+    with pytest.raises(LinkInUseError) as caught:
         LinkLease(url.replace("0.0.0.0", "127.0.0.1"), "monitor").acquire()
     assert caught.value.message == f"in use by fly, process {flying.pid}"
-    holder = holder_of(url)
+    holder = find_holder(url)
     assert holder is not None
     assert (holder.pid, holder.log) == (flying.pid, str(tmp_path / "flight.mcap"))
     assert [one.pid for one in held_links()] == [flying.pid]
@@ -95,14 +95,14 @@ def test_the_program_that_holds_a_link_is_named(
 def test_a_link_is_free_again_however_its_program_ended(flying: subprocess.Popen[str], url: str) -> None:
     flying.send_signal(signal.SIGKILL)
     flying.wait()
-    assert holder_of(url) is None
+    assert find_holder(url) is None
     with LinkLease(url, "check"):
-        assert holder_of(url) is not None
+        assert find_holder(url) is not None
     assert list(held_links()) == []
 
 
 def test_two_parts_of_one_program_exclude_each_other(url: str) -> None:
-    with LinkLease(url, "fly"), pytest.raises(LinkTakenError, match="in use by fly"):
+    with LinkLease(url, "fly"), pytest.raises(LinkInUseError, match="in use by fly"):
         LinkLease(url, "check").acquire()
 
 
@@ -127,7 +127,7 @@ def test_every_command_on_a_link_in_use_is_refused_in_one_line(
 
 @pytest.mark.parametrize("host", ["192.0.2.1", "no-such-host.invalid"])
 def test_a_port_that_cannot_be_bound_is_not_called_free(host: str, port: int) -> None:
-    with pytest.raises(InputError, match=rf"UDP port {host}:{port} cannot be opened: "):
+    with pytest.raises(InputError, match=rf"cannot open UDP port {host}:{port}: "):
         udp_port_is_free(port, host)
 
 
@@ -142,7 +142,7 @@ def test_a_foreign_program_on_the_port_is_named(port: int, url: str) -> None:
         other.stdout.readline()
         assert not udp_port_is_free(port)
         with pytest.raises(
-            LinkTakenError, match=rf"UDP port {port} is in use by python.*, process {other.pid}"
+            LinkInUseError, match=rf"UDP port {port} is in use by python.*, process {other.pid}"
         ):
             LinkLease(url, "fly").acquire()
     finally:
@@ -153,7 +153,7 @@ def test_a_foreign_program_on_the_port_is_named(port: int, url: str) -> None:
 
 
 def test_free_links_differ() -> None:
-    (one, first), (two, second) = free_link("dry-run"), free_link("dry-run")
+    (one, first), (two, second) = acquire_free_link("dry-run"), acquire_free_link("dry-run")
     first.release()
     second.release()
     assert one != two
@@ -174,7 +174,7 @@ def test_a_serial_device_that_another_program_has_open_is_refused(tmp_path: Path
     try:
         assert reader.stdout is not None
         reader.stdout.readline()
-        with pytest.raises(LinkTakenError, match=f"{name} is in use by python.*, process {reader.pid}"):
+        with pytest.raises(LinkInUseError, match=f"{name} is in use by python.*, process {reader.pid}"):
             LinkLease(f"serial://{name}:921600", "fly").acquire()
     finally:
         reader.kill()
@@ -188,7 +188,7 @@ def test_a_serial_device_is_locked_for_other_programs_and_other_state_folders() 
     os.close(slave)
     url = f"serial://{name}:57600"
     with LinkLease(url, "fly") as lease:
-        lease.close_device()
+        lease.lock_device()
         take = "import fcntl,os,sys; d=os.open(sys.argv[1], os.O_RDWR);"
         take += "fcntl.flock(d, fcntl.LOCK_EX|fcntl.LOCK_NB)"
         # What pyserial does with exclusive=True.
@@ -218,7 +218,7 @@ def test_a_read_of_nothing_waits_once_the_link_is_open() -> None:
         settings[6][termios.VMIN] = 0
         termios.tcsetattr(theirs, termios.TCSANOW, settings)
         assert os.read(theirs, 1) == b""
-        lease.close_device()
+        lease.lock_device()
         with pytest.raises(BlockingIOError):
             os.read(theirs, 1)
         os.close(theirs)
@@ -226,5 +226,5 @@ def test_a_read_of_nothing_waits_once_the_link_is_open() -> None:
 
 
 def test_a_serial_device_that_is_not_there_is_said(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(InputError, match="no such serial device"):
+    with pytest.raises(InputError, match="this serial device does not exist"):
         LinkLease("serial:///dev/ttyNone9:57600", "fly").acquire()

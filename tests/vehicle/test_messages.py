@@ -222,7 +222,7 @@ def test_a_stream_without_a_usable_message_is_reported_with_its_reason(
     (text,) = rig.of(StatusText)
     assert text.text == "ODOMETRY arrives, none with a velocity"
     assert text.found_here
-    assert EventFormatter().event_of(text) == (Level.ERROR, "link", text.text, "")
+    assert EventFormatter().format_event(text) == (Level.ERROR, "link", text.text, "")
 
 
 def test_a_foreign_imu_and_a_second_one_are_none(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -290,7 +290,7 @@ def test_the_worst_battery_that_flies_is_judged_in_any_order(
             rig.hear("BATTERY_STATUS", **fields)
     for status in rig.of(StatusSample)[1:]:  # no reading of the other one in between
         assert (status.battery_id, status.battery_v, status.battery_remaining) == judged
-    assert [reading.id for reading in rig.session.batteries.others()] == others
+    assert [reading.id for reading in rig.session.batteries.other_batteries()] == others
 
 
 def test_a_flight_battery_that_collapses_stays_one(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -29,19 +29,19 @@ def test_only_a_closing_socket_may_complain(
     with caplog.at_level(logging.DEBUG, "dart_flight.mavsdk"):
         if closing:
             with sdk_log.closing():
-                assert sdk_log.take(3, message, None, 0)
-            assert sdk_log.take(3, RACE, None, 0)  # afterwards it is an error again
+                assert sdk_log.log_message(3, message, None, 0)
+            assert sdk_log.log_message(3, RACE, None, 0)  # afterwards it is an error again
         else:
-            assert sdk_log.take(3, message, None, 0)
+            assert sdk_log.log_message(3, message, None, 0)
     assert [r.levelno for r in caplog.records] == [level, logging.ERROR][: 1 + closing]
 
 
 def test_what_is_said_again_and_again_comes_once_and_with_its_count(caplog: pytest.LogCaptureFixture) -> None:
     with caplog.at_level(logging.DEBUG, "dart_flight.mavsdk"):
         for i in range(200):
-            assert sdk_log.take(3, "Retrying failed", None, 0)
-            assert sdk_log.take(2, f"Sending again, retries to do: {i}", None, 0)
-        assert sdk_log.take(2, "Received unknown GPS fix type", None, 0)
+            assert sdk_log.log_message(3, "Retrying failed", None, 0)
+            assert sdk_log.log_message(2, f"Sending again, retries to do: {i}", None, 0)
+        assert sdk_log.log_message(2, "Received unknown GPS fix type", None, 0)
         assert len(caplog.records) == 3
         with sdk_log.closing():
             pass

@@ -183,13 +183,15 @@ def test_without_word_of_the_estimator_a_usable_odometry_counts(monkeypatch: pyt
 
 def test_what_keeps_px4_from_arming_is_delivered_when_it_changes(monkeypatch: pytest.MonkeyPatch) -> None:
     rig = Rig(monkeypatch, {})
-    monkeypatch.setattr(reasons, "of_sys_status", lambda sensors: (False, (str(sensors.enabled),), ()))
+    monkeypatch.setattr(
+        reasons, "report_from_sys_status", lambda sensors: (False, (str(sensors.enabled),), ())
+    )
     rig.session.subscribe(VEHICLE.estimation, 4)
     sensors = {"onboard_control_sensors_present": 7, "onboard_control_sensors_health": 7}
     for number in (1, 1, 2):
         rig.hear("SYS_STATUS", **sensors, onboard_control_sensors_enabled=number)
     assert [report.blocking for report in rig.of(HealthReport)] == [("1",), ("2",)]
-    monkeypatch.setattr(reasons, "of_checks", lambda report: (True, (), (report,)))
+    monkeypatch.setattr(reasons, "report_from_checks", lambda report: (True, (), (report,)))
     rig.say("Events", "health_and_arming_checks", "its own words")
     rig.hear("SYS_STATUS", **sensors, onboard_control_sensors_enabled=1)  # the checks count from then on
     assert [report.blocking for report in rig.of(HealthReport)] == [("1",), ("2",), ()]
@@ -214,10 +216,10 @@ def test_an_action_without_an_answer_says_so(monkeypatch: pytest.MonkeyPatch) ->
 def test_another_autopilot_on_the_link_is_delivered_once(monkeypatch: pytest.MonkeyPatch) -> None:
     rig = Rig(monkeypatch, {}, 1, 7)
     for _ in range(2):
-        asyncio.run(rig.session.look_for_others())
+        asyncio.run(rig.session.detect_other_autopilot())
     assert [other.system for other in rig.of(OtherVehicle)] == [7]
     alone = Rig(monkeypatch, {}, 1)
-    asyncio.run(alone.session.look_for_others())
+    asyncio.run(alone.session.detect_other_autopilot())
     assert alone.of(OtherVehicle) == []
 
 
@@ -347,15 +349,15 @@ def test_a_setpoint_carries_what_it_has(monkeypatch: pytest.MonkeyPatch) -> None
 
 def test_the_ground_and_the_servo_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
     rig = Rig(monkeypatch, {})
-    rig.session.tell_ground("x" * 60)
-    rig.session.tell_ground("short")
+    rig.session.send_text("x" * 60)
+    rig.session.send_text("short")
     rig.session.set_actuator(2, 0.5)
     sent = [json.loads(m.fields_json) for _, (m,) in rig.plugins["MavlinkDirect"].calls]
     assert [(s["text"], s["chunk_seq"]) for s in sent] == [("x" * 50, 0), ("x" * 10, 1), ("short", 0)]
     assert sent[0]["id"] == sent[1]["id"] != 0 == sent[2]["id"]
     assert rig.plugins["Action"].calls == [("set_actuator", (2, 0.5))]
     deaf = Rig(monkeypatch, {"send_message": refuse})
-    deaf.session.tell_ground("where the link allows")
+    deaf.session.send_text("where the link allows")
 
 
 def test_only_mavsdks_errors_are_refusals(monkeypatch: pytest.MonkeyPatch) -> None:

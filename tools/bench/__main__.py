@@ -19,7 +19,7 @@ from rich.table import Table
 
 Row = dict[str, Any]  # name, value, unit, baseline, ratio: docs/interfaces.md
 
-MODULES = ("contact", "plan", "core", "log", "latency", "share")
+MODULES = ("contact", "plan", "core", "log", "latency", "poses", "share")
 OUTPUT = Path("build/bench.json")
 
 

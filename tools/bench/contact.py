@@ -59,7 +59,9 @@ def rows(batch: int = BATCH) -> list[dict[str, Any]]:
     the step in the name, and `ratio` the speed of the closed form over it.
     """
     vehicle = load_vehicle(packaged("configs", "dart.yaml"))
-    table = CoefficientArrays.of([m.of(mode) for m in vehicle.materials.values() for mode in Mode])
+    table = CoefficientArrays.from_table(
+        [m.coefficients(mode) for m in vehicle.materials.values() for mode in Mode]
+    )
     mass = vehicle.airframe.mass_kg
     random = np.random.default_rng(1)
     which = random.integers(0, table.k.size, batch)
@@ -68,7 +70,7 @@ def rows(batch: int = BATCH) -> list[dict[str, Any]]:
     def closed() -> None:
         contact_map(table, mass, normal, tangential, Onset.LCP, rows=which)
 
-    c = table.take(which)
+    c = table.select(which)
 
     def stepped(step_s: float) -> Callable[[], object]:
         return lambda: step_through(c, mass, normal, tangential, step_s)

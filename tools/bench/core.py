@@ -108,7 +108,7 @@ def _fly(mission: Mission) -> list[float]:
     begin = clock()
     record = FlightRecord(mission, World.FAST, 1, None)
     flight = FastFlight(mission, 1, observe=record)
-    flight.take(ClockOffset(flight.host_us, 0))
+    flight.step(ClockOffset(flight.host_us, 0))
     if flight.lock is not None:
         flight.lock.start()
     core, tick = flight.core, flight.tick

@@ -16,7 +16,7 @@ import sys
 import tempfile
 import time
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import msgspec
 
@@ -109,30 +109,55 @@ class Result(msgspec.Struct):
     expected: int
     overruled: list[str]
     cpu_percent: float
+    poses_sent: int
 
 
-def rigid_mission() -> Mission:
-    """Return the single-wall mission in rigid mode."""
+class _AppRun(NamedTuple):
+    """The app's part of a result."""
+
+    core: RepeatingCore
+    inside_ms: list[float]
+    cpu_percent: float
+    poses_sent: int
+
+
+def rigid_mission(mocap_url: str | None = None) -> Mission:
+    """Return the single-wall mission in rigid mode, with a pose source."""
     mission = load_mission(MISSION)
     first = msgspec.structs.replace(mission.collisions[0], mode=Mode.RIGID)
-    return msgspec.structs.replace(mission, collisions=(first,))
+    mocap = msgspec.structs.replace(mission.vehicle.mocap, url=mocap_url)
+    vehicle = msgspec.structs.replace(mission.vehicle, mocap=mocap)
+    return msgspec.structs.replace(mission, collisions=(first,), vehicle=vehicle)
 
 
-def measure(impacts: int = IMPACTS) -> Result:
-    """Run source and app, about 0.3 s per impact, and return the result."""
+def measure(impacts: int = IMPACTS, mocap_url: str | None = None) -> Result:
+    """Run source and app, about 0.3 s per impact, and return the result.
+
+    Args:
+        impacts: number of impacts.
+        mocap_url: pose source from which the app forwards, or None.
+    """
     port = free_udp_port()
     command = [sys.executable, "-m", "tools.bench.impact_source", str(port), str(impacts), str(PERIOD_S)]
     with subprocess.Popen(command, stdout=subprocess.PIPE) as source, tempfile.TemporaryDirectory() as folder:
-        core, inside, cpu = asyncio.run(_run_app(port, Path(folder), source))
+        app = asyncio.run(_run_app(port, Path(folder), source, mocap_url))
         assert source.stdout is not None
         record = msgspec.json.decode(source.stdout.readline(), type=Record)
-    return Result(_match(core.recoveries, record), inside, impacts, core.overruled, cpu)
+    core = app.core
+    return Result(
+        _match(core.recoveries, record),
+        app.inside_ms,
+        impacts,
+        core.overruled,
+        app.cpu_percent,
+        app.poses_sent,
+    )
 
 
 async def _run_app(
-    port: int, folder: Path, source: subprocess.Popen[bytes]
-) -> tuple[RepeatingCore, list[float], float]:
-    mission = rigid_mission()
+    port: int, folder: Path, source: subprocess.Popen[bytes], mocap_url: str | None
+) -> _AppRun:
+    mission = rigid_mission(mocap_url)
     record = FlightRecord(mission, World.EMBEDDED, None, folder)
     inside: list[float] = []
 
@@ -152,9 +177,13 @@ async def _run_app(
     await asyncio.to_thread(_wait_for_output, source)
     cpu = 100.0 * (time.process_time() - busy) / (time.monotonic() - wall)
     app._done.set()
+    # The source stays armed, and the app forwards poses to an armed vehicle until Ctrl-C.
+    while not flying.done():
+        app._stopped.set()
+        await asyncio.sleep(0.1)
     await flying
     record.close()
-    return core, inside, cpu
+    return _AppRun(core, inside, cpu, app._bridge.sent if app._bridge is not None else 0)
 
 
 def _wait_for_output(source: subprocess.Popen[bytes]) -> None:

@@ -101,7 +101,7 @@ def _first(
 
 def _contact(scenario: Scenario, stage: ContactStage, wall: Wall, on: Flying, h: float) -> Flying:
     """Return the states after a contact, which has the same duration for all candidates."""
-    kp, kv, ki, kd, tau = PositionLoop.of(scenario.vehicle.px4)
+    kp, kv, ki, kd, tau = PositionLoop.from_px4(scenario.vehicle.px4)
     c, m = stage.coefficients, stage.mass_kg
     n, t = _axes(wall)
     bx, by, _ = scenario.vehicle.airframe.drag_per_s
@@ -167,7 +167,7 @@ def _free_step(loop: PositionLoop, b: Array, f: Flying, h: float) -> Flying:
 
 
 def _later(scenario: Scenario, stage: ContactStage, wall: Wall, flying: Flying, h: float) -> Flying:
-    loop, n = PositionLoop.of(scenario.vehicle.px4), _axes(wall)[0]
+    loop, n = PositionLoop.from_px4(scenario.vehicle.px4), _axes(wall)[0]
     b = np.array(scenario.vehicle.airframe.drag_per_s[:2])[:, None]
     point = np.array(wall.point)[:, None]
     reached: list[Flying] = []
@@ -187,7 +187,7 @@ def _later(scenario: Scenario, stage: ContactStage, wall: Wall, flying: Flying, 
 
 
 def _to_goal(scenario: Scenario, modes: tuple[Mode, ...], flying: Flying, since: float, h: float) -> Ends:
-    loop = PositionLoop.of(scenario.vehicle.px4)
+    loop = PositionLoop.from_px4(scenario.vehicle.px4)
     b = np.array(scenario.vehicle.airframe.drag_per_s[:2])[:, None]
     goal = np.array(scenario.goal.position_m)[:, None]
     best = np.hypot(*(flying.p - goal))

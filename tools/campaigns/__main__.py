@@ -73,7 +73,7 @@ def measure(given: argparse.Namespace, name: str) -> int:
     if landed < opened.flights:
         console.print(f"interrupted: {landed} of {opened.flights}; continue with --resume")
         return 130
-    rows = campaigns.rows_of(opened)
+    rows = campaigns.read_rows(opened)
     text = importlib.import_module(f"tools.campaigns.{name}").page([r for r in rows if r.row is not None])
     failed = [f"- error: {row.values} seed {row.seed}: {row.error}" for row in rows if row.error]
     text = "\n".join([text, *failed])

@@ -68,7 +68,7 @@ class FastHit(msgspec.Struct, frozen=True):
 
 
 @functools.cache
-def vehicle_of() -> VehicleConfig:
+def parse_vehicle() -> VehicleConfig:
     """Return the vehicle of the shipped missions."""
     return load_vehicle(packaged("configs", "dart.yaml"))
 
@@ -80,12 +80,12 @@ def mission_of(mode: str, normal_m_s: float, tangential_m_s: float, touch_m_s: f
     Raises:
         ValueError: the planner finds no trajectory.
     """
-    vehicle = vehicle_of()
+    vehicle = parse_vehicle()
     wall = Wall("wall", (_WALL_M, 0.0), (-1.0, 0.0), 8.0, "acrylic", half_vehicle_m=0.2)
     room_m = 1.0 + 0.6 * normal_m_s + normal_m_s**2 / 8.0
     start, goal = (_WALL_M - room_m, -tangential_m_s), (_WALL_M - _BACK_M, 0.0)
     speed_m_s = math.hypot(normal_m_s, tangential_m_s) + 0.3
-    peak_n = vehicle_of().detection.force_threshold_n
+    peak_n = parse_vehicle().detection.force_threshold_n
     hits = HitLimits(1000.0, None, None, _FRICTION_RATIO, peak_n)
     along = math.copysign(tangential_m_s, wall.tangent[1])  # towards positive y
     hit = Hit(wall, Mode(mode), Visit(wall.point, 0.04), velocity_m_s=(-normal_m_s, along))

@@ -66,7 +66,7 @@ SETS = {
 }
 
 
-class FeltContact(msgspec.Struct, frozen=True):
+class EstimatedContact(msgspec.Struct, frozen=True):
     """One contact: the estimate and the truth.
 
     Attributes:
@@ -115,7 +115,7 @@ def plan_of(case: dict[str, str], seed: int) -> tuple[Mission, bool]:
     return parse_mission(document, None, settings), disobeys
 
 
-def fly(point: Point, seed: int) -> FeltContact:
+def fly(point: Point, seed: int) -> EstimatedContact:
     """Fly until the first contact is evaluated.
 
     Raises:
@@ -130,7 +130,7 @@ def fly(point: Point, seed: int) -> FeltContact:
     contacts: list[TruthContact] = []
 
     def observe(record: Record, number: int) -> None:
-        builder.take(record)
+        builder.add(record)
         if isinstance(record, WallEstimate):
             estimates.append((flight.autopilot.time_us, record))
         elif isinstance(record, TruthContact):
@@ -151,9 +151,9 @@ def fly(point: Point, seed: int) -> FeltContact:
     x, y, _ = contact.position_mission
     away = true.signed_distance((x, y))
     touched = (x - away * true.normal[0], y - away * true.normal[1])
-    wall = world.mission.vehicle.materials[true.material].of(contact.mode)
+    wall = world.mission.vehicle.materials[true.material].coefficients(contact.mode)
     hits = builder.build(World.FAST, seed).collisions
-    return FeltContact(
+    return EstimatedContact(
         contact.mode,
         estimate.mode_felt,
         estimate.mode_reported,
@@ -174,7 +174,7 @@ def _mode_by_time(material: str, mission: Mission, measured_ms: float | None) ->
     vehicle = mission.vehicle
 
     def mismatch(mode: Mode) -> float:
-        c = vehicle.materials[material].of(mode)
+        c = vehicle.materials[material].coefficients(mode)
         hit = collide(c, vehicle.airframe.mass_kg, -1.0, 0.0, Onset(vehicle.onset))
         return abs(math.log(max(measured_ms, 1.0) * 1e-3 / hit.contact_time_s))
 
@@ -189,13 +189,13 @@ _HEADS = (
 
 def page(rows: Sequence[JudgedRow]) -> str:
     """Return a row for every set and body."""
-    groups: dict[tuple[str, str], list[FeltContact]] = {}
+    groups: dict[tuple[str, str], list[EstimatedContact]] = {}
     for r in rows:
         groups.setdefault((r.values["set"], r.values["body"]), []).append(r.row)
     return markdown(_HEADS, [[*key, *_cells(mine)] for key, mine in groups.items()])
 
 
-def _cells(mine: Sequence[FeltContact]) -> list[str]:
+def _cells(mine: Sequence[EstimatedContact]) -> list[str]:
     late, off = [c.after_ms for c in mine], [1e3 * c.plane_error_m for c in mine]
     right = [c for c in mine if c.mode_felt in (None, c.true_mode)]
     covered = [

@@ -37,7 +37,7 @@ def with_factor(mission: Mission, factor: str) -> Mission:
     name, _, by = factor.partition("=")
     materials = {}
     for material, m in mission.vehicle.materials.items():
-        modes = {mode: m.of(mode) for mode in mission.vehicle.modes}
+        modes = {mode: m.coefficients(mode) for mode in mission.vehicle.modes}
         scaled = {
             mode.value: msgspec.structs.replace(c, **{name: float(by) * getattr(c, name)})
             for mode, c in modes.items()

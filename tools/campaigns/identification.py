@@ -56,7 +56,7 @@ def identify_set(point: Point, seed: int) -> Identified:
     """
     kind, mode = point.case["trials"], point.case["mode"]
     surface = "concrete" if "drops" in kind else "acrylic"
-    truth = point.mission.vehicle.materials[surface].of(Mode(mode))
+    truth = point.mission.vehicle.materials[surface].coefficients(Mode(mode))
     trials = trials_of(truth, kind, mode, np.random.default_rng((1, seed - 1)))
     found = identify(trials, MASS_KG, Onset.LCP).coefficients[mode]
     identified = {}

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import tempfile
 from collections import Counter
@@ -13,14 +14,16 @@ from pathlib import Path
 
 import msgspec
 
+from dart_flight.base.records import GuardEvent, Override, TruthSample
 from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import packaged
 from dart_flight.lab.campaign.campaign_spec import Point
 from dart_flight.lab.campaign.flight_job import JudgedRow
 from dart_flight.planning.survey import plan_survey
+from dart_flight.recording.reader import read_log
 from dart_flight.run.prepare import load_flyable, with_simulated_mocap
 from dart_flight.run.px4_flight import fly_px4
-from dart_flight.sim.faults.fault_table import parse_fault_of
+from dart_flight.sim.faults.fault_table import parse_mission_fault
 from dart_flight.sim.pipe import FULL_SPEED
 from dart_flight.sim.px4.launch import ENVIRONMENT
 from tools.campaigns.px4 import spread
@@ -37,7 +40,13 @@ _FAULTS = (
 
 
 class PoseFlight(msgspec.Struct, frozen=True):
-    """One flight; `rules` are the guard rules that fired, in order."""
+    """One flight.
+
+    Attributes:
+        rules: guard rules that fired, in order.
+        uncontrolled: reasons why control was lost (`recording.uncontrolled`).
+        moved_m: true horizontal distance from where the guard first acted to where the vehicle came to rest.
+    """
 
     outcome: str
     reason: str
@@ -46,6 +55,8 @@ class PoseFlight(msgspec.Struct, frozen=True):
     tilt_deg: float | None
     ekf_m: float | None
     miss_m: float | None
+    uncontrolled: list[str]
+    moved_m: float | None
 
 
 def cases() -> list[dict[str, str]]:
@@ -76,10 +87,11 @@ def fly(point: Point, seed: int) -> PoseFlight:
     """Fly one case on the PX4 of `--px4`."""
     case = point.case
     mission = _mission(case["flown"], case["mocap"], case["delay_ms"])
-    fault = parse_fault_of(mission, case["fault"]) if case["fault"] else None
+    fault = parse_mission_fault(mission, case["fault"]) if case["fault"] else None
     with tempfile.TemporaryDirectory() as folder:
         px4 = os.environ[ENVIRONMENT]
         v = fly_px4(mission, px4, seed, Path(folder), spreads=point.spreads, fault=fault, speed=FULL_SPEED)
+        moved_m = _moved_m(v.log) if v.log is not None else None
     return PoseFlight(
         outcome=v.outcome.value,
         reason=v.reason or "",
@@ -88,7 +100,17 @@ def fly(point: Point, seed: int) -> PoseFlight:
         tilt_deg=v.max_tilt_deg,
         ekf_m=v.ekf_error_m,
         miss_m=v.goal_miss_m,
+        uncontrolled=v.uncontrolled,
+        moved_m=moved_m,
     )
+
+
+def _moved_m(path: str) -> float | None:
+    records = [entry.record for entry in read_log(path).entries]
+    events = [r.t_us for r in records if isinstance(r, GuardEvent) and r.action is not Override.NONE]
+    places = [(r.t_us, r.position_mission[:2]) for r in records if isinstance(r, TruthSample)]
+    then = [place for t_us, place in places if events and t_us >= events[0]]
+    return math.dist(then[0], then[-1]) if then else None
 
 
 def page(rows: Sequence[JudgedRow]) -> str:
@@ -105,17 +127,19 @@ def _table(part: str, rows: Sequence[JudgedRow]) -> str:
     groups: dict[tuple[str, ...], list[PoseFlight]] = {}
     for row in rows:
         groups.setdefault(tuple(row.values[key] for key in keys), []).append(row.row)
-    head = (*keys, "completed", "ended by", "failsafe", "max. tilt °", "estimate off by m", "goal miss m")
-    return markdown(head, [(*key, *_figures(mine)) for key, mine in groups.items()])
+    head = (*keys, "completed", "ended by", "failsafe", "uncontrolled", "max. tilt °", "estimate off by m")
+    head += ("moved m",) if part == "faults" else ("goal miss m",)
+    return markdown(head, [(*key, *_figures(part, mine)) for key, mine in groups.items()])
 
 
-def _figures(mine: Sequence[PoseFlight]) -> list[str]:
+def _figures(part: str, mine: Sequence[PoseFlight]) -> list[str]:
     ended = Counter(f.reason.partition(":")[0] for f in mine if f.outcome != "completed")
     return [
         f"{sum(f.outcome == 'completed' for f in mine)} of {len(mine)}",
         ", ".join(f"`{rule}` {count}" for rule, count in ended.most_common()) or "-",
         str(sum(bool(f.failsafe) for f in mine)),
+        str(sum(bool(f.uncontrolled) for f in mine)),
         spread([f.tilt_deg for f in mine], 1),
         spread([f.ekf_m for f in mine], 3),
-        spread([f.miss_m for f in mine], 2),
+        spread([f.moved_m if part == "faults" else f.miss_m for f in mine], 2),
     ]

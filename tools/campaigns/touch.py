@@ -23,7 +23,7 @@ from dart_flight.config.parameter_file import PositionSource
 from dart_flight.config.vehicle import packaged
 from dart_flight.lab.campaign.campaign_spec import Point
 from dart_flight.lab.campaign.flight_job import JudgedRow
-from dart_flight.planning.room import RoomContact, RoomFit, plan_star, touches_of
+from dart_flight.planning.room import RoomContact, RoomFit, contacts_from_walls, plan_star
 from dart_flight.planning.survey import plan_survey
 from dart_flight.recording.reader import read_log
 from dart_flight.recording.verdict import Verdict
@@ -38,7 +38,7 @@ _UNCONTROLLED_DEG = 60.0
 _MATERIALS = ("wood", "acrylic", "concrete")
 
 
-class FeltWall(msgspec.Struct, frozen=True):
+class EstimatedWall(msgspec.Struct, frozen=True):
     """One wall of a flight: errors against the truth, standard deviations; k relative to the drawn one."""
 
     mode: str
@@ -76,7 +76,7 @@ class Touched(msgspec.Struct, frozen=True):
     outcome: str
     reason: str
     tilt_deg: float
-    walls: list[FeltWall] = []
+    walls: list[EstimatedWall] = []
     hits: list[HitOnGps] = []
     room: FoundRoom | None = None
 
@@ -187,7 +187,7 @@ def find_room(seed: int, spreads: Mapping[str, float]) -> Touched:
     while True:
         flown = plan_star(mission, directions)
         flights.append(fly_fast(flown, 10 * seed + len(flights), None, spreads=spreads))
-        touches += touches_of(flights[-1].walls, directions)
+        touches += contacts_from_walls(flights[-1].walls, directions)
         room = RoomFit(mission.start, touches, airframe.guard_along_m, airframe.contact_distance_m).fit()
         if room.is_closed or len(flights) == 4:
             break
@@ -223,7 +223,7 @@ def share_of_outline(corners: np.ndarray, found: Sequence[tuple[float, float]]) 
     return float(lengths[nearest <= 0.05].sum() / lengths.sum())
 
 
-def estimated_walls(mission: Mission, verdict: Verdict, records: Iterable[Any]) -> list[FeltWall]:
+def estimated_walls(mission: Mission, verdict: Verdict, records: Iterable[Any]) -> list[EstimatedWall]:
     """Return the last estimate of each wall by a contact."""
     last = {record.wall: record for record in records if isinstance(record, WallEstimate)}
     found = []
@@ -237,10 +237,10 @@ def estimated_walls(mission: Mission, verdict: Verdict, records: Iterable[Any]) 
         k_error = None
         if drawn is not None:
             planned = next(c.wall for c in mission.collisions if c.wall.name == wall.name)
-            true_k = float(drawn) * mission.vehicle.materials[planned.material].of(Mode(mode)).k
+            true_k = float(drawn) * mission.vehicle.materials[planned.material].coefficients(Mode(mode)).k
             k_error = estimate.k_n_per_m / true_k - 1.0
         found.append(
-            FeltWall(
+            EstimatedWall(
                 str(mode),
                 None if truth is None else truth.incidence_deg,
                 wall.truth_error_m,
@@ -266,7 +266,7 @@ def fly(point: Point, seed: int) -> Touched:
         return find_room(seed, point.spreads)
     mission = mission_of(point.case, seed)
     kept: list[FlightRecord] = []
-    verdict = fly_fast(mission, seed, None, spreads=point.spreads, take_record=kept.append)
+    verdict = fly_fast(mission, seed, None, spreads=point.spreads, keep_record=kept.append)
     return _touched(mission, verdict, [entry.record for entry in kept[0].log.entries])
 
 
@@ -335,7 +335,7 @@ def _flight_figures(mine: Sequence[Touched]) -> list[str]:
     ]
 
 
-def _directions(walls: Sequence[FeltWall]) -> str:
+def _directions(walls: Sequence[EstimatedWall]) -> str:
     rows = []
     for low, high in ((0.0, 6.0), (6.0, 15.0), (15.0, 30.0)):
         for mode in ("rigid", "flexible"):

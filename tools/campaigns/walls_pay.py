@@ -113,7 +113,7 @@ def fly(point: Point, seed: int) -> BothFlown:
 def _fly_plan(plan: MapPlan, seed: int, point: Point, problems: list[str]) -> float | None:
     mission = plan.mission
     kept: list[FlightRecord] = []
-    verdict = fly_fast(mission, seed, None, spreads=point.spreads, take_record=kept.append)
+    verdict = fly_fast(mission, seed, None, spreads=point.spreads, keep_record=kept.append)
     problems += verdict.uncontrolled
     visits = [(visit.position_m, visit.within_m + BESIDE_M) for visit in plan.scenario.visits]
     arrival = arrival_of(kept[0].log, mission, visits)

@@ -11,5 +11,5 @@ def table() -> str:
     for kind in KINDS:
         value = f"{kind.low:g} to {kind.high:g} {kind.unit}" if kind.unit else "-"
         default = f"{kind.value:g}" if kind.unit else "-"
-        rows.append(f"| `{kind.name}` | {kind.what} | {kind.place.value} | {value} | {default} |")
+        rows.append(f"| `{kind.name}` | {kind.description} | {kind.site.value} | {value} | {default} |")
     return "\n".join(rows) + "\n"

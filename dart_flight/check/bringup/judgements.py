@@ -79,7 +79,7 @@ def failed(message: str, **measured: float | str | None) -> StepFinding:
 # --- link ----------------------------------------------------------------------------------------------
 
 
-def judge_link(
+def evaluate_link(
     rates: Sequence[StreamRate], round_trip_s: float | None, limit_s: float, errors: Mapping[str, float]
 ) -> StepFinding:
     """Judge the rates of a mission's streams, the round trip and the link's errors.
@@ -100,21 +100,22 @@ def judge_link(
     if slow:
         says = (
             "too slow: "
-            + "; ".join(f"{stream.name} {stream.says}" for stream in slow)
-            + ". Raise SER_TEL2_BAUD and MAV_1_RATE, MAV_1_MODE Onboard"
+            + "; ".join(f"{stream.name} {stream.describe}" for stream in slow)
+            + ". Raise SER_TEL2_BAUD and MAV_1_RATE, set MAV_1_MODE to Onboard"
         )
         return failed(says, **measured)
     if round_trip_s is not None and round_trip_s > limit_s:
         says = (
-            f"answers take {1e3 * round_trip_s:.0f} ms, allowed are {1e3 * limit_s:.0f}: a radio or a bridge"
+            f"the round trip takes {1e3 * round_trip_s:.0f} ms, limit {1e3 * limit_s:.0f} ms: remove the "
+            "radio or the bridge from the link"
         )
         return failed(says, **measured)
     if errors.get("drop_rate_comm", 0.0) > 100.0:
         share = errors["drop_rate_comm"] / 100.0
         return failed(
-            f"the flight controller loses {share:.1f} % of what it is sent: wiring, ground", **measured
+            f"the flight controller loses {share:.1f} % of the messages: check wires and ground", **measured
         )
-    return passed("all streams come at their rates", **measured)
+    return passed("all streams arrive at their rates", **measured)
 
 
 # --- IMU -----------------------------------------------------------------------------------------------
@@ -146,30 +147,34 @@ def is_tilted(level: Vec3, now: Vec3) -> bool:
     return _TILTED_DEG[0] <= tilt_between_deg(level, now) <= _TILTED_DEG[1]
 
 
-def judge_level(level: Vec3) -> StepFinding | None:
+def evaluate_level(level: Vec3) -> StepFinding | None:
     """Return what is wrong with the reading of a level vehicle, or None if it is correct."""
     tilt = math.degrees(math.atan2(math.hypot(level[0], level[1]), -level[2]))
     measured: Measured = {f"level_{axis}_m_s2": round(v, 2) for axis, v in zip("xyz", level, strict=True)}
     if tilt > 180.0 - 3 * _LEVEL_DEG:
-        return failed("reads upside down: SENS_BOARD_ROT, or the board is mounted on its head", **measured)
+        return failed("the IMU reads upside down: set SENS_BOARD_ROT as the board is mounted", **measured)
     if tilt > _LEVEL_DEG:
         says = (
-            f"reads {tilt:.0f} degrees off level: put it level; if it is, calibrate SENS_BOARD_X_OFF, Y_OFF"
+            f"the IMU reads {tilt:.0f} degrees off level: level the vehicle; if it is level, calibrate "
+            "SENS_BOARD_X_OFF and SENS_BOARD_Y_OFF"
         )
         return failed(says, **measured)
     if abs(norm(level) - GRAVITY_M_S2) > 0.5:
-        says = f"reads {norm(level):.2f} m/s2 at rest, not {GRAVITY_M_S2:.2f}: calibrate the accelerometer"
+        says = (
+            f"the IMU reads {norm(level):.2f} m/s2 at rest, not {GRAVITY_M_S2:.2f}: calibrate its "
+            "accelerometer"
+        )
         return failed(says, **measured)
     return None
 
 
-def judge_axes(level: Vec3, nose_down: Vec3, right_down: Vec3) -> StepFinding:
+def evaluate_axes(level: Vec3, nose_down: Vec3, right_down: Vec3) -> StepFinding:
     """Judge the IMU's forward and right axes.
 
     Args:
         level, nose_down, right_down: mean specific force of the vehicle in each attitude, m/s2, FRD.
     """
-    wrong = judge_level(level)
+    wrong = evaluate_level(level)
     if wrong is not None:
         return wrong
     # The reading tilts away from the lowered side: nose down gives -x, right side down gives -y.
@@ -178,13 +183,14 @@ def judge_axes(level: Vec3, nose_down: Vec3, right_down: Vec3) -> StepFinding:
     forward, right = wrap_deg(forward), wrap_deg(right)
     measured: Measured = {"forward_error_deg": round(forward, 1), "right_error_deg": round(right, 1)}
     if abs(forward) <= _AXIS_DEG and abs(right) <= _AXIS_DEG:
-        return passed("axes are the vehicle's", **measured)
+        return passed("the IMU's axes match the vehicle's", **measured)
     if abs(wrap_deg(forward - right)) <= 2.0 * _AXIS_DEG:
         turned = 90.0 * round((forward + 0.5 * wrap_deg(right - forward)) / 90.0)
-        says = f"axes are turned by {turned:.0f} degrees: set SENS_BOARD_ROT as the board is mounted"
+        says = f"the axes are rotated by {turned:.0f} degrees: set SENS_BOARD_ROT as the board is mounted"
         return failed(says, **measured)
     says = (
-        "axes are mirrored, or the vehicle was not tilted as asked (nose down, then right side down): repeat"
+        "the axes are mirrored, or the vehicle was tilted otherwise than nose down, then right side down: "
+        "repeat"
     )
     return failed(says, **measured)
 
@@ -199,7 +205,7 @@ class Push(msgspec.Struct, frozen=True):
     acceleration_m_s2: Vec2
 
 
-def first_push(samples: Sequence[ImuSample], level: Vec3) -> Push | None:
+def find_push(samples: Sequence[ImuSample], level: Vec3) -> Push | None:
     """Return the first push, a horizontal acceleration longer than a bump, or None."""
     start = 0
     for end, last in enumerate(samples):
@@ -214,7 +220,7 @@ def first_push(samples: Sequence[ImuSample], level: Vec3) -> Push | None:
     return None
 
 
-def judge_push(push: Vec2, force: Vec2) -> StepFinding:
+def evaluate_push(push: Vec2, force: Vec2) -> StepFinding:
     """Judge whether the estimated force of a forward push points forward.
 
     Args:
@@ -233,23 +239,23 @@ def judge_push(push: Vec2, force: Vec2) -> StepFinding:
     }
     if abs(push_deg) > 2.0 * _AXIS_DEG:
         says = (
-            f"the push came from {_side(push_deg)}, not from behind: repeat; "
-            "if it was from behind, see imu_axes"
+            f"the push pointed {_side(push_deg)}, not forward: repeat the push from behind; "
+            "if it pointed forward, repeat imu_axes"
         )
         return failed(says, **measured)
     if abs(wrap_deg(force_deg - push_deg)) > _AXIS_DEG:
         says = (
-            f"the force points {_side(force_deg)} while the push went {_side(push_deg)}: "
+            f"the estimated force points {_side(force_deg)}, the push pointed {_side(push_deg)}: "
             "attitude or yaw is wrong"
         )
         return failed(says, **measured)
-    return passed("a push forward is felt as a force forward", **measured)
+    return passed("the estimated force of a forward push points forward", **measured)
 
 
 # --- servo ---------------------------------------------------------------------------------------------
 
 
-def judge_servo(config: LockConfig, moves: Sequence[tuple[Mode, LockState, bool | None]]) -> StepFinding:
+def evaluate_servo(config: LockConfig, moves: Sequence[tuple[Mode, LockState, bool | None]]) -> StepFinding:
     """Judge whether the lock reaches the commanded modes, and report its travel times.
 
     Args:
@@ -264,30 +270,32 @@ def judge_servo(config: LockConfig, moves: Sequence[tuple[Mode, LockState, bool 
         if state.settled_us is not None and state.commanded_us is not None:
             measured[f"{mode}_travel_s"] = round((state.settled_us - state.commanded_us) * 1e-6, 3)
         if state.phase is not LockPhase.SETTLED:
-            says = (
-                f"{mode}: {state.reason or state.phase}; look at supply, cable and `dart-flight lock status`"
-            )
+            says = f"{mode}: {state.reason or state.phase}; check supply, cable and `dart-flight lock status`"
             return failed(says, **measured)
         if confirmed is False:
             wrong.append(mode)
     measured["travel_by"] = "switch" if all(state.feedback for _, state, _ in moves) else "configured time"
     if len(wrong) == len(moves):
         says = (
-            "it moves the other way: exchange lock.servo.rigid_pulse_us and flexible_pulse_us "
+            "the lock moves in the wrong direction: exchange lock.servo.rigid_pulse_us and flexible_pulse_us "
             "(`dart-flight lock calibrate`)"
         )
         return failed(says, **measured)
     if wrong:
-        says = f"the arms are not {wrong[0]} when told so: calibrate the ends (`dart-flight lock calibrate`)"
+        says = (
+            f"the arms are not {wrong[0]} when commanded: calibrate both ends (`dart-flight lock calibrate`)"
+        )
         return failed(says, **measured)
     travel_s = config.servo.full_travel_s
-    return passed(f"both ends reached; a full travel is configured as {travel_s:.2f} s", **measured)
+    return passed(
+        f"the lock reaches both ends; configured time of a full travel {travel_s:.2f} s", **measured
+    )
 
 
 # --- position ------------------------------------------------------------------------------------------
 
 
-def carried(samples: Sequence[OdometrySample], q: Quaternion) -> Vec2 | None:
+def measure_displacement(samples: Sequence[OdometrySample], q: Quaternion) -> Vec2 | None:
     """Return the displacement of a carried vehicle at rest, or None before it is carried and at rest.
 
     Args:
@@ -307,7 +315,7 @@ def carried(samples: Sequence[OdometrySample], q: Quaternion) -> Vec2 | None:
     return (n * math.cos(yaw) + e * math.sin(yaw), e * math.cos(yaw) - n * math.sin(yaw))
 
 
-def judge_position(forward: Vec2, right: Vec2) -> StepFinding:
+def evaluate_position(forward: Vec2, right: Vec2) -> StepFinding:
     """Judge the estimated displacements of a vehicle carried forward and then to its right, metres."""
     f = math.degrees(math.atan2(forward[1], forward[0]))
     r = wrap_deg(math.degrees(math.atan2(right[1], right[0])) - 90.0)
@@ -318,14 +326,16 @@ def judge_position(forward: Vec2, right: Vec2) -> StepFinding:
         "right_error_deg": round(r, 1),
     }
     if abs(f) <= _AXIS_DEG and abs(r) <= _AXIS_DEG:
-        return passed("position goes where it is carried", **measured)
+        return passed("the position follows the vehicle", **measured)
     if abs(wrap_deg(f - r)) <= 2.0 * _AXIS_DEG:
         turned = 90.0 * round(f / 90.0)
-        says = f"position or heading is turned by {f:.0f} degrees" + (
-            f": the source's axes are {turned:.0f} degrees off PX4's (north, east, down)" if turned else ""
+        says = f"position or heading is rotated by {f:.0f} degrees" + (
+            f": rotate the source's axes by {turned:.0f} degrees to PX4's north, east, down" if turned else ""
         )
         return failed(says, **measured)
-    says = "left and right are exchanged: the source's frame is not north, east, down (ENU or y to the left)"
+    says = (
+        "left and right are exchanged: set the source's frame to north, east, down (now ENU or y to the left)"
+    )
     return failed(says, **measured)
 
 
@@ -335,7 +345,7 @@ def is_moved_enough(motion: MotionEstimate) -> bool:
     return z > _TURNED_RAD_S and min(x, y) > _TILTING_RAD_S and motion.carried_m_s2 > _CARRIED_M_S2
 
 
-def judge_motion(
+def evaluate_motion(
     motion: MotionEstimate, config: MotionCapture, round_trip_s: float | None, heading_off_deg: float | None
 ) -> StepFinding:
     """Judge the motion-capture poses by a motion of the vehicle by hand.
@@ -361,40 +371,42 @@ def judge_motion(
     wrong = None
     if motion.rate_correlation < _SAME_RATES:
         wrong = (
-            f"the body {config.url} does not turn as this vehicle does (agreement "
-            f"{motion.rate_correlation:.2f}): another vehicle's body, or swapped markers"
+            f"the body {config.url} does not rotate with this vehicle (correlation "
+            f"{motion.rate_correlation:.2f}): another vehicle's body or swapped markers"
         )
     elif motion.force_correlation < -_SAME_FORCES:
         wrong = "the room is mirrored: its axes are left-handed; exchange the sign of one axis at the source"
     elif _angle_deg(motion.up_room, (0.0, 0.0, -1.0)) > _POSE_AXIS_DEG:
         axis = _axis_of_room(motion.up_room, config)
-        wrong = f"wrong axis: the room's {axis} axis points up, mocap.up is {config.up}"
+        wrong = f"wrong axis: the room's {axis} axis points up, but mocap.up is {config.up}"
     elif body_tilt_deg > _POSE_AXIS_DEG:
         wrong = (
-            f"wrong axis: the body is tilted by {body_tilt_deg:.0f} degrees against the vehicle; define it "
-            "again with the vehicle level"
+            f"wrong axis: the body is tilted by {body_tilt_deg:.0f} degrees relative to the vehicle; define "
+            "it again with the vehicle level"
         )
     elif abs(body_yaw_deg) > _POSE_AXIS_DEG:
         nose_deg = wrap_deg(config.body_yaw_deg + body_yaw_deg)
-        wrong = f"the nose points elsewhere: set mocap.body_yaw_deg to {nose_deg:.0f}"
+        wrong = f"the body's yaw is wrong: set mocap.body_yaw_deg to {nose_deg:.0f}"
     elif motion.force_correlation < _SAME_FORCES:
         wrong = (
-            f"the body does not move as the accelerometer feels (agreement {motion.force_correlation:.2f}): "
-            "carry it more; if it stays, see mocap.body_offset_m"
+            "the body's motion does not match the accelerometer (correlation "
+            f"{motion.force_correlation:.2f}): "
+            "carry it further; if that does not help, check mocap.body_offset_m"
         )
     elif abs(motion.scale - 1.0) > _SCALE:
         wrong = (
-            f"lengths are {motion.scale:.2f} of what they should be: another unit, or calibrate the cameras"
+            f"lengths are {motion.scale:.2f} times the true ones: set the unit to metres or calibrate the "
+            "cameras"
         )
     elif delay_ms > _OLDEST_POSE_MS:
         wrong = (
-            f"poses are {delay_ms:.0f} ms old when they reach PX4, allowed are {_OLDEST_POSE_MS:g} ms: use a "
-            "cable, or less processing in the motion capture"
+            f"poses are {delay_ms:.0f} ms old when they reach PX4, limit {_OLDEST_POSE_MS:g} ms: use a "
+            "cable or less processing in the motion capture"
         )
     elif heading_off_deg is not None and abs(heading_off_deg) > _POSE_AXIS_DEG:
         wrong = (
-            f"PX4's heading is {heading_off_deg:.0f} degrees off the poses: it does not use their heading "
-            "(EKF2_EV_CTRL, 8), or mocap.heading_deg is wrong"
+            f"PX4's heading is {heading_off_deg:.0f} degrees off the poses: add 8 to EKF2_EV_CTRL, so that "
+            "PX4 uses their heading, or correct mocap.heading_deg"
         )
     if wrong is not None:
         return failed(wrong, **measured)
@@ -416,15 +428,16 @@ def _axis_of_room(direction_ned: Vec3, config: MotionCapture) -> str:
 # --- remote control ------------------------------------------------------------------------------------
 
 
-def judge_remote(received: bool, modes: Collection[str]) -> StepFinding:
+def evaluate_remote(received: bool, modes: Collection[str]) -> StepFinding:
     """Judge whether a remote control is received and its mode switch changes the mode."""
     measured: Measured = {"modes": ", ".join(modes)}
     if not received:
         return failed(
-            "no remote control is received: switch it on, bind it; RC_INPUT, COM_RC_IN_MODE", **measured
+            "PX4 receives no remote control: switch it on and bind it; check RC_INPUT and COM_RC_IN_MODE",
+            **measured,
         )
     if len(modes) < 2:
-        says = "the mode did not change: assign a switch (RC_MAP_FLTMODE, COM_FLTMODE1 to 6), and flip it"
+        says = "the mode did not change: assign a switch (RC_MAP_FLTMODE, COM_FLTMODE1 to 6) and flip it"
         return failed(says, **measured)
     return passed("the mode follows the switch", **measured)
 

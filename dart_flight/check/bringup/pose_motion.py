@@ -81,11 +81,11 @@ def estimate_motion(
     rate_frd, force_frd = rate_frd[unique], force_frd[unique]
     reach_s = 4.0 * _FORCE_FILTER_S
     if len(pose_s) < 10 or len(imu_s) < 10:
-        raise NotEnoughMotionError("too few poses or IMU samples arrive")
+        raise NotEnoughMotionError("too few poses or IMU samples arrived")
     start = max(pose_s[0], imu_s[0] + _LATENCY_S[1]) + reach_s
     end = min(pose_s[-1], imu_s[-1] + _LATENCY_S[0]) - reach_s
     if end - start < _MIN_S:
-        raise NotEnoughMotionError(f"poses and IMU overlap for {max(0.0, end - start):.1f} s only")
+        raise NotEnoughMotionError(f"poses and IMU samples overlap for only {max(0.0, end - start):.1f} s")
     grid = np.arange(pose_s[0], pose_s[-1], _STEP_S)
     whole = _without_gaps(grid, pose_s, reach_s) & (grid >= start) & (grid <= end)
     if whole.sum() * _STEP_S < _MIN_S:

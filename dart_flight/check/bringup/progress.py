@@ -10,7 +10,7 @@ import msgspec
 
 from dart_flight.check.bringup.judgements import Measured, StepFinding, StepOutcome
 from dart_flight.check.bringup.steps import STEPS
-from dart_flight.config.document import InputError, writing
+from dart_flight.config.document import InputError, report_write_errors
 from dart_flight.config.provenance import VehicleSource
 
 
@@ -37,13 +37,13 @@ class BringupRecord(msgspec.Struct):
         return any(step.result is StepOutcome.FAIL for step in self.steps)
 
 
-def fresh(vehicle: VehicleSource, connection: str) -> BringupRecord:
+def create_record(vehicle: VehicleSource, connection: str) -> BringupRecord:
     """Return a bring-up without completed steps."""
     steps = [StepRecord(step.name, StepOutcome.NEEDS_OPERATOR, "not done yet") for step in STEPS]
     return BringupRecord(vehicle, connection, steps)
 
 
-def load(folder: Path, vehicle: VehicleSource, connection: str) -> BringupRecord:
+def load_record(folder: Path, vehicle: VehicleSource, connection: str) -> BringupRecord:
     """Return this vehicle's stored bring-up from a folder, or a new one if none is stored.
 
     Raises:
@@ -53,25 +53,27 @@ def load(folder: Path, vehicle: VehicleSource, connection: str) -> BringupRecord
     try:
         found = msgspec.json.decode(path.read_bytes(), type=BringupRecord)
     except FileNotFoundError:
-        return fresh(vehicle, connection)
+        return create_record(vehicle, connection)
     except OSError as error:
         raise InputError(f"cannot read: {error.strerror}", source=str(path)) from None
     except msgspec.DecodeError as error:
-        raise InputError(f"is no bring-up of ours ({error}): move it away", source=str(path)) from None
+        raise InputError(
+            f"not a bring-up record of dart-flight ({error}): move the file away", source=str(path)
+        ) from None
     known = {step.name: step for step in found.steps} if found.vehicle.source == vehicle.source else {}
-    begun = fresh(vehicle, connection)
+    begun = create_record(vehicle, connection)
     begun.steps = [known.get(step.name, step) for step in begun.steps]
     return begun
 
 
-def note(record: BringupRecord, name: str, finding: StepFinding) -> None:
+def store_finding(record: BringupRecord, name: str, finding: StepFinding) -> None:
     """Store a step's finding with the present time."""
     date = datetime.now().astimezone().isoformat(timespec="seconds")
     done = StepRecord(name, finding.result, finding.message, finding.measured, date)
     record.steps = [done if step.name == name else step for step in record.steps]
 
 
-def save(record: BringupRecord, folder: Path) -> tuple[Path, Path]:
+def save_record(record: BringupRecord, folder: Path) -> tuple[Path, Path]:
     """Write the stored progress, today's record and today's page; return the paths of the last two.
 
     Raises:
@@ -80,16 +82,16 @@ def save(record: BringupRecord, folder: Path) -> tuple[Path, Path]:
     today = datetime.now().astimezone().date().isoformat()
     text = msgspec.json.format(msgspec.json.encode(record), indent=2)
     paths = folder / "bringup.json", folder / f"bringup-{today}.json", folder / f"bringup-{today}.html"
-    with writing(folder):
+    with report_write_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
-        for path, content in zip(paths, (text, text, page(record, today).encode()), strict=True):
+        for path, content in zip(paths, (text, text, format_page(record, today).encode()), strict=True):
             path.write_bytes(content)
     return paths[1], paths[2]
 
 
-def page(record: BringupRecord, date: str) -> str:
+def format_page(record: BringupRecord, date: str) -> str:
     """Return the record as an HTML page that prints on one sheet."""
-    rows, what = [], {step.name: step.what for step in STEPS}
+    rows, what = [], {step.name: step.subject for step in STEPS}
     for step in record.steps:
         figures = ", ".join(f"{name} {value}" for name, value in step.measured.items())
         cells = (what[step.name], step.result.value, step.message, figures, step.date)

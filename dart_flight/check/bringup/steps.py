@@ -46,7 +46,7 @@ from dart_flight.core.sense.detector import ExpectedContact
 from dart_flight.core.sense.senses import Senses
 from dart_flight.lock.drivers import DRIVERS, DriverError
 from dart_flight.lock.ground import GroundLock, ground_driver
-from dart_flight.lock.persistence import CommandStore, ServoOwnership, ServoTakenError, load_last
+from dart_flight.lock.persistence import CommandStore, ServoInUseError, ServoOwnership, load_last
 from dart_flight.vehicle import messages
 from dart_flight.vehicle.baud_rate import listen_for_mavlink
 from dart_flight.vehicle.ground_link import GroundLink, unusable_streams
@@ -69,7 +69,7 @@ Found = TypeVar("Found")
 class Operator(Protocol):
     """The operator at the vehicle."""
 
-    def tell(self, text: str) -> None:
+    def instruct(self, text: str) -> None:
         """Show an instruction or a finding."""
 
     def confirm(self, question: str) -> bool:
@@ -92,7 +92,7 @@ class Telemetry:
         self.modes: dict[str, None] = {}
         self._all: deque[Input] = deque(maxlen=4 * _KEPT)
 
-    def take(self, record: Input) -> None:
+    def store(self, record: Input) -> None:
         """Store a telemetry record, on MAVSDK's thread, or a pose, on the motion capture's thread."""
         if isinstance(record, PoseSample):
             self.poses.append(record)
@@ -142,7 +142,7 @@ class Bringup(CheckContext[StepFinding]):
         url: MAVSDK connection URL.
         operator: the operator at the vehicle.
         wait_s: timeout of the operator's actions, seconds.
-        opened: called once the link is open (`LinkLease.close_device`).
+        opened: called once the link is open (`LinkLease.lock_device`).
     """
 
     own_errors = (NotDoneError, VehicleError, NoAnswerError)
@@ -165,9 +165,9 @@ class Bringup(CheckContext[StepFinding]):
     def explain(self, error: Exception) -> StepFinding:
         """Return the finding of a step that could not be completed."""
         if isinstance(error, NotDoneError):
-            return failed(f"not seen within {self._wait_s:g} s: {error}")
+            return failed(f"not detected within {self._wait_s:g} s: {error}")
         if isinstance(error, NoAnswerError):
-            return failed(f"{error.message}: is the wire to the flight controller (TX) open?")
+            return failed(f"{error.message}: check the wire to the flight controller (TX)")
         return failed(self._explain_silence(str(error)))
 
     def close(self) -> None:
@@ -180,7 +180,7 @@ class Bringup(CheckContext[StepFinding]):
         """Return the link; the first call opens it and requests the streams."""
         if self._link is None:
             timeout_s, mocap = min(self._wait_s, _CONNECT_S), self._mission.vehicle.mocap
-            link = GroundLink(self._url, timeout_s, self._telemetry.take, mocap)
+            link = GroundLink(self._url, timeout_s, self._telemetry.store, mocap)
             self._link = link.__enter__()
             self._opened()
             observed = link.observe(self._mission.vehicle, _OBSERVE_S)
@@ -198,20 +198,20 @@ class Bringup(CheckContext[StepFinding]):
             return f"{says}; {link.place}: {error.strerror}"
         if found.console:
             return (
-                f"a console answers on {link.place} ({found.console!r}) and no MAVLink: set MAV_1_CONFIG to "
-                "that port of the autopilot, or disable the login console on it"
+                f"a console answers on {link.place} ({found.console!r}), but no MAVLink: set MAV_1_CONFIG to "
+                "that port of the autopilot or disable the login console on it"
             )
         if not found.received:
-            return f"nothing arrives on {link.place}: TX and RX exchanged, MAV_1_CONFIG, or no power"
+            return f"no data arrives on {link.place}: check TX and RX, MAV_1_CONFIG and the power"
         if found.baud is None:
-            return f"bytes arrive on {link.place}, and no MAVLink at any usual baud rate: a console?"
+            return f"bytes arrive on {link.place}, but no MAVLink at any usual baud rate: is it a console?"
         if found.baud != link.number:
             return f"wrong baud rate: MAVLink arrives at {found.baud}, not at {link.number} (SER_TEL2_BAUD)"
-        return f"{says}, though MAVLink arrives: it is not an autopilot's, or the way back is open (TX)"
+        return f"{says}, but MAVLink arrives: it is not an autopilot's, or the TX wire is open"
 
     # -- steps --
 
-    def judge_link(self) -> StepFinding:
+    def evaluate_link(self) -> StepFinding:
         """Judge the rates, errors and round trip of the link."""
         link = self._connect()
         round_trip_s = link.round_trip_s()
@@ -219,70 +219,74 @@ class Bringup(CheckContext[StepFinding]):
         errors: dict[str, float] = {}
         if status is not None:
             errors |= {"drop_rate_comm": status.drop_rate_comm, "errors_comm": status.errors_comm}
-        return judgements.judge_link(self._rates, round_trip_s, round_trip_limit_s(self._mission), errors)
+        return judgements.evaluate_link(self._rates, round_trip_s, round_trip_limit_s(self._mission), errors)
 
-    def judge_axes(self) -> StepFinding:
+    def evaluate_axes(self) -> StepFinding:
         """Judge the IMU's axes from readings with the vehicle level, nose down and right side down."""
         self._connect()
-        level = self._wait_until_held("Put the vehicle level and leave it alone.", lambda force: True)
-        wrong = judgements.judge_level(level)
+        level = self._wait_until_held("Level the vehicle and do not touch it.", lambda force: True)
+        wrong = judgements.evaluate_level(level)
         if wrong is not None:
             return wrong
         tilted = partial(judgements.is_tilted, level)
-        nose = self._wait_until_held("Lift its tail: nose down by some 30 degrees, and hold it so.", tilted)
-        self._wait_until_held("Put it level again.", lambda force: not tilted(force))
+        nose = self._wait_until_held("Lift its tail: nose down by about 30 degrees. Hold it still.", tilted)
+        self._wait_until_held("Level it again.", lambda force: not tilted(force))
         right = self._wait_until_held(
-            "Lift its left side: right side down by some 30 degrees, and hold it so.", tilted
+            "Lift its left side: right side down by about 30 degrees. Hold it still.", tilted
         )
-        return judgements.judge_axes(level, nose, right)
+        return judgements.evaluate_axes(level, nose, right)
 
-    def judge_force(self) -> StepFinding:
+    def evaluate_force(self) -> StepFinding:
         """Judge the direction of the estimated force of a push."""
         self._connect()
         self._telemetry.clear()
         level = self._wait_until_held("Hold the vehicle level and still.", lambda force: True)
         t = self._telemetry
         push = self._wait(
-            "Push it forward, sharply, from behind.", lambda: judgements.first_push(list(t.imu), level)
+            "Push it forward sharply, from behind.", lambda: judgements.find_push(list(t.imu), level)
         )
         force = t.force_at(push.t_us)
         if force is None:
             return failed("no force estimate: attitude or motor outputs do not arrive (see link)")
-        return judgements.judge_push(push.acceleration_m_s2, force)
+        return judgements.evaluate_push(push.acceleration_m_s2, force)
 
-    def judge_servo(self) -> StepFinding:
+    def evaluate_servo(self) -> StepFinding:
         """Move the lock to both ends and judge the moves."""
         config = self._mission.vehicle.lock
         if config is None:
             return StepFinding(StepOutcome.SKIPPED, "this vehicle has no lock")
         kind = config.driver
         if not DRIVERS[kind].moves:
-            return failed(f"lock.driver is {kind.value}: nothing real moves")
+            return failed(f"lock.driver is {kind.value}: no real servo moves; choose another driver")
         set_actuator = self._connect().set_actuator if kind is LockDriver.PX4 else None
-        if not self._operator.confirm("The servo moves now. Propellers off, fingers clear?"):
-            return StepFinding(StepOutcome.NEEDS_OPERATOR, "not moved")
+        if not self._operator.confirm(
+            "The servo is about to move. Are the propellers off and your fingers clear?"
+        ):
+            return StepFinding(
+                StepOutcome.NEEDS_OPERATOR, "the operator did not confirm: the servo was not moved"
+            )
         try:
             with ServoOwnership():
                 driver = ground_driver(config, load_last(), set_actuator)
                 driver.open()
                 try:
-                    lock = GroundLock(config, driver, CommandStore(kind).note)
-                    lock.look()
+                    lock = GroundLock(config, driver, CommandStore(kind).store)
+                    lock.read_state()
                     moves = [self._move(lock, mode) for mode in (Mode.FLEXIBLE, Mode.RIGID, Mode.FLEXIBLE)]
                 finally:
                     driver.close()
-        except (DriverError, ServoTakenError) as error:
+        except (DriverError, ServoInUseError) as error:
             return failed(f"{error}")
-        return judgements.judge_servo(config, moves[1:])  # the first move starts from an unknown position
+        return judgements.evaluate_servo(config, moves[1:])  # the first move starts from an unknown position
 
     def _move(self, lock: GroundLock, mode: Mode) -> tuple[Mode, LockState, bool | None]:
         state = lock.move(mode)
         if state.phase is not LockPhase.SETTLED or state.feedback:
             return mode, state, None
-        how = "locked: the rods are in their slots" if mode is Mode.RIGID else "free"
-        return mode, state, self._operator.confirm(f"Told to be {mode}. Are the arms {how}?")
+        how = "locked, with the rods in their slots" if mode is Mode.RIGID else "free"
+        return mode, state, self._operator.confirm(f"Commanded {mode}. Are the arms {how}?")
 
-    def judge_position(self) -> StepFinding:
+    def evaluate_position(self) -> StepFinding:
         """Judge the poses of a motion capture, if any, and the estimated position of a carried vehicle."""
         link = self._connect()
         poses = None
@@ -291,12 +295,10 @@ class Bringup(CheckContext[StepFinding]):
             if poses.result is not StepOutcome.PASS:
                 return poses
         forward = self._wait_until_carried(
-            "Hold it level, walk half a metre straight ahead of its nose, and stand still."
+            "Hold it level, carry it 0.5 m forward along its nose, and stand still."
         )
-        right = self._wait_until_carried(
-            "Now half a metre to its right, without turning it, and stand still."
-        )
-        position = judgements.judge_position(forward, right)
+        right = self._wait_until_carried("Carry it 0.5 m to its right without turning it, and stand still.")
+        position = judgements.evaluate_position(forward, right)
         if poses is None:
             return position
         measured = {**poses.measured, **position.measured}
@@ -307,7 +309,9 @@ class Bringup(CheckContext[StepFinding]):
         t, config = self._telemetry, self._mission.vehicle.mocap
         t.clear()
         with contextlib.suppress(NotDoneError):
-            self._wait(f"Receiving poses from {config.url}.", lambda: any(p.tracked for p in t.poses) or None)
+            self._wait(
+                f"Waiting for poses from {config.url}.", lambda: any(p.tracked for p in t.poses) or None
+            )
         if not any(p.tracked for p in list(t.poses)):
             return failed(f"no poses from {config.url}: {link.pose_problem or 'the body is not tracked'}")
         t.clear()
@@ -326,11 +330,11 @@ class Bringup(CheckContext[StepFinding]):
             return None
 
         motion = self._wait(
-            "For 12 s: turn it left and right by 90 degrees, tilt its nose and its side, and carry it forth "
-            "and back by half a metre, briskly.",
+            "For 12 s: quickly turn it left and right by 90 degrees, tilt its nose and its side, and carry "
+            "it forward and back by 0.5 m.",
             find,
         )
-        return judgements.judge_motion(motion, config, link.round_trip_s(), self._heading_offset(motion))
+        return judgements.evaluate_motion(motion, config, link.round_trip_s(), self._heading_offset(motion))
 
     def _tracked_poses(self) -> tuple[Array, Array, Array]:
         """Return times of receipt (s), positions (m) and attitudes of the tracked poses, local NED."""
@@ -357,7 +361,7 @@ class Bringup(CheckContext[StepFinding]):
             times_s - motion.latency_s, shown, own_s, np.array([s.q_frd_to_ned for s in own])
         )
 
-    def judge_remote(self) -> StepFinding:
+    def evaluate_remote(self) -> StepFinding:
         """Judge the remote control and its mode switch."""
         link, t = self._connect(), self._telemetry
         t.clear()
@@ -365,7 +369,7 @@ class Bringup(CheckContext[StepFinding]):
         if received:
             with contextlib.suppress(NotDoneError):
                 self._wait("Flip the mode switch to another mode and back.", lambda: len(t.modes) > 1 or None)
-        return judgements.judge_remote(received, list(t.modes))
+        return judgements.evaluate_remote(received, list(t.modes))
 
     # -- waiting --
 
@@ -387,13 +391,13 @@ class Bringup(CheckContext[StepFinding]):
         while not t.attitude and time.monotonic() < end_s:
             time.sleep(_POLL_S)
         if not t.attitude:
-            raise NotDoneError("an attitude")
+            raise NotDoneError("the attitude")
         q = t.attitude[-1].q_frd_to_ned
 
         def find() -> Vec2 | None:
             if not t.odometry:
                 return None
-            return judgements.carried(list(t.odometry), q)
+            return judgements.measure_displacement(list(t.odometry), q)
 
         return self._wait(text, find)
 
@@ -403,7 +407,7 @@ class Bringup(CheckContext[StepFinding]):
         Raises:
             NotDoneError: `find` returned no result in time.
         """
-        self._operator.tell(text)
+        self._operator.instruct(text)
         end_s = time.monotonic() + self._wait_s
         while (found := find()) is None:
             if time.monotonic() > end_s:
@@ -415,28 +419,34 @@ class Bringup(CheckContext[StepFinding]):
 BenchStep = Check[Bringup, StepFinding]
 
 STEPS: tuple[BenchStep, ...] = (
-    Check("link", Stage.BENCH, lambda b: [b.judge_link()], "rates that arrive, errors, round trip"),
-    Check("imu_axes", Stage.BENCH, lambda b: [b.judge_axes()], "the IMU's axes are the vehicle's", True),
-    Check("force_sign", Stage.BENCH, lambda b: [b.judge_force()], "a push is felt where it comes from", True),
+    Check("link", Stage.BENCH, lambda b: [b.evaluate_link()], "the rates, errors and round trip of the link"),
+    Check("imu_axes", Stage.BENCH, lambda b: [b.evaluate_axes()], "the IMU's axes match the vehicle's", True),
+    Check(
+        "force_sign",
+        Stage.BENCH,
+        lambda b: [b.evaluate_force()],
+        "the estimated force of a push has the right direction",
+        True,
+    ),
     Check(
         "servo",
         Stage.BENCH,
-        lambda b: [b.judge_servo()],
-        "the lock's servo goes the right way, and how long that takes",
+        lambda b: [b.evaluate_servo()],
+        "the lock's servo moves in the right direction; its travel time",
         True,
     ),
     Check(
         "position",
         Stage.BENCH,
-        lambda b: [b.judge_position()],
-        "the position goes where the vehicle is carried",
+        lambda b: [b.evaluate_position()],
+        "the estimated position follows the carried vehicle",
         True,
     ),
     Check(
         "remote_control",
         Stage.BENCH,
-        lambda b: [b.judge_remote()],
-        "the remote control is received, and switches modes",
+        lambda b: [b.evaluate_remote()],
+        "PX4 receives the remote control, and its switch changes the mode",
         True,
     ),
 )

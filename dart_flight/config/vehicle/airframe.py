@@ -106,9 +106,9 @@ class Airframe(Section, frozen=True, kw_only=True):
         half: list[Vec2] = [(out, along), (along, out), (-along, out), (-out, along)]
         return half + [(-x, -y) for x, y in half]
 
-    def surface_of(self, wall: Wall) -> Wall:
+    def wall_surface(self, wall: Wall) -> Wall:
         """Return a wall's surface: the plane of the vehicle's centre, moved by the contact distance."""
-        return wall.moved(-self.contact_distance_m)
+        return wall.displaced(-self.contact_distance_m)
 
 
 def effectiveness(motors: Sequence[Motor]) -> list[list[float]]:
@@ -295,7 +295,7 @@ class Material(Section, frozen=True):
     flexible: Coefficients | None = None
     source: str = ""
 
-    def of(self, mode: Mode) -> Coefficients:
+    def coefficients(self, mode: Mode) -> Coefficients:
         """Return the coefficients of a mode that the vehicle has; the loader has checked that they exist."""
         if mode is Mode.RIGID:
             return self.rigid

@@ -14,9 +14,9 @@ import msgspec
 
 from dart_flight.base.geometry import GRAVITY_M_S2
 from dart_flight.base.records import Mode
-from dart_flight.config.document import Document, InputError, leaves_of, read_text, unknown_name
+from dart_flight.config.document import Document, InputError, iterate_leaves, read_text, unknown_name
 from dart_flight.config.file_kinds import EXTENDS
-from dart_flight.config.retired_keys import leave_out_retired
+from dart_flight.config.retired_keys import ignore_retired
 from dart_flight.config.section import Section
 from dart_flight.config.settings import apply_changes, apply_settings
 from dart_flight.config.vehicle.airframe import Airframe, Imu, Material, Thrust, effectiveness
@@ -78,7 +78,7 @@ class VehicleConfig(Section, frozen=True, kw_only=True):
         return (
             None
             if mode in self.modes
-            else f"this vehicle has no lock: it is always rigid, never {mode.value}"
+            else f"this vehicle has no lock: its mode is always rigid, not {mode.value}"
         )
 
     def hover_thrust_fraction(self) -> float:
@@ -99,9 +99,9 @@ class VehicleConfig(Section, frozen=True, kw_only=True):
         Raises:
             InputError: a key is unknown, or a value has the wrong type or is out of range.
         """
-        document = Document.of(self.to_dict())
+        document = Document.from_tree(self.to_dict())
         apply_changes(changes, document)
-        return vehicle_of(document)
+        return parse_vehicle(document)
 
 
 def packaged(*parts: str) -> Path:
@@ -138,7 +138,7 @@ def default_config_path() -> Path:
         return Path(named)
     local = Path("configs/dart.yaml")
     there = sorted(local.parent.glob("*.yaml"))
-    bases = {path.parent / base for path in there if (base := base_of(path)) is not None}
+    bases = {path.parent / base for path in there if (base := extended_file(path)) is not None}
     last = [path for path in there if path not in bases]
     if len(last) == 1:
         return last[0]
@@ -160,7 +160,7 @@ def _is_unchanged(path: Path) -> bool:
         return False
 
 
-def base_of(path: Path) -> str | None:
+def extended_file(path: Path) -> str | None:
     """Return the name of the configuration that a file extends, or None if none or unreadable."""
     try:
         found = re.search(rf"^{EXTENDS}:\s*([^\s#]+)", read_text(path), re.MULTILINE)
@@ -182,27 +182,27 @@ def load_vehicle(
     A file with `extends: FILE` contains only its differences from that file, relative to its own folder.
 
     Raises:
-        InputError: as in `Document` and `vehicle_of`.
+        InputError: as in `Document` and `parse_vehicle`.
     """
     if isinstance(path, Mapping):
-        document = Document.of(path)
+        document = Document.from_tree(path)
     elif isinstance(path, Document):
         document = path
     else:
         document = Document.load(path or default_config_path())
     document = _merge_base(document)
     apply_settings(settings, document)
-    return vehicle_of(document)
+    return parse_vehicle(document)
 
 
-def vehicle_of(document: Document) -> VehicleConfig:
+def parse_vehicle(document: Document) -> VehicleConfig:
     """Return the configuration in a document; a retired key is ignored with a warning.
 
     Raises:
         InputError: a key is unknown or missing; a value has the wrong type or is out of range; a material
         lacks a mode of the vehicle; or the motors cannot carry the mass or control every axis.
     """
-    leave_out_retired(document)
+    ignore_retired(document)
     lock = document.tree.get("lock")
     if isinstance(lock, dict) and lock.get("driver") == NO_LOCK:
         document.tree["lock"] = None
@@ -230,7 +230,7 @@ def _refuse_unflyable(config: VehicleConfig, document: Document) -> None:
         raise document.error(
             ("thrust", "table" if config.thrust.table is not None else "full_n"),
             f"{count} motors of {most_n:g} N hover {config.airframe.mass_kg:g} kg at {hover:.0%} of full "
-            "thrust; at most 80 % is allowed",
+            "thrust, limit 80 %",
         )
     if config.airframe.listed is None:
         return
@@ -243,7 +243,8 @@ def _refuse_unflyable(config: VehicleConfig, document: Document) -> None:
     lift = np.linalg.pinv(turning)[:, 3]
     if lift.min() <= 0.0:
         text = (
-            f"level hover leaves nothing to motor {lift.argmin() + 1}: the centre of mass is not between them"
+            f"level hover leaves no thrust to motor {lift.argmin() + 1}: the centre of mass is not between "
+            "them"
         )
         raise document.error(("airframe", "motors"), text)
 
@@ -261,7 +262,7 @@ def _merge_base(document: Document, seen: tuple[Path, ...] = ()) -> Document:
     if below.resolve() in seen:
         raise document.error((EXTENDS,), "a configuration cannot extend itself")
     merged = _merge_base(Document.load(below), seen)
-    for key, value in leaves_of(document.tree):
+    for key, value in iterate_leaves(document.tree):
         node = merged.tree
         for part in key[:-1]:
             if not isinstance(node.get(part), dict):

@@ -288,7 +288,7 @@ class LockConfig(Section, frozen=True):
             )
             if not servo.min_pulse_us - 1e-6 <= pulse <= servo.max_pulse_us + 1e-6:
                 raise ValueError(
-                    f"the cam's range {theta0:g} to {theta0 + 90.0:g} degrees goes over the servo's end "
+                    f"the cam's range {theta0:g} to {theta0 + 90.0:g} degrees exceeds the servo's end "
                     f"stops: {angle:g} degrees is {pulse:.0f} us, allowed {servo.min_pulse_us:g} to "
                     f"{servo.max_pulse_us:g}"
                 )

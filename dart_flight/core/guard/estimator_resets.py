@@ -47,16 +47,16 @@ class EstimatorResets:
         self._heading = HeadingStep()
         self._before: Quaternion | None = None  # `HeadingStep.before` at the newest reset
 
-    def take_imu(self, item: ImuSample) -> None:
+    def add_imu(self, item: ImuSample) -> None:
         """Update the heading comparison with an IMU sample."""
-        self._heading.take_imu(item)
+        self._heading.add_imu(item)
         self._measure_heading(item.t_us)
 
-    def take_attitude(self, item: AttitudeSample) -> None:
+    def add_attitude(self, item: AttitudeSample) -> None:
         """Update the heading comparison with an attitude."""
-        self._heading.take_attitude(item)
+        self._heading.add_attitude(item)
 
-    def take_odometry(self, item: OdometrySample) -> tuple[float, float]:
+    def add_odometry(self, item: OdometrySample) -> tuple[float, float]:
         """Return the steps of position (m) and velocity (m/s) since the last sample, without the motion."""
         before, self._odometry = self._odometry, item
         if before is None or not 0 < item.t_us - before.t_us <= _JUMP_REACH_US:
@@ -68,7 +68,7 @@ class EstimatorResets:
             self._add_step(self.newest, *self._steps[-1])
         return away_m, faster_m_s
 
-    def take_counter(self, counter: int, now_us: int) -> bool:
+    def update_counter(self, counter: int, now_us: int) -> bool:
         """Return whether the reset counter has changed since the last call."""
         before, self._counter = self._counter, counter
         if before is None or counter == before:

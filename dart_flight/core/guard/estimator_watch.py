@@ -17,7 +17,7 @@ from dart_flight.base.records import (
 )
 from dart_flight.core.guard.estimator_resets import REACH_US, EstimatorReset, EstimatorResets
 from dart_flight.core.guard.heading_step import HEADING_STEP_DEG
-from dart_flight.core.guard.rule import Judge, Rule, Scope
+from dart_flight.core.guard.rule import Rule, RuleCondition, Scope
 from dart_flight.core.guard.second_vehicle import POSITION_JUMP_M
 from dart_flight.core.mission.phases import ON_GROUND
 
@@ -51,24 +51,24 @@ class EstimatorWatch:
         """Begin a step; `excused` states whether an impact explains the estimator's behaviour."""
         self.jump, self._now_us, self._excused = "", now_us, excused
 
-    def take_odometry(self, item: OdometrySample) -> None:
+    def add_odometry(self, item: OdometrySample) -> None:
         """Process a position that the flight state has accepted."""
-        away_m, faster_m_s = self.resets.take_odometry(item)
+        away_m, faster_m_s = self.resets.add_odometry(item)
         if self._excused:
             return
         if away_m > POSITION_JUMP_M:
-            self.jump = f"position by {away_m:.2f} m"
+            self.jump = f"position jumped by {away_m:.2f} m, limit {POSITION_JUMP_M:g} m"
         if faster_m_s > VELOCITY_JUMP_M_S:
-            self.jump = f"velocity by {faster_m_s:.2f} m/s"
+            self.jump = f"velocity jumped by {faster_m_s:.2f} m/s, limit {VELOCITY_JUMP_M_S:g} m/s"
 
-    def refuse_odometry(self, item: OdometrySample) -> None:
+    def reject_odometry(self, item: OdometrySample) -> None:
         """Process an implausible position."""
         away_m, fast_m_s = norm(item.position_ned), norm(item.velocity_ned)
-        self.jump = f"implausible: {away_m:.3g} m from the origin at {fast_m_s:.3g} m/s"
+        self.jump = f"implausible position: {away_m:.3g} m from the origin at {fast_m_s:.3g} m/s"
 
-    def take_report(self, item: EstimatorSample, phase: Phase) -> None:
+    def add_report(self, item: EstimatorSample, phase: Phase) -> None:
         """Process the reset counter and the estimator's own flags."""
-        if item.reset_counter is not None and self.resets.take_counter(item.reset_counter, self._now_us):
+        if item.reset_counter is not None and self.resets.update_counter(item.reset_counter, self._now_us):
             self._reset_phase = phase
         if item.healthy is not None:
             self._unhealthy = not item.healthy
@@ -90,7 +90,7 @@ class EstimatorWatch:
         if reset is None or self._excused:
             return None
         if reset.position_m > RESET_POSITION_M or reset.velocity_m_s > RESET_VELOCITY_M_S:
-            return f"by {reset.position_m:.2f} m and {reset.velocity_m_s:.2f} m/s"
+            return f"position stepped by {reset.position_m:.2f} m, velocity by {reset.velocity_m_s:.2f} m/s"
         return None
 
     def heading_step(self) -> str | None:
@@ -99,7 +99,9 @@ class EstimatorWatch:
         if reset is None or self._reset_phase in _ALIGNING:
             return None
         step_deg, limit = math.degrees(reset.heading_rad), HEADING_STEP_DEG
-        return f"by {step_deg:.1f} deg, {limit:.0f} deg allowed" if abs(step_deg) > limit else None
+        if abs(step_deg) <= limit:
+            return None
+        return f"heading stepped by {step_deg:.1f} deg, limit {limit:.0f} deg"
 
     def invalid_estimate(self) -> str | None:
         """Return for how long the estimator has reported an invalid position, as text."""
@@ -110,19 +112,19 @@ class EstimatorWatch:
 
 # fmt: off
 ESTIMATOR_RULES: tuple[Rule, ...] = (
-    Rule("estimator_jump", Override.HOLD, Scope.GUIDED, Judge(
-        "position or velocity has jumped, other than shortly after an impact",
+    Rule("estimator_jump", Override.HOLD, Scope.GUIDED, RuleCondition(
+        "position or velocity jumped, and no impact explains it",
         f"{POSITION_JUMP_M:g} m, {VELOCITY_JUMP_M_S:g} m/s",
         lambda v: v.estimator.jump or None), (OdometrySample,), noted=True),
-    Rule("estimator_reset", Override.HOLD, Scope.GUIDED, Judge(
-        "PX4's estimator was reset, and position or velocity stepped, other than shortly after an impact",
+    Rule("estimator_reset", Override.HOLD, Scope.GUIDED, RuleCondition(
+        "PX4 reset its estimator, position or velocity stepped, and no impact explains it",
         f"{RESET_POSITION_M:g} m, {RESET_VELOCITY_M_S:g} m/s",
         lambda v: v.estimator.reset_step()), noted=True),
-    Rule("heading_reset", Override.BREAK_OFF, Scope.FLYING, Judge(
-        "PX4's estimator was reset, and the heading stepped by more than 5 degrees against the gyro", "",
+    Rule("heading_reset", Override.BREAK_OFF, Scope.FLYING, RuleCondition(
+        "PX4 reset its estimator, and the heading stepped by more than 5 degrees relative to the gyro", "",
         lambda v: v.estimator.heading_step())),
-    Rule("estimator_flags", Override.LAND, Scope.AIR, Judge(
-        "PX4's estimator says that its position is not valid, and the impact is over",
+    Rule("estimator_flags", Override.LAND, Scope.AIR, RuleCondition(
+        "PX4's estimator reports an invalid position, and no impact is recent",
         f"{ESTIMATOR_BAD_S:g} s",
         lambda v: v.estimator.invalid_estimate())),
 )

@@ -30,7 +30,7 @@ class FailsafeEvidence:
         self._rank, self._words, self._text_us = 0, "", 0
         self._termination, self._terminated_us = "", 0
 
-    def take_text(self, item: StatusText, now_us: int) -> None:
+    def add_text(self, item: StatusText, now_us: int) -> None:
         """Remember a text or event of PX4 if it announces a failsafe or a termination.
 
         A text that names the cause is kept when a generic one follows.

@@ -79,7 +79,7 @@ class FlightConditions:
         self._failsafe = FailsafeEvidence()
         self._stepped_us = 0  # host time at the previous step
         self._pause_us = self._paused_us = 0  # longest recent pause of this program, and its end
-        self.surely_down_s = self._surely_down_s()
+        self.landing_timeout_s = self._landing_timeout_s()
         self._full_scale = _CLIP_SHARE * mission.vehicle.imu.full_scale_m_s2
         self._imu: ImuSample | None = None
 
@@ -103,30 +103,30 @@ class FlightConditions:
         if isinstance(item, ImuSample):
             self._handle_stamp("imu", item, state.imu)
             if item is state.imu:
-                self.estimator.resets.take_imu(item)
+                self.estimator.resets.add_imu(item)
                 self._handle_imu(item)
-            self.streams.delay.take_sample(item.t_us, item.received_us)
+            self.streams.delay.add_sample(item.t_us, item.received_us)
         elif isinstance(item, AttitudeSample):
             self._handle_stamp("attitude", item, state.attitude)
             if item is state.attitude:
-                self.estimator.resets.take_attitude(item)
+                self.estimator.resets.add_attitude(item)
         elif isinstance(item, OdometrySample):
             self._handle_odometry(item)
         elif isinstance(item, ActuatorSample):
             self._handle_stamp("actuator", item, state.actuator)
             self._handle_motors(item)
         elif isinstance(item, EstimatorSample):
-            self.estimator.take_report(item, phase)
+            self.estimator.add_report(item, phase)
         elif isinstance(item, StatusSample):
             self._handle_status(item)
         elif isinstance(item, RoundTrip):
-            self.streams.delay.take_round_trip(item)
+            self.streams.delay.add_round_trip(item)
         elif isinstance(item, OtherVehicle):
-            self.others.take_system(item.system)
+            self.others.add_system(item.system)
         elif isinstance(item, PoseSample) and self.poses is not None:
-            self.poses.take(item, state, phase)
+            self.poses.add_pose(item, state, phase)
         elif isinstance(item, StatusText) and not item.found_here:
-            self._failsafe.take_text(item, state.now_us)
+            self._failsafe.add_text(item, state.now_us)
         self.estimator.finish(state.status.local_position_ok)
 
     # -- conditions for the rules --
@@ -152,7 +152,7 @@ class FlightConditions:
         return self.impact is not None and self.state.now_us - self.impact.t_us < IMPACT_WINDOW_S * 1e6
 
     @property
-    def failsafe_said(self) -> bool:
+    def failsafe_reported(self) -> bool:
         """Whether PX4 reports a failsafe, or has mentioned one within the last seconds."""
         return in_failsafe(self.state.status.system_status) or self._failsafe.is_mentioned(self.state.now_us)
 
@@ -207,7 +207,7 @@ class FlightConditions:
         The mode may belong to another vehicle whose first sample has not arrived. Until then nothing is
         decided and nothing is sent. A mode change that PX4 has announced, or that a gap explains, is certain.
         """
-        if self._left_since_us is None or self.failsafe_said or self.streams.was_cut_off:
+        if self._left_since_us is None or self.failsafe_reported or self.streams.was_cut_off:
             return False
         young = self.state.host_us - self._left_since_us < _DOUBT_US
         return young and self._mode_left_to is not None
@@ -226,7 +226,7 @@ class FlightConditions:
         """Whether the slow state may be another vehicle's, because one is detected or suspected."""
         return self.others.is_suspected(self.streams.host_us)
 
-    def lasting_s(self, since_us: int | None) -> float:
+    def duration_s(self, since_us: int | None) -> float:
         """Return how long a condition has lasted, autopilot time, seconds; 0 if it does not hold."""
         return 0.0 if since_us is None else (self.state.now_us - since_us) * 1e-6
 
@@ -251,7 +251,7 @@ class FlightConditions:
         autopilot_us, host_us = self._landing_since_us
         return min(self.state.now_us - autopilot_us, self.state.host_us - host_us) * 1e-6
 
-    def _surely_down_s(self) -> float | None:
+    def _landing_timeout_s(self) -> float | None:
         """Return the time in land mode after which any vehicle is down, or None for never."""
         if self.config.kill_after_s is None:
             return None
@@ -259,8 +259,8 @@ class FlightConditions:
         return max(self.config.kill_after_s, _SURELY_DOWN * way_down_s)
 
     def _handle_stamp(self, name: str, item: Stamped, newest: Stamped | None) -> None:
-        self.streams.take(name, item, newest)
-        self.others.take(name, item)
+        self.streams.add_sample(name, item, newest)
+        self.others.add_sample(name, item)
 
     def _record_pause(self, host_us: int) -> None:
         """Record that this program has not run since the previous step, because no tick arrived."""
@@ -284,11 +284,11 @@ class FlightConditions:
     def _handle_odometry(self, item: OdometrySample) -> None:
         state = self.state
         if not state.is_plausible(item):  # differences to it would be meaningless
-            self.estimator.refuse_odometry(item)
+            self.estimator.reject_odometry(item)
             return
         self._handle_stamp("odometry", item, state.odometry)
         if item is state.odometry:
-            self.estimator.take_odometry(item)
+            self.estimator.add_odometry(item)
         self.was_inside = self.was_inside or state.position[2] >= self.mission.bounds.z[0]
 
     def _handle_status(self, item: StatusSample) -> None:

@@ -25,7 +25,6 @@ from dart_flight.base.records import (
     Override,
     Phase,
     PoseSample,
-    PosesWithheld,
     Setpoint,
     Silence,
     Tick,
@@ -81,7 +80,7 @@ class Guard:
         self._evaluated_us = 0  # host time of the last complete evaluation
         self._watch = FlightConditions(mission)
         # The wait for a landing lasts until the motors would have been stopped.
-        self._landing_us = max(_LANDING_US, round(2e6 * (self._watch.surely_down_s or 0.0)))
+        self._landing_us = max(_LANDING_US, round(2e6 * (self._watch.landing_timeout_s or 0.0)))
         self.action = Override.NONE
         self.overrules = False  # whether a rule has fired, so that the mission is ignored
         self._rank = self.action.rank
@@ -116,9 +115,9 @@ class Guard:
         self._watch.observe(item, state, sensed, phase)
         events: list[Output] = []
         if isinstance(item, PoseSample) and self._watch.poses is not None:
-            wrong = self._watch.poses.withhold(phase)
-            if wrong is not None:
-                events.append(PosesWithheld(state.now_us, wrong))
+            withheld = self._watch.poses.withhold(phase, state.now_us)
+            if withheld is not None:
+                events.append(withheld)
         for finding in proposal.findings:
             self._fire(finding.rule, finding.detail, state, events, finding.note_only)
         if self.end is None:
@@ -343,9 +342,9 @@ class Guard:
 
 def _rules_in(phase: Phase, rules: tuple[Rule, ...]) -> _PhaseRules:
     causes = [
-        (rule, rule.action.rank, rule.judge.cause)
+        (rule, rule.action.rank, rule.condition.cause)
         for rule in rules
-        if rule.judge.cause is not None and in_scope(rule, phase)
+        if rule.condition.cause is not None and in_scope(rule, phase)
     ]
     kinds = {kind for rule, _, _ in causes for kind in rule.at_once}
     return _PhaseRules(causes, {kind: [one for one in causes if kind in one[0].at_once] for kind in kinds})

@@ -40,7 +40,7 @@ class HeadingStep:
         self._waiting: AttitudeSample | None = None  # until a rate with its stamp or a later one arrives
         self._turns: deque[tuple[int, Quaternion]] = deque()  # stamp, D; the last 0.1 s
 
-    def take_imu(self, item: ImuSample) -> None:
+    def add_imu(self, item: ImuSample) -> None:
         """Integrate a rate; it is the mean over the tick that ends at its stamp."""
         before_us, self._imu_us, self._rate = self._imu_us, item.t_us, item.rate_frd
         if before_us is None or not 0 < item.t_us - before_us <= _GAP_US:
@@ -53,7 +53,7 @@ class HeadingStep:
             self._compare(self._waiting, item.t_us)
             self._waiting = None
 
-    def take_attitude(self, item: AttitudeSample) -> None:
+    def add_attitude(self, item: AttitudeSample) -> None:
         """Compare an attitude with the integral, once the rate of the same time has arrived."""
         if self._imu_us is None:
             return

@@ -5,8 +5,10 @@ estimate by 0.02 m in 0.5 s. Every phase tolerates that. A contact adds a veloci
 vehicle must therefore not hit a wall without poses, and the limit is shorter in an approach. A contact and
 its recovery are finished first, because the recovery works with the IMU alone.
 
-Poses of another body, or of swapped markers, are withheld from PX4 at once. PX4 rejects such poses for a
-second and then resets its position or heading to them. Without poses, it dead-reckons long enough to land.
+Poses that jump are another body's and are withheld from PX4 at once. PX4 rejects such poses for a second and
+then resets its position to them. Without poses, it dead-reckons long enough to land. Of poses that are only
+turned, as by swapped markers, the attitudes are withheld: PX4 would reset its heading to them and tumble.
+Their positions remain right, and PX4 keeps its heading by the gyro.
 """
 
 from __future__ import annotations
@@ -16,9 +18,9 @@ from collections import deque
 from typing import Any, Final
 
 from dart_flight.base.geometry import Quaternion, Vec3, rotation_angle
-from dart_flight.base.records import OdometrySample, Override, Phase, PoseSample
+from dart_flight.base.records import OdometrySample, Override, Phase, PoseSample, PosesWithheld
 from dart_flight.config.vehicle.mocap import MotionCapture
-from dart_flight.core.guard.rule import Judge, Rule, Scope
+from dart_flight.core.guard.rule import Rule, RuleCondition, Scope
 from dart_flight.core.mission.phases import ON_GROUND
 from dart_flight.core.sense.state import FlightState
 
@@ -46,6 +48,7 @@ _AGE_US: Final = 250_000
 _SENDERS_US: Final = 1_000_000
 _RECENT_US: Final = 5_000_000  # PX4's estimate follows poses within this time
 _FINISHED_FIRST: Final = frozenset((Phase.CONTACT, Phase.RECOVERY))
+_RECOVERED_S: Final = 0.5  # in a recovery; from then on the vehicle flies to the next wall or to the goal
 
 
 class PoseWatch:
@@ -64,10 +67,12 @@ class PoseWatch:
         self._plausible: tuple[int, Vec3] | None = (
             None  # receipt and position of the newest plausible pose, NED
         )
+        self._settling_us: int | None = None  # since a start or a gap, until two poses agree
         self._jumped_us: int | None = None  # host time since which poses have been a jump away from it
         self._jump = ""
-        self._wrong = ""  # why poses are withheld
+        self._wrong = self._turned_wrong = ""  # why poses are withheld, and why only their attitudes are
         self._withheld_us = 0
+        self._not_recovering_us = 0  # host time of the newest pose in another phase than the recovery
         self._recent, self._recent_us = "", -_RECENT_US  # newest fault
         self._apart_us: int | None = None
         self._turned_us: int | None = None
@@ -83,10 +88,12 @@ class PoseWatch:
         self._begun_us = self._begun_us or host_us
         self._now_us = host_us
 
-    def take(self, item: PoseSample, state: FlightState, phase: Phase) -> None:
+    def add_pose(self, item: PoseSample, state: FlightState, phase: Phase) -> None:
         """Compare a pose with the previous one and with PX4's estimate in `state`."""
         now_us, before = item.received_us, self._newest
         self._newest = item
+        if phase is not Phase.RECOVERY:
+            self._not_recovering_us = now_us
         if before is not None and before.sender != item.sender:
             other = self._other
             if other is not None and other.sender == item.sender and now_us - other.received_us < _SENDERS_US:
@@ -108,6 +115,7 @@ class PoseWatch:
         lost_s = LOST_APPROACH_S if phase is Phase.APPROACH else LOST_S
         text = (
             self._wrong
+            or self._turned_wrong
             or self._lost(_GROUND_LOST_S if ground else lost_s)
             or self._jump
             or self._two_senders()
@@ -128,17 +136,31 @@ class PoseWatch:
             phase: phase of the flight.
         """
         if estimate_steps and (self.fault(phase) or self._now_us - self._recent_us < _RECENT_US):
-            return f"{self._recent}; PX4's estimate has stepped since"
+            return f"{self._recent}; then PX4's estimate stepped"
         if self._wrong and (self._now_us - self._withheld_us) * 1e-6 > LOST_LAND_S:
             return self._wrong
         return self._lost(LOST_LAND_S)
 
-    def withhold(self, phase: Phase) -> str | None:
-        """Return why this program must stop forwarding poses as text, once in a flight, otherwise None."""
+    def waits(self, phase: Phase) -> bool:
+        """Return whether a contact or a recovery is finished before a fault of the poses counts.
+
+        Withheld poses do not return, so the vehicle must not recover towards another wall without them.
+        """
+        if phase is Phase.RECOVERY and self._wrong:
+            return (self._now_us - self._not_recovering_us) * 1e-6 < _RECOVERED_S
+        return phase in _FINISHED_FIRST
+
+    def withhold(self, phase: Phase, t_us: int) -> PosesWithheld | None:
+        """Return what this program must no longer forward, once when that begins, otherwise None."""
         if self._wrong or phase in ON_GROUND:
             return None
-        self._wrong, self._withheld_us = self._jump or self._turned(_TURNED_S) or "", self._now_us
-        return self._wrong or None
+        if self._jump:
+            self._wrong, self._withheld_us = self._jump, self._now_us
+            return PosesWithheld(t_us, self._wrong)
+        if not self._turned_wrong and (turned := self._turned(_TURNED_S)) is not None:
+            self._turned_wrong = turned
+            return PosesWithheld(t_us, turned, attitude_only=True)
+        return None
 
     # -- causes --
 
@@ -151,20 +173,20 @@ class PoseWatch:
         lasting_s = (self._now_us - self._tracked_us) * 1e-6
         if lasting_s <= limit_s or newest is None:
             return None
-        what = "no pose of body" if newest.received_us == self._tracked_us else "lost body"
-        return f"{what} {newest.body} for {lasting_s:.2f} s"
+        what = "no pose of body" if newest.received_us == self._tracked_us else "not tracking body"
+        return f"{what} {newest.body} for {lasting_s:.2f} s, limit {limit_s:g} s"
 
     def _two_senders(self) -> str | None:
         if self._alternates_us is None or self._now_us - self._alternates_us > _SENDERS_US:
             return None
         assert self._newest is not None
         assert self._other is not None
-        return f"poses from two senders: {' and '.join(sorted((self._newest.sender, self._other.sender)))}"
+        return f"two senders send poses: {' and '.join(sorted((self._newest.sender, self._other.sender)))}"
 
     def _turned(self, limit_s: float) -> str | None:
         if self._turned_us is None or (self._tracked_us - self._turned_us) * 1e-6 <= limit_s:
             return None
-        return f"the pose is turned by {self._turned_deg:.0f} deg against PX4's attitude: markers swapped?"
+        return f"the pose is rotated by {self._turned_deg:.0f} deg from PX4's attitude: markers swapped?"
 
     def _apart(self, limit_s: float) -> str | None:
         if self._apart_us is None or (self._tracked_us - self._apart_us) * 1e-6 <= limit_s:
@@ -175,14 +197,16 @@ class PoseWatch:
         if self._least_age_us is None or not self._ages:
             return None
         later_s = 1e-6 * (min(age_us for _, age_us in self._ages) - self._least_age_us)
-        return f"poses arrive {1e3 * later_s:.0f} ms later than at take-off" if later_s > LATER_S else None
+        if later_s <= LATER_S:
+            return None
+        return f"poses arrive {1e3 * later_s:.0f} ms later than at take-off, limit {1e3 * LATER_S:g} ms"
 
     def _slow(self) -> str | None:
         if len(self._intervals) < _INTERVALS:
             return None
         rate_hz = 1e6 / max(1, sorted(self._intervals)[_INTERVALS // 2])
         least_hz = RATE_SHARE * self._rate_hz
-        return f"poses at {rate_hz:.0f} Hz, needs {least_hz:.0f}" if rate_hz < least_hz else None
+        return f"poses arrive at {rate_hz:.0f} Hz, minimum {least_hz:.0f} Hz" if rate_hz < least_hz else None
 
     # -- comparisons --
 
@@ -201,19 +225,24 @@ class PoseWatch:
 
     def _compare_poses(self, now_us: int, position: Vec3, state: FlightState) -> None:
         if self._plausible is None or state.odometry is None:
-            self._plausible = (now_us, position)
+            self._plausible, self._settling_us = (now_us, position), now_us
             return
         then_us, then = self._plausible
         dt = (now_us - then_us) * 1e-6
         vx, vy, vz = state.odometry.velocity_ned
         away_m = math.dist(position, (then[0] + dt * vx, then[1] + dt * vy, then[2] + dt * vz))
-        if away_m <= JUMP_M + dt * _JUMP_M_S or (dt > _JUMP_GAP_S and self._jumped_us is None):
-            self._plausible, self._jumped_us = (now_us, position), None
+        if away_m <= JUMP_M + dt * _JUMP_M_S:
+            self._plausible, self._jumped_us, self._settling_us = (now_us, position), None, None
+            return
+        if dt > _JUMP_GAP_S and self._jumped_us is None:
+            self._settling_us = now_us
+        if self._settling_us is not None and (now_us - self._settling_us) * 1e-6 < _JUMP_S:
+            self._plausible = (now_us, position)
             return
         self._jumped_us = self._jumped_us if self._jumped_us is not None else now_us
         if (now_us - self._jumped_us) * 1e-6 >= _JUMP_S:
             self._plausible, self._jumped_us = (now_us, position), None
-            self._jump = f"body jumped by {away_m:.2f} m: another body, or swapped markers"
+            self._jump = f"body jumped by {away_m:.2f} m: another body or swapped markers"
 
     def _compare_estimate(
         self, now_us: int, position: Vec3, attitude: Quaternion, state: FlightState
@@ -231,12 +260,12 @@ class PoseWatch:
 
 def _present(v: Any) -> str | None:
     watch: PoseWatch | None = v.poses
-    return None if watch is None or v.phase in _FINISHED_FIRST else watch.fault(v.phase)
+    return None if watch is None or watch.waits(v.phase) else watch.fault(v.phase)
 
 
 def _blind(v: Any) -> str | None:
     watch: PoseWatch | None = v.poses
-    if watch is None or v.phase in _FINISHED_FIRST or v.phase is Phase.LANDING:
+    if watch is None or watch.waits(v.phase) or v.phase is Phase.LANDING:
         return None
     return watch.blind(bool(v.estimator.jump or v.estimator.reset_step()), v.phase)
 
@@ -246,14 +275,14 @@ _DEAD_RECKONING: Final = frozenset({"position_uncertain", "estimator_flags", "od
 
 # fmt: off
 POSE_RULES: tuple[Rule, ...] = (
-    Rule("pose_source_ground", Override.GIVE_UP, Scope.GROUND, Judge(
-        "poses that this program forwards: body lost or jumped, poses slow, late, from two senders, or far "
+    Rule("pose_source_ground", Override.GIVE_UP, Scope.GROUND, RuleCondition(
+        "the forwarded poses are wrong: body lost or jumped, poses slow, late, from two senders, or far "
         "from PX4's estimate", f"{_GROUND_LOST_S:g} s, mocap.rate_hz", _present)),
-    Rule("pose_source_blind", Override.LAND, Scope.AIR, Judge(
-        "the same, and PX4's estimate has jumped with the poses, or the body has been lost for long",
+    Rule("pose_source_blind", Override.LAND, Scope.AIR, RuleCondition(
+        "the same, and PX4's estimate jumped with the poses, or the body was lost for longer than the limit",
         f"{LOST_LAND_S:g} s", _blind), (OdometrySample,), explains=_DEAD_RECKONING),
-    Rule("pose_source", Override.BREAK_OFF, Scope.FLYING, Judge(
-        "the same, at once in an approach, but not before the end of a contact and its recovery",
+    Rule("pose_source", Override.BREAK_OFF, Scope.FLYING, RuleCondition(
+        "the same; immediate in an approach, delayed until a contact and its recovery are over",
         f"{LOST_APPROACH_S:g} s, {LOST_S:g} s, mocap.rate_hz", _present)),
 )
 # fmt: on

@@ -27,7 +27,7 @@ class Scope(StrEnum):
     FLYING = "while the mission flies"  # not while landing or once overruled
 
 
-class Judge(NamedTuple):
+class RuleCondition(NamedTuple):
     """The condition that fires a rule.
 
     Attributes:
@@ -42,11 +42,11 @@ class Judge(NamedTuple):
     cause: Cause | None = None
 
 
-def judge(description: str, threshold: str = "") -> Callable[[Cause], Judge]:
-    """Return a decorator that makes a `Judge` of a cause function."""
+def condition(description: str, threshold: str = "") -> Callable[[Cause], RuleCondition]:
+    """Return a decorator that makes a `RuleCondition` of a cause function."""
 
-    def wrap(cause: Cause) -> Judge:
-        return Judge(description, threshold, cause)
+    def wrap(cause: Cause) -> RuleCondition:
+        return RuleCondition(description, threshold, cause)
 
     return wrap
 
@@ -58,7 +58,7 @@ class Rule(NamedTuple):
         name: as in the log and in the verdict.
         action: action of the guard.
         scope: part of the flight in which it is evaluated.
-        judge: condition that fires it.
+        condition: condition that fires it.
         at_once: inputs after which it is evaluated immediately: modes, arming and requests are urgent, and
             some conditions are known only at one sample.
         by_person: whether a person took over, so that the flight counts as released and not as aborted.
@@ -72,7 +72,7 @@ class Rule(NamedTuple):
     name: str
     action: Override
     scope: Scope
-    judge: Judge
+    condition: RuleCondition
     at_once: tuple[type, ...] = ()
     by_person: bool = False
     explains: frozenset[str] = frozenset()

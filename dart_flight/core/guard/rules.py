@@ -29,7 +29,7 @@ from dart_flight.base.text import battery_figures
 from dart_flight.core.guard.estimator_watch import ESTIMATOR_RULES
 from dart_flight.core.guard.flight_conditions import FlightConditions
 from dart_flight.core.guard.pose_watch import POSE_RULES
-from dart_flight.core.guard.rule import Judge, Rule, Scope, judge
+from dart_flight.core.guard.rule import Rule, RuleCondition, Scope, condition
 from dart_flight.core.guard.second_vehicle import POSITION_JUMP_M
 from dart_flight.core.guard.stream_watch import STAMP_TOLERANCE_S, STREAM_RULES
 from dart_flight.core.mission.phases import ALTITUDE_EXEMPT, ON_GROUND
@@ -51,41 +51,41 @@ _AFTER_CLIMB: Final = frozenset({Phase.WAYPOINT, Phase.PAUSE, Phase.TRANSIT, Pha
 # --- causes ------------------------------------------------------------------------------------------------
 
 
-@judge("PX4 was taken out of offboard: the pilot flies")
+@condition("the pilot took PX4 out of offboard mode")
 def _pilot(v: FlightConditions) -> str | None:
     mode = v.unrequested_mode
     return f"PX4 is in {mode.value}" if mode is not None and not _by_px4(v) else None
 
 
-@judge("PX4 has left offboard by itself: its failsafe flies")
+@condition("PX4 left offboard mode by itself: its failsafe flies")
 def _px4_failsafe(v: FlightConditions) -> str | None:
     mode = v.unrequested_mode
     if mode is None or not _by_px4(v):
         return None
-    return f"{v.failsafe_words}; PX4 is in {mode.value}" if v.failsafe_said else f"PX4 is in {mode.value}"
+    return f"{v.failsafe_words}; PX4 is in {mode.value}" if v.failsafe_reported else f"PX4 is in {mode.value}"
 
 
 def _by_px4(v: FlightConditions) -> bool:
     # A mode flown by stick is the pilot's choice unless PX4 announced it. A gap may hide the announcement.
     if v.unrequested_mode is FlightMode.MANUAL:
         return v.failsafe_hands_to_sticks
-    return v.failsafe_said or v.streams.was_cut_off
+    return v.failsafe_reported or v.streams.was_cut_off
 
 
-@judge("disarmed in the air: PX4 says so, or the motors stand still and the vehicle falls")
+@condition("disarmed in the air: PX4 reports it, or the motors stand still and the vehicle falls")
 def _disarmed(v: FlightConditions) -> str | None:
     # A kill switch stops the motors at once; PX4 disarms 5 s later, and the heartbeat may take 1 s more.
-    falling_s = v.lasting_s(v.falling_since_us)
+    falling_s = v.duration_s(v.falling_since_us)
     if falling_s > _FALL_S and v.was_armed and not v.state.on_ground:
-        return f"PX4 has stopped the motors in the air, falling for {falling_s * 1e3:.0f} ms"
+        return f"PX4 stopped the motors in the air, the vehicle has been falling for {falling_s * 1e3:.0f} ms"
     if v.state.status.armed or not v.was_armed or v.state.on_ground or v.land_asked:
         return None
     # The state may be another vehicle's.
-    return None if v.status_unreliable else "PX4 has disarmed in the air"
+    return None if v.status_unreliable else "PX4 disarmed in the air"
 
 
-@judge(
-    "autopilot timestamps went backwards: it restarted, or its clock was reset", f"{STAMP_TOLERANCE_S:g} s"
+@condition(
+    "the autopilot's time went backwards: it restarted, or its clock was reset", f"{STAMP_TOLERANCE_S:g} s"
 )
 def _stamps_backwards(v: FlightConditions) -> str | None:
     for name, count in v.streams.stale.items():
@@ -94,53 +94,57 @@ def _stamps_backwards(v: FlightConditions) -> str | None:
     return None
 
 
-@judge("IMU reading stuck", f"{IMU_STUCK_S:g} s")
+@condition("the IMU repeats one reading", f"{IMU_STUCK_S:g} s")
 def _imu_stuck(v: FlightConditions) -> str | None:
-    lasting = v.lasting_s(v.stuck_since_us)
-    return f"the same reading for {lasting * 1e3:.0f} ms" if lasting > IMU_STUCK_S else None
+    lasting = v.duration_s(v.stuck_since_us)
+    return f"the IMU repeats one reading for {lasting * 1e3:.0f} ms" if lasting > IMU_STUCK_S else None
 
 
-@judge("the IMU stays at full scale longer than any contact lasts", f"{IMU_CLIPPED_S:g} s")
+@condition("the IMU stays at full scale longer than any contact lasts", f"{IMU_CLIPPED_S:g} s")
 def _imu_clipped(v: FlightConditions) -> str | None:
-    lasting = v.lasting_s(v.clipped_since_us)
-    return f"at full scale for {lasting * 1e3:.0f} ms" if lasting > IMU_CLIPPED_S else None
+    lasting = v.duration_s(v.clipped_since_us)
+    return f"the IMU is at full scale for {lasting * 1e3:.0f} ms" if lasting > IMU_CLIPPED_S else None
 
 
-@judge("PX4 itself is not sure enough of its position to fly at walls", "guard.position_sd_m")
+@condition("the standard deviation of PX4's position is too large to fly at walls", "guard.position_sd_m")
 def _position_uncertain(v: FlightConditions) -> str | None:
     sd, limit = v.state.position_sd_m, v.config.position_sd_m
     if sd is None or sd <= limit or not v.mission.collisions or v.mission.is_anchored:
         return None
-    return f"standard deviation {sd:.2f} m, allowed {limit:.2f}"
+    return f"standard deviation of the position {sd:.2f} m, limit {limit:.2f} m"
 
 
-@judge("the position estimate is ahead of the IMU's motion, or behind it", "guard.position_delay_s")
+@condition("the position estimate leads or lags the IMU's motion", "guard.position_delay_s")
 def _position_delayed(v: FlightConditions) -> str | None:
     ahead_s, limit_s = v.state.position_ahead_s, v.config.position_delay_s
     if ahead_s is None or limit_s is None or abs(ahead_s) <= limit_s:
         return None
-    side = "ahead of" if ahead_s > 0.0 else "behind"
+    leads = "leads" if ahead_s > 0.0 else "lags"
     return (
-        f"the position estimate is about {abs(ahead_s) * 1e3:.0f} ms {side} the IMU, "
-        f"{limit_s * 1e3:.0f} ms allowed: check EKF2_EV_DELAY"
+        f"the position estimate {leads} the IMU by about {abs(ahead_s) * 1e3:.0f} ms, "
+        f"limit {limit_s * 1e3:.0f} ms: check EKF2_EV_DELAY"
     )
 
 
-@judge("in PX4's land mode and still armed long after touchdown was due", "guard.kill_after_s, bounds_m.z")
+@condition(
+    "in PX4's land mode and still armed long after touchdown was due", "guard.kill_after_s, bounds_m.z"
+)
 def _still_armed(v: FlightConditions) -> str | None:
-    limit = v.surely_down_s
-    return f"after {v.landing_s:.0f} s in land mode" if limit is not None and v.landing_s > limit else None
+    limit = v.landing_timeout_s
+    if limit is None or v.landing_s <= limit:
+        return None
+    return f"still armed after {v.landing_s:.0f} s in land mode"
 
 
-@judge("the battery is low", f"guard.battery_remaining, guard.battery_v, {BATTERY_LOW_S:g} s")
+@condition("the battery is low", f"guard.battery_remaining, guard.battery_v, {BATTERY_LOW_S:g} s")
 def _battery(v: FlightConditions) -> str | None:
-    if v.lasting_s(v.battery_low_since_us) <= BATTERY_LOW_S:
+    if v.duration_s(v.battery_low_since_us) <= BATTERY_LOW_S:
         return None
     status = v.state.status
     return ", ".join(battery_figures(status.battery_remaining, status.battery_v))
 
 
-@judge("before the first impact, thrust differs by over 25 % from mass and thrust curve")
+@condition("before the first impact, the thrust differs by more than 25 % from mass and thrust curve")
 def _hover_thrust(v: FlightConditions) -> str | None:
     ratio = v.thrust_ratio
     if ratio is None or v.impact is not None or v.phase not in _AFTER_CLIMB or not v.mission.collisions:
@@ -148,30 +152,30 @@ def _hover_thrust(v: FlightConditions) -> str | None:
     if abs(ratio - 1.0) <= THRUST_SCALE_LIMIT:
         return None
     mass_kg, allowed = v.mission.vehicle.airframe.mass_kg, THRUST_SCALE_LIMIT
-    text = f"by the thrust curve the motors carry {mass_kg / max(ratio, 0.01):.2f} kg, airframe.mass_kg is "
-    return f"{text}{mass_kg:g}: ratio {ratio:.2f}, {1.0 - allowed:.2f} to {1.0 + allowed:.2f} allowed"
+    text = f"the thrust curve gives a mass of {mass_kg / max(ratio, 0.01):.2f} kg, airframe.mass_kg is "
+    return f"{text}{mass_kg:g}: ratio {ratio:.2f}, limits {1.0 - allowed:.2f} to {1.0 + allowed:.2f}"
 
 
-@judge("tilt beyond what PX4 can be trusted to recover from", "guard.tilt_deg")
+@condition("the vehicle tilts further than PX4 reliably recovers from", "guard.tilt_deg")
 def _tilt(v: FlightConditions) -> str | None:
     tilt = math.degrees(v.state.tilt_rad)
-    return f"{tilt:.0f} deg" if tilt > v.config.tilt_deg else None
+    return f"{tilt:.0f} deg, limit {v.config.tilt_deg:g} deg" if tilt > v.config.tilt_deg else None
 
 
-@judge("outside of the flight space horizontally, or would stop there", "bounds_m.x, bounds_m.y")
+@condition("the vehicle is outside bounds_m horizontally, or would stop there", "bounds_m.x, bounds_m.y")
 def _bounds(v: FlightConditions) -> str | None:
     bounds = v.mission.bounds
     excess = bounds.excess2(v.state.position)
     if v.phase is Phase.OVERRULED:  # the guard brakes already, and may break off outwards
-        return f"{excess:.2f} m outside" if excess > _GUARD_STRAYS_M else None
+        return f"{excess:.2f} m outside bounds_m" if excess > _GUARD_STRAYS_M else None
     if excess > 0.0:
-        return f"{excess:.2f} m outside"
+        return f"{excess:.2f} m outside bounds_m"
     excess = v.stop_excess_m()
-    return f"would stop {excess:.2f} m outside" if excess > 0.0 else None
+    return f"the vehicle would stop {excess:.2f} m outside bounds_m" if excess > 0.0 else None
 
 
-@judge(
-    "outside of the flight space vertically; more is allowed after an impact",
+@condition(
+    "the altitude is outside bounds_m; the tolerance is larger after an impact",
     f"bounds_m.z, {ALTITUDE_TOLERANCE_M:g} m",
 )
 def _altitude(v: FlightConditions) -> str | None:
@@ -180,60 +184,60 @@ def _altitude(v: FlightConditions) -> str | None:
     low, high = v.mission.bounds.z
     tolerance = ALTITUDE_TOLERANCE_M if v.just_after_impact else _ALTITUDE_SLACK_M
     z = v.state.position[2]
-    return None if low - tolerance <= z <= high + tolerance else f"{z:.2f} m"
+    return None if low - tolerance <= z <= high + tolerance else f"{z:.2f} m, limits {low:g} to {high:g} m"
 
 
-@judge("faster than the mission allows", "limits.speed_m_s")
+@condition("the vehicle is faster than the mission allows", "limits.speed_m_s")
 def _speed(v: FlightConditions) -> str | None:
-    speed = norm(v.state.velocity)
-    return f"{speed:.2f} m/s" if speed > v.mission.limits.speed_m_s * _SPEED_TOLERANCE else None
+    speed, limit = norm(v.state.velocity), v.mission.limits.speed_m_s
+    return f"{speed:.2f} m/s, limit {limit:g} m/s" if speed > limit * _SPEED_TOLERANCE else None
 
 
-@judge(
-    "the contact force goes well over the limit while it lasts",
+@condition(
+    "the contact force exceeds the limit by far during the contact",
     f"limits.peak_force_n, {FORCE_MARGIN:g} times",
 )
 def _force(v: FlightConditions) -> str | None:
     limit = v.mission.limits.peak_force_n * FORCE_MARGIN
     force = horizontal(v.force.force_mission) if v.force is not None else 0.0
-    return f"{force:.0f} N" if force > limit else None
+    return f"{force:.0f} N, limit {limit:g} N" if force > limit else None
 
 
-@judge("the operator stops the flight before take-off")
+@condition("the operator stopped the flight before take-off")
 def _operator_stops(v: FlightConditions) -> str | None:
     stops = v.is_asked(Request.LAND) and v.phase in ON_GROUND and not v.state.status.armed
-    return "stopped before take-off" if stops else None
+    return "stopped by the operator before take-off" if stops else None
 
 
-@judge("simulated vehicle terminated")
+@condition("the simulated vehicle ended")
 def _world_died(v: FlightConditions) -> str | None:
     if v.request is None or not v.is_asked(Request.WORLD_DIED):
         return None
-    return v.request.detail or "simulated vehicle terminated"
+    return v.request.detail or "the simulated vehicle ended"
 
 
 _TWO = f"{STAMP_TOLERANCE_S:g} s, {POSITION_JUMP_M:g} m"
-_TERMINATED = Judge(
+_TERMINATED = RuleCondition(
     "PX4 terminated the flight, or a kill switch was used: motors off", "", lambda v: v.termination
 )
-_ANNOUNCED = Judge(
-    "PX4 announced a failsafe, and telemetry does not show its mode yet", "", lambda v: v.failsafe_announced
+_ANNOUNCED = RuleCondition(
+    "PX4 announced a failsafe, but telemetry does not show its mode yet", "", lambda v: v.failsafe_announced
 )
-_OTHER_VEHICLE = Judge(
-    "a second vehicle sends on the link, whatever its system id", _TWO, lambda v: v.others.any_system
+_OTHER_VEHICLE = RuleCondition(
+    "a second vehicle sends on the link, with any system id", _TWO, lambda v: v.others.any_system
 )
-_SAME_SYSTEM = Judge(
+_SAME_SYSTEM = RuleCondition(
     "two vehicles share one system id: two clocks or two positions alternate",
     _TWO,
     lambda v: v.others.same_system,
 )
-_OPERATOR_LANDS = Judge(
-    "operator requests landing (Ctrl-C)",
+_OPERATOR_LANDS = RuleCondition(
+    "the operator requested a landing (Ctrl-C)",
     "",
     lambda v: "landing requested" if v.is_asked(Request.LAND) else None,
 )
-_OPERATOR_RELEASES = Judge(
-    "operator releases the vehicle (second Ctrl-C)",
+_OPERATOR_RELEASES = RuleCondition(
+    "the operator released the vehicle (second Ctrl-C)",
     "",
     lambda v: "released by the operator" if v.is_asked(Request.RELEASE) else None,
 )
@@ -246,7 +250,7 @@ def _found(
     name: str, action: Override, description: str, threshold: str = "", of_streams: bool = False
 ) -> Rule:
     """Return a rule that fires by a finding of the mission, which alone knows the plan."""
-    return Rule(name, action, Scope.ALWAYS, Judge(description, threshold), of_streams=of_streams)
+    return Rule(name, action, Scope.ALWAYS, RuleCondition(description, threshold), of_streams=of_streams)
 
 
 _ALWAYS, _GROUND, _AIR = Scope.ALWAYS, Scope.GROUND, Scope.AIR
@@ -288,21 +292,21 @@ RULES: tuple[Rule, ...] = (
     Rule("operator", _BREAK_OFF, _ALWAYS, _OPERATOR_LANDS, _REQUEST),
     Rule("operator_release", _RELEASE, _ALWAYS, _OPERATOR_RELEASES, _REQUEST, by_person=True),
     Rule("world_died", _RELEASE, _ALWAYS, _world_died, _REQUEST),
-    _found("peak_force", _BREAK_OFF, "an impact's peak was over the limit", "limits.peak_force_n"),
+    _found("peak_force", _BREAK_OFF, "the peak force of an impact exceeded the limit", "limits.peak_force_n"),
     _found("wall_not_met", _BREAK_OFF,
-           "the wall was not met where or when it should have been",
+           "no contact with the wall at the planned place or time",
            "guard.wall_overrun_m, guard.wall_late_s, limits.collision_timeout_s"),
-    _found("wall_met_early", _BREAK_OFF, "a contact well before the planned wall", "guard.wall_early_m"),
+    _found("wall_met_early", _BREAK_OFF, "a contact far before the planned wall", "guard.wall_early_m"),
     _found("hit_in_noise", _BREAK_OFF,
-           "planned impact is below the detection limit at the vibration level measured so far",
+           "the planned impact is below the detection limit at the measured vibration level",
            "detection.noise_sigma"),
     _found("unplanned_hit", _BREAK_OFF,
-           "an impact where the plan has none; noted: at the wall just hit, within 1 s"),
-    _found("no_peak", _BREAK_OFF, "contact force does not decay", "detection.peak_wait_s"),
+           "an impact that is not planned; at the wall just hit, within 1 s, it is only noted"),
+    _found("no_peak", _BREAK_OFF, "the contact force does not decay", "detection.peak_wait_s"),
     _found("lock_not_settled", _BREAK_OFF,
            "the lock is not in the planned mode in the approach or at the impact"),
     _found("mode_felt", _BREAK_OFF,
-           "contact indicates the other mode than the lock reports; with `go_on` only noted",
+           "a contact indicates the mode that the lock does not report; with `go_on` it is only noted",
            "mode_mismatch"),
     _found("lock_late", _BREAK_OFF,
            "the lock is not in the planned mode at the last point at which the vehicle can still "
@@ -310,17 +314,17 @@ RULES: tuple[Rule, ...] = (
     _found("lock_not_ready", _LAND,
            "the lock did not reach the planned mode before the approach", "lock.timeout_s"),
     _found("no_approach", _HOLD,
-           "a wall as a contact has found it leaves no room for the approach to it", "bounds_m"),
+           "the measured position of a wall leaves no room for the approach", "bounds_m"),
     _found("climb_timeout", _LAND, "the altitude was not reached in time", "flying.ready_timeout_s"),
     _found("transit_timeout", _HOLD,
            "the run-up point or a waypoint was not reached in time", "flying.ready_timeout_s"),
-    _found("pause_timeout", _LAND, "operator did not resume in time"),
+    _found("pause_timeout", _LAND, "the operator did not resume in time"),
     _found("goal_not_reached", _LAND,
            "the goal could not be held in time", "goal.hold_s, limits.collision_timeout_s"),
     _found("not_ready", _GIVE_UP,
-           "telemetry or lock not ready before takeoff", "flying.ready_timeout_s", of_streams=True),
-    _found("offboard_refused", _GIVE_UP, "PX4 refuses offboard mode", "flying.ready_timeout_s"),
-    _found("arming_refused", _GIVE_UP, "PX4 does not arm", "flying.ready_timeout_s"),
+           "telemetry or lock was not ready before take-off", "flying.ready_timeout_s", of_streams=True),
+    _found("offboard_refused", _GIVE_UP, "PX4 refused offboard mode", "flying.ready_timeout_s"),
+    _found("arming_refused", _GIVE_UP, "PX4 refused to arm", "flying.ready_timeout_s"),
     _found("mission_fault", _LAND, "an exception in the mission's own code"),
 )
 # fmt: on
@@ -332,7 +336,7 @@ def table() -> str:
     """Return the rules as a Markdown table, one row each."""
     rows = ["| rule | fires when | threshold | action | judged by |", "|---|---|---|---|---|"]
     for rule in RULES:
-        description, threshold, cause = rule.judge
+        description, threshold, cause = rule.condition
         judged_by = f"guard, {rule.scope.value}" if cause is not None else "mission"
         if rule.at_once:
             judged_by += ", at once after " + ", ".join(f"`{kind.__name__}`" for kind in rule.at_once)

@@ -59,7 +59,7 @@ class SecondClockDetector:
             self.odd_us = received_us
         self._behind_us, self._was_behind = t_us, True
 
-    def apart_s(self, now_us: int) -> float | None:
+    def clock_difference_s(self, now_us: int) -> float | None:
         """Return the difference of the two clocks, seconds, or None if there is one clock.
 
         Args:
@@ -99,7 +99,7 @@ class SecondPositionDetector:
         if other is not None and self._is_same_vehicle(sample, other):
             self._turns.append(sample.received_us)
 
-    def apart_m(self, now_us: int) -> float | None:
+    def position_difference_m(self, now_us: int) -> float | None:
         """Return the distance of the two positions, metres, or None with one; `now_us` is host time."""
         if len(self._turns) < _TURNS or now_us - self._turns[0] > _WINDOW_US:
             return None
@@ -128,7 +128,7 @@ class OtherVehicles:
         self._places = SecondPositionDetector(POSITION_JUMP_M)
         self._other_system: int | None = None
 
-    def take(self, name: str, item: Stamped) -> None:
+    def add_sample(self, name: str, item: Stamped) -> None:
         """Process every sample of a stream, in the order of receipt."""
         if self.same_system is not None:
             return
@@ -136,17 +136,17 @@ class OtherVehicles:
         clocks.update(item.t_us, received_us)
         if clocks.odd_us is not None:
             # One stream may arrive by two routes, one of them late; a second vehicle sends all streams.
-            apart_s = [c.apart_s(received_us) for c in self._clocks.values()]
+            apart_s = [c.clock_difference_s(received_us) for c in self._clocks.values()]
             found = [seconds for seconds in apart_s if seconds is not None]
             if len(found) > 1 and max(found) - min(found) < STAMP_TOLERANCE_S:
-                self.same_system = f"two alternating clocks, {found[0]:.1f} s apart"
+                self.same_system = f"two clocks alternate, {found[0]:.1f} s apart"
         if isinstance(item, OdometrySample):
             self._places.update(item)
-            apart_m = self._places.apart_m(received_us)
+            apart_m = self._places.position_difference_m(received_us)
             if apart_m is not None:
-                self.same_system = f"odometry with two alternating positions, {apart_m:.1f} m apart"
+                self.same_system = f"two positions alternate in the odometry, {apart_m:.1f} m apart"
 
-    def take_system(self, system: int) -> None:
+    def add_system(self, system: int) -> None:
         """Record the id of another system on the link."""
         self._other_system = system
 

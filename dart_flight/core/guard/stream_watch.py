@@ -9,7 +9,7 @@ import math
 from collections import deque
 from typing import Any, Final
 
-from dart_flight.base.filters import kept_share
+from dart_flight.base.filters import decay_factor
 from dart_flight.base.records import (
     ActuatorSample,
     AttitudeSample,
@@ -20,7 +20,7 @@ from dart_flight.base.records import (
 )
 from dart_flight.base.streams import BY_NAME
 from dart_flight.config.vehicle.flying import GuardThresholds
-from dart_flight.core.guard.rule import Judge, Rule, Scope
+from dart_flight.core.guard.rule import Rule, RuleCondition, Scope
 from dart_flight.core.sense.state import FlightState
 
 Stamped = ImuSample | AttitudeSample | OdometrySample | ActuatorSample
@@ -64,7 +64,7 @@ class TelemetryDelay:
         self.age_us = 0.0  # age of the newest sample
         self.late = False
 
-    def take_round_trip(self, trip: RoundTrip) -> None:
+    def add_round_trip(self, trip: RoundTrip) -> None:
         """Process the timing of a request and its answer."""
         took_us = max(0, trip.received_us - trip.sent_us)
         self._last.append(took_us)
@@ -80,7 +80,7 @@ class TelemetryDelay:
                 return
         self._offset_us, self._error_us, self._measured_us = offset_us, error_us, trip.received_us
 
-    def take_sample(self, t_us: int, received_us: int) -> None:
+    def add_sample(self, t_us: int, received_us: int) -> None:
         """Process the stamp and the receipt of an IMU sample."""
         if not self._last:
             return
@@ -90,7 +90,7 @@ class TelemetryDelay:
             self.age_us = received_us + self._offset_us - t_us
         step_us = min(max(received_us - self._received_us, 0), _STEP_MAX_US)
         self._received_us = received_us
-        kept = kept_share(step_us, _SHARE_US)
+        kept = decay_factor(step_us, _SHARE_US)
         self._share = kept * self._share + (1.0 - kept if self.age_us > self._limit_us else 0.0)
         self.late = self._share > _SHARE
 
@@ -98,7 +98,8 @@ class TelemetryDelay:
         """Return the delay as text."""
         shortest_us = min(self._last, default=0)
         also = f", round trip {shortest_us * 1e-3:.0f} ms" if shortest_us > self._limit_us else ""
-        return f"telemetry arrives {self.age_us * 1e-3:.0f} ms after it was sampled{also}"
+        limit_ms = self._limit_us * 1e-3
+        return f"telemetry arrives {self.age_us * 1e-3:.0f} ms after sampling, limit {limit_ms:.0f} ms{also}"
 
 
 class StreamWatch:
@@ -122,7 +123,7 @@ class StreamWatch:
         self._counts: dict[str, tuple[int, int]] = {}  # first stamp, and samples since
         self._gap_us: int | None = None
 
-    def take(self, name: str, item: Stamped, newest: Stamped | None) -> None:
+    def add_sample(self, name: str, item: Stamped, newest: Stamped | None) -> None:
         """Process a sample of a stream; `newest` is the last one that the flight state has accepted."""
         t_us, received_us = item.t_us, item.received_us
         if received_us > self.host_us:
@@ -151,7 +152,7 @@ class StreamWatch:
         return self._gap_us is not None and self.state.now_us - self._gap_us < _GAP_MEMORY_US
 
     @property
-    def others_go_on(self) -> bool:
+    def others_continue(self) -> bool:
         """Whether other streams continue while the IMU is silent."""
         return self._since_imu >= _OTHERS_SINCE
 
@@ -163,7 +164,7 @@ class StreamWatch:
 
 def _silence(
     description: str, streams: tuple[str, ...], limit: str | float, words: str = "", alone: str = ""
-) -> Judge:
+) -> RuleCondition:
     """Return the condition that streams have been silent together for longer than a limit.
 
     Args:
@@ -179,20 +180,20 @@ def _silence(
         watch: StreamWatch = v.streams
         age_s = min([watch.age_s(name) for name in streams])
         limit_s = getattr(watch.guard, limit) if isinstance(limit, str) else limit
-        if age_s <= limit_s and not (alone and watch.others_go_on and age_s > getattr(watch.guard, alone)):
+        if age_s <= limit_s and not (alone and watch.others_continue and age_s > getattr(watch.guard, alone)):
             return None
         age_s = min(age_s, _AGE_MAX_S)
         about = watch.state.text_about(message) if message else ""
-        return (words or "for {ms:.0f} ms").format(s=age_s, ms=1e3 * age_s) + about
+        return (words or "no data for {ms:.0f} ms").format(s=age_s, ms=1e3 * age_s) + about
 
     limits = [f"guard.{key}" if isinstance(key, str) else f"{key:g} s" for key in (alone, limit) if key]
-    return Judge(description, ", ".join(limits), cause)
+    return RuleCondition(description, ", ".join(limits), cause)
 
 
 def _slow(v: Any) -> str | None:
     for name, rate_hz in v.streams.rates_hz.items():
         if rate_hz < BY_NAME[name].expected_hz:
-            return f"{name} at {rate_hz:.0f} Hz, needs {BY_NAME[name].expected_hz:.0f}"
+            return f"{name} arrives at {rate_hz:.0f} Hz, minimum {BY_NAME[name].expected_hz:.0f} Hz"
     return None
 
 
@@ -207,7 +208,7 @@ _AIR, _LAND = Scope.AIR, Override.LAND
 # fmt: off
 STREAM_RULES: tuple[Rule, ...] = tuple(rule._replace(of_streams=True) for rule in (
     Rule("link_lost", Override.RELEASE, _AIR, _silence(
-        "no telemetry at all: PX4's own failsafe must act",
+        "no telemetry arrives: PX4's own failsafe must act",
         _LINK, LINK_LOST_S, "no telemetry for {s:.1f} s")),
     Rule("imu_silent", _LAND, _AIR, _silence(
         "IMU stream timed out: impacts cannot be detected",
@@ -220,14 +221,14 @@ STREAM_RULES: tuple[Rule, ...] = tuple(rule._replace(of_streams=True) for rule i
         "actuator stream timed out: thrust and contact force cannot be separated",
         ("actuator",), ACTUATOR_TIMEOUT_S)),
     Rule("status_silent", _LAND, _AIR, _silence(
-        "heartbeat timed out", ("status",), STATUS_TIMEOUT_S, "for {s:.1f} s")),
-    Rule("stream_rate", Override.HOLD, Scope.FLYING, Judge(
-        "a stream comes at less than the rate that a mission needs (`base/streams.py`)",
+        "heartbeat timed out", ("status",), STATUS_TIMEOUT_S, "no heartbeat for {s:.1f} s")),
+    Rule("stream_rate", Override.HOLD, Scope.FLYING, RuleCondition(
+        "a stream arrives at less than the minimum rate (`base/streams.py`)",
         "streams: expected_hz", _slow)),
-    Rule("telemetry_late_ground", Override.GIVE_UP, Scope.GROUND, Judge(
-        "telemetry arrives too late to act on", "guard.telemetry_late_s", _late)),
-    Rule("telemetry_late", _LAND, _AIR, Judge(
-        "telemetry has been late for more than a moment", "guard.telemetry_late_s", _late),
+    Rule("telemetry_late_ground", Override.GIVE_UP, Scope.GROUND, RuleCondition(
+        "telemetry arrives too late to react in time", "guard.telemetry_late_s", _late)),
+    Rule("telemetry_late", _LAND, _AIR, RuleCondition(
+        "telemetry has arrived too late for several samples", "guard.telemetry_late_s", _late),
         explains=frozenset({"imu_silent", "attitude_silent", "odometry_silent", "status_silent"})),
 ))
 # fmt: on

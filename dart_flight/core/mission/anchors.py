@@ -58,7 +58,7 @@ class FrameAnchors:
         self._anchors = [one for one in self._anchors if not has_same_normal(one.normal, anchor.normal)]
         self._anchors.append(anchor)
 
-    def take(self, wall: Wall, felt: WallEstimate, now_us: int) -> FrameAnchor:
+    def correct_frame(self, wall: Wall, estimate: WallEstimate, now_us: int) -> FrameAnchor:
         """Return the correction of the frame along a wall's normal, from a contact, and add its anchor.
 
         The difference between measured and assumed wall is divided between frame and wall in proportion to
@@ -66,23 +66,25 @@ class FrameAnchors:
 
         Args:
             wall: as assumed before the contact.
-            felt: estimate from the contact.
+            estimate: estimate from the contact.
             now_us: time of the correction.
         """
-        measured_sd, place = felt.plane_offset_sigma_m, felt.plane_point_mission
+        measured_sd, place = estimate.plane_offset_sigma_m, estimate.plane_point_mission
         wall_sd = WALL_SD_M if wall.position_sd_m is None else wall.position_sd_m
-        expected = self.sd_m(wall.normal, felt.t_us)
+        expected = self.sd_m(wall.normal, estimate.t_us)
         gain = expected**2 / (expected**2 + wall_sd**2 + measured_sd**2)
-        moved = gain * (felt.plane_offset_m if place is None else wall.signed_distance(place))
-        age_s, sd = self.age_s(wall.normal, felt.t_us), expected * math.sqrt(1.0 - gain)
-        self.add(Anchor(wall.normal, felt.t_us, sd))
+        moved = gain * (estimate.plane_offset_m if place is None else wall.signed_distance(place))
+        age_s, sd = self.age_s(wall.normal, estimate.t_us), expected * math.sqrt(1.0 - gain)
+        self.add(Anchor(wall.normal, estimate.t_us, sd))
         by = (moved * wall.normal[0], moved * wall.normal[1])
-        return FrameAnchor(now_us, wall.name, by, expected, sd, age_s, wall.normal, felt.t_us, self._start_us)
+        return FrameAnchor(
+            now_us, wall.name, by, expected, sd, age_s, wall.normal, estimate.t_us, self._start_us
+        )
 
-    def follow(self, taken: FrameAnchor) -> None:
+    def add_recorded(self, recorded: FrameAnchor) -> None:
         """Add an anchor recorded by the core; the planner's process uses this."""
-        self.begin(taken.start_us)
-        self.add(Anchor(taken.normal, taken.felt_us, taken.sd_m))
+        self.begin(recorded.start_us)
+        self.add(Anchor(recorded.normal, recorded.felt_us, recorded.sd_m))
 
     def age_s(self, normal: Vec2, now_us: int) -> float | None:
         """Return the time since the last contact with a wall of (nearly) this normal, or None."""

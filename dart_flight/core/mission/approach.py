@@ -112,7 +112,7 @@ def is_blocked(
     return crosses & (wall.end_distance_m(crossing) >= -end_margin_m(wall, crossing))
 
 
-def is_post_in_the_way(mission: Mission, post: Post, a: Vec2, b: Vec2) -> bool:
+def is_blocked_by_post(mission: Mission, post: Post, a: Vec2, b: Vec2) -> bool:
     """Return whether a segment is too close to a post for a vehicle with any heading."""
     airframe = mission.vehicle.airframe
     corner_m = math.hypot(airframe.contact_distance_m, airframe.guard_along_m)
@@ -195,8 +195,8 @@ def _check_room(mission: Mission, collision: Collision, begin: Vec2) -> None:
         speed_m_s = math.hypot(*collision.approach_velocity())
         raise NoApproachError(
             f"the run-up to wall {collision.wall.name} at {speed_m_s:.2f} m/s starts at "
-            f"({begin[0]:.2f}, {begin[1]:.2f}), {excess:.2f} m outside bounds_m; approach slower or from "
-            "further along the wall, or move start back along the ray"
+            f"({begin[0]:.2f}, {begin[1]:.2f}), {excess:.2f} m outside bounds_m; approach at a lower speed "
+            "or from further along the wall, or move start back along the ray"
         )
     excess = mission.bounds.excess2(impact)
     if excess > 0.0:
@@ -207,12 +207,12 @@ def _check_room(mission: Mission, collision: Collision, begin: Vec2) -> None:
     legs = segments_to_impact(before or mission.start, begin, impact, collision.wall, before is not None)
     for wall in mission.walls:
         if any(is_blocked(wall, *leg) for leg in legs(wall)):
-            raise NoApproachError(f"wall {wall.name} is in the way of the run-up")
+            raise NoApproachError(f"wall {wall.name} blocks the run-up")
     for post in mission.posts:
-        if post.name != collision.wall.name and is_post_in_the_way(mission, post, begin, impact):
-            raise NoApproachError(f"post {post.name} is in the way of the run-up")
-        if before is not None and is_post_in_the_way(mission, post, before, begin):
-            raise NoApproachError(f"post {post.name} is in the way to the run-up")
+        if post.name != collision.wall.name and is_blocked_by_post(mission, post, begin, impact):
+            raise NoApproachError(f"post {post.name} blocks the run-up")
+        if before is not None and is_blocked_by_post(mission, post, before, begin):
+            raise NoApproachError(f"post {post.name} blocks the path to the run-up")
 
 
 class TransitSegment(NamedTuple):
@@ -249,7 +249,7 @@ def transit_segments(mission: Mission) -> list[TransitSegment]:
     return found
 
 
-def transit_of(mission: Mission, leg: TransitSegment, begin: Vec3) -> Trajectory:
+def plan_transit(mission: Mission, leg: TransitSegment, begin: Vec3) -> Trajectory:
     """Return the trajectory of a segment from its actual beginning."""
     flying = mission.vehicle.flying
     return Trajectory.rest_to_rest(begin, leg.end, leg.speed_m_s, flying, flying.climb_speed_m_s)
@@ -269,10 +269,10 @@ def check_segments_clear(mission: Mission) -> None:
     for leg in transit_segments(mission):
         for wall in mission.walls:
             if leg.begin is not None and is_blocked(wall, leg.begin[:2], leg.end[:2]):
-                raise NoApproachError(f"wall {wall.name} is in the way to {leg.name}")
+                raise NoApproachError(f"wall {wall.name} blocks the path to {leg.name}")
         for post in mission.posts:
-            if leg.begin is not None and is_post_in_the_way(mission, post, leg.begin[:2], leg.end[:2]):
-                raise NoApproachError(f"post {post.name} is in the way to {leg.name}")
+            if leg.begin is not None and is_blocked_by_post(mission, post, leg.begin[:2], leg.end[:2]):
+                raise NoApproachError(f"post {post.name} blocks the path to {leg.name}")
 
 
 def _check_trajectory_clear(mission: Mission, written: TrajectoryPieces, leads_to: str) -> None:
@@ -287,7 +287,7 @@ def _check_trajectory_clear(mission: Mission, written: TrajectoryPieces, leads_t
         for wall in mission.flat_walls:
             # A trajectory from a contact begins slightly behind its wall's plane.
             if wall.signed_distance(a) >= 0.0 > wall.signed_distance(b) and wall.end_distance_m(b) > 0.0:
-                raise NoApproachError(f"wall {wall.name} is in the way of the trajectory to {leads_to}")
+                raise NoApproachError(f"wall {wall.name} blocks the trajectory to {leads_to}")
 
 
 def standoff_point(mission: Mission, collision: Collision, begin: Vec2, impact: Vec2) -> Vec2:

@@ -19,7 +19,7 @@ from dart_flight.contact.coefficients import CoefficientArrays
 from dart_flight.contact.contact_map import contact_map
 from dart_flight.contact.law import Onset
 from dart_flight.core.mission.arithmetic import Number, hypot, maximum, where
-from dart_flight.core.mission.position_loop import PlaneMet
+from dart_flight.core.mission.position_loop import PlaneImpact
 from dart_flight.core.sense.state import FlightState
 
 # Margin of the predicted stop before the wall; small, because breaking off brakes harder.
@@ -37,7 +37,7 @@ def setpoint_outside_m(bounds: BoundsSpec, x: Number, y: Number) -> Number:
 
 
 def may_commit(
-    mission: Mission, following: Collision, met: PlaneMet, ready_s: float, state: FlightState
+    mission: Mission, following: Collision, met: PlaneImpact, ready_s: float, state: FlightState
 ) -> bool:
     """Return whether to continue past the last moment for stopping.
 
@@ -54,7 +54,7 @@ def may_commit(
     wall, (tx, ty) = following.wall, following.wall.tangent
     place = wall.foot((state.position[0] + vx * met.after_s, state.position[1] + vy * met.after_s))
     return bool(
-        bearable_in_either_mode(
+        is_acceptable_in_either_mode(
             mission.vehicle,
             mission.limits,
             mission.bounds,
@@ -66,7 +66,7 @@ def may_commit(
     )
 
 
-def bearable_in_either_mode(
+def is_acceptable_in_either_mode(
     vehicle: VehicleConfig,
     limits: Limits,
     bounds: BoundsSpec,
@@ -91,7 +91,7 @@ def bearable_in_either_mode(
     px4, bearable = vehicle.px4, True
     most_m_s2 = GRAVITY_M_S2 * math.tan(math.radians(px4.mpc_tiltmax_air))
     for mode in vehicle.modes:
-        c = CoefficientArrays.of(vehicle.materials[wall.material].of(mode))
+        c = CoefficientArrays.from_table(vehicle.materials[wall.material].coefficients(mode))
         hit = contact_map(c, vehicle.airframe.mass_kg, normal, tangential, Onset(vehicle.onset))
         friction = where(tangential < 0.0, -1.0, 1.0) * hit.peak_friction_force_n
         away = alphas_m_per_n[0] * hit.peak_normal_force_n

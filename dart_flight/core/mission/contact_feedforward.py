@@ -29,7 +29,7 @@ _MOST_LEAN: Final = 0.3  # tangent of the angle
 _AGAINST_PLAN: Final = 1.3  # factor on a lean into the wall if the plan leans off it
 
 
-def balancing_m_s2(height_m: float | None, out_m: float, planned: Mode | None = None) -> float:
+def balancing_acceleration_m_s2(height_m: float | None, out_m: float, planned: Mode | None = None) -> float:
     """Return the additional acceleration off a wall that reduces the rotation by an impact, m/s2.
 
     A lean into the wall by the guards' height over their distance raises the guards to the level of the

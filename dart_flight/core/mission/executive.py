@@ -44,11 +44,11 @@ from dart_flight.core.mission.contact_feedforward import ContactFeedforward
 from dart_flight.core.mission.course import ARRIVED_S, Arrival
 from dart_flight.core.mission.ground_phases import GroundPhases
 from dart_flight.core.mission.impact_response import ImpactResponse
-from dart_flight.core.mission.legs import collision_now, mission_now, waypoint_now, why_left_out
-from dart_flight.core.mission.lock_orders import LockOrders
+from dart_flight.core.mission.legs import skip_reason, update_collision, update_mission, update_waypoint
+from dart_flight.core.mission.lock_commands import LockCommands
 from dart_flight.core.mission.mission_state import NO_CHANGE, Change, MissionState
 from dart_flight.core.mission.phases import BETWEEN, TRANSITIONS, WATCHING, PhaseTrigger
-from dart_flight.core.mission.position_loop import least_distance_m, meets_plane
+from dart_flight.core.mission.position_loop import least_distance_m, predict_impact
 from dart_flight.core.mission.proposal import Proposal
 from dart_flight.core.mission.recovery import PASSED_AFTER_S, PASSED_RISE_M
 from dart_flight.core.mission.replan_requests import ReplanRequests
@@ -83,7 +83,7 @@ class Executive:
         }
         check_segments_clear(mission)
         self.progress = MissionState(mission, approaches)
-        self._lock, self._arrival = LockOrders(mission.vehicle.lock), Arrival(mission)
+        self._lock, self._arrival = LockCommands(mission.vehicle.lock), Arrival(mission)
         self._ground, self._impacts = GroundPhases(mission), ImpactResponse(mission)
         self._replanning, self._setpoints = ReplanRequests(mission), SetpointSelection(mission)
         self._feedforward = ContactFeedforward(mission.vehicle)
@@ -207,19 +207,19 @@ class Executive:
 
     def _move_lock(self, mode: Mode, state: FlightState, p: Proposal) -> bool:
         """Command the lock if it is elsewhere and may move; return whether it is settled in the mode."""
-        order = self._lock.order(self.progress.lock, mode, state)
+        order = self._lock.command(self.progress.lock, mode, state)
         if order is not None:
-            self.progress.lock = self.progress.lock._replace(ordered=mode, ordered_us=state.now_us)
+            self.progress.lock = self.progress.lock._replace(commanded=mode, commanded_us=state.now_us)
             p.outputs.append(order)
         return state.lock_is_in(mode)
 
-    def overruled(self, now_us: int, reason: str) -> list[Output]:
+    def record_override(self, now_us: int, reason: str) -> list[Output]:
         """Record that the guard has taken over; return the phase change, once."""
         if self.progress.phase in (Phase.DONE, Phase.OVERRULED):
             return []
         return [self._change_phase(PhaseTrigger.OVERRULE, now_us, reason)]
 
-    def ended(self, end: MissionEnd) -> list[Output]:
+    def record_end(self, end: MissionEnd) -> list[Output]:
         """Record that the guard has ended the flight, in the air or on the ground; return the records."""
         if self.progress.phase is Phase.OVERRULED:
             return [self._change_phase(PhaseTrigger.LANDED, end.t_us, end.outcome.value), end]
@@ -250,15 +250,15 @@ class Executive:
         if sensed.wall is not None:
             self._handle_wall_estimate(sensed.wall, state, p)
 
-    def _handle_wall_estimate(self, felt: WallEstimate, state: FlightState, p: Proposal) -> None:
+    def _handle_wall_estimate(self, estimate: WallEstimate, state: FlightState, p: Proposal) -> None:
         progress = self.progress
-        progress.replan = progress.replan._replace(felt=True)
-        hit = next(c.wall for c in self.mission.collisions if c.wall.name == felt.wall)
-        known = progress.walls.wall_now(hit)
-        progress.walls.add_estimate(felt, hit)
-        if progress.anchors is not None and not known.sought and not felt.problem:
-            self._correct_frame(progress.anchors.take(known, felt, state.now_us), state, p)
-        self._apply(self._impacts.on_wall_estimate(felt), state, p)
+        progress.replan = progress.replan._replace(has_wall_estimate=True)
+        hit = next(c.wall for c in self.mission.collisions if c.wall.name == estimate.wall)
+        known = progress.walls.known_wall(hit)
+        progress.walls.add_estimate(estimate, hit)
+        if progress.anchors is not None and not known.sought and not estimate.problem:
+            self._correct_frame(progress.anchors.correct_frame(known, estimate, state.now_us), state, p)
+        self._apply(self._impacts.on_wall_estimate(estimate), state, p)
 
     def _correct_frame(self, anchor: FrameAnchor, state: FlightState, p: Proposal) -> None:
         """Move the mission frame along the normal of the wall that was touched."""
@@ -266,7 +266,7 @@ class Executive:
         assert frame is not None
         self.progress.walls.move_frame(anchor.moved_mission)
         self.progress.course = self.progress.course.move_frame(anchor.moved_mission)
-        p.frame = frame.moved(*anchor.moved_mission)
+        p.frame = frame.displaced(*anchor.moved_mission)
         p.outputs.append(anchor)
 
     # -- on the ground --
@@ -275,7 +275,7 @@ class Executive:
         self._apply(self._ground.ready(self.progress, state), state, p)
 
     def _enter_offboard(self, state: FlightState, sensed: Sensed, p: Proposal) -> None:
-        self._apply(self._ground.take_offboard(self.progress, state), state, p)
+        self._apply(self._ground.enter_offboard(self.progress, state), state, p)
 
     def _arm(self, state: FlightState, sensed: Sensed, p: Proposal) -> None:
         self._apply(self._ground.arm(self.progress, state), state, p)
@@ -296,16 +296,16 @@ class Executive:
         if self._has_arrived(state):
             self._start_next(PhaseTrigger.ARRIVED, state, p)
         elif self.progress.is_late(state):
-            p.add_finding("climb_timeout", "altitude not reached")
+            p.add_finding("climb_timeout", "the altitude was not reached in time")
 
     def _start_next(self, cue: PhaseTrigger, state: FlightState, p: Proposal) -> None:
         """Continue from rest at the target; `cue` is the trigger if a collision is next."""
         self._skip_legs(state, p)
         waypoint = self.progress.waypoint
         if waypoint is not None:
-            waypoint = waypoint_now(waypoint, self.progress.walls)
+            waypoint = update_waypoint(waypoint, self.progress.walls)
         if waypoint is not None and waypoint.position is None:
-            waits = f"waiting for the operator (Enter or SIGUSR1); landing after {waypoint.hold_s:g} s"
+            waits = f"waiting {waypoint.hold_s:g} s for the operator (Enter or SIGUSR1), then landing"
             self._transition(PhaseTrigger.NEXT_PAUSE, state, p, waits)
         elif waypoint is not None and waypoint.position is not None:
             self._transition(PhaseTrigger.NEXT_WAYPOINT, state, p, waypoint.name)
@@ -322,11 +322,11 @@ class Executive:
     def _skip_legs(self, state: FlightState, p: Proposal) -> None:
         """Skip the legs whose condition on a wall is not met."""
         while (leg := self.progress.waypoint or self.progress.collision) is not None:
-            reason = why_left_out(leg, self.progress.walls)
+            reason = skip_reason(leg, self.progress.walls)
             if reason is None:
                 return
             name = leg.name if isinstance(leg, Waypoint) else f"collision {leg.index}"
-            p.outputs.append(ProbeEnd(state.now_us, f"{name} left out: {reason}"))
+            p.outputs.append(ProbeEnd(state.now_us, f"{name} skipped: {reason}"))
             if isinstance(leg, Waypoint):
                 self.progress.stops += 1
             else:
@@ -348,7 +348,7 @@ class Executive:
             self.progress.reached_us = state.now_us
         if self.progress.reached_us is None:
             if self.progress.is_late(state, self.progress.course.duration_s):
-                p.add_finding("transit_timeout", f"{waypoint.name} not reached")
+                p.add_finding("transit_timeout", f"{waypoint.name} was not reached in time")
         elif state.now_us - self.progress.reached_us >= waypoint.hold_s * 1e6:
             self.progress.stops += 1
             self._start_next(PhaseTrigger.NEXT_COLLISION, state, p)
@@ -358,7 +358,7 @@ class Executive:
         assert waypoint is not None
         self._move_lock(self.mission.transit_mode, state, p)
         if self.progress.takes_longer_than(waypoint.hold_s, state):
-            p.add_finding("pause_timeout", f"operator did not resume within {waypoint.hold_s:g} s")
+            p.add_finding("pause_timeout", f"the operator did not resume within {waypoint.hold_s:g} s")
 
     def _on_operator_continue(self, state: FlightState, p: Proposal) -> None:
         """End a pause; outside of a pause the request has no effect."""
@@ -380,12 +380,12 @@ class Executive:
             return
         then_us = state.now_us + _RUN_UP_US
         here = self.progress.course.target[:2]
-        known = collision_now(collision, self.progress.walls, then_us, here)
+        known = update_collision(collision, self.progress.walls, then_us, here)
         self.progress.collisions[self.progress.index] = known
         if collision.probe is not None and not collision.probe.from_here:
             return
         try:
-            mission = mission_now(self.mission, self.progress.walls, then_us, here)
+            mission = update_mission(self.mission, self.progress.walls, then_us, here)
             self.progress.approaches[collision.index] = plan_approach(mission, known)
         except NoApproachError as error:
             p.add_finding("no_approach", str(error))
@@ -394,7 +394,7 @@ class Executive:
         if self._has_arrived(state):
             self._leave_run_up_point(state, p)
         elif self.progress.is_late(state, self.progress.course.duration_s):
-            p.add_finding("transit_timeout", "run-up point not reached")
+            p.add_finding("transit_timeout", "the run-up point was not reached in time")
 
     def _leave_run_up_point(self, state: FlightState, p: Proposal) -> None:
         """Continue at the run-up point: with the lock first, if there is one."""
@@ -427,7 +427,7 @@ class Executive:
             self._begin_approach(collision)
         elif lock is not None and self.progress.takes_longer_than(lock.timeout_s + 2.0, state):
             p.add_finding(
-                "lock_not_ready", f"lock not {collision.mode.value} before collision {collision.index}"
+                "lock_not_ready", f"the lock is not {collision.mode.value} before collision {collision.index}"
             )
 
     def _begin_approach(self, collision: Collision) -> None:
@@ -438,7 +438,7 @@ class Executive:
         collision = self.progress.collision
         assert collision is not None
         if not state.lock_is_in(collision.mode):
-            p.add_finding("lock_not_settled", f"lock left {collision.mode.value} during the approach")
+            p.add_finding("lock_not_settled", f"the lock left {collision.mode.value} during the approach")
         if collision.probe is not None:
             if self.progress.takes_longer_than(self.progress.course.duration_s + _NOTHING_MET_S, state):
                 self._end_probe(collision, state, p)
@@ -452,14 +452,14 @@ class Executive:
         guard, impact = self.mission.vehicle.guard, collision.impact_point
         assert collision.approach_m_s is not None
         assert impact is not None
-        wall = self.progress.walls.wall_now(collision.wall, state.now_us)
+        wall = self.progress.walls.known_wall(collision.wall, state.now_us)
         if since_s > late_s(guard, wall, impact, -collision.approach_m_s[0]):
-            detail = f"wall {collision.wall.name} not met {since_s:.1f} s after the planned impact"
+            detail = f"no contact with wall {collision.wall.name} {since_s:.1f} s after the planned impact"
             p.add_finding("wall_not_met", detail)
 
     def _end_probe(self, collision: Collision, state: FlightState, p: Proposal) -> None:
         """End a probe without a contact."""
-        p.outputs.append(ProbeEnd(state.now_us, f"nothing met on the probe for wall {collision.wall.name}"))
+        p.outputs.append(ProbeEnd(state.now_us, f"no contact on the probe for wall {collision.wall.name}"))
         self.progress.course = self.progress.course.hold(state.position)
         self.progress.lock = self.progress.lock.contact_ends(state.now_us)
         self._transition(PhaseTrigger.NOT_MET, state, p)
@@ -468,21 +468,21 @@ class Executive:
     def _check_contact_due(
         self, collision: Collision, state: FlightState, sensed: Sensed, p: Proposal
     ) -> None:
-        wall, (x, y, _) = self.progress.walls.wall_now(collision.wall, state.now_us), state.position
+        wall, (x, y, _) = self.progress.walls.known_wall(collision.wall, state.now_us), state.position
         overrun = -wall.signed_distance((x, y))
         if overrun <= 0.0:
             return
         guard = self.mission.vehicle.guard
         if overrun > overrun_m(guard, wall, (x, y)) and not sensed.in_contact:
             p.add_finding(
-                "wall_not_met", f"flew {overrun:.2f} m past wall {collision.wall.name} without contact"
+                "wall_not_met", f"no contact {overrun:.2f} m behind the plane of wall {collision.wall.name}"
             )
 
     # -- impact --
 
     def _contact(self, state: FlightState, sensed: Sensed, p: Proposal) -> None:
         if self.progress.takes_longer_than(2 * self.mission.vehicle.detection.peak_wait_s, state):
-            p.add_finding("no_peak", "contact without a peak")
+            p.add_finding("no_peak", "the contact force has no peak")
 
     # -- recovery and goal --
 
@@ -510,9 +510,10 @@ class Executive:
             if self.progress.replan.impact_in_s(state) < _NEAR_S:
                 self._check_contact_due(following, state, sensed, p)
             self._check_lock_in_time(following, state, sensed, p)
-            wall = self.progress.walls.wall_now(following.wall, state.now_us)
+            wall = self.progress.walls.known_wall(following.wall, state.now_us)
             if timed_out or self._replanning.is_late(self.progress.replan, wall, state):
-                p.add_finding("wall_not_met", f"wall {following.wall.name} not reached by the recovery")
+                detail = f"the recovery did not reach wall {following.wall.name} in time"
+                p.add_finding("wall_not_met", detail)
 
     def _mode_after(self, following: Collision | None, stops: bool) -> Mode:
         """Return the mode of the lock after a contact: the transit mode before waypoints and the goal."""
@@ -533,15 +534,15 @@ class Executive:
         if least_distance_m(distance, closing, pushing, distance, px4) >= STOP_MARGIN_M:
             return
         aim = following.wall.signed_distance(self.progress.course.target)
-        met = self.progress.replan.meets_plane(closing, state) or meets_plane(
+        met = self.progress.replan.predict_impact(closing, state) or predict_impact(
             distance, closing, pushing, aim, px4
         )
         ready_us = self._lock.ready_us(self.progress.lock, following.mode, state)
         ready_s = math.inf if ready_us is None else (ready_us - state.now_us) * 1e-6
         if met is None or not may_commit(self.mission, following, met, ready_s, state):
             detail = (
-                f"lock {state.lock.phase.value}, not {following.mode.value}, {distance:.2f} m before wall "
-                f"{following.wall.name} at {closing:.2f} m/s"
+                f"the lock is {state.lock.phase.value}, not {following.mode.value}, {distance:.2f} m before "
+                f"wall {following.wall.name} at {closing:.2f} m/s"
             )
             p.add_finding("lock_late", detail)
 
@@ -597,7 +598,7 @@ class Executive:
                 self.progress.course.duration_s + goal.hold_s + self.mission.limits.collision_timeout_s
             )
             if self.progress.takes_longer_than(allowed_s, state):
-                p.add_finding("goal_not_reached", f"still {distance:.2f} m from the goal")
+                p.add_finding("goal_not_reached", f"the vehicle is still {distance:.2f} m from the goal")
         elif self.progress.captured_us is None:
             self.progress.captured_us = state.now_us
         elif state.now_us - self.progress.captured_us >= goal.hold_s * 1e6:

@@ -22,7 +22,7 @@ class GroundPhases:
 
     def __init__(self, mission: Mission) -> None:
         self._mission = mission
-        self._lock_name = f"lock {mission.transit_mode.value}"
+        self._lock_name = f"the lock is not {mission.transit_mode.value}"
 
     def ready(self, progress: MissionState, state: FlightState) -> Change:
         """Wait for telemetry, the lock and a sufficiently accurate position."""
@@ -32,12 +32,12 @@ class GroundPhases:
         )  # without a report the accuracy is not checked
         judged = self._mission.collisions and progress.anchors is None
         limit = self._mission.vehicle.guard.position_sd_m if judged else math.inf
-        sure = f"position to {limit:.2f} m (its standard deviation by PX4 is {sd:.2f} m)"
+        sure = f"standard deviation of the position {sd:.2f} m, limit {limit:.2f} m"
         there = {
-            "imu": state.imu is not None,
-            "attitude": state.attitude is not None,
-            "odometry": state.odometry is not None,
-            "local position": state.status.local_position_ok,
+            "no IMU samples": state.imu is not None,
+            "no attitude": state.attitude is not None,
+            "no odometry": state.odometry is not None,
+            "no local position": state.status.local_position_ok,
             sure: sd <= limit,
             self._lock_name: state.lock_is_in(mode),
         }
@@ -48,7 +48,7 @@ class GroundPhases:
             missing = [name for name, yes in there.items() if not yes]
             # PX4 gives no reasons for the lock or for its uncertainty.
             why = "" if {*missing} <= {self._lock_name, sure} else state.reasons()
-            finding = MissionFinding("not_ready", "no " + ", no ".join(missing) + why)
+            finding = MissionFinding("not_ready", ", ".join(missing) + why)
         return Change(mode=mode, finding=finding)
 
     def _lay_frame(self, progress: MissionState, state: FlightState) -> Change:
@@ -63,14 +63,14 @@ class GroundPhases:
         heading = progress.heading._replace(yaw=yaw, yaw_us=state.now_us)
         return Change(course=course, heading=heading, frame=frame, stood_at_ned=stood_at_ned)
 
-    def take_offboard(self, progress: MissionState, state: FlightState) -> Change:
+    def enter_offboard(self, progress: MissionState, state: FlightState) -> Change:
         """Request offboard mode once setpoints are streaming."""
         if state.in_offboard:
             return Change(PhaseTrigger.CONFIRMED)
         action = VehicleAction.OFFBOARD if progress.elapsed_us(state) > _STREAMING_US else None
         finding = None
         if progress.is_late(state):
-            detail = "PX4 refused offboard" + state.reasons("offboard")
+            detail = "PX4 refused offboard mode" + state.reasons("offboard")
             finding = MissionFinding("offboard_refused", detail)
         return Change(action=action, finding=finding)
 
@@ -87,7 +87,7 @@ class GroundPhases:
         if moved_m > ESTIMATE_MOVED_M:
             change = self._lay_frame(progress, state)
             course = change.course or course
-            reason = f"confirmed by telemetry; the position moved by {moved_m:.2f} m on the ground"
+            reason = f"confirmed by telemetry; the position estimate moved by {moved_m:.2f} m on the ground"
         climb = course.climb(self._mission.vehicle.flying)
         return change._replace(cue=PhaseTrigger.CONFIRMED, reason=reason, course=climb)
 

@@ -71,10 +71,10 @@ class ImpactResponse:
         if collision is None or not self._is_due(progress, collision) or not event.planned:
             text = f"unplanned {_describe(event, progress)}"
             return change._replace(finding=MissionFinding("unplanned_hit", text))
-        wall, (x, y, _) = progress.walls.wall_now(collision.wall, state.now_us), event.position_mission
+        wall, (x, y, _) = progress.walls.known_wall(collision.wall, state.now_us), event.position_mission
         distance = wall.signed_distance((x, y))
         if collision.probe is None and distance > early_m(self._mission.vehicle.guard, wall, (x, y)):
-            text = f"{distance:.2f} m before wall {collision.wall.name}"
+            text = f"contact {distance:.2f} m before wall {collision.wall.name}"
             return change._replace(finding=MissionFinding("wall_met_early", text))
         if not state.lock_is_in(collision.mode):
             text = f"contact with wall {collision.wall.name} while the lock is not {collision.mode.value}"
@@ -85,14 +85,14 @@ class ImpactResponse:
         """Return whether a contact here would be a bounce: at the last wall, soon after its impact."""
         if progress.phase is not Phase.RECOVERY or progress.elapsed_us(state) > _BOUNCES_US:
             return False
-        wall = progress.walls.wall_now(progress.last_collision.wall, state.now_us)
+        wall = progress.walls.known_wall(progress.last_collision.wall, state.now_us)
         distance_m = abs(wall.signed_distance(place))
         if distance_m > early_m(self._mission.vehicle.guard, wall, place):
             return False
         following = progress.collision
         if following is None or not _is_expected(progress, following):
             return True
-        ahead = progress.walls.wall_now(following.wall, state.now_us)
+        ahead = progress.walls.known_wall(following.wall, state.now_us)
         return ahead.name != wall.name and distance_m < abs(ahead.signed_distance(place))
 
     def _on_bounce(self, event: ImpactOnset, progress: MissionState, state: FlightState) -> Change:
@@ -100,10 +100,10 @@ class ImpactResponse:
         course = None
         if progress.replan.trajectory is not None:
             hit = progress.last_collision.wall
-            (nx, ny), (x, y, _) = progress.walls.wall_now(hit, state.now_us).normal, state.position
+            (nx, ny), (x, y, _) = progress.walls.known_wall(hit, state.now_us).normal, state.position
             away_m = self._mission.vehicle.guard.retreat_m
             course = progress.course.hold((x + away_m * nx, y + away_m * ny))
-        finding = MissionFinding("unplanned_hit", f"bounce, {_describe(event, progress)}", note_only=True)
+        finding = MissionFinding("unplanned_hit", f"bounce: {_describe(event, progress)}", note_only=True)
         return Change(finding=finding, course=course, replan=progress.replan.contact_begins())
 
     def on_detection_floor(self, event: DetectionFloor, progress: MissionState) -> Change:
@@ -116,7 +116,7 @@ class ImpactResponse:
         if hit is None or floor is None or hit.peak_normal_force_n >= floor:
             return NO_CHANGE
         what = f"{collision.mode.value}, {hit.peak_normal_force_n:.0f} N at wall {collision.wall.name}"
-        text = f"{what}: below the detection limit at this vibration level ({floor:.0f} N)"
+        text = f"{what}, below the detection limit of {floor:.0f} N at this vibration level"
         return Change(finding=MissionFinding("hit_in_noise", text))
 
     def on_peak(
@@ -150,18 +150,20 @@ class ImpactResponse:
         setpoint = make_setpoint(state.frame, trigger, Reference(course.target), heading, added=added)
         force, finding = math.hypot(event.normal_force_n, event.tangential_force_n), None
         if force > self._mission.limits.peak_force_n:
-            finding = MissionFinding("peak_force", f"{force:.0f} N at wall {collision.wall.name}")
+            limit_n = self._mission.limits.peak_force_n
+            detail = f"{force:.0f} N at wall {collision.wall.name}, limit {limit_n:g} N"
+            finding = MissionFinding("peak_force", detail)
         return Change(PhaseTrigger.PEAK, outputs=(setpoint,), finding=finding, course=course)
 
     # -- lock state indicated by a contact --
 
-    def on_wall_estimate(self, felt: WallEstimate) -> Change:
+    def on_wall_estimate(self, estimate: WallEstimate) -> Change:
         """Report a contact that indicates another mode than the lock reports."""
-        if felt.mode_felt is None or felt.mode_reported in (None, felt.mode_felt):
+        if estimate.mode_felt is None or estimate.mode_reported in (None, estimate.mode_felt):
             return NO_CHANGE
         detail = (
-            f"contact at wall {felt.wall} indicates {felt.mode_felt.value} arms, the lock reports "
-            f"{felt.mode_reported.value} (log odds {abs(felt.log_odds):.1f})"
+            f"contact with wall {estimate.wall} indicates {estimate.mode_felt.value} arms, the lock reports "
+            f"{estimate.mode_reported.value} (log odds {abs(estimate.log_odds):.1f})"
         )
         noted = self._mission.mode_mismatch is ModeMismatch.NOTE_ONLY
         return Change(finding=MissionFinding("mode_felt", detail, noted))

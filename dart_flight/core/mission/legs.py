@@ -6,27 +6,27 @@ import msgspec
 
 from dart_flight.base.geometry import Vec2
 from dart_flight.config.mission import Collision, Mission, Waypoint
-from dart_flight.config.probes import place_at
+from dart_flight.config.probes import resolve_place
 from dart_flight.core.mission.wall_uncertainty import EstimatedWalls
 
 
-def why_left_out(leg: Collision | Waypoint, walls: EstimatedWalls) -> str | None:
+def skip_reason(leg: Collision | Waypoint, walls: EstimatedWalls) -> str | None:
     """Return the reason why a leg is skipped, or None: its condition fails, or its wall was not found."""
-    if leg.if_met is not None and not walls.is_met(leg.if_met):
-        return f"wall {leg.if_met} was not met"
-    if leg.if_not_met is not None and walls.is_met(leg.if_not_met):
-        return f"wall {leg.if_not_met} was met"
+    if leg.if_met is not None and not walls.is_measured(leg.if_met):
+        return f"no contact with wall {leg.if_met}"
+    if leg.if_not_met is not None and walls.is_measured(leg.if_not_met):
+        return f"contact with wall {leg.if_not_met}"
     if isinstance(leg, Waypoint):
         at = leg.wall_at
         name = at.name if at is not None and at.sought else None
     else:
         name = leg.wall.name if leg.wall.sought and leg.probe is None else None
-    if name is not None and not walls.is_met(name):
-        return f"wall {name} was not met"
+    if name is not None and not walls.is_measured(name):
+        return f"no contact with wall {name}"
     return None
 
 
-def collision_now(collision: Collision, walls: EstimatedWalls, now_us: int, here: Vec2) -> Collision:
+def update_collision(collision: Collision, walls: EstimatedWalls, now_us: int, here: Vec2) -> Collision:
     """Return a collision at its wall's estimated position; the impact point keeps its place along the wall.
 
     Args:
@@ -35,7 +35,7 @@ def collision_now(collision: Collision, walls: EstimatedWalls, now_us: int, here
         now_us: autopilot time.
         here: resting position, mission frame, m: the start of a probe with `from_here`.
     """
-    wall, probe = walls.wall_now(collision.wall, now_us), collision.probe
+    wall, probe = walls.known_wall(collision.wall, now_us), collision.probe
     if probe is not None and probe.from_here:
         collision = msgspec.structs.replace(collision, probe=probe.starting_at(here))
     if collision.impact_point is None or wall == collision.wall:
@@ -45,15 +45,15 @@ def collision_now(collision: Collision, walls: EstimatedWalls, now_us: int, here
     return msgspec.structs.replace(collision, wall=wall, impact_point=(x + along * tx, y + along * ty))
 
 
-def waypoint_now(waypoint: Waypoint, walls: EstimatedWalls) -> Waypoint:
+def update_waypoint(waypoint: Waypoint, walls: EstimatedWalls) -> Waypoint:
     """Return a waypoint with its place computed from the wall's estimated position."""
     if waypoint.at_wall is None or waypoint.wall_at is None or waypoint.position is None:
         return waypoint
-    place = place_at(walls.wall_now(waypoint.wall_at), waypoint.at_wall)
+    place = resolve_place(walls.known_wall(waypoint.wall_at), waypoint.at_wall)
     return msgspec.structs.replace(waypoint, position=(*place, waypoint.position[2]))
 
 
-def mission_now(mission: Mission, walls: EstimatedWalls, now_us: int, here: Vec2) -> Mission:
+def update_mission(mission: Mission, walls: EstimatedWalls, now_us: int, here: Vec2) -> Mission:
     """Return a mission with estimated walls and waypoints, and with its start at the resting position.
 
     Waypoints that are skipped are omitted.
@@ -61,6 +61,8 @@ def mission_now(mission: Mission, walls: EstimatedWalls, now_us: int, here: Vec2
     return msgspec.structs.replace(
         mission,
         start=here,
-        walls=walls.walls_now(mission.walls, now_us),
-        waypoints=tuple(waypoint_now(w, walls) for w in mission.waypoints if why_left_out(w, walls) is None),
+        walls=walls.known_walls(mission.walls, now_us),
+        waypoints=tuple(
+            update_waypoint(w, walls) for w in mission.waypoints if skip_reason(w, walls) is None
+        ),
     )

@@ -10,7 +10,7 @@ from dart_flight.config.mission import Collision, Mission, Waypoint
 from dart_flight.core.mission.anchors import FrameAnchors
 from dart_flight.core.mission.course import Course
 from dart_flight.core.mission.heading import Heading
-from dart_flight.core.mission.lock_orders import LockMemory
+from dart_flight.core.mission.lock_commands import LockCommandState
 from dart_flight.core.mission.phases import PhaseTrigger
 from dart_flight.core.mission.proposal import MissionFinding
 from dart_flight.core.mission.replan import Replan
@@ -63,7 +63,7 @@ class MissionState:
         self.approaches = approaches
         self.course = Course((0.0, 0.0, 0.0), mission.altitude_m)
         self.heading = Heading()
-        self.lock = LockMemory()
+        self.lock = LockCommandState()
         self.replan = Replan()
         drift_m_s = mission.vehicle.estimation.position_drift_m_s
         self.anchors = FrameAnchors(drift_m_s) if mission.is_anchored else None

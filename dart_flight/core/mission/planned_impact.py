@@ -25,5 +25,5 @@ def expected_hit(mission: Mission, collision: Collision) -> contact_map.WallHit[
     if velocity is None or velocity[0] >= 0.0:
         return None
     vehicle = mission.vehicle
-    coefficients = vehicle.materials[collision.wall.material].of(collision.mode)
+    coefficients = vehicle.materials[collision.wall.material].coefficients(collision.mode)
     return contact_map.collide(coefficients, vehicle.airframe.mass_kg, *velocity, Onset(vehicle.onset))

@@ -62,14 +62,14 @@ class PositionLoop(NamedTuple):
     tau: float
 
     @classmethod
-    def of(cls, px4: Px4Parameters) -> PositionLoop:
+    def from_px4(cls, px4: Px4Parameters) -> PositionLoop:
         """Return the loop of a vehicle with these parameters."""
         return cls(
             px4.mpc_xy_p, px4.mpc_xy_vel_p_acc, px4.mpc_xy_vel_i_acc, px4.mpc_xy_vel_d_acc, ATTITUDE_LAG_S
         )
 
 
-class PlaneMet(NamedTuple):
+class PlaneImpact(NamedTuple):
     """Time, from now, and velocity of a predicted impact with a plane.
 
     Attributes:
@@ -81,14 +81,14 @@ class PlaneMet(NamedTuple):
     normal_m_s: float
 
 
-def meets_plane(
+def predict_impact(
     distance_m: float,
     closing_speed_m_s: float,
     closing_acceleration_m_s2: float,
     target_distance_m: float,
     px4: Px4Parameters,
     horizon_s: float = 2.0,
-) -> PlaneMet | None:
+) -> PlaneImpact | None:
     """Predict when the vehicle meets a plane on its way to a setpoint; return None if not within the horizon.
 
     Args: as in `least_distance_m`.
@@ -101,7 +101,7 @@ def meets_plane(
     ):
         if x <= 0.0:
             share = before / (before - x) if before > x else 1.0
-            return PlaneMet((n - 1 + share) * h, v)
+            return PlaneImpact((n - 1 + share) * h, v)
         before = x
     return None
 

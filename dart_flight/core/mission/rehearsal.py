@@ -30,7 +30,7 @@ class Rehearsal(Executive):
             self._transition(PhaseTrigger.STOOD_OFF, state, p)
             self._stand_off(state)
         elif self.progress.is_late(state):
-            p.add_finding("transit_timeout", "standoff point not reached")
+            p.add_finding("transit_timeout", "the standoff point was not reached in time")
 
     def _stand_off(self, state: FlightState) -> None:
         """Advance to the next collision or the goal, at rest before the wall."""
@@ -60,4 +60,4 @@ class Rehearsal(Executive):
         elif self._has_arrived(state):
             self._stand_off(state)
         if self.progress.is_late(state):
-            p.add_finding("transit_timeout", "standoff point not reached")
+            p.add_finding("transit_timeout", "the standoff point was not reached in time")

@@ -6,7 +6,7 @@ import math
 from typing import NamedTuple
 
 from dart_flight.base.records import PlanAnswer, PlanRequest
-from dart_flight.core.mission.position_loop import PlaneMet
+from dart_flight.core.mission.position_loop import PlaneImpact
 from dart_flight.core.mission.trajectories import Trajectory
 from dart_flight.core.sense.state import FlightState
 
@@ -16,31 +16,36 @@ class Replan(NamedTuple):
 
     Attributes:
         number, tries: number of all requests, and of those since the last contact.
-        felt: whether the last contact has produced an estimate of its wall.
-        asked: the request that an answer must match.
+        has_wall_estimate: whether the last contact has produced an estimate of its wall.
+        request: the request that an answer must match.
         answer: accepted, but not flown yet.
         from_rest: whether the request was for an approach from rest.
         trajectory, begin_us: the active trajectory and its beginning.
-        leaned: whether the trajectory ends with the lean that its wall needs, as the mission's own does.
-        quickest: whether a new trajectory must not end much later than the active one.
+        ends_leaning: whether the trajectory ends with the lean that its wall needs, as the mission's does.
+        must_not_be_later: whether a new trajectory must not end much later than the active one.
         impact_us: time at which the trajectory meets the next wall.
     """
 
     number: int = 0
     tries: int = 0
-    felt: bool = False
-    asked: PlanRequest | None = None
+    has_wall_estimate: bool = False
+    request: PlanRequest | None = None
     answer: PlanAnswer | None = None
     from_rest: bool = False
     trajectory: Trajectory | None = None
     begin_us: int = 0
-    leaned: bool = False
-    quickest: bool = True
+    ends_leaning: bool = False
+    must_not_be_later: bool = True
     impact_us: int | None = None
 
     def contact_begins(self) -> Replan:
         """Return the state after an onset: earlier requests and plans are discarded."""
-        return Replan(self.number, from_rest=self.from_rest, begin_us=self.begin_us, quickest=self.quickest)
+        return Replan(
+            self.number,
+            from_rest=self.from_rest,
+            begin_us=self.begin_us,
+            must_not_be_later=self.must_not_be_later,
+        )
 
     @property
     def since_us(self) -> int | None:
@@ -50,7 +55,7 @@ class Replan(NamedTuple):
     @property
     def is_leaned(self) -> bool:
         """Whether the active trajectory ends with the lean that its wall needs."""
-        return self.trajectory is not None and self.leaned
+        return self.trajectory is not None and self.ends_leaning
 
     def is_over(self, now_us: int) -> bool:
         """Return whether the trajectory has been flown to its end."""
@@ -60,8 +65,8 @@ class Replan(NamedTuple):
         """Return the time until the trajectory meets the next wall, or minus infinity without one."""
         return -math.inf if self.impact_us is None else (self.impact_us - state.now_us) * 1e-6
 
-    def meets_plane(self, closing_m_s: float, state: FlightState) -> PlaneMet | None:
+    def predict_impact(self, closing_m_s: float, state: FlightState) -> PlaneImpact | None:
         """Return the trajectory's predicted impact with the next wall, or None if a setpoint is flown."""
         if self.impact_us is None:
             return None
-        return PlaneMet(max(0.0, (self.impact_us - state.now_us) * 1e-6), -closing_m_s)
+        return PlaneImpact(max(0.0, (self.impact_us - state.now_us) * 1e-6), -closing_m_s)

@@ -16,7 +16,7 @@ from dart_flight.base.records import AfterImpact, PlanAnswer, PlanRequest, PlanT
 from dart_flight.base.walls import Wall
 from dart_flight.config.mission import Mission
 from dart_flight.core.mission.approach import NoApproachError, plan_approach
-from dart_flight.core.mission.lock_orders import LockOrders
+from dart_flight.core.mission.lock_commands import LockCommands
 from dart_flight.core.mission.mission_state import NO_CHANGE, Change, MissionState
 from dart_flight.core.mission.replan import Replan
 from dart_flight.core.mission.trajectories import Trajectory
@@ -38,7 +38,7 @@ class ReplanRequests:
 
     def __init__(self, mission: Mission) -> None:
         self._mission = mission
-        self._lock = LockOrders(mission.vehicle.lock)
+        self._lock = LockCommands(mission.vehicle.lock)
         self._enabled = mission.after_impact is AfterImpact.REPLAN
         self._within_us = round(mission.vehicle.flying.replan_within_s * 1e6)
 
@@ -61,7 +61,7 @@ class ReplanRequests:
         """
         replan = progress.replan
         again = self._should_repeat(replan, state.now_us)
-        if not self._enabled or not (replan.asked is None or again):
+        if not self._enabled or not (replan.request is None or again):
             return NO_CHANGE
         if (
             sensed.estimate is None
@@ -93,7 +93,11 @@ class ReplanRequests:
         )
         from_rest = following is not None and following.approach_m_s is not None
         replan = replan._replace(
-            number=asked.number, tries=replan.tries + 1, asked=asked, from_rest=from_rest, quickest=not turned
+            number=asked.number,
+            tries=replan.tries + 1,
+            request=asked,
+            from_rest=from_rest,
+            must_not_be_later=not turned,
         )
         return Change(outputs=(asked,), replan=replan)
 
@@ -106,7 +110,11 @@ class ReplanRequests:
         following = progress.collision
         returns = following is not None and following.wall.name == progress.last_collision.wall.name
         since_us = state.now_us - (progress.lock.contact_end_us or 0)
-        return (returns or self._mission.is_anchored) and not replan.felt and since_us < _FELT_WITHIN_US
+        return (
+            (returns or self._mission.is_anchored)
+            and not replan.has_wall_estimate
+            and since_us < _FELT_WITHIN_US
+        )
 
     def _should_repeat(self, replan: Replan, now_us: int) -> bool:
         """Return whether to repeat the request.
@@ -114,7 +122,7 @@ class ReplanRequests:
         The mission's own trajectory must have been flown for a while and not be nearly over. The request is
         also repeated if the trajectory was not flown because the vehicle was not at its beginning.
         """
-        trajectory, asked = replan.trajectory, replan.asked
+        trajectory, asked = replan.trajectory, replan.request
         if asked is None or self._mission.goal_trajectory is None or now_us - asked.t_us < _AGAIN_US:
             return False
         if trajectory is None:
@@ -165,7 +173,7 @@ class ReplanRequests:
             answer=None,
             trajectory=trajectory,
             begin_us=answer.begin_us,
-            leaned=bool(answer.pieces_s),
+            ends_leaning=bool(answer.pieces_s),
             impact_us=impact_us,
         )
         return Change(outputs=(taken,), replan=replan, course=progress.course.follow(trajectory))
@@ -181,15 +189,15 @@ class ReplanRequests:
 
 def _refusal(replan: Replan, answer: PlanAnswer, now_us: int) -> str | None:
     """Return the reason to reject an answer, or None."""
-    asked = replan.asked
+    asked = replan.request
     if asked is None or answer.number != asked.number:
-        return "planned for an outdated state"
+        return "the plan is for an outdated state"
     if answer.problem:
         return answer.problem
     if now_us > asked.begin_us:
-        return f"{(now_us - asked.begin_us) * 1e-3:.0f} ms too late"
+        return f"the plan is {(now_us - asked.begin_us) * 1e-3:.0f} ms late"
     if not _is_consistent(answer, asked, replan.from_rest):
-        return "answer does not match the request"
+        return "the plan does not match the request"
     return None
 
 
@@ -218,13 +226,13 @@ def _rejection(replan: Replan, trajectory: Trajectory, answer: PlanAnswer, state
     beside_m_s = math.dist(at.velocity[:2], state.velocity[:2])
     if beside_m <= _BESIDE_M and beside_m_s <= _BESIDE_M_S:
         return ""
-    return f"vehicle is {beside_m:.2f} m and {beside_m_s:.2f} m/s off the start of the trajectory"
+    return f"the vehicle is {beside_m:.2f} m and {beside_m_s:.2f} m/s off the start of the trajectory"
 
 
 def _active_is_faster(replan: Replan, trajectory: Trajectory, answer: PlanAnswer, state: FlightState) -> bool:
     """Return whether the vehicle holds an active trajectory that ends well before another one."""
     flown = replan.trajectory
-    if flown is None or not replan.quickest:
+    if flown is None or not replan.must_not_be_later:
         return False
     since_s = (state.now_us - replan.begin_us) * 1e-6
     off_m = math.dist(flown.at(since_s).position[:2], state.position[:2])

@@ -9,7 +9,7 @@ from dart_flight.base.geometry import MissionFrame, Vec2, Vec3, add, rotate, sca
 from dart_flight.base.records import AfterImpact, OdometrySample, Phase, Setpoint
 from dart_flight.base.walls import Wall
 from dart_flight.config.mission import Mission
-from dart_flight.core.mission.contact_feedforward import LONGEST_S, balancing_m_s2
+from dart_flight.core.mission.contact_feedforward import LONGEST_S, balancing_acceleration_m_s2
 from dart_flight.core.mission.heading import Heading, HeadingControl
 from dart_flight.core.mission.mission_state import MissionState
 from dart_flight.core.mission.phases import TO_IMPACT
@@ -62,7 +62,7 @@ class SetpointSelection:
         if collision is None or not (led_back or phase in TO_IMPACT):
             return heading.before if led_back else heading.yaw
         near = heading.before if led_back else state.yaw
-        turned = 0.0 if self._control is None else progress.walls.turned(collision.wall)
+        turned = 0.0 if self._control is None else progress.walls.rotation(collision.wall)
         return wrap_angle(collision.wall.parallel_yaw(near - turned) + turned)
 
     def square_us(self, progress: MissionState, state: FlightState) -> int:
@@ -183,7 +183,9 @@ class SetpointSelection:
         assert collision is not None
         leaned = progress.phase is Phase.RECOVERY and progress.replan.is_leaned
         out_m = self._airframe.contact_distance_m
-        return 0.0 if leaned else balancing_m_s2(progress.contact_height_m, out_m, collision.mode)
+        if leaned:
+            return 0.0
+        return balancing_acceleration_m_s2(progress.contact_height_m, out_m, collision.mode)
 
     def _timing_correction_m_s2(self, progress: MissionState, since_s: float, free: FreeAxes) -> float:
         """Return the thrust across a wall at the vehicle's own time to impact, minus the present thrust.

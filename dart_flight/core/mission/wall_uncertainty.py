@@ -11,7 +11,7 @@ from collections.abc import Iterable
 
 import msgspec
 
-from dart_flight.base.geometry import Vec2, Vec3, turn_between
+from dart_flight.base.geometry import Vec2, Vec3, angle_between
 from dart_flight.base.records import WallEstimate
 from dart_flight.base.walls import Wall
 from dart_flight.config.vehicle.flying import GuardThresholds
@@ -68,32 +68,32 @@ class EstimatedWalls:
         self._found: dict[str, Wall] = {}
         self._turned: dict[str, float] = {}
 
-    def add_estimate(self, felt: WallEstimate, wall: Wall) -> None:
+    def add_estimate(self, estimate: WallEstimate, wall: Wall) -> None:
         """Add the estimate of a wall's plane from a contact; `wall` is as in the mission."""
-        self._found[wall.name] = _updated_wall(self._found.get(wall.name, wall), wall, felt)
-        sure = (felt.plane_normal_sigma_rad or math.inf) < _SURE_DIRECTION_RAD
-        if felt.plane_normal_mission is not None and sure:
-            self._turned[wall.name] = turn_between(wall.normal, felt.plane_normal_mission)
+        self._found[wall.name] = _updated_wall(self._found.get(wall.name, wall), wall, estimate)
+        sure = (estimate.plane_normal_sigma_rad or math.inf) < _SURE_DIRECTION_RAD
+        if estimate.plane_normal_mission is not None and sure:
+            self._turned[wall.name] = angle_between(wall.normal, estimate.plane_normal_mission)
 
-    def turned(self, wall: Wall) -> float:
+    def rotation(self, wall: Wall) -> float:
         """Return the estimated rotation of a wall against the mission, rad; positive: to the left."""
         return self._turned.get(wall.name, 0.0)
 
-    def is_met(self, name: str) -> bool:
+    def is_measured(self, name: str) -> bool:
         """Return whether a contact has measured the wall."""
         return name in self._found
 
     def move_frame(self, by: Vec2) -> None:
         """Keep the measured walls in place when the mission frame's origin moves, in its axes."""
         for name, wall in self._found.items():
-            self._found[name] = wall.moved(-(by[0] * wall.normal[0] + by[1] * wall.normal[1]))
+            self._found[name] = wall.displaced(-(by[0] * wall.normal[0] + by[1] * wall.normal[1]))
 
-    def walls_now(self, walls: Iterable[Wall], now_us: int) -> tuple[Wall, ...]:
+    def known_walls(self, walls: Iterable[Wall], now_us: int) -> tuple[Wall, ...]:
         """Return the mission's walls and those found by probes, in their estimated positions."""
         known = {wall.name: wall for wall in walls}
-        return tuple(self.wall_now(wall, now_us) for wall in (known | self._found).values())
+        return tuple(self.known_wall(wall, now_us) for wall in (known | self._found).values())
 
-    def wall_now(self, wall: Wall, now_us: int | None = None) -> Wall:
+    def known_wall(self, wall: Wall, now_us: int | None = None) -> Wall:
         """Return a wall as its last contact measured it, or as in the mission before a contact.
 
         Args:
@@ -107,16 +107,20 @@ class EstimatedWalls:
         return msgspec.structs.replace(wall, position_sd_m=sd_m)
 
 
-def _updated_wall(before: Wall, written: Wall, felt: WallEstimate) -> Wall:
+def _updated_wall(before: Wall, written: Wall, estimate: WallEstimate) -> Wall:
     """Return a wall updated from its previous estimate, the mission and a contact."""
-    sure_m, place, normal = felt.plane_offset_sigma_m, felt.plane_point_mission, felt.plane_normal_mission
+    sure_m, place, normal = (
+        estimate.plane_offset_sigma_m,
+        estimate.plane_point_mission,
+        estimate.plane_normal_mission,
+    )
     figures = written.position_sd_m is not None or written.yaw_sd_rad is not None
     if place is None or normal is None:  # relative to the assumed position
         sd_m = None if written.position_sd_m is None else min(written.position_sd_m, sure_m)
-        return msgspec.structs.replace(before.moved(felt.plane_offset_m), position_sd_m=sd_m)
+        return msgspec.structs.replace(before.displaced(estimate.plane_offset_m), position_sd_m=sd_m)
     if not (figures or written.sought):  # relative to the mission's plane, whose direction is assumed exact
-        return written.moved(written.signed_distance(place))
-    sure_rad = felt.plane_normal_sigma_rad
+        return written.displaced(written.signed_distance(place))
+    sure_rad = estimate.plane_normal_sigma_rad
     if written.yaw_sd_rad is None:  # direction assumed exact
         normal, sure_rad = written.normal, None
     found = msgspec.structs.replace(before, normal=normal, sought=False)
@@ -126,6 +130,6 @@ def _updated_wall(before: Wall, written: Wall, felt: WallEstimate) -> Wall:
         along, (tx, ty) = before.along(place), found.tangent
         middle = (place[0] - along * tx, place[1] - along * ty)
         sure_m = math.hypot(sure_m, along * math.tan(sure_rad or 0.0))
-    if felt.material is not None:
-        found = msgspec.structs.replace(found, material=felt.material, material_known=True)
+    if estimate.material is not None:
+        found = msgspec.structs.replace(found, material=estimate.material, material_known=True)
     return msgspec.structs.replace(found, point=middle, position_sd_m=sure_m, yaw_sd_rad=sure_rad)

@@ -12,7 +12,7 @@ import math
 from collections import deque
 from typing import Final
 
-from dart_flight.base.filters import LearntVariance, taken_share
+from dart_flight.base.filters import VarianceEstimate, average_weight
 from dart_flight.base.geometry import GRAVITY_M_S2, Vec2, Vec3
 from dart_flight.config.vehicle import Estimation
 
@@ -46,7 +46,7 @@ class HoverBias:
         self.bias_x = self.bias_y = 0.0
         self.scale = 1.0
         self.noise_m_s2 = config.imu_noise_m_s2
-        self._variance = LearntVariance(config.imu_noise_m_s2**2, _NOISE_TIME_S, _MIN_NOISE2)
+        self._variance = VarianceEstimate(config.imu_noise_m_s2**2, _NOISE_TIME_S, _MIN_NOISE2)
         self._last: Vec3 | None = None
         self._weight = self._measured_n = self._curve_n = (
             0.0  # low-pass filters that start at zero, so that their quotient has no bias
@@ -64,7 +64,7 @@ class HoverBias:
             dt_s: time since the previous sample.
         """
         self._learn_noise(f, dt_s)
-        share = taken_share(dt_s, LEARNING_S)
+        share = average_weight(dt_s, LEARNING_S)
         self._weight += share * (1.0 - self._weight)
         self._measured_n += share * (-f[2] * self._mass - self._measured_n)
         self._curve_n += share * (curve_thrust_n - self._curve_n)
@@ -88,7 +88,7 @@ class HoverBias:
         if last is None:
             return
         dx, dy = f[0] - last[0], f[1] - last[1]
-        self.noise_m_s2 = math.sqrt(self._variance.learn(0.25 * (dx * dx + dy * dy), dt_s))
+        self.noise_m_s2 = math.sqrt(self._variance.update(0.25 * (dx * dx + dy * dy), dt_s))
 
 
 def _bounded(value: float, most: float) -> float:
@@ -108,9 +108,9 @@ class ForceBaseline:
         self._past: deque[Vec2] = deque([(0.0, 0.0)], maxlen=_BASELINE_DELAY)
         self.value: Vec2 = (0.0, 0.0)
 
-    def follow(self, fx: float, fy: float, dt_s: float) -> None:
+    def update(self, fx: float, fy: float, dt_s: float) -> None:
         """Follow a sample outside of contacts, `dt_s` after the previous one."""
-        share = taken_share(dt_s, BASELINE_S)
+        share = average_weight(dt_s, BASELINE_S)
         x, y = self._now
         x += share * _bounded(fx - x, _BASELINE_STEP_N)
         y += share * _bounded(fy - y, _BASELINE_STEP_N)

@@ -154,7 +154,7 @@ def undecided(request: ContactRequest, wall: Wall, vehicle: VehicleConfig, probl
     sought, the estimate has the place of the contact instead.
     """
     onset, mode = request.onset, request.mode_reported or vehicle.modes[-1]
-    c, sd = vehicle.materials[wall.material].of(mode), vehicle.estimation.walls.spread
+    c, sd = vehicle.materials[wall.material].coefficients(mode), vehicle.estimation.walls.spread
     is_met = wall.sought or wall.is_uncertain
     (x, y, _), (vx, vy, _) = onset.position_mission, onset.velocity_mission
     place, late_s = (x, y), (onset.t_us - onset.first_us) * 1e-6

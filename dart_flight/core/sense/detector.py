@@ -95,7 +95,7 @@ class ImpactDetector:
         self._lag_s = vehicle.imu.filter_lag_s
         self._per_axis = self._config.threshold_test is ThresholdTest.PER_AXIS
         self._priors = {
-            (name, mode): _prior(material.of(mode), self._mass)
+            (name, mode): _prior(material.coefficients(mode), self._mass)
             for name, material in vehicle.materials.items()
             for mode in vehicle.modes
         }
@@ -135,7 +135,7 @@ class ImpactDetector:
         return self.stage in ("rising", "falling")
 
     @property
-    def crossed_n(self) -> float:
+    def crossed_threshold_n(self) -> float:
         """The threshold that the newest onset crossed, newton."""
         return self._threshold
 
@@ -199,7 +199,7 @@ class ImpactDetector:
         else:
             fx, fy, seconds = force[0], force[1], dt_us * 1e-6
         if not over or not self._armed:
-            self.slow_force.follow(fx, fy, seconds)
+            self.slow_force.update(fx, fy, seconds)
         return []
 
     def _is_contact(self, fx: float, fy: float, size: float, over: bool) -> bool:
@@ -235,7 +235,7 @@ class ImpactDetector:
             max(least, sigma * long.noise_n),
         )
 
-    def floor_n(self, duration_s: float) -> float:
+    def detection_floor_n(self, duration_s: float) -> float:
         """Return the least peak at which a half-sine of this duration is certainly detected, newton.
 
         The detection floor of a window is its threshold plus one standard deviation, divided by the share of
@@ -261,7 +261,9 @@ class ImpactDetector:
         if expected.normal is None or self._expected.normal is not None:
             return []
         thresholds = self.thresholds_n()
-        floors = {m: self.floor_n(self._prior_of(expected, m).half_period_s) for m in self._vehicle.modes}
+        floors = {
+            m: self.detection_floor_n(self._prior_of(expected, m).half_period_s) for m in self._vehicle.modes
+        }
         return [
             DetectionFloor(
                 t_us=t_us,

@@ -72,7 +72,7 @@ class ForceEstimator:
         self._frame: MissionFrame | None = None
         self._heading = (1.0, 0.0)
 
-    def take_attitude(self, sample: AttitudeSample) -> None:
+    def add_attitude(self, sample: AttitudeSample) -> None:
         """Store an attitude for the alignment with IMU samples."""
         self._attitudes.append(sample)
 
@@ -139,7 +139,7 @@ class ForceEstimator:
         rx, ry, rz = imu.specific_force_frd
         clipped = abs(rx) >= clip or abs(ry) >= clip or abs(rz) >= clip
         variance = self._variance(force, up, noise * noise)
-        filtered = self._filter.follow(force, dt_s)
+        filtered = self._filter.update(force, dt_s)
         return ForceEstimate(imu.t_us, force, clipped, filtered, variance, noise, push)
 
     def _without_vibration(self, arms: ArmFilter, force: Vec3, state: FlightState, dt_s: float) -> Vec3:

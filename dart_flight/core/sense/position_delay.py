@@ -66,7 +66,7 @@ class PositionDelay:
         """Suspend the comparison for `window_s`, because a contact also moves the estimate."""
         self._quiet_us = t_us + self._window_us
 
-    def take_odometry(self, t_us: int, velocity_mission: Vec3, momenta: Momenta) -> None:
+    def compare_odometry(self, t_us: int, velocity_mission: Vec3, momenta: Momenta) -> None:
         """Compare an odometry sample with the IMU, once IMU samples reach its stamp.
 
         Args:

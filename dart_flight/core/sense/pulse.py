@@ -85,7 +85,7 @@ def _terms(s: float, omega: float, sigma: float) -> tuple[float, float, float, f
         push_force,
         s - (w2 * sn + 2.0 * sigma * push_force) / w2,
         sn,
-        (1.0 - c - sigma * sn) / w2,
+        push_force / w2,
     )
 
 
@@ -139,6 +139,37 @@ def _binned(readings: list[TickReading]) -> list[tuple[TickReading, int]]:
     return out
 
 
+class _Ends:
+    """The pulse at the end of a reading: force, impulse per slope, impulse, its change with log frequency.
+
+    The change is a difference over 1e-4. Both frequencies share the decay, and their constants are computed
+    once: the setpoint after an impact waits for this loop.
+    """
+
+    def __init__(self, omega: float, sigma: float, push: float, slope: float) -> None:
+        up = omega * 1.0001
+        self._w2, self._up2 = omega * omega, up * up
+        self._wd = math.sqrt(self._w2 - sigma * sigma)
+        self._upd = math.sqrt(self._up2 - sigma * sigma)
+        self._sigma, self._push, self._slope = sigma, push, slope
+
+    def at(self, s: float) -> tuple[float, float, float, float]:
+        """Return them `s` seconds after the onset."""
+        if s <= 0.0:
+            return 0.0, 0.0, 0.0, 0.0
+        w2, wd, up2, upd = self._w2, self._wd, self._up2, self._upd
+        sigma, push, slope = self._sigma, self._push, self._slope
+        decay = math.exp(-sigma * s)
+        sine = decay * math.sin(wd * s) / wd
+        per_push = 1.0 - decay * math.cos(wd * s) - sigma * sine
+        per_slope = per_push / w2
+        impulse = push * (s - (w2 * sine + 2.0 * sigma * per_push) / w2) + slope * per_slope
+        up_sine = decay * math.sin(upd * s) / upd
+        up_push = 1.0 - decay * math.cos(upd * s) - sigma * up_sine
+        up_impulse = push * (s - (up2 * up_sine + 2.0 * sigma * up_push) / up2) + slope * (up_push / up2)
+        return push * per_push + slope * sine, per_slope, impulse, up_impulse - impulse
+
+
 class _PulseFit:
     """Gauss-Newton fit of (onset, slope, log frequency), with the frequency's prior as a residual."""
 
@@ -153,6 +184,7 @@ class _PulseFit:
         self.sigma = min(prior.sigma, 0.7 * self.omega)
         self._curvature: Rows = []  # lower triangle of the normal equations
         self._gradient: list[float] = []
+        self._used, self._squares = 0, 0.0  # readings that constrain the fit, and their squared residuals
 
     def run(self, onset_s: float) -> bool:
         """Minimise the squares; return False if the iteration fails."""
@@ -202,17 +234,15 @@ class _PulseFit:
     def _linearise(self) -> float:
         """Return the cost at the present parameters and store the normal equations."""
         start, slope, omega, sigma, push = self.start, self.slope, self.omega, self.sigma, self._push
-        up = omega * 1.0001
-        cost = 0.0
+        ends = _Ends(omega, sigma, push, slope)
+        cost = squares = 0.0
+        used = 0
         h00 = h01 = h02 = h11 = h12 = h22 = g0 = g1 = g2 = 0.0
         last_b = math.nan
         fb = ub = qb = vb = 0.0
         for (r, _), weight in zip(self._bins, self._weights, strict=True):
-            if r.a == last_b:
-                fa, ua, qa, va = fb, ub, qb, vb
-            else:
-                fa, ua, qa, va = self._ends(r.a - start, omega, up, sigma, push, slope)
-            fb, ub, qb, vb = self._ends(r.b - start, omega, up, sigma, push, slope)
+            fa, ua, qa, va = (fb, ub, qb, vb) if r.a == last_b else ends.at(r.a - start)
+            fb, ub, qb, vb = ends.at(r.b - start)
             last_b = r.b
             h = r.b - r.a
             model = (qb - qa) / h
@@ -220,6 +250,8 @@ class _PulseFit:
                 continue
             residual = r.normal - model
             j0, j1, j2 = -(fb - fa) / h, (ub - ua) / h, (vb - va) / (h * 1e-4)
+            used += 1
+            squares += residual * residual
             cost += weight * residual * residual
             w0, w1, w2 = weight * j0, weight * j1, weight * j2
             h00 += w0 * j0
@@ -236,17 +268,8 @@ class _PulseFit:
         g2 += off / _PRIOR_LOG_OMEGA
         self._curvature = [[h00], [h01, h11], [h02, h12, h22]]
         self._gradient = [g0, g1, g2]
+        self._used, self._squares = used, squares
         return cost + off * off
-
-    @staticmethod
-    def _ends(
-        s: float, omega: float, up: float, sigma: float, push: float, slope: float
-    ) -> tuple[float, float, float, float]:
-        """Return force, impulse per slope, impulse and its change with frequency at one end of a reading."""
-        fp, pp, fs, ps = _terms(s, omega, sigma)
-        _, pu, _, su = _terms(s, up, sigma)
-        impulse = push * pp + slope * ps
-        return push * fp + slope * fs, ps, impulse, push * pu + slope * su - impulse
 
     def result(self, lag_s: float) -> NormalPulse | None:
         """Return the fitted pulse with its peak and standard error, or None if it does not fit."""
@@ -258,14 +281,14 @@ class _PulseFit:
         peak = push * fp + slope * fs
         gp, _, gs, _ = _terms(at, omega * 1.0001, sigma)
         dw = (push * gp + slope * gs - peak) / 1e-4
-        freedom, squares = self._misfit()
+        freedom = self._used
         try:
             _, x, y = solve(self._curvature, [0.0, fs, dw])
         except ValueError:
             x = y = 0.0
         variance = (fs * x + dw * y) * max(1.0, self._cost / max(1, freedom - 3))
         top = peak * (1.0 + 0.5 * (omega * lag_s) ** 2)
-        misfit = math.sqrt(squares / max(1, freedom)) / peak
+        misfit = math.sqrt(self._squares / max(1, freedom)) / peak
         if misfit > _MAX_MISFIT + 3.0 / math.sqrt(self._weights[0]) / peak:
             return None
         return NormalPulse(
@@ -279,18 +302,6 @@ class _PulseFit:
             sigma_n=math.sqrt(max(0.0, variance)),
             misfit=self._cost / max(1, freedom - 3),
         )
-
-    def _misfit(self) -> tuple[int, float]:
-        """Return the number of readings that constrain the fit, and the sum of their squared residuals."""
-        count, squares = 0, 0.0
-        for r, _ in self._bins:
-            pa, ca = self._impulses(r.a)
-            pb, cb = self._impulses(r.b)
-            model = (self._push * (pb - pa) + self.slope * (cb - ca)) / (r.b - r.a)
-            if not (r.bound and model >= r.normal):
-                count += 1
-                squares += (r.normal - model) ** 2
-        return count, squares
 
 
 # --- friction --------------------------------------------------------------------------------------
@@ -318,11 +329,11 @@ def fit_friction(
     inside = [r for r in readings if r.b > pulse.start_s]
     if len(inside) < 3:
         return None
-    impulses = [(_impulse(r.a, pulse), _impulse(r.b, pulse)) for r in inside]
+    ticks = [(r.b - r.a, r.tangential, _impulse(r.b, pulse) - _impulse(r.a, pulse)) for r in inside]
     middle, h = math.log(kappa), 0.05
 
     def cost(at: float) -> float:
-        squares = _tangential(inside, impulses, push_m_s2, mass_kg, at)[1]
+        squares = _tangential(ticks, push_m_s2, mass_kg, at)[1]
         return squares / (noise_n * noise_n) + ((at - middle) / _PRIOR_LOG_KAPPA) ** 2
 
     log_kappa, here = middle, cost(middle)
@@ -336,7 +347,7 @@ def fit_friction(
         if abs(step) < 0.02:
             break
         here = cost(log_kappa)
-    speed, squares = _tangential(inside, impulses, push_m_s2, mass_kg, log_kappa)
+    speed, squares = _tangential(ticks, push_m_s2, mass_kg, log_kappa)
     peak = _friction_top(inside, pulse, speed, push_m_s2, mass_kg, math.exp(log_kappa))
     rms = math.sqrt(squares / len(inside))
     if rms > max(3.0 * noise_n, 0.2 * abs(peak)):
@@ -350,24 +361,22 @@ def _impulse(t: float, pulse: NormalPulse) -> float:
 
 
 def _tangential(
-    inside: list[TickReading],
-    impulses: list[tuple[float, float]],
-    push_m_s2: float,
-    mass_kg: float,
-    log_kappa: float,
+    ticks: list[tuple[float, float, float]], push_m_s2: float, mass_kg: float, log_kappa: float
 ) -> tuple[float, float]:
-    """Return the best tangential speed at the onset for a friction, and its sum of squared residuals."""
+    """Return the best tangential speed at the onset for a friction, and its sum of squared residuals.
+
+    A tick is its length in seconds, its tangential reading, newton, and the normal impulse over it.
+    """
     kappa = math.exp(log_kappa)
     unit, driven = 1.0, 0.0  # response to the speed at the onset, and to the push
     sxx = sxy = syy = 0.0
-    for r, (pa, pb) in zip(inside, impulses, strict=True):
-        h = r.b - r.a
-        left = math.exp(-kappa * (pb - pa))
+    for h, reading, impulse in ticks:
+        left = math.exp(-kappa * impulse)
         middle = math.sqrt(left)
         next_unit = unit * left
         next_driven = driven * left + push_m_s2 * h * middle
         x = mass_kg * (next_unit - unit) / h
-        y = r.tangential - mass_kg * ((next_driven - driven) / h - push_m_s2)
+        y = reading - mass_kg * ((next_driven - driven) / h - push_m_s2)
         unit, driven = next_unit, next_driven
         sxx += x * x
         sxy += x * y

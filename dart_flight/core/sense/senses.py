@@ -104,38 +104,38 @@ class Senses:
         """Process one input with the contact that the mission expects, and return its results."""
         state, estimator = self.state, self.estimator
         if isinstance(item, ImuSample):
-            if state.take_imu(item):
+            if state.update_imu(item):
                 return self._process_imu(item, expected)
         elif isinstance(item, AttitudeSample):
-            if state.take_attitude(item):
-                estimator.take_attitude(item)
+            if state.update_attitude(item):
+                estimator.add_attitude(item)
         elif isinstance(item, OdometrySample):
-            if state.take_odometry(item) and item.t_us >= self.delay.due_us:
+            if state.update_odometry(item) and item.t_us >= self.delay.due_us:
                 self._compare_velocity(item.t_us)
         elif isinstance(item, ActuatorSample):
-            state.take_actuator(item)
-            estimator.thrust.take_actuator(item)
+            state.update_actuator(item)
+            estimator.thrust.add_commands(item)
         elif isinstance(item, PoseSample):
-            state.take_pose(item)
+            state.update_pose(item)
         elif isinstance(item, EscSample):
-            estimator.thrust.take_esc(item)
+            estimator.thrust.update_esc(item)
         elif isinstance(item, Tick):
-            state.take_tick(item)
+            state.advance(item)
         elif isinstance(item, StatusSample):
-            state.take_status(item)
-            estimator.thrust.take_voltage(item.battery_v)
+            state.update_status(item)
+            estimator.thrust.update_voltage(item.battery_v)
         elif isinstance(item, LockState):
-            state.take_lock(item)
+            state.update_lock(item)
         elif isinstance(item, EstimatorSample):
-            state.take_estimator(item)
+            state.update_estimator(item)
         elif isinstance(item, ClockOffset):
-            state.take_clock(item)
+            state.update_clock(item)
         elif isinstance(item, StatusText):
-            state.take_text(item)
+            state.add_text(item)
         elif isinstance(item, HealthReport):
-            state.take_health(item)
+            state.update_health(item)
         elif isinstance(item, CommandResult):
-            state.take_result(item)
+            state.add_result(item)
         elif isinstance(item, ContactAnswer):
             body, wall = self.contacts.accept(item)
             records: list[Output] = [] if body is None else [body]
@@ -148,7 +148,7 @@ class Senses:
         state, delay = self.state, self.delay
         if self.detector.in_contact:
             delay.disturb(t_us)
-        delay.take_odometry(t_us, state.velocity, self.estimator.momenta)
+        delay.compare_odometry(t_us, state.velocity, self.estimator.momenta)
         state.position_ahead_s = delay.ahead_s
 
     def _process_imu(self, item: ImuSample, expected: ExpectedContact) -> Sensed:

@@ -78,7 +78,7 @@ class FlightState:
         self._found_on_link: dict[str, int] = {}  # the same for this program's warnings about the link
         self._refused: dict[str, str] = {}  # command -> PX4's answer, while it is a refusal
 
-    def take_odometry(self, sample: OdometrySample) -> bool:
+    def update_odometry(self, sample: OdometrySample) -> bool:
         """Store position and velocity; return False if implausible or if the stamp does not increase."""
         if not self.is_plausible(sample):
             return False
@@ -122,7 +122,7 @@ class FlightState:
             and abs(w) < _FASTEST_M_S
         )
 
-    def take_attitude(self, sample: AttitudeSample) -> bool:
+    def update_attitude(self, sample: AttitudeSample) -> bool:
         """Store an attitude; return False if its stamp does not increase."""
         previous, t_us, received_us = self.attitude, sample.t_us, sample.received_us
         if previous is not None and t_us <= previous.t_us:
@@ -137,7 +137,7 @@ class FlightState:
             self.yaw = self.frame.yaw_from_ned(yaw_ned_of(q))
         return True
 
-    def take_imu(self, sample: ImuSample) -> bool:
+    def update_imu(self, sample: ImuSample) -> bool:
         """Store an IMU sample; return False if its stamp does not increase."""
         previous, t_us, received_us = self.imu, sample.t_us, sample.received_us
         if previous is not None and t_us <= previous.t_us:
@@ -148,7 +148,7 @@ class FlightState:
         self._advance_time(t_us, received_us)
         return True
 
-    def take_actuator(self, sample: ActuatorSample) -> None:
+    def update_actuator(self, sample: ActuatorSample) -> None:
         """Store the motor commands."""
         received_us = sample.received_us
         if self._leaps("actuator", sample.t_us, received_us, self.actuator):
@@ -156,29 +156,29 @@ class FlightState:
         self.actuator = sample
         self.host_us = max(self.host_us, received_us)
 
-    def take_status(self, sample: StatusSample) -> None:
+    def update_status(self, sample: StatusSample) -> None:
         """Store the autopilot's status: flight mode, landed state, battery."""
         self.status = sample
         self.in_offboard = sample.flight_mode is FlightMode.OFFBOARD
         self.on_ground = sample.landed is LandedState.ON_GROUND
         self.host_us = max(self.host_us, sample.received_us)
 
-    def take_estimator(self, sample: EstimatorSample) -> None:
+    def update_estimator(self, sample: EstimatorSample) -> None:
         """Store the standard deviation of the position; the guard uses the rest of the sample."""
         if sample.position_sd_m is not None:
             self.position_sd_m = sample.position_sd_m
         self.host_us = max(self.host_us, sample.received_us)
 
-    def take_pose(self, sample: PoseSample) -> None:
+    def update_pose(self, sample: PoseSample) -> None:
         """Store a pose of the motion capture."""
         self.pose = sample
         self.host_us = max(self.host_us, sample.received_us)
 
-    def take_lock(self, sample: LockState) -> None:
+    def update_lock(self, sample: LockState) -> None:
         """Store the state of the lock."""
         self.lock = sample
 
-    def take_tick(self, tick: Tick) -> None:
+    def advance(self, tick: Tick) -> None:
         """Advance the host's time, and the autopilot's time through the clock offset."""
         self.host_us = max(self.host_us, tick.host_us)
         if self.clock_offset_us is not None:
@@ -187,11 +187,11 @@ class FlightState:
                 now_us = min(now_us, self._stamp_us + self.host_us - self._stamped_us + _LEAP_US)
             self.now_us = max(self.now_us, now_us)
 
-    def take_clock(self, sample: ClockOffset) -> None:
+    def update_clock(self, sample: ClockOffset) -> None:
         """Store the clock offset, autopilot time minus host time."""
         self.clock_offset_us = sample.offset_us
 
-    def take_text(self, sample: StatusText) -> None:
+    def add_text(self, sample: StatusText) -> None:
         """Store a text of PX4 or of this program if it is a warning or worse."""
         if sample.severity in _SEVERE:
             texts = self._found_on_link if sample.found_here else self._px4_texts
@@ -206,11 +206,11 @@ class FlightState:
         found = [text for text in sorted(texts, key=lambda text: texts[text]) if text.startswith(beginning)]
         return f"; {found[-1]}" if found else ""
 
-    def take_health(self, sample: HealthReport) -> None:
+    def update_health(self, sample: HealthReport) -> None:
         """Store PX4's health and arming checks."""
         self.health = sample
 
-    def take_result(self, sample: CommandResult) -> None:
+    def add_result(self, sample: CommandResult) -> None:
         """Store PX4's answer if it refuses a command; delete it if PX4 accepts the command."""
         if sample.ok:
             self._refused.pop(sample.command, None)
@@ -301,7 +301,7 @@ class FlightState:
             command: refused command; if PX4 gives no other reason, its answer to the command is returned.
 
         Returns:
-            Text such as "; PX4 says: No offboard signal" to append, empty if there is no reason.
+            Text such as "; PX4 reports: No offboard signal" to append, empty if there is no reason.
         """
         own = self._recent(self._found_on_link)
         here = "; " + ", ".join(own) if own else ""
@@ -312,11 +312,11 @@ class FlightState:
         # Faults of other modes may be the cause: without a position there is no offboard signal.
         also = [word for word in others if word not in found][:_MAX_REASONS]
         if found:
-            return f"{here}; PX4 says: " + ", ".join(found) + ("; also " + ", ".join(also) if also else "")
+            return f"{here}; PX4 reports: " + ", ".join(found) + ("; also " + ", ".join(also) if also else "")
         answer = self._refused.get(command or "")
         answered = f"{here}; PX4 answers: {answer}" if answer else here
         if also:  # not necessarily the reason, but an older PX4 reports nothing else
-            return f"{answered}; PX4 gives no reason, but finds: " + ", ".join(also)
+            return f"{answered}; PX4 gives no reason, but reports: " + ", ".join(also)
         return answered
 
     def _recent(self, texts: Mapping[str, int]) -> list[str]:

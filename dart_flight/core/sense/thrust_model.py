@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections import deque
 from typing import Final
 
-from dart_flight.base.filters import kept_share
+from dart_flight.base.filters import decay_factor
 from dart_flight.base.geometry import GRAVITY_M_S2
 from dart_flight.base.records import ActuatorSample, EscSample
 from dart_flight.config.vehicle import ThrustSource, VehicleConfig
@@ -66,7 +66,7 @@ class LaggedCommands:
         a, b = self._target, self.value
         if a == b:
             return
-        left = kept_share(step, self._lag_us)
+        left = decay_factor(step, self._lag_us)
         if len(a) != len(b):
             raise ValueError(f"{len(a)} commands after {len(b)}")
         self.value = tuple([to + (b[i] - to) * left for i, to in enumerate(a)])
@@ -96,11 +96,11 @@ class ThrustModel:
         self.source: ThrustSource | None = None
         self.each_n: Each | None = None
 
-    def take_actuator(self, sample: ActuatorSample) -> None:
+    def add_commands(self, sample: ActuatorSample) -> None:
         """Add motor commands."""
         self._motors.update(sample.t_us, sample.motors)
 
-    def take_esc(self, sample: EscSample) -> None:
+    def update_esc(self, sample: EscSample) -> None:
         """Store measured motor speeds."""
         if self._esc is not None:
             if sample.t_us <= self._esc.t_us:
@@ -108,7 +108,7 @@ class ThrustModel:
             self._esc_period_us = sample.t_us - self._esc.t_us
         self._esc = sample
 
-    def take_voltage(self, volts: float | None) -> None:
+    def update_voltage(self, volts: float | None) -> None:
         """Store the battery voltage; None or zero keeps the last one."""
         battery = self._config.battery
         if volts is not None and volts > 0.0:

@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from dart_flight.base.filters import LearntVariance, taken_share
+from dart_flight.base.filters import VarianceEstimate, average_weight
 from dart_flight.base.geometry import Vec3, gyroscopic_torque
 from dart_flight.base.records import TorqueEstimate
 from dart_flight.config.vehicle import VehicleConfig
@@ -38,7 +38,7 @@ class TorqueEstimator:
         self._before: Each | None = None
         self._slow: Vec3 = (0.0, 0.0, 0.0)
         self._last: Vec3 | None = None
-        self._variances = tuple([LearntVariance(1e-3, _NOISE_TIME_S, added=_ADDED) for _ in range(3)])
+        self._variances = tuple([VarianceEstimate(1e-3, _NOISE_TIME_S, added=_ADDED) for _ in range(3)])
         self._noise: Vec3 = (0.0316, 0.0316, 0.0316)
 
     def estimate(
@@ -79,7 +79,7 @@ class TorqueEstimator:
         return TorqueEstimate(t_us, (x, y, z), self._noise)
 
     def _learn(self, raw: Vec3, dt_s: float) -> None:
-        share, most = taken_share(dt_s, _SLOW_S), _MAX_SLOW_NM
+        share, most = average_weight(dt_s, _SLOW_S), _MAX_SLOW_NM
         x, y, z = raw
         u, v, w = self._slow
         u, v, w = u + share * (x - u), v + share * (y - v), w + share * (z - w)
@@ -90,7 +90,7 @@ class TorqueEstimator:
             return
         roll, pitch, yaw = self._variances
         self._noise = (
-            math.sqrt(roll.learn(_THIRD * (x - last[0]) ** 2, dt_s)),
-            math.sqrt(pitch.learn(_THIRD * (y - last[1]) ** 2, dt_s)),
-            math.sqrt(yaw.learn(_THIRD * (z - last[2]) ** 2, dt_s)),
+            math.sqrt(roll.update(_THIRD * (x - last[0]) ** 2, dt_s)),
+            math.sqrt(pitch.update(_THIRD * (y - last[1]) ** 2, dt_s)),
+            math.sqrt(yaw.update(_THIRD * (z - last[2]) ** 2, dt_s)),
         )

@@ -12,7 +12,7 @@ import math
 from collections import deque
 from typing import Final
 
-from dart_flight.base.filters import LearntVariance
+from dart_flight.base.filters import VarianceEstimate
 from dart_flight.base.geometry import Vec2
 
 _QUICK_S: Final = 0.5  # the larger of a quick and a slow variance: noise counts at once and decays slowly
@@ -43,8 +43,8 @@ class WindowMean:
         self._since_sum = 0
         self._seen = 0
         variance = noise_n * noise_n / max(1, samples)
-        self._quick = LearntVariance(variance, _QUICK_S, _MIN_N2)
-        self._slow = LearntVariance(variance, _SLOW_S, _MIN_N2)
+        self._quick = VarianceEstimate(variance, _QUICK_S, _MIN_N2)
+        self._slow = VarianceEstimate(variance, _SLOW_S, _MIN_N2)
         self._pending: deque[float] = deque()
         # Compare means one window apart: they share no sample, and a constant force cancels.
         self._past: deque[Vec2] = deque(maxlen=max(1, samples))
@@ -86,7 +86,7 @@ class WindowMean:
         self._seen += 1
         # Use a plain mean at first, so that measurements quickly replace the initial noise.
         first = 1.0 / (_ASSUMED + self._seen)
-        quick, slow = self._quick.learn(square, dt_s, first), self._slow.learn(square, dt_s, first)
+        quick, slow = self._quick.update(square, dt_s, first), self._slow.update(square, dt_s, first)
         self.noise_n = math.sqrt(quick if quick > slow else slow)
 
     def forget(self) -> None:

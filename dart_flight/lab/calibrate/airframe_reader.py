@@ -7,7 +7,7 @@ from pathlib import Path
 
 from dart_flight.config.document import InputError, read_text
 from dart_flight.config.parameter_file import load_parameters, parse_listing
-from dart_flight.config.rotors import COUNT, motors_of
+from dart_flight.config.rotors import COUNT, motors_from_parameters
 from dart_flight.config.vehicle import Motor
 from dart_flight.lab.ulog import open_ulog
 
@@ -23,7 +23,7 @@ def read_airframe(path: Path) -> tuple[Motor, ...]:
     Raises:
         InputError: the file cannot be read, or lacks the motors' positions.
     """
-    return motors_of(_parameters(path), str(path))
+    return motors_from_parameters(_parameters(path), str(path))
 
 
 def _parameters(path: Path) -> dict[str, float]:

@@ -274,7 +274,7 @@ def _line(name: str, windows: _Windows, impulse: Array, i: int) -> tuple[AxisIne
     )
     drift = float(windows.change[:, i].mean()) / duration
     if xy <= 0.0:
-        axis.refused = f"no excitation: torques of {axis.torque_nm:.4f} N m, and no rotation follows them"
+        axis.refused = f"no excitation: torques of {axis.torque_nm:.4f} N m cause no rotation"
         return axis, drift, 1.0
     drift -= xy / xx * float(impulse.mean()) / duration
     # All errors assigned to the rates: upper bound. Errors beyond the gyro's noise assigned to the torques:

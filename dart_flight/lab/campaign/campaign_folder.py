@@ -128,7 +128,7 @@ def write_atomically(path: Path, data: bytes) -> None:
         raise FlightError(f"cannot write {path}: {error.strerror}") from None
 
 
-def rows_of(opened: CampaignFolder) -> list[JudgedRow]:
+def read_rows(opened: CampaignFolder) -> list[JudgedRow]:
     """Return the rows of a judged campaign so far.
 
     Raises:

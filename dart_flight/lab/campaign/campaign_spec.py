@@ -138,9 +138,9 @@ def parse_grid(settings: Sequence[str]) -> dict[str, tuple[str, ...]]:
         if not equals or not key.strip() or not all(values):
             raise InputError(f"--set {setting}: expected KEY=V1,V2,..., such as airframe.mass_kg=1.2,1.4")
         if key.strip() in grid:
-            raise InputError(f"--set {setting}: this key is given twice; separate its values by commas")
+            raise InputError(f"--set {setting}: this key appears twice; separate its values by commas")
         if len(set(values)) < len(values):
-            raise InputError(f"--set {setting}: a value is given twice")
+            raise InputError(f"--set {setting}: a value appears twice")
         grid[key.strip()] = values
     return grid
 
@@ -213,7 +213,7 @@ def points_of(asked: CampaignSpec) -> list[Point]:
         InputError: a mission, configuration, setting, case or draw is invalid, or a mission is given twice.
     """
     if len(set(asked.missions)) < len(asked.missions):
-        raise InputError("a mission is given twice", key=("MISSION",))
+        raise InputError("a mission appears twice", key=("MISSION",))
     points: list[Point] = []
     cases = cases_of(asked)
     for path, values in itertools.product(asked.missions, itertools.product(*asked.settings.values())):

@@ -72,7 +72,7 @@ def fly_fault(mission: Mission, fault: Fault, seed: int) -> FaultFlight:
 
     With a fault of the motion capture, the forwarded poses are the only position.
     """
-    if fault.kind.place is FaultSite.MOCAP:
+    if fault.kind.site is FaultSite.MOCAP:
         mission = with_simulated_mocap(mission, "udp")
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "flight.mcap"
@@ -115,8 +115,8 @@ def _log_problems(path: Path) -> Iterable[str]:
     try:
         named = bool(read_log(path).about.get("mission"))
     except Exception as error:
-        return [f"its log does not open: {error}"]
-    return [] if named else ["its log does not say what it is"]
+        return [f"cannot open its log: {error}"]
+    return [] if named else ["its log does not name its mission"]
 
 
 def matrix_cases() -> list[dict[str, str]]:
@@ -151,7 +151,7 @@ def random_fault(number: int) -> tuple[Mission, Fault]:
     if kind.name in ranges:
         value = chance.uniform(*ranges[kind.name])
     phase = chance.choice((None, "take-off", "transit", "approach", "contact", "recovery", "goal", "landing"))
-    if kind.place is FaultSite.MOCAP:
+    if kind.site is FaultSite.MOCAP:
         phase = phase or "take-off"
     fault = Fault(kind.name, value, phase, chance.choice((0.0, 0.0, chance.uniform(0.0, 3.0))))
     return load_flyable(packaged("missions", f"{chance.choice(_MISSIONS)}.yaml")), fault

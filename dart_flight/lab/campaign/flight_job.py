@@ -59,7 +59,7 @@ class FlownFlight(NamedTuple):
 def fly_point(point: Point, seed: int) -> FlownFlight:
     """Fly the mission of a point in the fast world, with the draws of the seed."""
     records: list[FlightRecord] = []
-    verdict = fly_fast(point.mission, seed, None, spreads=point.spreads, take_record=records.append)
+    verdict = fly_fast(point.mission, seed, None, spreads=point.spreads, keep_record=records.append)
     return FlownFlight(point, seed, verdict, records[0].log)
 
 
@@ -89,7 +89,7 @@ class ItemFlyer:
             return Flown(self._line(item, _judged_cells(row)), True, None)
         records: list[FlightRecord] = []
         keep = None if self._keep is Keep.NONE else records.append
-        verdict = fly_fast(point.mission, item.seed, None, spreads=point.spreads, take_record=keep)
+        verdict = fly_fast(point.mission, item.seed, None, spreads=point.spreads, keep_record=keep)
         completed = verdict.outcome is Outcome.COMPLETED
         wanted = self._keep is Keep.ALL or (self._keep is Keep.FAILED and not completed)
         line = self._line(item, cells_of(verdict))

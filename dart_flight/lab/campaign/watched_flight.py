@@ -34,7 +34,7 @@ def place_walls(
 ) -> DrawnWorld:
     """Return the world with walls moved along their normals and turned about their centres, by name."""
     walls = {
-        w.name: w.moved(away_m.get(w.name, 0.0)).turned(math.radians(turned_deg.get(w.name, 0.0)))
+        w.name: w.displaced(away_m.get(w.name, 0.0)).rotated(math.radians(turned_deg.get(w.name, 0.0)))
         for w in world.mission.walls
     }
     return with_walls(world, walls)
@@ -69,8 +69,8 @@ class WatchedFlight:
         self.flight = FastFlight(
             mission, seed, faults=faults, observe=self._observe, fault=fault, world=world
         )
-        self._send_status_text = self.flight.autopilot.say
-        self.flight.autopilot.say = self._on_status_text
+        self._send_status_text = self.flight.autopilot.send_text
+        self.flight.autopilot.send_text = self._on_status_text
 
     def run(self) -> Verdict:
         """Fly until the vehicle is down or held by a pilot, and return the verdict."""
@@ -84,7 +84,7 @@ class WatchedFlight:
         return verdict
 
     def _observe(self, record: Record, number: int) -> None:
-        self._builder.take(record)
+        self._builder.add(record)
         if isinstance(record, GuardEvent):
             self._note_decision()
         elif isinstance(record, TruthSample):

@@ -14,13 +14,13 @@ from rich.table import Table
 
 from dart_flight.cli.options import link_of, refuse_unwritable
 from dart_flight.cli.terminal import emit_json, messages, print_status, tables
-from dart_flight.cli.vehicle_line import say_vehicle
+from dart_flight.cli.vehicle_line import print_vehicle
 from dart_flight.config.document import InputError, Key
 from dart_flight.config.edit import write_values
 from dart_flight.config.provenance import find_vehicle
 from dart_flight.config.rotors import (
     COUNT,
-    motors_of,
+    motors_from_parameters,
     rotor_differences,
     rotor_names,
 )
@@ -34,7 +34,7 @@ from dart_flight.lab.calibrate.thrust_curve import (
     format_rejected,
 )
 from dart_flight.lab.track import Track, read_calibration_series
-from dart_flight.recording.found import from_each, logs_in
+from dart_flight.recording.found import find_logs, read_each
 from dart_flight.vehicle.ground_link import GroundLink
 from dart_flight.vehicle.link import LinkLease
 
@@ -66,11 +66,11 @@ def run(arguments: argparse.Namespace) -> int:
         if arguments.what == "thrust" and vehicle.thrust.table is not None:
             raise InputError("has thrust.table: full_n and model_factor would replace it", source=str(path))
     left_out: list[str] = []
-    tracks = from_each(logs_in(arguments.logs), read_calibration_series, left_out.append)
+    tracks = read_each(find_logs(arguments.logs), read_calibration_series, left_out.append)
     calibrate = _thrust if arguments.what == "thrust" else _inertia
     result, table, notes, values = calibrate(tracks, vehicle)
     print_status(*left_out)
-    say_vehicle(source, arguments)
+    print_vehicle(source, arguments)
     if arguments.json:
         emit_json({**result, "vehicle": source})
     else:
@@ -92,11 +92,13 @@ def _airframe(arguments: argparse.Namespace) -> int:
         url = link_of(arguments, vehicle.connection)
         with LinkLease(url, "calibrate"), GroundLink(url, vehicle.connection.timeout_s) as link:
             values = link.read_parameters([COUNT])
-            motors = motors_of(values | link.read_parameters(rotor_names(values.get(COUNT, 0.0))), url)
+            motors = motors_from_parameters(
+                values | link.read_parameters(rotor_names(values.get(COUNT, 0.0))), url
+            )
     else:
         motors = read_airframe(Path(arguments.logs[0]))
     refuse_unmeasured(motors, arguments.connection or arguments.logs[0])
-    say_vehicle(source, arguments)
+    print_vehicle(source, arguments)
     other, sizes = rotor_differences(vehicle.airframe.motors, motors)
     if arguments.json:
         emit_json({"motors": motors, "other_than_configured": other, "other_sizes": sizes})
@@ -168,7 +170,7 @@ def _table(r: ThrustCalibration) -> Table:
         table.add_column(column, justify="left" if not column else "right")
 
     def error(value: float | None) -> str:
-        return "kept, not determined by these flights" if value is None else f"{value:.3g}"
+        return "unchanged: these flights do not determine it" if value is None else f"{value:.3g}"
 
     table.add_row("full thrust of one motor, N", f"{r.full_n:.3f}", error(r.full_n_error))
     table.add_row("model factor", f"{r.model_factor:.3f}", error(r.model_factor_error))

@@ -13,7 +13,7 @@ import msgspec
 from dart_flight.cli import EXIT_INTERRUPTED
 from dart_flight.cli.options import add_vary_option, whole_number
 from dart_flight.cli.terminal import emit_json, keep_status, messages, styled, tables
-from dart_flight.cli.vehicle_line import say_vehicle
+from dart_flight.cli.vehicle_line import print_vehicle
 from dart_flight.config.document import InputError
 
 _MAX_SHOWN = 5  # printed flights with unexplained modes; the summary lists all of them
@@ -45,13 +45,13 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--keep",
         choices=("failed", "all", "none"),
-        help="which logs to keep in DIR/logs: of failed flights (default), of all, or none",
+        help="logs to keep in DIR/logs: those of failed flights (default), all, or none",
     )
     parser.add_argument(
         "--jobs", type=whole_number(1, 1024), metavar="N", help="processes (default: one per core)"
     )
     parser.add_argument(
-        "--scheduler", metavar="URL", help="fly on the workers of a Dask scheduler, tcp://host:8786"
+        "--scheduler", metavar="URL", help="run on the workers of a Dask scheduler, tcp://host:8786"
     )
 
 
@@ -65,11 +65,11 @@ def run(arguments: argparse.Namespace) -> int:
 
     console = messages()
     if arguments.scheduler is not None and arguments.jobs is not None:
-        raise InputError("--jobs is for this machine; omit it with --scheduler", key=("--jobs",))
+        raise InputError("--jobs applies to this computer; omit it with --scheduler", key=("--jobs",))
     opened = campaigns.open_campaign(_requested_campaign(arguments), arguments.out, arguments.resume)
     if opened.campaign.asked.makes_row:
         raise InputError(
-            "this campaign has a judge of its own; resume it with the command that started it",
+            "this campaign has its own judge; resume it with the command that started it",
             source=str(opened.folder),
         )
     if arguments.scheduler is not None:
@@ -78,7 +78,7 @@ def run(arguments: argparse.Namespace) -> int:
         engine = on_cluster(arguments.scheduler)
     else:
         engine = campaigns.fly_locally(arguments.jobs or usable_cores())
-    say_vehicle(opened.points[0].mission.flown_vehicle(), arguments)
+    print_vehicle(opened.points[0].mission.flown_vehicle(), arguments)
     if len(opened.points) > 1:
         console.print(f"and {len(opened.points) - 1} more missions or settings")
     for line in dict.fromkeys(line for point in opened.points for line in impact_warnings(point.mission)):
@@ -181,7 +181,7 @@ class _ProgressDisplay:
             self._begun_with = flown
             self._bar.update(self._task, completed=flown)
             if flown:
-                self._console.print(f"{flown} of {self._flights} flights are in the table already")
+                self._console.print(f"{flown} of {self._flights} flights are already in the table")
         elapsed = max(now - self._began_s, 1e-6)
         rate = (flown - self._begun_with) / elapsed
         bad = f"{failed} not completed" if failed else ""

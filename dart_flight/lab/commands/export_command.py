@@ -31,9 +31,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command and return the exit status. --json prints one object, or a list for several logs."""
-    from dart_flight.recording.found import logs_in
+    from dart_flight.recording.found import find_logs
 
-    paths = logs_in(arguments.logs)
+    paths = find_logs(arguments.logs)
     export = _export_foxglove if arguments.foxglove else _export_csv
     places = _files(paths, arguments.output) if arguments.foxglove else _folders(paths, arguments.output)
     exports = [export(path, place) for path, place in zip(paths, places, strict=True)]
@@ -63,7 +63,7 @@ def _export_foxglove(path: Path, file: Path) -> dict[str, Any]:
 
 
 def _print_result(line: str, complete: bool) -> None:
-    cut = "" if complete else "; the log was cut and is exported up to there"
+    cut = "" if complete else "; the log is cut short and is exported to its end"
     print_status(f"{line}{cut}")
 
 

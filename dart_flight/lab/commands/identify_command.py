@@ -8,7 +8,7 @@ from typing import Any
 
 from dart_flight.cli.options import add_set_option
 from dart_flight.cli.terminal import emit_json, messages, print_status, styled, tables, write_text
-from dart_flight.cli.vehicle_line import say_vehicle
+from dart_flight.cli.vehicle_line import print_vehicle
 from dart_flight.config.document import InputError
 
 
@@ -46,7 +46,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         type=_height_or_trial,
         const=True,
         metavar="HEIGHT",
-        help="the trials are drops, with gravity along the normal; a HEIGHT (m) is checked against them",
+        help="the trials are drops, with gravity along the normal; HEIGHT (m) is compared with them",
     )
     parser.add_argument("--onset", choices=("lcp", "touch"), help="onset rule (default: the configuration's)")
     parser.add_argument(
@@ -107,7 +107,7 @@ def run(arguments: argparse.Namespace) -> int:
     trials, found = done.trials, done.found
     if done.flown is not None:
         source = done.flown.source
-    say_vehicle(source, arguments, flown=done.flown is not None)
+    print_vehicle(source, arguments, flown=done.flown is not None)
     print_status(*found.notes)
     for line in found.fit.says:
         messages().print(line, style="red", soft_wrap=True)
@@ -134,7 +134,7 @@ def _write(arguments: argparse.Namespace, found: Any, vehicle: Any, *, poor: boo
     console = messages()
     if entry.assumed:
         console.print(
-            f"not identifiable from these trials, written as 0 and marked: {', '.join(entry.assumed)}",
+            f"these trials do not determine, so written as 0 and marked: {', '.join(entry.assumed)}",
             style="yellow",
             soft_wrap=True,
         )

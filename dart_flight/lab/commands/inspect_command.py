@@ -122,7 +122,7 @@ def _print(flight: InspectedFlight) -> None:
         )
     if flight.untold:
         out.print(
-            f"{flight.untold} ambiguous threshold crossings: contact or manoeuvre (fast flight with unknown "
+            f"{flight.untold} ambiguous threshold crossings, contact or manoeuvre (fast flight with unknown "
             "thrust, after a crash, or below four standard deviations)",
             soft_wrap=True,
         )

@@ -12,7 +12,7 @@ from dart_flight.cli import EXIT_INTERRUPTED
 from dart_flight.cli.mission_picture import add_plot_option, write_picture
 from dart_flight.cli.options import add_set_option, link_of, whole_number
 from dart_flight.cli.terminal import emit_json, messages, print_status, tables
-from dart_flight.cli.vehicle_line import say_vehicle
+from dart_flight.cli.vehicle_line import print_vehicle
 from dart_flight.config.document import InputError
 from dart_flight.lab.search.flown_plan import (
     Done,
@@ -50,7 +50,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         type=Objective,
         choices=list(Objective),
         metavar="OBJECTIVE",
-        help="objective to use instead of the scenario's: " + ", ".join(Objective),
+        help="objective, instead of the scenario's: " + ", ".join(Objective),
     )
     parser.add_argument(
         "--top", type=whole_number(1, 1000), default=10, metavar="N", help="plans to list (10)"
@@ -112,14 +112,14 @@ def _plan(arguments: argparse.Namespace) -> int:
     if scenario.objective is Objective.QUICKEST:
         return _plan_quickest(scenario, arguments)
     if arguments.free:
-        raise InputError("--free is for the objective quickest", source=scenario.source)
+        raise InputError("--free needs the objective quickest", source=scenario.source)
     with Progress(console=console, transient=True) as bar:
         task = bar.add_task("trajectories", total=None)
         top = max(arguments.top, arguments.rank)
         result = search(
             scenario, top, arguments.seed, lambda done, of: bar.update(task, completed=done, total=of)
         )
-    say_vehicle(scenario.vehicle_source, arguments)
+    print_vehicle(scenario.vehicle_source, arguments)
     plan = result.plans[min(arguments.rank, len(result.plans)) - 1]
     record = None
     if arguments.output is not None and arguments.verify:
@@ -178,7 +178,7 @@ def _plan_quickest(scenario: Scenario, arguments: argparse.Namespace) -> int:
             result = plan_limited_sight(scenario, progress)
         else:
             result = plan_quickest(scenario, arguments.within, progress)
-    say_vehicle(scenario.vehicle_source, arguments)
+    print_vehicle(scenario.vehicle_source, arguments)
     if arguments.free and result.free is None:
         raise InputError("no flight reaches the goal without a collision", source=scenario.source)
     offered = OfferedPlan(result.free if arguments.free else result.best, scenario, None, [NOT_VERIFIED], {})

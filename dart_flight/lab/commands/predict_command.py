@@ -9,7 +9,7 @@ from typing import Any
 
 from dart_flight.cli.options import add_set_option
 from dart_flight.cli.terminal import emit_json, tables, write_output
-from dart_flight.cli.vehicle_line import say_vehicle
+from dart_flight.cli.vehicle_line import print_vehicle
 from dart_flight.config.document import InputError
 
 
@@ -35,14 +35,21 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--restitution",
         type=float,
         metavar="E",
-        help="instead of a surface: outgoing over incoming normal speed, from `identify`",
+        help="ratio of outgoing to incoming normal speed, from `identify`, instead of a surface",
     )
     parser.add_argument(
-        "--tangential-ratio", type=float, metavar="R", help="with --restitution: the same along the wall"
+        "--tangential-ratio",
+        type=float,
+        metavar="R",
+        help="with --restitution: ratio of the speeds along the wall",
     )
     parser.add_argument("--onset", choices=("lcp", "touch"), help="onset rule (default: the configuration's)")
     parser.add_argument(
-        "--incidence-deg", type=float, default=0.0, metavar="DEG", help="angle of leading edge and wall (0)"
+        "--incidence-deg",
+        type=float,
+        default=0.0,
+        metavar="DEG",
+        help="angle between leading edge and wall (0)",
     )
     parser.add_argument(
         "--plot", metavar="FILE", help="plot position, velocity and force over time (PNG, PDF, SVG)"
@@ -67,11 +74,11 @@ def run(arguments: argparse.Namespace) -> int:
             raise InputError("--batch reads the mode from the file and cannot plot; omit --mode and --plot")
         if arguments.json:
             rows = prediction.predict_batch_rows(vehicle, *where, path=arguments.batch)
-            say_vehicle(source, arguments)
+            print_vehicle(source, arguments)
             emit_json({"collisions": rows, "vehicle": source})
         else:
             text = prediction.predict_batch(vehicle, *where, path=arguments.batch)
-            say_vehicle(source, arguments)
+            print_vehicle(source, arguments)
             write_output(text)
         return 0
     if arguments.mode is None and vehicle.has_lock:
@@ -84,7 +91,7 @@ def run(arguments: argparse.Namespace) -> int:
         numbers = prediction.predict_drop(condition, arguments.drop)
     if arguments.plot:
         _plot(arguments, condition)
-    say_vehicle(source, arguments)
+    print_vehicle(source, arguments)
     if arguments.json:
         emit_json({**numbers, "vehicle": source})
     else:

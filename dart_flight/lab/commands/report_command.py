@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dart_flight.cli.terminal import emit_json, print_status, write_text
-from dart_flight.recording.found import from_each, logs_in
+from dart_flight.recording.found import find_logs, read_each
 
 if TYPE_CHECKING:
     from dart_flight.lab.report.recorded_flight import RecordedFlight
@@ -43,8 +43,8 @@ def run(arguments: argparse.Namespace) -> int:
     from dart_flight.lab.report.page import comparison_page, flight_page
     from dart_flight.lab.report.recorded_flight import RecordedFlight
 
-    paths = logs_in(arguments.logs)
-    flights = from_each(paths, RecordedFlight.read, print_status)
+    paths = find_logs(arguments.logs)
+    flights = read_each(paths, RecordedFlight.read, print_status)
     output = arguments.output or _default_output(paths)
     write_text(output, flight_page(flights[0]) if len(flights) == 1 else comparison_page(flights))
     _write_figures(arguments, flights)

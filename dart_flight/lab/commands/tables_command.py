@@ -6,8 +6,8 @@ import argparse
 from pathlib import Path
 
 from dart_flight.cli.terminal import emit_json, tables, write_text
-from dart_flight.cli.vehicle_line import say_vehicle
-from dart_flight.config.document import InputError, writing
+from dart_flight.cli.vehicle_line import print_vehicle
+from dart_flight.config.document import InputError, report_write_errors
 from dart_flight.contact.law import Onset
 
 
@@ -27,10 +27,10 @@ def run(arguments: argparse.Namespace) -> int:
     for surface in paper.SURFACES:
         if surface not in vehicle.materials:
             raise InputError(f"the tables need the material {surface}", key=("materials",))
-    say_vehicle(source, arguments)
+    print_vehicle(source, arguments)
     if arguments.output:
         path = Path(arguments.output)
-        with writing(path):
+        with report_write_errors(path):
             path.parent.mkdir(parents=True, exist_ok=True)
         write_text(path, paper.page(vehicle))
     if arguments.json:

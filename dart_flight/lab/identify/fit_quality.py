@@ -32,7 +32,7 @@ def errors_of(
     k, f = coefficients["k"], coefficients["f"]
     if k is None or f is None or not hits:
         return Errors(None, None)
-    table = HitTable.of(hits)
+    table = HitTable.from_hits(hits)
     predicted = predict(k.value, f.value, table, mass_kg, onset)
     return table.errors(predicted.peak_normal_force_n, predicted.normal_out_m_s)
 

@@ -7,12 +7,12 @@ import numpy as np
 from dart_flight.base.records import ContactEnd, ImpactOnset, ImuSample, Phase, PhaseChange
 from dart_flight.base.walls import Wall
 from dart_flight.config.document import InputError
-from dart_flight.config.provenance import FoundVehicle
+from dart_flight.config.provenance import LoadedVehicle
 from dart_flight.lab.flight_arrays import FlightArrays
 from dart_flight.lab.identify.trials import UNLABELLED, Series, Trial
 from dart_flight.recording.about import flown_mission
 from dart_flight.recording.measured_walls import WallMeasurements
-from dart_flight.recording.reader import Log, NothingInItError
+from dart_flight.recording.reader import Log, MissingDataError
 
 _BEFORE_S, _AFTER_S = 0.5, 0.4
 _POSES = 40  # poses required within 0.4 s of an onset; at 50 Hz a contact falls between two poses
@@ -34,13 +34,13 @@ def trials_of(log: Log, material: str | None = None, mode: str = UNLABELLED) -> 
         InputError: the log does not contain its mission.
     """
     mission = flown_mission(log.about, log.source)
-    flown = FoundVehicle(mission.vehicle, mission.flown_vehicle())
+    flown = LoadedVehicle(mission.vehicle, mission.flown_vehicle())
     flight = FlightArrays(log, mission)
     found: dict[str, list[Trial]] = {}
     onset: ImpactOnset | None = None
     measured = WallMeasurements(mission)
     for record in flight.records:
-        measured.take(record)
+        measured.add(record)
     for record in flight.records:
         if isinstance(record, ImpactOnset):
             onset = record
@@ -97,13 +97,13 @@ def trials_at_one(log: Log, material: str | None, mode: str = UNLABELLED) -> lis
     """Return the collisions of a flight with one material; None: the flight must have only one.
 
     Raises:
-        InputError: there are several; `NothingInItError` if there is no such collision.
+        InputError: there are several; `MissingDataError` if there is no such collision.
     """
     by_material = trials_of(log, material, mode)
     if not by_material:
         what = f"no collision with {material}" if material else "no collision"
         how_armed = "" if mode == UNLABELLED else f" in {mode} mode"
-        raise NothingInItError(f"{what}{how_armed} in this flight", source=log.source)
+        raise MissingDataError(f"{what}{how_armed} in this flight", source=log.source)
     if len(by_material) > 1:
         names = ", ".join(by_material)
         raise InputError(f"collisions with {names}: choose one with --surface", source=log.source)

@@ -55,7 +55,7 @@ def hold_out(hits: Sequence[MeasuredImpact], mass_kg: float, onset: Onset) -> He
         predicted = predict(k, f, held, mass_kg, onset)
         return predicted.peak_normal_force_n, predicted.normal_out_m_s
 
-    table = HitTable.of(hits)
+    table = HitTable.from_hits(hits)
     groups = speed_groups(table.speed_in)
     by_speed = bool(groups.max() > 0)
     folds = groups if by_speed else np.arange(n)

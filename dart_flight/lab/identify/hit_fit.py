@@ -50,7 +50,7 @@ class HitTable(NamedTuple):
     acceleration: Array
 
     @classmethod
-    def of(cls, hits: Sequence[MeasuredImpact]) -> HitTable:
+    def from_hits(cls, hits: Sequence[MeasuredImpact]) -> HitTable:
         """Return the table of hits of one mode."""
         rows = [
             (
@@ -143,7 +143,7 @@ class HitFit:
         """Return the Jacobian by central differences."""
         return np.stack([difference(theta, j, self.residuals) for j in range(theta.size)], axis=1)
 
-    def reweigh(self, theta: Array) -> None:
+    def reweight(self, theta: Array) -> None:
         """Replace the errors by Huber's pseudo-values, which have the same solution and his covariance."""
         errors = self._errors(theta).reshape(4, -1)
         inside = (np.abs(errors) <= self.robust_from) & self._known
@@ -156,7 +156,7 @@ class HitFit:
         """Return 1: the standard deviations describe the law's own errors, which do not average out."""
         return 1.0
 
-    def drawn_together(self) -> list[NDArray[np.intp]]:
+    def resampling_groups(self) -> list[NDArray[np.intp]]:
         """Return the rows of each hit; with too few hits, all rows as one group."""
         rows = np.arange(self._counts.size).reshape(4, -1)
         return list(rows.T) if rows.shape[1] >= _ENOUGH_HITS else [rows.ravel()]
@@ -173,7 +173,7 @@ def fit_hits(
     Raises:
         InputError: SciPy is missing.
     """
-    table = HitTable.of(hits)
+    table = HitTable.from_hits(hits)
     if not table.is_enough:
         return {"k": None, "f": None}, []
     problem = HitFit(table, mass_kg, onset)

@@ -12,14 +12,14 @@ from typing import Any, NamedTuple
 from dart_flight.base.geometry import GRAVITY_M_S2
 from dart_flight.base.records import Mode
 from dart_flight.config.document import InputError
-from dart_flight.config.provenance import FoundVehicle
+from dart_flight.config.provenance import LoadedVehicle
 from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.contact.law import Onset
 from dart_flight.lab.identify.estimates import Identification
 from dart_flight.lab.identify.fit import identify
 from dart_flight.lab.identify.trial_readers import read_trials
 from dart_flight.lab.identify.trials import COLUMNS, UNLABELLED, Trial, TrialReading
-from dart_flight.recording.found import from_each, logs_in
+from dart_flight.recording.found import find_logs, read_each
 
 FLIGHT_LOG = ".mcap"
 
@@ -38,7 +38,7 @@ class IdentifyResult(NamedTuple):
     trials: list[Trial]
     found: Identification
     vehicle: VehicleConfig
-    flown: FoundVehicle | None
+    flown: LoadedVehicle | None
     mass_kg: float
     onset: Onset
 
@@ -75,13 +75,13 @@ def identify_trials(
     if not 0.01 <= mass_kg <= 100.0:
         raise InputError(f"{mass_kg:g} kg, expected 0.01 to 100", key=("mass",))
     left_out: list[str] = []
-    files = logs_in(paths)
+    files = find_logs(paths)
     _refuse_idle_options(reading, files)
     if not given and not any(path.suffix.lower() == FLIGHT_LOG for path in files):
         _refuse_mode(reading, vehicle)  # no trial contains another vehicle
     with_mass = replace(reading, mass_kg=mass_kg)
     trials = list(given) + list(
-        chain.from_iterable(from_each(files, lambda path: read_trials(path, with_mass), left_out.append))
+        chain.from_iterable(read_each(files, lambda path: read_trials(path, with_mass), left_out.append))
     )
     left_out += [note for trial in trials for note in trial.notes]
     flown, at_hand = _flown(trials, vehicle), vehicle
@@ -127,7 +127,7 @@ def _alike(first: VehicleConfig, other: VehicleConfig) -> bool:
     return own == (other.airframe.mass_kg, other.modes, other.onset)
 
 
-def _flown(trials: Sequence[Trial], vehicle: VehicleConfig) -> FoundVehicle | None:
+def _flown(trials: Sequence[Trial], vehicle: VehicleConfig) -> LoadedVehicle | None:
     """Return the vehicle that flew if it differs from the given one.
 
     Raises:

@@ -52,7 +52,7 @@ def materials_entry(
         raise InputError(f"to write an entry the trials need {wanted}", key=("output",))
     lines, assumed, missing = [], [], []
     for mode in vehicle.modes:
-        fallback = known.of(mode) if known else None
+        fallback = known.coefficients(mode) if known else None
         estimates = found.coefficients.get(mode.value, {})
         if estimates.get("k") is None and fallback is None:
             missing.append(mode.value)

@@ -375,7 +375,7 @@ def _find_pulse(time: Array, value: Array, noise: float, name: str) -> int:
         if before.size >= _MIN and abs(float(np.median(before))) < 0.5 * _WEIGHTLESS_M_S2:
             return int(i)
     if not strong.size or largest < max(20.0 * noise, 3.0 * GRAVITY_M_S2):
-        raise InputError("no impact found: no pulse out of free fall, and none above 3 g", source=name)
+        raise InputError("no impact found: no pulse after free fall and none above 3 g", source=name)
     return int(strong[0])
 
 

@@ -95,7 +95,7 @@ def _shape(contact: ContactMotion, name: str, time_s: Array) -> Array:
         return contact.lift(time_s)
     if name == "tangential_force_n":
         return -contact.coefficients.mu * contact.normal(time_s)[2] * contact.slip(time_s)
-    return contact.way(time_s) if name == "tangential_m" else contact.slip(time_s)
+    return contact.slide(time_s) if name == "tangential_m" else contact.slip(time_s)
 
 
 class SampleFit:
@@ -232,7 +232,7 @@ class SampleFit:
             for name, predicted in self.predict(theta, i).items()
         }
 
-    def reweigh(self, theta: Array) -> None:
+    def reweight(self, theta: Array) -> None:
         """Cut windows around the fitted contacts, then weight each channel by its residuals."""
         names: dict[str, list[int]] = {}
         for i, trial in enumerate(self.trials):
@@ -268,7 +268,7 @@ class SampleFit:
         correlated = (1.0 + rho) / (1.0 - rho) if sure > 0.0 else 1.0
         return max(misfit / max(data - self.parameters.size, 1), 1e-12) * correlated
 
-    def drawn_together(self) -> list[NDArray[np.intp]]:
+    def resampling_groups(self) -> list[NDArray[np.intp]]:
         """Return the rows of whole trials; with few trials, rows of segments of their channels."""
         found: list[NDArray[np.intp]] = []
         row = 0

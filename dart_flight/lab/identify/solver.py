@@ -40,13 +40,13 @@ class LawProblem(Protocol):
     def jacobian(self, theta: Array) -> Array:
         """Return the derivatives of the residuals, one column for each unknown."""
 
-    def reweigh(self, theta: Array) -> None:
+    def reweight(self, theta: Array) -> None:
         """Weigh the data by their residuals."""
 
     def variance(self, theta: Array) -> float:
         """Return the factor on the variances of independent data with the assumed deviations."""
 
-    def drawn_together(self) -> Sequence[NDArray[np.intp]]:
+    def resampling_groups(self) -> Sequence[NDArray[np.intp]]:
         """Return the groups of rows that are resampled together."""
 
 
@@ -68,7 +68,7 @@ def descend(problem: LawProblem, theta: Array, losses: Sequence[str]) -> Array:
         )  # fmt: skip
         theta = found.x
         if turn < len(losses):
-            problem.reweigh(theta)
+            problem.reweight(theta)
     return theta
 
 
@@ -97,7 +97,7 @@ def half_widths(problem: LawProblem, theta: Array) -> Array:
     inverse = covariance(jacobian)
     statistical = Z95 * np.sqrt(np.diag(inverse) * problem.variance(theta))
     # Resampling blocks changes the estimate by the sum of their scores times the inverse information.
-    scores = np.stack([jacobian[rows].T @ residuals[rows] for rows in problem.drawn_together()])
+    scores = np.stack([jacobian[rows].T @ residuals[rows] for rows in problem.resampling_groups()])
     n = len(scores)
     moved = (scores - scores.mean(axis=0)) @ inverse
     drawn = np.sqrt(np.sum(moved**2, axis=0) * n / max(n - 1, 1))

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dart_flight.config.provenance import FoundVehicle
+from dart_flight.config.provenance import LoadedVehicle
 from dart_flight.contact.coefficients import Array
 
 UNLABELLED = "unlabelled"
@@ -65,7 +65,7 @@ class Trial:
     height_m: float | None = None
     position_measured: bool = True
     allowance: Mapping[str, float] = field(default_factory=dict)
-    flown: FoundVehicle | None = None
+    flown: LoadedVehicle | None = None
     turn_rad_s: float | None = None
     notes: tuple[str, ...] = ()
 

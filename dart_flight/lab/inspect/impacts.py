@@ -131,7 +131,7 @@ class ThresholdCrossing(msgspec.Struct):
     noise_n: float = 0.0
     level: float = 0.0
 
-    def ends(self, peak: ImpactPeak, newest: Iterable[Estimated], short: int) -> None:
+    def record_peak(self, peak: ImpactPeak, newest: Iterable[Estimated], short: int) -> None:
         """Record the peak, and compare the force with the possible thrust.
 
         Args:
@@ -244,16 +244,16 @@ class ImpactScan:
             self._place += 1
         return self._place < len(self._flying) and self._flying[self._place][0] <= t_s
 
-    def take(self, sample: Sample) -> None:
+    def process(self, sample: Sample) -> None:
         """Process the next sample of the log."""
         if isinstance(sample, AttitudeSample):
-            if self.state.take_attitude(sample):
-                self.estimator.take_attitude(sample)
+            if self.state.update_attitude(sample):
+                self.estimator.add_attitude(sample)
         elif isinstance(sample, OdometrySample):
-            self.state.take_odometry(sample)
+            self.state.update_odometry(sample)
         elif isinstance(sample, ActuatorSample):
-            self.estimator.thrust.take_actuator(sample)
-        elif self.state.take_imu(sample):
+            self.estimator.thrust.add_commands(sample)
+        elif self.state.update_imu(sample):
             self._process_imu(sample)
 
     def _process_imu(self, sample: ImuSample) -> None:
@@ -271,10 +271,10 @@ class ImpactScan:
                 level = math.hypot(estimated.up[0], estimated.up[1])
                 noise = detector.noise_n[0]
                 self.crossings.append(
-                    ThresholdCrossing(event, detector.crossed_n, noise_n=noise, level=level)
+                    ThresholdCrossing(event, detector.crossed_threshold_n, noise_n=noise, level=level)
                 )
             elif isinstance(event, ImpactPeak):
-                self.crossings[-1].ends(event, self._newest, self._short)
+                self.crossings[-1].record_peak(event, self._newest, self._short)
         if flying:
             self._keep(estimate)
 
@@ -298,8 +298,8 @@ class ImpactScan:
                     self.estimator.hover.noise_m_s2,
                     short / m,
                     long / m,
-                    self.detector.floor_n(0.05) / m,
-                    self.detector.floor_n(0.15) / m,
+                    self.detector.detection_floor_n(0.05) / m,
+                    self.detector.detection_floor_n(0.15) / m,
                 )
             )
 

@@ -63,12 +63,12 @@ def inspect_log(
     unknown += describe_cut(log, track, flying)
     drag = fit_drag(track, flying)
     if not drag:
-        unknown.append("drag: the flight is too slow to estimate it")
-    unknown.append("wind, and the accelerometer's bias outside of hover")
+        unknown.append("drag: the flight is too slow for an estimate")
+    unknown.append("wind, and the accelerometer's bias outside hover")
     if mass_kg is None:
         unknown.append("mass: forces are in m/s2, with --mass also in newton")
     flown = vehicle_for(vehicle, log, curve, drag)
     scan = ImpactScan(flown, flying, listen(flown, flying) if listen is not None else None)
     for sample in samples_of(track, curve, len(flown.airframe.motors)):
-        scan.take(sample)
+        scan.process(sample)
     return scan.result(log, track, curve, drag, mass_kg, unknown)

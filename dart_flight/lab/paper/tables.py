@@ -69,7 +69,7 @@ def drop_rows(vehicle: VehicleConfig) -> Iterator[DropRow]:
     """
     for onset in Onset:
         for row in DROPS:
-            c = vehicle.materials[DROP_SURFACE].of(row.mode)
+            c = vehicle.materials[DROP_SURFACE].coefficients(row.mode)
             got = drop(c, vehicle.airframe.mass_kg, row.height_m, onset)
             yield DropRow(
                 row,
@@ -198,7 +198,7 @@ def flight_rows(vehicle: VehicleConfig) -> Iterator[FlightRow]:
     mass = vehicle.airframe.mass_kg
     for onset in Onset:
         for mode in Mode:
-            c = vehicle.materials[FLIGHT_SURFACE].of(mode)
+            c = vehicle.materials[FLIGHT_SURFACE].coefficients(mode)
             r = collide(c, mass, *FLIGHT_APPROACH_M_S, onset)
             yield FlightRow(
                 mode,

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 from dart_flight.config.vehicle import Coefficients
 from dart_flight.contact.coefficients import Array, CoefficientArrays
 from dart_flight.contact.law import Onset
-from dart_flight.contact.oscillator import enter, find_contact_times, motion
+from dart_flight.contact.oscillator import begin_contact, find_contact_times, motion
 
 # The integrals over a contact are Chebyshev series in y, t = end (1 + tanh(c y)/tanh(c))/2. The nodes are
 # dense at both ends, where the vertical force changes within a thousandth of the contact. With 80 terms the
@@ -124,7 +124,7 @@ class ContactMotion:
         self.normal_m_s, self.acceleration_m_s2 = normal_m_s, acceleration_m_s2
         state = (np.asarray(mass_kg, dtype=float), np.asarray(normal_m_s, dtype=float))
         push = np.asarray(acceleration_m_s2, dtype=float)
-        self._course = enter(CoefficientArrays.of(coefficients), *state, onset, push)
+        self._course = begin_contact(CoefficientArrays.from_table(coefficients), *state, onset, push)
         events = find_contact_times(self._course)
         self._omega = float(self._course.omega)
         self.has_contact = bool(self._course.hits)
@@ -172,7 +172,7 @@ class ContactMotion:
         left: Array = np.exp(-self.coefficients.mu / self.mass_kg * self.impulse(t))
         return left
 
-    def way(self, time_s: ArrayLike) -> Array:
+    def slide(self, time_s: ArrayLike) -> Array:
         """Return the displacement along the wall over the tangential velocity at the onset, s."""
         t = np.asarray(time_s, dtype=float)
         return self._slipped.once(t) if self.has_contact else t.copy()
@@ -240,7 +240,7 @@ def trajectory(
     """
     t = np.asarray(time_s, dtype=float)
     x, vx, force = contact.normal(t)
-    slide, slip = contact.way(t), contact.slip(t)
+    slide, slip = contact.slide(t), contact.slip(t)
     lift, rise = contact.lift(t), contact.rise(t)
     c = contact.coefficients
     return HitHistory(

@@ -14,7 +14,7 @@ from dart_flight.base.geometry import GRAVITY_M_S2
 from dart_flight.base.records import Mode
 from dart_flight.config.document import InputError, read_text, unknown_name
 from dart_flight.config.file_kinds import FileKind, refuse_other_kind
-from dart_flight.config.units import parted
+from dart_flight.config.units import split_unit
 from dart_flight.config.vehicle import Coefficients, VehicleConfig
 from dart_flight.contact.coefficients import Array, CoefficientArrays, Rows
 from dart_flight.contact.contact_map import Drop, collide, contact_map, drop
@@ -226,7 +226,7 @@ def predict_batch_rows(
     modes = [mode.value for mode in vehicle.modes]
     which, normal, tangential = _read_batch(path, modes)
     result = contact_map(
-        CoefficientArrays.of([row.coefficients for row in table]),
+        CoefficientArrays.from_table([row.coefficients for row in table]),
         table[0].mass_kg,
         normal,
         tangential,
@@ -299,7 +299,7 @@ def _read_batch(path: str | Path, modes: list[str]) -> tuple[Rows, Array, Array]
 
 def described(name: str, value: float | None) -> tuple[str, str, str]:
     """Return quantity, value and unit for display, from a name that ends in its unit."""
-    stem, unit = parted(name)
+    stem, unit = split_unit(name)
     words = stem.replace("_", " ")
     if value is None or math.isnan(value):
         return words, "unknown", ""

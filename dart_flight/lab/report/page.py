@@ -22,7 +22,7 @@ from dart_flight.base.records import (
     WallEstimate,
     World,
 )
-from dart_flight.config.document import InputError, dotted, leaves_of
+from dart_flight.config.document import InputError, dotted, iterate_leaves
 from dart_flight.lab.holes import describe_missing_parts
 from dart_flight.lab.report.figures import forces, motion
 from dart_flight.lab.report.figures import lock_timeline as lock
@@ -151,7 +151,7 @@ def _first_difference(first: RecordedFlight, other: RecordedFlight) -> str:
     if first.verdict.mission != other.verdict.mission:
         return ""
     there, here = (
-        {dotted(key): value for key, value in leaves_of(flight.mission.to_dict(), in_lists=True)}
+        {dotted(key): value for key, value in iterate_leaves(flight.mission.to_dict(), in_lists=True)}
         for flight in (first, other)
     )
     for key in there | here:
@@ -190,9 +190,13 @@ def _facts(flight: RecordedFlight) -> list[tuple[str, str]]:
         ("vehicle", _vehicle(v)),
         ("started", about.get("started_utc", "?")),
         ("software", f"dart-flight {about.get('software', '?')} on {about.get('host', '?')}"),
-        ("log", flight.log.source + ("" if flight.log.complete else " (cut: not all of the flight is here)")),
+        (
+            "log",
+            flight.log.source
+            + ("" if flight.log.complete else " (cut short: the end of the flight is missing)"),
+        ),
         ("PX4's own log", v.px4_log or _where_px4_log(flight)),
-        ("records lost", flight.log.end.get("lost", "unknown: the log was cut")),
+        ("records lost", flight.log.end.get("lost", "unknown: the log is cut short")),
         ("replayed", equal + (f"; {replayed.note}" if replayed.note else "")),
     ]
 
@@ -276,7 +280,7 @@ def _wall_estimate_row(flight: RecordedFlight, estimate: WallEstimate) -> Row:
     vehicle = flight.mission.vehicle
     if mode is None or wall is None:
         return [estimate.wall, None, None, None, None, None, None, None, None]
-    prior, spread = vehicle.materials[wall.material].of(mode), vehicle.estimation.walls.spread
+    prior, spread = vehicle.materials[wall.material].coefficients(mode), vehicle.estimation.walls.spread
     cells: list[Cell] = [estimate.wall, estimate.mode_reported, estimate.mode_felt or "undecided"]
     for before, after, sd in (
         (prior.k, estimate.k_n_per_m, estimate.k_sd),

@@ -169,7 +169,7 @@ def _room(mission: Mission) -> dict[str, Any]:
             {
                 "name": wall.name,
                 "material": wall.material,
-                "surface": _mm([mission.vehicle.airframe.surface_of(wall).point])[0],
+                "surface": _mm([mission.vehicle.airframe.wall_surface(wall).point])[0],
                 "plane": _mm([wall.point])[0],
                 "normal": [round(v, 5) for v in wall.normal],
                 "length": round(1e3 * wall.length_m),

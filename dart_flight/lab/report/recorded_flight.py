@@ -32,7 +32,7 @@ from dart_flight.planning.predicted_flight import PredictedFlight, predict_missi
 from dart_flight.recording.about import armed_span, flown_mission
 from dart_flight.recording.flown_impact import FlownImpact, Velocities
 from dart_flight.recording.reader import Log, read_log
-from dart_flight.recording.verdict import judge
+from dart_flight.recording.verdict import evaluate
 from dart_flight.run.replay import Replay, replay
 
 _STEP_S = 0.0005
@@ -103,7 +103,7 @@ class Impact:
     def _predict(self, flight: RecordedFlight) -> None:
         vehicle, measured, peak = flight.mission.vehicle, self.verdict.measured, self.verdict.peak
         normal, tangential = measured.normal_m_s or 0.0, measured.tangential_m_s or 0.0
-        coefficients = vehicle.materials[self.material].of(self.collision.mode)
+        coefficients = vehicle.materials[self.material].coefficients(self.collision.mode)
         contact = ContactMotion(coefficients, vehicle.airframe.mass_kg, normal, Onset(vehicle.onset))
         time = np.arange(-_SHOWN_BEFORE_S, _SHOWN_AFTER_S, _STEP_S)
         path = self.prediction = trajectory(contact, time, tangential, vehicle.vertical_force_sign)
@@ -202,7 +202,7 @@ class RecordedFlight:
         self.log = log
         self.mission = flown_mission(log.about, log.source)
         self.course = FlightArrays(log, self.mission)
-        self.verdict, impacts = judge(log)
+        self.verdict, impacts = evaluate(log)
         self.planned: PredictedFlight = predict_mission(self.mission)
         self.impacts = [Impact(impact, self) for impact in impacts]
         self.timing = _timing(self.course)

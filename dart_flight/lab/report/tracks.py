@@ -131,11 +131,11 @@ def power(course: FlightArrays, mission: Mission) -> Power:
     thrust: list[tuple[float, float]] = []
     for record in course.records:
         if isinstance(record, ActuatorSample):
-            model.take_actuator(record)
+            model.add_commands(record)
         elif isinstance(record, EscSample):
-            model.take_esc(record)
+            model.update_esc(record)
         elif isinstance(record, StatusSample):
-            model.take_voltage(record.battery_v)
+            model.update_voltage(record.battery_v)
         elif isinstance(record, ForceEstimate):
             n = model.mean_over_tick(record.t_us)
             if model.source is not None:

@@ -10,8 +10,8 @@ from typing import Any, TextIO
 import msgspec
 
 from dart_flight.base.records import Record
-from dart_flight.config.document import writing
-from dart_flight.recording.flight_time import zero_of
+from dart_flight.config.document import report_write_errors
+from dart_flight.recording.flight_time import find_zero
 from dart_flight.recording.reader import Log
 from dart_flight.recording.schema import schema
 
@@ -29,7 +29,7 @@ def export_csv(log: Log, folder: Path) -> list[Path]:
     Raises:
         InputError: a file cannot be written.
     """
-    with writing(folder):
+    with report_write_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
         written = _write_records(log, folder)
         (folder / "about.json").write_bytes(msgspec.json.format(msgspec.json.encode(log.about | log.end)))
@@ -38,7 +38,7 @@ def export_csv(log: Log, folder: Path) -> list[Path]:
 
 def _write_records(log: Log, folder: Path) -> list[Path]:
     kinds: dict[type[Record], list[tuple[int, int, Record]]] = {}
-    t_us, first_us = 0, zero_of(entry.record for entry in log.entries)
+    t_us, first_us = 0, find_zero(entry.record for entry in log.entries)
     for entry in log.entries:
         t_us = getattr(entry.record, "t_us", t_us) or t_us
         kinds.setdefault(type(entry.record), []).append((t_us, entry.number, entry.record))

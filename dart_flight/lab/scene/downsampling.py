@@ -67,7 +67,7 @@ class Downsampler:
         self._last_us: dict[type[Record], int] = {}
         self._held: dict[type[Record], tuple[int, float, Record]] = {}
 
-    def take(self, record: Record) -> Iterable[Record]:
+    def select(self, record: Record) -> Iterable[Record]:
         """Process a record and return the records to pass on, at most one."""
         kind = type(record)
         if kind in _ALL:

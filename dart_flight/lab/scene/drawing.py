@@ -154,7 +154,7 @@ def height_over(mission: Mission) -> float:
 
 
 def _wall(mission: Mission, wall: Wall, t_us: int) -> SceneEntity:
-    (px, py), (nx, ny) = mission.vehicle.airframe.surface_of(wall).point, wall.normal
+    (px, py), (nx, ny) = mission.vehicle.airframe.wall_surface(wall).point, wall.normal
     back = 0.5 * _WALL_THICKNESS_M
     height = height_over(mission)
     yaw = math.atan2(ny, nx)

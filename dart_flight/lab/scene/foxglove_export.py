@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from dart_flight.config.document import writing
+from dart_flight.config.document import report_write_errors
 from dart_flight.config.packages import missing_package
 from dart_flight.recording.about import flown_mission
 from dart_flight.recording.reader import Log
@@ -30,15 +30,15 @@ def export_foxglove(log: Log, path: Path) -> int:
     except ImportError:
         raise missing_package("--foxglove needs foxglove-sdk", "live") from None
     channels, thinning, translation = Channels(), Downsampler(), SceneTranslator(mission)
-    with writing(path):
+    with report_write_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         written = foxglove.open_mcap(path, allow_overwrite=True, context=channels.context)
     count = 0
     with written as file:
         file.write_metadata(_DESCRIPTION, {key: log.about[key] for key in _KEPT if key in log.about})
         for entry in log.entries:
-            for record in thinning.take(entry.record):
-                for message in translation.take(record):
+            for record in thinning.select(entry.record):
+                for message in translation.translate(record):
                     channels.publish(message)
                     count += 1
     return count

@@ -65,7 +65,7 @@ class LiveViewProcess:
 
     Args:
         show: content and address.
-        say: called with lines for the terminal, on a thread of the view.
+        print_line: called with lines for the terminal, on a thread of the view.
 
     Attributes:
         port: port for viewers.
@@ -75,10 +75,10 @@ class LiveViewProcess:
         InputError: foxglove-sdk is missing, or the port cannot be opened.
     """
 
-    def __init__(self, show: LiveViewSpec, say: Callable[[str], None]) -> None:
+    def __init__(self, show: LiveViewSpec, print_line: Callable[[str], None]) -> None:
         if importlib.util.find_spec("foxglove") is None:
             raise missing_package("--live needs foxglove-sdk", "live")
-        self._say = say
+        self._say = print_line
         self.dropped = 0
         self._waiting: deque[Record] = deque()
         self._thinning = Downsampler()
@@ -126,7 +126,7 @@ class LiveViewProcess:
         self._thread.join(_END_S)
         self.process.end(_END_S)
         if self.dropped:
-            self._say(f"live view: {self.dropped} records dropped, the viewer was too slow")
+            self._say(f"live view: {self.dropped} records dropped because the viewer was too slow")
 
     def _run(self) -> None:
         while not self._closing.wait(_TURN_S):
@@ -138,7 +138,7 @@ class LiveViewProcess:
     def _pass_on(self) -> bool:
         """Write waiting records as far as the pipe accepts them; return False if the process has ended."""
         while self._waiting and len(self._unsent) < _MAX_BYTES:
-            for record in self._thinning.take(self._waiting.popleft()):
+            for record in self._thinning.select(self._waiting.popleft()):
                 self._unsent += record.topic.encode() + b" " + encode(record) + b"\n"
         try:
             while self._unsent:
@@ -154,10 +154,10 @@ def open_live_view(
     mission: Mission,
     host: str,
     port: int,
-    furnished: bool,
-    placed: bool,
+    show_room: bool,
+    frame_known: bool,
     from_truth: bool,
-    say: Callable[[str], None],
+    print_line: Callable[[str], None],
 ) -> LiveViewProcess:
     """Open a live view (`LiveViewSpec`), with the errors of `LiveViewProcess`."""
-    return LiveViewProcess(LiveViewSpec(mission, host, port, furnished, placed, from_truth), say)
+    return LiveViewProcess(LiveViewSpec(mission, host, port, show_room, frame_known, from_truth), print_line)

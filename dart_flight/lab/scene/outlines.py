@@ -62,7 +62,7 @@ def room(mission: Mission) -> list[tuple[Iterable[Vec3], Rgb]]:
     parts: list[tuple[Iterable[Vec3], Rgb]] = [(_points(edges, _ROOM_STEP_M), GREY)]
     height = height_over(mission)
     for wall in mission.walls:
-        (ax, ay), (bx, by) = mission.vehicle.airframe.surface_of(wall).ends
+        (ax, ay), (bx, by) = mission.vehicle.airframe.wall_surface(wall).ends
         columns, rows = max(1, round(wall.length_m / _GRID_M)), max(1, round(height / _GRID_M))
         lines: list[Segment] = []
         for i in range(columns + 1):

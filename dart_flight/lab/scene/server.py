@@ -72,7 +72,7 @@ class Broadcast:
         """Publish one record."""
         topic, _, data = line.partition(b" ")
         record = decode(data, DECODERS[topic.decode()])
-        for message in self._translation.take(record):
+        for message in self._translation.translate(record):
             self._channels.publish(message)
         if self._newcomers.waiting.is_set():
             self._newcomers.waiting.clear()

@@ -111,7 +111,7 @@ class SceneTranslator:
         mission: the mission.
         frame: the mission frame in local NED, if known beforehand. Otherwise the frame is the flight's
             anchor, and until then assumes the vehicle at its take-off point.
-        furnished: whether to show the mission's room and plan.
+        show_room: whether to show the mission's room and plan.
         from_truth: whether to show the true motion of a simulated vehicle that no program flies.
     """
 
@@ -119,10 +119,10 @@ class SceneTranslator:
         self,
         mission: Mission,
         frame: MissionFrame | None = None,
-        furnished: bool = True,
+        show_room: bool = True,
         from_truth: bool = False,
     ) -> None:
-        self._mission, self._given, self._furnished = mission, frame, furnished
+        self._mission, self._given, self._show_room = mission, frame, show_room
         self._from_truth = from_truth
         self._anchor, self._events = MissionFrameReader(mission), EventFormatter()
         self._provisional: MissionFrame | None = None
@@ -153,15 +153,15 @@ class SceneTranslator:
             ImpactPeak: self._on_peak,
         }
 
-    def take(self, record: Record) -> list[Message]:
+    def translate(self, record: Record) -> list[Message]:
         """Return the messages for a record."""
         t_us = getattr(record, "t_us", 0)
         messages = [] if self._begun else self._begin(t_us)
-        self._anchor.take(record)
+        self._anchor.add(record)
         handler = self._handlers.get(type(record))
         if handler is not None:
             messages += handler(record)
-        event = self._events.event_of(record)
+        event = self._events.format_event(record)
         if event is not None:
             messages.append(_log(t_us, event))
         return messages
@@ -174,9 +174,9 @@ class SceneTranslator:
         """Return the messages for everything constant."""
         self._begun = True
         # Viewers need a transform before anything else, so begin level at the start.
-        (x, y) = self._mission.start if self._furnished else (0.0, 0.0)
+        (x, y) = self._mission.start if self._show_room else (0.0, 0.0)
         messages = [_transform(t_us, (x, y, 0.0), IDENTITY), *self._vehicle(t_us)]
-        if self._furnished:
+        if self._show_room:
             messages.append(_scene(ROOM, t_us, *drawing.room(self._mission, t_us)))
             plan = drawing.planned(predict_mission(self._mission), self._mission, t_us)
             messages.append(_scene(PLAN, t_us, plan))
@@ -267,7 +267,7 @@ class SceneTranslator:
         """Return magnitude, components along the nearest wall's normal and tangent, and up; x and y without a
         wall.
         """
-        walls = self._mission.walls if self._furnished and position is not None else ()
+        walls = self._mission.walls if self._show_room and position is not None else ()
         if not walls or position is None:
             return (norm(force), *force)
         nearest = min(walls, key=lambda wall: math.dist(wall.foot(position), position[:2]))

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from dart_flight.config.mission import Mission
 from dart_flight.planning.predicted_flight import PredictedFlight, flights_with
-from dart_flight.planning.rollout import MIN_FACTOR, UncertaintyDraw, drawn_wall
+from dart_flight.planning.rollout import MIN_FACTOR, UncertaintyDraw, draw_wall
 
 
 def predict_with_draws(mission: Mission, count: int = 40, seed: int = 1) -> list[PredictedFlight]:
@@ -33,7 +33,7 @@ def predict_with_draws(mission: Mission, count: int = 40, seed: int = 1) -> list
         }
         modes, hits = mission.vehicle.modes, mission.collisions
         factors = {(str(c.index), mode): wall_factors[c.wall.name, mode] for c in hits for mode in modes}
-        places = {wall.name: drawn_wall(wall, place_rng) for wall in mission.walls if wall.is_uncertain}
+        places = {wall.name: draw_wall(wall, place_rng) for wall in mission.walls if wall.is_uncertain}
         draws.append(UncertaintyDraw(factors, 0.0, 0.0, 0.0, places))
     return flights_with(mission, draws)
 

@@ -69,7 +69,7 @@ def plan_free(scenario: Scenario) -> FreePlan:
         InputError: Ruckig is not installed.
     """
     limits = limits_of(scenario)
-    obstacles, goal = Obstacles.of(scenario), scenario.goal.position_m
+    obstacles, goal = Obstacles.from_scenario(scenario), scenario.goal.position_m
     corners = shortest_path(scenario.start, goal, obstacles)
     if corners is None:
         return FreePlan(None, 0.0, 0.0, (), limits)

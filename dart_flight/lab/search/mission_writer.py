@@ -14,7 +14,7 @@ import yaml
 from dart_flight.base.geometry import Vec2
 from dart_flight.base.records import AfterImpact
 from dart_flight.base.walls import Wall
-from dart_flight.config.document import Document, writing
+from dart_flight.config.document import Document, report_write_errors
 from dart_flight.config.mission import Mission, parse_mission
 from dart_flight.config.mission_file import FlownRecord, Limits, TrajectoryPieces, WallSpec
 from dart_flight.config.vehicle import VehicleConfig
@@ -137,7 +137,7 @@ def recovery_gains(vehicle: VehicleConfig, wall: Wall, hit: TrajectoryHit) -> Ve
     At the outgoing velocity these gains make PX4's position loop command the thrust per mass of the hit, u =
     a + drag v, so that kv (kp A F - v) = u.
     """
-    response, px4 = ContactResponse.of(vehicle, wall, hit.mode), vehicle.px4
+    response, px4 = ContactResponse.at_wall(vehicle, wall, hit.mode), vehicle.px4
     drag_n, drag_t = drag_along(wall, vehicle.airframe.drag_per_s)
     thrust_n = hit.acceleration_m_s2[0] + drag_n * hit.normal_m_s
     thrust_t = hit.acceleration_m_s2[1] + drag_t * hit.tangential_m_s
@@ -197,7 +197,7 @@ def write_mission(
     """
     text = mission_text(scenario, plan, target, flown)
     planned_mission(scenario, plan, text)
-    with writing(target):
+    with report_write_errors(target):
         target.write_text(text, encoding="utf-8")
     return text
 

@@ -102,11 +102,11 @@ class ContactResponse(NamedTuple):
     mu_s_per_m: float
 
     @classmethod
-    def of(cls, vehicle: VehicleConfig, wall: Wall, mode: Mode) -> ContactResponse:
+    def at_wall(cls, vehicle: VehicleConfig, wall: Wall, mode: Mode) -> ContactResponse:
         """Return the response of a vehicle in a mode at a wall."""
-        c = vehicle.materials[wall.material].of(mode)
+        c = vehicle.materials[wall.material].coefficients(mode)
         mass_kg, onset = vehicle.airframe.mass_kg, Onset(vehicle.onset)
-        hit = contact_map(CoefficientArrays.of(c), mass_kg, np.array(-1.0), np.array(0.0), onset)
+        hit = contact_map(CoefficientArrays.from_table(c), mass_kg, np.array(-1.0), np.array(0.0), onset)
         lead_s = c.lead_s if onset is Onset.LCP else 0.0
         return cls(
             float(hit.normal_out_m_s),
@@ -328,7 +328,7 @@ class _Transcription:
     def add_hit(self, event: Hit, before: Any, after: Any) -> None:
         """Connect the onset of a hit, over release and dead time, to the begin of the next leg."""
         ca, wall, limits = self.ca, event.wall, self.problem.hits
-        response = ContactResponse.of(self.problem.vehicle, wall, event.mode)
+        response = ContactResponse.at_wall(self.problem.vehicle, wall, event.mode)
         n, t = ca.DM(wall.normal), ca.DM(wall.tangent)
         place, velocity = before[:2] - ca.DM(wall.point), before[2:4]
         vn, vt = ca.dot(n, velocity), ca.dot(t, velocity)
@@ -434,7 +434,7 @@ def solve(problem: Problem, intervals: int = INTERVALS, tolerance: float = 1e-6)
 def _is_possible(vehicle: VehicleConfig, event: Event | None) -> bool:
     if not isinstance(event, Hit):
         return True
-    response = ContactResponse.of(vehicle, event.wall, event.mode)
+    response = ContactResponse.at_wall(vehicle, event.wall, event.mode)
     return math.isfinite(response.contact_s) and response.restitution > 0.0
 
 
@@ -455,7 +455,7 @@ def _as_trajectory(problem: Problem, n: int, values: list[Array]) -> OptimalTraj
             legs.append(_leg(begin, pieces))
             pieces = []
         if isinstance(part.to, Hit):
-            response = ContactResponse.of(problem.vehicle, part.to.wall, part.to.mode)
+            response = ContactResponse.at_wall(problem.vehicle, part.to.wall, part.to.mode)
             hits.append(_hit(part.to, response, now, states[i][:, -1]))
             now += response.contact_s + problem.dead_s
             begin = states[i + 1][:, 0]

@@ -165,7 +165,7 @@ def describe_quickest(result: QuickestResult) -> str:
     if result.free is None:
         text += "no flight without a collision reaches the goal"
     elif result.saving_s is None:
-        text += f"{result.free.time_s:.2f} s without a collision; no hit can be quicker"
+        text += f"{result.free.time_s:.2f} s without a collision; no collision can be faster"
     else:
         verb = "would save" if result.saving_s > 0.0 else "would lose"
         share = abs(result.saving_s) / result.free.time_s
@@ -174,12 +174,12 @@ def describe_quickest(result: QuickestResult) -> str:
         )
         text += f" ({share:.0%})"
         if result.saving_s < 0.0 and result.best is result.colliding:
-            text += "; the scenario demands the hits"
+            text += "; the scenario requires the collisions"
     if result.free and result.free.cruise_m_s is not None:
         cruises = [f"{plan.cruise_m_s:.2f}" for plan in (result.free, result.colliding) if plan is not None]
         text += f"; cruising until the wall is seen at {' and '.join(cruises)} m/s"
     if result.gap_s > _SHOWN_S:
-        gap = f"; sequences that were not computed could be quicker by {result.gap_s:.2f} s at most"
+        gap = f"; sequences that were not computed could be faster by at most {result.gap_s:.2f} s"
     if result.most_hits is not None:
         gap += f"; sequences of more than {result.most_hits} hits were not computed"
     return f"{text}; {result.computed} sequences computed, {result.pruned} ruled out{gap}"

@@ -155,9 +155,9 @@ def best_of(scenario: Scenario, free: QuickestPlan | None, colliding: QuickestPl
     if best is not None:
         return best
     if demanded:
-        problem = f"no flight hits {', '.join(demanded)} and rests at the goal within the limits"
+        problem = f"no feasible trajectory hits {', '.join(demanded)} and rests at the goal within the limits"
     else:
-        problem = "no feasible trajectory passes the visits and rests at the goal within limits and bounds"
+        problem = "no feasible trajectory visits every place and rests at the goal within limits and bounds"
     raise InputError(problem, source=scenario.source, key=("limits",))
 
 
@@ -215,7 +215,7 @@ class LeastTimes:
         self._limits, self._left_m_s = limits, left_m_s
         self._speeds = np.linspace(0.0, limits.speed_m_s, _SPEEDS)
 
-    def of_leg(self, length_m: float, begin: LegEnd, end: LegEnd) -> float:
+    def leg_s(self, length_m: float, begin: LegEnd, end: LegEnd) -> float:
         """Return a lower bound on the time of a leg: accelerate as far as possible, cruise, brake."""
         # With slow ends the speed peaks between them, where the acceleration is zero.
         levels = {begin, end} <= {LegEnd.REST, LegEnd.REVERSAL}
@@ -270,11 +270,11 @@ class _Search:
         self.least_open_s = self.left_out_s = math.inf  # lower bounds: not computed, omitted
         # Every bound needs the responses, so compute them once.
         self._responses = {
-            (wall.name, mode): ContactResponse.of(self.vehicle, wall, mode)
+            (wall.name, mode): ContactResponse.at_wall(self.vehicle, wall, mode)
             for wall, mode in itertools.product(self.walls, scenario.modes)
         }
         self._least = LeastTimes(self.limits, self._largest_speed_after_hit_m_s())
-        self._obstacles = Obstacles.of(scenario)
+        self._obstacles = Obstacles.from_scenario(scenario)
         self._room, self._demanded = room_of(scenario), _demanded(scenario)
 
     def run(self, enough: Callable[[], bool], progress: Progress) -> None:
@@ -369,7 +369,7 @@ class _Search:
         for k, (a, b) in enumerate(itertools.pairwise(places)):
             begin = self._end_of_leg(events, places, k - 1)
             end = self._end_of_leg(events, places, k)
-            total += self._least.of_leg(_SLACK * distance2(a, b), begin, end)
+            total += self._least.leg_s(_SLACK * distance2(a, b), begin, end)
         return total + sum(self._least_contact_s(e.wall) for e in events if isinstance(e, Hit))
 
     def _end_of_leg(self, events: Sequence[Event], places: Sequence[Vec2], k: int) -> LegEnd:

@@ -35,7 +35,7 @@ class Obstacles(NamedTuple):
     bounds: BoundsSpec
 
     @classmethod
-    def of(cls, scenario: Scenario) -> Obstacles:
+    def from_scenario(cls, scenario: Scenario) -> Obstacles:
         """Return the obstacles of a scenario."""
         airframe = scenario.vehicle.airframe
         kept_m = math.hypot(airframe.contact_distance_m, airframe.guard_along_m) + CLEARANCE_M

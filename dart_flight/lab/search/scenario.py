@@ -1,7 +1,7 @@
 """Scenario files (version 1), the planner's input, as YAML types and as a checked `Scenario`.
 
 A scenario shares start, goal, bounds, walls, limits and frame with a mission (`config.mission`), and defines
-a search instead of collisions. `docs/planning.md` explains every key.
+a search instead of collisions. `docs/missions.md` explains every key.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ from dart_flight.base.walls import Post, Wall
 from dart_flight.config.document import Document, InputError, Key, unknown_name
 from dart_flight.config.file_kinds import FileKind, load_document
 from dart_flight.config.flight_space import (
+    apply_limits,
     check_clear_of_posts,
     check_place,
     refuse_mode,
     resolve_alphas,
     resolve_posts,
     resolve_space,
-    within_limits,
 )
 from dart_flight.config.mission_file import (
     Alpha,
@@ -41,7 +41,7 @@ from dart_flight.config.mission_file import (
     WallSpec,
 )
 from dart_flight.config.provenance import VehicleSource, find_vehicle
-from dart_flight.config.section import Section, keys_of
+from dart_flight.config.section import Section, shared_keys
 from dart_flight.config.vehicle import Px4Parameters, VehicleConfig
 
 _MAX_STEPS = 2001
@@ -268,7 +268,7 @@ def resolve_scenario(
     Raises:
         InputError: the parts of the scenario contradict each other, or the search is empty or too large.
     """
-    vehicle = within_limits(vehicle, spec.limits)
+    vehicle = apply_limits(vehicle, spec.limits)
     walls = resolve_space(spec.start, spec.goal, spec.bounds_m, spec.walls, vehicle, document)
     posts = resolve_posts(spec.posts, walls, vehicle, document)
     check_clear_of_posts(posts, spec.start.position_m, vehicle, ("start",), document)
@@ -289,18 +289,18 @@ def resolve_scenario(
         refuse_mode(mode, vehicle, key, document)
     count = sum(len(normal) * len(tangential) * len(modes) ** len(s) for s in sequences)
     if count > _MAX_CANDIDATES:
-        raise document.error(("search",), f"{count} candidates, at most {_MAX_CANDIDATES}; widen the steps")
+        raise document.error(("search",), f"{count} candidates, limit {_MAX_CANDIDATES}; increase the steps")
     for i, visit in enumerate(spec.visits):
         if spec.objective is not Objective.QUICKEST:
-            raise document.error(("visits",), "places are visited with the objective quickest only")
+            raise document.error(("visits",), "visits need the objective quickest")
         check_place(spec.bounds_m, {}, visit.position_m, None, ("visits", i), document)
     for name in ("posts", "touch_m_s"):
         if getattr(spec, name) and spec.objective is not Objective.QUICKEST:
-            raise document.error((name,), "is only allowed with the objective quickest")
+            raise document.error((name,), "this key needs the objective quickest")
     if spec.sight is not None:
         _check_sight(spec, spec.sight, list(walls.values()), document)
     return Scenario(
-        **keys_of(spec, SpaceKeys),
+        **shared_keys(spec, SpaceKeys),
         name=spec.name or _name_from(document.source),
         source=document.source,
         spec=spec,
@@ -328,10 +328,13 @@ def _check_sight(spec: ScenarioFile, sight: SightSpec, walls: list[Wall], docume
     """Reject scenarios that limited sight does not support."""
     start = spec.start.position_m
     for valid, problem in (
-        (spec.objective is Objective.QUICKEST, "limited sight is planned with the objective quickest only"),
-        (len(walls) == 1 and not spec.visits, "limited sight is planned for one wall and no visits"),
-        (walls[0].spans(start), "the wall is seen straight ahead: the start must be before it"),
-        (walls[0].signed_distance(start) > sight.distance_m, "the start must be where the wall is not seen"),
+        (spec.objective is Objective.QUICKEST, "limited sight needs the objective quickest"),
+        (len(walls) == 1 and not spec.visits, "limited sight needs exactly one wall and no visits"),
+        (walls[0].spans(start), "the wall is seen straight ahead: move start in front of it"),
+        (
+            walls[0].signed_distance(start) > sight.distance_m,
+            "the wall must be out of sight at start: move start away from it",
+        ),
     ):
         if not valid:
             raise document.error(("sight",), problem)
@@ -388,7 +391,7 @@ def _grid(spec: GridSpec, key: Key, document: Document) -> tuple[float, ...]:
             f"use max {below:.6g} or {below + spec.step:.6g}",
         )
     if count + 1 > _MAX_STEPS:
-        raise document.error((*key, "step"), f"{count + 1} values, at most {_MAX_STEPS}; widen the step")
+        raise document.error((*key, "step"), f"{count + 1} values, limit {_MAX_STEPS}; increase the step")
     return tuple(round(spec.min + i * spec.step, 12) for i in range(count + 1))
 
 

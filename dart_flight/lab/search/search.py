@@ -29,7 +29,7 @@ from dart_flight.planning.rollout import (
     Arrivals,
     Rollout,
     UncertaintyDraw,
-    drawn_wall,
+    draw_wall,
     new_flight,
     stages_for,
 )
@@ -425,7 +425,7 @@ def draws_of(scenario: Scenario, seed: int) -> list[UncertaintyDraw]:
                 k, f, mu = np.maximum(1.0 + np.array([u.k, u.f, u.mu]) * rng.standard_normal(3), MIN_FACTOR)
                 factors[name, mode] = (float(k), float(f), float(mu))
         shift = rng.standard_normal(3)
-        walls = {name: drawn_wall(wall, rng) for name, wall in scenario.walls.items() if wall.is_uncertain}
+        walls = {name: draw_wall(wall, rng) for name, wall in scenario.walls.items() if wall.is_uncertain}
         draws.append(
             UncertaintyDraw(
                 factors,

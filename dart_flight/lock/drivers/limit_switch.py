@@ -43,7 +43,7 @@ class GpioLimitSwitch:
                 "a limit switch needs libgpiod's Python package: pip install gpiod", ("limit_switch",)
             ) from None
         except ImportError as error:
-            raise DriverError(f"the gpiod package does not load: {error}", ("limit_switch",)) from None
+            raise DriverError(f"cannot load the gpiod package: {error}", ("limit_switch",)) from None
         if not hasattr(self._gpiod, "request_lines"):
             raise DriverError(
                 "a limit switch needs version 2 of the gpiod package: pip install 'gpiod>=2'",

@@ -67,9 +67,9 @@ class MaestroDriver:
         name = self._config.port
         key = ("maestro", "port")
         if not os.path.exists(name):
-            raise DriverError(f"{name} does not exist; is the servo controller plugged in?", key)
+            raise DriverError(f"{name} does not exist; plug the servo controller in", key)
         if not os.access(name, os.R_OK | os.W_OK):
-            raise DriverError(f"{name} is not writable; are you in the group of serial ports (dialout)?", key)
+            raise DriverError(f"{name} is not writable; add the user to the group dialout", key)
         try:
             self._port = serial.Serial(
                 name,
@@ -136,7 +136,7 @@ class MaestroDriver:
             plausible = max(first, second) <= _MAX_POSITION and (first == 0) == (second == 0)
             if plausible and abs(first - second) <= _MAX_RAMP_BETWEEN:
                 return second
-        raise self._connection_error("no sensible answer about the position")
+        raise self._connection_error("no valid answer about the position")
 
     def _query_errors(self) -> int:
         """Return the error bits; query twice, because the first answer clears the bits for the second."""
@@ -147,7 +147,7 @@ class MaestroDriver:
             first, second = (int.from_bytes(answer[i : i + 2], "little") for i in (0, 2))
             if max(first, second) < 1 << len(ERRORS) and second & ~first == 0:
                 return first
-        raise self._connection_error("no sensible answer about errors")
+        raise self._connection_error("no valid answer about errors")
 
     def _query(self, query: bytes, size: int) -> bytes | None:
         """Return the answer to a query, or None if it is short or other bytes are on the line."""

@@ -97,7 +97,7 @@ class MockDriver:
             pulse_us=self._servo.commanded_us,
             rigid_switch=self._switch(Mode.RIGID, at),
             flexible_switch=self._switch(Mode.FLEXIBLE, at),
-            errors=("the controller has restarted",) if self._restarted else (),
+            errors=("the controller restarted",) if self._restarted else (),
         )
 
     def close(self) -> None:

@@ -110,7 +110,7 @@ class PwmDriver:
         channel = self._config.channel
         if channel is None:
             if board is None:
-                says = f"{self._chip.name} is not a Raspberry Pi's own chip: set the servo's channel"
+                says = f"{self._chip.name} is not a PWM chip of a Raspberry Pi: set the servo's channel"
                 raise DriverError(says, ("pwm", "channel"))
             channel = board.gpio18
         if board is not None and channel < board.gpio18:
@@ -124,7 +124,7 @@ class PwmDriver:
             self._write(self._chip / "export", str(channel))
 
     def _find_chip(self) -> Path:
-        hint = "is dtoverlay=pwm-2chan in config.txt?"
+        hint = "check dtoverlay=pwm-2chan in config.txt"
         if self._config.chip is None:
             chips = sorted(self._sysfs.glob("pwmchip*"))
             for chip in chips:
@@ -149,7 +149,7 @@ class PwmDriver:
         while not os.access(self._channel / "enable", os.W_OK):
             if time.monotonic() > give_up:
                 appeared = self._channel.is_dir()
-                what = "is not writable; are you in the group gpio?" if appeared else "did not appear"
+                what = "is not writable; add the user to the group gpio" if appeared else "did not appear"
                 raise DriverError(f"{self._channel} {what}", ("pwm", "channel"))
             time.sleep(0.005)
 

@@ -36,7 +36,7 @@ class RequiredParameter(msgspec.Struct, frozen=True):
     why: str
     mask: int | None = None
 
-    def met_by(self, actual: float) -> bool:
+    def is_satisfied_by(self, actual: float) -> bool:
         """Return whether a value read from the vehicle is correct."""
         return (round(actual) if self.mask is None else round(actual) & self.mask) == self.value
 
@@ -49,14 +49,14 @@ def required_parameters(config: LockConfig) -> tuple[RequiredParameter, ...]:
     flexible = round(config.servo.flexible_pulse_us)
     return (
         RequiredParameter(
-            f"{bank}_FUNC{pin}", function, f"no pin listens to actuator {px4.actuator_index} otherwise"
+            f"{bank}_FUNC{pin}", function, f"otherwise no pin outputs actuator {px4.actuator_index}"
         ),
-        RequiredParameter("COM_PREARM_MODE", PREARM_ALWAYS, "the servo moves only when armed otherwise"),
+        RequiredParameter("COM_PREARM_MODE", PREARM_ALWAYS, "otherwise the servo moves only when armed"),
         RequiredParameter(
             f"{bank}_MIN{pin}", round(px4.min_pulse_us), "it is the pulse of actuator value -1"
         ),
         RequiredParameter(f"{bank}_MAX{pin}", round(px4.max_pulse_us), "it is the pulse of actuator value 1"),
-        RequiredParameter(f"{bank}_DIS{pin}", flexible, "the servo would go elsewhere than flexible at boot"),
+        RequiredParameter(f"{bank}_DIS{pin}", flexible, "the servo would leave flexible at boot"),
         RequiredParameter(f"{bank}_TIM{px4.timer}", SERVO_RATE_HZ, "an analogue servo needs a 50 Hz frame"),
         RequiredParameter(f"{bank}_REV", 0, "the output would be reversed", mask=1 << (pin - 1)),
     )
@@ -73,7 +73,7 @@ def parameter_problems(config: LockConfig, actual: Mapping[str, float]) -> list[
     for required in required_parameters(config):
         if required.name not in actual:
             problems.append(f"{required.name} is not on this vehicle; {required.why}")
-        elif not required.met_by(actual[required.name]):
+        elif not required.is_satisfied_by(actual[required.name]):
             wanted = f"{required.value}" if required.mask is None else f"without bit {required.mask:#x}"
             shown = f"{actual[required.name]:g}"
             problems.append(f"{required.name} is {shown}, must be {wanted}: {required.why}")

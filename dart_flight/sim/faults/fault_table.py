@@ -47,26 +47,26 @@ class FaultKind(msgspec.Struct, frozen=True):
 
     Attributes:
         name: name of the fault, for `--fault`.
-        place: site of the fault.
-        what: description for the operator.
+        site: site of the fault.
+        description: for the operator.
         unit: unit of the value.
         value: default value.
         low, high: range of the value.
     """
 
     name: str
-    place: FaultSite
-    what: str
+    site: FaultSite
+    description: str
     unit: str = ""
     value: float = 0.0
     low: float = 0.0
     high: float = 0.0
 
     @property
-    def of_real_time(self) -> bool:
+    def needs_real_time(self) -> bool:
         """Whether the fault affects the host's time or the link, so that the world must not wait."""
-        about_link = self.place is FaultSite.LINK or self.name == "clock-back"
-        return about_link or (self.place is FaultSite.APP and self.name != "disk-full")
+        about_link = self.site is FaultSite.LINK or self.name == "clock-back"
+        return about_link or (self.site is FaultSite.APP and self.name != "disk-full")
 
 
 _P = FaultSite
@@ -94,11 +94,11 @@ KINDS: tuple[FaultKind, ...] = (
         -1000.0,
         1000.0,
     ),
-    FaultKind("imu-dropout", _P.LINK, "no more IMU samples in the telemetry"),
+    FaultKind("imu-dropout", _P.LINK, "the telemetry contains no IMU samples"),
     FaultKind("imu-stuck", _P.SENSOR, "the reported IMU repeats its last reading"),
     FaultKind("imu-clip", _P.SENSOR, "the accelerometer clips at this many g", "g", 4.0, 1.2, 16.0),
     FaultKind(
-        "ekf-jump", _P.SENSOR, "estimate and motion capture jump by this much north", "m", 0.5, -3.0, 3.0
+        "ekf-jump", _P.SENSOR, "estimate and motion capture jump north by this distance", "m", 0.5, -3.0, 3.0
     ),
     FaultKind(
         "heading-reset",
@@ -118,14 +118,16 @@ KINDS: tuple[FaultKind, ...] = (
         0.0,
         300.0,
     ),
-    FaultKind("clock-back", _P.AUTOPILOT, "the autopilot's clock goes back", "s", 5.0, 0.0, 1000.0),
-    FaultKind("low-battery", _P.AUTOPILOT, "charge left", "%", 10.0, 0.0, 100.0),
-    FaultKind("pilot", _P.AUTOPILOT, "the pilot takes over (position mode)"),
+    FaultKind(
+        "clock-back", _P.AUTOPILOT, "the autopilot's clock jumps back by this time", "s", 5.0, 0.0, 1000.0
+    ),
+    FaultKind("low-battery", _P.AUTOPILOT, "remaining charge", "%", 10.0, 0.0, 100.0),
+    FaultKind("pilot", _P.AUTOPILOT, "the pilot takes over in position mode"),
     FaultKind("kill-switch", _P.AUTOPILOT, "the pilot's kill switch: motors off, disarmed 5 s later"),
     FaultKind(
         "second-gcs",
         _P.AUTOPILOT,
-        "a second ground station sends setpoints, this far off",
+        "a second ground station sends setpoints at this distance",
         "m",
         1.0,
         -5.0,
@@ -136,23 +138,29 @@ KINDS: tuple[FaultKind, ...] = (
     FaultKind("servo-unplugged", _P.LOCK, "the servo's controller does not answer"),
     FaultKind("wall-missing", _P.PLANT, "the walls are missing"),
     FaultKind("wall-nearer", _P.PLANT, "the walls are nearer than planned", "m", 0.3, -1.0, 1.0),
-    FaultKind("other-material", _P.PLANT, "the walls are of the stiffest other material"),
+    FaultKind("other-material", _P.PLANT, "the walls have the stiffest other material"),
     FaultKind("gust", _P.PLANT, "a gust of 0.6 s along the wall's normal", "m/s", 5.0, -15.0, 15.0),
     FaultKind("mocap-lost", _P.MOCAP, "the marker body is not tracked for this long", "s", 1.0, 0.0, 60.0),
     FaultKind(
-        "mocap-flip", _P.MOCAP, "markers are swapped: the body is turned by this", "deg", 90.0, 0.0, 180.0
+        "mocap-flip",
+        _P.MOCAP,
+        "markers are swapped: the body is rotated by this angle",
+        "deg",
+        90.0,
+        0.0,
+        180.0,
     ),
     FaultKind(
         "mocap-other-body",
         _P.MOCAP,
-        "the poses are another vehicle's, which stands this far north of the start",
+        "the poses are those of another vehicle, this distance north of the start",
         "m",
         1.0,
         -10.0,
         10.0,
     ),
-    FaultKind("mocap-late", _P.MOCAP, "poses arrive later by this much", "ms", 50.0, 0.0, 1000.0),
-    FaultKind("mocap-slow", _P.MOCAP, "poses come at this rate", "Hz", 10.0, 1.0, 50.0),
+    FaultKind("mocap-late", _P.MOCAP, "poses arrive later by this time", "ms", 50.0, 0.0, 1000.0),
+    FaultKind("mocap-slow", _P.MOCAP, "poses arrive at this rate", "Hz", 10.0, 1.0, 50.0),
 )
 BY_NAME = {kind.name: kind for kind in KINDS}
 
@@ -191,7 +199,7 @@ class Fault(msgspec.Struct, frozen=True):
         return BY_NAME[self.name]
 
 
-def parse_fault_of(mission: Mission, text: str) -> Fault:
+def parse_mission_fault(mission: Mission, text: str) -> Fault:
     """Parse `NAME[=VALUE][@PHASE]` as a fault for the vehicle of a mission.
 
     Raises:
@@ -199,7 +207,7 @@ def parse_fault_of(mission: Mission, text: str) -> Fault:
     """
     has_mocap = simulated_source(mission) is PositionSource.MOCAP
     fault = parse_fault(text, mission.vehicle.has_lock, has_mocap)
-    if fault.kind.place is FaultSite.MOCAP and mission.vehicle.mocap.url is None:
+    if fault.kind.site is FaultSite.MOCAP and mission.vehicle.mocap.url is None:
         raise InputError(
             f"{fault.name}: needs poses that this program forwards, add --mocap", key=("--fault",)
         )
@@ -218,7 +226,7 @@ def parse_fault(text: str, has_lock: bool = True, has_mocap: bool = True) -> Fau
     if name not in BY_NAME:
         raise InputError(unknown_name(name, list(BY_NAME), "fault"), key=("--fault",))
     kind = BY_NAME[name]
-    if kind.place is FaultSite.LOCK and not has_lock:
+    if kind.site is FaultSite.LOCK and not has_lock:
         raise InputError(f"{name}: this vehicle has no lock", key=("--fault",))
     if name == "ev-delay" and not has_mocap:
         raise InputError(
@@ -245,7 +253,7 @@ class Trigger:
         self._fault = fault
         self._since_us: int | None = None
 
-    def sees(self, record: Record) -> bool:
+    def process(self, record: Record) -> bool:
         """Process a record of the flight; return whether the phase has begun."""
         if self._since_us is None:
             first = self._fault.phase is None
@@ -255,7 +263,7 @@ class Trigger:
                 self._since_us = None if first else record.t_us
         return self._since_us is not None
 
-    def due(self, now_us: int) -> bool:
+    def is_due(self, now_us: int) -> bool:
         """Return whether the fault begins now; a fault from the start needs no record."""
         if self._fault.phase is None and self._fault.after_s == 0.0:
             return True
@@ -265,7 +273,7 @@ class Trigger:
 # --- application of the faults -----------------------------------------------------------------------------
 
 
-def impairment_of(fault: Fault) -> Impairment:
+def make_impairment(fault: Fault) -> Impairment:
     """Return the impairment of the link that a fault causes."""
     share = fault.value * 0.01
     return {
@@ -280,7 +288,7 @@ def impairment_of(fault: Fault) -> Impairment:
     }[fault.name]
 
 
-def mock_faults_of(fault: Fault) -> MockFaults:
+def make_mock_faults(fault: Fault) -> MockFaults:
     """Return the faults of the mock servo that a fault of the lock causes."""
     return {
         "servo-stuck": MockFaults(servo=ServoFaults(stuck=True)),
@@ -365,7 +373,7 @@ class VehicleFault:
         for plane in self._autopilot.plant.planes:
             others = [name for name in materials if name != plane.wall.material]
             stiffest = max(
-                others, key=lambda name: materials[name].of(softest).k, default=plane.wall.material
+                others, key=lambda name: materials[name].coefficients(softest).k, default=plane.wall.material
             )
             plane.wall = msgspec.structs.replace(plane.wall, material=stiffest)
 

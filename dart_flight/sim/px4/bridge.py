@@ -232,7 +232,7 @@ class Px4Vehicle:
         if self._lock_by_px4 is not None and self._servo is not None:
             # While disarmed PX4 sets all simulated outputs to zero, which is no servo command.
             pulse = actuator_pulse_us(self._lock_by_px4, m[self._servo_channel]) if controls.armed else None
-            self._servo.follow(self.time_us, pulse)
+            self._servo.track_pulse(self.time_us, pulse)
         self._wind.step(self.plant)
         specific_force = self.plant.advance(m[: self._motors], _STEPS_PER_TICK)
         self._ticks += 1

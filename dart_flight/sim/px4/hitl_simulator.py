@@ -81,7 +81,7 @@ class HitlSimulator:
             f"{link.sent} messages sent, {link.dropped} not taken by the port; {self._merged} of "
             f"{self._ticks} ticks reported late; longest gap between actuator outputs "
             f"{link.longest_gap_s * 1e3:.0f} ms; stood still for {self._still_ticks * TICK_S * 1e3:.0f} ms; "
-            + ("real outputs stayed off" if link.outputs_seen else "outputs could not be looked at")
+            + ("real outputs stayed off" if link.outputs_seen else "real outputs could not be checked")
         )
 
     def _fly(self, link: HitlLink, writer: LineWriter, commands: IO[bytes]) -> None:
@@ -98,7 +98,7 @@ class HitlSimulator:
                     f"no actuator outputs on {self._hitl.url} within {_FIRST_S:g} s: the flight controller "
                     "must have SYS_HITL 1 and have been restarted since, and the port must be its USB port"
                 )
-        self._report("flight controller answers")
+        self._report("the flight controller answers")
         end_s = time.monotonic() + _ALIGN_S[self._hitl.position_from]
         plant, ahead_us = self._vehicle.plant, 0
         while time.monotonic() < end_s:

@@ -35,11 +35,11 @@ from dart_flight.config.parameter_file import (
     parse_listing,
     vehicle_files,
 )
-from dart_flight.config.rotors import COUNT, MAV_TYPES, motors_of, rotor_parameters
+from dart_flight.config.rotors import COUNT, MAV_TYPES, motors_from_parameters, rotor_parameters
 from dart_flight.config.vehicle import LockDriver, Motor, Px4Parameters, VehicleConfig, packaged
 from dart_flight.lock.drivers.px4_output import ACTUATOR_SET_1, PREARM_ALWAYS
 from dart_flight.sim.px4.bridge import servo_channel
-from dart_flight.vehicle.link import LinkLease, LinkTakenError, feed_of, holder_of, udp_port_is_free
+from dart_flight.vehicle.link import LinkInUseError, LinkLease, feed_name, find_holder, udp_port_is_free
 
 MODEL = "none_iris"  # PX4's airframe for an external simulator: a quadrotor in X
 ENVIRONMENT = "DART_PX4_DIR"
@@ -103,7 +103,7 @@ def find_install(directory: str | Path | None) -> Install:
                 raise InputError(text, source=str(base))
         return Install(program, etc)
     raise InputError(
-        "no PX4 SITL there: neither bin/px4 nor build/px4_sitl_default/bin/px4", source=str(root)
+        "no PX4 SITL in this folder: neither bin/px4 nor build/px4_sitl_default/bin/px4", source=str(root)
     )
 
 
@@ -150,7 +150,7 @@ def values_of(parameters: Mapping[str, Parameter]) -> dict[str, Value]:
     return {name: parameter.value for name, parameter in parameters.items()}
 
 
-def fitting(parameters: Mapping[str, Parameter], known: Mapping[str, float]) -> dict[str, Value]:
+def select_parameters(parameters: Mapping[str, Parameter], known: Mapping[str, float]) -> dict[str, Value]:
     """Return the parameters to set in a PX4 that has the `known` ones; renamed ones by their name there.
 
     Raises:
@@ -170,7 +170,7 @@ def fitting(parameters: Mapping[str, Parameter], known: Mapping[str, float]) -> 
     return chosen
 
 
-def not_taken(wanted: Mapping[str, Value], actual: Mapping[str, float]) -> str | None:
+def describe_mismatch(wanted: Mapping[str, Value], actual: Mapping[str, float]) -> str | None:
     """Describe the first parameter that differs from its set value, or return None."""
     for name, value in wanted.items():
         has = actual.get(name)
@@ -216,7 +216,7 @@ def motors_from(parameters: Mapping[str, Value], vehicle: VehicleConfig) -> tupl
         raise InputError(
             f"{COUNT} is {count:g}, but the configuration has {own[COUNT]:g} motors", source="--params"
         )
-    return motors_of({**own, **parameters}, "--params")
+    return motors_from_parameters({**own, **parameters}, "--params")
 
 
 def environment() -> dict[str, str]:
@@ -266,12 +266,12 @@ def claim_instance() -> Instance:
     """
     for number in _INSTANCES:
         # The port that PX4 sends to is leased here by the sender, and in the app by the receiver.
-        lease = LinkLease(feed_of(ONBOARD_PORT + number), "dry-run --px4")
+        lease = LinkLease(feed_name(ONBOARD_PORT + number), "dry-run --px4")
         try:
             lease.acquire()
-        except LinkTakenError:
+        except LinkInUseError:
             continue
-        taken = holder_of(f"udpin://127.0.0.1:{ONBOARD_PORT + number}") is not None
+        taken = find_holder(f"udpin://127.0.0.1:{ONBOARD_PORT + number}") is not None
         listener = None if taken else _free_simulator_port(number)
         if listener is not None:
             return Instance(number, listener, lease)
@@ -394,7 +394,7 @@ class Px4:
         known = self.parameters()
         if not known:
             raise Px4Error(f"PX4 does not report its parameters{self._last_error()}")
-        chosen = fitting(parameters, known)
+        chosen = select_parameters(parameters, known)
         for name, value in chosen.items():
             self._answer(_CLIENT, "set", name, str(value) if isinstance(value, int) else f"{value:.9g}")
         self.check_parameters(chosen, self.parameters())
@@ -407,7 +407,7 @@ class Px4:
         Raises:
             Px4Error: a parameter was not accepted; the message contains name and values.
         """
-        problem = not_taken(wanted, actual)
+        problem = describe_mismatch(wanted, actual)
         if problem is not None:
             raise Px4Error(f"parameter not accepted: {problem}")
 
@@ -514,7 +514,7 @@ def parse_version(answer: str) -> tuple[int, int, int] | None:
     return (int(found[1]), int(found[2]), int(found[3]))
 
 
-def judge_version(version: tuple[int, int, int] | None) -> str | None:
+def check_version(version: tuple[int, int, int] | None) -> str | None:
     """Return a remark on a version, or None if docs/px4.md has flights with it.
 
     Raises:

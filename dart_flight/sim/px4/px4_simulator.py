@@ -31,9 +31,9 @@ from dart_flight.sim.px4.launch import (
     Instance,
     Px4,
     Px4Error,
+    check_version,
     claim_instance,
     find_install,
-    judge_version,
     motors_from,
     values_of,
 )
@@ -123,7 +123,7 @@ class Px4Simulator:
         """
         px4.wait_waiting()
         self._version = px4.version()
-        note = judge_version(self._version)
+        note = check_version(self._version)
         if note is not None:
             self._report(note)
         self._set = px4.set_parameters(self._px4_spec.parameters)

@@ -64,7 +64,7 @@ class Relay:
         self._thread = threading.Thread(target=self._run, name="relay", daemon=True)
         self._thread.start()
 
-    def rest(self) -> None:
+    def answer_requests(self) -> None:
         """Repeat PX4's last heartbeat after a second of the computer's time.
 
         PX4 sends a heartbeat every simulated second. Without it MAVSDK reports a lost vehicle after 3 s.

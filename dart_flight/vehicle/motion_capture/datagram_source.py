@@ -50,7 +50,7 @@ class DatagramSource:
             reason = error.strerror or str(error)
             raise InputError(
                 f"mocap URL {address.url}: cannot listen at {address.host}:{address.port}: {reason}; "
-                "give an address of this computer, or 0.0.0.0 for all"
+                "give an address of this computer or 0.0.0.0 for all"
             ) from None
 
     def _listen(self) -> None:

@@ -34,10 +34,13 @@ def _covariance() -> list[float]:
 
 _COVARIANCE: Final = _covariance()
 _UNKNOWN: Final[Sequence[float | None]] = [None] * 21
+_NO_ATTITUDE: Final[Sequence[float | None]] = [None] * 4
 
 
-def odometry(t_us: int, position_ned: Vec3, q_frd_to_ned: Quaternion) -> MavlinkMessage:
-    """Return the ODOMETRY message of a pose; null velocities arrive as NaN, which PX4 does not fuse.
+def odometry(t_us: int, position_ned: Vec3, q_frd_to_ned: Quaternion | None) -> MavlinkMessage:
+    """Return the ODOMETRY message of a pose; what is null arrives as NaN, which PX4 does not fuse.
+
+    Without an attitude PX4 still fuses the position, and keeps its heading by the gyro.
 
     The reset counter stays 0. If it changed, PX4's estimate would follow a jump of the poses at once.
     """
@@ -49,7 +52,7 @@ def odometry(t_us: int, position_ned: Vec3, q_frd_to_ned: Quaternion) -> Mavlink
         "x": x,
         "y": y,
         "z": z,
-        "q": q_frd_to_ned,
+        "q": q_frd_to_ned or _NO_ATTITUDE,
         **dict.fromkeys(("vx", "vy", "vz", "rollspeed", "pitchspeed", "yawspeed")),
         "pose_covariance": _COVARIANCE,
         "velocity_covariance": _UNKNOWN,
@@ -66,7 +69,13 @@ class ForwardedPose(msgspec.Struct):
     x: float
     y: float
     z: float
-    q: Quaternion
+    q: tuple[float | None, float | None, float | None, float | None]
+
+    @property
+    def attitude(self) -> Quaternion | None:
+        """The attitude, or None if it is withheld."""
+        w, x, y, z = self.q
+        return None if w is None or x is None or y is None or z is None else (w, x, y, z)
 
 
 def forwarded_pose(message: Any) -> ForwardedPose:
@@ -123,7 +132,7 @@ class MotionCaptureBridge:
         self._room = config.room_frame()
         self._decimation = Decimation(config.rate_hz)
         self._lock = threading.Lock()
-        self._stopped = self._withheld = False
+        self._stopped = self._withheld = self._attitude_withheld = False
         self.sent = 0
 
     @property
@@ -135,10 +144,11 @@ class MotionCaptureBridge:
         """Start the source and the forwarding of its poses."""
         self._source.start(self.forward)
 
-    def withhold(self) -> None:
-        """Stop sending poses to PX4; continue to deliver them."""
+    def withhold(self, *, attitude_only: bool) -> None:
+        """Stop sending poses to PX4, or only their attitudes; continue to deliver them."""
         with self._lock:
-            self._withheld = True
+            self._attitude_withheld = True
+            self._withheld = self._withheld or not attitude_only
 
     def stop(self) -> None:
         """Stop forwarding and close the source."""
@@ -156,7 +166,7 @@ class MotionCaptureBridge:
                 return
             if raw.tracked and not self._withheld and self._decimation.selects(stamp):
                 position, attitude = self._room.pose_to_ned(raw.position_room, raw.q_body_to_room)
-                self._send(odometry(t_us, position, attitude))
+                self._send(odometry(t_us, position, None if self._attitude_withheld else attitude))
                 self.sent += 1
         self._deliver(PoseSample(t_us, received, *raw))
 

@@ -93,7 +93,7 @@ class QualisysSource:
             _TIMEOUT_S,
         )
         if self._connection is None:
-            raise ValueError("QTM does not answer; check address and port, and that QTM runs")
+            raise ValueError("QTM does not answer; check address and port, and start QTM")
         try:
             parameters = await self._connection.get_parameters(parameters=["6d"])
             self._all, self._enabled = body_names(parameters.decode("utf-8", "replace"))

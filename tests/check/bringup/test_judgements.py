@@ -12,14 +12,14 @@ from dart_flight.base.geometry import GRAVITY_M_S2, Vec3, quaternion_from_euler,
 from dart_flight.base.records import ImuSample, OdometrySample
 from dart_flight.check.bringup.judgements import (
     StepOutcome,
-    carried,
-    first_push,
-    judge_axes,
-    judge_level,
-    judge_link,
-    judge_position,
-    judge_push,
+    evaluate_axes,
+    evaluate_level,
+    evaluate_link,
+    evaluate_position,
+    evaluate_push,
+    find_push,
     mean_while_still,
+    measure_displacement,
 )
 from dart_flight.check.telemetry_check import stream_rates
 from dart_flight.vehicle.baud_rate import has_frames
@@ -44,17 +44,17 @@ def turned(v: Vec3, by_deg: float) -> Vec3:
 )
 def test_axes_that_are_turned_are_told_by_how_much(by: int, nose: float, side: float, aim: float) -> None:
     level, down, right = (turned(v, by + aim) for v in (UP, reading(0.0, -nose), reading(side, 0.0)))
-    found = judge_axes(level, down, right)
+    found = evaluate_axes(level, down, right)
     if by == 0:
         assert found.result is StepOutcome.PASS
     else:
         assert found.result is StepOutcome.FAIL
-        assert f"turned by {by}" in found.message or (by == 180 and "turned by -180" in found.message)
+        assert f"rotated by {by}" in found.message or (by == 180 and "rotated by -180" in found.message)
 
 
 @given(st.floats(22.0, 50.0), st.floats(22.0, 50.0))
 def test_mirrored_axes_are_no_turn(nose: float, side: float) -> None:
-    found = judge_axes(UP, reading(0.0, -nose), reading(-side, 0.0))
+    found = evaluate_axes(UP, reading(0.0, -nose), reading(-side, 0.0))
     assert found.result is StepOutcome.FAIL
     assert "mirrored" in found.message
 
@@ -64,7 +64,7 @@ def test_mirrored_axes_are_no_turn(nose: float, side: float) -> None:
     [((0.0, 0.0, 9.8), "upside down"), (reading(0.0, 20.0), "off level"), ((0.0, 0.0, -8.9), "calibrate")],
 )
 def test_a_level_that_is_none_is_said_so(level: Vec3, words: str) -> None:
-    found = judge_level(level)
+    found = evaluate_level(level)
     assert found is not None
     assert words in found.message
 
@@ -84,44 +84,44 @@ def test_what_moves_is_not_held_still() -> None:
 def test_the_first_push_counts_and_not_the_catch(direction: float, size: float) -> None:
     c, s = math.cos(math.radians(direction)), math.sin(math.radians(direction))
     there, back = (size * c, size * s, -9.8), (-size * c, -size * s, -9.8)
-    push = first_push(samples([UP] * 50 + [there] * 20 + [back] * 20), UP)
+    push = find_push(samples([UP] * 50 + [there] * 20 + [back] * 20), UP)
     assert push is not None
     x, y = push.acceleration_m_s2
     assert math.cos(math.atan2(y, x) - math.radians(direction)) > 0.99
 
 
 def test_a_bump_is_no_push() -> None:
-    assert first_push(samples([UP] * 50 + [(20.0, 0.0, -9.8)] + [UP] * 50), UP) is None
+    assert find_push(samples([UP] * 50 + [(20.0, 0.0, -9.8)] + [UP] * 50), UP) is None
 
 
 def test_a_force_the_other_way_is_found() -> None:
-    assert judge_push((6.0, 0.0), (7.8, 0.5)).result is StepOutcome.PASS
-    assert "force points back" in judge_push((6.0, 0.0), (-7.8, 0.0)).message
-    assert "came from" in judge_push((0.0, 6.0), (0.0, 7.8)).message
+    assert evaluate_push((6.0, 0.0), (7.8, 0.5)).result is StepOutcome.PASS
+    assert "force points back" in evaluate_push((6.0, 0.0), (-7.8, 0.0)).message
+    assert "the push pointed right, not forward" in evaluate_push((0.0, 6.0), (0.0, 7.8)).message
 
 
 def test_carried_is_in_the_vehicles_own_axes() -> None:
     q = quaternion_from_euler(0.0, 0.0, math.radians(90.0))  # nose to the east
     way = [OdometrySample(k, k, (0.0, 0.1 * k, 0.0), (0.0, 1.0, 0.0)) for k in range(6)]
-    assert carried(way, q) is None  # still moving
+    assert measure_displacement(way, q) is None  # still moving
     rests = OdometrySample(7, 7, (0.0, 0.5, 0.0), (0.0, 0.0, 0.0))
-    assert carried([*way, rests], q) == pytest.approx((0.5, 0.0), abs=1e-9)
-    assert judge_position((0.5, 0.0), (0.0, 0.5)).result is StepOutcome.PASS
-    assert "turned by 90" in judge_position((0.0, 0.5), (-0.5, 0.0)).message
-    assert "exchanged" in judge_position((0.5, 0.0), (0.0, -0.5)).message
+    assert measure_displacement([*way, rests], q) == pytest.approx((0.5, 0.0), abs=1e-9)
+    assert evaluate_position((0.5, 0.0), (0.0, 0.5)).result is StepOutcome.PASS
+    assert "rotated by 90" in evaluate_position((0.0, 0.5), (-0.5, 0.0)).message
+    assert "exchanged" in evaluate_position((0.5, 0.0), (0.0, -0.5)).message
 
 
 def test_a_slow_stream_is_named_with_what_it_needs() -> None:
     rates = {"imu": 49.0, "attitude": 100.0, "odometry": 100.0, "actuator": 100.0}
-    found = judge_link(stream_rates(rates, {}), 0.005, 0.2, {})
+    found = evaluate_link(stream_rates(rates, {}), 0.005, 0.2, {})
     assert found.result is StepOutcome.FAIL
-    assert "imu 49 Hz, needs 150" in found.message
+    assert "imu 49 Hz, minimum 150 Hz" in found.message
     rates["imu"] = 180.0
-    assert judge_link(stream_rates(rates, {}), 0.005, 0.2, {}).result is StepOutcome.PASS
-    assert "radio" in judge_link(stream_rates(rates, {}), 0.5, 0.2, {}).message
-    assert "5.0 %" in judge_link(stream_rates(rates, {}), 0.005, 0.2, {"drop_rate_comm": 500.0}).message
+    assert evaluate_link(stream_rates(rates, {}), 0.005, 0.2, {}).result is StepOutcome.PASS
+    assert "radio" in evaluate_link(stream_rates(rates, {}), 0.5, 0.2, {}).message
+    assert "5.0 %" in evaluate_link(stream_rates(rates, {}), 0.005, 0.2, {"drop_rate_comm": 500.0}).message
     why = {"odometry": "125 Hz arrive, none with a velocity"}
-    empty = judge_link(stream_rates({**rates, "odometry": 0.0}, why), 0.005, 0.2, {})
+    empty = evaluate_link(stream_rates({**rates, "odometry": 0.0}, why), 0.005, 0.2, {})
     assert empty.message == "odometry: 125 Hz arrive, none with a velocity"  # and no word of a baud rate
 
 

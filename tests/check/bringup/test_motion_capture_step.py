@@ -11,7 +11,7 @@ import pytest
 
 from dart_flight.base.geometry import Quaternion, Vec3
 from dart_flight.base.records import AttitudeSample, ImuSample, PoseSample
-from dart_flight.check.bringup.judgements import StepFinding, StepOutcome, judge_motion
+from dart_flight.check.bringup.judgements import StepFinding, StepOutcome, evaluate_motion
 from dart_flight.check.bringup.pose_motion import MotionEstimate, estimate_motion
 from dart_flight.check.bringup.steps import Bringup
 from dart_flight.cli.bringup_command import _write_delay
@@ -45,7 +45,7 @@ class Hands:
         self.told: list[str] = []
         self.acts: dict[str, Any] = {}
 
-    def tell(self, text: str) -> None:
+    def instruct(self, text: str) -> None:
         self.told.append(text)
         for word, act in self.acts.items():
             if word in text:
@@ -81,16 +81,16 @@ class FedBringup(Bringup):
         room, t = true.room_frame(), self._telemetry
 
         def begin() -> None:
-            t.take(make_pose(0.0, *room.pose_from_ned((0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))))
+            t.store(make_pose(0.0, *room.pose_from_ned((0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))))
 
         def move() -> None:
             for at, rate, force in zip(imu_s, rates.tolist(), forces.tolist(), strict=True):
-                t.take(ImuSample(round(1e6 * at), round(1e6 * at), tuple(force), tuple(rate)))
+                t.store(ImuSample(round(1e6 * at), round(1e6 * at), tuple(force), tuple(rate)))
             for at, position, q in zip(shown_s, positions.tolist(), attitudes.tolist(), strict=True):
-                t.take(make_pose(at, *room.pose_from_ned(tuple(position), tuple(q))))
-                t.take(AttitudeSample(round(1e6 * at) - 30_000, round(1e6 * at), tuple(q)))
+                t.store(make_pose(at, *room.pose_from_ned(tuple(position), tuple(q))))
+                t.store(AttitudeSample(round(1e6 * at) - 30_000, round(1e6 * at), tuple(q)))
 
-        self.hands.acts = {"Receiving": begin, "turn it left": move}
+        self.hands.acts = {"Waiting": begin, "turn it left": move}
 
     def measure(self) -> StepFinding:
         return self._measure_poses(Link())  # type: ignore[arg-type]
@@ -119,19 +119,19 @@ def test_a_room_that_is_configured_as_it_is_passes(room: MotionCapture) -> None:
 def test_the_body_yaw_that_it_asks_for_is_the_right_one() -> None:
     true = MotionCapture(url=URL, up="y", body_yaw_deg=50.0)
     found = FedBringup(true, MotionCapture(url=URL, up="y", body_yaw_deg=10.0)).measure()
-    assert found.message.startswith("the nose points elsewhere: set mocap.body_yaw_deg to ")
+    assert found.message.startswith("the body's yaw is wrong: set mocap.body_yaw_deg to ")
     assert float(found.message.split()[-1]) == pytest.approx(50.0, abs=1.0)
 
 
 @pytest.mark.parametrize(("true", "believed", "axis"), [("y", "z", "y"), ("z", "y", "z")])
 def test_a_wrong_axis_is_named(true: Any, believed: Any, axis: str) -> None:
     found = FedBringup(MotionCapture(url=URL, up=true), MotionCapture(url=URL, up=believed)).measure()
-    assert found.message == f"wrong axis: the room's {axis} axis points up, mocap.up is {believed}"
+    assert found.message == f"wrong axis: the room's {axis} axis points up, but mocap.up is {believed}"
 
 
 def test_another_vehicles_body_is_named() -> None:
     found = FedBringup(ROOMS[0], ROOMS[0], Hand(1), Hand(4)).measure()
-    assert f"the body {URL} does not turn as this vehicle does" in found.message
+    assert f"the body {URL} does not rotate with this vehicle" in found.message
 
 
 def test_without_poses_the_sources_reason_is_told() -> None:
@@ -145,22 +145,22 @@ def test_without_poses_the_sources_reason_is_told() -> None:
     [
         ({"rate_correlation": 0.6}, "another vehicle's body"),
         ({"force_correlation": -0.9}, "the room is mirrored"),
-        ({"up_room": (0.0, -1.0, 0.0)}, "wrong axis: the room's y axis points up, mocap.up is z"),
+        ({"up_room": (0.0, -1.0, 0.0)}, "wrong axis: the room's y axis points up, but mocap.up is z"),
         ({"body_to_frd": ROLLED}, "wrong axis: the body is tilted by 90 degrees"),
         ({"body_to_frd": TURNED}, "set mocap.body_yaw_deg to 90"),
-        ({"force_correlation": 0.3}, "does not move as the accelerometer feels"),
-        ({"scale": 0.001}, "lengths are 0.00 of"),
-        ({"latency_s": 0.12}, "poses are 124 ms old when they reach PX4, allowed are 100 ms"),
+        ({"force_correlation": 0.3}, "does not match the accelerometer"),
+        ({"scale": 0.001}, "lengths are 0.00 times"),
+        ({"latency_s": 0.12}, "poses are 124 ms old when they reach PX4, limit 100 ms"),
     ],
 )
 def test_each_defect_is_named(changes: dict[str, Any], says: str) -> None:
-    found = judge_motion(GOOD._replace(**changes), MotionCapture(url=URL), 0.004, 0.0)
+    found = evaluate_motion(GOOD._replace(**changes), MotionCapture(url=URL), 0.004, 0.0)
     assert found.result is StepOutcome.FAIL
     assert says in found.message
 
 
 def test_a_heading_that_px4_does_not_use_is_named() -> None:
-    found = judge_motion(GOOD, MotionCapture(url=URL), None, -45.0)
+    found = evaluate_motion(GOOD, MotionCapture(url=URL), None, -45.0)
     assert "PX4's heading is -45 degrees off the poses" in found.message
     assert math.isclose(float(found.measured["delay_ms"] or 0.0), 30.0)
 
@@ -186,7 +186,7 @@ def test_a_configuration_without_the_key_is_left_alone(
     path.write_text(text)
     _write_delay(argparse.Namespace(config=str(path)), str(path), 31.5)
     assert path.read_text() == text
-    assert "set mocap.delay_ms to 31.5 yourself" in capsys.readouterr().err
+    assert "set mocap.delay_ms to 31.5 by hand" in capsys.readouterr().err
 
 
 def test_the_packaged_configuration_is_never_written(capsys: pytest.CaptureFixture[str]) -> None:

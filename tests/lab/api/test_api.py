@@ -525,7 +525,7 @@ def test_a_plan_flies(tmp_path: Path) -> None:
     assert dart_flight.simulate(found.mission).verdict.outcome is Outcome.COMPLETED
     written = dart_flight.load_mission(found.write(tmp_path / "second.yaml", rank=2, verify=False))
     assert written.collisions == found.mission_of(2).collisions
-    with pytest.raises(dart_flight.InputError, match="plans 1 to 3"):
+    with pytest.raises(dart_flight.InputError, match="expected 1 to 3"):
         found.mission_of(4)
 
 

@@ -153,7 +153,7 @@ def test_more_seeds_go_on_with_the_table(
     assert main(words(out, 2)) == 2
     assert "a campaign exists here already; use --resume to continue it" in capsys.readouterr().err
     assert main([*words(out, RUNS), "--resume"]) == 0
-    assert f"2 of {RUNS} flights are in the table already" in capsys.readouterr().err
+    assert f"2 of {RUNS} flights are already in the table" in capsys.readouterr().err
     assert sorted((out / "flights.csv").read_bytes().splitlines()) == sorted(
         (flown / "flights.csv").read_bytes().splitlines()
     )
@@ -192,7 +192,7 @@ def test_another_campaign_is_refused_in_one_line(
         ([MISSION], "--runs: missing --runs N"),
         (
             [MISSION, "--runs", "1", "--scheduler", "tcp://127.0.0.1:1", "--jobs", "2"],
-            "--jobs is for this machine",
+            "--jobs applies to this computer",
         ),
     ],
 )

@@ -81,7 +81,7 @@ def in_this_process(flyer: ItemFlyer, items: Iterable[Item], interrupt: Interrup
 def flown(spec: CampaignSpec, out: Path, resume: bool = False) -> list[flight_job.JudgedRow]:
     opened = campaigns.open_campaign(spec, out, resume)
     campaigns.fly(opened, in_this_process, Interrupt())
-    return campaigns.rows_of(opened)
+    return campaigns.read_rows(opened)
 
 
 def test_a_judge_sees_the_flight_with_its_truth(tmp_path: Path) -> None:
@@ -110,7 +110,7 @@ def test_resuming_flies_only_what_has_no_row(tmp_path: Path, capsys: pytest.Capt
     assert len(flown(spec, tmp_path / "out", resume=True)) == 3
     assert table.read_bytes() == whole
     assert main(["campaign", "--resume", "--out", str(tmp_path / "out")]) == 2
-    assert "a judge of its own" in capsys.readouterr().err
+    assert "its own judge" in capsys.readouterr().err
     with pytest.raises(InputError, match="the judge"):
         flown(msgspec.structs.replace(spec, judge=f"{HERE}:judge_contacts"), tmp_path / "out", resume=True)
 

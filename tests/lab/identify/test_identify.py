@@ -63,7 +63,7 @@ def relative_width(e: Estimate) -> float:
 @pytest.mark.parametrize("mode", list(Mode))
 @pytest.mark.parametrize("onset", list(Onset))
 def test_wall_hits(mode: Mode, onset: Onset) -> None:
-    c = ACRYLIC.of(mode)
+    c = ACRYLIC.coefficients(mode)
     found = identify(hits(c, mode, onset=onset), MASS_KG, onset)
     for name in ("k", "f"):
         estimate = get(found, mode, name)
@@ -81,7 +81,7 @@ def test_wall_hits(mode: Mode, onset: Onset) -> None:
 
 @pytest.mark.parametrize("mode", list(Mode))
 def test_drops_at_a_plane_that_is_off(mode: Mode) -> None:
-    c = CONCRETE.of(mode)
+    c = CONCRETE.coefficients(mode)
     random = np.random.default_rng(2)
     trials = [drop_trial(c, 0.05, random, plane_m=-0.009, mode=mode.value) for _ in range(2)]
     found = identify(trials, MASS_KG, Onset.LCP)
@@ -94,7 +94,7 @@ def test_drops_at_a_plane_that_is_off(mode: Mode) -> None:
 
 
 def test_friction_and_vertical_force() -> None:
-    c = ACRYLIC.of(Mode.FLEXIBLE)
+    c = ACRYLIC.coefficients(Mode.FLEXIBLE)
     found = identify(hits(c, full=True), MASS_KG, Onset.LCP)
     for name, true in (("mu", c.mu), ("nu", c.nu)):
         estimate = get(found, Mode.FLEXIBLE, name)
@@ -115,7 +115,7 @@ def test_one_speed_reports_the_wide_interval_it_deserves() -> None:
 
 
 def test_force_narrows_the_interval() -> None:
-    c = ACRYLIC.of(Mode.FLEXIBLE)
+    c = ACRYLIC.coefficients(Mode.FLEXIBLE)
     random = np.random.default_rng(3)
     trials = [wall_trial(c, -1.0, random, mode="flexible", force_noise_n=1.0) for _ in range(2)]
     without = [Trial(t.name, {"normal_m": t.normal}, t.mode) for t in trials]
@@ -127,7 +127,9 @@ def test_force_narrows_the_interval() -> None:
 
 
 def test_both_modes_share_one_plane() -> None:
-    trials = hits(ACRYLIC.rigid, Mode.RIGID, speeds=(1.0,)) + hits(ACRYLIC.of(Mode.FLEXIBLE), seed=5)
+    trials = hits(ACRYLIC.rigid, Mode.RIGID, speeds=(1.0,)) + hits(
+        ACRYLIC.coefficients(Mode.FLEXIBLE), seed=5
+    )
     found = identify(trials, MASS_KG, Onset.LCP)
     assert set(found.coefficients) == {"rigid", "flexible"}
     # Alone, one rigid hit cannot tell the plane; with the flexible ones beside it, it need not.
@@ -140,7 +142,7 @@ def test_both_modes_share_one_plane() -> None:
 @pytest.mark.parametrize("mode", list(Mode))
 def test_a_controller_that_pushes_before_and_after(mode: Mode) -> None:
     # As in flight: the approach is held by a push, the recovery brakes hard after the release.
-    c = ACRYLIC.of(mode)
+    c = ACRYLIC.coefficients(mode)
     random = np.random.default_rng(12)
     trials = []
     for speed in (0.5, 1.0, 1.5):
@@ -162,18 +164,20 @@ def test_a_controller_that_pushes_before_and_after(mode: Mode) -> None:
 
 
 def test_outliers_do_not_matter() -> None:
-    trials = hits(ACRYLIC.of(Mode.FLEXIBLE))
+    trials = hits(ACRYLIC.coefficients(Mode.FLEXIBLE))
     for trial in trials:
         trial.normal.value[::37] += 0.05
     found = identify(trials, MASS_KG, Onset.LCP)
     estimate = get(found, Mode.FLEXIBLE, "k")
-    assert abs(estimate.value - ACRYLIC.of(Mode.FLEXIBLE).k) < estimate.high - estimate.low
+    assert abs(estimate.value - ACRYLIC.coefficients(Mode.FLEXIBLE).k) < estimate.high - estimate.low
 
 
 def test_filtered_recordings_get_wider_intervals() -> None:
     # Noise of 1 mm that forgets over a few samples tells less than white noise of 1 mm, and must say so.
     trials = [
-        wall_trial(ACRYLIC.of(Mode.FLEXIBLE), -v, np.random.default_rng(1), noise_m=0.0, mode="flexible")
+        wall_trial(
+            ACRYLIC.coefficients(Mode.FLEXIBLE), -v, np.random.default_rng(1), noise_m=0.0, mode="flexible"
+        )
         for v in (0.5, 1.0, 1.5)
     ]
     random = np.random.default_rng(2)
@@ -183,13 +187,13 @@ def test_filtered_recordings_get_wider_intervals() -> None:
             noise = 0.8 * noise + random.normal(0.0, 0.0006)
             trial.normal.value[i] += noise
     estimate = get(identify(trials, MASS_KG, Onset.LCP), Mode.FLEXIBLE, "k")
-    white = get(identify(hits(ACRYLIC.of(Mode.FLEXIBLE)), MASS_KG, Onset.LCP), Mode.FLEXIBLE, "k")
+    white = get(identify(hits(ACRYLIC.coefficients(Mode.FLEXIBLE)), MASS_KG, Onset.LCP), Mode.FLEXIBLE, "k")
     assert relative_width(estimate) > 1.5 * relative_width(white)
-    assert abs(estimate.value - ACRYLIC.of(Mode.FLEXIBLE).k) < estimate.high - estimate.low
+    assert abs(estimate.value - ACRYLIC.coefficients(Mode.FLEXIBLE).k) < estimate.high - estimate.low
 
 
 def test_derived_velocities_count_once() -> None:
-    trials = hits(ACRYLIC.of(Mode.FLEXIBLE))
+    trials = hits(ACRYLIC.coefficients(Mode.FLEXIBLE))
     derived = [
         Trial(
             t.name,
@@ -206,9 +210,9 @@ def test_derived_velocities_count_once() -> None:
 def test_measured_velocities_count() -> None:
     random = np.random.default_rng(8)
     trials = []
-    for t in hits(ACRYLIC.of(Mode.FLEXIBLE)):
+    for t in hits(ACRYLIC.coefficients(Mode.FLEXIBLE)):
         clean = wall_trial(
-            ACRYLIC.of(Mode.FLEXIBLE), -1.0, random, noise_m=0.0, plane_m=0.012, mode="flexible"
+            ACRYLIC.coefficients(Mode.FLEXIBLE), -1.0, random, noise_m=0.0, plane_m=0.012, mode="flexible"
         )
         speed = np.gradient(clean.normal.value, clean.normal.time_s)
         noisy = Series(clean.normal.time_s, speed + random.normal(0.0, 0.005, speed.size))
@@ -270,7 +274,7 @@ def refused(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    for i, trial in enumerate(hits(ACRYLIC.of(Mode.FLEXIBLE), full=True), 1):
+    for i, trial in enumerate(hits(ACRYLIC.coefficients(Mode.FLEXIBLE), full=True), 1):
         write_csv(trial, tmp_path / f"hit_{i}.csv")
     return tmp_path
 
@@ -295,7 +299,7 @@ def test_command_writes_an_entry_that_the_configuration_accepts(
     config = folder / "dart.yaml"
     config.write_text(shipped[:begin] + entry.read_text() + shipped[end:])
     vehicle = load_vehicle(config)
-    assert vehicle.materials["acrylic"].of(Mode.FLEXIBLE).k == pytest.approx(k["value"], rel=1e-5)
+    assert vehicle.materials["acrylic"].coefficients(Mode.FLEXIBLE).k == pytest.approx(k["value"], rel=1e-5)
     assert vehicle.materials["acrylic"].rigid == ACRYLIC.rigid
     hit = ["predict", "--config", str(config), "--surface", "acrylic", "--mode", "flexible"]
     assert main([*hit, "--velocity", "-1", "0.5"]) == 0
@@ -303,7 +307,7 @@ def test_command_writes_an_entry_that_the_configuration_accepts(
 
 def test_heights_of_the_centre_of_mass(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     random = np.random.default_rng(6)
-    trial = drop_trial(CONCRETE.of(Mode.FLEXIBLE), 0.05, random, plane_m=0.205)
+    trial = drop_trial(CONCRETE.coefficients(Mode.FLEXIBLE), 0.05, random, plane_m=0.205)
     path = tmp_path / "drop.csv"
     write_csv(trial, path)
     assert "--contact-distance" in refused(capsys, str(path), "--drop", "0.05")
@@ -316,7 +320,7 @@ def test_heights_of_the_centre_of_mass(capsys: pytest.CaptureFixture[str], tmp_p
 
 
 def test_other_headers_and_separators(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    trial = hits(ACRYLIC.of(Mode.FLEXIBLE), speeds=(1.0,))[0]
+    trial = hits(ACRYLIC.coefficients(Mode.FLEXIBLE), speeds=(1.0,))[0]
     path = tmp_path / "other.csv"
     lines = ["# exported", "t;x", *(f"{t:.6f};{x:.6f}" for t, x in zip(*trial.normal, strict=True))]
     path.write_text("\ufeff" + "\n".join(lines))
@@ -393,7 +397,7 @@ def test_a_px4_log(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     normal = np.array([np.cos(heading), np.sin(heading)])
     wall = np.array([3.0, 2.0])
     trial = wall_trial(
-        ACRYLIC.of(Mode.FLEXIBLE), -1.0, np.random.default_rng(9), rate_hz=250.0, force_noise_n=0.3,
+        ACRYLIC.coefficients(Mode.FLEXIBLE), -1.0, np.random.default_rng(9), rate_hz=250.0, force_noise_n=0.3,
         plane_m=0.01, tangential_m_s=0.4,
     )  # fmt: skip
     along = np.array([-normal[1], normal[0]])

@@ -43,7 +43,7 @@ def hits(tmp_path: Path) -> list[str]:
     paths = []
     for speed in (0.6, 1.2):
         path = tmp_path / f"hit_{speed:g}.csv"
-        c = VEHICLE.materials["acrylic"].of(Mode.FLEXIBLE)
+        c = VEHICLE.materials["acrylic"].coefficients(Mode.FLEXIBLE)
         write_csv(
             wall_trial(c, -speed, random, mode="flexible", tangential_m_s=0.5, with_vertical=True), path
         )
@@ -83,7 +83,7 @@ def test_with_both_modes_the_entry_is_accepted(
     text = packaged("configs", "dart.yaml").read_text()
     config.write_text(text.replace("\n  concrete:\n", "\n" + "\n".join(entry[1:]) + "\n  concrete:\n", 1))
     material = load_vehicle(config).materials["felt"]
-    assert material.of(Mode.RIGID).nu == 0.0
+    assert material.coefficients(Mode.RIGID).nu == 0.0
     assert "assumed" in material.source
 
 
@@ -183,7 +183,7 @@ def test_a_flight_log_is_of_the_vehicle_that_flew(
     right, same = found.values()
     assert same["coefficients"] == right["coefficients"]
     assert same["vehicle"]["mass_kg"] == 1.3
-    k = VEHICLE.materials["acrylic"].of(Mode.FLEXIBLE).k
+    k = VEHICLE.materials["acrylic"].coefficients(Mode.FLEXIBLE).k
     assert right["coefficients"]["flexible"]["k"]["value"] == pytest.approx(k, rel=0.04)
     said = refused(capsys, *hits, log, "--mode", "flexible", "--config", str(other))
     assert "a trial of another vehicle (0.9 kg; the others' have 1.3 kg): identify them separately" in said
@@ -196,7 +196,7 @@ def test_a_mass_that_is_not_the_logs_is_taken_and_named(
     assert main(["identify", log, "--mass", "0.9", "--json"]) == 0
     streams = capsys.readouterr()
     assert "fitted with 0.9 kg; the forces in the flight logs assume 1.3 kg" in streams.err
-    k = VEHICLE.materials["acrylic"].of(Mode.FLEXIBLE).k
+    k = VEHICLE.materials["acrylic"].coefficients(Mode.FLEXIBLE).k
     assert abs(json.loads(streams.out)["coefficients"]["flexible"]["k"]["value"] / k - 1.0) > 0.1
 
 
@@ -206,7 +206,7 @@ def test_a_vehicle_that_turns_widens_what_is_said_of_friction(flown: SharedFligh
     (trial,) = trials_at_one(log, "acrylic")
     (contact,) = (e.record for e in log.entries if isinstance(e.record, TruthContact))
     assert trial.turn_rad_s == pytest.approx(abs(contact.rate_out_frd[2]), abs=0.3)
-    truth = VEHICLE.materials["acrylic"].of(Mode.FLEXIBLE).mu
+    truth = VEHICLE.materials["acrylic"].coefficients(Mode.FLEXIBLE).mu
     for turns in (True, False):
         given = trial if turns else replace(trial, turn_rad_s=0.0)
         found = identify([given], VEHICLE.airframe.mass_kg, Onset(VEHICLE.onset))

@@ -65,7 +65,7 @@ def at_100_hz(speed: float, random: np.random.Generator, *, ringing: bool = Fals
     stiff = Coefficients(k=25_000.0, f=60.0, mu=0.3, nu=0.0)
     contact = ContactMotion(stiff, MASS_KG, -speed, Onset.LCP)
     t = np.arange(-0.5, 0.4, 0.01) + random.uniform(0.0, 0.01)
-    way = contact.way(t)
+    way = contact.slide(t)
     series = {
         "normal_m": Series(t, contact.normal(t)[0] + random.normal(0.0, 2e-4, t.size)),
         "tangential_m": Series(t, 0.8 * way + random.normal(0.0, 2e-4, t.size)),
@@ -161,7 +161,7 @@ def test_a_wrong_law_is_named_and_the_peak_is_kept() -> None:
 def test_clocks_that_differ() -> None:
     random = np.random.default_rng(4)
     trials = [
-        wall_trial(ACRYLIC.of(Mode.FLEXIBLE), -v, random, mode="flexible", force_noise_n=0.5)
+        wall_trial(ACRYLIC.coefficients(Mode.FLEXIBLE), -v, random, mode="flexible", force_noise_n=0.5)
         for v in (0.6, 1.2)
     ]
     for trial in trials:
@@ -278,7 +278,7 @@ def hit(
 
 
 def made_by(k: float, f: float, speeds: list[float], onset: Onset, push: float = 0.0) -> list[MeasuredImpact]:
-    said = predict(k, f, HitTable.of([hit(v, None, None, push=push) for v in speeds]), MASS_KG, onset)
+    said = predict(k, f, HitTable.from_hits([hit(v, None, None, push=push) for v in speeds]), MASS_KG, onset)
     told = zip(speeds, said.normal_out_m_s, said.peak_normal_force_n, said.contact_time_s, strict=True)
     return [hit(v, float(out), float(peak), float(time), push) for v, out, peak, time in told]
 

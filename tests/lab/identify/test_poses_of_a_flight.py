@@ -29,7 +29,7 @@ def log() -> Log:
     kept: list[FlightRecord] = []
     settings = [f"simulation.pose_delay_s={AGE_S}", "mocap.delay_ms=20", "mocap.up=y"]
     mission = with_simulated_mocap(load_flyable(SINGLE, None, settings), "udp")
-    fly_fast(mission, 1, None, take_record=kept.append)
+    fly_fast(mission, 1, None, keep_record=kept.append)
     return kept[0].log
 
 

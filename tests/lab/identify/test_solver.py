@@ -47,13 +47,13 @@ class Mean:
     def jacobian(self, theta: Array) -> Array:
         return np.full((self.numbers.size, theta.size), 1.0 / self.sd)
 
-    def reweigh(self, theta: Array) -> None:
+    def reweight(self, theta: Array) -> None:
         pass
 
     def variance(self, theta: Array) -> float:
         return 1.0
 
-    def drawn_together(self) -> list[NDArray[np.intp]]:
+    def resampling_groups(self) -> list[NDArray[np.intp]]:
         return np.array_split(np.arange(self.numbers.size), self.together)
 
 
@@ -108,7 +108,7 @@ def scattered(n: int, sds: tuple[float, float, float], seed: int) -> list[Measur
         )  # fmt: skip
 
     speeds = np.resize([3.1, 4.4, 5.4], n) * (1.0 + 0.02 * random.standard_normal(n))
-    true = predict(K, F, HitTable.of([hit(v, None, None, None) for v in speeds]), MASS_KG, Onset.LCP)
+    true = predict(K, F, HitTable.from_hits([hit(v, None, None, None) for v in speeds]), MASS_KG, Onset.LCP)
     off = random.standard_normal((3, n)) * np.array(sds)[:, None]
     out = np.maximum(true.normal_out_m_s + speeds * off[0], 0.0)
     peak, contact = true.peak_normal_force_n * np.exp(off[1]), true.contact_time_s * np.exp(off[2])
@@ -131,9 +131,9 @@ def test_intervals_of_whole_hits_hold_the_truth(n: int, sds: tuple[float, float,
 
 def test_pseudo_values_have_the_robust_solution() -> None:
     for seed in range(5):
-        problem = HitFit(HitTable.of(scattered(6, (0.06, 0.25, 0.2), seed)), MASS_KG, Onset.LCP)
+        problem = HitFit(HitTable.from_hits(scattered(6, (0.06, 0.25, 0.2), seed)), MASS_KG, Onset.LCP)
         robust = descend(problem, np.log([30_000.0, 60.0]), ("huber",))
-        problem.reweigh(robust)
+        problem.reweight(robust)
         score = problem.jacobian(robust).T @ problem.residuals(robust)
         assert score == pytest.approx(0.0, abs=1e-3)
         off = np.abs(problem.solve() - robust)  # both end where a step gains next to nothing

@@ -30,7 +30,7 @@ pytest.importorskip("scipy")
 
 VEHICLE = load_vehicle(packaged("configs", "dart.yaml"))
 MASS_KG = VEHICLE.airframe.mass_kg
-GROUND = VEHICLE.materials["concrete"].of(Mode.FLEXIBLE)
+GROUND = VEHICLE.materials["concrete"].coefficients(Mode.FLEXIBLE)
 BEGIN_S = 2.0  # stamp of the first touch
 
 

@@ -14,12 +14,12 @@ import pytest
 
 from dart_flight.cli import main
 from tests.doubles.ulog_file import Topics, write_ulog
-from tests.lab.inspect.test_inspect import HIT_S, felt, topics
+from tests.lab.inspect.test_inspect import END_S, HIT_S, felt, topics
 
 pytest.importorskip("pyulog")
 
 BEGIN_US = 1e6
-FALL_S, GROUND_S, RELEASE = 38.0, 39.4, 0x010E00FF
+FALL_S, GROUND_S, RELEASE = END_S - 7.0, END_S - 5.6, 0x010E00FF
 
 
 def with_status(
@@ -46,7 +46,7 @@ def crashed() -> Topics:
     made["sensor_combined", 0] = fields, new
     fields, rows = made["vehicle_local_position", 0]
     made["vehicle_local_position", 0] = (fields, [(s, [0.0, 0.0, 5.0 * v[2], *v[3:]]) for s, v in rows])
-    states = [(0.0, True), (2.0, False), (FALL_S, True), (FALL_S + 0.14, False), (43.0, True)]
+    states = [(0.0, True), (2.0, False), (FALL_S, True), (FALL_S + 0.14, False), (END_S - 2.0, True)]
     made["vehicle_land_detected", 0] = ("bool landed;", [(BEGIN_US + 1e6 * t, [s]) for t, s in states])
     return made
 
@@ -114,12 +114,12 @@ def test_a_log_that_begins_in_the_air_is_felt_whole(
     made = dict(with_status(topics()))
     made["vehicle_land_detected", 0] = (
         "bool landed;",
-        [(BEGIN_US + 1.1e6 + 2e6 * i, [False]) for i in range(21)],
+        [(BEGIN_US + 1.1e6 + 2e6 * i, [False]) for i in range(12)],
     )
     fields, rows = made["vehicle_local_position", 0]
     made["vehicle_local_position", 0] = (fields, [(t, [0.0, 0.0, -30.0, *v[3:]]) for t, v in rows])
     flight = felt(write_ulog(tmp_path / "a.ulg", made), capsys)
-    assert flight["flight_s"] == pytest.approx(45.0, abs=0.1)
+    assert flight["flight_s"] == pytest.approx(END_S, abs=0.1)
     assert [round(i["t_s"]) for i in flight["impacts"]] == [round(HIT_S)]
 
 
@@ -202,7 +202,7 @@ def test_a_flipped_bit_is_no_impact(
 ) -> None:
     flight = felt(flipped(tmp_path / "a.ulg", topic, place, 20.0, value), capsys)
     assert [round(i["t_s"]) for i in flight["impacts"]] == [round(HIT_S)]
-    assert flight["flight_s"] == pytest.approx(40.7, abs=0.1)
+    assert flight["flight_s"] == pytest.approx(END_S - 4.3, abs=0.1)
     assert f"1 damaged samples of {topic}" in flight["unknown"]
 
 

@@ -22,7 +22,8 @@ from tests.doubles.ulog_file import Topics, write_ulog
 pytest.importorskip("pyulog")
 
 FULL_M_S2, FACTOR = 22.0, 0.3
-HIT_S, HIT_M_S2, HIT_DEG, LONG_S = 30.0, 14.0, 60.0, 0.15
+END_S = 26.0
+HIT_S, HIT_M_S2, HIT_DEG, LONG_S = 16.0, 14.0, 60.0, 0.15
 VIBRATION_M_S2 = 2.5
 Rows = list[tuple[float, list[float]]]
 
@@ -36,7 +37,7 @@ def pushed(estimated: Estimated, push: tuple[float, float]) -> Estimated:
 
 
 def topics(motor_hz: float = 100.0, motors: bool = True, north_m_s: float = 0.0) -> Topics:
-    """40 s in the air, slow climbs and descents, vibration, one hit; level, facing north."""
+    """21 s in the air, slow climbs and descents, vibration, one hit; level, facing north."""
     rng = random.Random(5)
     imu: Rows = []
     attitude: Rows = []
@@ -44,7 +45,7 @@ def topics(motor_hz: float = 100.0, motors: bool = True, north_m_s: float = 0.0)
     commands: Rows = []
     landed: Rows = []
     every = round(250.0 / motor_hz)
-    for i in range(11_250):
+    for i in range(round(END_S / 0.004)):
         t, stamp = i * 0.004, 1e6 + 4000 * i
         u = 0.5 + 0.05 * math.sin(0.5 * t)
         thrust = FULL_M_S2 * (FACTOR * u * u + (1.0 - FACTOR) * u)
@@ -59,7 +60,7 @@ def topics(motor_hz: float = 100.0, motors: bool = True, north_m_s: float = 0.0)
         if i % every == 0:
             commands.append((stamp, [u] * 4))
         if i % 250 == 0:
-            landed.append((stamp, [t < 2.0 or t > 42.0]))
+            landed.append((stamp, [t < 2.0 or t > END_S - 3.0]))
     out: dict[tuple[str, int], tuple[str, Rows]] = {
         ("sensor_combined", 0): ("float[3] gyro_rad;float[3] accelerometer_m_s2;", imu),
         ("vehicle_attitude", 0): ("float[4] q;", attitude),
@@ -205,7 +206,7 @@ def test_what_an_error_of_the_thrust_explains_is_no_impact(
     onset = ImpactOnset(1, 1, 1, (x, y, z), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
     crossing = ThresholdCrossing(onset, 5.5)
     peak = ImpactPeak(1, 1, 1, (math.copysign(1.0, x), 0.0), abs(x), 0.0, (0.0, 0.0, 0.0), False, fitted=True)
-    crossing.ends(peak, [felt], 8)
+    crossing.record_peak(peak, [felt], 8)
     assert crossing.is_impact is is_impact
 
 

@@ -23,7 +23,7 @@ def with_walls(mission: Mission, **factors: float) -> Mission:
 
     materials = {
         name: msgspec.structs.replace(
-            m, **{mode.value: changed(m.of(mode)) for mode in mission.vehicle.modes}
+            m, **{mode.value: changed(m.coefficients(mode)) for mode in mission.vehicle.modes}
         )
         for name, m in mission.vehicle.materials.items()
     }

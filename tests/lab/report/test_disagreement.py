@@ -114,7 +114,7 @@ def test_identify_takes_flight_logs_and_writes_the_entry(
     assert found["flexible"]["k"]["low"] > 1250.0
     acrylic = with_entry(out.read_text(encoding="utf-8"), tmp_path / "dart.yaml").materials["acrylic"]
     assert acrylic.source
-    assert acrylic.of(Mode.FLEXIBLE).k == pytest.approx(1.2 * 1250.0, rel=0.03)
+    assert acrylic.coefficients(Mode.FLEXIBLE).k == pytest.approx(1.2 * 1250.0, rel=0.03)
     # The mode that was not flown stays.
     assert acrylic.rigid == single.vehicle.materials["acrylic"].rigid
 

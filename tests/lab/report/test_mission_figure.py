@@ -107,7 +107,7 @@ def test_check_says_what_a_picture_needs(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert main(["check", DUAL, "--plot", str(tmp_path / "mission.gif")]) == 2
-    assert "mission.gif: a picture is a file .png, .svg or .pdf" in capsys.readouterr().err
+    assert "mission.gif: the picture must be a .png, .svg or .pdf file" in capsys.readouterr().err
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     assert main(["check", DUAL, "--plot", str(tmp_path / "mission.png")]) == 2
     error = capsys.readouterr().err

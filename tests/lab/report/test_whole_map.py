@@ -49,7 +49,7 @@ def test_the_way_back_from_a_touch_is_counted_and_drawn() -> None:
     way_m = math.dist(back.begin[:2], (0.0, 0.0))
     assert way_m > 0.3
     finding = next(f for f in check_mission(mission) if f.item == "waypoints")
-    assert f"{way_m:.1f} m from rest to rest" in finding.says
+    assert f"{way_m:.1f} m between stops" in finding.says
     assert to_goal.begin == (0.0, 0.0, 1.2)
     lines = [line.get_xydata() for line in drawn(mission).lines]
     assert any(len(xy) == 2 and np.allclose(xy, [back.begin[:2], (0.0, 0.0)]) for xy in lines)
@@ -58,14 +58,14 @@ def test_the_way_back_from_a_touch_is_counted_and_drawn() -> None:
 def test_a_way_from_where_nothing_is_predicted_is_not_called_none() -> None:
     rehearsal = room(standoff_m=0.5)
     says = next(f for f in check_mission(rehearsal) if f.item == "waypoints").says
-    assert "1 legs that begin after a contact, length not predicted" in says
+    assert "1 legs after a contact, of unpredicted length" in says
 
 
 @pytest.mark.parametrize("place", [(0.0, 2.4, [0.0, -1.0]), (0.0, -2.4, [0.0, 1.0]), (-2.4, 0.5, [1.0, 0.0])])
 def test_a_wall_that_is_not_hit_is_in_the_picture(place: tuple[float, float, list[float]]) -> None:
     mission = room(walls={"east": wall(1.5, 0.0, [-1.0, 0.0]), "third": wall(*place)})
     plan = drawn(mission)
-    x, y = mission.vehicle.airframe.surface_of(mission.walls[1]).point
+    x, y = mission.vehicle.airframe.wall_surface(mission.walls[1]).point
     assert plan.get_xlim()[0] < x < plan.get_xlim()[1]
     assert plan.get_ylim()[0] < y < plan.get_ylim()[1]
     assert "third (acrylic)" in {text.get_text() for text in plan.texts}
@@ -118,4 +118,4 @@ def test_trajectories_are_not_said_to_end_at_their_goal_whatever_is_drawn() -> N
     shuttle = dart_flight.load_mission(dart_flight.packaged("missions", "shuttle.yaml"))
     words = " ".join(prediction_lines(shuttle, predict_mission(shuttle), []))
     assert "in nine of ten draws" not in words
-    assert "Not flown in simulation in its present form" in words
+    assert "This version has not been flown in simulation" in words

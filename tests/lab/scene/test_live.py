@@ -206,8 +206,8 @@ def test_a_taken_port_is_named_before_the_flight(
 @pytest.mark.parametrize(
     ("options", "why"),
     [
-        (["--fast", "--live"], "--live needs a single real-time flight"),
-        (["--runs", "2", "--live"], "--live needs a single real-time flight"),
+        (["--fast", "--live"], "--live needs a single flight in real time"),
+        (["--runs", "2", "--live"], "--live needs a single flight in real time"),
         (["--live-port", "8765"], "--live-port needs --live"),
         (["--live-host", "0.0.0.0"], "--live-host needs --live"),
         (["--live", "--live-port", "70000"], "--live-port"),

@@ -238,7 +238,7 @@ def test_a_peak_of_one_sample_gets_through_the_thinning() -> None:
     kept: list[Record] = []
     for i in range(200):
         force = 50.0 if i == 77 else 0.1
-        kept += thinning.take(ForceEstimate(4000 * i, (force, 0.0, 0.0), False))
+        kept += thinning.select(ForceEstimate(4000 * i, (force, 0.0, 0.0), False))
     assert 38 <= len(kept) <= 40
     assert max(r.force_mission[0] for r in kept if isinstance(r, ForceEstimate)) == 50.0
 

@@ -226,7 +226,7 @@ def test_check_shows_the_record_and_notices_that_the_mission_changed(
         dart_flight.load_mission(path, settings=["airframe.mass_kg=1.5"]),
         mission.replace({"goal.hold_s": 3.0}),
     ):
-        assert "changed since" in flown_finding(changed).says
+        assert "has changed since" in flown_finding(changed).says
         assert flown_finding(changed).remark
 
 
@@ -248,7 +248,7 @@ def test_check_remarks_that_a_mission_was_never_flown() -> None:
     finding = flown_finding(dart_flight.load_mission(dart_flight.packaged("missions", "single_wall.yaml")))
     assert finding.go
     assert finding.remark
-    assert "no record of simulated flights" in finding.says
+    assert "no simulated flight of this mission is on record" in finding.says
 
 
 def test_a_record_that_cannot_be_is_refused(planned: QuickestResult, tmp_path: Path) -> None:

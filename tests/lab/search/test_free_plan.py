@@ -90,7 +90,7 @@ def test_round_a_wall_the_gap_is_stated_and_honest(offset: float) -> None:
     edge_y = offset + math.copysign(1.0 + 0.2 + 0.12, -offset if offset else 1.0)
     beyond = [(1.5 + 0.2, y) for y in (edge_y, 2.0 * offset - edge_y)]
     least_m = min(math.dist((0.0, 0.0), b) + math.dist(b, (3.0, 0.0)) for b in beyond)
-    assert least_length_m((0.0, 0.0), (3.0, 0.0), Obstacles.of(scenario)) == pytest.approx(least_m)
+    assert least_length_m((0.0, 0.0), (3.0, 0.0), Obstacles.from_scenario(scenario)) == pytest.approx(least_m)
     assert free.time_s - free.gap_s == pytest.approx(straight_time_s(least_m, free.limits))
     # Stopping at the corner is a way, too, within the same split of the limits.
     split = msgspec.structs.replace(

@@ -24,6 +24,8 @@ from dart_flight.lab.search.limited_sight import plan_limited_sight, safe_speed_
 from dart_flight.lab.search.optimal_trajectory import MotionLimits
 from dart_flight.lab.search.quickest import QuickestPlan, QuickestResult
 from dart_flight.lab.search.scenario import load_scenario
+from tests.shared_flights import SharedFlights
+from tests.shared_plans import limited_sight_plan
 
 SHIPPED = packaged("missions", "scenarios", "limited_sight.yaml")
 WALL_M, SEEN_M, REACTION_S = 4.5, 1.0, 0.15
@@ -53,9 +55,9 @@ def speeds(plan: QuickestPlan) -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.fixture(scope="module")
-def planned() -> QuickestResult:
-    """The shipped scenario's plan, which takes seconds."""
-    return plan_limited_sight(load_scenario(SHIPPED))
+def planned(flown: SharedFlights) -> QuickestResult:
+    """The shipped scenario's plan."""
+    return limited_sight_plan(flown, load_scenario(SHIPPED))
 
 
 def test_both_cruise_until_the_reaction_to_the_wall_is_over(planned: QuickestResult) -> None:
@@ -111,9 +113,12 @@ def test_only_quickest_plans_have_a_free_one(capsys: pytest.CaptureFixture[str])
     ("change", "says"),
     [
         ({"visits": [{"position_m": [1.0, 0.0], "within_m": 0.1}]}, "no visits"),
-        ({"start": {"position_m": [3.6, 0.0], "altitude_m": 1.0}}, "where the wall is not seen"),
-        ({"start": {"position_m": [0.0, 2.3], "altitude_m": 1.0}}, "must be before it"),
-        ({"limits": {"speed_m_s": 3.7, "peak_force_n": 7.0}, "sequence": ["east"]}, "no flight hits east"),
+        ({"start": {"position_m": [3.6, 0.0], "altitude_m": 1.0}}, "must be out of sight at start"),
+        ({"start": {"position_m": [0.0, 2.3], "altitude_m": 1.0}}, "move start in front of it"),
+        (
+            {"limits": {"speed_m_s": 3.7, "peak_force_n": 7.0}, "sequence": ["east"]},
+            "no feasible trajectory hits east",
+        ),
     ],
 )
 def test_what_cannot_be_planned_is_named(change: dict[str, Any], says: str) -> None:

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from dart_flight.base.records import PoseSample
 from dart_flight.config.vehicle.mocap import MotionCapture
 from dart_flight.vehicle.clock import SimulatedTime
-from dart_flight.vehicle.motion_capture.pose_bridge import Decimation, MotionCaptureBridge
+from dart_flight.vehicle.motion_capture.pose_bridge import Decimation, MotionCaptureBridge, forwarded_pose
 from dart_flight.vehicle.motion_capture.source import RawPose, lost_pose
 
 
@@ -64,6 +64,18 @@ def test_a_lost_pose_is_delivered_and_not_sent() -> None:
     bridge.stop()
     bridge.forward(pose(40_000))
     assert (len(sent), source.stopped, len(delivered)) == (0, True, 1)
+
+
+def test_withheld_attitudes_leave_the_position_and_withheld_poses_nothing() -> None:
+    bridge, _, sent, delivered = make_bridge(MotionCapture())
+    bridge.withhold(attitude_only=True)
+    bridge.forward(pose(0))
+    assert forwarded_pose(sent[0]).attitude is None
+    assert forwarded_pose(sent[0]).x == 1.0
+    bridge.withhold(attitude_only=False)
+    bridge.withhold(attitude_only=True)
+    bridge.forward(pose(40_000))
+    assert (len(sent), len(delivered)) == (1, 2)
 
 
 @given(

@@ -83,7 +83,7 @@ def draw_north(axis: Any, mission: Mission) -> None:
 
 def draw_wall(axis: Any, wall: Wall, airframe: Airframe, thickness_m: float = THICKNESS_M) -> None:
     """Draw the wall behind its surface, and a thin line for the plane of the centre at first touch."""
-    plane, surface = np.array(wall.ends), np.array(airframe.surface_of(wall).ends)
+    plane, surface = np.array(wall.ends), np.array(airframe.wall_surface(wall).ends)
     back = surface - thickness_m * np.array(wall.normal)
     axis.fill(
         *np.vstack([surface, back[::-1]]).T, facecolor="#dcdcdc", edgecolor="#777777", hatch="////",
@@ -95,7 +95,7 @@ def draw_wall(axis: Any, wall: Wall, airframe: Airframe, thickness_m: float = TH
 
 def _gap_behind_m(mission: Mission, wall: Wall) -> float:
     """Return the distance from a wall's surface to an opposite surface behind it, or infinity."""
-    surface_of = mission.vehicle.airframe.surface_of
+    surface_of = mission.vehicle.airframe.wall_surface
     own, gaps = surface_of(wall), [math.inf]
     for other in mission.flat_walls:
         face = surface_of(other)
@@ -124,7 +124,10 @@ def name_walls(axis: Any, mission: Mission, font_pt: float) -> list[Array]:
     covered = []
     for wall in mission.walls:
         tangent, normal = np.array(wall.tangent), np.array(wall.normal)
-        line, away = np.array(mission.vehicle.airframe.surface_of(wall).point) - THICKNESS_M * normal, -normal
+        line, away = (
+            np.array(mission.vehicle.airframe.wall_surface(wall).point) - THICKNESS_M * normal,
+            -normal,
+        )
         if _gap_behind_m(mission, wall) < _BACK_TO_BACK_M:
             line, away = np.array(wall.point), normal
         along = np.linspace(-0.5 * wall.length_m, 0.5 * wall.length_m, 201)
@@ -159,7 +162,7 @@ def view_of(mission: Mission, points: Array, margin_m: float = 0.45) -> Array:
     (x0, x1), (y0, y1) = mission.bounds.x, mission.bounds.y
     room = [np.array([[x0, y0], [x1, y1]])]
     for wall in mission.walls:
-        surface = np.array(mission.vehicle.airframe.surface_of(wall).ends)
+        surface = np.array(mission.vehicle.airframe.wall_surface(wall).ends)
         room.append(surface - (THICKNESS_M + 0.15) * np.array(wall.normal))
     corners = np.vstack(room)
     inside = points[np.isfinite(points).all(axis=1)]
@@ -174,7 +177,7 @@ def view_of(mission: Mission, points: Array, margin_m: float = 0.45) -> Array:
 
 def _nearest_part(mission: Mission, wall: Wall, points: Array) -> Array:
     """Return the part of a wall's surface nearest to the box around points (n, 2); empty out of bounds."""
-    ends = np.array(mission.vehicle.airframe.surface_of(wall).ends)
+    ends = np.array(mission.vehicle.airframe.wall_surface(wall).ends)
     line = ends[0] + np.linspace(0.0, 1.0, 101)[:, None] * (ends[1] - ends[0])
     low, high = points.min(axis=0), points.max(axis=0)
     away = np.linalg.norm(np.maximum(0.0, np.maximum(low - line, line - high)), axis=1)

@@ -144,7 +144,7 @@ def _flown_line(mission: Mission) -> str:
     """Return a sentence on the simulated flights recorded in the mission file."""
     record = mission.flown
     if record is None or record.digest != mission.digest:
-        return "Not flown in simulation in its present form, so its trajectories may not be flyable."
+        return "This version has not been flown in simulation; its trajectories may not be flyable."
     return f"Flown in simulation: {record.summary}."
 
 
@@ -192,7 +192,7 @@ def _draw_draws(axis: Any, mission: Mission, drawn: Sequence[PredictedFlight]) -
     """Draw the paths after the hits and the wall surfaces for every draw of the walls."""
     label = f"{len(drawn)} draws of the walls"
     for flight in drawn:
-        surfaces = [np.array(mission.vehicle.airframe.surface_of(wall).ends) for wall in flight.walls]
+        surfaces = [np.array(mission.vehicle.airframe.wall_surface(wall).ends) for wall in flight.walls]
         for path in [*flight.legs.values(), *surfaces]:
             axis.plot(path[:, 0], path[:, 1], color=_DRAWN, linewidth=0.5, alpha=0.6, zorder=1.8, label=label)
 
@@ -250,7 +250,7 @@ def _draw_side(axis: Any, mission: Mission, planned: PredictedFlight | None, top
     out = mission.vehicle.airframe.contact_distance_m
     for wall in mission.walls:
         nx, ny = wall.normal
-        surface = mission.vehicle.airframe.surface_of(wall).ends
+        surface = mission.vehicle.airframe.wall_surface(wall).ends
         ends = [x - back * nx for x, _ in surface for back in (0.0, THICKNESS_M)]
         seen_from_side = abs(ny) < _EDGE_ON
         style = {"hatch": "////", "facecolor": "#dcdcdc"} if seen_from_side else {"facecolor": "#f1f1f1"}

@@ -41,7 +41,7 @@ def write_svgs(flights: Sequence[RecordedFlight], folder: Path) -> list[Path]:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise InputError(f"cannot make the folder: {error.strerror}", source=str(folder)) from None
+        raise InputError(f"cannot create the folder: {error.strerror}", source=str(folder)) from None
     written = []
     for name, figure in figures_of(flights):
         path = folder / f"{name}.svg"

@@ -36,7 +36,7 @@ def room_figure(mission: Mission, room: Room, touches: Sequence[RoomContact], *,
     figure, axis = new_figure(look, 5.0)
     airframe = mission.vehicle.airframe
     for true_wall in mission.simulated_walls:
-        ends = np.array(airframe.surface_of(true_wall).ends)
+        ends = np.array(airframe.wall_surface(true_wall).ends)
         axis.plot(*ends.T, color=GREY, linewidth=3.0, alpha=0.5, label="true wall (simulation)")
     for k, wall in enumerate(room.walls):
         _draw_wall(axis, wall, room.corners[k - 1], room.corners[k], f"side {k + 1}", look)

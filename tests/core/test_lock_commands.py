@@ -6,7 +6,7 @@ import msgspec
 
 from dart_flight.base.records import LockCommand, LockPermission, LockPhase, LockState, Mode
 from dart_flight.config.vehicle import load_vehicle, packaged
-from dart_flight.core.mission.lock_orders import LockMemory, LockOrders
+from dart_flight.core.mission.lock_commands import LockCommands, LockCommandState
 from dart_flight.core.sense.state import FlightState
 
 NOW_US = 10_000_000
@@ -20,8 +20,8 @@ class Lock:
 
     def __init__(self) -> None:
         assert PACKAGED is not None
-        self.rules = LockOrders(msgspec.structs.replace(PACKAGED, relaxation_s=RELAX_US * 1e-6))
-        self.memory = LockMemory()
+        self.rules = LockCommands(msgspec.structs.replace(PACKAGED, relaxation_s=RELAX_US * 1e-6))
+        self.memory = LockCommandState()
 
     def permission(self, now_us: int, in_contact: bool) -> LockPermission | None:
         changed = self.rules.permission(self.memory, now_us, in_contact)
@@ -33,9 +33,9 @@ class Lock:
         return self.rules.ready_us(self.memory, mode, state)
 
     def order(self, mode: Mode, state: FlightState) -> LockCommand | None:
-        order = self.rules.order(self.memory, mode, state)
+        order = self.rules.command(self.memory, mode, state)
         if order is not None:
-            self.memory = self.memory._replace(ordered=mode, ordered_us=state.now_us)
+            self.memory = self.memory._replace(commanded=mode, commanded_us=state.now_us)
         return order
 
     def contact_begins(self, t_us: int) -> None:
@@ -50,7 +50,7 @@ def state_with(
 ) -> FlightState:
     state = FlightState()
     state.now_us = now_us
-    state.take_lock(LockState(now_us, phase, mode, commanded_us=commanded_us))
+    state.update_lock(LockState(now_us, phase, mode, commanded_us=commanded_us))
     return state
 
 
@@ -66,7 +66,7 @@ def test_it_may_move_but_in_a_contact_and_until_the_arms_have_sprung_back() -> N
     after_us = NOW_US + 10 + RELAX_US
     assert lock.permission(after_us, True) is None
     assert lock.permission(after_us, False) == LockPermission(after_us, True)
-    assert LockOrders(None).permission(LockMemory(), NOW_US, False) is None
+    assert LockCommands(None).permission(LockCommandState(), NOW_US, False) is None
 
 
 def test_when_it_will_be_there() -> None:

@@ -16,36 +16,36 @@ RETRY_US: Final = 1_000_000
 _OVERDUE_US: Final = 50_000  # two polls of the lock
 
 
-class LockMemory(NamedTuple):
+class LockCommandState(NamedTuple):
     """State of the lock commands, in addition to the lock's own state; autopilot time.
 
     Attributes:
         contact_begin_us: beginning of the last contact.
         contact_end_us: end of the last contact; None during a contact, or before the first.
         permitted: whether the lock may move; None if not decided yet.
-        ordered, ordered_us: the last commanded mode, and the time of the command in this phase.
+        commanded, commanded_us: the last commanded mode, and the time of the command in this phase.
     """
 
     contact_begin_us: int | None = None
     contact_end_us: int | None = None
     permitted: bool | None = None
-    ordered: Mode | None = None
-    ordered_us: int | None = None
+    commanded: Mode | None = None
+    commanded_us: int | None = None
 
-    def contact_begins(self, t_us: int) -> LockMemory:
+    def contact_begins(self, t_us: int) -> LockCommandState:
         """Forbid lock motion from the onset of a contact."""
         return self._replace(contact_begin_us=t_us, contact_end_us=None)
 
-    def contact_ends(self, t_us: int) -> LockMemory:
+    def contact_ends(self, t_us: int) -> LockCommandState:
         """Start the relaxation of the arms at the end of a contact."""
         return self._replace(contact_end_us=t_us)
 
-    def phase_begins(self) -> LockMemory:
+    def phase_begins(self) -> LockCommandState:
         """Allow the next command at once, without waiting for a retry."""
-        return self._replace(ordered_us=None)
+        return self._replace(commanded_us=None)
 
 
-class LockOrders:
+class LockCommands:
     """Rules for the lock of one vehicle; without a lock there are no commands."""
 
     def __init__(self, lock: LockConfig | None) -> None:
@@ -53,16 +53,16 @@ class LockOrders:
         self._relaxation_us = lock.relaxation_s * 1e6 if lock else 0.0
         self._switch_us = lock.switch_time_s * 1e6 if lock else 0.0
 
-    def permission(self, memory: LockMemory, now_us: int, in_contact: bool) -> LockPermission | None:
+    def permission(self, lock: LockCommandState, now_us: int, in_contact: bool) -> LockPermission | None:
         """Return a record if the permission to move has changed."""
-        end_us = memory.contact_end_us
+        end_us = lock.contact_end_us
         relaxed = end_us is not None and now_us - end_us >= self._relaxation_us
-        permitted = not in_contact and (memory.contact_begin_us is None or relaxed)
-        if permitted == memory.permitted or self._lock is None:
+        permitted = not in_contact and (lock.contact_begin_us is None or relaxed)
+        if permitted == lock.permitted or self._lock is None:
             return None
         return LockPermission(now_us, permitted)
 
-    def ready_us(self, memory: LockMemory, mode: Mode, state: FlightState) -> int | None:
+    def ready_us(self, lock: LockCommandState, mode: Mode, state: FlightState) -> int | None:
         """Return the time at which the lock will be settled in a mode if nothing fails, autopilot time.
 
         The result is None if the lock is in fault or overdue.
@@ -74,16 +74,16 @@ class LockOrders:
         if state.lock.phase is LockPhase.TRAVELLING and state.lock.mode is mode:
             ready_us = round((state.lock.commanded_us or state.now_us) + self._switch_us)
             return ready_us if state.now_us - ready_us <= _OVERDUE_US else None
-        end_us = memory.contact_end_us if memory.contact_end_us is not None else state.now_us
+        end_us = lock.contact_end_us if lock.contact_end_us is not None else state.now_us
         return round(max(state.now_us, end_us + self._relaxation_us) + self._switch_us)
 
-    def order(self, memory: LockMemory, mode: Mode, state: FlightState) -> LockCommand | None:
+    def command(self, lock: LockCommandState, mode: Mode, state: FlightState) -> LockCommand | None:
         """Return the command to move to a mode, or None if there, not permitted, or commanded recently."""
         if state.lock_is_in(mode):
             return None
         moving = state.lock.phase is LockPhase.TRAVELLING and state.lock.mode is mode
-        fresh = memory.ordered is not mode or memory.ordered_us is None
-        stale = memory.ordered_us is not None and state.now_us - memory.ordered_us >= RETRY_US
-        if not memory.permitted or moving or not (fresh or stale):
+        fresh = lock.commanded is not mode or lock.commanded_us is None
+        stale = lock.commanded_us is not None and state.now_us - lock.commanded_us >= RETRY_US
+        if not lock.permitted or moving or not (fresh or stale):
             return None
         return LockCommand(state.now_us, mode)

@@ -1,0 +1,27 @@
+"""Plans of scenarios with `sight`, which take seconds: made once for the whole run of the tests."""
+
+from __future__ import annotations
+
+import hashlib
+import pickle
+from pathlib import Path
+
+import msgspec
+
+from dart_flight.lab.search.limited_sight import plan_limited_sight
+from dart_flight.lab.search.quickest import QuickestResult
+from dart_flight.lab.search.scenario import Scenario
+from tests.shared_flights import SharedFlights
+
+PLAN = "plan.pickle"
+
+
+def limited_sight_plan(flown: SharedFlights, scenario: Scenario) -> QuickestResult:
+    """The plan of a scenario, wherever its file is."""
+
+    def plan(folder: Path) -> None:
+        (folder / PLAN).write_bytes(pickle.dumps(plan_limited_sight(scenario)))
+
+    name = hashlib.sha256(msgspec.json.encode((scenario.spec, scenario.vehicle))).hexdigest()
+    result: QuickestResult = pickle.loads((flown.once(f"plan-{name}", plan) / PLAN).read_bytes())
+    return msgspec.structs.replace(result, scenario=scenario)

@@ -1,0 +1,73 @@
+"""Benchmark of stepping a simulation from Python: `DartShuttle-v0`, and rotorpy's vehicle beside it.
+
+    python -m tools.bench.stepwise [--rotorpy PYTHON]
+
+PYTHON is the interpreter of a virtual environment with rotorpy. A step here is 0.04 s of flight: 40 steps
+of the plant, and 10 of sensors, estimator, autopilot and force estimator. The figures are processor time
+without resets, and are in docs/results/stepping.md.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import time
+from pathlib import Path
+
+from dart_flight.base.records import Mode
+from dart_flight.lab.api import packaged
+from dart_flight.lab.gym_shuttle import ShuttleEnv
+from dart_flight.lab.stepwise import FlightSetpoint, SteppedSimulation
+
+STEPS = 1500
+_PERIOD_S = 0.04
+_OF_SHUTTLE = 0.3  # share of the largest acceleration, so that episodes last
+
+
+def shuttle_seconds(steps: int) -> float:
+    """Return the processor seconds of steps of the environment."""
+    environment, spent_s = ShuttleEnv(), 0.0
+    environment.action_space.seed(1)
+    environment.reset(seed=1)
+    for _ in range(steps):
+        action = _OF_SHUTTLE * environment.action_space.sample()
+        begin = time.process_time()
+        _, _, terminated, truncated, _ = environment.step(action)
+        spent_s += time.process_time() - begin
+        if terminated or truncated:
+            environment.reset()
+    return spent_s
+
+
+def hover_seconds(steps: int) -> float:
+    """Return the processor seconds of steps of a hovering `Simulation`."""
+    simulation = SteppedSimulation(packaged("missions", "shuttle.yaml"), period_s=_PERIOD_S)
+    setpoint = FlightSetpoint(position_mission=(0.0, 0.0, 1.0), mode=Mode.RIGID)
+    begin = time.process_time()
+    for _ in range(steps):
+        simulation.step(setpoint)
+    return time.process_time() - begin
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--rotorpy", metavar="PYTHON", help="interpreter that has rotorpy")
+    parser.add_argument("--steps", type=int, default=STEPS)
+    given = parser.parse_args()
+    print(f"{'':32s} steps/s  flight s/s")
+    for name, seconds in (("DartShuttle-v0", shuttle_seconds), ("Simulation, hovering", hover_seconds)):
+        per_s = given.steps / seconds(given.steps)
+        print(f"{name:32s} {per_s:7.0f} {per_s * _PERIOD_S:11.1f}")
+    if given.rotorpy is not None:
+        script = Path(__file__).with_name("rotorpy_steps.py")
+        command = [given.rotorpy, str(script), str(given.steps)]
+        done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True)
+        for line in done.stdout.splitlines():
+            row = json.loads(line)
+            print(f"{row['name']:32s} {row['steps_per_s']:7.0f} {row['flight_s_per_s']:11.1f}")
+
+
+if __name__ == "__main__":
+    main()
