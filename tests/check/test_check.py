@@ -393,7 +393,7 @@ def judged(observed: Observation, **values: float) -> dict[str, CheckFinding]:
 
 def test_what_this_program_finds_is_not_put_into_px4s_mouth() -> None:
     here = "ODOMETRY arrives, none with a velocity"
-    observed = msgspec.structs.replace(OBSERVED, local_position_ok=False, found_here=[here])
+    observed = msgspec.structs.replace(OBSERVED, local_position_ok=False, own_findings=[here])
     assert judged(observed)["estimator"].says == f"no valid local position; {here}"
     assert "px4_checks" not in judged(observed)
     both = msgspec.structs.replace(observed, texts=["no heading"])

@@ -118,7 +118,7 @@ def test_nothing_is_overwritten(started: Path, capsys: pytest.CaptureFixture[str
     assert main(["init", str(started)]) == 2
     error = capsys.readouterr().err.splitlines()
     assert len(error) == 1
-    assert "dart.yaml: is already there" in error[0]
+    assert "dart.yaml: already exists, and so do " in error[0]
     assert mine.read_text() == "mine"
     assert not (started / "missions" / "single_wall.yaml").exists(), "all or nothing"
 

@@ -194,7 +194,7 @@ def test_the_packaged_configuration_is_never_written(capsys: pytest.CaptureFixtu
     before = path.read_bytes()
     _write_delay(argparse.Namespace(config=None), str(path), 31.5)
     assert path.read_bytes() == before
-    assert "yourself" in capsys.readouterr().err
+    assert "is the packaged default; copy it" in capsys.readouterr().err
 
 
 # --- a flight ------------------------------------------------------------------------------------------
