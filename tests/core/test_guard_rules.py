@@ -1505,7 +1505,7 @@ def test_a_kill_switch_shows_by_the_fall_before_px4_disarms() -> None:
     assert [e.rule for e in fired(c)] == ["disarmed"]
     assert c.core.end is not None
     assert c.core.end.reason is not None
-    assert c.core.end.reason.endswith("stopped the motors in the air, falling for 104 ms")
+    assert c.core.end.reason.endswith("the vehicle has been falling for 104 ms")
 
 
 @pytest.mark.parametrize("falling", [True, False])

@@ -26,7 +26,7 @@ CHOICE = SetpointSelection(SHUTTLE)
 
 def progress_at(yaw: float, turned: dict[str, float], phase: Phase, collision: Any) -> Any:
     """A mission in a phase, on a heading, with walls that were felt to be turned."""
-    walls: Any = SimpleNamespace(turned=lambda wall: turned[wall.name])
+    walls: Any = SimpleNamespace(rotation=lambda wall: turned[wall.name])
     return SimpleNamespace(phase=phase, collision=collision, heading=Heading(yaw), walls=walls)
 
 

@@ -101,7 +101,7 @@ def test_a_stream_is_silent_exactly_beyond_its_limit(
             assert found[name].endswith(" s")
         else:
             stream = name.removesuffix("_silent")
-            assert found[name] == f"for {min(of[stream], 999.0) * 1e3:.0f} ms"
+            assert found[name] == f"no data for {min(of[stream], 999.0) * 1e3:.0f} ms"
 
 
 @given(st.sampled_from(SAMPLED), st.integers(1, 400), st.integers(0, 2**40))
