@@ -15,7 +15,7 @@ import msgspec
 from dart_flight.base.geometry import Quaternion, Vec2, Vec3
 from dart_flight.base.walls import Wall
 
-MIN_LEAD_M: Final = 0.002  # a smaller lead is none: both points at once
+MIN_LEAD_M: Final = 0.002  # if the lead is smaller, both guards touch at once
 
 # PX4's default PWM_<bank>_MIN and _MAX: pulse widths at throttle 0 and 1.
 MOTOR_STOP_US, MOTOR_FULL_US = 1000.0, 2000.0
@@ -134,7 +134,7 @@ class Phase(StrEnum):
 
 
 class Override(StrEnum):
-    """Action of a guard override; a later one in this list replaces an earlier one."""
+    """Action of a guard override; a later action in this list replaces an earlier one."""
 
     NONE = "none"
     GIVE_UP = "give_up"  # on the ground: end the mission before take-off
@@ -146,7 +146,7 @@ class Override(StrEnum):
 
     @property
     def rank(self) -> int:
-        """Position in the order of replacement."""
+        """Position in the list of actions; a higher rank replaces a lower one."""
         return _RANKS[self]
 
 
@@ -158,8 +158,8 @@ class Record(msgspec.Struct, frozen=True, gc=False):
 
     Attributes:
         topic: name of its channel in the log.
-        frequent: whether it arrives many times a second and decides nothing; if the log is short of space,
-            these are dropped first.
+        frequent: whether records of this kind arrive many times a second and can be spared: if the log is
+            short of space, they are dropped first.
     """
 
     topic: ClassVar[str] = ""
@@ -209,7 +209,7 @@ class ActuatorSample(Record, frozen=True, gc=False):
     t_us: int
     received_us: int
     motors: tuple[float, ...]  # in PX4's order
-    stamp_is_estimated: bool = True  # the message has no stamp: host time, mapped
+    stamp_is_estimated: bool = True  # whether the stamp is mapped host time: the message has none
 
 
 class EscSample(Record, frozen=True, gc=False):
@@ -322,7 +322,7 @@ class LockState(Record, frozen=True, gc=False):
     mode: Mode | None  # commanded while travelling, reached when settled
     commanded_us: int | None = None
     settled_us: int | None = None
-    feedback: bool = False  # confirmed by a switch; if not, "settled (no feedback)"
+    feedback: bool = False  # whether a switch confirmed the position; if not, "settled (no feedback)"
     reason: str | None = None
 
 
@@ -373,13 +373,13 @@ class PlanAnswer(Record, frozen=True, gc=False):
 
     topic: ClassVar[str] = "/in/plan"
     received_us: int
-    number: int  # of the request
+    number: int  # number of the request
     begin_us: int  # autopilot's time at which the trajectory begins
-    duration_s: float = 0.0  # of the polynomials
+    duration_s: float = 0.0  # total duration of the polynomials
     x_mission: tuple[float, ...] = ()  # coefficients, m, m/s, ...; six for each polynomial
     y_mission: tuple[float, ...] = ()  # coefficients, m, m/s, ...; six for each polynomial
-    collision: int | None = None  # 1-based index of the next collision, or None if it leads to the goal
-    impact_s: float | None = None  # time from its beginning to the wall's plane
+    collision: int | None = None  # 1-based index of the next collision, or None if the goal is next
+    impact_s: float | None = None  # time from `begin_us` to the wall's plane
     normal_m_s: float | None = None  # velocity at impact, collision frame
     tangential_m_s: float | None = None  # velocity at impact, collision frame
     peak_force_n: float | None = None  # predicted normal force, from the coefficients estimated so far
@@ -388,14 +388,14 @@ class PlanAnswer(Record, frozen=True, gc=False):
 
 
 class ContactAnswer(Record, frozen=True, gc=False):
-    """What a contact says, by the fit of a `ContactRequest`; the core hands the records on."""
+    """Results of fitting the contact of a `ContactRequest`; the core outputs `body` and `wall` as records."""
 
     topic: ClassVar[str] = "/in/contact"
     received_us: int
-    number: int  # of the request
-    body: ImpactBody | None = None  # how it met the body; none: nothing is known
-    wall: WallEstimate | None = None  # of its wall; none: the contact was not planned
-    problem: str = ""  # why nothing is known
+    number: int  # number of the request
+    body: ImpactBody | None = None  # geometry and torque, or None if the fit gives none
+    wall: WallEstimate | None = None  # estimate of the wall, or None if the contact was not planned
+    problem: str = ""  # reason why the fit gives no result
 
 
 class Tick(Record, frozen=True, gc=False):
@@ -443,7 +443,7 @@ class Setpoint(Record, frozen=True, gc=False):
     yaw_ned_rad: float
     velocity_ned: Vec3 | None = None
     acceleration_ned: Vec3 | None = None
-    recovery: bool = False  # recovery setpoint of an impact, whose latency is measured
+    recovery: bool = False  # whether it is the recovery setpoint of an impact; its latency is measured
 
 
 class VehicleAction(StrEnum):
@@ -484,48 +484,48 @@ class PlanRequest(Record, frozen=True, gc=False):
     """Request to replan the rest of the mission after a contact; the `PlanAnswer` has the same number."""
 
     topic: ClassVar[str] = "/out/plan_request"
-    t_us: int  # of the state below
+    t_us: int  # time of the state below
     number: int  # counts up
     begin_us: int  # start of the trajectory; a later answer is rejected
     collision: int | None  # 1-based index of the next collision, or None if the goal is next
     position_mission: Vec3
     velocity_mission: Vec3
     acceleration_mission: Vec3  # from thrust and drag
-    setpoint_mission: Vec3  # m; in force until `begin_us`
+    setpoint_mission: Vec3  # setpoint in force until `begin_us`, m
     lock_ready_us: (
         int | None
     )  # earliest time with the lock settled and the vehicle square to the wall; None: never
-    under_way: bool = False  # following a trajectory instead of a setpoint
+    under_way: bool = False  # whether the vehicle follows a trajectory instead of a setpoint
     contact_height_m: float | None = (
         None  # height of the wall's force above the centre of mass, or None if unknown
     )
-    coasts: bool = False  # without a setpoint ahead: the vehicle keeps its speed and thrust until `begin_us`
+    coasts: bool = False  # whether the vehicle keeps speed and thrust, without a setpoint, until `begin_us`
 
 
 class ContactRequest(Record, frozen=True, gc=False):
-    """Fit a contact that is over; the answer is a `ContactAnswer` of the same number (docs/felt.md).
+    """Request to fit a contact that has ended; the `ContactAnswer` has the same number (docs/felt.md).
 
-    Its IMU samples are columns, from a few before the first touch on.
+    The contact's IMU samples are stored as columns. They begin a few samples before the first touch.
     """
 
     topic: ClassVar[str] = "/out/contact_request"
-    t_us: int  # of the newest sample
+    t_us: int  # stamp of the newest sample
     number: int  # counts up
     onset: ImpactOnset
-    wall: Wall | None  # that was expected; none: the contact was not planned
-    normal: Vec2  # of that wall, otherwise along the force
-    mode_reported: Mode | None  # what the lock reported at the onset; none: it was not settled
-    frame_heading_rad: float  # of the mission's x axis, clockwise from north
-    slow_force: Vec2  # horizontal force that is there all the time, mission frame, N
-    noise_n: float  # white part of one force component's error, standard deviation
-    noise_frd_nm: Vec3  # likewise, of the torque
+    wall: Wall | None  # the expected wall, or None if the contact was not planned
+    normal: Vec2  # outward normal of that wall, or else the direction of the force
+    mode_reported: Mode | None  # reported by the lock at the onset, or None if not settled
+    frame_heading_rad: float  # direction of the mission's x axis, clockwise from north
+    slow_force: Vec2  # constant horizontal force outside of contacts, mission frame, N
+    noise_n: float  # standard deviation of the white part of one force component's error
+    noise_frd_nm: Vec3  # the same for each component of the torque
     sample_us: tuple[int, ...] = ()
     force_mission: tuple[Vec3, ...] = ()
-    push_mission: tuple[Vec2, ...] = ()  # N, of thrust and drag
-    clipped: tuple[bool, ...] = ()  # at full scale
+    push_mission: tuple[Vec2, ...] = ()  # horizontal force of thrust and drag, N
+    clipped: tuple[bool, ...] = ()  # whether the reading was at full scale
     torque_frd: tuple[Vec3, ...] = ()
     q_frd_to_ned: tuple[Quaternion, ...] = ()
-    rate_frd: tuple[Vec3, ...] = ()  # mean over a sample's tick
+    rate_frd: tuple[Vec3, ...] = ()  # mean rate over the sample's tick
 
 
 class Silence(Record, frozen=True, gc=False):
@@ -580,11 +580,11 @@ class ImpactOnset(Record, frozen=True, gc=False):
     force_mission: Vec3
     velocity_mission: Vec3  # last velocity before the contact
     position_mission: Vec3
-    planned: bool = False  # a wall was expected and the force points out of it
+    planned: bool = False  # whether a wall was expected and the force points away from it
 
 
 class ImpactPeak(Record, frozen=True, gc=False):
-    """Peaks of an impact, one for each component, as the recovery uses them."""
+    """Peak of the normal and of the tangential force in an impact; the recovery uses both."""
 
     topic: ClassVar[str] = "/event/peak"
     t_us: int  # moment of the normal peak, t_c
@@ -593,10 +593,10 @@ class ImpactPeak(Record, frozen=True, gc=False):
     normal: Vec2  # wall normal used, mission frame
     normal_force_n: float
     tangential_force_n: float  # signed, along the wall's tangent
-    position_mission: Vec3  # p(t_c)
+    position_mission: Vec3  # position at t_c
     clipped: bool
     normal_sigma_n: float = 0.0  # standard error of the normal force
-    fitted: bool = False  # fitted with the contact model's pulse instead of a parabola through the top
+    fitted: bool = False  # whether the contact model's pulse was fitted, not a parabola through the top
 
 
 class ContactEnd(Record, frozen=True, gc=False):
@@ -616,7 +616,7 @@ class ContactSide(StrEnum):
 
     @classmethod
     def from_lead(cls, lead_m: float) -> ContactSide:
-        """Return which point came first, by how much nearer to the wall the right one was."""
+        """Return which guard touched first, from the lead of the right guard over the left one, metres."""
         if abs(lead_m) < MIN_LEAD_M:
             return cls.BOTH
         return cls.RIGHT if lead_m > 0.0 else cls.LEFT
@@ -631,7 +631,7 @@ class ImpactBody(Record, frozen=True, gc=False):
     final: bool  # always true; older logs have another record, sent after the peak
     side: ContactSide
     lead_m: float  # lead of the right guard over the left one at the first touch, towards the wall
-    incidence_rad: float  # leading edge against the wall at the first touch, signed: positive turned left
+    incidence_rad: float  # angle from the wall to the leading edge at first touch; positive: turned left
     incidence_sigma_rad: float
     torque_peak_frd: Vec3  # largest external torque so far
     peak_torque_nm: float  # its magnitude
@@ -640,7 +640,8 @@ class ImpactBody(Record, frozen=True, gc=False):
 class WallEstimate(Record, frozen=True, gc=False):
     """Properties of the wall and the arms, estimated from a planned contact at its end (docs/felt.md).
 
-    Coefficients are posterior means of the wall in the estimated mode, or in the reported mode if undecided.
+    Coefficients are posterior means for the estimated mode of the arms, or for the reported mode if the
+    contact does not decide between the modes.
     """
 
     topic: ClassVar[str] = "/estimate/wall"
@@ -649,7 +650,7 @@ class WallEstimate(Record, frozen=True, gc=False):
     wall: str  # its name
     mode_reported: Mode | None  # reported by the lock at the onset, or None if not settled
     mode_felt: Mode | None  # estimated from the contact, or None if undecided
-    log_odds: float  # of rigid against flexible, natural logarithm, prior odds 1
+    log_odds: float  # odds of rigid against flexible, natural logarithm, prior odds 1
     k_n_per_m: float  # stiffness
     f_ns_per_m: float  # damping
     mu_s_per_m: float  # friction
@@ -658,12 +659,12 @@ class WallEstimate(Record, frozen=True, gc=False):
     f_sd: float  # relative standard deviation
     mu_sd: float  # relative standard deviation
     nu_sd: float  # relative standard deviation
-    incidence_rad: float  # leading edge against the wall at the first touch, signed: positive turned left
+    incidence_rad: float  # angle from the wall to the leading edge at first touch; positive: turned left
     incidence_sigma_rad: float
     plane_offset_m: float  # measured plane minus the mission's plane, along the wall's normal
     plane_offset_sigma_m: float
-    # Measured plane of the vehicle's centre at first touch, or None if there were too few readings.
-    plane_point_mission: Vec2 | None = None  # where the vehicle touched it
+    # Measured plane on which the vehicle's centre lies at first touch; None if there were too few readings.
+    plane_point_mission: Vec2 | None = None  # the vehicle's contact point on it
     plane_normal_mission: Vec2 | None = None
     plane_normal_sigma_rad: float | None = None
     centre_mission: Vec2 | None = None  # vehicle's centre at the first touch
@@ -678,9 +679,9 @@ class DetectionFloor(Record, frozen=True, gc=False):
     t_us: int
     threshold_n: float  # lowest threshold in force
     noise_short_n: float  # standard deviation of one component of the short mean
-    noise_long_n: float  # ... of the long mean
+    noise_long_n: float  # standard deviation of one component of the long mean
     rigid_n: float  # peak above which a rigid contact with this wall is always detected
-    flexible_n: float | None = None  # ... a flexible contact, or None if the vehicle has no lock
+    flexible_n: float | None = None  # the same for a flexible contact, or None if the vehicle has no lock
 
 
 class PhaseChange(Record, frozen=True, gc=False):
@@ -695,12 +696,12 @@ class PhaseChange(Record, frozen=True, gc=False):
 
 
 class PosesWithheld(Record, frozen=True, gc=False):
-    """The end of forwarding poses, or only their attitudes, which are not the vehicle's; PX4 uses its IMU."""
+    """End of forwarding poses, or only their attitudes, that are not the vehicle's; PX4 then uses its IMU."""
 
     topic: ClassVar[str] = "/event/poses_withheld"
     t_us: int
     reason: str
-    attitude_only: bool = False  # whether the positions are forwarded further
+    attitude_only: bool = False  # whether the positions are still forwarded
 
 
 class GuardEvent(Record, frozen=True, gc=False):
@@ -719,7 +720,7 @@ class GoalPassed(Record, frozen=True, gc=False):
     topic: ClassVar[str] = "/event/goal"
     t_us: int
     miss_m: float
-    timed_out: bool = False  # not passed within limits.collision_timeout_s
+    timed_out: bool = False  # whether it was not passed within limits.collision_timeout_s
 
 
 class PlanTaken(Record, frozen=True, gc=False):
@@ -737,7 +738,7 @@ class ProbeEnd(Record, frozen=True, gc=False):
 
     topic: ClassVar[str] = "/event/probe"
     t_us: int
-    what: str  # in words
+    what: str  # description of what ended or was omitted
 
 
 class FrameAnchor(Record, frozen=True, gc=False):
@@ -748,7 +749,7 @@ class FrameAnchor(Record, frozen=True, gc=False):
     wall: str
     moved_mission: Vec2  # displacement of the frame's origin, in its previous axes
     expected_sd_m: float  # standard deviation of the frame along the normal before the correction
-    sd_m: float  # ... after
+    sd_m: float  # standard deviation after the correction
     age_s: float | None  # age of the previous anchor along this normal, or None if there was none
     normal: Vec2  # of the wall as assumed before the contact
     felt_us: int  # time of the contact
@@ -756,7 +757,7 @@ class FrameAnchor(Record, frozen=True, gc=False):
 
 
 class MissionEnd(Record, frozen=True, gc=False):
-    """End of the flight for the core."""
+    """End of the flight, as the core has decided it."""
 
     topic: ClassVar[str] = "/event/end"
     t_us: int
@@ -836,8 +837,8 @@ class TruthContact(Record, frozen=True, gc=False):
     peak_normal_force_n: float
     peak_friction_force_n: float
     position_mission: Vec3
-    incidence_rad: float = 0.0  # leading edge against the wall at first touch, signed: positive turned left
-    tilt_rad: float = 0.0  # at first touch
+    incidence_rad: float = 0.0  # angle from the wall to the leading edge at first touch; positive: left
+    tilt_rad: float = 0.0  # tilt at first touch
     rate_out_frd: Vec3 = (0.0, 0.0, 0.0)  # body rate at the end, rad/s
     lead_m: float = 0.0  # lead of the right guard over the left one at first touch, towards the wall
     peak_torque_nm: float = 0.0  # largest torque of the wall about the centre of mass
@@ -847,9 +848,9 @@ class SetpointSent(Record, frozen=True, gc=False):
     """Transmission of a recovery setpoint."""
 
     topic: ClassVar[str] = "/shell/setpoint_sent"
-    t_us: int  # of the setpoint
+    t_us: int  # time of the setpoint
     sent_us: int  # host time
-    latency_us: int  # since receipt of the triggering sample
+    latency_us: int  # time since receipt of the triggering sample
 
 
 class LogFailure(Record, frozen=True, gc=False):
