@@ -103,7 +103,7 @@ class Wall(msgspec.Struct, frozen=True):
         return msgspec.structs.replace(self, normal=(c * nx - s * ny, s * nx + c * ny))
 
     def plane_sd_m(self, position: tuple[Any, ...]) -> Any:
-        """Return the standard deviation of the plane's place at the foot of a position, metres.
+        """Return the standard deviation of the plane's position opposite a place, metres.
 
         The deviation grows with the distance from the middle of the wall. Coordinates may be numbers or
         arrays.

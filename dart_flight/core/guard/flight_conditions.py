@@ -231,7 +231,7 @@ class FlightConditions:
         return 0.0 if since_us is None else (self.state.now_us - since_us) * 1e-6
 
     def stop_excess_m(self) -> float:
-        """Return the distance outside the bounds at which the vehicle would stop now, metres."""
+        """Return how far outside the bounds the vehicle would come to rest if it braked now, metres."""
         (x, y, _), (vx, vy, _) = self.state.position, self.state.velocity
         bounds = self.mission.bounds
         if bounds.excess2((x + STOP_TIME_S * vx, y + STOP_TIME_S * vy)) <= 0.0:

@@ -30,7 +30,7 @@ def update_collision(collision: Collision, walls: EstimatedWalls, now_us: int, h
     """Return a collision at its wall's estimated position; the impact point keeps its place along the wall.
 
     Args:
-        collision: as in the mission.
+        collision: the collision as in the mission.
         walls: estimated walls.
         now_us: autopilot time.
         here: resting position, mission frame, m: the start of a probe with `from_here`.

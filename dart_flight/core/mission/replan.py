@@ -18,7 +18,7 @@ class Replan(NamedTuple):
         number, tries: number of all requests, and of those since the last contact.
         has_wall_estimate: whether the last contact has produced an estimate of its wall.
         request: the request that an answer must match.
-        answer: accepted, but not flown yet.
+        answer: accepted answer that is not flown yet.
         from_rest: whether the request was for an approach from rest.
         trajectory, begin_us: the active trajectory and its beginning.
         ends_leaning: whether the trajectory ends with the lean that its wall needs, as the mission's does.
