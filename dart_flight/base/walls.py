@@ -143,7 +143,7 @@ class Wall(msgspec.Struct, frozen=True):
         )
 
     def parallel_yaw(self, yaw_mission_rad: float) -> float:
-        """Return the heading, nearest to the given one, at which the leading edge is parallel to the wall.
+        """Return the heading nearest to the given heading at which the leading edge is parallel to the wall.
 
         The vehicle is four-fold symmetric, so any quarter turn is equivalent. Two perpendicular walls need no
         rotation between them (`docs/concepts.md`, yaw).

@@ -172,7 +172,7 @@ class CylinderContact:
         return ContactPoint(near.guard, near.normal, (-ny, nx, 0.0), near.x_m, own)
 
     def settle(self, near: NearestPoint, force_n: float) -> None:
-        """Fix the share of the side's coefficients at the first force; drop it when the outline is clear."""
+        """Fix the share of the side's coefficients from the first force until the outline is clear."""
         if force_n > 0.0:
             self.share = near.share if self.share is None else self.share
         elif near.x_m > 0.0:

@@ -165,7 +165,7 @@ class LockStateMachine:
     # -- inputs: commands --
 
     def start(self, t_us: int, reading: DriverReading | None) -> list[Action]:
-        """Home the lock or adopt its position, as configured; `reading` is the driver's first one, if any.
+        """Home the lock, or adopt the position in the driver's first `reading`, as configured.
 
         Adopting uses a closed switch, or else a pulse that the hardware still outputs at one of the two ends.
         The travel counts from now, because the command may be recent. If nothing is found, the lock stays

@@ -65,7 +65,7 @@ class _PhaseRules(NamedTuple):
 
 
 class Guard:
-    """Evaluates the rules and, once one has fired, flies the vehicle.
+    """Evaluates the rules and flies the vehicle once a rule has fired.
 
     Args:
         mission: the mission, for bounds, limits and thresholds.

@@ -35,7 +35,7 @@ class NoApproachError(ValueError):
 
 
 class RunUp(NamedTuple):
-    """Beginning and ramp of an approach; numbers, or arrays of them."""
+    """Beginning and ramp of an approach, as numbers or as arrays."""
 
     begin: tuple[Number, Number]
     direction: tuple[Number, Number]
@@ -232,7 +232,7 @@ class TransitSegment(NamedTuple):
 
 
 def transit_segments(mission: Mission) -> list[TransitSegment]:
-    """Return the segments to the waypoints, and to the goal unless a recovery leads there."""
+    """Return the segments to the waypoints, and the segment to the goal unless a recovery leads to it."""
     found: list[TransitSegment] = []
     here: Vec3 | None = (*mission.start, mission.altitude_m)
     flown = 0

@@ -79,7 +79,7 @@ class Course(NamedTuple):
 
     @property
     def duration_s(self) -> float:
-        """Duration of the trajectory; 0 without one."""
+        """Duration of the trajectory, seconds; 0 if there is none."""
         return 0.0 if self.trajectory is None else self.trajectory.duration_s
 
 

@@ -31,7 +31,7 @@ _BEHIND_M = 0.3  # beyond this distance behind the plane the vehicle is on the o
 def stop_share(
     walls: Iterable[Wall], position: tuple[Number, Number], velocity: tuple[Number, Number]
 ) -> Number:
-    """Return the share of `STOP_TIME_S` times velocity within which the vehicle would stop if it held now.
+    """Return the share of the distance `STOP_TIME_S` times velocity in which the vehicle would now stop.
 
     The share is 1 in the open and smaller if a wall ahead stops the vehicle earlier.
 

@@ -231,7 +231,7 @@ def _rejection(replan: Replan, trajectory: Trajectory, answer: PlanAnswer, state
 
 
 def _active_is_faster(replan: Replan, trajectory: Trajectory, answer: PlanAnswer, state: FlightState) -> bool:
-    """Return whether the vehicle holds an active trajectory that ends well before another one."""
+    """Return whether the vehicle holds an active trajectory that ends well before another trajectory."""
     flown = replan.trajectory
     if flown is None or not replan.must_not_be_later:
         return False

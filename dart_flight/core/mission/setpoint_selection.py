@@ -130,8 +130,8 @@ class SetpointSelection:
     def coasts(self, progress: MissionState, state: FlightState) -> bool:
         """Return whether a trajectory of the mission is about to continue after a contact.
 
-        The vehicle then coasts, because a distant recovery setpoint would wind up PX4's integrator and push the
-        vehicle off that trajectory.
+        The vehicle then coasts, because a distant recovery setpoint would wind up PX4's integrator and push
+        the vehicle off that trajectory.
         """
         if progress.phase is not Phase.RECOVERY or self._next_trajectory(progress) is None:
             return False

@@ -388,7 +388,7 @@ class ImpactDetector:
         )
 
     def _direction(self) -> Vec2:
-        """Return the direction of the impulse so far, which is steadier than that of a sample."""
+        """Return the direction of the impulse so far, which is steadier than the direction of a sample."""
         sx = sum(s.fx * s.dt_us for s in self._samples)
         sy = sum(s.fy * s.dt_us for s in self._samples)
         size = math.hypot(sx, sy)
