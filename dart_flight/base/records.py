@@ -231,7 +231,7 @@ class StatusSample(Record, frozen=True, gc=False):
     armed: bool = False
     flight_mode: FlightMode = FlightMode.UNKNOWN
     landed: LandedState = LandedState.UNKNOWN
-    local_position_ok: bool = False  # whether a position has arrived, and ESTIMATOR_STATUS, if sent, reports one
+    local_position_ok: bool = False  # a position has arrived; ESTIMATOR_STATUS, if sent, has one too
     battery_v: float | None = None
     battery_remaining: float | None = None  # 0 to 1
     system_status: SystemStatus = SystemStatus.UNKNOWN  # MAV_STATE in the heartbeat
@@ -553,7 +553,7 @@ class ForceEstimate(Record, frozen=True, gc=False):
     filtered_mission: Vec3 = (0.0, 0.0, 0.0)  # first-order low-pass of the force
     variance_n2: Vec3 = (0.0, 0.0, 0.0)  # variance of each component's error, mission frame, N2
     noise_n: float = 0.0  # standard deviation of the white part of one component's error
-    push_mission: Vec2 = (0.0, 0.0)  # horizontal force of thrust and drag, N; in a contact it presses on the wall
+    push_mission: Vec2 = (0.0, 0.0)  # horizontal force of thrust and drag, which presses on a wall, N
 
 
 class TorqueEstimate(Record, frozen=True, gc=False):
@@ -658,7 +658,7 @@ class WallEstimate(Record, frozen=True, gc=False):
     k_sd: float  # relative standard deviation of the stiffness
     f_sd: float  # relative standard deviation of the damping
     mu_sd: float  # relative standard deviation of the friction
-    nu_sd: float  # relative standard deviation of the bound of the vertical force
+    nu_sd: float  # relative standard deviation of the vertical bound
     incidence_rad: float  # angle from the wall to the leading edge at first touch; positive: turned left
     incidence_sigma_rad: float
     plane_offset_m: float  # measured plane minus the mission's plane, along the wall's normal
@@ -681,7 +681,7 @@ class DetectionFloor(Record, frozen=True, gc=False):
     noise_short_n: float  # standard deviation of one component of the short mean
     noise_long_n: float  # standard deviation of one component of the long mean
     rigid_n: float  # peak above which a rigid contact with this wall is always detected
-    flexible_n: float | None = None  # peak above which a flexible contact is always detected, or None without a lock
+    flexible_n: float | None = None  # peak above which a flexible contact is always detected, or None
 
 
 class PhaseChange(Record, frozen=True, gc=False):
