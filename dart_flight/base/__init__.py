@@ -1,1 +1,1 @@
-"""Foundations used by every other room: rotations, frames, records, streams and errors."""
+"""Foundations used by every other package: rotations, frames, records, streams and errors."""

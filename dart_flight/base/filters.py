@@ -50,7 +50,7 @@ class LowPass:
 
 
 class VarianceEstimate:
-    """Running estimate of a noise variance from squares whose mean it is; outliers have little weight.
+    """Running estimate of a noise variance, as the mean of given squares; outliers have little weight.
 
     The variance never reaches 0, because no noise is ever known to be absent.
 
@@ -66,7 +66,10 @@ class VarianceEstimate:
         self._time_s, self._least, self._added = time_s, least, added
 
     def update(self, square: float, dt_s: float, least_share: float = 0.0) -> float:
-        """Update the variance with a square, `dt_s` after the previous one; return the new variance."""
+        """Update the variance with a square, `dt_s` after the previous one; return the new variance.
+
+        The new square has at least the weight `least_share`.
+        """
         share = (dt_s if dt_s < _MAX_STEP_S else _MAX_STEP_S) / self._time_s
         share = share if share > least_share else least_share
         value = self.value

@@ -105,7 +105,7 @@ def quaternion_normalise(q: Quaternion) -> Quaternion:
     w, x, y, z = q
     length = math.sqrt(w * w + x * x + y * y + z * z)
     if not 0.0 < length < math.inf:
-        raise ValueError(f"not a rotation: {q}")
+        raise ValueError(f"the quaternion {q} is not a rotation")
     return (w / length, x / length, y / length, z / length)
 
 
@@ -216,7 +216,7 @@ def quaternion_from_matrix(columns: Sequence[float]) -> Quaternion:
     squares = (1 + r11 + r22 + r33, 1 + r11 - r22 - r33, 1 - r11 + r22 - r33, 1 - r11 - r22 + r33)
     largest = max(range(4), key=squares.__getitem__)
     if not squares[largest] > 0.0:
-        raise ValueError("not a rotation")
+        raise ValueError("the matrix is not a rotation")
     rows = (
         (squares[0], r32 - r23, r13 - r31, r21 - r12),
         (r32 - r23, squares[1], r12 + r21, r13 + r31),
@@ -268,7 +268,7 @@ class MissionFrame:
         north_m, east_m: the mission's origin in local NED.
         down_m: local NED height of the mission's z = 0 (the ground under the take-off point).
         heading_rad: direction of the mission's x axis, clockwise from north.
-        cos, sin: of the heading, because every conversion of a vector uses them.
+        cos, sin: cosine and sine of the heading; they are stored because every conversion uses them.
     """
 
     def __init__(

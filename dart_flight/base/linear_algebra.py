@@ -1,6 +1,6 @@
 """Cholesky solution of symmetric, positive definite systems of a few unknowns, in scalar arithmetic.
 
-The lower triangle represents a matrix H: row i holds at least its first i + 1 numbers.
+A matrix H is given by its lower triangle: row i holds at least the first i + 1 numbers of the matrix's row.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ def cholesky(h: Rows, damping: float = 0.0) -> Rows:
                 s -= row[p] * other[p]
             if i == j:
                 if not s > 0.0:
-                    raise ValueError("not positive definite")
+                    raise ValueError("the matrix is not positive definite")
                 row[i] = math.sqrt(s)
             else:
                 row[j] = s / other[j]

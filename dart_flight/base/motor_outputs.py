@@ -32,7 +32,7 @@ class OutputScale(msgspec.Struct, frozen=True):
     unit: str = ""
 
     def describe(self) -> str:
-        """Return words such as "DShot 0 to 1999"."""
+        """Return a description such as "DShot 0 to 1999"."""
         return f"{self.name} {self.stop:g} to {self.full:g}{self.unit}".lstrip()
 
     def throttle(self, raw: float) -> float:
@@ -88,7 +88,7 @@ class MotorOutputDecoder:
         self.scale: OutputScale | None = None
 
     def decode(self, outputs: Sequence[float | None], airborne: bool) -> tuple[float, ...] | str:
-        """Return the throttle of each motor, or the reason why the outputs do not drive the motors.
+        """Return the throttle of each motor, or the reason why the outputs cannot be the motors'.
 
         Args:
             outputs: raw values; None for a value that is not a number.
@@ -96,10 +96,10 @@ class MotorOutputDecoder:
         """
         raw = [value for value in outputs[: self._motors] if value is not None]
         if len(raw) < self._motors:
-            return f"{len(raw)} outputs with a value for {self._motors} motors"
+            return f"only {len(raw)} outputs have a value, but the vehicle has {self._motors} motors"
         low, high = min(raw), max(raw)
         if high > UAVCAN.full:
-            return f"output {high:g} is of no known type (PWM, DShot, UAVCAN)"
+            return f"the output value {high:g} exceeds every known type (PWM, DShot, UAVCAN)"
         if high > self._highest or _STOPPED < low < self._lowest:
             self._learn(raw)
         scale = self.scale
@@ -107,7 +107,7 @@ class MotorOutputDecoder:
             self._has_turned = self._has_turned or high > max(scale.stop, _STOPPED)
             return tuple([scale.throttle(value) for value in raw])
         if airborne and not self._has_turned:
-            return "all are idle in flight, the motors are on another output bank"
+            return "all outputs are idle in flight, so the motors are on another output bank"
         return (0.0,) * self._motors
 
     def _learn(self, raw: Sequence[float]) -> None:

@@ -1,4 +1,4 @@
-"""Processes beside a flight: their priority, their scheduling latency and how they are ended."""
+"""Processes that run during a flight: their priority, scheduling latency and termination."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from typing import IO
 _WATCHING_NICE = 19
 _PIPE_BYTES = 1 << 19
 _NAP_S, _MEASURE_S = 0.005, 0.5
-LATE_S = 0.05  # beyond this, a flight in real time is at risk
+LATE_S = 0.05  # a larger scheduling latency endangers a flight in real time
 
 
 def use_idle_priority() -> None:
@@ -47,9 +47,10 @@ class ChildProcess(subprocess.Popen[bytes]):
 
     Args:
         module: name of the module; it must exit when its standard input is closed.
-        first: first line sent to it, of any length.
-        on_line: callback for every line it prints, on a separate thread; an empty line marks the end.
-        errors: destination of its standard error; None inherits this process's.
+        first: first line sent to the module; it may be of any length.
+        on_line: callback for every line that the module prints, called on a separate thread; an empty line
+            means that the module has ended.
+        errors: destination of the module's standard error; None uses this process's standard error.
 
     Raises:
         OSError: the process cannot be started.
@@ -90,7 +91,7 @@ class ChildProcess(subprocess.Popen[bytes]):
         return True
 
     def end(self, patience_s: float) -> None:
-        """Close the standard input, wait, and kill the process if it does not exit; never raise."""
+        """Close the standard input, wait up to `patience_s`, then kill the process if needed; never raise."""
         assert self.stdin is not None
         with contextlib.suppress(OSError):
             self.stdin.close()

@@ -13,7 +13,7 @@ class Stream(msgspec.Struct, frozen=True):
     """One telemetry stream.
 
     Attributes:
-        name: as in the log's topics.
+        name: name of the stream in the log's topics.
         message: MAVLink message that carries it.
         rate_hz: requested rate.
         expected_hz: lowest rate that a mission needs.

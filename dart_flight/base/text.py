@@ -15,7 +15,7 @@ _FIRST_BYTE, _LAST_BYTE = 0xDC80, 0xDCFF  # surrogates that represent single byt
 
 
 def battery_figures(remaining: float | None, voltage_v: float | None) -> list[str]:
-    """Return the known ones of a battery's charge and voltage, such as ["95 %", "16.2 V"]."""
+    """Return a battery's charge and voltage as text, such as ["95 %", "16.2 V"]; omit unknown values."""
     charge = None if remaining is None else f"{100.0 * remaining:.0f} %"
     voltage = None if voltage_v is None else f"{voltage_v:.1f} V"
     return [figure for figure in (charge, voltage) if figure is not None]

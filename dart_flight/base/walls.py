@@ -18,7 +18,7 @@ class Post(msgspec.Struct, frozen=True):
     """An upright, free-standing cylinder.
 
     Attributes:
-        name: as in the mission file.
+        name: name in the mission file.
         centre: centre of its circular face, mission frame, metres.
         radius_m: radius of the face.
         material: key of the materials table.
@@ -35,23 +35,23 @@ class Post(msgspec.Struct, frozen=True):
 
 
 class Wall(msgspec.Struct, frozen=True):
-    """A finite vertical wall, given by the plane of the vehicle's *centre* at first touch.
+    """A finite vertical wall, given by the plane on which the vehicle's *centre* lies at first touch.
 
     Attributes:
-        name: as in the mission file.
-        point: a point of that plane, the middle of the wall, mission frame, metres.
+        name: name in the mission file.
+        point: the middle of the wall on that plane, mission frame, metres.
         normal: outward unit normal, from the wall into free space, mission frame.
         length_m: extent along the tangent, centred on `point`.
         material: key of the materials table.
         position_sd_m: standard deviation of the plane's position along the normal; None if not configured.
         yaw_sd_rad: standard deviation of the plane's direction, about `point`; None if not configured.
-        half_vehicle_m: distance from the vehicle's centre to its side, which must fit on the wall or past its
-            end.
+        half_vehicle_m: distance from the vehicle's centre to its side: an impact stays at least this far
+            inside the wall's end, and a passing path at least this far outside.
         post_radius_m: radius of the post whose tangent plane this is; 0 for a wall.
         sought: whether the wall's position is unknown and a probe searches for it; the plane is then at the
             end of the probe.
-        material_known: whether the material is given; if not, it is the stiffest one until a contact
-            identifies it.
+        material_known: whether the material is given; if not, `material` is the stiffest one until a contact
+            identifies the wall's material.
     """
 
     name: str
@@ -92,7 +92,7 @@ class Wall(msgspec.Struct, frozen=True):
         return bool(self.position_sd_m or self.yaw_sd_rad)
 
     def displaced(self, away_m: float) -> Wall:
-        """Return the wall displaced along its normal."""
+        """Return the wall displaced by `away_m` along its outward normal."""
         (x, y), (nx, ny) = self.point, self.normal
         return msgspec.structs.replace(self, point=(x + away_m * nx, y + away_m * ny))
 
@@ -103,7 +103,7 @@ class Wall(msgspec.Struct, frozen=True):
         return msgspec.structs.replace(self, normal=(c * nx - s * ny, s * nx + c * ny))
 
     def plane_sd_m(self, position: tuple[Any, ...]) -> Any:
-        """Return the standard deviation of the plane's position before a position, metres.
+        """Return the standard deviation of the plane's position opposite a place, metres.
 
         The deviation grows with the distance from the middle of the wall. Coordinates may be numbers or
         arrays.
@@ -112,7 +112,7 @@ class Wall(msgspec.Struct, frozen=True):
         return ((self.position_sd_m or 0.0) ** 2 + turned * turned) ** 0.5
 
     def foot(self, position: Vec2 | Vec3) -> Vec2:
-        """Return the nearest point of the wall's plane within its length."""
+        """Return the point of the wall, within its length, that is nearest to a position."""
         reach = 0.5 * self.length_m
         along = max(-reach, min(reach, self.along(position)))
         return (self.point[0] + along * self.tangent[0], self.point[1] + along * self.tangent[1])
@@ -143,7 +143,7 @@ class Wall(msgspec.Struct, frozen=True):
         )
 
     def parallel_yaw(self, yaw_mission_rad: float) -> float:
-        """Return the heading, nearest to the given one, at which the leading edge is parallel to the wall.
+        """Return the heading nearest to the given heading at which the leading edge is parallel to the wall.
 
         The vehicle is four-fold symmetric, so any quarter turn is equivalent. Two perpendicular walls need no
         rotation between them (`docs/concepts.md`, yaw).

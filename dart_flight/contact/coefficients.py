@@ -31,7 +31,7 @@ class CoefficientArrays(NamedTuple):
 
     @property
     def lead_s(self) -> Array:
-        """`Coefficients.lead_s` of every set."""
+        """The time f / k of every set, seconds (`Coefficients.lead_s`)."""
         return self.f / self.k
 
     def select(self, rows: Rows) -> CoefficientArrays:

@@ -1,7 +1,8 @@
 """The collision map in closed form, vectorised: from approach velocity to rebound, times, forces and impulse.
 
-In contact the law (paper, Sec. IV-B) is a damped oscillator with a one-sided force. With x the signed
-distance to the plane of first touch, a the other acceleration along the normal (gravity in a drop, the
+In contact the law (paper, Sec. IV-B) is a damped oscillator with a one-sided force. The plane of first touch
+is the plane on which the vehicle's centre lies when the vehicle first touches the wall. With x the centre's
+signed distance to this plane, a the acceleration along the normal by other forces (gravity in a drop, the
 controller's push in flight), and
 
     omega = sqrt(k/m),  zeta = f / (2 sqrt(k m)),  x = m a / k + (V/omega) xi(tau),  tau = omega t,
@@ -9,7 +10,7 @@ controller's push in flight), and
 the force is lx = m V omega (phi - alpha), phi = xi'', alpha = a / (V omega), and phi, xi, xi' all solve
 z'' + 2 zeta z' + z = 0. Every event (peak, deepest point, release) is therefore a zero of such a solution.
 
-Without a, V is the approach speed and the contact depends on zeta alone. With theta = acos(zeta),
+If a = 0, V is the approach speed and the contact depends on zeta alone. With theta = acos(zeta),
 w = sqrt(1 - zeta^2) and A = theta / w,
 
                        onset lcp                     onset touch
@@ -19,8 +20,8 @@ w = sqrt(1 - zeta^2) and A = theta / w,
     peak force         exp(-zeta A)                  exp(-zeta (3 A - pi / w)); 2 zeta if zeta >= 1/2
 
 (in units of 1/omega, 1, V/omega and m V omega). At and above critical damping an `lcp` contact never ends:
-its contact time is infinite and its exit speed is 0. The peak of the friction force and, with a, the release
-have no elementary form. A safeguarded Newton iteration finds both to machine precision.
+its contact time is infinite and its exit speed is 0. The peak of the friction force and, if a is not 0, the
+release have no elementary form. A safeguarded Newton iteration finds both to machine precision.
 
 All arrays are float64. Frame: the wall's collision frame (`base/walls.py`); normal < 0 approaches.
 """
@@ -319,7 +320,7 @@ class _Batch:
 
     @property
     def is_table(self) -> bool:
-        """Whether coefficient-only quantities are worth computing once per set."""
+        """Whether to compute the quantities that depend on coefficients alone once per set."""
         return self.rows is not None or self.mass.size == 1
 
     def parts(self) -> list[slice]:
@@ -349,17 +350,17 @@ def contact_map(
     """Predict wall hits (paper, Sec. IV-B) in closed form.
 
     Args:
-        coefficients: one set, one set per collision (any shape that broadcasts with the velocities), or with
-            `rows` a table (n,).
+        coefficients: one set, one set per collision (any shape that broadcasts with the velocities), or, with
+            `rows`, a table of shape (n,).
         mass_kg: vehicle mass; broadcasts with `coefficients`.
         normal_m_s: velocity along the outward normal at the onset, collision frame. A vehicle that does not
             approach does not touch the wall: its velocity is unchanged, force and contact time are 0.
         tangential_m_s: velocity along the wall at the onset.
         onset: onset rule.
-        rows: for each collision the row of its (mode, material) in the table; broadcasts with the velocities.
-        acceleration_m_s2: constant other acceleration along the normal during contact, negative into the wall
-            (the controller's push); None for none. A pushed vehicle can come to rest at the wall: contact
-            time and impulse are then infinite, and the speeds 0.
+        rows: row of the table for each collision's (mode, material); broadcasts with the velocities.
+        acceleration_m_s2: constant acceleration along the normal by other forces during the contact, such as
+            the controller's push; negative into the wall; None if there is none. A pushed vehicle can come to
+            rest at the wall: contact time and impulse are then infinite, and the speeds are 0.
 
     Returns:
         Arrays of the broadcast shape, without NaN.
@@ -428,7 +429,7 @@ def collide(
 def fall(
     coefficients: CoefficientArrays, mass_kg: ArrayLike, height_m: ArrayLike, onset: Onset
 ) -> tuple[Array, Array]:
-    """Return the time from the release at rest to the onset of contact, s, and the speed there, m/s, > 0.
+    """Return the time (s) from the release at rest to the onset of contact, and the speed (m/s, > 0) then.
 
     With `lcp` the force begins above the plane, where k x = f |v|.
     """

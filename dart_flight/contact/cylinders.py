@@ -4,16 +4,17 @@ A wall's surface acts on each guard separately. A guard whose foot lies beyond t
 the surface. The end itself is an edge: a cylinder of small radius whose face is tangent to the surface. A
 cylinder acts on the vehicle's outline, which consists of the guards and the bars between them. The force acts
 at the outline's nearest point to the axis, along the horizontal normal from the axis. Friction acts along the
-horizontal tangent, with the guards' share of its lever.
+horizontal tangent, at the same reduced lever as at the guards (`propeller_guards`).
 
 A bar rests on the springs of its two guards, k/2 and f/2 each. At the fraction s of its length the stiffness
 is k/2 / ((1 - s)^2 + s^2): k/2 at a guard, and k in the middle, as at a wall that touches both guards. This
-share is fixed at the touch while the bar is pressed, and the depth stays continuous when the axis enters the
-outline. Sliding therefore adds no energy: the stored energy, 1/2 share k x^2, depends on the depth alone.
+*share* of k is fixed at the touch and kept while the bar is pressed. The depth stays continuous when the axis
+enters the outline. Sliding therefore adds no energy: the stored energy, 1/2 share k x^2, depends on the depth
+alone.
 
-For the same reason only points that come from outside are pressed. A guard that passed behind the surface
-beside the wall touches nothing until it is outside again. The same holds for an edge whose load a guard has
-carried: a bar touches no edge while the surface presses one of its guards.
+For the same reason only points that come from outside are pressed. A guard that moved behind the surface past
+the wall's end touches nothing until it is in front of the surface again. The same holds for an edge whose
+load a guard has carried: a bar touches no edge while the surface presses one of the bar's guards.
 """
 
 from __future__ import annotations
@@ -53,7 +54,7 @@ class NearestPoint(NamedTuple):
         normal: NED, horizontal, from the cylinder into the vehicle.
         guard: the point itself as a guard, body FRD.
         share: share of the whole side's k and f that carries the point.
-        deflections: number of each guard that carries the point, and its deflection per depth.
+        deflections: number of each guard that carries the point, and its deflection per metre of depth.
     """
 
     x_m: float
@@ -69,8 +70,8 @@ class ContactPoint(NamedTuple):
     Attributes:
         guard: the point, body FRD.
         normal: NED, into the vehicle.
-        tangent: NED, horizontal, Y of the collision frame of that normal.
-        x_m: distance to the face.
+        tangent: NED, horizontal: the Y axis of the collision frame with that normal.
+        x_m: distance to the surface; negative behind it.
         c: coefficients of this point alone.
     """
 
@@ -98,7 +99,7 @@ def nearest_point(
     Args:
         corners: corners of the outline.
         q: attitude, body FRD to NED.
-        position: of the centre of mass, NED, metres.
+        position: position of the centre of mass, NED, metres.
         cylinder: the cylinder, in contact or not.
     """
     ax, ay = cylinder.axis[0] - position[0], cylinder.axis[1] - position[1]
@@ -137,10 +138,10 @@ class CylinderContact:
 
     Attributes:
         cylinder: its position and radius.
-        coefficients: of the whole side; None if not set.
-        share: share of k and f, fixed at the touch; None if not pressed.
-        stood_in: whether the point is inside without a force, because a guard carried the load first or the
-            point did not come from outside.
+        coefficients: coefficients for the whole side of the vehicle; None if not set.
+        share: share of k and f, fixed at the touch; None if the outline is not pressed.
+        stood_in: whether the outline is inside the cylinder without a force, because a guard carried the load
+            first or the outline did not come from outside.
     """
 
     def __init__(self, cylinder: Cylinder) -> None:
@@ -150,7 +151,7 @@ class CylinderContact:
         self.stood_in = False
 
     def point(self, near: NearestPoint, c: Coefficients, borne: bool) -> ContactPoint | None:
-        """Return the contact point for the outline's nearest point, or None if nothing can press it.
+        """Return the contact point at the outline's nearest point, or None if the cylinder cannot press it.
 
         Args:
             near: nearest point of the outline.
@@ -171,7 +172,7 @@ class CylinderContact:
         return ContactPoint(near.guard, near.normal, (-ny, nx, 0.0), near.x_m, own)
 
     def settle(self, near: NearestPoint, force_n: float) -> None:
-        """Fix the share of a side's coefficients from the first force until the point is free."""
+        """Fix the share of the side's coefficients from the first force until the outline is clear."""
         if force_n > 0.0:
             self.share = near.share if self.share is None else self.share
         elif near.x_m > 0.0:
@@ -192,7 +193,7 @@ class PostContact:
         self._corners = outline(guards)
 
     def nearest(self, q: Quaternion, position: Vec3) -> NearestPoint:
-        """Return the outline's nearest point."""
+        """Return the outline's point that is nearest to the post."""
         return nearest_point(self._corners, q, position, self.contact.cylinder)
 
     def touch(
@@ -242,7 +243,7 @@ class WallWithEnds:
 
     @property
     def is_plain(self) -> bool:
-        """Whether no contact state is stored: away from its ends the wall then equals its surface."""
+        """Whether no contact state is stored; away from its ends the wall then acts like its surface."""
         return not self.beside and all(one.share is None and not one.stood_in for one in self.edges)
 
     @property
@@ -341,7 +342,7 @@ class WallWithEnds:
         return _press(points, q, onset, velocity, rate_frd, vertical_sign, vertical_lever_m)[0]
 
     def _foot_points(self, q: Quaternion, position: Vec3) -> Iterator[tuple[int, float, float]]:
-        """Yield number, height over the surface, and position along it from the middle of every guard."""
+        """Yield each guard's number, its height over the surface, and its place along it from the middle."""
         o = self.plane.point
         offset = (position[0] - o[0], position[1] - o[1], position[2] - o[2])
         n, t = rotate_back(q, self.plane.normal), rotate_back(q, self.plane.tangent)
@@ -366,7 +367,7 @@ def _press(
     vertical_sign: int,
     vertical_lever_m: float,
 ) -> tuple[Touch, list[float]]:
-    """Return the sum over all points, and the normal force on each."""
+    """Return force and torque of all points together, and the normal force on each point."""
     forces = [_force(point, q, onset, velocity, rate_frd) for point in points]
     total = sum(forces)
     if not total > 0.0:

@@ -1,7 +1,8 @@
 """The contact law (paper, Sec. IV-B) as a force: the only definition, shared by plant and predictions.
 
-All quantities are in the wall's collision frame (`base/walls.py`): x is the signed distance of the
-vehicle's centre to its plane of first touch, negative in compression.
+All quantities are in the wall's collision frame (`base/walls.py`). x is the signed distance of the vehicle's
+centre to the plane of first touch, negative in compression. The centre lies on this plane when the vehicle
+first touches the wall.
 
     0 <= lx  complementary to  w = lx + k x + f vx >= 0      ->  lx = max(0, -(k x + f vx))
     ly = -mu lx vy
@@ -41,8 +42,8 @@ def coefficients_in_force(
 ) -> Coefficients:
     """Return the coefficients of a material for a lock state and an angle of incidence.
 
-    At or above `airframe.incidence_rigid_deg` the arms cannot fold, and the rigid coefficients hold even if
-    the lock is open (paper, Sec. IV-B).
+    If the angle is at or above `airframe.incidence_rigid_deg`, the arms cannot fold. The rigid coefficients
+    then hold even if the lock is open (paper, Sec. IV-B).
 
     Raises:
         KeyError: the material is not in the vehicle's table.

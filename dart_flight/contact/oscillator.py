@@ -39,7 +39,7 @@ def quarter_time(zeta: Array, w2: Array) -> Array:
 
 
 class Oscillation(NamedTuple):
-    """A contact in its own units: phi - alpha is the force, xi' the normal velocity (see the module).
+    """A contact in dimensionless units: phi - alpha is the force, xi' the normal velocity (see the module).
 
     V is |v| + |a|/omega, so that a vehicle at rest or without push is no special case.
     """
@@ -168,7 +168,7 @@ class ContactTimes(NamedTuple):
     """Event times of a contact, in 1/omega."""
 
     peak: Array  # largest force
-    turn: Array  # lx equals -m a: the largest outward speed where a pushes in
+    turn: Array  # lx equals -m a; if a points into the wall, the outward speed is largest then
     end: Array  # force back to zero; inf if never
 
 

@@ -1,11 +1,11 @@
 """The contact law at the propeller guards: which guards touch, and the resulting force and torque.
 
-A vehicle touches a wall with guard points, two on each of its four sides: `out_m` from the centre of mass,
-`along_m` to either side of the middle, `height_m` above it. Each guard is a point of the published law with
-its share of the coefficients. With both guards of a side at the same depth, k/2 and f/2 each sum to the point
-law, so a symmetric hit keeps its normal force, contact time and exit velocity. Friction is -mu lambda ydot
-with the guard's own sliding velocity. The vertical force keeps its sum -nu L/(1 + L), where L is the sum of
-the normal forces on the wall.
+A vehicle touches a wall with guard points, two on each of its four sides. They are `guard_out_m` from the
+centre of mass, `guard_along_m` to either side of the middle, and `guard_height_m` above the centre of mass.
+Each guard is a point of the published law with its share of the coefficients. With both guards of a side at
+the same depth, k/2 and f/2 each sum to the point law, so a symmetric hit keeps its normal force, contact time
+and exit velocity. Friction is -mu lambda ydot with the guard's own sliding velocity. The vertical force keeps
+its sum -nu L/(1 + L), where L is the sum of the normal forces on the wall.
 
 The paper does not specify the share of the friction's lever that rotates the vehicle, nor the lever of the
 vertical force. Both are parameters (`config/vehicle/simulation.py`, `ContactBody`). The friction acts at the
@@ -40,11 +40,11 @@ class Plane(NamedTuple):
     """A wall's surface with the axes of its collision frame, world frame (NED or any other).
 
     Attributes:
-        point: on the surface.
-        normal: outward.
-        tangent: Y of the collision frame.
-        down: Z of the collision frame.
-        half_length_m: from the point to either end, along the tangent; for guards near an end, use
+        point: a point on the surface, halfway between its ends.
+        normal: outward unit normal.
+        tangent: Y axis of the collision frame.
+        down: Z axis of the collision frame.
+        half_length_m: distance from `point` to either end, along the tangent; for guards near an end, use
             `contact/cylinders.py` instead of `touch`.
     """
 
@@ -59,8 +59,8 @@ class Touch(NamedTuple):
     """Force and torque of one wall on the guards.
 
     Attributes:
-        force: sum, world frame, newton.
-        torque: about the centre of mass, body FRD, N m.
+        force: total force, world frame, newton.
+        torque: torque about the centre of mass, body FRD, N m.
         normal_n: sum of the normal forces.
         friction_n: sum of the friction forces along the tangent, signed.
         normal: outward normal at the strongest contact.
@@ -105,18 +105,18 @@ def touch(
     vertical_sign: int,
     vertical_lever_m: float,
 ) -> Touch:
-    """Return force and torque of one wall on the guards, all of which are in front of it.
+    """Return force and torque of one wall on the guards; every guard must lie between the wall's ends.
 
     The computation uses body axes: rotating the wall's three directions is cheaper than rotating two levers
     per guard.
 
     Args:
-        guards: of the body.
+        guards: guards of the vehicle.
         q: attitude, body FRD to world.
         c: coefficients of the whole side (the point law's).
         onset: onset rule.
         plane: the surface.
-        position, velocity: of the centre of mass, world frame.
+        position, velocity: m and m/s, of the centre of mass, world frame.
         rate_frd: angular velocity, rad/s.
         vertical_sign: -1 as the paper writes lz (against Z of the collision frame: up at a wall), or 1.
         vertical_lever_m: distance from the centre of mass, outwards, at which the vertical force acts.
@@ -175,10 +175,10 @@ def clearance_m(guards: Sequence[PropellerGuard], q: Quaternion, plane: Plane, p
     """Return the distance of the nearest guard from a wall's surface, metres; negative behind the surface.
 
     Args:
-        guards: of the body.
+        guards: guards of the vehicle.
         q: attitude, body FRD to world.
         plane: the surface.
-        position: of the centre of mass, world frame.
+        position: position of the centre of mass, world frame, metres.
     """
     x, y, z = rotate_back(q, plane.normal)
     return _height(plane, position) + min(x * g.at[0] + y * g.at[1] + z * g.at[2] for g in guards)

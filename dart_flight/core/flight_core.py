@@ -33,11 +33,11 @@ class FlightCore:
     """Estimates the force, detects impacts, flies one mission and applies the guard's rules.
 
     Args:
-        mission: checked and resolved.
-        rules: of the guard; tests may use another table.
+        mission: the mission, checked and resolved.
+        rules: rules of the guard; tests may use another table.
 
     Raises:
-        NoApproachError: an approach of the mission has no room (`core.mission.approach`).
+        NoApproachError: there is no room for an approach of the mission (`core.mission.approach`).
     """
 
     def __init__(self, mission: Mission, rules: tuple[Rule, ...] = RULES) -> None:

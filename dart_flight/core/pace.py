@@ -1,7 +1,7 @@
-"""The pace of stepping: near a wall each input as it arrives, elsewhere several together.
+"""The pace of stepping: near a wall each input is stepped as it arrives, elsewhere several together.
 
-Waking for every sample costs more than the samples themselves (docs/latency.md). The pace affects only the
-time of decisions, not their result, because the core uses stamps and no clock.
+To wake up for every sample costs more time than to process the samples (docs/latency.md). The pace affects
+only the time of decisions, not their result, because the core uses stamps and no clock.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Calibration of the two end stops by hand, in small steps. Pure; the driver is a callable.
+"""Calibration of the two end stops by hand, in small steps. It reaches the driver only through a callable.
 
 The cam's own end angles are theta_0 (flexible) and theta_0 + 90 degrees (rigid). Each end therefore needs
 only its pulse width, and the two widths define the direction.
@@ -19,13 +19,13 @@ from dart_flight.config.vehicle import LockConfig
 _LEAST_US_PER_DEG = 5.0
 STEP_US = 10.0  # about one degree, so that a jammed rod takes no damage
 HELP = (
-    "+ or - moves 10 us, +25 or -40 that much, a number such as 1500 goes there; "
-    "ok takes this position, quit leaves everything as it was"
+    "+ or - moves the pulse by 10 us, +25 or -40 moves it by that amount, and 1500 sets it to 1500 us; "
+    "ok stores this position, and quit changes nothing"
 )
 
 
 class CalibrationError(Exception):
-    """The line is invalid or not allowed; nothing has moved."""
+    """The operator's line is invalid or not allowed; nothing has moved."""
 
 
 class Calibration:
@@ -51,7 +51,7 @@ class Calibration:
         return next((mode for mode in self.ORDER if mode not in self.found), None)
 
     def execute(self, line: str) -> None:
-        """Execute one line of the operator; see `HELP`, except quit.
+        """Execute one line of the operator: any command of `HELP` except quit.
 
         Raises:
             CalibrationError: the line is invalid, outside the servo's range, or the ends are no valid
@@ -64,7 +64,7 @@ class Calibration:
         self._walk(self._target(word))
 
     def result(self) -> LockConfig:
-        """Return the configuration with the two ends.
+        """Return the configuration with the two calibrated ends.
 
         Raises:
             CalibrationError: the two ends are not possible (equal, or beyond the end stops).
@@ -85,8 +85,9 @@ class Calibration:
         if new.us_per_deg < _LEAST_US_PER_DEG:
             turn_deg = abs(new.rigid_deg - new.flexible_deg)
             raise CalibrationError(
-                f"the ends are {abs(rigid - flexible):g} us apart, needs {_LEAST_US_PER_DEG * turn_deg:g} us "
-                f"or more to turn the cam by {turn_deg:g} degrees: move the servo further to the other end"
+                f"the ends are {abs(rigid - flexible):g} us apart, but it takes "
+                f"{_LEAST_US_PER_DEG * turn_deg:g} us or more to turn the cam by {turn_deg:g} degrees: "
+                "move the servo further to the other end"
             )
         return config
 
@@ -127,7 +128,7 @@ class Calibration:
     def _store_end(self) -> None:
         mode = self.current_end
         if mode is None:
-            raise CalibrationError("both ends are known")
+            raise CalibrationError("both ends are stored already")
         self.found[mode] = self.pulse_us
         if self.current_end is None:
             try:

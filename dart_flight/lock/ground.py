@@ -1,4 +1,4 @@
-"""The lock on the ground, in real time and by hand: the functions of `dart-flight lock`, without its output.
+"""Operation of the lock on the ground, in real time: the functions of `dart-flight lock`, without its output.
 
 The operator stands beside the vehicle and sees the arms. Locking is therefore permitted, and the first
 command replaces homing.
@@ -31,7 +31,7 @@ def clock_us() -> int:
 def ground_driver(
     config: LockConfig, last: LastCommand | None, set_actuator: SetActuator | None = None
 ) -> Driver:
-    """Return the configured driver; the mock starts at its last command.
+    """Return the configured driver; the mock's horn starts at the end of its last command.
 
     Raises:
         DriverError: as in `make_driver`.
@@ -45,7 +45,7 @@ def ground_driver(
 
 
 class GroundLock:
-    """A session in real time; every call blocks until the travel is over, at most for the lock's timeout."""
+    """A lock session in real time; every call blocks until the travel is over or has timed out."""
 
     def __init__(
         self,

@@ -40,7 +40,7 @@ class LockSession:
         return self.machine.state
 
     def start(self) -> CommandRefused | None:
-        """Home or adopt, as configured; return the refusal, if any."""
+        """Start by homing or by adopting the present position, as configured; return the refusal, if any."""
         asked_us = self._clock_us()
         try:
             self.driver.open()

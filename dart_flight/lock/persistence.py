@@ -1,7 +1,7 @@
 """Persistent state of the lock: the last command to the servo, and the process that owns the servo.
 
-Both are files in the state folder. After a restart the last command is what was requested of the servo, not
-the position of the horn.
+Both are files in the state folder. After a restart the last command shows what was requested of the servo. It
+does not show the position of the horn.
 """
 
 from __future__ import annotations
@@ -41,9 +41,9 @@ class LastCommand(msgspec.Struct, frozen=True):
     feedback: bool = False
 
     def describe(self) -> str:
-        """Return a description for people."""
+        """Return a line for the operator, such as "rigid by mock at ..., settled"."""
         how = {
-            LockPhase.SETTLED: "settled then" + ("" if self.feedback else " (no feedback)"),
+            LockPhase.SETTLED: "settled" + ("" if self.feedback else " (no feedback)"),
             LockPhase.TRAVELLING: "arrival not confirmed",
         }.get(self.phase, "ended in a fault")
         return f"{self.mode} by {self.driver} at {self.at_utc}, {how}"

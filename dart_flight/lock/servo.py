@@ -1,4 +1,4 @@
-"""The servo: pulse width against horn angle, travel time, and a model of the horn's motion.
+"""The servo: pulse width for a horn angle, travel time, and a model of the horn's motion.
 
 All code here is pure: simulated time is an argument, integer microseconds. The data of the HiTec HS-322HD
 (manufacturer's catalogue) are configuration: 0.19 s/60 degrees at 4.8 V, 0.15 at 6 V, 50 Hz frame, 900 to

@@ -9,9 +9,9 @@ with its margin is over, and that a later reading still shows the commanded puls
 `feedback=True`. If an end has a switch, the lock settles at that end only when the switch closes.
 
 A shell calls `start` once, then `command` and `permit` as the core requests. It executes the returned actions
-in order and answers each `SetPulse` with `sent` (after `Driver.set_pulse` returns) or `driver_failed`. It
-supplies a `reading` at least every 20 to 50 ms, stamped with the time *before* the reading, and calls `step`
-as often. `state` is a new object after every change.
+in order. It answers each `SetPulse` with `confirm_sent` after `Driver.set_pulse` returns, or with
+`driver_failed`. It supplies a `reading` at least every 20 to 50 ms, stamped with the time *before* the
+reading, and calls `step` as often. `state` is a new object after every change.
 """
 
 from __future__ import annotations
@@ -143,7 +143,7 @@ class LockStateMachine:
         self._permitted = False
         self._target: Mode | None = None  # commanded or found; kept in a fault to compare readings
         self._pulses_off = False  # on request: a reading without pulses is then expected
-        self._begun_us = t_us  # of the present travel
+        self._begun_us = t_us  # start of the present travel
         self._sent_us: int | None = None  # start of the target's pulse at the driver's output
         self._closed_since_us: int | None = None  # start of the target switch's closure during a travel
         self._wrong_since_us: int | None = None  # start of a lost pulse or of contradicting switches
@@ -157,7 +157,7 @@ class LockStateMachine:
 
     @property
     def due_us(self) -> int | None:
-        """End of a travel by time, when a reading can settle it; None without a travel."""
+        """Time from which a reading can settle the present travel, microseconds; None without a travel."""
         if self._state.phase is not LockPhase.TRAVELLING or self._sent_us is None:
             return None
         return self._sent_us + round(self.config.switch_time_s * 1e6)
@@ -165,7 +165,7 @@ class LockStateMachine:
     # -- inputs: commands --
 
     def start(self, t_us: int, reading: DriverReading | None) -> list[Action]:
-        """Start by homing or adopting, as configured; `reading` is the driver's first reading, if any.
+        """Home the lock, or adopt the position in the driver's first `reading`, as configured.
 
         Adopting uses a closed switch, or else a pulse that the hardware still outputs at one of the two ends.
         The travel counts from now, because the command may be recent. If nothing is found, the lock stays
@@ -229,7 +229,7 @@ class LockStateMachine:
             self._sent_us = t_us
 
     def driver_failed(self, t_us: int, reason: str) -> None:
-        """Report that the driver could not execute a command or could not be read."""
+        """Record that the driver could not execute a command or could not be read."""
         self._transition(t_us, LockEvent.DRIVER_FAILED, reason=reason)
 
     def reading(self, t_us: int, reading: DriverReading) -> None:
@@ -249,7 +249,9 @@ class LockStateMachine:
         elif phase is LockPhase.SETTLED and self._state.feedback:
             silent_s = (t_us - self._last_reading_us) * 1e-6
             if silent_s > self.config.timeout_s:
-                self._transition(t_us, LockEvent.DRIVER_FAILED, reason=f"no reading for {silent_s:.1f} s")
+                self._transition(
+                    t_us, LockEvent.DRIVER_FAILED, reason=f"the driver gave no reading for {silent_s:.1f} s"
+                )
 
     # -- evaluation of readings --
 
@@ -329,20 +331,20 @@ class LockStateMachine:
 
     def _find_position(self, reading: DriverReading | None) -> tuple[Mode | None, str]:
         if reading is None:
-            return None, "nothing to adopt: no reading"
+            return None, "no position found: the driver gave no reading"
         closed = [mode for mode in Mode if reading.switch(mode)]
         by_pulse = None if reading.pulse_us is None else mode_of(self.config.servo, reading.pulse_us)
         if len(closed) > 1:
-            return None, "nothing to adopt: both limit switches are closed"
+            return None, "no position found: both limit switches are closed"
         if closed and reading.pulse_us is not None and by_pulse is not closed[0]:
-            return None, f"nothing to adopt: pulse and {closed[0]} limit switch contradict each other"
+            return None, f"no position found: pulse and {closed[0]} limit switch contradict each other"
         if closed:
             return closed[0], ""
         if by_pulse is not None:
             return by_pulse, ""
         if reading.pulse_us is None:
-            return None, "nothing to adopt: pulses are off"
-        return None, f"nothing to adopt: {reading.pulse_us:.0f} us is not the pulse of an end"
+            return None, "no position found: pulses are off"
+        return None, f"no position found: {reading.pulse_us:.0f} us is not the pulse of an end"
 
     # -- changes --
 
@@ -365,7 +367,10 @@ class LockStateMachine:
         feedback: bool = False,
         commanded_us: int | None = None,
     ) -> None:
-        """Change the phase, which nothing else does; an event without an entry has no effect."""
+        """Change the phase by the table; an event without an entry has no effect.
+
+        No other method changes the phase.
+        """
         after = TRANSITIONS[self._state.phase].get(event)
         if after is None:
             return

@@ -116,9 +116,9 @@ def test_status_moves_nothing_and_is_honest(
     capsys.readouterr()
     assert main(world.command("status")) == 0
     unknown, last = capsys.readouterr().out.splitlines()
-    assert unknown == "maestro: unknown; nothing to adopt: pulses are off"
+    assert unknown == "maestro: unknown; no position found: pulses are off"
     assert last.startswith("last command: rigid by maestro at ")
-    assert last.endswith(", settled then (no feedback)")
+    assert last.endswith(", settled (no feedback)")
     assert main(world.command("rigid")) == 0
     capsys.readouterr()
     status, told = report(world, capsys, "status")

@@ -256,7 +256,7 @@ def test_a_channel_range_that_clamps_is_a_fault(make_rig: MakeRig) -> None:
 def test_restart_adopts_what_the_controller_still_puts_out(make_rig: MakeRig) -> None:
     rig = make_rig(startup=LockStartup.ADOPT)
     rig.session.start()
-    assert rig.session.state.reason == "nothing to adopt: pulses are off"
+    assert rig.session.state.reason == "no position found: pulses are off"
     rig.session.permit(True)
     rig.session.command(Mode.RIGID)
     rig.run(0.4)

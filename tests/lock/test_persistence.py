@@ -71,7 +71,7 @@ def test_state_folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
         (
             [(LockPhase.TRAVELLING, Mode.RIGID), (LockPhase.SETTLED, Mode.RIGID)],
             Mode.RIGID,
-            "settled then (no feedback)",
+            "settled (no feedback)",
         ),
         ([(LockPhase.TRAVELLING, Mode.FLEXIBLE), (LockPhase.FAULT, None)], Mode.FLEXIBLE, "ended in a fault"),
     ],

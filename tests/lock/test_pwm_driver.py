@@ -189,7 +189,7 @@ def test_what_is_missing_is_said(
         with pytest.raises(DriverError, match="check dtoverlay=pwm-2chan"):
             use()
     sysfs = Sysfs(tmp_path, monkeypatch, exported=False)
-    with pytest.raises(DriverError, match="pwmchip0 has 2 channels, from 0") as caught:
+    with pytest.raises(DriverError, match="pwmchip0 has 2 channels, numbered from 0") as caught:
         PwmDriver(vary(pwm={"sysfs_dir": str(tmp_path), "chip": 0, "channel": 2})).open()
     assert caught.value.key == ("pwm", "channel")
     monkeypatch.setattr(pwm, "_APPEAR_S", 0.02)
@@ -197,7 +197,7 @@ def test_what_is_missing_is_said(
         PwmDriver(config).open()
     sysfs.appear()
     (sysfs.channel / "period").write_text("garbage\n")
-    with pytest.raises(DriverError, match="period says 'garbage', not a number"):
+    with pytest.raises(DriverError, match="period contains 'garbage', not a number"):
         PwmDriver(config).open()
     (sysfs.channel / "period").unlink()
     with pytest.raises(DriverError, match="cannot read"):

@@ -32,7 +32,7 @@ def test_pulse_becomes_an_actuator_value(vary: Vary) -> None:
     def faulty(index: int, value: float) -> None:
         raise TypeError("no session")
 
-    with pytest.raises(DriverError, match="PX4 actuator 1: not commanded: TypeError: no session"):
+    with pytest.raises(DriverError, match="PX4 actuator 1: the command was not sent: TypeError: no session"):
         Px4Driver(vary(), faulty).set_pulse(1500.0)
     driver.set_pulse(1980.0)
     driver.set_pulse(1020.0)
@@ -85,7 +85,7 @@ def test_required_parameters(vary: Vary) -> None:
     [
         ("PWM_AUX_FUNC1", 0.0, "PWM_AUX_FUNC1 is 0, must be 301"),
         ("COM_PREARM_MODE", 1.0, "COM_PREARM_MODE is 1, must be 2"),
-        ("PWM_AUX_REV", 5.0, "PWM_AUX_REV is 5, must be without bit 0x1"),
+        ("PWM_AUX_REV", 5.0, "PWM_AUX_REV is 5, must have bit 0x1 clear"),
         ("PWM_AUX_TIM0", 400.0, "PWM_AUX_TIM0 is 400, must be 50"),
     ],
 )

@@ -371,7 +371,10 @@ def test_a_confirmed_state_needs_readings_to_stay_confirmed(vary: Vary) -> None:
     machine.step(bench.t_us + 1_400_000)
     assert machine.state.phase is LockPhase.SETTLED
     machine.step(bench.t_us + 1_600_000)
-    assert (machine.state.phase, machine.state.reason) == (LockPhase.FAULT, "no reading for 1.6 s")
+    assert (machine.state.phase, machine.state.reason) == (
+        LockPhase.FAULT,
+        "the driver gave no reading for 1.6 s",
+    )
 
 
 def test_without_a_switch_there_is_nothing_that_readings_must_keep_confirming(vary: Vary) -> None:
@@ -466,9 +469,9 @@ def test_home_to_rigid_waits_for_permission(vary: Vary) -> None:
 @pytest.mark.parametrize(
     ("reading", "mode", "feedback", "reason"),
     [
-        (None, None, False, "nothing to adopt: no reading"),
-        (DriverReading(None), None, False, "nothing to adopt: pulses are off"),
-        (DriverReading(1500.0), None, False, "nothing to adopt: 1500 us is not the pulse of an end"),
+        (None, None, False, "no position found: the driver gave no reading"),
+        (DriverReading(None), None, False, "no position found: pulses are off"),
+        (DriverReading(1500.0), None, False, "no position found: 1500 us is not the pulse of an end"),
         (DriverReading(1980.0), Mode.RIGID, False, None),
         (DriverReading(None, rigid_switch=True), Mode.RIGID, True, None),
         (DriverReading(1020.0, flexible_switch=True), Mode.FLEXIBLE, True, None),
@@ -476,13 +479,13 @@ def test_home_to_rigid_waits_for_permission(vary: Vary) -> None:
             DriverReading(1020.0, rigid_switch=True),
             None,
             False,
-            "nothing to adopt: pulse and rigid limit switch contradict each other",
+            "no position found: pulse and rigid limit switch contradict each other",
         ),
         (
             DriverReading(None, rigid_switch=True, flexible_switch=True),
             None,
             False,
-            "nothing to adopt: both limit switches are closed",
+            "no position found: both limit switches are closed",
         ),
     ],
 )

@@ -1,1 +1,1 @@
-"""The guard: rules that limit the mission, and the flight after one has fired."""
+"""The guard: rules that limit the mission, and the flight after a rule has fired."""

@@ -57,7 +57,7 @@ class EstimatorResets:
         self._heading.add_attitude(item)
 
     def add_odometry(self, item: OdometrySample) -> tuple[float, float]:
-        """Return the steps of position (m) and velocity (m/s) since the last sample, without the motion."""
+        """Return by how much position (m) and velocity (m/s) changed more than the motion explains."""
         before, self._odometry = self._odometry, item
         if before is None or not 0 < item.t_us - before.t_us <= _JUMP_REACH_US:
             return 0.0, 0.0

@@ -132,7 +132,7 @@ class FlightConditions:
     # -- conditions for the rules --
 
     def is_asked(self, request: Request) -> bool:
-        """Return whether the operator requests this in this step."""
+        """Return whether the operator makes this request in this step."""
         return self.request is not None and self.request.request is request
 
     @property
@@ -170,7 +170,7 @@ class FlightConditions:
 
     @property
     def failsafe_words(self) -> str:
-        """PX4's text about the cause of a failsafe, or a sentence that it gave none."""
+        """PX4's text about the cause of a failsafe, or a sentence that PX4 gave no cause."""
         return self._failsafe.words(self.state.now_us) or "PX4 reports a failsafe and gives no cause"
 
     @property
@@ -223,7 +223,7 @@ class FlightConditions:
 
     @property
     def status_unreliable(self) -> bool:
-        """Whether the slow state may be another vehicle's, because one is detected or suspected."""
+        """Whether the slow state may be another vehicle's, because another is detected or suspected."""
         return self.others.is_suspected(self.streams.host_us)
 
     def duration_s(self, since_us: int | None) -> float:
@@ -231,7 +231,7 @@ class FlightConditions:
         return 0.0 if since_us is None else (self.state.now_us - since_us) * 1e-6
 
     def stop_excess_m(self) -> float:
-        """Return the distance outside the bounds at which the vehicle would stop now, metres."""
+        """Return how far outside the bounds the vehicle would come to rest if it braked now, metres."""
         (x, y, _), (vx, vy, _) = self.state.position, self.state.velocity
         bounds = self.mission.bounds
         if bounds.excess2((x + STOP_TIME_S * vx, y + STOP_TIME_S * vy)) <= 0.0:

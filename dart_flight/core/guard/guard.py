@@ -65,10 +65,10 @@ class _PhaseRules(NamedTuple):
 
 
 class Guard:
-    """Evaluates the rules and, once one has fired, flies the vehicle.
+    """Evaluates the rules and flies the vehicle once a rule has fired.
 
     Args:
-        mission: bounds, limits, thresholds.
+        mission: the mission, for bounds, limits and thresholds.
         rules: the table; tests may use another one.
     """
 
@@ -92,7 +92,7 @@ class Guard:
         self._sent_us: int | None = None
         self._down_us: int | None = None  # time since which it is landed and disarmed
         self._hold: Vec3 | None = None
-        self._held_impact: ImpactOnset | None = None  # the impact from which it keeps its distance
+        self._held_impact: ImpactOnset | None = None  # the impact from which the guard keeps its distance
         self._yaw_ned = 0.0
         self._altitude_m = mission.altitude_m
 
@@ -106,7 +106,7 @@ class Guard:
         Args:
             item: the step's input, which has updated `state`.
             state, sensed: estimates of the step.
-            phase: of the mission, after its proposal.
+            phase: phase of the mission after its proposal.
             proposal: the mission's proposal.
 
         Returns:
@@ -272,14 +272,15 @@ class Guard:
     def _has_stopped_elsewhere(self, state: FlightState, hold: Vec3) -> bool:
         """Return whether the vehicle rests well away from its break-off point, as after a large tilt.
 
-        It then stays there: on the way back PX4's integrator would push it past the point, towards the wall.
+        The guard then holds it there: on the way back PX4's integrator would push the vehicle past the point,
+        towards the wall.
         """
         if self.action is not Override.BREAK_OFF or norm(state.velocity) > _STOPPED_M_S:
             return False
         return math.dist(state.position[:2], hold[:2]) > _ELSEWHERE_M
 
     def _is_down(self, state: FlightState, killed: bool) -> bool:
-        """Return whether the vehicle has landed and disarmed, and not another one on the same link."""
+        """Return whether this vehicle, not another one on the same link, has landed and disarmed."""
         if state.status.armed or not (state.on_ground or killed or not self._watch.was_offboard):
             self._down_us = None
             return False

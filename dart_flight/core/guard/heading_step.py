@@ -54,7 +54,7 @@ class HeadingStep:
             self._waiting = None
 
     def add_attitude(self, item: AttitudeSample) -> None:
-        """Compare an attitude with the integral, once the rate of the same time has arrived."""
+        """Compare an attitude with the gyro's integrated rate, once the rate of the same time has arrived."""
         if self._imu_us is None:
             return
         if item.t_us > self._imu_us:
@@ -64,7 +64,7 @@ class HeadingStep:
 
     @property
     def before(self) -> Quaternion | None:
-        """D of at most 0.1 s ago, or None if nothing could be compared."""
+        """The rotation D (see the module) up to 0.1 s before the newest one, or None if there is none."""
         return self._turns[0][1] if self._turns else None
 
     def step_since(self, before: Quaternion) -> float:

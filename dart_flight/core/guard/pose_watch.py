@@ -5,10 +5,10 @@ estimate by 0.02 m in 0.5 s. Every phase tolerates that. A contact adds a veloci
 vehicle must therefore not hit a wall without poses, and the limit is shorter in an approach. A contact and
 its recovery are finished first, because the recovery works with the IMU alone.
 
-Poses that jump are another body's and are withheld from PX4 at once. PX4 rejects such poses for a second and
-then resets its position to them. Without poses, it dead-reckons long enough to land. Of poses that are only
-turned, as by swapped markers, the attitudes are withheld: PX4 would reset its heading to them and tumble.
-Their positions remain right, and PX4 keeps its heading by the gyro.
+Poses that jump belong to another body and are withheld from PX4 at once. PX4 would reject such poses for a
+second and then reset its position to them. Without poses, PX4 dead-reckons long enough to land. If poses are
+only turned, for example by swapped markers, their attitudes are withheld: PX4 would reset its heading to
+them, and the vehicle would tumble. Their positions are still correct, and PX4 keeps its heading by the gyro.
 """
 
 from __future__ import annotations
@@ -151,7 +151,7 @@ class PoseWatch:
         return phase in _FINISHED_FIRST
 
     def withhold(self, phase: Phase, t_us: int) -> PosesWithheld | None:
-        """Return what this program must no longer forward, once when that begins, otherwise None."""
+        """Return a record of what this program must no longer forward, once when that begins, or None."""
         if self._wrong or phase in ON_GROUND:
             return None
         if self._jump:

@@ -55,7 +55,7 @@ class Rule(NamedTuple):
     """One rule.
 
     Attributes:
-        name: as in the log and in the verdict.
+        name: name of the rule in the log and in the verdict.
         action: action of the guard.
         scope: part of the flight in which it is evaluated.
         condition: condition that fires it.
@@ -64,9 +64,10 @@ class Rule(NamedTuple):
         by_person: whether a person took over, so that the flight counts as released and not as aborted.
         explains: rules that may fire earlier for the same cause; if their action is active and at least as
             strong, this rule replaces the reason.
-        of_streams: whether telemetry fails, so that the detail includes the state of link and computer.
-        noted: whether log and verdict record the rule, once a flight, while an equally strong action is
-            active.
+        of_streams: whether the rule concerns failing telemetry; its detail then includes the state of link
+            and computer.
+        noted: whether log and verdict record the rule even while an equally strong action is active, once per
+            flight.
     """
 
     name: str

@@ -100,7 +100,11 @@ class SecondPositionDetector:
             self._turns.append(sample.received_us)
 
     def position_difference_m(self, now_us: int) -> float | None:
-        """Return the distance of the two positions, metres, or None with one; `now_us` is host time."""
+        """Return the distance between the two positions, metres, or None if there is only one vehicle.
+
+        Args:
+            now_us: host time.
+        """
         if len(self._turns) < _TURNS or now_us - self._turns[0] > _WINDOW_US:
             return None
         assert self._here is not None

@@ -124,7 +124,7 @@ class StreamWatch:
         self._gap_us: int | None = None
 
     def add_sample(self, name: str, item: Stamped, newest: Stamped | None) -> None:
-        """Process a sample of a stream; `newest` is the last one that the flight state has accepted."""
+        """Process a sample of a stream; `newest` is the last sample that the flight state has accepted."""
         t_us, received_us = item.t_us, item.received_us
         if received_us > self.host_us:
             if self.host_us and received_us - self.host_us > _GAP_US:
@@ -168,8 +168,8 @@ def _silence(
     """Return the condition that streams have been silent together for longer than a limit.
 
     Args:
-        description: for the manual's table.
-        streams: by name.
+        description: description for the manual's table.
+        streams: names of the streams.
         limit: seconds, or the key of the guard's threshold.
         words: format of the message; `s` and `ms` are the duration.
         alone: key of the limit while other streams continue, when neither link nor host is the cause.

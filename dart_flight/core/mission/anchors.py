@@ -40,7 +40,7 @@ class FrameAnchors:
     """The anchors of one flight.
 
     Args:
-        drift_m_s: standard deviation of the velocity that carries the position.
+        drift_m_s: standard deviation of the error of PX4's velocity, which carries the position.
         start_us: time at which the frame was set at the start.
     """
 
@@ -65,8 +65,8 @@ class FrameAnchors:
         their variances.
 
         Args:
-            wall: as assumed before the contact.
-            estimate: estimate from the contact.
+            wall: the wall as assumed before the contact.
+            estimate: the wall as estimated from the contact.
             now_us: time of the correction.
         """
         measured_sd, place = estimate.plane_offset_sigma_m, estimate.plane_point_mission

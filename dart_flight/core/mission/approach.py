@@ -35,7 +35,7 @@ class NoApproachError(ValueError):
 
 
 class RunUp(NamedTuple):
-    """Beginning and ramp of an approach; numbers, or arrays of them."""
+    """Beginning and ramp of an approach, as numbers or as arrays."""
 
     begin: tuple[Number, Number]
     direction: tuple[Number, Number]
@@ -59,8 +59,8 @@ def run_up(
     Args:
         start: start of the mission.
         impact: position of the vehicle's centre at the plane.
-        velocity: at the impact, mission frame, m/s.
-        flying: acceleration and steady run.
+        velocity: velocity at the impact, mission frame, m/s.
+        flying: settings of acceleration and steady run.
         wall: the wall to be hit.
     """
     vx, vy = velocity
@@ -125,7 +125,7 @@ def segments_to_impact(
     """Return a function that lists the segments before an impact, as (a, b, clearance at b), for any wall.
 
     Args:
-        start: previous resting position; the segment from it to the run-up point counts if it is known.
+        start: previous resting position; if it is known, the segment to the run-up point is listed too.
         begin, impact: ends of the run-up.
         wall: the wall to be hit; the run-up ends on its plane.
         first: whether `start` is known, as before a mission's first collision.
@@ -220,8 +220,8 @@ class TransitSegment(NamedTuple):
 
     Attributes:
         name: description of its end.
-        begin: mission frame, metres; None if it begins where a recovery leads.
-        end: mission frame, metres.
+        begin: start point, mission frame, metres; None if the segment begins where a recovery ends.
+        end: end point, mission frame, metres.
         speed_m_s: largest speed.
     """
 
@@ -232,7 +232,7 @@ class TransitSegment(NamedTuple):
 
 
 def transit_segments(mission: Mission) -> list[TransitSegment]:
-    """Return the segments to the waypoints, and to the goal unless a recovery leads there."""
+    """Return the segments to the waypoints, and the segment to the goal unless a recovery leads to it."""
     found: list[TransitSegment] = []
     here: Vec3 | None = (*mission.start, mission.altitude_m)
     flown = 0
@@ -259,7 +259,7 @@ def check_segments_clear(mission: Mission) -> None:
     """Check that no wall blocks a trajectory, or a segment with known ends.
 
     Raises:
-        NoApproachError: a wall does, or a trajectory leaves the bounds.
+        NoApproachError: a wall blocks one of them, or a trajectory leaves the bounds.
     """
     for collision in mission.collisions:
         if collision.trajectory is not None:

@@ -36,7 +36,7 @@ def minimum(x: Number, y: Number) -> Number:
 
 
 def where(condition: Number, yes: Number, no: Number) -> Number:
-    """Return one value or the other, by a condition."""
+    """Return `yes` where the condition holds, and `no` elsewhere."""
     return np.where(condition, yes, no) if _has_array(condition, yes, no) else (yes if condition else no)
 
 

@@ -1,4 +1,4 @@
-"""The last moment for stopping: whether to fly at a wall while the lock is still moving.
+"""The last moment for stopping: whether to fly on towards a wall while the lock is still moving.
 
 An approach continues while holding would still stop short of the wall. Beyond that point it continues only if
 the lock settles `SETTLED_BEFORE_S` before the impact and the impact is acceptable in *either* mode: a servo
@@ -31,7 +31,7 @@ SETPOINT_OUTSIDE_M = 2.0
 
 
 def setpoint_outside_m(bounds: BoundsSpec, x: Number, y: Number) -> Number:
-    """Return the horizontal distance of a setpoint outside the bounds, metres; 0 inside."""
+    """Return how far a setpoint lies outside the horizontal bounds, metres; 0 inside."""
     beside = maximum(bounds.x[0] - x, x - bounds.x[1])
     return maximum(maximum(beside, maximum(bounds.y[0] - y, y - bounds.y[1])), 0.0)
 
@@ -42,11 +42,11 @@ def may_commit(
     """Return whether to continue past the last moment for stopping.
 
     Args:
-        mission: limits, bounds, vehicle.
+        mission: the mission, for limits, bounds and vehicle.
         following: the collision ahead.
         met: predicted impact with the wall.
         ready_s: time until the lock is settled; infinite if it is in fault.
-        state: of the vehicle.
+        state: state of the vehicle.
     """
     if ready_s > met.after_s - SETTLED_BEFORE_S:
         return False
@@ -78,13 +78,13 @@ def is_acceptable_in_either_mode(
     """Return whether an impact stays within force, tilt and bounds for either state of the arms.
 
     Args:
-        vehicle: materials, mass, gains.
-        limits: limits of the force.
+        vehicle: the vehicle, for materials, mass and gains.
+        limits: the mission's limits, for the force.
         bounds: the recovery setpoint may leave them by `SETPOINT_OUTSIDE_M`.
         wall: the wall.
         alphas_m_per_n: gains (A_n, A_t) of the recovery setpoint.
-        place: of the vehicle's centre at the impact, mission frame.
-        velocity_m_s: (normal, tangential) at the impact, collision frame.
+        place: position of the vehicle's centre at the impact, mission frame, metres.
+        velocity_m_s: (normal, tangential) velocity at the impact, collision frame.
     """
     (nx, ny), (tx, ty) = wall.normal, wall.tangent
     normal, tangential = velocity_m_s

@@ -19,7 +19,7 @@ from dart_flight.core.sense.senses import Sensed
 
 _FADED_M_S2: Final = 0.02
 _LARGEST_M_S2: Final = 5.0  # limit of the feed-forward, which also bounds the effect of a stale setpoint
-# Limit from the onset: PX4 keeps the last setpoint of a hung program, and this one leads away.
+# Limit from the onset: if this program hangs, PX4 keeps the last setpoint, and this setpoint leads away.
 LONGEST_S: Final = 0.25
 
 
@@ -32,14 +32,13 @@ _AGAINST_PLAN: Final = 1.3  # factor on a lean into the wall if the plan leans o
 def balancing_acceleration_m_s2(height_m: float | None, out_m: float, planned: Mode | None = None) -> float:
     """Return the additional acceleration off a wall that reduces the rotation by an impact, m/s2.
 
-    A lean into the wall by the guards' height over their distance raises the guards to the level of the
-    centre of mass.
+    A lean into the wall by the angle `height_m / out_m` brings the guards to the level of the centre of mass.
 
     Args:
         height_m: height of the wall's force above the centre of mass; None if unknown.
-        out_m: distance of the guards.
-        planned: mode of an impact at the end of the plan's own trajectory, which for rigid arms leans off the
-            wall; None for a replanned impact, which leans less.
+        out_m: horizontal distance of the guards from the centre of mass, metres.
+        planned: mode of the arms if the impact ends the mission's own trajectory, which for rigid arms leans
+            off the wall; None for a replanned impact, in which the vehicle leans less.
     """
     if height_m is None:
         return 0.0

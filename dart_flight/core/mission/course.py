@@ -29,7 +29,7 @@ class Course(NamedTuple):
     Attributes:
         target: position to reach, mission frame, metres.
         altitude_m: present altitude of the mission.
-        trajectory: to the target, or into a wall; None for a step to the target.
+        trajectory: trajectory to the target, or into a wall; None for a step to the target.
     """
 
     target: Vec3
@@ -41,7 +41,7 @@ class Course(NamedTuple):
         return Course((point[0], point[1], self.altitude_m), self.altitude_m)
 
     def move_frame(self, by: Vec2) -> Course:
-        """Keep the target in place when the origin of the mission frame moves, in its axes."""
+        """Keep the target in place when the origin of the mission frame moves, in the frame's axes."""
         x, y, z = self.target
         return self._replace(target=(x - by[0], y - by[1], z))
 
@@ -79,7 +79,7 @@ class Course(NamedTuple):
 
     @property
     def duration_s(self) -> float:
-        """Duration of the trajectory; 0 without one."""
+        """Duration of the trajectory, seconds; 0 if there is none."""
         return 0.0 if self.trajectory is None else self.trajectory.duration_s
 
 

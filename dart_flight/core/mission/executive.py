@@ -73,7 +73,7 @@ class Executive:
     """Runs the phases of one mission.
 
     Raises:
-        NoApproachError: an approach of the mission has no room (`approach`).
+        NoApproachError: there is no room for an approach of the mission (`approach`).
     """
 
     def __init__(self, mission: Mission) -> None:
@@ -206,7 +206,7 @@ class Executive:
             p.outputs.append(VehicleCommand(state.now_us, action))
 
     def _move_lock(self, mode: Mode, state: FlightState, p: Proposal) -> bool:
-        """Command the lock if it is elsewhere and may move; return whether it is settled in the mode."""
+        """Command the lock if it is not in the mode and may move; return whether it is settled there."""
         order = self._lock.command(self.progress.lock, mode, state)
         if order is not None:
             self.progress.lock = self.progress.lock._replace(commanded=mode, commanded_us=state.now_us)
@@ -397,7 +397,7 @@ class Executive:
             p.add_finding("transit_timeout", "the run-up point was not reached in time")
 
     def _leave_run_up_point(self, state: FlightState, p: Proposal) -> None:
-        """Continue at the run-up point: with the lock first, if there is one."""
+        """Leave the run-up point; if the vehicle has a lock, switch the lock first."""
         collision = self.progress.collision
         assert collision is not None
         if self.mission.vehicle.has_lock:

@@ -1,9 +1,9 @@
-"""Return to the wanted heading after a contact, as fast as PX4's yaw control permits, and its duration.
+"""The return to the wanted heading after a contact, as fast as PX4's yaw control permits, and its duration.
 
 An oblique wall rotates the vehicle, and the motors correct the yaw only by their drag, slowly. With a large
 heading step PX4 overshoots, because its integrator winds up while the torque is at its limit, and the next
-contact is oblique again. The commanded heading therefore never leads further than the torque can follow, at a
-rate from which the same torque still stops in time.
+contact is oblique again. The commanded heading therefore leads only as far as the torque can follow. It
+turns only as fast as the same torque can stop in time.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ class Heading(NamedTuple):
         yaw: wanted heading, after rate limiting.
         yaw_us: time of the last update of `yaw`.
         before: wanted heading before the first contact.
-        asked: commanded heading instead of `yaw`, while the vehicle returns after a contact.
-        integral: accumulated value of PX4's integrator since then, normalised torque.
+        asked: heading to command instead of `yaw` while the vehicle returns after a contact.
+        integral: estimate of what PX4's yaw integrator has accumulated since the contact, normalised torque.
         integral_us: time of the last update of `integral`.
     """
 
@@ -71,7 +71,7 @@ class HeadingControl:
         """Return the heading with its present command, compensated for PX4's integrator.
 
         Args:
-            heading: with the wanted heading and the integral so far.
+            heading: the wanted heading and the integral so far.
             yaw, rate: present values, mission frame, rad and rad/s.
             now_us: autopilot time.
         """
@@ -82,12 +82,12 @@ class HeadingControl:
         return heading._replace(asked=asked, integral=integral, integral_us=now_us)
 
     def time_to_s(self, off: float, rate: float, within: float) -> float:
-        """Return the time after which the heading stays within an angle of the wanted one.
+        """Return the time after which the heading stays close to the wanted heading.
 
         Args:
             off: heading minus wanted heading, rad.
-            rate: of the heading, rad/s.
-            within: rad.
+            rate: rate of the heading, rad/s.
+            within: tolerance of the heading, rad.
         """
         off, last = wrap_angle(off), 0
         for step in range(_MOST_STEPS):
@@ -98,7 +98,7 @@ class HeadingControl:
         return last * _STEP_S
 
     def _torque(self, to: float, rate: float) -> float:
-        """Return the normalised torque towards a heading offset; a part of it suffices to stop in time."""
+        """Return the normalised torque towards a heading offset; part of it suffices to stop in time."""
         braking = _BRAKING * self._most_rad_s2
         linear = braking / self._per_s**2
         wanted = self._per_s * to

@@ -34,7 +34,7 @@ _NO_WALL: Final = ExpectedContact()
 class ImpactResponse:
     """Responses to the detector's events, and the expected contact.
 
-    With a standoff, in a rehearsal, no contact is planned.
+    In a rehearsal, which keeps a standoff, no contact is planned.
     """
 
     def __init__(self, mission: Mission) -> None:
@@ -96,7 +96,7 @@ class ImpactResponse:
         return ahead.name != wall.name and distance_m < abs(ahead.signed_distance(place))
 
     def _on_bounce(self, event: ImpactOnset, progress: MissionState, state: FlightState) -> Change:
-        """Record a bounce, and get clear of the wall until a trajectory is planned from there."""
+        """Record a bounce, and get clear of the wall until a new trajectory is planned."""
         course = None
         if progress.replan.trajectory is not None:
             hit = progress.last_collision.wall
@@ -126,8 +126,8 @@ class ImpactResponse:
 
         Args:
             event: the peak.
-            progress: of the mission.
-            state: of the vehicle.
+            progress: state of the mission.
+            state: state of the vehicle.
             added: acceleration of the setpoint (`contact_feedforward`), mission frame, m/s2.
         """
         collision, course = progress.collision, progress.course

@@ -11,7 +11,7 @@ from dart_flight.core.mission.wall_uncertainty import EstimatedWalls
 
 
 def skip_reason(leg: Collision | Waypoint, walls: EstimatedWalls) -> str | None:
-    """Return the reason why a leg is skipped, or None: its condition fails, or its wall was not found."""
+    """Return the reason to skip a leg (a failed condition, or a wall that was not found), or None."""
     if leg.if_met is not None and not walls.is_measured(leg.if_met):
         return f"no contact with wall {leg.if_met}"
     if leg.if_not_met is not None and walls.is_measured(leg.if_not_met):
@@ -30,7 +30,7 @@ def update_collision(collision: Collision, walls: EstimatedWalls, now_us: int, h
     """Return a collision at its wall's estimated position; the impact point keeps its place along the wall.
 
     Args:
-        collision: as in the mission.
+        collision: the collision as in the mission.
         walls: estimated walls.
         now_us: autopilot time.
         here: resting position, mission frame, m: the start of a probe with `from_here`.

@@ -78,7 +78,7 @@ class LockCommands:
         return round(max(state.now_us, end_us + self._relaxation_us) + self._switch_us)
 
     def command(self, lock: LockCommandState, mode: Mode, state: FlightState) -> LockCommand | None:
-        """Return the command to move to a mode, or None if there, not permitted, or commanded recently."""
+        """Return the command to move to a mode, or None if there is nothing to command now."""
         if state.lock_is_in(mode):
             return None
         moving = state.lock.phase is LockPhase.TRAVELLING and state.lock.mode is mode

@@ -26,22 +26,22 @@ class MissionState:
     """Phase, leg, course, contacts and walls of one flight.
 
     Args:
-        mission: as loaded.
-        approaches: by the index of their collision.
+        mission: the mission as loaded.
+        approaches: trajectories of the approaches, by the index of their collision.
 
     Attributes:
-        phase: of the mission.
+        phase: phase of the mission.
         entered_us, entered_host_us: beginning of the phase, autopilot and host time.
         asked_us: time of the last vehicle command in this phase, or None.
-        collisions: of the mission; a wall found by a probe replaces the written one.
-        index: of the next or present collision.
+        collisions: collisions of the mission; a wall found by a probe replaces that of the mission file.
+        index: index of the next or present collision.
         stops: number of completed waypoints and pauses.
-        approaches: by collision.
+        approaches: trajectories of the approaches, by the index of their collision.
         course: target and trajectory of the vehicle.
         heading: wanted and commanded heading.
         lock: contacts and commands that affect the lock.
         replan: requests to the planner, and its trajectory.
-        walls: as estimated from contacts.
+        walls: walls as estimated from contacts.
         anchors: contacts that corrected the mission frame; None if PX4's position does not drift.
         expected: the next expected contact.
         contact_height_m: height of the walls' force above the centre of mass; None if unknown.
@@ -49,7 +49,7 @@ class MissionState:
         least_miss_m: smallest distance to the goal after the last contact.
         final_error_m: distance from the goal at the end of its hold, or None.
         stood_at_ned: position of the vehicle when the mission frame was set.
-        down_us: time since which the vehicle is landed and disarmed.
+        down_us: time since which the vehicle has been landed and disarmed.
     """
 
     def __init__(self, mission: Mission, approaches: dict[int, Trajectory]) -> None:
@@ -125,15 +125,15 @@ class Change(NamedTuple):
     """Changes requested by a helper of the executive; None leaves a value unchanged.
 
     Attributes:
-        cue, reason: the transition, applied last, and its reason for the record.
+        cue, reason: trigger of a transition, which is applied last, and the reason for the record.
         outputs: records, in order.
-        finding: for the guard.
+        finding: finding for the guard.
         action: vehicle command, repeated until telemetry confirms it.
         mode: wanted mode of the lock.
         course, heading, replan: new values of the state.
-        approach: of the next collision.
+        approach: trajectory of the approach to the next collision.
         frame, stood_at_ned: the mission frame, and the vehicle's position when it was set.
-        end: of the mission.
+        end: end of the mission.
     """
 
     cue: PhaseTrigger | None = None

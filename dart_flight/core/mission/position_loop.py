@@ -1,6 +1,6 @@
 """PX4's horizontal position loop as a point mass: the predicted motion towards a setpoint.
 
-Per axis, with p the position, v the velocity, a the acceleration the attitude has reached:
+Per axis, with p the position, v the velocity, and a the acceleration at the present attitude:
 
     a_cmd = kv (kp (p_ref - p) - v) - kd a,     da/dt = (a_cmd - a) / tau
 
@@ -31,13 +31,13 @@ _BEHIND_M = 0.3  # beyond this distance behind the plane the vehicle is on the o
 def stop_share(
     walls: Iterable[Wall], position: tuple[Number, Number], velocity: tuple[Number, Number]
 ) -> Number:
-    """Return the share of `STOP_TIME_S` times velocity within which the vehicle would stop if it held now.
+    """Return the share of the distance `STOP_TIME_S` times velocity in which the vehicle would now stop.
 
     The share is 1 in the open and smaller if a wall ahead stops the vehicle earlier.
 
     Args:
-        walls: of the room.
-        position, velocity: horizontal, mission frame.
+        walls: walls of the mission.
+        position, velocity: horizontal parts, mission frame, m and m/s.
     """
     share: Number = 1.0
     (x, y), (vx, vy) = position, velocity

@@ -15,7 +15,7 @@ class MissionFinding(NamedTuple):
     """A finding that only the mission can make, because it knows the plan; named after its guard rule.
 
     Attributes:
-        rule: of `core.guard.rules`.
+        rule: name of the rule in `core.guard.rules`.
         detail: description.
         note_only: whether it is only logged and the mission continues.
     """
@@ -30,11 +30,11 @@ class Proposal:
 
     Attributes:
         outputs: setpoints, commands and records of decisions, in order.
-        findings: for the guard's rules.
+        findings: findings for the guard's rules.
         expected: next expected contact, for the detector at the next step.
         frame: the mission frame, if this step has set it.
         altitude_m: new altitude of the mission, or None if unchanged.
-        end: the end of the flight as planned, or None.
+        end: the end of the flight, if this step ends it as planned, or None.
     """
 
     def __init__(self) -> None:
@@ -46,5 +46,5 @@ class Proposal:
         self.end: MissionEnd | None = None
 
     def add_finding(self, rule: str, detail: str, noted: bool = False) -> None:
-        """Add a finding; `noted` only logs it."""
+        """Add a finding; with `noted` it is only logged."""
         self.findings.append(MissionFinding(rule, detail, noted))

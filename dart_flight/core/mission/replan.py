@@ -18,7 +18,7 @@ class Replan(NamedTuple):
         number, tries: number of all requests, and of those since the last contact.
         has_wall_estimate: whether the last contact has produced an estimate of its wall.
         request: the request that an answer must match.
-        answer: accepted, but not flown yet.
+        answer: accepted answer that is not flown yet.
         from_rest: whether the request was for an approach from rest.
         trajectory, begin_us: the active trajectory and its beginning.
         ends_leaning: whether the trajectory ends with the lean that its wall needs, as the mission's does.
@@ -62,7 +62,7 @@ class Replan(NamedTuple):
         return self.trajectory is not None and now_us - self.begin_us >= self.trajectory.duration_s * 1e6
 
     def impact_in_s(self, state: FlightState) -> float:
-        """Return the time until the trajectory meets the next wall, or minus infinity without one."""
+        """Return the time until the trajectory meets the next wall, seconds, or minus infinity."""
         return -math.inf if self.impact_us is None else (self.impact_us - state.now_us) * 1e-6
 
     def predict_impact(self, closing_m_s: float, state: FlightState) -> PlaneImpact | None:

@@ -25,7 +25,8 @@ from dart_flight.core.sense.senses import Sensed
 from dart_flight.core.sense.state import FlightState
 
 _FELT_WITHIN_US = 150_000  # after a contact's end: three times the latency of a fit (docs/felt.md)
-_AGAIN_US, _NOT_AGAIN_US = 300_000, 400_000  # along a trajectory: after the previous request, before its end
+# Along a trajectory: shortest time after the previous request, and before the trajectory's end.
+_AGAIN_US, _NOT_AGAIN_US = 300_000, 400_000
 _HELD_TO_M = 0.2
 _TRIES = 6  # requests for a trajectory after one contact
 _LATER_S = 0.15  # largest delay of a new trajectory's end relative to the active one
@@ -54,7 +55,7 @@ class ReplanRequests:
 
         Args:
             progress: state of the mission.
-            state: of the vehicle.
+            state: state of the vehicle.
             sensed: results of the last input.
             square_us: time at which the vehicle, rotated by the contact, is square to the wall again.
             coasts: whether only thrust is commanded, without a setpoint ahead.
@@ -230,7 +231,7 @@ def _rejection(replan: Replan, trajectory: Trajectory, answer: PlanAnswer, state
 
 
 def _active_is_faster(replan: Replan, trajectory: Trajectory, answer: PlanAnswer, state: FlightState) -> bool:
-    """Return whether the vehicle holds an active trajectory that ends well before another one."""
+    """Return whether the vehicle holds an active trajectory that ends well before another trajectory."""
     flown = replan.trajectory
     if flown is None or not replan.must_not_be_later:
         return False

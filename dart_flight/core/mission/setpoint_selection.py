@@ -25,7 +25,7 @@ _SILENT: Final = frozenset({Phase.READYING, Phase.LANDING, Phase.DONE, Phase.OVE
 _TURNED: Final = frozenset({Phase.CONTACT, Phase.RECOVERY, Phase.GOAL})
 # Phases in which a trajectory leads to the target from the beginning; in a rehearsal also the recovery.
 _UNDERWAY: Final = frozenset({Phase.CLIMB, Phase.WAYPOINT, Phase.TRANSIT, Phase.APPROACH, Phase.GOAL})
-_OFF_TIME_S: Final = 0.1  # largest time by which a vehicle leans before or after its planned impact
+_OFF_TIME_S: Final = 0.1  # largest difference between the own and the planned time of an impact
 _CLOSES_M_S: Final = 0.3
 _NONE: Final[Vec3] = (0.0, 0.0, 0.0)
 
@@ -95,8 +95,8 @@ class SetpointSelection:
         Args:
             sample: the triggering sample.
             progress: state of the mission.
-            state: of the vehicle.
-            frame: of the mission.
+            state: state of the vehicle.
+            frame: mission frame.
             added: acceleration against a contact (`contact_feedforward`), mission frame, m/s2.
         """
         phase, heading = progress.phase, progress.heading
@@ -130,7 +130,8 @@ class SetpointSelection:
     def coasts(self, progress: MissionState, state: FlightState) -> bool:
         """Return whether a trajectory of the mission is about to continue after a contact.
 
-        A distant recovery setpoint would wind up PX4's integrator and push the vehicle off that trajectory.
+        The vehicle then coasts, because a distant recovery setpoint would wind up PX4's integrator and push
+        the vehicle off that trajectory.
         """
         if progress.phase is not Phase.RECOVERY or self._next_trajectory(progress) is None:
             return False
@@ -166,7 +167,8 @@ class SetpointSelection:
     def _wall_ahead(self, progress: MissionState, state: FlightState, since_us: int | None) -> Wall | None:
         """Return the wall that a trajectory of the mission is about to meet.
 
-        A vehicle that is late must not lean into it to catch up: a contact rolls a leaning vehicle over.
+        A vehicle that is late must not lean into the wall to catch up: a contact rolls a leaning vehicle
+        over.
         """
         collision, trajectory = progress.collision, progress.course.trajectory
         if collision is None or collision.trajectory is None or since_us is None or trajectory is None:
@@ -193,7 +195,7 @@ class SetpointSelection:
         A vehicle ahead of its trajectory meets the wall before the trajectory leans off it.
 
         Args:
-            progress: with the trajectory to the wall.
+            progress: state of the mission, with the trajectory to the wall.
             since_s: time since the trajectory began.
             free: the wall's normal, and the motion when the setpoint is flown.
         """
@@ -220,9 +222,9 @@ class SetpointSelection:
     def _lead(self, trajectory: Trajectory, since_s: float) -> Reference:
         """Return the reference of a trajectory for the time at which PX4 executes it.
 
-        The acceleration is taken later, because the attitude lags, but never beyond a wall, where the
-        trajectory has no thrust. Drag and the response of PX4's D term are added, so that no error builds up
-        in the position loop.
+        The acceleration is that of a later time, because the attitude lags, but never of a time after the
+        trajectory's end, where it has no thrust. Drag and the response of PX4's D term are added, so that no
+        error builds up in the position loop.
         """
         flown_s = since_s + self._delay_s
         flown = trajectory.at(flown_s)

@@ -35,7 +35,7 @@ class FreeAxes(NamedTuple):
     """Horizontal unit vectors along which the measured motion is commanded; mission frame.
 
     Attributes:
-        along: none, the normal of a wall, or both axes of the mission frame.
+        along: the free directions: none, the normal of a wall, or both axes of the mission frame.
         position, velocity: measured motion, extrapolated to the execution of the setpoint.
     """
 
@@ -58,9 +58,9 @@ def make_setpoint(
     """Return the setpoint of a reference, in PX4's local frame.
 
     Args:
-        frame: of the mission.
-        trigger: the input that it answers.
-        reference: to command.
+        frame: mission frame.
+        trigger: input that triggers the setpoint.
+        reference: motion to command.
         yaw: heading, mission frame, rad.
         free: axes on which the measured motion replaces that of the reference.
         added: acceleration in addition to the reference's, mission frame, m/s2.

@@ -96,7 +96,7 @@ class Trajectory(msgspec.Struct, frozen=True):
         """Return the fastest smooth flight in a straight line between two points at rest.
 
         Args:
-            begin, end: mission frame, metres.
+            begin, end: the two points, mission frame, metres.
             speed_m_s, climb_speed_m_s: limits of the speed, and of its vertical part.
             flying: limits of acceleration and jerk.
         """
@@ -120,7 +120,7 @@ class Trajectory(msgspec.Struct, frozen=True):
 
         Args:
             begin: start of the acceleration, mission frame, metres.
-            velocity: of the steady run, m/s.
+            velocity: velocity of the steady run, m/s.
             ramp_s, steady_s: durations.
             altitude_m: constant altitude.
         """

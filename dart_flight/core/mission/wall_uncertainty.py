@@ -24,11 +24,11 @@ _SURE_DIRECTION_RAD = 0.05  # a direction estimated less accurately does not cha
 
 
 def position_margin_m(wall: Wall, place: tuple[Number, ...]) -> Number:
-    """Return the tolerance of the plane's position before a place, metres; 0 without deviations.
+    """Return the tolerance of the plane's position opposite a place, metres; 0 without deviations.
 
     Args:
         wall: the wall.
-        place: mission frame; numbers, or arrays of them.
+        place: place in the mission frame, metres; numbers, or arrays of them.
     """
     return SURE_SD * wall.plane_sd_m(place)
 
@@ -76,7 +76,7 @@ class EstimatedWalls:
             self._turned[wall.name] = angle_between(wall.normal, estimate.plane_normal_mission)
 
     def rotation(self, wall: Wall) -> float:
-        """Return the estimated rotation of a wall against the mission, rad; positive: to the left."""
+        """Return the estimated rotation of a wall from the mission's direction, rad; positive to the left."""
         return self._turned.get(wall.name, 0.0)
 
     def is_measured(self, name: str) -> bool:
@@ -84,7 +84,7 @@ class EstimatedWalls:
         return name in self._found
 
     def move_frame(self, by: Vec2) -> None:
-        """Keep the measured walls in place when the mission frame's origin moves, in its axes."""
+        """Keep the measured walls in place when the mission frame's origin moves, in the frame's axes."""
         for name, wall in self._found.items():
             self._found[name] = wall.displaced(-(by[0] * wall.normal[0] + by[1] * wall.normal[1]))
 
@@ -97,7 +97,7 @@ class EstimatedWalls:
         """Return a wall as its last contact measured it, or as in the mission before a contact.
 
         Args:
-            wall: as in the mission.
+            wall: the wall as in the mission.
             now_us: autopilot time; if the frame drifts, the accuracy decreases with time.
         """
         wall = self._found.get(wall.name, wall)

@@ -38,7 +38,9 @@ class ContactHeight:
     def add(self, contact: ContactRequest) -> None:
         """Add a planned contact; ignore any other.
 
-        Least squares: torque about the side's axis = -(height n_s + distance n_z) times the force.
+        The height is a least-squares solution of: torque about the touching side's axis
+        = -(height n_s + distance n_z) force. n_s and n_z are the components of the wall's normal across that
+        axis and along the body's z axis.
         """
         if contact.wall is None:
             return

@@ -33,7 +33,8 @@ from dart_flight.core.sense.state import FlightState
 ANSWER_WITHIN_US: Final = 300_000  # after a contact's end: before the next approach from rest is planned
 _BEFORE: Final = 4  # samples kept from before the first one above the noise
 _MAX: Final = 160  # samples of a contact
-_MET_SD_M: Final = 0.03  # of a plane located by the onset alone: late detection, and a body that is no circle
+# Standard deviation of a plane located by the onset alone: detection is late, and the body is no circle.
+_MET_SD_M: Final = 0.03
 
 
 class ContactSample(NamedTuple):

@@ -8,7 +8,8 @@ rising -> falling -> refractory -> watching.
 
 If the vehicle vibrates, the threshold is a multiple of the noise of the compared quantity. That quantity is a
 sample, two samples, or a mean as long as a rigid or a flexible contact (`core/sense/window.py`). The shortest
-one whose noise permits the configured threshold decides. If there is none, all of them decide. docs/force.md.
+of these whose noise permits the configured threshold decides. If there is none, all of them decide
+(docs/force.md).
 """
 
 from __future__ import annotations
@@ -54,7 +55,7 @@ class ExpectedContact(NamedTuple):
     """The next contact that the mission expects; the core passes it from the mission to the detector.
 
     Attributes:
-        watching: False on the ground, in the climb and on landing, where no contact is an impact.
+        watching: whether a contact counts as an impact; False on the ground, in the climb and on landing.
         normal: outward normal of the next planned wall, mission frame, or None if no wall is expected.
         material: material of that wall, a key of the materials table; first guess of the pulse.
         wall: that wall with name and plane; its estimate carries its name.
@@ -387,7 +388,7 @@ class ImpactDetector:
         )
 
     def _direction(self) -> Vec2:
-        """Return the direction of the impulse so far, which is steadier than that of a sample."""
+        """Return the direction of the impulse so far, which is steadier than the direction of a sample."""
         sx = sum(s.fx * s.dt_us for s in self._samples)
         sy = sum(s.fy * s.dt_us for s in self._samples)
         size = math.hypot(sx, sy)
@@ -484,7 +485,7 @@ def confirmed_force(
 
 
 def _onset_of_mean(samples: list[_Sample], along: Vec2) -> int:
-    """Return the stamp at which a pulse found in a mean began: its sum grows from there on."""
+    """Return the stamp from which the summed force of a pulse grows; the pulse was detected in a mean."""
     forces = [s.fx * along[0] + s.fy * along[1] for s in samples]
     # Find the largest sum of samples up to the newest, each minus half of the present force.
     rest = 0.5 * sum(forces[-_BEFORE:]) / min(len(forces), _BEFORE)

@@ -35,7 +35,7 @@ _MOMENTUM_GAP_S: Final = 0.05
 
 
 class ForceEstimator:
-    """Estimator of the external force, with one estimate for every IMU sample that has an attitude near it.
+    """Estimator of the external force, with one estimate for every IMU sample that has a recent attitude.
 
     Attributes:
         thrust: thrust model; the caller passes actuator, ESC and voltage samples to it.

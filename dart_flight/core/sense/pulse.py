@@ -56,9 +56,10 @@ class PulsePrior(NamedTuple):
 
 
 class NormalPulse(NamedTuple):
-    """A fitted normal pulse: onset, slope there, frequency, damping, push; peak, its time and error.
+    """A fitted normal pulse: its parameters, and its peak with time and standard error.
 
-    `misfit` is the mean square of the residuals, each divided by the error of noise and model.
+    The parameters are onset, slope of the force at the onset, frequency, damping and push. `misfit` is the
+    mean square of the residuals, each divided by the error of noise and model.
     """
 
     start_s: float
@@ -97,7 +98,7 @@ def fit_normal(
     Args:
         readings: readings in order, from a few ticks before the onset until shortly after the peak.
         push: mean force of thrust and drag towards the wall over the contact, newton.
-        prior: expected frequency, with a wide tolerance, and damping, which is kept.
+        prior: expected frequency, which the fit may change within a wide tolerance, and fixed damping.
         noise_n: standard deviation of one reading.
         onset_s: first guess of the onset.
         lag_s: lag of the anti-alias filter, 1 / (2 pi f).
@@ -140,10 +141,10 @@ def _binned(readings: list[TickReading]) -> list[tuple[TickReading, int]]:
 
 
 class _Ends:
-    """The pulse at the end of a reading: force, impulse per slope, impulse, its change with log frequency.
+    """The pulse at the end of a reading: force, impulse per slope, impulse, and the impulse's derivative.
 
-    The change is a difference over 1e-4. Both frequencies share the decay, and their constants are computed
-    once: the setpoint after an impact waits for this loop.
+    The derivative, by log frequency, is a difference over 1e-4. Both frequencies share the decay, and their
+    constants are computed once: the setpoint after an impact waits for this loop.
     """
 
     def __init__(self, omega: float, sigma: float, push: float, slope: float) -> None:
@@ -154,7 +155,7 @@ class _Ends:
         self._sigma, self._push, self._slope = sigma, push, slope
 
     def at(self, s: float) -> tuple[float, float, float, float]:
-        """Return them `s` seconds after the onset."""
+        """Return these four quantities `s` seconds after the onset."""
         if s <= 0.0:
             return 0.0, 0.0, 0.0, 0.0
         w2, wd, up2, upd = self._w2, self._wd, self._up2, self._upd
@@ -363,7 +364,7 @@ def _impulse(t: float, pulse: NormalPulse) -> float:
 def _tangential(
     ticks: list[tuple[float, float, float]], push_m_s2: float, mass_kg: float, log_kappa: float
 ) -> tuple[float, float]:
-    """Return the best tangential speed at the onset for a friction, and its sum of squared residuals.
+    """Return the best tangential speed at the onset for a given friction, and the sum of squared residuals.
 
     A tick is its length in seconds, its tangential reading, newton, and the normal impulse over it.
     """

@@ -254,7 +254,7 @@ class FlightState:
     # -- derived --
 
     def anchor(self, frame: MissionFrame) -> None:
-        """Set the mission frame of positions, velocities and yaw, and convert the present ones."""
+        """Set the mission frame of positions, velocities and yaw, and convert the present values."""
         self.frame = frame
         if self.odometry is not None:
             self.position = frame.point_from_ned(self.odometry.position_ned)

@@ -15,7 +15,8 @@ from typing import Final
 from dart_flight.base.filters import VarianceEstimate
 from dart_flight.base.geometry import Vec2
 
-_QUICK_S: Final = 0.5  # the larger of a quick and a slow variance: noise counts at once and decays slowly
+# Time constants of two variances, of which the larger counts: noise counts at once and decays slowly.
+_QUICK_S: Final = 0.5
 _SLOW_S: Final = 5.0
 _MIN_N2: Final = 1e-4
 _ASSUMED: Final = 5  # weight of the initial noise, in samples

@@ -112,7 +112,7 @@ def make_driver(
     faults: MockFaults | None = None,
     gpio: bool = True,
 ) -> Driver:
-    """Return the driver of a kind (default: the configured one), with the limit switch if one is configured.
+    """Return a driver of this kind (default: the configured kind), with the configured limit switch, if any.
 
     Args:
         config: the lock's configuration.

@@ -19,7 +19,11 @@ class SwitchReader(Protocol):
     """Reader of the limit switches."""
 
     def read(self) -> tuple[bool | None, bool | None]:
-        """Return the closure at the rigid and the flexible end, None if not fitted; raises `DriverError`."""
+        """Return whether the switches at the rigid and at the flexible end are closed; None if not fitted.
+
+        Raises:
+            DriverError: a switch cannot be read.
+        """
 
     def close(self) -> None:
         """Release the lines."""
@@ -51,7 +55,7 @@ class GpioLimitSwitch:
             )
 
     def read(self) -> tuple[bool | None, bool | None]:
-        """Return the closure at the rigid and at the flexible end; None if not fitted.
+        """Return whether the switches at the rigid and at the flexible end are closed; None if not fitted.
 
         Raises:
             DriverError: the chip or a line is not available or cannot be read.

@@ -5,9 +5,9 @@
     Get Position 0x90 channel                -> two bytes, little-endian, quarter-microseconds; 0: no pulses
     Get Errors   0xA1                        -> two bytes, little-endian; reading clears them
 
-The protocol without checksum has no protection against noise. Every query is therefore sent twice and counts
-only with equal answers and no further bytes on the line. A command counts only if the controller reports no
-serial error after it. This is the only file that imports pyserial.
+The protocol without checksum has no protection against noise. Every query is therefore sent twice, and the
+answer counts only if both answers are equal and no further bytes arrive. A command counts only if the
+controller reports no serial error after it. This is the only file that imports pyserial.
 """
 
 from __future__ import annotations
@@ -136,7 +136,7 @@ class MaestroDriver:
             plausible = max(first, second) <= _MAX_POSITION and (first == 0) == (second == 0)
             if plausible and abs(first - second) <= _MAX_RAMP_BETWEEN:
                 return second
-        raise self._connection_error("no valid answer about the position")
+        raise self._connection_error("the controller gave no valid answer to the position query")
 
     def _query_errors(self) -> int:
         """Return the error bits; query twice, because the first answer clears the bits for the second."""
@@ -147,7 +147,7 @@ class MaestroDriver:
             first, second = (int.from_bytes(answer[i : i + 2], "little") for i in (0, 2))
             if max(first, second) < 1 << len(ERRORS) and second & ~first == 0:
                 return first
-        raise self._connection_error("no valid answer about errors")
+        raise self._connection_error("the controller gave no valid answer to the error query")
 
     def _query(self, query: bytes, size: int) -> bytes | None:
         """Return the answer to a query, or None if it is short or other bytes are on the line."""

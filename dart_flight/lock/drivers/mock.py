@@ -36,7 +36,7 @@ class MockFaults(msgspec.Struct, frozen=True):
 class MockDriver:
     """Model of the configured servo, with the configured limit switches."""
 
-    BROWN_OUT_S = 0.06  # into the travel: the starting current drains the supply's capacitors
+    BROWN_OUT_S = 0.06  # after the start of a travel: the starting current drains the supply's capacitors
 
     def __init__(
         self,

@@ -1,7 +1,7 @@
 """A real driver, together with a model of the horn that the configured servo would move.
 
-It serves a simulated vehicle around real hardware. An analogue servo does not report its position, so the
-model moves the simulated arms while the real servo moves on the table.
+It is used when a simulated vehicle flies with a real servo. An analogue servo does not report its position.
+The model therefore moves the simulated arms while the real servo moves on the table.
 """
 
 from __future__ import annotations
@@ -19,7 +19,8 @@ class DriverWithModelledHorn:
 
     Args:
         driver: the real driver.
-        config: of the lock; before the first command the horn is at the flexible end, as in the mock.
+        config: configuration of the lock; before the first command the horn is at the flexible end, as in
+            the mock.
         clock_us: time base of the model, microseconds.
     """
 
@@ -36,7 +37,7 @@ class DriverWithModelledHorn:
         self._driver.open()
 
     def set_pulse(self, pulse_us: float) -> None:
-        """Implement `Driver`; a pulse that the hardware rejects moves no horn."""
+        """Implement `Driver`; a pulse that the hardware rejects does not move the horn."""
         self._driver.set_pulse(pulse_us)
         self._servo.command(self._clock_us(), pulse_us)
 

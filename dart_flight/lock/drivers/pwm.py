@@ -63,10 +63,11 @@ class PwmDriver:
         self._period_ns = round(config.pwm.period_us * 1000.0)
 
     def open(self) -> None:
-        """Export the channel and set the frame; leave a channel alone that already has this frame.
+        """Export the channel and set the frame's period; leave a channel with the right period as it is.
 
         Raises:
-            DriverError: chip or channel do not exist, are not writable, or refuse (with the key).
+            DriverError: the chip or the channel does not exist, is not writable, or rejects a value; with the
+                configuration key.
         """
         if not (self._channel / "enable").exists():
             self._find()
@@ -114,11 +115,12 @@ class PwmDriver:
                 raise DriverError(says, ("pwm", "channel"))
             channel = board.gpio18
         if board is not None and channel < board.gpio18:
-            says = f"GPIO 18 is channel {board.gpio18} on a {board.board}, not {channel}: set that or null"
+            right = board.gpio18
+            says = f"GPIO 18 is channel {right} on a {board.board}, not {channel}: set {right} or null"
             raise DriverError(says, ("pwm", "channel"))
         has = self._number(self._chip / "npwm")
         if channel >= has:
-            raise DriverError(f"{self._chip.name} has {has} channels, from 0", ("pwm", "channel"))
+            raise DriverError(f"{self._chip.name} has {has} channels, numbered from 0", ("pwm", "channel"))
         self._channel = self._chip / f"pwm{channel}"
         if not self._channel.is_dir():
             self._write(self._chip / "export", str(channel))
@@ -131,8 +133,8 @@ class PwmDriver:
                 if _device(chip) in _BOARDS:
                     return chip
             seen = ", ".join(chip.name for chip in chips) or "no chip"
-            says = f"no PWM chip of a Raspberry Pi in {self._sysfs}, found {seen}; {hint}"
-            raise DriverError(f"{says} On other computers set chip and channel", ("pwm", "chip"))
+            says = f"there is no PWM chip of a Raspberry Pi in {self._sysfs}, found {seen}; {hint}."
+            raise DriverError(f"{says} On other computers, set chip and channel", ("pwm", "chip"))
         chip = self._sysfs / f"pwmchip{self._config.chip}"
         if not chip.is_dir():
             raise DriverError(f"{chip} does not exist; {hint}", ("pwm", "chip"))
@@ -168,7 +170,7 @@ class PwmDriver:
         try:
             return int(text)
         except ValueError:
-            raise DriverError(f"{path} says {text!r}, not a number", ("pwm", "chip")) from None
+            raise DriverError(f"{path} contains {text!r}, not a number", ("pwm", "chip")) from None
 
     @staticmethod
     def _read(path: Path) -> str:

@@ -56,9 +56,13 @@ def required_parameters(config: LockConfig) -> tuple[RequiredParameter, ...]:
             f"{bank}_MIN{pin}", round(px4.min_pulse_us), "it is the pulse of actuator value -1"
         ),
         RequiredParameter(f"{bank}_MAX{pin}", round(px4.max_pulse_us), "it is the pulse of actuator value 1"),
-        RequiredParameter(f"{bank}_DIS{pin}", flexible, "the servo would leave flexible at boot"),
-        RequiredParameter(f"{bank}_TIM{px4.timer}", SERVO_RATE_HZ, "an analogue servo needs a 50 Hz frame"),
-        RequiredParameter(f"{bank}_REV", 0, "the output would be reversed", mask=1 << (pin - 1)),
+        RequiredParameter(
+            f"{bank}_DIS{pin}", flexible, "otherwise the servo leaves the flexible end at boot"
+        ),
+        RequiredParameter(
+            f"{bank}_TIM{px4.timer}", SERVO_RATE_HZ, "an analogue servo needs a frame rate of 50 Hz"
+        ),
+        RequiredParameter(f"{bank}_REV", 0, "otherwise the output is reversed", mask=1 << (pin - 1)),
     )
 
 
@@ -72,11 +76,13 @@ def parameter_problems(config: LockConfig, actual: Mapping[str, float]) -> list[
     problems = []
     for required in required_parameters(config):
         if required.name not in actual:
-            problems.append(f"{required.name} is not on this vehicle; {required.why}")
+            shown = "not on this vehicle"
         elif not required.is_satisfied_by(actual[required.name]):
-            wanted = f"{required.value}" if required.mask is None else f"without bit {required.mask:#x}"
             shown = f"{actual[required.name]:g}"
-            problems.append(f"{required.name} is {shown}, must be {wanted}: {required.why}")
+        else:
+            continue
+        wanted = f"be {required.value}" if required.mask is None else f"have bit {required.mask:#x} clear"
+        problems.append(f"{required.name} is {shown}, must {wanted}: {required.why}")
     return problems
 
 
@@ -117,7 +123,7 @@ class Px4Driver:
         except Exception as error:
             # The callable is the shell's: after any exception the lock has not moved.
             expected = isinstance(error, FlightError | OSError | ValueError)
-            what = str(error) if expected else f"not commanded: {type(error).__name__}: {error}"
+            what = str(error) if expected else f"the command was not sent: {type(error).__name__}: {error}"
             raise DriverError(f"PX4 actuator {self._config.px4.actuator_index}: {what}") from error
         self._sent_us = pulse_us
 
@@ -126,7 +132,7 @@ class Px4Driver:
         raise DriverError("PX4 cannot switch the pulses of an output off")
 
     def read(self) -> DriverReading:
-        """Return the last command; None before the first."""
+        """Return the last commanded pulse width, or None before the first command."""
         return DriverReading(pulse_us=self._sent_us)
 
     def close(self) -> None:
