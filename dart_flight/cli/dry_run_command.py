@@ -63,7 +63,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--realtime",
         action="store_true",
-        help="simulated time does not wait for this program; a busy computer may end the flight (docs/time.md)",
+        help="simulated time does not wait for this program; if busy, it may fail the flight (docs/time.md)",
     )
     parser.add_argument(
         "--fast", action="store_true", help="in one process, in simulated time, without MAVLink"

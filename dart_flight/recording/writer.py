@@ -151,7 +151,7 @@ class FlightLog:
     def close(self) -> None:
         """Write the queued records and finish the file with its index.
 
-        If the disk does not respond, the file stays cut off and can be read up to there.
+        If the disk does not respond, the file stays incomplete and can be read up to its last whole chunk.
         """
         self._closing.set()
         for _ in range(2):  # the first wait may end at once in a process that was stopped
