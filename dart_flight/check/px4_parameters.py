@@ -51,8 +51,8 @@ _RC_LOSS_ACTIONS = {
 def _offboard_loss(value: float, mission: Mission) -> tuple[bool, str]:
     whole = value + mission.vehicle.guard.deadman_s
     return value <= 1.5, (
-        f"without setpoints PX4's offboard-loss failsafe acts after {value:g} s; with the deadman's "
-        f"timeout, a hung program flies on for at most {whole:.2f} s"
+        f"PX4's offboard-loss failsafe acts {value:g} s after the last setpoint; if the program hangs, the "
+        f"vehicle flies on for at most {whole:.2f} s, the deadman's timeout included"
         + ("" if value <= 1.5 else "; too long near a wall: set it to 1.5 s or less")
     )
 

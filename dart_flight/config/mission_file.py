@@ -107,8 +107,9 @@ class WallSpec(Section, frozen=True):
         given_at: centre: point_m is the position of the vehicle's centre at first touch, as in the paper;
             surface: point_m is on the wall itself, and airframe.contact_distance_m is added.
         position_sd_m: standard deviation of the position along the normal; null: known to a few centimetres,
-            as `guard` tolerates.
-        yaw_sd_deg: standard deviation of the direction, about the middle; null: as for position_sd_m.
+            which the tolerances of guard cover.
+        yaw_sd_deg: standard deviation of the direction, about the middle; null: the tolerances of guard cover
+            the error.
     """
 
     point_m: Point2
@@ -352,13 +353,13 @@ class CollisionSpec(CollisionKeys, frozen=True, kw_only=True):
         probe: search for the wall, instead of an approach and of gains.
         impact_point_m: [x, y] on the wall's plane; default: where the ray from start along the approach
             crosses the plane. For a post it is required: the position of the vehicle's centre at first touch.
-        impact_along_m: the same as a distance along the wall from its middle, positive to the right when
-            looking along the normal; give at most one of the two. At a wall that a probe has found, 0 is the
-            point of contact.
+        impact_along_m: the impact point as a distance along the wall from its middle, positive to the right
+            when looking along the normal; give at most one of the two. At a wall that a probe has found, 0 is
+            the point of contact.
         alpha_m_per_n: recovery gains along the mission's x and y axes (the paper's form), m of setpoint per N
             of peak force; for walls along an axis, or with equal gains.
-        alpha_wall_m_per_n: the same as [normal, tangential] of the wall, for any wall; give exactly one of
-            the two.
+        alpha_wall_m_per_n: recovery gains [normal, tangential] of the wall, in the same unit, for any wall;
+            give exactly one of the two.
     """
 
     wall: str
@@ -377,7 +378,7 @@ class WaypointKeys(Section, frozen=True, kw_only=True):
         after: number of collisions flown before the waypoint; it never decreases along the list.
         at_wall: instead of position_m: a place relative to a wall; skipped if the wall was not touched.
         if_met: a wall that an earlier probe searches for; flown only if that wall was touched.
-        if_not_met: the same, flown only if that wall was not touched.
+        if_not_met: a wall that an earlier probe searches for; flown only if that wall was not touched.
     """
 
     after: Annotated[int, Meta(ge=0, le=1000)] = 0

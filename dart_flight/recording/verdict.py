@@ -56,7 +56,7 @@ _KEPT = 1024  # samples of estimate and truth that wait for each other: 8 s at 1
 
 
 class ResetFigures(msgspec.Struct):
-    """One reset of PX4's estimator, with the largest steps within 0.1 s of the counter's step.
+    """One reset of PX4's estimator, with the largest steps within 0.1 s of the change of PX4's counter.
 
     Attributes:
         position_m, velocity_m_s: steps that the motion does not explain.

@@ -22,7 +22,8 @@ class GuardThresholds(Section, frozen=True):
         battery_v: battery voltage below this: land.
         kill_after_s: still armed in PX4's land mode for longer than this: motors off; null: never.
         wall_late_s: no contact this long after the planned impact: break off.
-        wall_early_m: a contact more than this before the wall's plane is not the planned wall: break off.
+        wall_early_m: a contact more than this in front of the wall's plane is not with the planned wall:
+            break off.
         deadman_s: core thread or event loop blocked for longer than this: the program is killed.
         telemetry_late_s: delay of samples above this: do not take off, or land.
         position_sd_m: standard deviation of the horizontal position reported by PX4; above this a mission
