@@ -637,7 +637,7 @@ def _check_goal_trajectory(mission: MissionFile, document: Document) -> None:
     end = written.states()[-1]
     off_m, speed_m_s = math.dist(end.position, mission.goal.position_m), math.hypot(*end.velocity)
     if off_m > _TRAJECTORY_OFF_M or speed_m_s > _TRAJECTORY_OFF_M_S:
-        text = f"ends {off_m:.2f} m from the goal at {speed_m_s:.2f} m/s, not at rest there"
+        text = f"ends {off_m:.2f} m from the goal at {speed_m_s:.2f} m/s, not at rest at the goal"
         raise document.error(key, text)
 
 

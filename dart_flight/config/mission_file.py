@@ -196,8 +196,8 @@ class ApproachSpec(Section, frozen=True):
     """Velocity at the impact in the wall's collision frame.
 
     Attributes:
-        normal_m_s: along the wall's normal; negative, towards the wall.
-        tangential_m_s: along the wall, positive to the right when looking along the normal.
+        normal_m_s: velocity along the wall's normal; negative, towards the wall.
+        tangential_m_s: velocity along the wall, positive to the right when looking along the normal.
     """
 
     normal_m_s: Annotated[float, Meta(lt=0.0, ge=-20.0)]

@@ -202,7 +202,7 @@ def differences(wanted: Mapping[str, Parameter], actual: Mapping[str, float]) ->
     """Return the vehicle's differences from a parameter file, in the file's order.
 
     Args:
-        wanted: from `load_parameters`.
+        wanted: wanted parameters by name, from `load_parameters`.
         actual: the vehicle's parameters by name.
     """
     found = []

@@ -101,7 +101,7 @@ def written_mission(about: dict[str, str], source: str) -> tuple[Document, Docum
     """Return a log's mission text and vehicle configuration as documents that can be edited.
 
     Raises:
-        InputError: they are missing.
+        InputError: the log lacks one of them.
     """
     if "mission_text" not in about or "vehicle" not in about:
         raise InputError("the log does not contain its mission's text", source=source)

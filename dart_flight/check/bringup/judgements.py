@@ -189,8 +189,8 @@ def evaluate_axes(level: Vec3, nose_down: Vec3, right_down: Vec3) -> StepFinding
         says = f"the axes are rotated by {turned:.0f} degrees: set SENS_BOARD_ROT as the board is mounted"
         return failed(says, **measured)
     says = (
-        "the axes are mirrored, or the vehicle was tilted otherwise than nose down, then right side down: "
-        "repeat"
+        "the axes are mirrored, or the vehicle was not tilted nose down and then right side down: repeat "
+        "the step"
     )
     return failed(says, **measured)
 

@@ -131,7 +131,7 @@ def estimate_motion(
 
 
 def heading_offset_deg(pose_s: Array, q_body: Array, attitude_s: Array, q_frd: Array) -> float | None:
-    """Return the median heading of the vehicle's attitudes minus that of the poses, degrees.
+    """Return the median difference in heading, the vehicle's attitudes minus the poses, degrees.
 
     The result is None if the poses and the attitudes do not overlap.
 
