@@ -48,7 +48,7 @@ def check_core_speed(mission: Mission, found: Sequence[CheckFinding] = ()) -> Ch
     """Measure the core's processor time per IMU sample and compare it with the sample interval.
 
     If the core refuses the mission, the finding is a no-go. It gives the core's reason, or names the finding
-    in `found` that already gives it.
+    in `found` that already gives that reason.
     """
     interval_s = 1.0 / mission.vehicle.imu.rate_hz
     try:
@@ -81,9 +81,10 @@ def evaluate_core_speed(step_s: float, interval_s: float) -> CheckFinding:
 
 
 def measure_step_s(mission: Mission) -> float:
-    """Return the processor time in flight per IMU sample and the other inputs of its period, seconds.
+    """Return the processor time that the core needs per IMU period in flight, seconds.
 
-    The result is the mean over two seconds of inputs on the ground, scaled to flight.
+    One period has an IMU sample and the other inputs that arrive with it. The result is measured on two
+    seconds of inputs from a vehicle at rest, and scaled to flight.
 
     Raises:
         InputError: the mission cannot be flown.

@@ -61,7 +61,7 @@ def evaluate_hitl_mode(values: Mapping[str, float], mode: HeartbeatMode | None) 
 def evaluate_hitl_outputs(values: Mapping[str, float]) -> list[CheckFinding]:
     """Return a no-go if the firmware lacks simulated outputs, or if a PX4IO would drive real motors.
 
-    A PX4IO keeps its outputs active in this mode (source of PX4 v1.18).
+    A PX4IO keeps its outputs active in this mode, according to the source of PX4 v1.18.
     """
     turning = [name for name in IO_OUTPUTS if round(values.get(name, 0)) in _MOTORS]
     if BOARD in values and ON_A_BOARD not in values:

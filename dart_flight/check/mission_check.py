@@ -121,7 +121,7 @@ def check_waypoints(mission: Mission, planned: PredictedFlight | None) -> list[C
     held_s = sum(w.hold_s for w in mission.waypoints if w.position is not None) + mission.goal.hold_s
     flown_s = sum(t.duration_s for _, t in known) + held_s
     pauses = sum(w.position is None for w in mission.waypoints)
-    says = f"{way_m:.1f} m between stops in {flown_s:.0f} s, holds included"
+    says = f"the legs between stops are {way_m:.1f} m long and take {flown_s:.0f} s, holds included"
     if len(known) < len(legs):
         says += f", plus {len(legs) - len(known)} legs after a contact, of unpredicted length"
     says += f", plus {pauses} pause{'s' if pauses > 1 else ''}" if pauses else ""
@@ -132,7 +132,9 @@ def check_waypoints(mission: Mission, planned: PredictedFlight | None) -> list[C
             continue
         peak = _PEAK_SPEED * math.dist(transit.begin, leg.end) / transit.duration_s
         if leg.speed_m_s > peak + 0.01 > 0.02:
-            slower = f"{leg.name}: the path is too short for {leg.speed_m_s:g} m/s, it reaches {peak:.2f} m/s"
+            slower = (
+                f"{leg.name}: the path is too short for {leg.speed_m_s:g} m/s, its peak is {peak:.2f} m/s"
+            )
             findings.append(CheckFinding("waypoint_speed", True, slower, remark=True))
     return findings
 
@@ -170,7 +172,7 @@ def _check_approach(mission: Mission, collision: Collision) -> list[CheckFinding
         return [CheckFinding(item, False, f"{speed_m_s:.2f} m/s exceeds limits.speed_m_s {limit:g}")]
     if collision.probe is not None:
         says = (
-            f"a probe for wall {collision.wall.name}, without a contact at its end after "
+            f"the probe for wall {collision.wall.name} reaches its end, if it touches nothing, after "
             f"{approach.duration_s:.1f} s"
         )
         return [CheckFinding(item, True, says)]
@@ -217,7 +219,7 @@ def _check_noise(mission: Mission, collision: Collision) -> list[CheckFinding]:
     says = (
         f"{collision.mode.value}, {hit.peak_normal_force_n:.1f} N at wall {collision.wall.name}, below the "
         f"detection limit of {floor:.1f} N at a vibration of {vehicle.estimation.imu_noise_m_s2:g} m/s2; "
-        "measure yours with `inspect`"
+        "measure your vehicle's vibration with `inspect`"
     )
     return [CheckFinding(f"noise_{collision.index}", True, says, remark=True)]
 
@@ -334,13 +336,13 @@ def _check_recovery(
     if following is not None and following.approach_m_s is None:
         beyond = following.wall.signed_distance(target)
         if beyond > 0.0:
-            short = f"{says}: {beyond:.2f} m short of wall {following.wall.name}, the next one"
+            short = f"{says}: {beyond:.2f} m short of the next wall, {following.wall.name}"
             return [CheckFinding(item, False, short)]
         leads = f"{says}, leads to wall {following.wall.name}"
         return [_evaluate_setpoint(mission, item, target, leads, "that wall")]
     for wall in mission.walls:
         if wall is not collision.wall and leads_behind(wall, (place[0], place[1]), (target[0], target[1])):
-            return [CheckFinding(item, False, f"{says}: behind wall {wall.name}, which is not the next one")]
+            return [CheckFinding(item, False, f"{says}: behind wall {wall.name}, which is not the next wall")]
         if leg is not None and is_blocked(wall, target[:2], leg.end[:2]):
             says = f"{says}: from there wall {wall.name} blocks the path to {leg.name}"
             return [CheckFinding(item, False, says)]
@@ -422,7 +424,7 @@ def check_flown(mission: Mission) -> CheckFinding:
         return CheckFinding("flown", True, says, remark=True)
     if flown.danger is not None:
         return CheckFinding(
-            "flown", False, f"in simulation {flown.danger}: plan a lower speed or touches first"
+            "flown", False, f"in simulation {flown.danger}: plan a lower speed, or touch the walls first"
         )
     says = f"flown in simulation by {flown.software}: {flown.summary}"
     figures: dict[str, float] = {}

@@ -50,7 +50,7 @@ class ParameterReading(msgspec.Struct, frozen=True):
         rows: one row for each of these parameters.
         position_from: the wanted position source, or None if a file is written back.
         version: PX4's version, empty if not reported.
-        restart_source: source of the list of parameters that need a restart, or None without rows.
+        restart_source: source of the list of parameters that need a restart, or None if there are no rows.
     """
 
     rows: list[ParameterRow]

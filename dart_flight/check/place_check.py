@@ -98,8 +98,10 @@ def _departure_problems(mission: Mission, place: Vec2, off_m: float) -> Iterator
     for wall in mission.walls:
         if not wall.sought and is_blocked(wall, place, mission.start):
             behind = wall.signed_distance(place) < 0.0 < wall.signed_distance(mission.start)
-            side = "behind" if behind else "too near or cut off by"
-            yield f"the vehicle is {side} wall {wall.name}"
+            if behind:
+                yield f"the vehicle is behind wall {wall.name}"
+            else:
+                yield f"wall {wall.name} is too near the vehicle or between the vehicle and start"
     for post in mission.posts:
         if is_blocked_by_post(mission, post, place, mission.start):
             yield f"post {post.name} is between the vehicle and start"

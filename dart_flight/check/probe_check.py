@@ -45,8 +45,10 @@ def check_probe(mission: Mission, collision: Collision, probe: Probe) -> Iterato
         reach_m = length_m - math.dist(probe.begin, collision.impact_point)
         margin_m = float(position_margin_m(wall, collision.impact_point))
         if reach_m < margin_m:
-            says += f"; it ends {reach_m:.2f} m behind the plane, which may be {margin_m:.2f} m further away "
-            yield CheckFinding(item, True, f"{says}({SURE_SD:g} sd)", remark=True)
+            says += (
+                f"; the probe ends {reach_m:.2f} m behind the wall, which may be {margin_m:.2f} m further "
+            )
+            yield CheckFinding(item, True, f"{says}away ({SURE_SD:g} sd)", remark=True)
             return
     yield CheckFinding(item, True, f"{says}, limit {limit_n:g} N")
 
@@ -74,12 +76,12 @@ def check_located_wall(collision: Collision) -> Iterator[CheckFinding]:
     says = (
         f"wall {collision.wall.name} is hit at {math.hypot(*collision.approach_m_s):.2f} m/s after a probe "
     )
-    says += "has found it; the room for the run-up is checked then"
+    says += "has found it; the space for the run-up is checked then"
     yield CheckFinding(f"approach_{collision.index}", True, says)
 
 
 def check_anchors(mission: Mission) -> Iterator[CheckFinding]:
-    """Check that each wall, or a parallel one, is probed before it is hit if the frame drifts."""
+    """If the frame drifts, check that each wall, or a wall parallel to it, is probed before its impact."""
     if not mission.is_anchored:
         return
     touched: list[Collision] = []
@@ -93,16 +95,14 @@ def check_anchors(mission: Mission) -> Iterator[CheckFinding]:
             says = (
                 f"collision {by[-1].index} corrects the frame along the normal of wall {collision.wall.name}"
             )
-            says += (
-                f" about {age_s:.0f} s before the impact: its position is then known to {sd_m:.2f} m (1 sd)"
-            )
+            says += f" about {age_s:.0f} s before the impact: the wall is then known to {sd_m:.2f} m (1 sd)"
             yield CheckFinding(item, True, says, figures={"age_s": age_s, "sd_m": sd_m})
         elif collision.probe is None:
             says = (
                 f"no probe corrects the frame along the normal of wall {collision.wall.name} before its "
                 "impact: "
             )
-            yield CheckFinding(item, False, f"{says}touch it or a parallel wall first")
+            yield CheckFinding(item, False, f"{says}touch this wall or a parallel wall first")
         if not collision.wall.sought:
             touched.append(collision)
 

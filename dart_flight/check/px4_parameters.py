@@ -51,8 +51,8 @@ _RC_LOSS_ACTIONS = {
 def _offboard_loss(value: float, mission: Mission) -> tuple[bool, str]:
     whole = value + mission.vehicle.guard.deadman_s
     return value <= 1.5, (
-        f"without setpoints PX4's offboard-loss failsafe acts after {value:g} s; with the deadman's "
-        f"timeout, a hung program flies on for at most {whole:.2f} s"
+        f"PX4's offboard-loss failsafe acts {value:g} s after the last setpoint; if the program hangs, the "
+        f"vehicle flies on for at most {whole:.2f} s, the deadman's timeout included"
         + ("" if value <= 1.5 else "; too long near a wall: set it to 1.5 s or less")
     )
 
@@ -93,7 +93,7 @@ def _imbalance(value: float, _: Mission) -> tuple[bool, str]:
     return quiet, (
         "PX4 only warns of an imbalanced propeller"
         if quiet
-        else "PX4 ends the mission for an imbalanced propeller, and an impact looks like one"
+        else "PX4 ends the mission for an imbalanced propeller, and it may mistake an impact for an imbalance"
     )
 
 
@@ -102,7 +102,7 @@ def _rc_exception(value: float, _: Mission) -> tuple[bool, str]:
     return True, (
         "PX4 ignores a loss of the remote control in offboard mode: the pilot cannot take over then"
         if ignores
-        else "a loss of the remote control ends offboard mode, and without one it never starts"
+        else "a loss of the remote control ends offboard mode, which cannot start without a remote control"
     )
 
 
@@ -258,8 +258,8 @@ def _evaluate_configured(different: dict[str, ParameterDifference]) -> list[Chec
         else:
             says = (
                 f"{difference.actual:g} m on the vehicle, {difference.wanted:g} m in imu.position_m: PX4's "
-                "velocity or the force mistakes rotation for motion; measure from the centre of mass and "
-                "set both"
+                "velocity or the estimated force mistakes rotation for motion; measure from the centre of "
+                "mass and set both"
             )
         findings.append(CheckFinding(name, name not in GAINS, says, remark=name not in GAINS))
     return findings

@@ -25,7 +25,7 @@ Found = TypeVar("Found")
 
 
 class EndOfStageError(Exception, Generic[Found]):
-    """A finding that makes the rest of its stage meaningless."""
+    """Findings that make the remaining checks of their stage meaningless."""
 
     def __init__(self, findings: Sequence[Found]) -> None:
         super().__init__()
@@ -33,11 +33,11 @@ class EndOfStageError(Exception, Generic[Found]):
 
 
 class CheckContext(Generic[Found]):
-    """The inputs of the checks of a list.
+    """The inputs that the checks of a list share.
 
     Attributes:
         found: the findings of the earlier checks.
-        own_errors: exceptions of a check that `explain` converts to a finding.
+        own_errors: types of exceptions from a check that `explain` converts to findings.
     """
 
     found: list[Found]
@@ -46,7 +46,7 @@ class CheckContext(Generic[Found]):
     def explain(self, error: Exception) -> Found:
         """Return the finding for one of `own_errors`."""
         raise NotImplementedError(
-            f"{type(self).__name__} has own errors and does not explain them"
+            f"{type(self).__name__} lists `own_errors` but does not implement `explain`"
         ) from error
 
 
@@ -54,7 +54,7 @@ Context = TypeVar("Context", bound=CheckContext[Any])
 
 
 class Check(NamedTuple, Generic[Context, Found]):
-    """A check of a list.
+    """A named check of a list, with its stage and function.
 
     Attributes:
         name: name, unique within the stage.

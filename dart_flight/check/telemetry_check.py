@@ -166,8 +166,8 @@ def evaluate_motor_outputs(
     """Return the motors' output type and scale, or the reason why the outputs cannot be decoded.
 
     Args:
-        mission: the mission, for its vehicle.
-        observed: telemetry, with the scale that its values imply.
+        mission: provides the vehicle.
+        observed: telemetry, with the output scale that its values imply.
         values: parameters requested by `motor_output_names`.
     """
     item, motors = "motor_outputs", len(mission.vehicle.airframe.motors)
@@ -188,7 +188,8 @@ def evaluate_motor_outputs(
         return [CheckFinding(item, False, wrong)]
     scale = _configured_scale(bank, values)
     if observed_scale is not None and observed_scale != scale:
-        says = f"the parameters of {bank} give {scale.describe()}, but it sends {observed_scale.describe()}"
+        says = f"the parameters of {bank} give {scale.describe()}, but the vehicle sends "
+        says += observed_scale.describe()
         return [CheckFinding(item, False, says)]
     return [CheckFinding(item, True, f"{scale.describe()}, on {bank}")]
 
@@ -212,8 +213,8 @@ def _problem_of(bank: str, values: Mapping[str, float], motors: int) -> str:
     ]
     if earlier:
         return (
-            f"the motors are on {bank}, but PX4 reports only {earlier[0]}, which it starts first: thrust is "
-            f"unknown; free the outputs of {earlier[0]} or move the motors there"
+            f"PX4 reports only {earlier[0]}, the first bank that it starts, but the motors are on {bank}: "
+            f"thrust is unknown; free the outputs of {earlier[0]} or move the motors to {earlier[0]}"
         )
     if _configured_scale(bank, values) is PWM:
         for k in range(1, motors + 1):

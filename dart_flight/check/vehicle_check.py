@@ -72,7 +72,7 @@ def evaluate_mode(mode: HeartbeatMode | None) -> list[CheckFinding]:
 
 
 def evaluate_airframe(mission: Mission, values: Mapping[str, float]) -> list[CheckFinding]:
-    """Compare PX4's motors with those of the configuration.
+    """Compare PX4's motors with the motors of the configuration.
 
     A different number, order or direction of the motors invalidates the estimated thrust and torque.
     Different distances only scale the torque, and PX4 accepts distances in any unit.

@@ -1,4 +1,4 @@
-"""A vehicle's reports on the ground, read once over its link for the checks of a stage."""
+"""The parameters and telemetry of a vehicle on the ground, read once for all checks of a stage."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class VehicleReading(msgspec.Struct, frozen=True):
         mode: mode in the heartbeat, or None without a heartbeat.
         values: PX4's parameters.
         observed: telemetry over a few seconds.
-        round_trip_s: shortest round trip, or None if no request was answered.
+        round_trip_s: shortest round trip of a request, seconds, or None if no request was answered.
     """
 
     mode: HeartbeatMode | None
@@ -44,7 +44,7 @@ class VehicleReading(msgspec.Struct, frozen=True):
 
     @property
     def position_from(self) -> PositionSource | None:
-        """The position source that PX4 fuses, or None."""
+        """The position source that PX4 fuses, or None if PX4 fuses no source."""
         return position_source(self.values, self.observed.gps_fix)
 
     @property
@@ -87,7 +87,7 @@ def read_vehicle(mission: Mission, url: str) -> VehicleReading:
 
 
 def _read_outputs(link: GroundLink, motors: int) -> dict[str, float]:
-    """Read the parameters of the motors' outputs that the vehicle has."""
+    """Read the parameters of the motor outputs, and return those that exist on the vehicle."""
     values: dict[str, float] = {}
     while names := motor_output_names(values, motors):
         values |= dict.fromkeys(names, math.nan) | link.read_parameters(names)
@@ -113,7 +113,7 @@ def read_for_hitl(mission: Mission, url: str) -> VehicleReading:
 
 
 def parse_release(text: str) -> Version | None:
-    """Return major and minor of a version string, or None without a version (empty or 0.0.0)."""
+    """Return the major and minor number of a version text, or None if it is empty or 0.0.0."""
     major, _, rest = text.partition(".")
     minor = rest.partition(".")[0]
     return (int(major), int(minor)) if major.isdigit() and minor.isdigit() and int(major) else None

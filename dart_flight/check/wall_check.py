@@ -23,7 +23,7 @@ def check_walls(mission: Mission, planned: PredictedFlight | None) -> list[Check
 
     Args:
         mission: provides the walls.
-        planned: the predicted flight, for the places of collisions that a recovery leads to.
+        planned: the predicted flight; it gives the impact places on walls that a recovery leads to.
     """
     hits = {} if planned is None else planned.hits
     known = [c for c in mission.collisions if c.probe is None and not c.wall.sought]
@@ -57,7 +57,7 @@ def _check_ends(mission: Mission, hits: Mapping[int, PredictedImpact]) -> Iterat
     if room_m((nearest, place)) < 0.0:
         says += f", minimum {needed}"
         if distance_m < mission.vehicle.airframe.guard_along_m + slack:
-            says += "; not all guards touch it there, and the contact rotates the vehicle"
+            says += "; not all guards touch the wall there, and the contact rotates the vehicle"
         says += ": move the impact along the wall"
     yield CheckFinding("wall_end", room_m((nearest, place)) >= 0.0, says, figures=figures)
 
@@ -91,7 +91,7 @@ def _check_collision(
 
 
 def _target_wall_problems(mission: Mission, collision: Collision, place: Vec2) -> Iterator[str]:
-    """Yield a phrase for each unacceptable place of the wall to be hit within its standard deviations."""
+    """Yield a phrase for each problem that the uncertain position of the wall to be hit may cause."""
     wall = collision.wall
     if not wall.is_uncertain:
         return

@@ -1,7 +1,7 @@
 """Command line: one module per command, imported only when that command runs.
 
 The lab's commands are in `lab/commands/` and are loaded through `lab_entries`. A command module has
-`configure(parser)` and `run(arguments) -> int`. It parses arguments, calls other rooms and prints, without
+`configure(parser)` and `run(arguments) -> int`. It parses arguments, calls other packages and prints, without
 logic of its own. `main` turns an `InputError` of any command into one line and exit status 2.
 """
 
@@ -38,7 +38,7 @@ COMMANDS = {
     "bringup": "bring up a vehicle on the bench step by step, and record the measurements",
     "mocap": "forward a motion capture's poses to PX4, and show their rate, gaps and age",
     "survey": "touch a mission's walls gently, and write the mission with the measured walls",
-    "standby": "hold link and lock between flights, and fly on the buttons of a ground station",
+    "standby": "hold link and lock between flights, and fly when a ground station's button is pressed",
     "lock": "move or report the locking mechanism",
     "plan": "choose walls, velocities and modes for a scenario, and write the mission",
     "px4-log": "download PX4's own log of a flight into the flight's folder",
@@ -66,7 +66,7 @@ _WRONG_VALUE = re.compile(r"argument (?P<name>.+?): invalid (choice|\w+ value): 
 
 
 class _Parser(argparse.ArgumentParser):
-    """Parser that prints an error of usage in one line, with the nearest valid word."""
+    """Parser that reports a usage error in one line, with the nearest valid word."""
 
     def error(self, message: str) -> None:  # type: ignore[override]
         self.exit(EXIT_INPUT, f"{self.prog}: {self._suggest_choice(message)} (see `{self.prog} --help`)\n")
@@ -119,7 +119,7 @@ def _names(action: argparse.Action) -> list[str]:
 
 
 def build_parser(wanted: Collection[str]) -> argparse.ArgumentParser:
-    """Return the parser, with the arguments of the wanted commands only, so that no other is imported."""
+    """Return the parser; only the wanted commands are imported and add their arguments."""
     parser = _Parser(prog="dart-flight", description="Fly a dual-stiffness quadrotor into walls on purpose.")
     parser.add_argument("--version", action="version", version=f"dart-flight {__version__}")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
@@ -209,11 +209,11 @@ def _need_working_folder() -> None:
     try:
         os.getcwd()
     except OSError as error:
-        raise InputError(f"cannot use the working folder: {error.strerror}; cd to another one") from None
+        raise InputError(f"cannot use the working folder: {error.strerror}; cd to another folder") from None
 
 
 def _system_error(error: OSError) -> str:
-    """Return a system error in one line, with the file and line of the program that raised it."""
+    """Return a system error in one line, with the source file and line that raised it."""
     place = traceback.extract_tb(error.__traceback__)[-1]
     names = [os.fsdecode(n) for n in (error.filename, error.filename2) if isinstance(n, str | bytes)]
     what = ": ".join([*names, error.strerror or str(error)])

@@ -58,12 +58,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
         type=simulation_speed,
         metavar="X",
         help="highest simulated seconds per second, 0.1 to 10, or max: no limit "
-        "(default 1, with --runs max); not with --fast",
+        "(default 1; with --runs, max); not with --fast",
     )
     parser.add_argument(
         "--realtime",
         action="store_true",
-        help="simulated time does not wait for this program; on a busy computer it may fail (docs/time.md)",
+        help="simulated time does not wait for this program; if busy, it may fail the flight (docs/time.md)",
     )
     parser.add_argument(
         "--fast", action="store_true", help="in one process, in simulated time, without MAVLink"
@@ -79,7 +79,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--fault",
         type=str,
         metavar="NAME[=VALUE][@PHASE]",
-        help="inject a fault, from a phase on (docs/faults.md)",
+        help="inject a fault, from the beginning of a phase (docs/faults.md)",
     )
     add_live_options(parser)
     add_set_option(parser)
@@ -98,7 +98,7 @@ def flight_function(arguments: argparse.Namespace, mission: Mission) -> Callable
     Its keywords are `seed`, `log_dir`, `progress` and, without --fast, `viewer`.
 
     Raises:
-        InputError: the options do not fit together.
+        InputError: the options contradict each other.
     """
     position_from = effective_source(mission, position_source_of(arguments))
     fault = None if arguments.fault is None else parse_mission_fault(mission, arguments.fault)
@@ -204,7 +204,7 @@ def _fly_one(arguments: argparse.Namespace, mission: Mission, fly: Callable[...,
 
 
 def _fly_many(arguments: argparse.Namespace, mission: Mission, fly: Callable[..., Verdict]) -> int:
-    """Fly all seeds and show the summary; after an interrupt, that of the flights so far."""
+    """Fly all seeds and show the summary; after an interrupt, summarize the flights so far."""
     seeds = range(arguments.seed, arguments.seed + arguments.runs)
     with Progress(console=messages(), transient=True) as bar:
         task = bar.add_task("flights", total=arguments.runs)

@@ -25,7 +25,7 @@ TOO_BUSY = "the computer is too slow for real time; omit --realtime or use --fas
 
 
 class FlightLines:
-    """Onlooker that prints the decisions of a flight, with the flight time (`flight_time`).
+    """Observer that prints the decisions of a flight, with the flight time (`flight_time`).
 
     Args:
         console: console for messages.
@@ -195,7 +195,7 @@ def _goal_line(verdict: Verdict) -> Text:
         return Text("goal reached")
     text = "goal not reached"
     if verdict.goal_miss_m is not None and verdict.goal_miss_planned_m is not None:
-        text += f": passed at {verdict.goal_miss_m:.2f} m, predicted {verdict.goal_miss_planned_m:.2f} m"
+        text += f": passed at {verdict.goal_miss_m:.2f} m, predicted at {verdict.goal_miss_planned_m:.2f} m"
     return Text(text, style="yellow")
 
 

@@ -1,4 +1,4 @@
-"""Steps of `dry-run --hitl` before and after the flight: checks, confirmation, and how to switch it off.
+"""Steps of `dry-run --hitl` before and after the flight: checks, confirmation, and how to leave this mode.
 
 The operator must confirm that the propellers are off, because arming is real.
 """
@@ -35,7 +35,7 @@ def prepare_hitl(
     position_from: PositionSource,
     spreads: Mapping[str, float],
 ) -> Callable[..., Verdict]:
-    """Return the function that flies, after the checks of the flight controller and the confirmation.
+    """Check the flight controller, ask for confirmation, and return the function that flies.
 
     Raises:
         InputError: the two links are the same, or the operator does not confirm.
@@ -45,7 +45,7 @@ def prepare_hitl(
     url = link_of(arguments, mission.vehicle.connection)
     if endpoint_of(hitl_url).key == endpoint_of(url).key:
         raise InputError(
-            "is also the link of the application; the flight controller needs one port for each",
+            "is also the link of the application; the flight controller needs a separate port for each link",
             key=("--hitl",),
         )
     context = FlightContext(mission, url=url, position_from=position_from)
@@ -79,6 +79,6 @@ def print_hitl_exit() -> None:
     """Print how to switch hardware-in-the-loop off."""
     others = ", ".join(p.name for p in hitl_parameters().values() if p.name != "SYS_HITL")
     print_status(
-        f"to switch it off: set SYS_HITL to 0, restore GPS_1_CONFIG, {others}, restart the "
-        "flight controller; until then `fly` and `check` refuse it"
+        f"to end hardware in the loop: set SYS_HITL to 0, restore GPS_1_CONFIG, {others}, restart the "
+        "flight controller; until then `fly` and `check` refuse the flight controller"
     )

@@ -28,7 +28,7 @@ _CLEAR = "\r\x1b[K"
 class LiveLine:
     """Line with phase, position, speed, force, lock and battery, updated five times per second.
 
-    It does not use rich's Live, whose refresh takes half a millisecond of the core's interpreter.
+    It does not use rich's Live, because its refresh blocks the core's interpreter for half a millisecond.
 
     Args:
         mission: mission that is flown.
@@ -60,7 +60,7 @@ class LiveLine:
             handler(record)
 
     def clear(self) -> None:
-        """Clear the line, so that another one can be printed."""
+        """Clear the line, so that another line can be printed."""
         if self._shown:
             self._shown = False
             self._terminal.write(_CLEAR)

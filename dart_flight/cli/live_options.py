@@ -24,7 +24,7 @@ class LiveView:
     """The lab's live view of a flight; a failure in it prints one line and does not end the flight.
 
     Args:
-        view: view of the lab, to which records are passed.
+        view: the lab's view, which receives the records.
     """
 
     def __init__(self, view: Any) -> None:
@@ -33,7 +33,7 @@ class LiveView:
         self._failed = False
 
     def __call__(self, record: Record) -> None:
-        """Pass a record to the view; any thread, never blocks."""
+        """Pass a record to the view without blocking; safe from any thread."""
         self._try(self._view, record)
 
     def feed(self, record: Record) -> None:
@@ -89,7 +89,7 @@ def live_view(
         arguments: parsed arguments of the command.
         mission: mission that is shown.
         show_room: whether to show the mission's room.
-        frame_known: whether the mission frame lies as the mission specifies from the beginning.
+        frame_known: whether the mission frame is at its specified place from the beginning of the flight.
         from_truth: whether to show a simulated vehicle alone, at its true pose.
 
     Raises:
@@ -121,7 +121,7 @@ def live_view(
 
 
 def _open(mission: Mission, host: str, port: int, *shown: bool) -> LiveView | None:
-    """Return the view, or None if the lab fails; raise an InputError, which the operator can correct."""
+    """Return the view, or None if the lab fails; raise only an InputError, which the operator can correct."""
     try:
         return LiveView(load_entry(LIVE_VIEW)(mission, host, port, *shown, print_status))
     except InputError:

@@ -99,7 +99,9 @@ def _watch(arguments: argparse.Namespace, show: Callable[[MonitorView], None]) -
 
 
 def _flight(log: Path | None, url: str) -> tuple[Path, Callable[[], bool]] | None:
-    """Return the log of the flight in progress and a function that returns whether it still is, or None.
+    """Return the log of the flight in progress, and a function that returns whether that flight goes on.
+
+    The result is None if no flight is in progress.
 
     Raises:
         InputError: several flights are in progress, and not exactly one is on the configuration's link.
@@ -181,7 +183,7 @@ def _force(view: MonitorView) -> Table:
         table.add_row("new plan", "", view.plan)
     bias = ", ".join(f"{b:+.2f}" for b in view.bias_m_s2)
     table.add_row(
-        f"thrust from {view.thrust_source or 'nothing yet'}",
+        f"thrust from {view.thrust_source or 'no source yet'}",
         f"x {view.thrust_scale:.3f}",
         f"noise {view.noise_m_s2:.2f}, bias {bias} m/s2",
     )

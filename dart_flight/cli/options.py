@@ -115,7 +115,7 @@ def add_emulated_mocap_option(parser: argparse.ArgumentParser) -> None:
 
 
 def link_of(arguments: argparse.Namespace, connection: ConnectionConfig) -> str:
-    """Return the URL of `--connection`, or the configuration's without that option.
+    """Return the URL of `--connection`, or without that option `connection.url` of the configuration.
 
     Raises:
         InputError: the URL is malformed, or names a serial port that does not exist.
@@ -137,7 +137,9 @@ def refuse_unwritable(arguments: argparse.Namespace, path: Path) -> None:
             source=str(path),
         )
     if not os.access(path, os.W_OK):
-        raise InputError("the calibration would be written here, but it is not writable", source=str(path))
+        raise InputError(
+            "the calibration must be written to this file, but the file is not writable", source=str(path)
+        )
 
 
 def whole_number(low: int, high: int) -> Callable[[str], int]:

@@ -24,7 +24,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the command."""
     parser.add_argument("flight", metavar="FLIGHT", help="flight log or its folder")
     parser.add_argument(
-        "--connection", metavar="URL", help="the vehicle's link (default: that of the flight)"
+        "--connection", metavar="URL", help="the vehicle's link (default: the link of the flight)"
     )
     parser.add_argument(
         "--log-id",
@@ -39,7 +39,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the command and return the exit status."""
     found = find_logs([arguments.flight])
     if len(found) != 1:
-        raise InputError(f"{len(found)} flights below this folder; name one", source=arguments.flight)
+        raise InputError(f"{len(found)} flights below this folder; name one flight", source=arguments.flight)
     log = read_log(found[0])
     connection = flown_mission(log.about, log.source).vehicle.connection
     path = found[0].with_name(PX4_LOG)

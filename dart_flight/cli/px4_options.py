@@ -50,7 +50,7 @@ def position_source_of(arguments: argparse.Namespace) -> PositionSource:
     """Return the source of PX4's position in the simulation.
 
     Raises:
-        InputError: the options do not fit together.
+        InputError: the options contradict each other.
     """
     given = {
         "--indoor": arguments.indoor,
@@ -59,7 +59,7 @@ def position_source_of(arguments: argparse.Namespace) -> PositionSource:
         "--params": arguments.params,
     }
     if arguments.connection and arguments.hitl is None:
-        raise InputError("--connection needs --hitl; `fly` flies on a vehicle")
+        raise InputError("--connection needs --hitl; to fly a vehicle, use `fly`")
     if arguments.hitl is not None:
         for name in ("px4", "fast", "speed", "runs", "fault", "params"):
             if getattr(arguments, name):

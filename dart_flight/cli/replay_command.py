@@ -115,7 +115,7 @@ def _print(name: str, result: Replay) -> None:
 
 
 def _changes(before: str, after: str) -> tuple[str, str]:
-    """Return the parts in which two texts of a decision differ; a one-sided decision is unchanged."""
+    """Return the parts in which two texts of a decision differ; a decision on one side only is unchanged."""
     one, other = _PARTS.split(before), _PARTS.split(after)
     if len(one) != len(other) or "-" in (before, after):
         return before, after

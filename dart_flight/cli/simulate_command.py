@@ -66,7 +66,7 @@ def run(arguments: argparse.Namespace) -> int:
         )
         driver = "" if lock is None else "--driver px4 "
         console.print(
-            f"simulated vehicle for {mission.name}, sends to UDP {' and '.join(map(str, ports))}"
+            f"the simulated vehicle for {mission.name} sends to UDP {' and '.join(map(str, ports))}"
             f"{servo}. In another terminal:",
             soft_wrap=True,
         )

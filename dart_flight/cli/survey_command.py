@@ -80,8 +80,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--mocap",
         metavar="URL",
-        help="with --connection: forward this motion capture's poses to PX4 (default: mocap.url); else fly "
-        f"on those of an emulated one: {', '.join(KINDS)} (docs/motion_capture.md)",
+        help="with --connection: forward this motion capture's poses to PX4 (default: mocap.url); otherwise: "
+        f"fly on an emulated motion capture: {', '.join(KINDS)} (docs/motion_capture.md)",
     )
     add_set_option(parser)
     add_vary_option(parser)

@@ -40,7 +40,7 @@ class OutputError(FlightError):
 
 
 class _OutputStream:
-    """Standard output or standard error as it is at the moment of writing.
+    """Standard output or standard error, looked up in `sys` at every write.
 
     A message that cannot be written to standard error (full disk, closed terminal) is discarded, so that it
     does not end a flight.
@@ -53,7 +53,7 @@ class _OutputStream:
         self._name = name
 
     def write(self, text: str) -> int:
-        """Write text, with characters escaped that the encoding lacks.
+        """Write text, and escape the characters that the encoding lacks.
 
         Raises:
             OutputError: writing to standard output failed.
@@ -136,7 +136,7 @@ def print_status(*lines: object) -> None:
 
 
 def confirm(question: str) -> bool:
-    """Ask a question on the terminal and return the answer; without a terminal it is no."""
+    """Ask a question on the terminal and return the answer; without a terminal the answer is no."""
     if not sys.stdin.isatty():
         return False
     sys.stderr.write(f"{question} [y/N] ")

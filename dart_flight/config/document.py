@@ -96,7 +96,7 @@ _noting: list[dict[Path, Stamp]] = []
 
 
 def stamp_of(path: Path) -> Stamp:
-    """Return what changes when a file is saved, also by an editor that replaces it."""
+    """Return a value that changes whenever a file is saved, even by an editor that replaces the file."""
     try:
         about = path.stat()
     except (OSError, ValueError):
@@ -106,7 +106,7 @@ def stamp_of(path: Path) -> Stamp:
 
 @contextlib.contextmanager
 def noting_files() -> Iterator[dict[Path, Stamp]]:
-    """Note the files that are opened, with their stamps before they are read."""
+    """Collect the files that are opened within the context, each with its stamp from before the read."""
     noted: dict[Path, Stamp] = {}
     _noting.append(noted)
     try:
@@ -222,7 +222,7 @@ class Document:
         """Read and parse a file.
 
         Raises:
-            InputError: the file cannot be read, or as above.
+            InputError: the file cannot be read, or its content is invalid as for `Document`.
         """
         return cls(read_text(path, _MAX_BYTES), printable(str(path)))
 
@@ -231,8 +231,8 @@ class Document:
         """Return a document built in Python, as if its keys and values had been read from a file.
 
         Raises:
-            InputError: a value cannot be stored in a file (allowed are finite numbers, also NumPy's, text,
-                booleans, None, lists and mappings of them), or the tree is nested too deep.
+            InputError: a value cannot be stored in a file, or the tree is nested too deep. Allowed values are
+                finite numbers (also NumPy's), text, booleans, None, and lists and mappings of these.
         """
         document = cls.__new__(cls)
         document.source, document.lines, document.set_by, document.above = source, {}, {}, ()
@@ -240,7 +240,7 @@ class Document:
         return document
 
     def part(self, name: str) -> Document:
-        """Return the mapping below a key as a document; its errors name place and key in this one."""
+        """Return the mapping below a key as a document; its errors name line and key of this document."""
         part = Document.from_tree(self.tree[name], self.source)
         part.lines = {key[1:]: line for key, line in self.lines.items() if key[:1] == (name,)}
         part.above = (*self.above, name)

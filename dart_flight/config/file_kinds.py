@@ -84,7 +84,7 @@ def refuse_other_kind(path: str | Path, *wanted: FileKind) -> None:
     """Raise an error if a file is of another known kind.
 
     Raises:
-        InputError: it is; the message explains its use.
+        InputError: the file is of another kind; the message explains the use of that kind.
     """
     kind = kind_of_file(path)
     if kind is not None and kind not in wanted:

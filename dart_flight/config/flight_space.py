@@ -58,7 +58,9 @@ def apply_limits(vehicle: VehicleConfig, limits: Limits) -> VehicleConfig:
 def resolve_walls(
     specs: dict[str, WallSpec], vehicle: VehicleConfig, document: Document, section: str = "walls"
 ) -> dict[str, Wall]:
-    """Return the walls by name, as planes of the vehicle's centre; `section` is their key in the file.
+    """Return the walls by name, as planes of the vehicle's centre at first touch.
+
+    `section` is the key of the walls in the file.
 
     Raises:
         InputError: a normal has no length, or a material is not in the vehicle's table.
@@ -102,13 +104,14 @@ def resolve_posts(
 
 
 def tangent_wall(post: Post, impact: Vec2, vehicle: VehicleConfig, key: Key, document: Document) -> Wall:
-    """Return the plane of the vehicle's centre at the touch of a post, as a wall with the post's name.
+    """Return a post's tangent plane as a wall with the post's name.
 
-    Its length is the range in which the leading side touches the post. Beyond it the vehicle passes the post,
-    or touches it elsewhere.
+    The plane contains the vehicle's centre at the first touch of the post. The wall's length is the range in
+    which the vehicle's leading side touches the post. Beyond this range the vehicle passes the post, or
+    another part of it touches the post.
 
     Raises:
-        InputError: a vehicle with its centre there does not touch the post.
+        InputError: a vehicle whose centre is at `impact` does not just touch the post.
     """
     reach = post.radius_m + vehicle.airframe.contact_distance_m
     dx, dy = impact[0] - post.centre[0], impact[1] - post.centre[1]
@@ -117,7 +120,7 @@ def tangent_wall(post: Post, impact: Vec2, vehicle: VehicleConfig, key: Key, doc
         text = f"is {distance:.3f} m from the axis of post {post.name}, minimum {reach:.3f} m"
         if distance > 0.0:
             x, y = post.centre[0] + dx / distance * reach, post.centre[1] + dy / distance * reach
-            text += f", there at [{x:.3f}, {y:.3f}]"
+            text += f"; the nearest possible point is [{x:.3f}, {y:.3f}]"
         raise document.error((*key, "impact_point_m"), text)
     length = 2.0 * (post.radius_m + vehicle.airframe.guard_along_m)
     normal = (dx / distance, dy / distance)
@@ -130,7 +133,7 @@ def check_clear_of_posts(
     """Check that a vehicle at a place is clear of all posts.
 
     Raises:
-        InputError: it is not.
+        InputError: the vehicle would be in or at a post.
     """
     for post in posts.values():
         if post.distance_to_segment(point, point) <= post.radius_m + vehicle.airframe.contact_distance_m:
@@ -138,7 +141,7 @@ def check_clear_of_posts(
 
 
 def wall_as_written(wall: Wall) -> WallSpec:
-    """Return a resolved wall as a file specifies it."""
+    """Return a resolved wall in the form of a mission file."""
     # Rounding restores the angle as written.
     yaw_sd_deg = None if wall.yaw_sd_rad is None else round(math.degrees(wall.yaw_sd_rad), 12)
     return WallSpec(
@@ -162,7 +165,7 @@ def check_place(
     """Check that a place, with its altitude if given, is inside the bounds and in front of the walls.
 
     Raises:
-        InputError: it is not.
+        InputError: the place is outside the bounds, or in or behind a wall.
     """
     if bounds.excess2(point) > 0.0:
         raise document.error(
@@ -183,7 +186,7 @@ def refuse_mode(mode: Mode, vehicle: VehicleConfig, key: Key, document: Document
     """Check that the vehicle has a mode.
 
     Raises:
-        InputError: it does not.
+        InputError: the vehicle lacks the mode.
     """
     problem = vehicle.mode_problem(mode)
     if problem is not None:

@@ -74,7 +74,7 @@ def find_inherited(
         settings: `KEY=VALUE` pairs from `--set`.
 
     Returns:
-        The values, or None for a packaged vehicle, with or without other settings.
+        The inherited values, or None for a packaged vehicle, even with changes by `--set`.
     """
     found = None if file is None else _given_and_base(Path(file))
     if file is None or found is None:

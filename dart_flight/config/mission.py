@@ -1,7 +1,7 @@
 """The checked mission that the flight core flies, and its conversion from and to a mission file.
 
 The file contains what a person writes (`config.mission_file`). `Mission` is the resolved form: walls as
-planes of the vehicle's centre, unit normals, gains in the wall's axes, and impact points.
+planes of the vehicle's centre at first touch, unit normals, gains in the wall's axes, and impact points.
 """
 
 from __future__ import annotations
@@ -63,11 +63,12 @@ class Collision(CollisionKeys, frozen=True, kw_only=True, forbid_unknown_fields=
     """A planned collision, resolved.
 
     Attributes:
-        index: 1 for the first.
+        index: number of the collision in the order of flight, from 1.
         mode: as written, or the only mode of the vehicle.
         approach_m_s: (normal, tangential) velocity at the impact in the collision frame, or None if the
             previous recovery leads to this wall.
-        impact_point: position of the vehicle's centre at the impact, mission frame, or None as above.
+        impact_point: position of the vehicle's centre at the impact, mission frame, or None if the
+            previous recovery leads to this wall.
         alpha_normal_m_per_n, alpha_tangential_m_per_n: gains A_n, A_t of the recovery setpoint.
         probe: leg that searches for the wall, or None if the position of the wall is known well enough.
     """
@@ -136,12 +137,12 @@ class Waypoint(WaypointKeys, frozen=True, kw_only=True, forbid_unknown_fields=Fa
     """A waypoint or a pause, resolved.
 
     Attributes:
-        index: 1 for the first in the list.
-        position: mission frame, metres; None for a pause, which is held in place. A place at a wall to be
-            found has its position for that wall at the end of its probe.
-        speed_m_s: largest speed of the leg to it.
+        index: number in the list, from 1.
+        position: mission frame, metres; None for a pause, in which the vehicle holds its place. A place
+            relative to a wall to be found is given for that wall at the end of its probe.
+        speed_m_s: largest speed of the leg to the waypoint.
         hold_s: hold time; for a pause the longest time, after which the vehicle lands.
-        wall_at: the wall of `at_wall`.
+        wall_at: the wall that `at_wall` names, or None.
     """
 
     index: int
@@ -152,7 +153,7 @@ class Waypoint(WaypointKeys, frozen=True, kw_only=True, forbid_unknown_fields=Fa
 
     @property
     def name(self) -> str:
-        """Description in messages."""
+        """Name in messages, such as `waypoint 2`."""
         return f"{'pause' if self.position is None else 'waypoint'} {self.index}"
 
 
@@ -199,7 +200,7 @@ class Mission(MissionKeys, frozen=True, kw_only=True, forbid_unknown_fields=Fals
     def place_before(self, flown: int) -> Vec2 | None:
         """Return the position of the vehicle at rest after `flown` collisions and their waypoints.
 
-        The result is None if the vehicle does not rest there, but flies the recovery of a collision.
+        The result is None if the vehicle does not rest then, but flies the recovery from a collision.
         """
         reached = [w.position for w in self.waypoints if w.after == flown and w.position is not None]
         if reached:
@@ -241,7 +242,7 @@ class Mission(MissionKeys, frozen=True, kw_only=True, forbid_unknown_fields=Fals
     def to_dict(self) -> dict[str, Any]:
         """Return the resolved mission with its vehicle as in a file; `load_mission` restores the mission.
 
-        Walls are given at the vehicle's centre, gains in the wall's axes. An impact point that follows from
+        Walls are given with `given_at: centre`, gains in the wall's axes. An impact point that follows from
         start and approach is omitted. The file that the vehicle came from is not included.
         """
         return {**self._own_keys(), "vehicle": self.vehicle.to_dict()}
@@ -426,7 +427,7 @@ def _add_tangent_walls(
             continue
         key: Key = ("collisions", i)
         if one.probe is not None:
-            raise document.error((*key, "probe"), f"{one.wall} is a post: a probe looks for a wall")
+            raise document.error((*key, "probe"), f"{one.wall} is a post, but a probe searches for a wall")
         if one.impact_point_m is None:
             raise document.error(key, f"a collision with post {one.wall} needs impact_point_m")
         wall = tangent_wall(posts[one.wall], one.impact_point_m, vehicle, key, document)
@@ -492,12 +493,12 @@ def _check_order(one: WaypointSpec, flown: int, spec: MissionFile, key: Key, doc
         raise document.error((*key, "after"), text)
     following = spec.collisions[one.after] if one.after < count else None
     if 0 < one.after < count and following and following.approach is None and following.probe is None:
-        text = f"needs an approach: the recovery before it leads to waypoints[{key[1]}]"
+        text = f"needs an approach: the recovery from the previous collision leads to waypoints[{key[1]}]"
         raise document.error(("collisions", one.after), text)
 
 
 def _collision_mode(spec: CollisionSpec, vehicle: VehicleConfig, key: Key, document: Document) -> Mode:
-    """Return the mode of a collision: the given one, or the only one of the vehicle."""
+    """Return the mode of a collision: the given mode, or the only mode of the vehicle."""
     if spec.mode is None:
         if vehicle.has_lock:
             raise document.error(key, "missing key mode: " + " or ".join(vehicle.modes))
@@ -532,7 +533,7 @@ def _resolve_collision(
             probe=probe,
         )
     if spec.approach is None and i > 0 and mission.collisions[i - 1].probe is not None:
-        raise document.error(key, "needs an approach: after a probe the vehicle rests")
+        raise document.error(key, "needs an approach, because the vehicle rests after a probe")
     alpha_n, alpha_t = resolve_alphas(spec.alpha_m_per_n, spec.alpha_wall_m_per_n, wall, key, document)
     approach = None
     impact = None
@@ -636,7 +637,7 @@ def _check_goal_trajectory(mission: MissionFile, document: Document) -> None:
     end = written.states()[-1]
     off_m, speed_m_s = math.dist(end.position, mission.goal.position_m), math.hypot(*end.velocity)
     if off_m > _TRAJECTORY_OFF_M or speed_m_s > _TRAJECTORY_OFF_M_S:
-        text = f"ends {off_m:.2f} m from the goal at {speed_m_s:.2f} m/s, not at rest there"
+        text = f"ends {off_m:.2f} m from the goal at {speed_m_s:.2f} m/s, not at rest at the goal"
         raise document.error(key, text)
 
 

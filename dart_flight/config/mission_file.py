@@ -39,7 +39,7 @@ class FrameSpec(Section, frozen=True):
 
     Attributes:
         origin: local: PX4's local origin, displaced by north_m and east_m (motion capture, surveyed room);
-            takeoff: the point for which the vehicle takes off below start, displaced likewise.
+            takeoff: placed so that the vehicle takes off directly below start, displaced in the same way.
         anchored_by: none: PX4's position is used as it is; touch: the position drifts, and every contact with
             a wall of the mission corrects the frame along the wall's normal.
         north_m, east_m: displacement of the frame's origin, m.
@@ -58,7 +58,7 @@ class StartSpec(Section, frozen=True):
 
     Attributes:
         position_m: [x, y], mission frame; in simulation the vehicle takes off below it.
-        altitude_m: above the take-off point; kept until a waypoint changes it.
+        altitude_m: altitude above the take-off point; kept until a waypoint changes it.
     """
 
     position_m: Point2
@@ -70,7 +70,7 @@ class GoalSpec(Section, frozen=True):
 
     Attributes:
         position_m: [x, y], mission frame.
-        capture_radius_m: largest distance from the goal at which it counts as held.
+        capture_radius_m: largest distance from the goal at which the vehicle counts as at the goal.
         hold_s: hold time at the goal before landing.
     """
 
@@ -102,13 +102,14 @@ class WallSpec(Section, frozen=True):
     Attributes:
         point_m: [x, y] of its middle, mission frame; given_at defines the reference point.
         normal: [x, y], points into free space; any length.
-        length_m: along the wall, half of it to each side of the middle.
+        length_m: length along the wall, half of it to each side of the middle.
         material: a key of materials in the vehicle configuration.
         given_at: centre: point_m is the position of the vehicle's centre at first touch, as in the paper;
             surface: point_m is on the wall itself, and airframe.contact_distance_m is added.
         position_sd_m: standard deviation of the position along the normal; null: known to a few centimetres,
-            as `guard` tolerates.
-        yaw_sd_deg: standard deviation of the direction, about the middle; null: as for position_sd_m.
+            which the tolerances of guard cover.
+        yaw_sd_deg: standard deviation of the direction, about the middle; null: the tolerances of guard cover
+            the error.
     """
 
     point_m: Point2
@@ -125,7 +126,7 @@ class PostSpec(Section, frozen=True):
 
     Attributes:
         centre_m: [x, y] of its axis, mission frame.
-        radius_m: of its face.
+        radius_m: radius of its surface.
         material: a key of materials in the vehicle configuration.
     """
 
@@ -195,8 +196,8 @@ class ApproachSpec(Section, frozen=True):
     """Velocity at the impact in the wall's collision frame.
 
     Attributes:
-        normal_m_s: along the wall's normal; negative, towards the wall.
-        tangential_m_s: along the wall, positive to the right when looking along the normal.
+        normal_m_s: velocity along the wall's normal; negative, towards the wall.
+        tangential_m_s: velocity along the wall, positive to the right when looking along the normal.
     """
 
     normal_m_s: Annotated[float, Meta(lt=0.0, ge=-20.0)]
@@ -204,19 +205,19 @@ class ApproachSpec(Section, frozen=True):
 
 
 class ProbeSpec(Section, frozen=True):
-    """A straight leg, from rest to rest, that searches for a wall; a contact ends it, and none is required.
+    """A straight leg, from rest to rest, that searches for a wall; a contact ends it but is not required.
 
     Attributes:
         from_m: [x, y] of its start, mission frame.
-        from_here: whether it starts at the vehicle's resting position, assumed near from_m, with the same
+        from_here: whether the leg starts where the vehicle rests, assumed to be near from_m, with the same
             direction and length; if the frame drifts, this saves a transit.
         direction: [x, y], any length; may be omitted for a wall of the mission, which is then approached
             along its normal.
         length_m: length of the leg of the vehicle's centre.
-        speed_m_s: speed of the leg; it may exceed the speed that stops before a wall, but not the one that
-            the impact permits.
+        speed_m_s: speed of the leg; it may exceed the speed from which the vehicle can stop before a wall,
+            but not the speed that the impact permits.
         back_m: distance from the point of contact at which the vehicle waits afterwards.
-        material: of a wall that is not in walls, if known; without it the contact identifies the material.
+        material: material of a wall that is not in walls, if known; if not given, the contact identifies it.
     """
 
     from_m: Point2
@@ -247,7 +248,7 @@ class CollisionPrediction(Section, frozen=True):
     """The planner's prediction for a collision; written by `plan`, compared by flight and report.
 
     Attributes:
-        t_s: onset of the contact, from the start of the run-up.
+        t_s: time from the start of the run-up to the onset of the contact.
         position_m: [x, y] of the impact, mission frame.
         normal_m_s, tangential_m_s: velocity at the impact, collision frame.
         peak_force_n: largest normal force.
@@ -327,11 +328,12 @@ class CollisionKeys(Section, frozen=True, kw_only=True):
         mode: state of the arms at the impact; optional only for a vehicle without a lock, which is rigid.
         predicted: written by plan.
         trajectory: trajectory to this wall; with an approach it starts at rest, without one at the predicted
-            end of the previous collision and is replanned from the real one (after_impact: replan). Without a
+            end of the previous collision and is replanned from the real end (after_impact: replan). Without a
             trajectory the approach is straight, with a run-up.
         if_met: a wall that an earlier probe searches for; the collision is flown only if that wall was
             touched.
-        if_not_met: the same, flown only if that wall was not touched.
+        if_not_met: a wall that an earlier probe searches for; the collision is flown only if that wall was
+            not touched.
     """
 
     mode: Mode | None = None
@@ -351,13 +353,13 @@ class CollisionSpec(CollisionKeys, frozen=True, kw_only=True):
         probe: search for the wall, instead of an approach and of gains.
         impact_point_m: [x, y] on the wall's plane; default: where the ray from start along the approach
             crosses the plane. For a post it is required: the position of the vehicle's centre at first touch.
-        impact_along_m: the same as a distance along the wall from its middle, positive to the right when
-            looking along the normal; give at most one of the two. At a wall that a probe has found, 0 is the
-            point of contact.
+        impact_along_m: the impact point as a distance along the wall from its middle, positive to the right
+            when looking along the normal; give at most one of the two. At a wall that a probe has found, 0 is
+            the point of contact.
         alpha_m_per_n: recovery gains along the mission's x and y axes (the paper's form), m of setpoint per N
             of peak force; for walls along an axis, or with equal gains.
-        alpha_wall_m_per_n: the same as [normal, tangential] of the wall, for any wall; give exactly one of
-            the two.
+        alpha_wall_m_per_n: recovery gains [normal, tangential] of the wall, in the same unit, for any wall;
+            give exactly one of the two.
     """
 
     wall: str
@@ -373,10 +375,10 @@ class WaypointKeys(Section, frozen=True, kw_only=True):
     """Keys of a waypoint or a pause that the flight uses as written.
 
     Attributes:
-        after: number of collisions flown before it; it never decreases along the list.
+        after: number of collisions flown before the waypoint; it never decreases along the list.
         at_wall: instead of position_m: a place relative to a wall; skipped if the wall was not touched.
         if_met: a wall that an earlier probe searches for; flown only if that wall was touched.
-        if_not_met: the same, flown only if that wall was not touched.
+        if_not_met: a wall that an earlier probe searches for; flown only if that wall was not touched.
     """
 
     after: Annotated[int, Meta(ge=0, le=1000)] = 0
@@ -390,13 +392,13 @@ class WaypointSpec(WaypointKeys, frozen=True, kw_only=True):
 
     Attributes:
         position_m: [x, y] of a waypoint, mission frame.
-        altitude_m: altitude above the take-off point, of a waypoint and of what follows; without it the
+        altitude_m: altitude above the take-off point, at this waypoint and after it; if not given, the
             altitude does not change.
         speed_m_s: largest speed of the leg to the waypoint; default: flying.transit_speed_m_s. The vertical
             speed is limited by flying.climb_speed_m_s.
         hold_s: hold time at a waypoint.
         pause: operator: hold until the operator continues (Enter, or SIGUSR1).
-        timeout_s: of a pause; without a response the vehicle lands.
+        timeout_s: longest pause; if the operator does not respond, the vehicle then lands.
     """
 
     position_m: Point2 | None = None
@@ -411,9 +413,9 @@ class Tolerance(Section, frozen=True):
     """Allowed differences between plan and flight for `plan_followed`.
 
     Attributes:
-        impact_m_s: of each component of the impact velocity.
-        peak_force_share: relative to the planned peak force.
-        place_m: distance from the planned impact point.
+        impact_m_s: allowed difference of each component of the impact velocity.
+        peak_force_share: allowed difference of the peak force, relative to the planned peak force.
+        place_m: allowed distance of the impact from the planned impact point.
     """
 
     impact_m_s: Annotated[float, Meta(gt=0.0, le=10.0)] = 0.15
@@ -523,7 +525,7 @@ class FlownRecord(Section, frozen=True):
             text += f", {drawn.median_time_s:.1f} s from take-off to landing"
         if self.saving_s is not None and self.free_time_s is not None:
             verb = "saves" if self.saving_s > 0.0 else "loses"
-            text += f" against {self.free_time_s:.1f} s free: {verb} {abs(self.saving_s):.2f} s in a flight"
+            text += f" against {self.free_time_s:.1f} s without collisions: {verb} {abs(self.saving_s):.2f} s"
         return text
 
 
@@ -538,8 +540,8 @@ class MissionKeys(SpaceKeys, frozen=True, kw_only=True):
             start.
         after_impact: setpoint: fly the paper's recovery setpoint; replan: follow it until a trajectory
             planned in flight from the measured impact begins.
-        tolerance: allowed differences between flight and plan; for the goal that is its capture radius.
-        mode_mismatch: response to a contact that indicates the other mode than the lock reports; go_on:
+        tolerance: allowed differences between flight and plan; for the goal, goal.capture_radius_m applies.
+        mode_mismatch: response to a contact that indicates another mode than the lock reports; go_on:
             record it in log and verdict; land: the guard lands.
         standoff_m: rehearsal: the vehicle stops this far before each wall instead of touching it, as with
             --standoff; null: contacts are flown.
@@ -559,12 +561,12 @@ class MissionFile(MissionKeys, frozen=True, kw_only=True):
     """A mission as written in YAML.
 
     Attributes:
-        version: of the format.
-        walls: by name.
-        simulated_walls: by name: walls that exist in simulation and are unknown to the flight, to be found by
+        version: version of the file format.
+        walls: walls by name.
+        simulated_walls: further walls by name, which exist only in simulation; the flight finds them by
             probes.
-        posts: by name, distinct from the names of walls.
-        collisions: in the order of flight; may be empty.
+        posts: posts by name; a post and a wall cannot have the same name.
+        collisions: collisions in the order of flight; may be empty.
         waypoints: waypoints and pauses before, between and after the collisions, in the order of flight.
         vehicle: vehicle configuration: a file, relative to this one, or its keys and values; default: the
             default configuration.

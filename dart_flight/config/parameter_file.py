@@ -57,7 +57,7 @@ class Parameter(msgspec.Struct, frozen=True):
 
     Attributes:
         name: PX4's name, at most 16 characters.
-        value: int for INT32, float for REAL32.
+        value: wanted value; an int for INT32, a float for REAL32.
         reason: comment lines directly above it, joined; empty if there are none.
         absent: builds of PX4 that do not have it under this name, such as "before v1.16" or "without
             gyro_fft"; empty for none.
@@ -96,13 +96,16 @@ class ParameterDifference(msgspec.Struct, frozen=True):
 
 
 def vehicle_files(position_from: PositionSource | None) -> list[Path]:
-    """Return the packaged files for a vehicle, in order of application; with None those for every vehicle."""
+    """Return the packaged files for a vehicle, in order of application.
+
+    With None, return only the files that apply to every vehicle.
+    """
     place = () if position_from is None else _PLACE_FILES[position_from]
     return [packaged("configs", "px4", f"{name}.params") for name in ("collision", *place)]
 
 
 def vehicle_parameters(position_from: PositionSource | None) -> dict[str, Parameter]:
-    """Return the parameters of these files by name; a later file overrides an earlier one."""
+    """Return the parameters of `vehicle_files` by name; a later file overrides an earlier one."""
     wanted: dict[str, Parameter] = {}
     for path in vehicle_files(position_from):
         wanted |= load_parameters(path)
@@ -199,7 +202,7 @@ def differences(wanted: Mapping[str, Parameter], actual: Mapping[str, float]) ->
     """Return the vehicle's differences from a parameter file, in the file's order.
 
     Args:
-        wanted: from `load_parameters`.
+        wanted: wanted parameters by name, from `load_parameters`.
         actual: the vehicle's parameters by name.
     """
     found = []

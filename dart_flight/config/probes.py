@@ -1,4 +1,4 @@
-"""Probes of a mission file: legs that search for walls, and the walls whose position is unknown before."""
+"""Probes of a mission file: legs that search for walls, and the walls at initially unknown positions."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def unknown_walls(
 
     Raises:
         InputError: the probe has no direction, an unknown material or a name in use; a collision at such a
-            wall comes before its probe; or a condition names no probe.
+            wall comes before its probe; or a condition names a wall without an earlier probe.
     """
     stiffest = max(vehicle.materials, key=lambda name: vehicle.materials[name].coefficients(Mode.RIGID).k)
     looked_for = {one.wall for one in spec.collisions if one.probe is not None}
@@ -157,7 +157,10 @@ def resolve_probe(
         if getattr(spec, name) is not None:
             raise document.error((*key, name), "a probe has no such key")
     if not wall.sought and probe.material is not None:
-        raise document.error((*key, "probe", "material"), f"wall {wall.name} of the mission has one")
+        raise document.error(
+            (*key, "probe", "material"),
+            f"wall {wall.name} of the mission has its own material",
+        )
     end = _probe_end(probe, wall)
     for name, place in (("from_m", probe.from_m), ("length_m", end)):
         excess_m = mission.bounds_m.excess2(place)
@@ -178,7 +181,7 @@ def resolve_probe(
         raise document.error((*key, "probe"), text)
     reach_m = wall.signed_distance(probe.from_m) / -normal_m_s * probe.speed_m_s
     if reach_m > probe.length_m + _ON_PLANE_M:
-        text = f"wall {wall.name} is {reach_m:.2f} m away; give that plus the uncertainty of its position"
+        text = f"wall {wall.name} is {reach_m:.2f} m away; give this distance plus the wall's uncertainty"
         raise document.error((*key, "probe", "length_m"), text)
     met = reach_m / probe.length_m
     impact = (

@@ -25,7 +25,7 @@ class VehicleSource(msgspec.Struct, frozen=True, omit_defaults=True):
     Attributes:
         source: path of the configuration, relative to the working directory if below it; None if built in
             Python.
-        packaged: whether it is the packaged configuration and not the folder's own.
+        packaged: whether the configuration is the packaged file and not a file of the user.
         mass_kg: mass, on which most other results depend.
         set: keys changed by `--set` for this call, `KEY=VALUE`; omitted if there are none.
     """

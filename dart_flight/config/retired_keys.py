@@ -25,8 +25,8 @@ class RetiredKey(NamedTuple):
     """The constant that replaced a key.
 
     Attributes:
-        value: of the constant.
-        constant: module below `dart_flight`, and name of the constant.
+        value: value of the constant.
+        constant: module below `dart_flight`, and name of the constant in that module.
     """
 
     value: Any

@@ -1,9 +1,10 @@
 """Base of all sections that are read from YAML files.
 
-The meaning of a key is written once, under `Attributes:` in the docstring of its section, beside its type.
-From there it is copied to the JSON Schemas, the tables in docs/ and the comments of configs/dart.yaml (`make
-docs`). It states what the name of the key does not: meaning, sign, frame, effect of null, and the unit if the
-name has none. A key whose type is a section needs no entry if the docstring of that section explains it.
+The meaning of a key is written once, under `Attributes:` in the docstring of its section, next to its type.
+`make docs` copies it from there to the JSON Schemas, the tables in docs/ and the comments of
+configs/dart.yaml. It states what the name of the key does not: meaning, sign, frame, effect of null, and the
+unit if the name has none. A key whose type is a section needs no entry if the docstring of that section
+explains it.
 
 A key that is added later has a default, which applies to files and logs without it. If the key changes
 decisions, the default keeps the old behaviour, and the shipped configurations set the better value.

@@ -1,6 +1,6 @@
 """The state folder: data that outlives a process, and files that mark which process holds a resource.
 
-It is `$DART_FLIGHT_STATE_DIR`, by default in the XDG state folder.
+`$DART_FLIGHT_STATE_DIR` names the folder; the default is in the XDG state folder.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ def ensure_folder(folder: Path) -> Path:
     """Return the folder; create it if it is missing.
 
     Raises:
-        InputError: it cannot be created.
+        InputError: the folder cannot be created.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)

@@ -101,7 +101,7 @@ def written_mission(about: dict[str, str], source: str) -> tuple[Document, Docum
     """Return a log's mission text and vehicle configuration as documents that can be edited.
 
     Raises:
-        InputError: they are missing.
+        InputError: the log lacks one of them.
     """
     if "mission_text" not in about or "vehicle" not in about:
         raise InputError("the log does not contain its mission's text", source=source)
@@ -127,7 +127,7 @@ def parse_written(mission: Document, vehicle: Document) -> Mission:
 
 
 def armed_span(log: Log) -> tuple[datetime, datetime] | None:
-    """Return when a recorded flight was armed, and when last, by the host's calendar; None if not known."""
+    """Return the first and the last armed time of a recorded flight, by the host's calendar, or None."""
     started, monotonic = log.about.get("started_utc"), log.about.get("started_monotonic_us", "")
     armed = [
         e.record.received_us for e in log.entries if isinstance(e.record, StatusSample) and e.record.armed

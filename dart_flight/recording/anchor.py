@@ -13,9 +13,9 @@ class MissionFrameReader:
     """Tracks the mission frame over a flight's records, which it receives in order.
 
     Attributes:
-        frame: the mission frame in local NED, or None before the mission leaves `READYING` at its take-off
-            point. It is anchored again at arming if the estimate has moved, and moved by contacts if the
-            mission is anchored by touch.
+        frame: the mission frame in local NED, or None before the mission leaves `READYING`. The frame is
+            then anchored at the take-off point, and once more at the start of the climb if the position
+            estimate has changed in between. In a mission anchored by touch, contacts displace the frame.
     """
 
     def __init__(self, mission: Mission) -> None:

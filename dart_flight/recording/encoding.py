@@ -30,7 +30,7 @@ def encode(record: Record) -> bytes:
 
 
 def decode(data: bytes, decoder: msgspec.json.Decoder[R]) -> R:
-    """Return the record of an encoding.
+    """Return the record that `data` encodes.
 
     Raises:
         msgspec.MsgspecError: the data are no record of the decoder's type.

@@ -40,11 +40,12 @@ class Velocities(msgspec.Struct):
 
     Attributes:
         normal_m_s, tangential_m_s: last velocity before the contact.
-        peak_force_n: of the normal force.
+        peak_force_n: peak normal force.
         contact_side: guard that touched first, seen when flying into the wall: left, right, both.
-        incidence_deg: leading edge against the wall at the first touch, positive turned left.
+        incidence_deg: angle of the leading edge to the wall at the first touch, positive if turned left.
         peak_torque_nm: largest external torque about the centre of mass.
-        normal_out_m_s, tangential_out_m_s: first velocity after the contact; if measured, from odometry.
+        normal_out_m_s, tangential_out_m_s: first velocity after the contact; the measured velocity is from
+            odometry.
     """
 
     normal_m_s: float | None = None
@@ -186,7 +187,7 @@ class ImpactCollector:
             )
 
     def _newest(self) -> FlownImpact | None:
-        """Return the impact of the last onset, or None if that was not a planned collision."""
+        """Return the impact of the last onset, or None if that contact was not planned."""
         return self.impacts[-1] if self.impacts and self.impacts[-1].onset is self._onset else None
 
     def _handle_onset(self, record: ImpactOnset) -> None:

@@ -21,7 +21,7 @@ class LogFollower:
     """Reads the new records of a growing log; only reads the file.
 
     Args:
-        path: the first part.
+        path: file of the log's first part.
 
     Attributes:
         about: description of the flight, once read.

@@ -33,10 +33,10 @@ def find_logs(paths: Iterable[str | Path]) -> list[Path]:
 
 
 def px4_logs_in(paths: Iterable[str | Path]) -> list[Path]:
-    """Return PX4's logs: files as they are, and those beside a flight log or below a folder of flights.
+    """Return PX4's logs: given files, logs next to a given flight log, and logs below a given folder.
 
     Raises:
-        InputError: there is no PX4 log beside a flight log or below a folder.
+        InputError: there is no PX4 log next to a flight log or below a folder.
     """
     found: list[Path] = []
     for path in map(Path, paths):
@@ -55,7 +55,7 @@ def px4_logs_in(paths: Iterable[str | Path]) -> list[Path]:
 
 
 def read_each(paths: Iterable[Path], read: Callable[[Path], T], left_out: Callable[[str], None]) -> list[T]:
-    """Return the result of `read` for every log; omit logs without the wanted data if others have it.
+    """Return the result of `read` for every log; omit logs without the wanted data if other logs have them.
 
     Args:
         paths: the logs.

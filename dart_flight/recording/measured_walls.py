@@ -20,13 +20,14 @@ class MeasuredWall(msgspec.Struct):
     """A wall that was touched at least once, as estimated at its last contact; mission frame.
 
     Attributes:
-        name: as in the mission.
-        point_m: [x, y] of its middle (`given_at: centre`); for a wall that a probe found, of the contact.
+        name: name in the mission.
+        point_m: [x, y] of the wall's middle (`given_at: centre`), or of the contact if a probe found the
+            wall.
         normal: [x, y], unit vector into free space.
         position_sd_m, yaw_sd_deg: standard deviations of the plane at `point_m` and of its direction; null if
             assumed exact.
         touched_m: [x, y] of the vehicle's centre at the first touch of the last contact.
-        material: of the table; null if unknown.
+        material: name in the table of materials; null if unknown.
         coefficients: estimates of k, f, mu and nu by mode, each with its relative standard deviation.
         age_s: time from the contact to the flight's end.
         truth_error_m: measured minus true plane at the contact, along the normal; simulation only.

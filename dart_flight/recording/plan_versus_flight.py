@@ -21,7 +21,7 @@ from dart_flight.recording.flown_impact import FlownImpact, Velocities
 
 
 class Deviation(msgspec.Struct, frozen=True):
-    """One planned figure.
+    """A planned figure and its flown value.
 
     Attributes:
         what: description with its unit.
@@ -134,7 +134,7 @@ def _compare_collision(
         yield Deviation(f"{name} peak force, N", wanted.peak_force_n, measured.peak_force_n, allowed)
     if place is not None and collision.probe is None and not wall.sought:
         beside_m = None if flown is None else distance2(flown.onset.position_mission[:2], place)
-        yield Deviation(f"{name} beside its place, m", 0.0, beside_m, tolerance.place_m)
+        yield Deviation(f"{name} distance from the planned place, m", 0.0, beside_m, tolerance.place_m)
     mode = collision.mode.value
     if flown is None:
         yield Deviation(f"{name} mode", mode, None, None)

@@ -46,7 +46,7 @@ class DamagedLogError(Exception):
 
 
 class LogEntry(msgspec.Struct, frozen=True, gc=False):
-    """One record of a log, with the number of the input that it is or follows from."""
+    """One record of a log, with its own number for an input, or the number of the input that caused it."""
 
     number: int
     record: Record

@@ -24,8 +24,8 @@ class Topic:
 
     A number has shape (n,); a vector or a list of constant length, such as the motors, has shape (n, k). A
     missing value is NaN, so integers and booleans that may be missing are floats. Text and names are arrays
-    of text; they are arrays of objects if they may be None or are lists of varying length. Units and frames
-    are those of the names (docs/log.md).
+    of text; they are arrays of objects if they may be None or are lists of varying length. The names
+    state units and frames (docs/log.md).
 
     Attributes:
         kind: the type of the records.
@@ -73,8 +73,8 @@ class Topics:
     Args:
         records: records of the log, in the order written.
 
-        Attributes:
-            names: names of the channels that have records.
+    Attributes:
+        names: names of the channels that have records.
     """
 
     def __init__(self, records: Iterable[Record]) -> None:

@@ -56,7 +56,7 @@ _KEPT = 1024  # samples of estimate and truth that wait for each other: 8 s at 1
 
 
 class ResetFigures(msgspec.Struct):
-    """One reset of PX4's estimator, with the largest steps within 0.1 s of the counter's step.
+    """One reset of PX4's estimator, with the largest steps within 0.1 s of the change of PX4's counter.
 
     Attributes:
         position_m, velocity_m_s: steps that the motion does not explain.
@@ -73,11 +73,11 @@ class Px4Figures(msgspec.Struct):
     """Figures from PX4's log, while armed.
 
     Attributes:
-        version: of PX4, or None if not reported.
-        ekf_resets: of position and velocity.
+        version: version of PX4, or None if not reported.
+        ekf_resets: number of resets of position and velocity.
         clipped_samples: accelerometer samples at full scale, sum of the three axes.
         failsafe: whether PX4 was in a failsafe.
-        attitude_failure: whether its failure detector reported one.
+        attitude_failure: whether PX4's failure detector reported an attitude failure.
     """
 
     version: str | None = None
@@ -181,7 +181,7 @@ class VerdictBuilder:
 
     Attributes:
         handlers: handlers of the records, by kind; other kinds are irrelevant.
-        end: end of the flight, or None while it flies.
+        end: end of the flight, or None during the flight.
     """
 
     def __init__(self, mission: Mission) -> None:
@@ -303,7 +303,7 @@ class VerdictBuilder:
         """Return the verdict on the records so far; without an end the flight counts as aborted.
 
         Args:
-            world, seed: of the flight.
+            world, seed: world and random seed of the flight.
             log, px4_log: paths of the logs.
             drawn: values drawn for the simulated world.
         """

@@ -1,9 +1,9 @@
 """The flight log: MCAP with JSON messages and their JSON Schemas, which Foxglove opens directly.
 
-Each record type has a channel (`topic` in `base.records`). A message's sequence number is the number of the
-input that it is or follows from; a replay feeds the inputs in that order. Log time is the autopilot's clock.
-`ClockOffset` relates it to the host's monotonic clock, and the description of the flight relates that to the
-calendar.
+Each record type has a channel (`topic` in `base.records`). A message's sequence number is the number of an
+input: its own if it is an input, otherwise that of the input that caused it. A replay feeds the inputs in
+that order. Log time is the autopilot's clock. `ClockOffset` relates it to the host's monotonic clock, and the
+description of the flight relates the monotonic clock to the calendar.
 
 A separate thread encodes and writes the records in small chunks, so a killed process loses at most 0.2 s.
 Once a second it syncs them to the disk, in case the battery comes off in a crash. A file that reaches
@@ -64,7 +64,7 @@ class LogPart:
         return self._file.tell()
 
     def write(self, record: Record, time_us: int, number: int) -> None:
-        """Add a record at an autopilot time; `number` is that of the input that it is or follows from."""
+        """Add a record at an autopilot time; `number` is that of the input that it is or that caused it."""
         time_ns = time_us * 1000 if time_us > 0 else 0  # MCAP has no negative times; a broken clock does
         channel = self._channels[type(record)]
         self._writer.add_message(channel, time_ns, encode(record), time_ns, number & 0xFFFFFFFF)
@@ -142,7 +142,7 @@ class FlightLog:
         return f"{self.lost} records lost" if self.lost else None
 
     def put(self, record: Record, number: int) -> None:
-        """Queue a record; `number` is that of the input that it is or follows from."""
+        """Queue a record; `number` is that of the input that it is or that caused it."""
         if len(self._waiting) >= _MAX_WAITING:
             self.lost += 1
             return
@@ -151,7 +151,7 @@ class FlightLog:
     def close(self) -> None:
         """Write the queued records and finish the file with its index.
 
-        If the disk does not respond, the file stays cut off and can be read up to there.
+        If the disk does not respond, the file stays incomplete and can be read up to its last whole chunk.
         """
         self._closing.set()
         for _ in range(2):  # the first wait may end at once in a process that was stopped

@@ -65,7 +65,7 @@ def test_distances_do_not_depend_on_the_frame(
         (20.0, 0.0, "17.80 m outside bounds_m"),
         (0.0, 1.4, "1.40 m from start, limit 1 m"),
         (1.9, 0.0, "behind wall acrylic"),
-        (0.3, -1.05, "too near or cut off by wall wood"),
+        (0.3, -1.05, "wall wood is too near the vehicle or between the vehicle and start"),
     ],
 )
 def test_a_start_that_the_mission_does_not_tolerate_is_a_no_go(x: float, y: float, says: str) -> None:

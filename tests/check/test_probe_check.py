@@ -64,4 +64,4 @@ def test_a_wall_without_a_touch_before_is_a_no_go_where_the_frame_drifts() -> No
     drifting = mission.replace({"frame.origin": "takeoff", "frame.anchored_by": "touch"})
     found = {finding.item: finding for finding in check_mission(drifting)}
     assert not found["anchor_1"].go
-    assert "touch it or a parallel wall first" in found["anchor_1"].says
+    assert "touch this wall or a parallel wall first" in found["anchor_1"].says

@@ -183,7 +183,7 @@ def test_json_of_any_text_is_json(capsys: pytest.CaptureFixture[str]) -> None:
 @pytest.mark.parametrize("command", [["check", str(MISSION)], ["dry-run", str(MISSION), "--fast"], PREDICT])
 def test_a_removed_working_folder_is_one_line(command: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     assert main(command) == 2
-    line = "cannot use the working folder: No such file or directory; cd to another one\n"
+    line = "cannot use the working folder: No such file or directory; cd to another folder\n"
     assert capsys.readouterr().err == line
 
 

@@ -50,7 +50,10 @@ def test_a_post_that_is_hit_is_a_wall_of_its_tangent_plane() -> None:
     ("changes", "says"),
     [
         ({"collisions": [HIT | {"impact_point_m": None}]}, "needs impact_point_m"),
-        ({"collisions": [HIT | {"impact_point_m": [1.1, 0.0]}]}, r"minimum 0.300 m, there at \[1.200"),
+        (
+            {"collisions": [HIT | {"impact_point_m": [1.1, 0.0]}]},
+            r"minimum 0.300 m; the nearest possible point is \[1.200",
+        ),
         ({"collisions": [HIT, HIT | {"impact_point_m": [1.5, 0.3]}]}, "hits post pole in another place"),
         ({"posts": {"pole": POLE | {"material": "cheese"}}}, "cheese"),
         ({"posts": {"pole": POLE | {"radius_m": 0.0}}}, "radius_m"),

@@ -152,7 +152,7 @@ STAY = {"after": 1, "at_wall": {"wall": "east", "away_m": 1.0}}
         ),
         ([EAST | {"impact_along_m": 0.1}], {}, "impact_along_m: a probe has no such key"),
         ([EAST | {"alpha_wall_m_per_n": [0.1, 0.1]}], {}, "alpha_wall_m_per_n: a probe has no such key"),
-        ([probe(AT_BOARD, material="wood")], WALLS, "probe.material: wall board of the mission has one"),
+        ([probe(AT_BOARD, material="wood")], WALLS, "probe.material: wall board of the mission has its own"),
         ([probe(EAST, material="cheese")], {}, r"probe.material: .*cheese"),
         ([probe(EAST, from_m=[3.0, 0.0])], {}, r"probe.from_m: \(3.00, 0.00\) is 1.00 m outside bounds_m"),
         ([probe(EAST, length_m=2.5)], {}, r"probe.length_m: \(2.50, 0.00\) is 0.50 m outside bounds_m"),
@@ -172,7 +172,11 @@ STAY = {"after": 1, "at_wall": {"wall": "east", "away_m": 1.0}}
         ),
         ([probe(AT_BOARD, direction=[-1.0, 0.0])], WALLS, "leads past it"),
         ([probe(AT_BOARD, from_m=[1.8, 0.0], length_m=0.1)], WALLS, "begins behind wall board"),
-        ([probe(AT_BOARD, length_m=1.2)], WALLS, "probe.length_m: wall board is 1.50 m away; give that plus"),
+        (
+            [probe(AT_BOARD, length_m=1.2)],
+            WALLS,
+            "probe.length_m: wall board is 1.50 m away; give this distance",
+        ),
         ([EAST, EAST], {}, r"collisions\[1\].wall: two probes look for east"),
         ([EAST], {"simulated_walls": {"east": BOARD}}, "a simulated wall already has the name east"),
         (
@@ -187,7 +191,7 @@ STAY = {"after": 1, "at_wall": {"wall": "east", "away_m": 1.0}}
         (
             [EAST, {k: v for k, v in AGAIN.items() if k != "approach"}],
             {},
-            r"collisions\[1\]: needs an approach: after a probe the vehicle rests",
+            r"collisions\[1\]: needs an approach, because the vehicle rests after a probe",
         ),
         ([EAST], {"waypoints": [STAY | {"after": 0}]}, r"waypoints\[0\].at_wall.wall: .*east"),
         ([EAST], {"waypoints": [STAY | {"position_m": [0, 0]}]}, "exactly one of position_m, at_wall"),

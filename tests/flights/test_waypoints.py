@@ -258,7 +258,7 @@ WRONG = [
     (
         f"{WALL}collisions: [{HIT}, {{wall: acrylic, mode: rigid, alpha_m_per_n: [0.02, 0.02]}}]\n"
         "waypoints: [{position_m: [0, 0], after: 1}]",
-        "collisions[1]: needs an approach: the recovery before it leads to waypoints[0]",
+        "collisions[1]: needs an approach: the recovery from the previous collision leads to waypoints[0]",
     ),
 ]
 

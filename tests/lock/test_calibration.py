@@ -142,7 +142,7 @@ def test_edit(text: str, key: tuple[str, ...], value: float, expected: str) -> N
 
 @pytest.mark.parametrize(("text", "key"), [("a: 1", ("b",)), ("a: {b: 1}", ("a",)), ("a:\nb: 1", ("a",))])
 def test_edit_needs_a_value_to_replace(text: str, key: tuple[str, ...]) -> None:
-    with pytest.raises(InputError, match="needs a value here"):
+    with pytest.raises(InputError, match="needs a value at this key"):
         edit_values(text, {key: 1.0}, "f.yaml")
 
 

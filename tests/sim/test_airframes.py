@@ -81,12 +81,12 @@ def test_arms_still_make_px4_s_quadrotor_in_x() -> None:
             "{x_m: -0.1, y_m: 0.1, yaw_torque_per_thrust_m: 0.01}]}",
             "not independent in roll, pitch, yaw and lift",
         ),
-        ("thrust: {full_n: 2.0}", "6 motors of 2 N hover 1.6 kg at"),
+        ("thrust: {full_n: 2.0}", "to hover 1.6 kg, limit 80 %"),
         ("thrust: {table: [[0.5, 3.0], [1.0, 6.0]]}", "full_n and model_factor and table both define"),
         ("thrust: {full_n: null}", "missing key full_n, or a table"),
         (
             "thrust: {full_n: null, model_factor: null, table: [[0.5, 3.0], [0.5, 4.0], [1.0, 6.0]]}",
-            "from [0.5, 3] to [0.5, 4] command and thrust must both rise",
+            "command and thrust must both rise from [0.5, 3] to [0.5, 4]",
         ),
         (
             "thrust: {full_n: null, model_factor: null, table: [[0.5, 3.0], [0.9, 6.0]]}",
@@ -101,7 +101,7 @@ def test_what_is_not_said_once_is_refused_in_one_line(tmp_path: Path, text: str,
 def test_motors_that_all_lie_behind_the_centre_of_mass_are_refused(tmp_path: Path) -> None:
     motors = [msgspec.structs.replace(m, x_m=m.x_m - 0.3) for m in load_vehicle(HEXAROTOR).airframe.motors]
     said = refused(tmp_path, "airframe:\n" + motors_block(motors))
-    assert "the centre of mass is not between them" in said
+    assert "the centre of mass is not between the motors" in said
 
 
 # --- thrust -----------------------------------------------------------------------------------------------

@@ -1,7 +1,7 @@
 """Pure functions that convert the samples of a bring-up step to a finding; `steps` uses them.
 
 Axes are the vehicle's, FRD: x forward, y to the right, z down. An accelerometer at rest measures the support
-force: level (0, 0, -g), nose down a negative x, right side down a negative y.
+force: (0, 0, -g) when level, a negative x with the nose down, a negative y with the right side down.
 """
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ def evaluate_link(
         rates: rates of the streams that a mission needs.
         round_trip_s: shortest round trip, or None if TIMESYNC was not answered.
         limit_s: limit of the round trip.
-        errors: `drop_rate_comm` (0.01 %) and `errors_comm` of SYS_STATUS.
+        errors: `drop_rate_comm` (in units of 0.01 %) and `errors_comm` of SYS_STATUS.
     """
     measured: Measured = {f"{stream.name}_hz": round(stream.rate_hz, 1) for stream in rates}
     measured["round_trip_ms"] = None if round_trip_s is None else round(1e3 * round_trip_s, 2)
@@ -189,8 +189,8 @@ def evaluate_axes(level: Vec3, nose_down: Vec3, right_down: Vec3) -> StepFinding
         says = f"the axes are rotated by {turned:.0f} degrees: set SENS_BOARD_ROT as the board is mounted"
         return failed(says, **measured)
     says = (
-        "the axes are mirrored, or the vehicle was tilted otherwise than nose down, then right side down: "
-        "repeat"
+        "the axes are mirrored, or the vehicle was not tilted nose down and then right side down: repeat "
+        "the step"
     )
     return failed(says, **measured)
 
@@ -334,7 +334,7 @@ def evaluate_position(forward: Vec2, right: Vec2) -> StepFinding:
         )
         return failed(says, **measured)
     says = (
-        "left and right are exchanged: set the source's frame to north, east, down (now ENU or y to the left)"
+        "left and right are exchanged: set the source's frame to north, east, down (probably ENU, or y left)"
     )
     return failed(says, **measured)
 
@@ -395,7 +395,7 @@ def evaluate_motion(
         )
     elif abs(motion.scale - 1.0) > _SCALE:
         wrong = (
-            f"lengths are {motion.scale:.2f} times the true ones: set the unit to metres or calibrate the "
+            f"lengths are {motion.scale:.2f} times the true lengths: set the unit to metres or calibrate the "
             "cameras"
         )
     elif delay_ms > _OLDEST_POSE_MS:

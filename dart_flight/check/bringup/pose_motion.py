@@ -7,8 +7,8 @@ Therefore the rates give the age and B. The accelerations then give the scale an
 A mirrored room does not change the rates, because a rate is an axial vector. It does reverse the
 accelerations, so a negative correlation of the accelerations reveals it.
 
-Rates and accelerations pass the same Gaussian filter. The filter's second derivative differentiates the noisy
-position twice. Constant parts are removed, because gravity is constant.
+Rates and accelerations pass the same Gaussian filter. To differentiate the noisy positions twice, they are
+filtered with the second derivative of the Gaussian. Constant parts are removed, because gravity is constant.
 """
 
 from __future__ import annotations
@@ -42,7 +42,8 @@ class MotionEstimate(NamedTuple):
         up_room: upward vertical in the poses' frame; (0, 0, -1) in NED.
         force_correlation: correlation of the accelerations; negative if the room is mirrored.
         carried_m_s2: root mean square of the horizontal acceleration measured by the IMU.
-        scale: length by the poses per length by the accelerometer; valid only if both correlate.
+        scale: ratio of a length in the poses to that length by the accelerometer; valid only if the
+            accelerations correlate.
     """
 
     latency_s: float
@@ -130,7 +131,7 @@ def estimate_motion(
 
 
 def heading_offset_deg(pose_s: Array, q_body: Array, attitude_s: Array, q_frd: Array) -> float | None:
-    """Return the median heading of the vehicle's attitudes minus that of the poses, degrees.
+    """Return the median difference in heading, the vehicle's attitudes minus the poses, degrees.
 
     The result is None if the poses and the attitudes do not overlap.
 
@@ -156,7 +157,7 @@ def heading_offset_deg(pose_s: Array, q_body: Array, attitude_s: Array, q_frd: A
 
 
 def _best_latency(pose_rate: Array, gyro_at: Callable[[float], Array]) -> float:
-    """Return the latency at which the rates agree best after the best rotation, seconds."""
+    """Return the latency at which the poses' rates, optimally rotated, best match the gyro's, seconds."""
 
     def agreement(latency_s: float) -> float:
         # The sum of the singular values, signed for a proper rotation, is Kabsch's best inner product.
@@ -200,7 +201,7 @@ def _without_gaps(grid: Array, times_s: Array, reach_s: float) -> NDArray[np.boo
 
 
 def _continuous(q: Array) -> Array:
-    """Return the quaternions with signs chosen so that consecutive ones are close."""
+    """Return the quaternions with signs chosen so that consecutive quaternions are close."""
     signs = np.sign((q[1:] * q[:-1]).sum(axis=1))
     signs[signs == 0.0] = 1.0
     return np.asarray(q * np.concatenate([[1.0], np.cumprod(signs)])[:, None], dtype=np.float64)

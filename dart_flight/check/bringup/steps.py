@@ -207,7 +207,7 @@ class Bringup(CheckContext[StepFinding]):
             return f"bytes arrive on {link.place}, but no MAVLink at any usual baud rate: is it a console?"
         if found.baud != link.number:
             return f"wrong baud rate: MAVLink arrives at {found.baud}, not at {link.number} (SER_TEL2_BAUD)"
-        return f"{says}, but MAVLink arrives: it is not an autopilot's, or the TX wire is open"
+        return f"{says}, but MAVLink arrives: its sender is not an autopilot, or the TX wire is open"
 
     # -- steps --
 
@@ -237,13 +237,13 @@ class Bringup(CheckContext[StepFinding]):
         return judgements.evaluate_axes(level, nose, right)
 
     def evaluate_force(self) -> StepFinding:
-        """Judge the direction of the estimated force of a push."""
+        """Judge the direction of the force that is estimated during a push."""
         self._connect()
         self._telemetry.clear()
         level = self._wait_until_held("Hold the vehicle level and still.", lambda force: True)
         t = self._telemetry
         push = self._wait(
-            "Push it forward sharply, from behind.", lambda: judgements.find_push(list(t.imu), level)
+            "Push the vehicle forward sharply, from behind.", lambda: judgements.find_push(list(t.imu), level)
         )
         force = t.force_at(push.t_us)
         if force is None:

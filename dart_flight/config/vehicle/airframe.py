@@ -30,8 +30,8 @@ class Motor(Section, frozen=True):
     """One motor of an airframe.
 
     Attributes:
-        x_m: forward of the centre of mass (PX4's CA_ROTORn_PX).
-        y_m: to the right of the centre of mass (PX4's CA_ROTORn_PY).
+        x_m: position forward of the centre of mass (PX4's CA_ROTORn_PX).
+        y_m: position to the right of the centre of mass (PX4's CA_ROTORn_PY).
         yaw_torque_per_thrust_m: drag torque of the propeller over its thrust, N m per N; positive for
             counter-clockwise seen from above (PX4's CA_ROTORn_KM).
     """
@@ -46,15 +46,15 @@ class Airframe(Section, frozen=True, kw_only=True):
 
     Attributes:
         mass_kg: take-off mass, battery included.
-        contact_distance_m: from the centre of mass to the wall's plane at the first contact.
-        incidence_rigid_deg: angle of incidence from which the arms cannot fold, so that both modes have the
-            rigid values; unused without a lock.
+        contact_distance_m: distance from the centre of mass to the wall's plane at the first contact.
+        incidence_rigid_deg: smallest angle of incidence at which unlocked arms do not fold, so that the rigid
+            coefficients hold in both modes; unused without a lock.
         drag_per_s: [b_x, b_y, b_z] along the mission's axes: acceleration by air drag = -b * air speed.
-        inertia_kg_m2: about [forward, right, down]; `calibrate inertia` fits it.
-        arm_x_m: motor to centre of mass, forward.
-        arm_y_m: motor to centre of mass, sideways.
+        inertia_kg_m2: moments of inertia about [forward, right, down]; `calibrate inertia` fits it.
+        arm_x_m: distance of a motor from the centre of mass, forward.
+        arm_y_m: distance of a motor from the centre of mass, sideways.
         yaw_torque_per_thrust_m: drag torque of a propeller over its thrust, N m per N.
-        guard_along_m: from the middle of a side to either of its two points that touch a wall first.
+        guard_along_m: distance from the middle of a side to either of its two points that touch a wall first.
         listed: 4 to 8 motors in PX4's order, for an airframe other than a quadrotor in X (arm_x_m and arm_y_m
             are then null); `calibrate airframe` prints them.
     """
@@ -107,7 +107,7 @@ class Airframe(Section, frozen=True, kw_only=True):
         return half + [(-x, -y) for x, y in half]
 
     def wall_surface(self, wall: Wall) -> Wall:
-        """Return a wall's surface: the plane of the vehicle's centre, moved by the contact distance."""
+        """Return a wall's surface: the plane of the vehicle's centre, shifted by the contact distance."""
         return wall.displaced(-self.contact_distance_m)
 
 
@@ -157,10 +157,10 @@ class Thrust(Section, frozen=True):
         for (u, n), (v, m) in pairwise(points):
             if v <= u or m <= n:
                 raise ValueError(
-                    f"table: from [{u:g}, {n:g}] to [{v:g}, {m:g}] command and thrust must both rise"
+                    f"table: command and thrust must both rise from [{u:g}, {n:g}] to [{v:g}, {m:g}]"
                 )
         if points[-1][0] != 1.0:
-            raise ValueError(f"table: ends at the command {points[-1][0]:g}, the thrust at 1 is needed")
+            raise ValueError(f"table: ends at the command {points[-1][0]:g}: add the thrust at the command 1")
 
     def _points(self) -> tuple[tuple[float, float], ...]:
         """Return the table, starting at zero thrust without a command."""
@@ -191,7 +191,7 @@ class Thrust(Section, frozen=True):
 
     @property
     def curve(self) -> MotorCurve | None:
-        """The curve of two numbers, or None if there is a table."""
+        """The curve from full_n and model_factor, or None if a table defines the thrust."""
         if self.full_n is None or self.model_factor is None:
             return None
         return MotorCurve(self.full_n, self.model_factor)
@@ -237,7 +237,8 @@ class Imu(Section, frozen=True):
         rate_hz: rate of the samples that PX4 sends.
         tick_s: time over which one sample is averaged.
         antialias_hz: -3 dB frequency of the accelerometer's own low-pass, first order.
-        position_m: [forward, right, down] of the centre of mass; accelerations from rotation are removed.
+        position_m: position of the IMU, [forward, right, down] of the centre of mass; accelerations from
+            rotation are removed.
     """
 
     full_scale_m_s2: Annotated[float, Meta(ge=10.0, le=5000.0)]
@@ -274,11 +275,11 @@ class Coefficients(Section, frozen=True):
 
     @property
     def lead_s(self) -> float:
-        """Time before the plane at which the force of an undisturbed approach begins: k x + f vx = 0."""
+        """Time from the onset of the force (k x + f vx = 0) to the plane, at constant velocity, seconds."""
         return self.f / self.k
 
     def scaled(self, k: float, f: float, mu: float, nu: float = 1.0) -> Coefficients:
-        """Return each coefficient multiplied by its factor, for a wall that differs from its table."""
+        """Return each coefficient multiplied by its factor, for a wall that differs from the table."""
         return Coefficients(self.k * k, self.f * f, self.mu * mu, self.nu * nu)
 
 
@@ -286,8 +287,8 @@ class Material(Section, frozen=True):
     """Contact coefficients of one material.
 
     Attributes:
-        rigid: with the arms locked; for a vehicle without a lock, in its only state.
-        flexible: with the arms unlocked; required for a vehicle with a lock.
+        rigid: coefficients with the arms locked, or of a vehicle without a lock in its only state.
+        flexible: coefficients with the arms unlocked; required for a vehicle with a lock.
         source: source of the numbers, measured or assumed.
     """
 

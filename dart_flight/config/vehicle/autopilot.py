@@ -17,7 +17,7 @@ class ConnectionConfig(Section, frozen=True):
     """Connection to the autopilot.
 
     Attributes:
-        url: of MAVSDK, such as serial:///dev/ttyAMA0:921600 or udpin://0.0.0.0:14540.
+        url: connection URL of MAVSDK, such as serial:///dev/ttyAMA0:921600 or udpin://0.0.0.0:14540.
         timeout_s: longest wait for the autopilot's heartbeat.
     """
 
@@ -34,7 +34,7 @@ class GroundStation(Section, frozen=True):
     """The ground station whose buttons the program obeys (docs/ground_station.md).
 
     Attributes:
-        system_id: MAVLink system id of the ground station; commands of any other are denied.
+        system_id: MAVLink system id of the ground station; commands from any other system are denied.
     """
 
     system_id: Annotated[int, Meta(ge=1, le=255)] = 255
@@ -71,9 +71,9 @@ class Px4Parameters(Section, frozen=True, rename="upper"):
         mc_yawrate_p: normalised torque per yaw rate error, s/rad.
         mc_yawrate_i: normalised torque per integral of the yaw rate error, 1/rad.
         mis_takeoff_alt: height of PX4's own take-off, m.
-        com_of_loss_t: silence of the setpoints after which PX4's failsafe acts, s.
+        com_of_loss_t: time without setpoints after which PX4's failsafe acts, s.
         com_disarm_land: time on the ground after which PX4 disarms, s; not positive: never.
-        mpc_veld_lp: low-pass of the derivative that the velocity loop's D terms take, Hz.
+        mpc_veld_lp: cut-off of the low-pass on the derivative in the velocity loop's D terms, Hz.
     """
 
     mpc_xy_p: Gain

@@ -32,7 +32,7 @@ class VehicleConfig(Section, frozen=True, kw_only=True):
     """The whole of `configs/dart.yaml`.
 
     Attributes:
-        version: of the format.
+        version: version of the file format.
         materials: contact coefficients by name, for every mode of the vehicle: k N/m, f N s/m, mu s/m, nu N.
         onset: lcp: the contact begins by the complementarity condition, as in the paper; touch: it begins at
             the wall's plane.
@@ -126,12 +126,12 @@ def packaged(*parts: str) -> Path:
 def default_config_path() -> Path:
     """Return $DART_FLIGHT_CONFIG, the file chosen from ./configs, or the packaged default, in this order.
 
-    ./configs offers the files that no other file there extends, because `init --vehicle` writes a vehicle
-    beside dart.yaml. A single such file is chosen. If there are several and all are unchanged packaged
-    files, dart.yaml is chosen.
+    The candidates in ./configs are the files that no other file there extends, because `init --vehicle`
+    writes a vehicle next to dart.yaml. A single candidate is chosen. If there are several candidates and
+    all are unchanged packaged files, dart.yaml is chosen.
 
     Raises:
-        InputError: there are several, and one of them is the user's own.
+        InputError: there are several candidates, and one of them is the user's own file.
     """
     named = os.environ.get("DART_FLIGHT_CONFIG")
     if named:
@@ -214,7 +214,7 @@ def parse_vehicle(document: Document) -> VehicleConfig:
     config = document.convert(VehicleConfig)
     for name, material in config.materials.items():
         if config.has_lock and material.flexible is None:
-            text = "missing key flexible: the vehicle has a lock (lock.driver: none: it has none)"
+            text = "missing key flexible: the vehicle has a lock (if not, set lock.driver to none)"
             raise document.error(("materials", name), text)
     _refuse_unflyable(config, document)
     return config
@@ -229,8 +229,8 @@ def _refuse_unflyable(config: VehicleConfig, document: Document) -> None:
     if hover > 0.8:
         raise document.error(
             ("thrust", "table" if config.thrust.table is not None else "full_n"),
-            f"{count} motors of {most_n:g} N hover {config.airframe.mass_kg:g} kg at {hover:.0%} of full "
-            "thrust, limit 80 %",
+            f"{count} motors of {most_n:g} N need {hover:.0%} of full thrust to hover "
+            f"{config.airframe.mass_kg:g} kg, limit 80 %",
         )
     if config.airframe.listed is None:
         return
@@ -244,7 +244,7 @@ def _refuse_unflyable(config: VehicleConfig, document: Document) -> None:
     if lift.min() <= 0.0:
         text = (
             f"level hover leaves no thrust to motor {lift.argmin() + 1}: the centre of mass is not between "
-            "them"
+            "the motors"
         )
         raise document.error(("airframe", "motors"), text)
 

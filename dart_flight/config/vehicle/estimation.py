@@ -48,7 +48,7 @@ class WallPrior(Section, frozen=True):
     """Prior of a wall's coefficients, before a contact (docs/felt.md).
 
     Attributes:
-        spread: relative standard deviation of a wall's k, f, mu and nu from the table.
+        spread: relative standard deviation of a wall's k, f, mu and nu about the table's values.
     """
 
     spread: Annotated[float, Meta(gt=0.0, le=2.0)] = 0.3
@@ -58,7 +58,7 @@ class Estimation(Section, frozen=True, kw_only=True):
     """The estimate of the external force (docs/force.md).
 
     Attributes:
-        thrust_source: source of the thrust; auto: esc if it arrives often enough, otherwise actuator.
+        thrust_source: source of the thrust; auto: esc if motor speeds arrive often enough, else actuator.
         thrust_error_n: standard deviation of the total thrust after calibration.
         esc_thrust_n_per_rpm2: one motor's thrust over its speed squared, m g / (sum of rpm^2) at hover; null:
             motor speeds are not used.

@@ -13,17 +13,18 @@ class GuardThresholds(Section, frozen=True):
     """Thresholds of the guard's rules (docs/guard.md).
 
     Attributes:
-        stream_timeout_s: IMU, attitude or odometry silent for longer: land.
+        stream_timeout_s: IMU, attitude or odometry silent for longer than this: land.
         tilt_deg: tilt above this: land.
         wall_overrun_m: this far behind the wall's plane without a contact: break off.
         retreat_m: distance from the wall that is kept after breaking off.
-        imu_timeout_s: only the IMU silent for longer: land.
+        imu_timeout_s: only the IMU silent for longer than this: land.
         battery_remaining: remaining charge below this share: land.
         battery_v: battery voltage below this: land.
-        kill_after_s: in PX4's land mode and still armed for longer: motors off; null: never.
+        kill_after_s: still armed in PX4's land mode for longer than this: motors off; null: never.
         wall_late_s: no contact this long after the planned impact: break off.
-        wall_early_m: a contact more than this before the wall's plane is not the planned wall: break off.
-        deadman_s: core thread or event loop blocked for longer: the program is killed.
+        wall_early_m: a contact more than this in front of the wall's plane is not with the planned wall:
+            break off.
+        deadman_s: core thread or event loop blocked for longer than this: the program is killed.
         telemetry_late_s: delay of samples above this: do not take off, or land.
         position_sd_m: standard deviation of the horizontal position reported by PX4; above this a mission
             with walls does not take off, or lands.
@@ -52,7 +53,7 @@ class Flying(Section, frozen=True):
 
     Attributes:
         climb_speed_m_s: largest speed of the climb.
-        transit_speed_m_s: largest speed to the run-up point and to the goal.
+        transit_speed_m_s: largest speed of transits, to the run-up point and to the goal.
         acceleration_m_s2: largest acceleration of the reference.
         jerk_m_s3: largest jerk of the reference; null: derived from speed and acceleration.
         yaw_rate_deg_s: largest yaw rate of the reference.
@@ -63,8 +64,8 @@ class Flying(Section, frozen=True):
         attitude_delay_s: share of the thrust's lead time that the attitude's rate loop needs before it
             responds. null: 0.05 with PX4, none in the embedded simulator.
         ready_timeout_s: longest wait for telemetry, offboard mode, arming, the end of climb or transit.
-        replan_within_s: time from the end of a contact to the start of a trajectory planned in flight,
-            available to the planner.
+        replan_within_s: time from the end of a contact to the start of a trajectory planned in flight; the
+            planner must finish within it.
     """
 
     climb_speed_m_s: Speed

@@ -45,8 +45,9 @@ class Servo(Section, frozen=True):
         supply_v: supply voltage of the servo, 4.8 to 6.0 V.
         s_per_60deg_at_4v8: time for 60 degrees at 4.8 V, s.
         s_per_60deg_at_6v0: time for 60 degrees at 6.0 V, s.
-        settle_margin_s: added to the travel time before the lock counts as settled.
-        travel_s: measured time of the full travel, which replaces the two above; null: not measured.
+        settle_margin_s: time added to the travel time before the lock counts as settled.
+        travel_s: measured time of the full travel, which replaces the two times for 60 degrees; null: not
+            measured.
     """
 
     rigid_pulse_us: Annotated[float, Meta(gt=0.0, le=5000.0)]
@@ -109,7 +110,7 @@ class Servo(Section, frozen=True):
 
 
 class DriverSection(Section, frozen=True):
-    """Base of a driver's section, which is checked where the driver is chosen."""
+    """Base of the drivers' sections; only the section of the chosen driver is checked."""
 
     @property
     def ramp_us_s(self) -> float | None:
@@ -203,7 +204,7 @@ class Px4Output(DriverSection, frozen=True):
 
 
 class LimitSwitch(Section, frozen=True):
-    """Switches at one or both ends of the travel, on GPIO lines; an end without one has no feedback.
+    """Switches at one or both ends of the travel, on GPIO lines; an end without a switch has no feedback.
 
     Attributes:
         chip: GPIO chip, such as /dev/gpiochip0.
@@ -234,7 +235,7 @@ class LockDriver(StrEnum):
 
 
 class LockStartup(StrEnum):
-    """Action of the lock at program start: home to a known end, or adopt the present one."""
+    """Action of the lock at program start: move to a known end, or keep the present position."""
 
     HOME = "home"
     ADOPT = "adopt"
@@ -252,11 +253,11 @@ class LockConfig(Section, frozen=True):
         startup: home: move to home_mode; adopt: use the present position.
         home_mode: end to which `home` moves.
         relaxation_s: time after a contact before the lock may move, in which the arms spring back.
-        timeout_s: limit of a travel, and of the time without a reading of a limit switch; beyond it the lock
-            is in fault.
-        debounce_s: time after which a switch or a lost pulse counts.
-        limit_switch: {chip: /dev/gpiochip0, rigid_line: 23, flexible_line: 24, active_low: true}, or one of
-            the two lines; null: none, and a travel ends by time.
+        timeout_s: longest travel, and longest time without a reading of a limit switch; if either takes
+            longer, the lock is in fault.
+        debounce_s: time for which a switch must be steady, or a pulse lost, before it counts.
+        limit_switch: {chip: /dev/gpiochip0, rigid_line: 23, flexible_line: 24, active_low: true}, with one
+            or both lines; null: no switch, and a travel ends by time.
         rc_channel: RC channel of a switch that moves the lock in standby, high is rigid; null: none.
     """
 

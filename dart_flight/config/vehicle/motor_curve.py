@@ -1,4 +1,4 @@
-"""The thrust curve of one motor with two numbers: thrust over command, and its inverse.
+"""The thrust curve of one motor, defined by two numbers: thrust over command, and its inverse.
 
 It is a separate module because it is compiled (docs/speed.md): the simulated vehicle evaluates it for every
 motor, every millisecond.

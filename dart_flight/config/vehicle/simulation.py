@@ -26,8 +26,8 @@ class ContactBody(Section, frozen=True):
 
     Attributes:
         body: point: the centre of mass, as in the paper's equations; guards: two guard points per side.
-        guard_out_m: from the centre of mass to the guards' plane.
-        guard_along_m: from the middle of a side to either of its guards.
+        guard_out_m: distance from the centre of mass to the guards' plane.
+        guard_along_m: distance from the middle of a side to either of its guards.
         guard_height_m: height of the guards above the centre of mass.
         friction_lever_share: share of the guards' lever at which friction acts; 0: through the centre of
             mass, 1: at the guards.
@@ -55,7 +55,7 @@ class ImuRinging(Section, frozen=True):
     Attributes:
         white_m_s2: white noise, in addition to imu_noise_m_s2.
         tone_m_s2: amplitude of one tone.
-        tone_hz_low: lower end of the range in which the tone drifts, over seconds.
+        tone_hz_low: lower end of the frequency range in which the tone drifts within seconds.
         tone_hz_high: upper end of that range.
     """
 
@@ -77,17 +77,17 @@ class Simulation(Section, frozen=True, kw_only=True):
         pose_rate_hz: rate of the motion capture.
         pose_delay_s: delay of the motion capture.
         arm_vibration: vibration of the unlocked arms in the simulated IMU; null: none.
-        ground_stiffness_n_m: of the ground under a resting vehicle.
-        ground_damping_n_s_m: of the ground under a resting vehicle.
+        ground_stiffness_n_m: stiffness of the ground under a resting vehicle.
+        ground_damping_n_s_m: damping of the ground under a resting vehicle.
         battery_v: reported voltage.
-        wind_north_east_m_s: [north, east], steady; direction in which the air moves.
+        wind_north_east_m_s: steady velocity of the air, [north, east].
         gust_m_s: standard deviation of gusts in addition to the steady wind, per axis.
         contact: the vehicle as a body that touches walls.
         imu_ringing: vibration in the accelerometer while the motors turn; null: none.
-        imu_position_m: [forward, right, down] of the centre of mass, true position of the IMU.
+        imu_position_m: true position of the IMU, [forward, right, down] of the centre of mass.
         replan_latency_s: time from a replanning request to its answer, in simulated time.
         position_from: position source of the embedded autopilot: mocap: motion capture; rtk, plain: a GPS
-            receiver with or without corrections. A real PX4 has options for it.
+            receiver with or without corrections. For a real PX4, options select it.
         operator_s: time from the beginning of a pause until the operator continues, in simulated time; null:
             no response, the pause times out.
     """

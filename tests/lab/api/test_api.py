@@ -361,7 +361,7 @@ WRONG: list[tuple[Callable[[], Any], str]] = [
     (lambda: dart_flight.load_mission({"sequence": ["wood"]}), "<dict>: this is a scenario"),
     (lambda: vehicle_with("airframe.mass_kg", -1), "airframe.mass_kg=-1: expected a number"),
     (lambda: vehicle_with("airframe.mas_kg", 1), "airframe.mas_kg=1: unknown key, did you mean mass_kg?"),
-    (lambda: vehicle_with("airframe.mass_kg", 8.0), "hover 8 kg at"),
+    (lambda: vehicle_with("airframe.mass_kg", 8.0), "to hover 8 kg"),
     (lambda: replaced("collisions[3].mode", "rigid"), "unknown key 3"),
     (lambda: replaced("vehicle", "dart.yaml"), "vehicle: expected a vehicle configuration"),
     (lambda: dart_flight.simulate(replaced("limits.peak_force_n", 20.0)), "peak_force_n"),

@@ -49,7 +49,7 @@ def test_the_way_back_from_a_touch_is_counted_and_drawn() -> None:
     way_m = math.dist(back.begin[:2], (0.0, 0.0))
     assert way_m > 0.3
     finding = next(f for f in check_mission(mission) if f.item == "waypoints")
-    assert f"{way_m:.1f} m between stops" in finding.says
+    assert f"the legs between stops are {way_m:.1f} m long" in finding.says
     assert to_goal.begin == (0.0, 0.0, 1.2)
     lines = [line.get_xydata() for line in drawn(mission).lines]
     assert any(len(xy) == 2 and np.allclose(xy, [back.begin[:2], (0.0, 0.0)]) for xy in lines)
