@@ -202,7 +202,7 @@ class Curve(msgspec.Struct):
         )
 
     def force(self, p: Points) -> Array:
-        """Return the force at some points."""
+        """Return the force that the curve gives at some points, N."""
         shape: Array = self.factor * p.square + (1.0 - self.factor) * p.linear
         return self.full * shape * self.by_volts(p)
 
@@ -256,12 +256,12 @@ def fit_curve(p: Points, factor: float, exponent: float | None, *, fit_factor: b
 def best_fit(points: Points, square_share: float) -> tuple[float, Callable[[Points], Curve]]:
     """Return the cross-validation error of the best kind of curve, and the function that fits it.
 
-    The kinds differ in whether they use the voltage and whether the factor is configured or fitted. Each is
-    fitted to some of the segments and compared with the rest.
+    A kind uses the voltage or ignores it, and fits the factor or uses the configured one. Each kind is fitted
+    to some of the segments and compared with the others.
 
     Args:
         points: quiet segments.
-        square_share: configured factor.
+        square_share: the configured model factor.
 
     Returns:
         The root mean square error on held-out segments over the mean thrust, and the function.
@@ -279,7 +279,7 @@ def fit_problem(error: float) -> str:
     """Return the reason to reject a curve with this error on held-out segments, or an empty string."""
     if error <= _MAX_ERROR:
         return ""
-    return f"its error on held-out ones is {100.0 * error:.0f} %, {100.0 * _MAX_ERROR:.0f} % allowed: no fit"
+    return f"the error on held-out segments is {100.0 * error:.0f} %, limit {100.0 * _MAX_ERROR:.0f} %"
 
 
 def _fitter(factor: float, fitted: bool, by_volts: bool) -> Callable[[Points], Curve]:
@@ -313,11 +313,11 @@ def calibrate_thrust(tracks: Iterable[Track], vehicle: VehicleConfig) -> ThrustC
     mass, lag = vehicle.airframe.mass_kg, vehicle.thrust.motor_lag_s
     parts = [quiet_points(track, mass, lag) for track in tracks]
     if len({part.motors for part in parts}) > 1:
-        raise InputError("logs of vehicles with different numbers of motors", source=_sources(tracks))
+        raise InputError("the logs are of vehicles with different numbers of motors", source=_sources(tracks))
     p = _joined(parts)
     if len(p.force) < MIN_POINTS:
         raise InputError(
-            f"{len(p.force)} quiet half seconds of hover, needs at least {MIN_POINTS}; rejected: "
+            f"{len(p.force)} quiet half seconds of hover, at least {MIN_POINTS} are needed; rejected: "
             f"{format_rejected(p.rejected) or 'none'}",
             source=_sources(tracks),
         )

@@ -108,7 +108,7 @@ def _fit_samples(
     for i, n in few.items():
         result.notes.append(
             f"{trials[i].name}: {n} sample{'' if n == 1 else 's'} in contact, at least "
-            f"{_MIN_IN_CONTACT} are needed for stiffness: only its speeds are used"
+            f"{_MIN_IN_CONTACT} are needed for stiffness: only the trial's speeds are used"
         )
     return result
 

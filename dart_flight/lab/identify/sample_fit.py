@@ -1,4 +1,4 @@
-"""The residuals of the law at the samples of all trials of a call, with one parameter vector.
+"""The residuals of the law at the samples of all trials of an identification, with one parameter vector.
 
 All trials share one plane, whose position is known to one or two centimetres and estimated as well. All
 trials of a mode share its coefficients. Every trial has its own onset time and approach velocity, and a clock
@@ -74,7 +74,7 @@ class Parameters:
         return {name: first + i for i, name in enumerate(("k", "f", "mu", "nu"))}
 
     def trial_indices(self, i: int, mode: str) -> list[int]:
-        """Return the indices of everything that trial i depends on."""
+        """Return the indices of the parameters that trial i depends on."""
         return [0, *self.mode_indices(mode).values(), *self.own[i].values()]
 
 
@@ -302,7 +302,7 @@ class SampleFit:
     # -- starting point --
 
     def start(self) -> Array:
-        """Return a start: approach lines from the samples before, coefficients from a coarse search."""
+        """Return a starting point: lines through each approach, and coefficients from a coarse search."""
         theta = np.zeros(self.parameters.size)
         for i, impact in enumerate(self.impacts):
             own = self.parameters.own[i]

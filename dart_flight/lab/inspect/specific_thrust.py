@@ -25,9 +25,9 @@ _FAST_M_S = 99.0
 
 
 class SpecificThrust(msgspec.Struct):
-    """Thrust over mass at full command, with the other parameters of the curve.
+    """Thrust over mass at full command, with the other parameters of the thrust curve.
 
-    `held_out_percent` is the error of the thrust on held-out segments; `said` describes the segments used.
+    `held_out_percent` is the error of the thrust on held-out segments. `said` describes the fitted segments.
     """
 
     full_m_s2: float
@@ -53,7 +53,7 @@ def fit_specific_thrust(track: Track, vehicle: VehicleConfig) -> SpecificThrust 
         source = "flight at any speed, so the residual includes the effect of speed on the propellers"
         if len(points.force) < MIN_POINTS:
             return (
-                f"{len(points.force)} quiet half seconds, needs at least {MIN_POINTS}; rejected: "
+                f"{len(points.force)} quiet half seconds, at least {MIN_POINTS} are needed; rejected: "
                 f"{format_rejected(slow.rejected) or 'none'}"
             )
     error, best = best_fit(points, vehicle.thrust.square_share)

@@ -283,7 +283,7 @@ def _draw_side(axis: Any, mission: Mission, planned: PredictedFlight | None, top
 
 
 def _stops(mission: Mission) -> list[tuple[str, Vec2]]:
-    """Return labels with places: start, goal, numbered waypoints and changes of altitude."""
+    """Return the labels and places of start, goal, waypoints (numbered) and changes of altitude."""
     found: dict[Vec2, str] = {mission.start: "start"}
     goal = mission.goal.position_m
     found[goal] = f"{found[goal]}, goal" if goal in found else "goal"
@@ -299,7 +299,7 @@ def _stops(mission: Mission) -> list[tuple[str, Vec2]]:
 
 
 def _side_by_side(mission: Mission, planned: PredictedFlight) -> list[tuple[Vec2, str]]:
-    """Return the positions of hits along x and z, with their numbers."""
+    """Return the positions of hits (x, z), with their numbers; near hits share a position."""
     found: list[tuple[Vec2, str]] = []
     for index, hit in sorted(planned.hits.items(), key=lambda item: item[1].position[0]):
         x, z = hit.position[0], mission.altitude_at(index - 1)
