@@ -1,5 +1,5 @@
-"""Reader of PX4's own logs (ULog, PX4 1.9 and later): topics as arrays, decoded motor commands, plausible
-battery.
+"""Reader of PX4's own logs (ULog, PX4 1.9 and later): topics as arrays, decoded motor commands, and
+battery voltage.
 
 The content of `actuator_outputs` depends on version and output type. Pulse widths lie between `PWM_MIN` and
 `PWM_MAX` (until 1.11), `PWM_MAIN_MIN` and `_MAX` (1.12) or the values of each pin (since 1.13). DShot uses 0

@@ -182,7 +182,7 @@ def _joined(parts: list[Points]) -> Points:
 
 
 class Curve(msgspec.Struct):
-    """full (factor u^2 + (1 - factor) u) (volts / reference) ** exponent, summed over the motors.
+    """The curve full (factor u^2 + (1 - factor) u) (volts / reference) ** exponent, summed over the motors.
 
     A standard error is None where the value was given. Without a reference voltage the last factor is 1.
     """
@@ -208,7 +208,7 @@ class Curve(msgspec.Struct):
 
 
 def fit_curve(p: Points, factor: float, exponent: float | None, *, fit_factor: bool = False) -> Curve:
-    """Fit the exponent by least squares with the given factor, then the curve at the points' mean voltage.
+    """Fit the voltage exponent with the given factor, then the curve at the points' mean voltage.
 
     Args:
         p: the points.

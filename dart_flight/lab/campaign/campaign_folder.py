@@ -78,7 +78,7 @@ def open_campaign(asked: CampaignSpec | None, folder: Path, resume: bool) -> Cam
     wanted = campaign_of(specification, points)
     problem = difference(kept, wanted)
     if problem is not None:
-        raise InputError(f"is a different campaign: {problem}", source=str(path))
+        raise InputError(f"cannot resume this campaign: {problem}", source=str(path))
     if wanted.asked.runs > kept.asked.runs:
         _write(path, wanted)
     return CampaignFolder(folder, wanted, points)
@@ -93,7 +93,7 @@ def _begin(asked: CampaignSpec, folder: Path) -> CampaignFolder:
             source=str(folder / TABLE),
         )
     if folder.is_dir() and any(folder.iterdir()):
-        raise InputError("folder is not empty; choose a new one", source=str(folder), key=("--out",))
+        raise InputError("the folder is not empty; choose a new folder", source=str(folder), key=("--out",))
     _write(folder / ASKED, campaign)
     return CampaignFolder(folder, campaign, points)
 

@@ -1,4 +1,4 @@
-"""The specification of a campaign: missions x settings x cases x seeds, and the points and items that follow.
+"""The specification of a campaign: missions x settings x cases x seeds, and the resulting points and items.
 
 `dart-flight campaign` builds it from its options. A measurement of the manual is a specification in a file
 (`tools/campaigns/*.yaml`), with a function that judges each flight.
@@ -277,11 +277,11 @@ def difference(kept: Campaign, wanted: Campaign) -> str | None:
         ("the version of dart-flight", kept.software, wanted.software),
     ):
         if before != now:
-            return f"{name}: it has {_format_setting(before)}, not {_format_setting(now)}"
+            return f"{name}: {_format_setting(before)} in the existing campaign, not {_format_setting(now)}"
     if b.runs < a.runs:
-        return f"--runs: it has {a.runs}, not {b.runs}; runs can be added, not removed"
+        return f"--runs: {a.runs} in the existing campaign, not {b.runs}; runs can be added, not removed"
     if kept.digests != wanted.digests:
-        return "a mission or configuration file has changed since"
+        return "a mission or configuration file has changed since the campaign began"
     return None
 
 

@@ -139,7 +139,7 @@ def cell_fault(row: str, phase: str) -> Fault:
 
 
 def fly_random(point: Point, number: int) -> FaultFlight:
-    """Fly with a random fault; the number determines the fault, its value, phase and time, and the mission."""
+    """Fly with a random fault; the number determines fault, value, phase, time and mission."""
     return fly_fault(*random_fault(number), number)
 
 

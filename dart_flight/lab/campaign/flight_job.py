@@ -1,4 +1,4 @@
-"""One flight of a campaign in any process: from its item to its row, and its log if kept.
+"""The flight of one item of a campaign, in any process, which returns its row and its log if kept.
 
 A specification may name the function that flies and the function that judges; the default columns come from
 `cells_of`.

@@ -115,7 +115,7 @@ def rows_in(path: Path) -> Iterator[dict[str, str]]:
             for cells in reader:
                 if len(cells) != len(columns):
                     raise InputError(
-                        f"{len(cells)} cells, a row has {len(columns)}",
+                        f"this line has {len(cells)} cells, the header has {len(columns)}",
                         source=str(path),
                         line=reader.line_num,
                     )

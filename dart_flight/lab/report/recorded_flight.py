@@ -291,7 +291,7 @@ class RecordedFlight:
         return found
 
     def planned_lines(self) -> list[Array]:
-        """Return the planned path from above: (n, 2), mission frame, metres."""
+        """Return the planned path, seen from above, as lines: (n, 2), mission frame, metres."""
         planned = self.planned
         approaches = [np.array(line) for line in planned.approaches.values()]
         from_rest = [

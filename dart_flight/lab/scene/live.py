@@ -98,13 +98,15 @@ class LiveViewProcess:
         opened = (
             msgspec.json.decode(line, type=PortStatus)
             if line
-            else PortStatus(problem="process did not start")
+            else PortStatus(problem="the process did not start")
         )
         if opened.port is None:
             self.process.end(_END_S)
             where = f"{show.host}:{show.port}"
             if "in use" in opened.problem:
-                raise InputError(f"port {show.port} is in use; choose another with --live-port", source=where)
+                raise InputError(
+                    f"port {show.port} is in use; choose another port with --live-port", source=where
+                )
             raise InputError(f"no live view: {opened.problem}", source=where)
         return opened.port
 

@@ -376,7 +376,9 @@ def _sequences(spec: ScenarioFile, document: Document) -> tuple[tuple[str, ...],
         if name not in spec.walls:
             raise document.error((*key, i), unknown_name(name, list(spec.walls)))
         if i and name == sequence[i - 1]:
-            raise document.error((*key, i), "the recovery leads away from a wall, never back to it")
+            raise document.error(
+                (*key, i), "a wall cannot be hit twice in a row: the recovery leads away from the wall"
+            )
     return (sequence,)
 
 

@@ -142,7 +142,7 @@ def test_a_flight_log_has_no_drops(
         [*drops, log, "--drop"],
     ):
         said = refused(capsys, *words)
-        assert said == f"{log}: drop: a flight log has wall collisions and no drops: omit --drop\n"
+        assert said == f"{log}: drop: a flight log contains wall collisions, not drops: omit --drop\n"
     assert not out.exists()
 
 

@@ -112,7 +112,9 @@ def prediction_lines(
     lines = []
     missing = [c for c in mission.collisions if c.index not in planned.hits]
     if missing:
-        lines.append(f"The model does not reach wall {missing[0].wall.name} of collision {missing[0].index}.")
+        lines.append(
+            f"In the flight model, collision {missing[0].index} does not reach wall {missing[0].wall.name}."
+        )
     if planned.goal_miss_m is not None:
         words = describe_goal_miss(
             planned.goal_miss_m, mission.goal, mission.after_impact, mission.goal_trajectory is not None
@@ -129,8 +131,8 @@ def prediction_lines(
         if uncertain:
             lines.append(f"The positions of {' and '.join(uncertain)} are varied within their uncertainty.")
         lines.append(
-            f"With k, f and mu of the walls drawn ± {100 * spread:.0f} %: {low:.2f} to {high:.2f} m "
-            "in nine of ten draws"
+            f"With k, f and mu of the walls drawn ± {100 * spread:.0f} %, the goal is missed by {low:.2f} to "
+            f"{high:.2f} m in nine of ten draws"
             + (
                 f"; {len(drawn) - len(misses)} of {len(drawn)} draws do not reach the goal."
                 if len(misses) < len(drawn)
