@@ -59,9 +59,9 @@ def load_vehicle(path: Written | None = None, settings: Sequence[str] = ()) -> V
     """Load a vehicle configuration; `replace({"airframe.mass_kg": 1.5})` returns a modified copy.
 
     Args:
-        path: a file or a mapping with the content of one. Default: $DART_FLIGHT_CONFIG, then
+        path: a file, or a mapping with its content. Default: $DART_FLIGHT_CONFIG, then
             ./configs/dart.yaml or the only file in ./configs, then the packaged configuration.
-        settings: `KEY=VALUE` settings that override it, as with `--set`.
+        settings: `KEY=VALUE` settings that override keys of the configuration, as with `--set`.
 
     Raises:
         InputError: a key is unknown, or a value has the wrong type or is out of range.
@@ -79,7 +79,7 @@ def load_mission(
     """Load a mission and its vehicle; `replace({"limits.speed_m_s": 2.0})` returns a modified copy.
 
     Args:
-        mission: a file, a mapping with the content of one, or a loaded mission.
+        mission: a file, a mapping with its content, or a loaded mission.
         vehicle: the configuration to use instead of the one that the mission names.
         settings: `KEY=VALUE` settings of the configuration, as with `--set`.
 
@@ -122,8 +122,9 @@ class Flight:
 
     @cached_property
     def log(self) -> Log:
-        """Every record of the flight: `log["/estimate/force"].force_mission`. Without `log_dir` it takes some
-        ten megabytes of memory.
+        """The records of the flight by topic, such as `log["/estimate/force"].force_mission`.
+
+        Without `log_dir` the log takes about ten megabytes of memory.
         """
         return self._record.log
 
@@ -311,7 +312,7 @@ class PlanResult:
 def load_scenario(
     scenario: Written, vehicle: VehicleConfig | str | Path | None = None, settings: Sequence[str] = ()
 ) -> Scenario:
-    """Load a scenario, the input of the planner, from a file or a mapping with the content of one.
+    """Load a scenario, the input of the planner, from a file or from a mapping with its content.
 
     Args:
         scenario: the file or the mapping.

@@ -67,7 +67,7 @@ class AxisInertia(msgspec.Struct):
 
 
 class InertiaCalibration(msgspec.Struct):
-    """Inertia about the three axes, with the data behind it.
+    """Inertia about the three axes, and what determined it.
 
     Attributes:
         windows: number of windows of `WINDOW_S` seconds.

@@ -113,7 +113,7 @@ def quiet_points(
     Args:
         track: the flight.
         mass_kg: mass of the vehicle in this flight; 1 gives specific thrust.
-        lag_s: lag of the motors; commands are delayed by it.
+        lag_s: lag of the motors, by which commands are delayed.
         most_speed_m_s: upper limit of a window's mean speed.
     """
     rows: list[tuple[float, float, float, float, float]] = []

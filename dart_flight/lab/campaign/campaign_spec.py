@@ -1,7 +1,7 @@
 """The specification of a campaign: missions x settings x cases x seeds, and the resulting points and items.
 
-`dart-flight campaign` builds it from its options. A measurement of the manual is a specification in a file
-(`tools/campaigns/*.yaml`), with a function that judges each flight.
+`dart-flight campaign` builds the specification from its options. A measurement of the manual is a
+specification in a file (`tools/campaigns/*.yaml`), with a function that judges each flight.
 """
 
 from __future__ import annotations

@@ -136,7 +136,7 @@ class DifferingQuantity(msgspec.Struct, frozen=True):
     Attributes:
         name: name of the quantity.
         failed, completed: medians; for a word, the fraction of flights that drew it.
-        chance: probability that it is higher in a failed flight than in a completed one; 0.5 is no
+        chance: probability that the quantity is higher in a failed flight than in a completed one; 0.5 is no
             difference.
     """
 

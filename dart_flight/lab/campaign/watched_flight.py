@@ -132,7 +132,7 @@ class WatchedFlight:
 def excursion_allowed_m(fault: Fault | None) -> float:
     """Return the allowed excursion from the bounds of a controlled flight, metres.
 
-    It is half a metre for braking, plus the position error that the fault causes.
+    The limit is half a metre for braking, plus the position error that the fault causes.
     """
     wrong = abs(fault.value) if fault is not None and fault.name == "ekf-jump" else 0.0
     return OUT_M + wrong if math.isfinite(wrong) else math.inf

@@ -48,8 +48,9 @@ class TrialFit(NamedTuple):
             flight was straight.
         used: `samples` if the samples were fitted, `whole` if only speeds, peak and duration were used.
         normal_out_m_s, tangential_out_m_s: velocity after the contact, measured without a contact law.
-        peak_force_n: measured peak; None if no force was recorded or it was clipped.
-        force_delay_s: delay of the force's clock relative to the positions'; None without both.
+        peak_force_n: measured peak; None if no force was recorded, or the sensor clipped.
+        force_delay_s: delay of the clock of the forces relative to that of the positions; None unless both
+            were recorded.
         misfit: ratio of the residual in contact to the noise in free flight, for the worst channel.
         set_aside: samples that the fit ignores.
     """
@@ -109,7 +110,7 @@ class HeldOut(NamedTuple):
         mode: mode of the hits.
         held_out: `speed` if all hits of one speed (or height) are held out together, otherwise `trial`.
         hits: number of predicted hits.
-        law: errors of the paper's law; None if the hits do not determine its coefficients.
+        law: errors of the paper's law; None if the hits do not determine the law's coefficients.
         baselines: baseline -> errors; each baseline predicts only one of the two quantities.
         scatter: errors of repeats at one speed against their median; None without repeats.
         earned: whether the law predicts better than the baselines in every assessable quantity.

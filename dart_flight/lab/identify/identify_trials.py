@@ -65,7 +65,7 @@ def identify_trials(
 
     Raises:
         InputError: an option or a trial is invalid, an option applies to no file, or the trials are of
-            different vehicles. Of several logs, those without a collision are left out with a note.
+            different vehicles. If there are several logs, logs without a collision are left out, with a note.
     """
     if not 0.0 <= reading.contact_distance_m <= 1.0:
         raise InputError(f"{reading.contact_distance_m:g} m, expected 0 to 1", key=("contact-distance",))

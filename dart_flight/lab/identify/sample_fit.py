@@ -182,7 +182,7 @@ class SampleFit:
         return np.concatenate([counts[name] * error / self.sd[name] for name, error in errors.items()])
 
     def prior(self, theta: Array) -> Array:
-        """Return the residuals of the priors: the plane's position, and weak ones on the coefficients."""
+        """Return the residuals of the priors on the plane's position and, weakly, on the coefficients."""
         weak = []
         for mode in self.parameters.modes:
             at = self.parameters.mode_indices(mode)
@@ -199,7 +199,7 @@ class SampleFit:
         return np.array([theta[0] / _PLANE_SD_M, *weak])
 
     def residuals(self, theta: Array) -> Array:
-        """Return all weighted residuals, those of the priors last."""
+        """Return the weighted residuals of all trials, then those of the priors."""
         return np.concatenate([self.block(theta, i) for i in range(len(self.trials))] + [self.prior(theta)])
 
     def jacobian(self, theta: Array) -> Array:

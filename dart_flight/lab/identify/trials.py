@@ -87,7 +87,8 @@ class TrialReading:
     Attributes:
         mode: mode of trials that do not record their mode; for a flight, only collisions in this mode are
             used.
-        surface: for a flight, only collisions with this material are used; None: there must be only one.
+        surface: for a flight, only collisions with this material are used; None: all collisions must be with
+            one material.
         drop: whether gravity acts along the normal.
         contact_distance_m: distance from the surface to the centre at first touch, subtracted from the normal
             position; 0 if positions already count from first touch.

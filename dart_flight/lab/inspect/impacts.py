@@ -99,8 +99,8 @@ class Estimated(NamedTuple):
     def beyond_thrust(self) -> Vec2:
         """Return the horizontal force that no thrust explains, newton, mission frame.
 
-        A log's thrust is fitted or assumed, from commands at 10 Hz. Along its axis the accelerometer may
-        measure anything from nothing to full thrust without a contact.
+        A log's thrust is fitted or assumed, from commands at 10 Hz. Without a contact, the
+        accelerometer may measure anything from nothing to full thrust along the thrust axis.
         """
         could_n = max(0.0, min(self.full_n, self.along_n)) - self.thrust_n
         x, y, _ = self.force.force_mission
@@ -197,7 +197,7 @@ class InspectedFlight(msgspec.Struct):
 
     @property
     def nothing_found(self) -> str:
-        """The text that replaces an empty table of impacts; without a flight it says so."""
+        """The text that replaces an empty table of impacts, with a remark if the log contains no flight."""
         return "no impact" if self.flight_s > 0.0 else "0 s in the air: no impact can be found"
 
 
@@ -239,7 +239,7 @@ class ImpactScan:
         self.crossings: list[ThresholdCrossing] = []
 
     def in_the_air(self, t_s: float) -> bool:
-        """Return whether a time is within one of the flights; times must not decrease."""
+        """Return whether a time is within a flight; times must not decrease from call to call."""
         while self._place < len(self._flying) and self._flying[self._place][1] < t_s:
             self._place += 1
         return self._place < len(self._flying) and self._flying[self._place][0] <= t_s

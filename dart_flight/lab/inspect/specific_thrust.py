@@ -98,7 +98,8 @@ def _is_too_far(apart_s: float) -> bool:
 def fit_drag(track: Track, flying: list[tuple[float, float]]) -> float:
     """Fit the drag, 1/s: horizontal specific force across the thrust axis over the velocity, ignoring wind.
 
-    The fit is robust and uses half-second means over the whole flight; it is 0 if the flight is too slow.
+    The fit is robust and uses half-second means over the whole flight. If the flight is too slow, the drag is
+    0.
     """
     if not track.attitude_s.size or not track.position_s.size:
         return 0.0

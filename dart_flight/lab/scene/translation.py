@@ -382,8 +382,8 @@ def _log(t_us: int, event: Event) -> Message:
 def attitude_in(frame: MissionFrame, q_frd_to_ned: Rotation) -> Rotation:
     """Return the attitude for viewers: body forward, left, up to the mission frame.
 
-    The change of the body's axes and that of the world's axes are half turns about x. The heading about z
-    follows.
+    The changes of the body's axes and of the world's axes are half turns about x. The heading is a rotation
+    about z.
     """
     half = 0.5 * frame.heading_rad
     flip = (0.0, 1.0, 0.0, 0.0)

@@ -51,7 +51,7 @@ class FreePlan(msgspec.Struct, frozen=True):
 
 
 def limits_of(scenario: Scenario) -> MotionLimits:
-    """Return the limits of a scenario that its flights use."""
+    """Return the motion limits that a scenario's flights use."""
     flying, px4 = scenario.vehicle.flying, scenario.vehicle.px4
     tilt = math.degrees(math.atan2(flying.acceleration_m_s2, GRAVITY_M_S2))
     speed = scenario.limits.speed_m_s

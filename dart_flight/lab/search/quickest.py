@@ -230,7 +230,7 @@ class LeastTimes:
         return max(float(ramped_s), length_m / self._limits.speed_m_s)
 
     def _to_speed(self, end: LegEnd, leaving: bool, levels: bool) -> tuple[Array, Array]:
-        """Return time and distance from an end to each speed; `levels` demands zero acceleration there."""
+        """Return time and distance from an end to each speed; `levels`: at zero acceleration there."""
         v, a, j = self._speeds, self._limits.acceleration_m_s2, self._limits.jerk_m_s3
         zero = np.zeros_like(v)
         if end is LegEnd.ANY or (end is LegEnd.HIT and not leaving):
@@ -373,7 +373,7 @@ class _Search:
         return total + sum(self._least_contact_s(e.wall) for e in events if isinstance(e, Hit))
 
     def _end_of_leg(self, events: Sequence[Event], places: Sequence[Vec2], k: int) -> LegEnd:
-        """Return the constraint of an event on its adjacent legs; -1 and the last are start and goal."""
+        """Return the constraint of event `k` on its adjacent legs; -1 is the start, the last `k` the goal."""
         if not 0 <= k < len(events):
             return LegEnd.REST
         event = events[k]

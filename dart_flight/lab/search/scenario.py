@@ -139,8 +139,8 @@ class ScenarioFile(SpaceKeys, frozen=True, kw_only=True):
         touch_m_s: speed at which the flight first touches each wall to be hit, from the start and back. The
             touches measure the direction of the walls and their vertical force. Without this key the flight
             makes no touches; only with the objective quickest.
-        sequence: walls in the order of the hits, up to four, or up to 16 with the objective quickest; any:
-            the planner chooses walls and order. With the objective quickest it may also hit none.
+        sequence: walls in the order of the hits: up to four, or up to 16 with the objective quickest. `any`:
+            the planner chooses walls and order, and with the objective quickest possibly no wall.
         search: the approaches to try; the objective quickest does not use this key.
         name: name of the written mission; by default the name of this file.
         vehicle: vehicle configuration, relative to this file; by default the default configuration.

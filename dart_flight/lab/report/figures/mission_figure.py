@@ -217,7 +217,7 @@ def _draw_trajectory(axis: Any, mission: Mission, planned: PredictedFlight) -> N
 
 
 def _draw_hits(axis: Any, mission: Mission, planned: PredictedFlight) -> tuple[list[Label], list[Array]]:
-    """Draw the hits; return their labels, and the lines that these should not cover."""
+    """Draw the hits; return their labels, and the lines that the labels should not cover."""
     largest = max((math.hypot(h.normal_n, h.tangential_n) for h in planned.hits.values()), default=0.0)
     labels: list[Label] = []
     lines: list[Array] = []
