@@ -393,8 +393,8 @@ def identify(
         onset: onset rule, `lcp` or `touch`; by default the vehicle's rule.
         contact_distance_m: distance that is subtracted from the column `normal_m` of files, m.
         columns: our column name -> header in the CSV files.
-        wall: for PX4 logs, north and east (m) of a point of the plane and the heading of its normal
-            (degrees).
+        wall: for PX4 logs: north and east (m) of a place of the vehicle's centre at first touch, and the
+            heading of the wall's outward normal (degrees).
         mass_kg: vehicle mass to use instead of the configuration's.
 
     Raises:

@@ -146,7 +146,8 @@ class Identification(NamedTuple):
 
     Attributes:
         coefficients: mode -> k, f, mu, nu -> estimate, or None if the data do not determine it.
-        plane_m: position of the plane of first touch in the recordings; None if no samples were fitted.
+        plane_m: normal position of the vehicle's centre at first touch, in the recordings; None if no samples
+            were fitted.
         residuals: quantity -> root mean square of its residuals, in the unit of the quantity.
         trials: fit of each trial.
         vertical_side: direction of the vertical force: 1 along `vertical_m`, -1 against it, None if unknown.

@@ -121,7 +121,7 @@ def _coefficients(
     onset: Onset,
     notes: list[str],
 ) -> dict[str, Estimate | None]:
-    """Return coefficients from samples if the law fits them, otherwise from whole hits."""
+    """Return coefficients from the samples if the law fits them, otherwise from whole hits (`hit_fit`)."""
     sampled = result.coefficients.get(mode)
     bad = mode in result.bad
     if bad and sampled is not None:

@@ -1,7 +1,7 @@
-"""Fit of k and f to whole hits: outgoing speed, peak force, duration and depth.
+"""Fit of k and f to whole hits, which are their outgoing speed, peak force, duration and depth.
 
 If the paper's law does not describe a contact, a fit of the law to the samples gives a wrong peak. This fit
-uses the quantities that the law has to predict instead of the samples.
+therefore ignores the samples and fits the quantities that a prediction needs.
 """
 
 from __future__ import annotations

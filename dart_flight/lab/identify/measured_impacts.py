@@ -1,4 +1,4 @@
-"""Measurement of whole hits without a contact law: incoming and outgoing speed, peak and duration.
+"""Measurement of hits as a whole, without a contact law: incoming and outgoing speed, peak and duration.
 
 A law must predict these numbers, and restitution and tangential ratio follow from them. They are the only
 data if a recording has too few samples of the contact (motion capture at 100 Hz) or no positions (an

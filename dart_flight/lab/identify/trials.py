@@ -93,8 +93,8 @@ class TrialReading:
         contact_distance_m: distance from the surface to the centre at first touch, subtracted from the normal
             position; 0 if positions already count from first touch.
         columns: our column name -> header in the file.
-        wall: for logs in local NED: north and east (m) of a point of the plane of first touch, and the
-            heading of its outward normal, degrees.
+        wall: for logs in local NED: north and east (m) of a place of the vehicle's centre at first touch, and
+            the heading of the wall's outward normal, degrees.
         mass_kg: vehicle mass to use instead of the configuration's.
         height_m: height of drops, if known.
     """
