@@ -47,7 +47,7 @@ from dart_flight.run.prepare import refuse_unflyable
 from dart_flight.sim.draws import parse_vary
 from dart_flight.sim.faults.fault_table import Fault, parse_mission_fault
 
-Written = str | Path | Mapping[str, Any]  # a file, or its content
+Written = str | Path | Mapping[str, Any]  # the path of a file, or a mapping with its content
 Numbers = Sequence[float] | NDArray[Any]
 Array = NDArray[np.float64]
 
@@ -59,9 +59,9 @@ def load_vehicle(path: Written | None = None, settings: Sequence[str] = ()) -> V
     """Load a vehicle configuration; `replace({"airframe.mass_kg": 1.5})` returns a modified copy.
 
     Args:
-        path: a file or a mapping with the content of one. Default: $DART_FLIGHT_CONFIG, then
+        path: a file, or a mapping with its content. Default: $DART_FLIGHT_CONFIG, then
             ./configs/dart.yaml or the only file in ./configs, then the packaged configuration.
-        settings: `KEY=VALUE` settings that override it, as with `--set`.
+        settings: `KEY=VALUE` settings that override keys of the configuration, as with `--set`.
 
     Raises:
         InputError: a key is unknown, or a value has the wrong type or is out of range.
@@ -79,7 +79,7 @@ def load_mission(
     """Load a mission and its vehicle; `replace({"limits.speed_m_s": 2.0})` returns a modified copy.
 
     Args:
-        mission: a file, a mapping with the content of one, or a loaded mission.
+        mission: a file, a mapping with its content, or a loaded mission.
         vehicle: the configuration to use instead of the one that the mission names.
         settings: `KEY=VALUE` settings of the configuration, as with `--set`.
 
@@ -122,8 +122,9 @@ class Flight:
 
     @cached_property
     def log(self) -> Log:
-        """Every record of the flight: `log["/estimate/force"].force_mission`. Without `log_dir` it takes some
-        ten megabytes of memory.
+        """The records of the flight by topic, such as `log["/estimate/force"].force_mission`.
+
+        Without `log_dir` the log takes about ten megabytes of memory.
         """
         return self._record.log
 
@@ -213,13 +214,14 @@ def predict(
         vehicle: supplies the mass and the materials.
         surface: one of the vehicle's materials.
         mode: `rigid` or `flexible`.
-        normal_m_s: onset velocity along the wall's outward normal, negative; arrays give arrays.
-        tangential_m_s: onset velocity along the wall; broadcasts with `normal_m_s`.
-        onset: `lcp` or `touch`; by default the configuration's.
-        incidence_deg: angle between the leading edge and the wall, 0 to 45.
+        normal_m_s: velocity at the onset along the wall's outward normal, negative towards the wall, m/s.
+            An array gives arrays.
+        tangential_m_s: velocity at the onset along the wall, m/s; broadcasts with `normal_m_s`.
+        onset: onset rule, `lcp` or `touch`; by default the configuration's rule.
+        incidence_deg: angle between the leading edge and the wall, 0 to 45 degrees.
 
     Returns:
-        `normal_out_m_s`, `peak_normal_force_n`, `contact_time_s`, ... (`contact.contact_map.WallHit`).
+        A `contact.contact_map.WallHit` with `normal_out_m_s`, `peak_normal_force_n`, `contact_time_s`, ...
 
     Raises:
         InputError: the surface, the mode or the onset is unknown, or a velocity does not approach the wall.
@@ -240,10 +242,10 @@ def predict(
 def predict_drop(
     vehicle: VehicleConfig, surface: str, mode: str, height_m: float, *, onset: str | None = None
 ) -> Drop[float]:
-    """Return the outcome of a drop from rest, `height_m` above the plane of first touch.
+    """Return the outcome of a drop from rest; the vehicle falls `height_m` before it touches the ground.
 
     Raises:
-        InputError: as `predict`, or the height is not above 0 and up to 100 m.
+        InputError: as for `predict`, or the height is not above 0, or exceeds 100 m.
     """
     condition = prediction.condition(vehicle, surface, mode, onset, 0.0)
     prediction.drop_contact(condition, height_m)  # raises for a height out of range
@@ -257,7 +259,7 @@ class PlanResult:
     """The result of a search for plans.
 
     Attributes:
-        search: the complete result, with counts, rejections and maps.
+        search: the complete result, with counts, rejections and all feasible candidates.
     """
 
     def __init__(self, result: SearchResult) -> None:
@@ -274,10 +276,10 @@ class PlanResult:
         return self.mission_of(1)
 
     def mission_of(self, rank: int) -> Mission:
-        """Return the plan of a rank as a mission; rank 1 is the best.
+        """Return the plan with a given rank as a mission; rank 1 is the best.
 
         Raises:
-            InputError: there are fewer plans.
+            InputError: no plan has this rank.
         """
         scenario = self.search.scenario
         text = mission_text(scenario, self._plan(rank), Path("plan.yaml"))
@@ -294,7 +296,7 @@ class PlanResult:
                 and write the results into the file (`flown`).
 
         Raises:
-            InputError: the file cannot be written, or there are fewer plans.
+            InputError: the file cannot be written, or no plan has this rank.
         """
         plan, scenario = self._plan(rank), self.search.scenario
         record = fly_mission(planned_mission(scenario, plan), fly=fly_in_process).record if verify else None
@@ -310,7 +312,7 @@ class PlanResult:
 def load_scenario(
     scenario: Written, vehicle: VehicleConfig | str | Path | None = None, settings: Sequence[str] = ()
 ) -> Scenario:
-    """Load a scenario, the input of the planner, from a file or a mapping with the content of one.
+    """Load a scenario, the input of the planner, from a file or from a mapping with its content.
 
     Args:
         scenario: the file or the mapping.
@@ -340,7 +342,7 @@ def plan(
         vehicle: the configuration to use instead of the one that the scenario names.
         objective: `nearest`, `fastest`, `gentlest` or `robust`, instead of the scenario's.
         top: number of plans to keep.
-        seed: seed of the draws of `robust`.
+        seed: seed of the draws for the objective `robust`.
 
     Raises:
         InputError: the scenario is invalid or has no feasible plan; the message names the most frequent
@@ -384,19 +386,20 @@ def identify(
             from your own arrays.
         vehicle: supplies the mass and the onset rule; default `load_vehicle()`. A flight log contains its own
             configuration, which is used for its trials.
-        mode: state of the arms for trials that do not record it; for flights, only collisions in this mode
-            are used.
+        mode: state of the arms in trials that do not record the state; for flights, only collisions in this
+            mode are used.
         surface: for flights, only collisions with this material are used.
-        drop: whether the trials are drops, or the drop height in m.
-        onset: `lcp` or `touch`; by default the vehicle's.
-        contact_distance_m: distance to subtract from `normal_m` of files.
-        columns: header of each of our column names in the CSV files.
-        wall: for PX4 logs, north and east (m) of a point of the plane and the heading of its normal
-            (degrees).
+        drop: whether the trials are drops; a number also gives the drop height, m.
+        onset: onset rule, `lcp` or `touch`; by default the vehicle's rule.
+        contact_distance_m: distance that is subtracted from the column `normal_m` of files, m.
+        columns: our column name -> header in the CSV files.
+        wall: for PX4 logs: north and east (m) of a place of the vehicle's centre at first touch, and the
+            heading of the wall's outward normal (degrees).
         mass_kg: vehicle mass to use instead of the configuration's.
 
     Raises:
-        InputError: SciPy is missing, a trial or an option is invalid, or a collision is with another wall.
+        InputError: SciPy is missing, a trial or an option is invalid, or a flight has collisions with several
+            materials and `surface` is not given.
     """
     given = list(trials) if isinstance(trials, Sequence) and not isinstance(trials, str) else [trials]
     vehicle = vehicle or load_vehicle()

@@ -32,7 +32,7 @@ _AXES: tuple[Vec3, ...] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
 class MotionArrays(NamedTuple):
-    """Times (n,) in s, positions (n, 3) in m and velocities (n, 3) in m/s, in the mission frame."""
+    """A motion: times (n,) in s, positions (n, 3) in m and velocities (n, 3) in m/s, in the mission frame."""
 
     time_s: Array
     position: Array
@@ -54,7 +54,7 @@ class PoseArrays(NamedTuple):
 
 
 class ForceArrays(NamedTuple):
-    """Times (n,) in s and the force on the vehicle (n, 3) in newton, in the mission frame."""
+    """A force: times (n,) in s and the force on the vehicle (n, 3) in newton, in the mission frame."""
 
     time_s: Array
     force: Array
@@ -63,18 +63,20 @@ class ForceArrays(NamedTuple):
 class FlightArrays:
     """The arrays of one flight.
 
-    Times are seconds since the zero of `flight_time`, which every output shares; `time_of` converts autopilot
-    stamps.
+    Times count in seconds from the zero of `flight_time`, as in every output of a flight. `time_of` converts
+    the autopilot's stamps.
 
     Attributes:
-        log, records: the source of the arrays.
+        log: the flight log.
+        records: every record of the log in order.
         start_us: the autopilot's time at 0 s.
         frame: the first mission frame in local NED, or None if the flight never became ready. Contacts may
             move the frame (`frame_at`); each position is converted with the frame valid at its time.
         estimated: the motion estimated by PX4; empty without a frame.
-        true: the motion of the simulated vehicle; empty on the drone.
-        estimated_force, true_force: the same for the force. An estimated force is stamped with the middle of
-            the IMU's averaging interval, behind the accelerometer's own filter, not with its end.
+        true: the true motion of a simulated vehicle; empty for a real vehicle.
+        estimated_force: the force estimated by the flight core. Its times are those at which the force acted:
+            the lag of the IMU's reading is subtracted.
+        true_force: the true force of a simulated vehicle; empty for a real vehicle.
     """
 
     def __init__(self, log: Log, mission: Mission) -> None:
@@ -129,11 +131,11 @@ class FlightArrays:
         return (t_us - self.start_us) * 1e-6
 
     def topic_in_ned(self, kind: type[Record]) -> Topic:
-        """Return the records of a kind that is usable only with a frame; no records without a frame."""
+        """Return the records of a kind, or none if the flight has no mission frame to convert them with."""
         return self.topic(kind) if self.frame is not None else Topic(kind, [], np.empty(0))
 
     def frame_at(self, t_us: int) -> MissionFrame | None:
-        """Return the mission frame valid at a time: the first frame for earlier times, None without any."""
+        """Return the mission frame valid at a time; the first frame also holds before. None without any."""
         laid = [frame for from_us, frame in self._frames if from_us <= t_us]
         return laid[-1] if laid else self.frame
 

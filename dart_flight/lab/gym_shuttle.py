@@ -62,7 +62,7 @@ class ShuttleEnv(gymnasium.Env[Numbers, Numbers]):
         return self._numbers(seen), {}
 
     def step(self, action: Numbers) -> tuple[Numbers, float, bool, bool, dict[str, Any]]:
-        """Accelerate for 0.04 s at the start's altitude."""
+        """Apply an action for 0.04 s, at the altitude of the start."""
         ax, ay, lock = (float(value) for value in np.clip(action, -1.0, 1.0))
         mode = Mode.RIGID if lock > 0.0 else Mode.FLEXIBLE
         altitude_m = self._simulation.mission.altitude_m

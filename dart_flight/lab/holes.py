@@ -21,7 +21,7 @@ def describe_holes(time_s: NDArray[np.float64], what: str, begin_s: float | None
     Args:
         time_s: stamps, increasing.
         what: name of the recorded data.
-        begin_s: stamp to count times from; None: the first stamp.
+        begin_s: stamp from which the printed times count; None: the first stamp.
     """
     if len(time_s) < 3:
         return []

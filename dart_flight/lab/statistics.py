@@ -30,7 +30,7 @@ class Share(msgspec.Struct, frozen=True):
     high: float | None
 
     def words(self, unknown: str) -> tuple[str, str]:
-        """Return the rate and its interval as text, in percent."""
+        """Return the rate and its interval as text, in percent, or `unknown` for both without flights."""
         if self.share is None or self.low is None or self.high is None:
             return unknown, unknown
         return f"{100.0 * self.share:.1f} %", f"{100.0 * self.low:.1f} to {100.0 * self.high:.1f} %"
@@ -71,7 +71,7 @@ class Separation(NamedTuple):
     Attributes:
         chance: probability that a value of the first group exceeds one of the second, with ties counted half;
             0.5 is no separation.
-        z: deviation of `chance` from 0.5, in standard deviations under no difference.
+        z: deviation of `chance` from 0.5, in the standard deviations of two groups that do not differ.
     """
 
     chance: float
@@ -111,8 +111,9 @@ def rank_correlation_chance(correlation: float, pairs: int) -> float:
 
 
 def student_t(freedom: int) -> float:
-    """Return the 97.5 % point of Student's t, tabulated where the expansion about the normal quantile is
-    inaccurate.
+    """Return the 97.5 % point of Student's t for a number of degrees of freedom.
+
+    Few degrees of freedom use a table, because the expansion about the normal quantile is inaccurate there.
     """
     if freedom <= len(_T_FEW):
         return _T_FEW[freedom - 1]
@@ -123,7 +124,7 @@ def student_t(freedom: int) -> float:
 
 
 def mean_half_width(values: Sequence[float]) -> float | None:
-    """Return half the 95 % interval of the mean by Student's t, or None for fewer than two values."""
+    """Return half the width of the mean's 95 % interval (Student's t), or None for fewer than two values."""
     n = len(values)
     if n < 2:
         return None

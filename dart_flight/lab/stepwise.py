@@ -55,7 +55,7 @@ class FlightSetpoint(NamedTuple):
 
 
 class SteppedObservation(NamedTuple):
-    """The vehicle as its companion computer knows it.
+    """The state of the vehicle that its companion computer knows.
 
     Attributes:
         time_s: simulated time since `reset`.
@@ -64,7 +64,7 @@ class SteppedObservation(NamedTuple):
         force: estimated external force, mission frame, N, shape (3,); zeros before the first estimate.
         mode: mode of the lock's horn; None while it moves.
         walls: walls in view, nearest first, shape (n, 5): point x, y and normal x, y (mission frame, m), and
-            the distance of the vehicle's centre to the plane of first touch.
+            the distance that the vehicle's centre can move along the normal until first touch (m).
         contacts: number of contacts that have ended since `reset`.
         is_down: whether the vehicle has landed, or has tilted by more than 90 degrees.
     """
@@ -104,7 +104,7 @@ class SteppedSimulation:
         view_m: distance up to which a wall is in view; default: every wall.
 
     Raises:
-        InputError: the period is not a positive multiple of 4 ms, or the mission is wrong.
+        InputError: the period is not a positive multiple of 4 ms, or the mission is invalid.
     """
 
     def __init__(
@@ -151,7 +151,7 @@ class SteppedSimulation:
         return self._observe()
 
     def step(self, setpoint: FlightSetpoint | None = None) -> SteppedObservation:
-        """Advance by one period and return what is known then.
+        """Advance by one period and return the observation at its end.
 
         Args:
             setpoint: new setpoint; None keeps the previous one.

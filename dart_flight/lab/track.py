@@ -50,12 +50,14 @@ class Track(msgspec.Struct):
 
     Attributes:
         source: the file, for messages.
-        imu_s: (n,); `specific_force` (m/s2) and `rate` (rad/s) are (n, 3), FRD.
-        motor_s: (m,); `motors` are commands 0 to 1, (m, motors).
-        attitude_s: (a,); `q` is FRD to NED, (a, 4).
-        position_s: (k,); `position` (m) and `velocity` (m/s) are (k, 3), NaN where PX4 had no estimate.
-        voltage_s: (v,); `voltage` in volts.
-        ground: begin and end of each interval on the ground.
+        imu_s: stamps of the IMU, (n,).
+        specific_force, rate: specific force (m/s2) and angular rate (rad/s) in FRD, (n, 3).
+        motor_s, motors: stamps (m,) and commands to the motors, 0 to 1, (m, motors).
+        attitude_s, q: stamps (a,) and attitudes, FRD to NED, (a, 4).
+        position_s: stamps of PX4's estimate, (k,).
+        position, velocity: estimates in m and m/s, (k, 3), NaN where PX4 had none.
+        voltage_s, voltage: stamps (v,) and battery voltage, V, (v,).
+        ground: begin and end of each interval on the ground, s.
         notes: remarks on the source and on data left out.
     """
 
@@ -95,7 +97,7 @@ def read_calibration_series(path: str | Path) -> Track:
     log = open_ulog(path, _TOPICS)
     refuse_other_vehicles(log)
     if log.first("sensor_combined") is None:
-        raise InputError("has no sensor_combined", source=log.source)
+        raise InputError("the log has no sensor_combined", source=log.source)
     return calibration_series_of(log, motor_commands(log))
 
 
@@ -103,7 +105,7 @@ def _own_track(log: Log) -> Track:
     kinds = (ImuSample, ActuatorSample, AttitudeSample, OdometrySample, StatusSample)
     imu, sent, attitude, moved, status = (log[kind.topic] for kind in kinds)
     if not len(imu) or not len(sent):
-        raise MissingDataError("has no IMU samples or no motor commands", source=log.source)
+        raise MissingDataError("the log has no IMU samples or no motor commands", source=log.source)
     # PX4's land detector may report a touch-down half a second late: leave out the whole landing.
     landing = status["flight_mode"] == FlightMode.LAND
     known = np.isfinite(status["battery_v"])
@@ -169,6 +171,6 @@ def _ground(log: ULogFile) -> list[tuple[float, float]]:
 
 
 def _intervals(times: Array, holds: NDArray[np.bool_]) -> list[tuple[float, float]]:
-    """Return begin and end (s) of an interval for each sample with the state, until the next sample."""
+    """Return (begin, end) in s for each sample that holds a state; each ends at the next sample."""
     ends = np.append(times, np.inf)[1:]
     return list(zip(times[holds].tolist(), ends[holds].tolist(), strict=True))

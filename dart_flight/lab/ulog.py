@@ -1,5 +1,5 @@
-"""Reader of PX4's own logs (ULog, PX4 1.9 and later): topics as arrays, decoded motor commands, plausible
-battery.
+"""Reader of PX4's own logs (ULog, PX4 1.9 and later): topics as arrays, decoded motor commands, and
+battery voltage.
 
 The content of `actuator_outputs` depends on version and output type. Pulse widths lie between `PWM_MIN` and
 `PWM_MAX` (until 1.11), `PWM_MAIN_MIN` and `_MAX` (1.12) or the values of each pin (since 1.13). DShot uses 0
@@ -27,7 +27,7 @@ from dart_flight.config.rotors import COUNT, MAV_TYPES
 
 Array = NDArray[np.float64]
 
-_MIN_CELL_V = 3.0  # a flying pack has at least one cell; 0.05 V is a sensor that is not connected
+_MIN_CELL_V = 3.0  # a flying pack has at least one cell; a sensor that is not connected reads 0.05 V
 _LONGEST_COUNT = 8
 _MOTORS_OF_TYPE = {kind: motors for motors, kind in MAV_TYPES.items()}
 # Largest plausible magnitude of a field; a flipped bit exceeds it. No IMU measures 1000 m/s2 (100 g).
@@ -89,9 +89,9 @@ class MotorCommands(msgspec.Struct):
     """Commands to the motors over time.
 
     Attributes:
-        time_s: stamps, seconds.
-        description: the source and its decoding.
-        description: the source and of the decoding.
+        time_s: stamps, seconds, (n,).
+        values: commands, 0 to 1, (n, motors).
+        description: the topic and the way in which its values were decoded.
     """
 
     time_s: Array
@@ -100,7 +100,7 @@ class MotorCommands(msgspec.Struct):
 
 
 class Battery(msgspec.Struct):
-    """Battery voltage over time; `problem` is the reason for leaving it out, or empty."""
+    """Battery voltage over time; if the voltage is left out, `problem` gives the reason."""
 
     time_s: Array
     volts: Array
@@ -203,7 +203,7 @@ def _other_than_multicopter(log: ULogFile) -> str | None:
 
 
 def seconds(data: dict[str, Any]) -> Array:
-    """Return the stamps of a topic in seconds of the autopilot's clock, of the measurement if available."""
+    """Return a topic's stamps, s on the autopilot's clock: times of measurement, or of logging if missing."""
     name = (
         "timestamp_sample" if "timestamp_sample" in data and data["timestamp_sample"].any() else "timestamp"
     )
@@ -233,8 +233,8 @@ def motor_commands(log: ULogFile) -> MotorCommands:
     outputs = log.topics.get("actuator_outputs", {})
     found = [d for i, data in sorted(outputs.items()) if (d := _decoded(log, i, data)) is not None]
     if not found:
-        other = "actuator_outputs without a motor that moves" if outputs else "no actuator_outputs"
-        raise InputError(f"has no actuator_motors, and {other}", source=log.source)
+        other = "no output of its actuator_outputs varies" if outputs else "no actuator_outputs"
+        raise InputError(f"the log has no actuator_motors, and {other}", source=log.source)
     # Motors vary most: servos, or a copy on another port, vary less.
     return max(found, key=lambda c: float(c.values.std(axis=0).mean()))
 
@@ -285,7 +285,7 @@ def _pulse_range(parameters: dict[str, float], instance: int, count: int) -> tup
 
 
 def battery(log: ULogFile) -> Battery:
-    """Return the battery voltage if it is plausible, otherwise an empty one with the reason."""
+    """Return the battery voltage if it is plausible, otherwise an empty series with the reason."""
     empty = np.empty(0)
     data = log.first("battery_status")
     if data is None:

@@ -203,7 +203,7 @@ def test_a_campaign_does_not_scatter_files_among_others(
     folder.mkdir()
     (folder / "mine.yaml").write_text("version: 1\n", encoding="utf-8")
     assert main(["campaign", str(SINGLE), "--runs", "1", "--out", str(folder)]) == 2
-    assert "folder is not empty; choose a new one" in capsys.readouterr().err
+    assert "the folder is not empty; choose a new folder" in capsys.readouterr().err
     assert [path.name for path in folder.iterdir()] == ["mine.yaml"]
 
 

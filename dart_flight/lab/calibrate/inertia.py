@@ -52,7 +52,7 @@ class AxisInertia(msgspec.Struct):
         value, low, high: the estimate and its 95 % interval.
         torque_nm: standard deviation of the motors' mean torque over a window.
         rate_change_rad_s: standard deviation of the rate's change over a window.
-        explained: fraction of that variance explained by the motors.
+        explained: fraction of the variance of the rate's change that the motors explain.
         refused: the reason for having no value, or empty.
     """
 
@@ -67,13 +67,14 @@ class AxisInertia(msgspec.Struct):
 
 
 class InertiaCalibration(msgspec.Struct):
-    """Inertia about the three axes, with the data behind it.
+    """Inertia about the three axes, and what determined it.
 
     Attributes:
         windows: number of windows of `WINDOW_S` seconds.
         axes: roll, pitch, yaw.
-        motor_lag_s: the motor lag with which the motors explain most of the variance.
-        drift_rad_s2: angular acceleration without commands, caused by an offset centre of mass.
+        motor_lag_s: motor lag for which the motors explain most of the rate changes, s.
+        drift_rad_s2: angular acceleration without commands about the three axes, caused by an offset centre
+            of mass.
         notes: remarks on the logs.
     """
 
@@ -91,7 +92,7 @@ class InertiaCalibration(msgspec.Struct):
 
 
 class _Windows(msgspec.Struct):
-    """Quantities of windows that do not overlap.
+    """The changes over windows that do not overlap, one row per window.
 
     Attributes:
         change, impulse, products: change of the rates, integral of the motors' torque, and integral of (wy
@@ -158,14 +159,15 @@ def _joined(parts: list[_Windows]) -> _Windows:
 def _refuse_unsuited(track: Track, motors: int) -> None:
     if track.motors.shape[1:] != (motors,):
         raise InputError(
-            f"has {track.motors.shape[1]} motors, the configured airframe {motors}", source=track.source
+            f"log has {track.motors.shape[1]} motors, the configured airframe {motors}",
+            source=track.source,
         )
     for what, stamps in (("gyro", track.imu_s), ("motor commands", track.motor_s)):
         rate = (len(stamps) - 1) / max(stamps[-1] - stamps[0], 1e-6)
         if rate < _MIN_HZ:
             more = "; log them faster (SDLOG_PROFILE, high rate)" if track.source.endswith(".ulg") else ""
             raise InputError(
-                f"has {what} at {rate:.0f} Hz, at least {_MIN_HZ:.0f} are needed{more}", source=track.source
+                f"{what} at {rate:.0f} Hz, at least {_MIN_HZ:.0f} Hz is needed{more}", source=track.source
             )
 
 
@@ -285,8 +287,8 @@ def _line(name: str, windows: _Windows, impulse: Array, i: int) -> tuple[AxisIne
     value = math.sqrt(most * least)
     if error > _MAX_ERROR:
         axis.refused = (
-            f"too little excitation: torques of {axis.torque_nm:.4f} N m determine the inertia to "
-            f"{100.0 * error:.0f} %, {100.0 * _MAX_ERROR:.0f} % is needed"
+            f"too little excitation: torques of {axis.torque_nm:.4f} N m leave an error of "
+            f"{100.0 * error:.0f} %, limit {100.0 * _MAX_ERROR:.0f} %"
         )
     elif most > _MAX_RATIO * least:
         axis.refused = (

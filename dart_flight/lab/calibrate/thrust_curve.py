@@ -113,7 +113,7 @@ def quiet_points(
     Args:
         track: the flight.
         mass_kg: mass of the vehicle in this flight; 1 gives specific thrust.
-        lag_s: lag of the motors; commands are delayed by it.
+        lag_s: lag of the motors, by which commands are delayed.
         most_speed_m_s: upper limit of a window's mean speed.
     """
     rows: list[tuple[float, float, float, float, float]] = []
@@ -182,7 +182,7 @@ def _joined(parts: list[Points]) -> Points:
 
 
 class Curve(msgspec.Struct):
-    """full (factor u^2 + (1 - factor) u) (volts / reference) ** exponent, summed over the motors.
+    """The curve full (factor u^2 + (1 - factor) u) (volts / reference) ** exponent, summed over the motors.
 
     A standard error is None where the value was given. Without a reference voltage the last factor is 1.
     """
@@ -202,13 +202,13 @@ class Curve(msgspec.Struct):
         )
 
     def force(self, p: Points) -> Array:
-        """Return the force at some points."""
+        """Return the force that the curve gives at some points, N."""
         shape: Array = self.factor * p.square + (1.0 - self.factor) * p.linear
         return self.full * shape * self.by_volts(p)
 
 
 def fit_curve(p: Points, factor: float, exponent: float | None, *, fit_factor: bool = False) -> Curve:
-    """Fit the exponent by least squares with the given factor, then the curve at the points' mean voltage.
+    """Fit the voltage exponent with the given factor, then the curve at the points' mean voltage.
 
     Args:
         p: the points.
@@ -256,12 +256,12 @@ def fit_curve(p: Points, factor: float, exponent: float | None, *, fit_factor: b
 def best_fit(points: Points, square_share: float) -> tuple[float, Callable[[Points], Curve]]:
     """Return the cross-validation error of the best kind of curve, and the function that fits it.
 
-    The kinds differ in whether they use the voltage and whether the factor is configured or fitted. Each is
-    fitted to some of the segments and compared with the rest.
+    A kind uses the voltage or ignores it, and fits the factor or uses the configured one. Each kind is fitted
+    to some of the segments and compared with the others.
 
     Args:
         points: quiet segments.
-        square_share: configured factor.
+        square_share: the configured model factor.
 
     Returns:
         The root mean square error on held-out segments over the mean thrust, and the function.
@@ -279,7 +279,7 @@ def fit_problem(error: float) -> str:
     """Return the reason to reject a curve with this error on held-out segments, or an empty string."""
     if error <= _MAX_ERROR:
         return ""
-    return f"its error on held-out ones is {100.0 * error:.0f} %, {100.0 * _MAX_ERROR:.0f} % allowed: no fit"
+    return f"the error on held-out segments is {100.0 * error:.0f} %, limit {100.0 * _MAX_ERROR:.0f} %"
 
 
 def _fitter(factor: float, fitted: bool, by_volts: bool) -> Callable[[Points], Curve]:
@@ -313,11 +313,11 @@ def calibrate_thrust(tracks: Iterable[Track], vehicle: VehicleConfig) -> ThrustC
     mass, lag = vehicle.airframe.mass_kg, vehicle.thrust.motor_lag_s
     parts = [quiet_points(track, mass, lag) for track in tracks]
     if len({part.motors for part in parts}) > 1:
-        raise InputError("logs of vehicles with different numbers of motors", source=_sources(tracks))
+        raise InputError("the logs are of vehicles with different numbers of motors", source=_sources(tracks))
     p = _joined(parts)
     if len(p.force) < MIN_POINTS:
         raise InputError(
-            f"{len(p.force)} quiet half seconds of hover, needs at least {MIN_POINTS}; rejected: "
+            f"{len(p.force)} quiet half seconds of hover, at least {MIN_POINTS} are needed; rejected: "
             f"{format_rejected(p.rejected) or 'none'}",
             source=_sources(tracks),
         )

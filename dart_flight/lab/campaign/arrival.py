@@ -18,12 +18,12 @@ _UNDER_WAY_US = 500_000  # shortest flight, for missions that start at their goa
 
 
 class GoalArrival(NamedTuple):
-    """The arrival of a flight at its goal; stamps are those of its log, us.
+    """The arrival of a flight at its goal; times are stamps of the flight's log, us.
 
     Attributes:
         begin_us: begin of the mission's own trajectories.
         visits_us: passages of the visited places in order, up to the first place that was missed.
-        there_us: arrival at the goal after the visits, nearly at rest; None: not before landing.
+        there_us: arrival at the goal after the visits, nearly at rest; None if the flight landed before.
     """
 
     begin_us: float
@@ -40,7 +40,7 @@ def arrival_of(log: Log, mission: Mission, visits: Sequence[tuple[Vec2, float]])
     """Return the arrival of a flight, or None if its trajectories never began.
 
     Args:
-        log: the log, with the truth.
+        log: the log of a simulated flight, which contains the truth.
         mission: the mission that was flown.
         visits: places, each with the distance within which it counts as passed, metres.
     """
@@ -71,7 +71,7 @@ def arrival_of(log: Log, mission: Mission, visits: Sequence[tuple[Vec2, float]])
 
 
 def planned_there_s(found: OptimalTrajectory, goal: tuple[float, float]) -> float:
-    """Return the time at which a planned flight is near its goal and stays slow."""
+    """Return the time at which a planned flight arrives: near its goal, and slow from then to its end."""
     last = found.legs[-1]
     begin = found.time_s - last.duration_s
     there = begin

@@ -57,12 +57,12 @@ def open_campaign(asked: CampaignSpec | None, folder: Path, resume: bool) -> Cam
     """Create a campaign, or open an existing one to continue it.
 
     Args:
-        asked: the specification; None: that of the existing campaign.
+        asked: the specification; None: the specification of the existing campaign.
         folder: folder of the campaign.
         resume: whether to continue an existing campaign.
 
     Raises:
-        InputError: the specification is invalid, or the existing campaign differs or was not to be resumed.
+        InputError: the specification is invalid, or a campaign exists that differs or is not to be resumed.
         FlightError: the folder cannot be written.
     """
     path = folder / ASKED
@@ -78,7 +78,7 @@ def open_campaign(asked: CampaignSpec | None, folder: Path, resume: bool) -> Cam
     wanted = campaign_of(specification, points)
     problem = difference(kept, wanted)
     if problem is not None:
-        raise InputError(f"is a different campaign: {problem}", source=str(path))
+        raise InputError(f"cannot resume this campaign: {problem}", source=str(path))
     if wanted.asked.runs > kept.asked.runs:
         _write(path, wanted)
     return CampaignFolder(folder, wanted, points)
@@ -89,10 +89,11 @@ def _begin(asked: CampaignSpec, folder: Path) -> CampaignFolder:
     campaign = campaign_of(asked, points)
     if (folder / TABLE).exists():
         raise InputError(
-            "results table without its campaign.json; choose another folder", source=str(folder / TABLE)
+            "the folder has a results table but no campaign.json; choose another folder",
+            source=str(folder / TABLE),
         )
     if folder.is_dir() and any(folder.iterdir()):
-        raise InputError("folder is not empty; choose a new one", source=str(folder), key=("--out",))
+        raise InputError("the folder is not empty; choose a new folder", source=str(folder), key=("--out",))
     _write(folder / ASKED, campaign)
     return CampaignFolder(folder, campaign, points)
 
@@ -153,8 +154,8 @@ def fly(
     Args:
         opened: the campaign.
         engine: executes the flights.
-        interrupt: ends the campaign early; existing rows are kept.
-        progress: called with the number of rows and the number of this call's flights that did not complete.
+        interrupt: the operator's interrupt, which ends the campaign early; existing rows are kept.
+        progress: called with two numbers: rows in the table, and flights of this call that did not complete.
 
     Raises:
         FlightError: the disk is full, another process writes the table, or no process can fly.

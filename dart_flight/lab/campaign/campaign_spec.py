@@ -1,7 +1,7 @@
-"""The specification of a campaign: missions x settings x cases x seeds, and the points and items that follow.
+"""The specification of a campaign: missions x settings x cases x seeds, and the resulting points and items.
 
-`dart-flight campaign` builds it from its options. A measurement of the manual is a specification in a file
-(`tools/campaigns/*.yaml`), with a function that judges each flight.
+`dart-flight campaign` builds the specification from its options. A measurement of the manual is a
+specification in a file (`tools/campaigns/*.yaml`), with a function that judges each flight.
 """
 
 from __future__ import annotations
@@ -43,14 +43,16 @@ class CampaignSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     Attributes:
         missions: mission files.
         config: vehicle configuration to use instead of the missions'.
-        settings: values of each configuration key, as written.
+        settings: configuration key -> its values, as written.
         vary: draws, as written (`sim.draws`).
         runs: number of seeds for every mission and combination of values, starting with `seed`.
         keep: the flights whose logs are kept.
-        cases: other differences between flights, with a column for each key, or a function that returns them.
-        fly: function from point and seed to a flown flight; empty: a fast flight of the mission.
+        cases: further variations of the flights, each key -> value with a column per key, or a function that
+            returns the cases.
+        fly: function from point and seed to a flown flight; empty: fly the mission in the fast world.
         judge: function from a flown flight to a `msgspec.Struct` whose fields are columns of the table. If
-            empty, `fly` returns the struct; without `fly`, the columns are those of `dart-flight campaign`.
+            `judge` is empty, `fly` returns the struct. If both are empty, the columns are those of
+            `dart-flight campaign`.
     """
 
     missions: tuple[str, ...]
@@ -66,7 +68,7 @@ class CampaignSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     @property
     def makes_row(self) -> str:
-        """The name of the function that makes a row; empty for the columns of `dart-flight campaign`."""
+        """The name of the function that returns the row; empty for the columns of `dart-flight campaign`."""
         return self.judge or self.fly
 
 
@@ -185,7 +187,7 @@ def row_type(name: str) -> type[msgspec.Struct]:
     """
     found = typing.get_type_hints(named_function(name)).get("return")
     if not (isinstance(found, type) and issubclass(found, msgspec.Struct)):
-        raise InputError(f"{name}: annotate what it returns as a msgspec.Struct")
+        raise InputError(f"{name}: annotate the return type of this function as a msgspec.Struct")
     return found
 
 
@@ -260,7 +262,7 @@ def campaign_of(asked: CampaignSpec, points: Sequence[Point]) -> Campaign:
 
 
 def difference(kept: Campaign, wanted: Campaign) -> str | None:
-    """Return the difference of a campaign from the existing one, or None if at most seeds were added."""
+    """Return what prevents resuming `kept` as `wanted`, or None; only seeds may be added."""
     a, b = kept.asked, wanted.asked
     for name, before, now in (
         ("the missions", a.missions, b.missions),
@@ -275,11 +277,11 @@ def difference(kept: Campaign, wanted: Campaign) -> str | None:
         ("the version of dart-flight", kept.software, wanted.software),
     ):
         if before != now:
-            return f"{name}: it has {_format_setting(before)}, not {_format_setting(now)}"
+            return f"{name}: {_format_setting(before)} in the existing campaign, not {_format_setting(now)}"
     if b.runs < a.runs:
-        return f"--runs: it has {a.runs}, not {b.runs}; runs can be added, not removed"
+        return f"--runs: {a.runs} in the existing campaign, not {b.runs}; runs can be added, not removed"
     if kept.digests != wanted.digests:
-        return "a mission or configuration file has changed since"
+        return "a mission or configuration file has changed since the campaign began"
     return None
 
 

@@ -43,7 +43,7 @@ _OF_WALLS = ("contact", "wall_offset_m", "wall_yaw_deg")
 
 
 class FigureSpread(msgspec.Struct, frozen=True):
-    """The distribution of a figure over the flights that have it."""
+    """The distribution of a figure over the flights in which it is known."""
 
     flights: int
     median: float
@@ -73,9 +73,8 @@ class Drawn(msgspec.Struct, frozen=True):
     Attributes:
         name: name of the quantity.
         bins: bins of about equal counts, or one bin for each word.
-        z: difference between failed and completed flights in standard deviations under no difference (Mann
-            and Whitney), positive if higher in failed flights. For words, the largest difference. None if all
-            or none completed.
+        z: Mann and Whitney's statistic, in standard deviations; positive if the quantity is higher in failed
+            flights than in completed ones. For words, the largest statistic. None if all or none completed.
     """
 
     name: str
@@ -89,7 +88,7 @@ class FigureTrend(msgspec.Struct, frozen=True):
     Attributes:
         figure, name: names of the figure and of the drawn quantity.
         correlation: rank correlation (Spearman), -1 to 1.
-        p_value: probability that chance alone correlates any tried quantity as much (Bonferroni).
+        p_value: probability that chance alone correlates a tried quantity as strongly (Bonferroni).
         points: drawn quantity and figure of each of the first 400 flights.
     """
 
@@ -137,7 +136,7 @@ class DifferingQuantity(msgspec.Struct, frozen=True):
     Attributes:
         name: name of the quantity.
         failed, completed: medians; for a word, the fraction of flights that drew it.
-        chance: probability that it is higher in a failed flight than in a completed one; 0.5 is no
+        chance: probability that the quantity is higher in a failed flight than in a completed one; 0.5 is no
             difference.
     """
 
@@ -173,13 +172,13 @@ class CampaignSummary(msgspec.Struct, frozen=True):
     Attributes:
         flights, asked: number of rows in the table, and total number of flights.
         errors: flights without a verdict due to a program error; no rate counts them.
-        completed, plan_followed: rates with their intervals.
+        completed, plan_followed: rates of completed flights and of flights that followed the plan.
         figures: distributions by column.
         points: success rates by mission and settings.
         rules: causes of failure.
         drawn: success over each drawn quantity; empty if all or no flights completed.
         varied: miss and peak forces of the completed flights over the drawn quantities.
-        tried: number of drawn quantities that can affect a figure, significant or not, by figure.
+        tried: figure -> number of drawn quantities that can affect it, significant or not.
         not_followed: planned figures out of tolerance, the most frequent first.
         failed: flights that did not complete, at most 1000.
         unexplained_modes: flights whose arms were in another mode than the lock without a drawn lock fault.
@@ -345,7 +344,7 @@ def _success_by_quantity(rows: Sequence[_SummaryRow], names: Sequence[str]) -> l
 def _figure_trends(
     rows: Sequence[_SummaryRow], names: Sequence[str], figures: Sequence[str]
 ) -> tuple[list[FigureTrend], dict[str, int]]:
-    """Return the trends of miss and peak forces over their best correlated quantities, and the counts."""
+    """Return the trends of miss and peak forces over the quantities that correlate best, and `tried`."""
     found: list[FigureTrend] = []
     tried: dict[str, int] = {}
     for j, figure in enumerate(figures):
@@ -376,7 +375,8 @@ def _figure_trends(
 def _can_affect(name: str, figure: str, mission: Mission) -> bool:
     """Return whether a drawn quantity can affect a figure.
 
-    A wall's quantity can if the wall is hit in that mode, at the figure's collision or before.
+    A quantity of a wall and mode can affect the figure only if the wall is hit in that mode, at the figure's
+    collision or before.
     """
     kind, _, rest = name.partition(".")
     if kind not in _OF_WALLS:

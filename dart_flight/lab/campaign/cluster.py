@@ -65,7 +65,7 @@ def _work(url: str, flyer: ItemFlyer, items: Iterable[Item], interrupt: Interrup
 
 
 def _connect(url: str) -> Any:
-    """Return a client of the scheduler at a URL.
+    """Connect to the scheduler at a URL and return the client.
 
     Raises:
         FlightError: the scheduler does not answer.

@@ -1,7 +1,7 @@
 """Flights with one fault each: the cells of the fault matrix, and random faults.
 
-The log of every flight is written and must be readable (`watched_flight` defines the rest of a controlled
-flight).
+The log of every flight is written and must be readable. `watched_flight` lists the other conditions of a
+controlled flight.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from dart_flight.run.prepare import load_flyable, with_simulated_mocap
 from dart_flight.run.program_fault import fill_disk_of
 from dart_flight.sim.faults.fault_table import KINDS, Fault, FaultSite, parse_fault
 
-ON_GROUND = "ground"  # from the start
+ON_GROUND = "ground"  # phase name: the fault begins with the flight
 PHASES = (ON_GROUND, "take-off", "approach", "contact", "recovery", "goal")
 _MISSIONS = ("paper_dual_collision", "paper_single_wall")
 # Every fault is flown at its default value; these faults also at further values.
@@ -53,7 +53,11 @@ class FaultFlight(msgspec.Struct, frozen=True):
         fault: name of the fault.
         began: whether the fault occurred.
         came_of: `completed`, the rule that ended the flight, or `app gone`.
-        decision_ms: time from the begin of the fault to the first decision of guard or autopilot.
+        decision_ms: time from the begin of the fault to the first decision of guard or autopilot; None
+            without a decision.
+        excursion_m: largest distance out of the bounds.
+        landing_m_s: speed at the landing.
+        tilt_deg: largest tilt.
         problems: the reasons why the flight is uncontrolled.
     """
 
@@ -70,7 +74,7 @@ class FaultFlight(msgspec.Struct, frozen=True):
 def fly_fault(mission: Mission, fault: Fault, seed: int) -> FaultFlight:
     """Fly with one fault until the vehicle is on the ground, and write and read its log.
 
-    With a fault of the motion capture, the forwarded poses are the only position.
+    With a fault of the motion capture, the forwarded poses are PX4's only position source.
     """
     if fault.kind.site is FaultSite.MOCAP:
         mission = with_simulated_mocap(mission, "udp")
@@ -135,7 +139,7 @@ def cell_fault(row: str, phase: str) -> Fault:
 
 
 def fly_random(point: Point, number: int) -> FaultFlight:
-    """Fly with a random fault; its value, phase, time and mission follow from the number."""
+    """Fly with a random fault; the number determines fault, value, phase, time and mission."""
     return fly_fault(*random_fault(number), number)
 
 

@@ -1,4 +1,4 @@
-"""One flight of a campaign in any process: from its item to its row, and its log if kept.
+"""The flight of one item of a campaign, in any process, which returns its row and its log if kept.
 
 A specification may name the function that flies and the function that judges; the default columns come from
 `cells_of`.
@@ -40,7 +40,7 @@ Cell = str | float | int | bool | None
 
 
 class Flown(NamedTuple):
-    """The result of a flight: its line in the table, whether it completed, and its log if kept."""
+    """The result of a flight: its line in the table, whether it completed, and its log if the log is kept."""
 
     line: bytes
     completed: bool
@@ -48,7 +48,7 @@ class Flown(NamedTuple):
 
 
 class FlownFlight(NamedTuple):
-    """The input of a judge: a fast flight's point, seed, verdict, and log with the truth."""
+    """The input of a judge: point, seed, verdict, and log (with the truth) of a simulated flight."""
 
     point: Point
     seed: int

@@ -24,7 +24,7 @@ _SYNC_S = 1.0
 
 
 class Table:
-    """The table opened for appending by this process alone.
+    """The table of a campaign, which only this process may append to.
 
     Args:
         path: the file; created with its header if it does not exist.
@@ -50,7 +50,7 @@ class Table:
             if not self._length:
                 self.append(header)
             elif path.read_bytes()[: len(header)] != header:
-                raise InputError("not the table of this campaign: other columns", source=str(path), line=1)
+                raise InputError("this table has other columns than the campaign", source=str(path), line=1)
         except BaseException:
             os.close(self._file)
             raise
@@ -115,7 +115,7 @@ def rows_in(path: Path) -> Iterator[dict[str, str]]:
             for cells in reader:
                 if len(cells) != len(columns):
                     raise InputError(
-                        f"{len(cells)} cells, a row has {len(columns)}",
+                        f"this line has {len(cells)} cells, the header has {len(columns)}",
                         source=str(path),
                         line=reader.line_num,
                     )
@@ -130,14 +130,14 @@ def flown_in(path: Path, keys: Sequence[str], points: Sequence[Point]) -> set[It
     """Return the flights that have a row.
 
     Raises:
-        InputError: as `rows_in`, or a row belongs to no flight of this campaign, or is a duplicate.
+        InputError: as for `rows_in`, or a row belongs to no flight of this campaign, or is a duplicate.
     """
     numbers = {(point.path, *point.values): point.number for point in points}
     found: set[Item] = set()
     for line, row in enumerate(rows_in(path), start=2):
         number = numbers.get((row["mission"], *(row[key] for key in keys)))
         if number is None or not row["seed"].isdigit():
-            raise InputError("belongs to no flight of this campaign", source=str(path), line=line)
+            raise InputError("this row belongs to no flight of this campaign", source=str(path), line=line)
         item = Item(number, int(row["seed"]))
         if item in found:
             raise InputError("duplicate row for this flight", source=str(path), line=line)

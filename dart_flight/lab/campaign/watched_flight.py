@@ -4,7 +4,7 @@ A flight is controlled if all of these conditions hold:
 
 * No exception escaped.
 * The vehicle landed and disarmed, through the mission, the guard or PX4's failsafe once the program is gone.
-Alternatively it holds still outside offboard mode after a pilot took over.
+Alternatively a pilot took over, and the vehicle holds still outside offboard mode.
 * A flight that did not complete gives a reason, unless the program itself hung or was killed.
 * Its truth is controlled as `dart_flight.recording.uncontrolled` defines it.
 """
@@ -51,7 +51,7 @@ class WatchedFlight:
 
     Attributes:
         onlookers: functions called with every record and its number.
-        truth: extremes so far.
+        truth: extremes of the true motion so far.
         decided_us: host time of the first decision of guard or autopilot after the fault began.
         problems: reasons why the flight is uncontrolled, after `run`; empty for a controlled flight.
     """
@@ -73,7 +73,7 @@ class WatchedFlight:
         self.flight.autopilot.send_text = self._on_status_text
 
     def run(self) -> Verdict:
-        """Fly until the vehicle is down or held by a pilot, and return the verdict."""
+        """Fly until the vehicle is down, or a pilot holds it, and return the verdict."""
         try:
             self.flight.run()
             self._run_out()
@@ -116,7 +116,7 @@ class WatchedFlight:
         falls = self.fault is not None and self.fault.name == "kill-switch"  # the fall is intended
         gone = self.flight.faulted is not None and self.flight.faulted.app_silent
         if self.flight.core.end is None and not gone:
-            yield "it did not end"
+            yield "the flight did not end"
         if a.armed:
             speed = distance2(a.plant.velocity, (0.0, 0.0))
             held = a.mode in (FlightMode.MANUAL, FlightMode.HOLD) and speed < _STILL_M_S
@@ -132,7 +132,7 @@ class WatchedFlight:
 def excursion_allowed_m(fault: Fault | None) -> float:
     """Return the allowed excursion from the bounds of a controlled flight, metres.
 
-    It is half a metre for braking, plus the position error that the fault causes.
+    The limit is half a metre for braking, plus the position error that the fault causes.
     """
     wrong = abs(fault.value) if fault is not None and fault.name == "ekf-jump" else 0.0
     return OUT_M + wrong if math.isfinite(wrong) else math.inf

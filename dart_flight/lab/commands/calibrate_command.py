@@ -64,7 +64,9 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.write:
         refuse_unwritable(arguments, path)
         if arguments.what == "thrust" and vehicle.thrust.table is not None:
-            raise InputError("has thrust.table: full_n and model_factor would replace it", source=str(path))
+            raise InputError(
+                "remove thrust.table first: --write sets full_n and model_factor", source=str(path)
+            )
     left_out: list[str] = []
     tracks = read_each(find_logs(arguments.logs), read_calibration_series, left_out.append)
     calibrate = _thrust if arguments.what == "thrust" else _inertia

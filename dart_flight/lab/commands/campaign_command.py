@@ -116,7 +116,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _requested_campaign(arguments: argparse.Namespace) -> Any:
-    """Return the specification from the command line, or None to continue with the campaign's own."""
+    """Return the specification from the command line; None: --resume with the recorded specification."""
     from dart_flight.lab.campaign.campaign_spec import CampaignSpec, Keep, parse_grid
 
     given = {
@@ -175,7 +175,7 @@ class _ProgressDisplay:
         self._bar.stop()
 
     def __call__(self, flown: int, failed: int) -> None:
-        """Show the number of rows in the table and of this call's flights that did not complete."""
+        """Show how many rows the table has and how many flights of this call did not complete."""
         now = time.monotonic()
         if self._begun_with is None:
             self._begun_with = flown

@@ -13,7 +13,7 @@ from dart_flight.config.document import InputError
 
 
 def _height_or_trial(text: str) -> float | str:
-    """Return the value of `--drop` as a height, or as text if it is a trial file that follows the option."""
+    """Return the value of `--drop` as a height, or unchanged if it is the name of a trial file."""
     try:
         return float(text)
     except ValueError:
@@ -134,7 +134,7 @@ def _write(arguments: argparse.Namespace, found: Any, vehicle: Any, *, poor: boo
     console = messages()
     if entry.assumed:
         console.print(
-            f"these trials do not determine, so written as 0 and marked: {', '.join(entry.assumed)}",
+            f"not determined by these trials, so written as 0 and marked: {', '.join(entry.assumed)}",
             style="yellow",
             soft_wrap=True,
         )

@@ -90,9 +90,9 @@ def _print(flight: InspectedFlight) -> None:
         )
     if flight.flight_s > 0.0:
         out.print(
-            f"noise {flight.noise_m_s2:.2f} m/s2 a sample, {flight.noise_short_m_s2:.2f} and "
-            f"{flight.noise_long_m_s2:.2f} in the short and the long mean; reliably detected: rigid from "
-            f"{flight.floor_rigid_m_s2:.1f}, flexible from {flight.floor_flexible_m_s2:.1f} m/s2",
+            f"noise in m/s2: {flight.noise_m_s2:.2f} in a sample, {flight.noise_short_m_s2:.2f} in the short "
+            f"mean, {flight.noise_long_m_s2:.2f} in the long mean; contacts are detected reliably from "
+            f"{flight.floor_rigid_m_s2:.1f} (rigid) and {flight.floor_flexible_m_s2:.1f} m/s2 (flexible)",
             soft_wrap=True,
         )
     clear = [i for i in flight.impacts if i.kind != "untold"]
@@ -117,12 +117,12 @@ def _print(flight: InspectedFlight) -> None:
         out.print(flight.nothing_found)
     if flight.weak:
         out.print(
-            f"{flight.weak} short threshold crossings with a fitted peak below the threshold (not impacts)",
+            f"{flight.weak} short threshold crossings are no impacts (fitted peak is below the threshold)",
             soft_wrap=True,
         )
     if flight.untold:
         out.print(
-            f"{flight.untold} ambiguous threshold crossings, contact or manoeuvre (fast flight with unknown "
+            f"{flight.untold} threshold crossings may be a contact or manoeuvre (fast flight with unknown "
             "thrust, after a crash, or below four standard deviations)",
             soft_wrap=True,
         )

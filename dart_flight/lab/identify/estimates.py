@@ -18,7 +18,7 @@ class Estimate(NamedTuple):
 
     @classmethod
     def about(cls, value: float, half: float, least: float = -math.inf, most: float = math.inf) -> Estimate:
-        """Return a value with a symmetric interval, both clipped to limits."""
+        """Return a value with the interval `value` +- `half`, both clipped to `least` and `most`."""
         return cls(*(min(max(v, least), most) for v in (value, value - half, value + half)))
 
 
@@ -44,12 +44,13 @@ class TrialFit(NamedTuple):
         onset_s: time of the onset in the recording.
         normal_m_s, tangential_m_s: velocity at the onset.
         samples_in_contact: number of position samples in contact.
-        push_m_s2: the controller's acceleration along the normal, before and after the contact; 0 if the
+        push_m_s2: acceleration by the controller along the normal, before and after the contact; 0 if free
             flight was straight.
         used: `samples` if the samples were fitted, `whole` if only speeds, peak and duration were used.
         normal_out_m_s, tangential_out_m_s: velocity after the contact, measured without a contact law.
-        peak_force_n: measured peak; None if no force was recorded or it was clipped.
-        force_delay_s: delay of the force's clock relative to the positions'; None without both.
+        peak_force_n: measured peak; None if no force was recorded, or the sensor clipped.
+        force_delay_s: delay of the clock of the forces relative to that of the positions; None unless both
+            were recorded.
         misfit: ratio of the residual in contact to the noise in free flight, for the worst channel.
         set_aside: samples that the fit ignores.
     """
@@ -94,8 +95,8 @@ class Errors(NamedTuple):
     """Median absolute errors on held-out hits; None if not assessable.
 
     Attributes:
-        peak_force: relative to the measured peak.
-        outgoing_speed: relative to the incoming speed.
+        peak_force: error of the peak force, relative to the measured peak.
+        outgoing_speed: error of the outgoing speed, relative to the incoming speed.
     """
 
     peak_force: float | None
@@ -109,8 +110,8 @@ class HeldOut(NamedTuple):
         mode: mode of the hits.
         held_out: `speed` if all hits of one speed (or height) are held out together, otherwise `trial`.
         hits: number of predicted hits.
-        law: errors of the paper's law; None if the hits do not determine its coefficients.
-        baselines: errors by baseline; each predicts one of the two quantities.
+        law: errors of the paper's law; None if the hits do not determine the law's coefficients.
+        baselines: baseline -> errors; each baseline predicts only one of the two quantities.
         scatter: errors of repeats at one speed against their median; None without repeats.
         earned: whether the law predicts better than the baselines in every assessable quantity.
         sentence: the comparison as a sentence.
@@ -131,7 +132,7 @@ class FitQuality(NamedTuple):
 
     Attributes:
         good: whether no residual exceeds its expectation; None if nothing can be assessed.
-        expected: largest residual of a good fit by quantity, in its own unit.
+        expected: quantity -> largest residual of a good fit, in the unit of the quantity.
         says: a sentence for each quantity that exceeds its expectation, with what to check.
     """
 
@@ -145,13 +146,14 @@ class Identification(NamedTuple):
 
     Attributes:
         coefficients: mode -> k, f, mu, nu -> estimate, or None if the data do not determine it.
-        plane_m: position of the plane of first touch in the recordings; None if no samples were fitted.
-        residuals: root mean square per quantity, in its own unit.
+        plane_m: normal position of the vehicle's centre at first touch, in the recordings; None if no samples
+            were fitted.
+        residuals: quantity -> root mean square of its residuals, in the unit of the quantity.
         trials: fit of each trial.
-        vertical_side: whether the vertical force acts with (1) or against (-1) `vertical_m`; None if unknown.
+        vertical_side: direction of the vertical force: 1 along `vertical_m`, -1 against it, None if unknown.
         notes: remarks for the reader, in sentences.
         restitution: mode -> outgoing over incoming speed, along the normal.
-        tangential_ratio: mode -> the same ratio along the wall.
+        tangential_ratio: mode -> outgoing over incoming velocity along the wall.
         held_out: mode -> prediction errors on held-out hits.
         fit: assessment of the fit.
     """

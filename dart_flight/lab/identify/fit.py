@@ -108,7 +108,7 @@ def _fit_samples(
     for i, n in few.items():
         result.notes.append(
             f"{trials[i].name}: {n} sample{'' if n == 1 else 's'} in contact, at least "
-            f"{_MIN_IN_CONTACT} are needed for stiffness: only its speeds are used"
+            f"{_MIN_IN_CONTACT} are needed for stiffness: only the trial's speeds are used"
         )
     return result
 
@@ -121,7 +121,7 @@ def _coefficients(
     onset: Onset,
     notes: list[str],
 ) -> dict[str, Estimate | None]:
-    """Return coefficients from samples if the law fits them, otherwise from whole hits."""
+    """Return coefficients from the samples if the law fits them, otherwise from whole hits (`hit_fit`)."""
     sampled = result.coefficients.get(mode)
     bad = mode in result.bad
     if bad and sampled is not None:

@@ -1,7 +1,8 @@
 """Assessment of a fit: whether the law with the fitted coefficients reproduces the recordings.
 
-A fit is poor if the law misses the recordings by more than their noise or scatter. For whole hits, as from an
-accelerometer alone, the law must reproduce peaks and outgoing speeds.
+A fit is poor if the law misses the recordings by more than their noise or scatter. Some trials are
+fitted without their samples, such as an accelerometer's drops. The law must then reproduce the peak force and
+the outgoing speed of each hit.
 """
 
 from __future__ import annotations
@@ -50,8 +51,8 @@ def assess_fit(
     Args:
         coefficients: estimates by mode.
         whole: hits whose samples were not fitted.
-        residuals: residuals of the fitted samples by quantity.
-        expected: largest residuals of a good fit by quantity.
+        residuals: quantity -> residual of the fitted samples.
+        expected: quantity -> largest residual of a good fit.
         mass_kg, onset: as for `identify`.
     """
     off, most = dict(residuals), dict(expected)
@@ -68,7 +69,7 @@ def compare_residuals(off: Mapping[str, float], expected: Mapping[str, float]) -
     compared = {name: value for name, value in off.items() if name in expected}
     sentences = [
         f"poor fit: the residual of {name} is {value:.3g}, {value / expected[name]:.1f} times the "
-        f"{expected[name]:.3g} of a good fit; check --drop, --mode, the units, and that there is one wall"
+        f"{expected[name]:.3g} of a good fit; check --drop, --mode, the units, and whether there is one wall"
         for name, value in compared.items()
         if not value <= expected[name]
     ]

@@ -23,7 +23,7 @@ ALLOWANCE = {"k": 0.03, "f": 0.15, "mu": 0.08, "nu": 0.6}
 
 
 def trials_of(log: Log, material: str | None = None, mode: str = UNLABELLED) -> dict[str, list[Trial]]:
-    """Return the planned collisions of a flight with this material in this mode, by material of the wall.
+    """Return the planned collisions of a flight as trials, by material; `material` and `mode` restrict them.
 
     The position is that of the motion capture's poses if their age is known, otherwise PX4's estimate,
     which smears a contact. The force is the flight core's estimate. All series are in the wall's collision
@@ -94,10 +94,10 @@ def _largest_turn_rate(flight: FlightArrays, onset_us: int) -> float | None:
 
 
 def trials_at_one(log: Log, material: str | None, mode: str = UNLABELLED) -> list[Trial]:
-    """Return the collisions of a flight with one material; None: the flight must have only one.
+    """Return the collisions of a flight with one material; None accepts any, but only one material.
 
     Raises:
-        InputError: there are several; `MissingDataError` if there is no such collision.
+        InputError: the collisions are with several materials; `MissingDataError` if there is no collision.
     """
     by_material = trials_of(log, material, mode)
     if not by_material:
@@ -106,6 +106,8 @@ def trials_at_one(log: Log, material: str | None, mode: str = UNLABELLED) -> lis
         raise MissingDataError(f"{what}{how_armed} in this flight", source=log.source)
     if len(by_material) > 1:
         names = ", ".join(by_material)
-        raise InputError(f"collisions with {names}: choose one with --surface", source=log.source)
+        raise InputError(
+            f"collisions with {names} in this flight: choose one with --surface", source=log.source
+        )
     (trials,) = by_material.values()
     return trials

@@ -39,7 +39,7 @@ def speed_groups(speed: Array) -> NDArray[np.intp]:
 
 
 def hold_out(hits: Sequence[MeasuredImpact], mass_kg: float, onset: Onset) -> HeldOut:
-    """Hold out each speed in turn (each hit if there is only one speed), fit to the rest, and predict it.
+    """Predict the hits of each speed (or each hit, if all have one speed) from a fit to the other hits.
 
     Args:
         hits: hits of one mode.

@@ -1,7 +1,7 @@
-"""Fit of k and f to whole hits: outgoing speed, peak force, duration and depth.
+"""Fit of k and f to whole hits, which are their outgoing speed, peak force, duration and depth.
 
-If the paper's law does not fit the samples of a contact, no curve of its shape through them has the right
-peak. A fit to the predicted quantities does.
+If the paper's law does not describe a contact, a fit of the law to the samples gives a wrong peak. This fit
+therefore ignores the samples and fits the quantities that a prediction needs.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ _ENOUGH_HITS = 3  # fewer hits have no meaningful spread
 
 
 class HitTable(NamedTuple):
-    """Hits as arrays (n,); unknown values are NaN."""
+    """Hits as arrays (n,) in SI units; unknown values are NaN."""
 
     speed_in: Array
     speed_out: Array
@@ -62,7 +62,7 @@ class HitTable(NamedTuple):
         return cls(*np.array(rows, dtype=float).reshape(-1, 6).T)
 
     def only(self, which: NDArray[np.bool_] | NDArray[np.intp]) -> HitTable:
-        """Return some of the hits."""
+        """Return the hits that a mask or indices select."""
         return HitTable(*(column[which] for column in self))
 
     @property
@@ -118,7 +118,7 @@ class HitFit:
         return descend(self, self._start, ("huber", "linear"))
 
     def bounds(self) -> tuple[Array, Array]:
-        """Return the search bounds."""
+        """Return the lowest and highest logarithms of k and f in the search."""
         return _LOW, _HIGH
 
     def _errors(self, theta: Array) -> Array:
@@ -144,7 +144,7 @@ class HitFit:
         return np.stack([difference(theta, j, self.residuals) for j in range(theta.size)], axis=1)
 
     def reweight(self, theta: Array) -> None:
-        """Replace the errors by Huber's pseudo-values, which have the same solution and his covariance."""
+        """Replace the errors by Huber's pseudo-values, which give his solution and his covariance."""
         errors = self._errors(theta).reshape(4, -1)
         inside = (np.abs(errors) <= self.robust_from) & self._known
         share = (inside.sum(axis=1) + 1.0) / (self._known.sum(axis=1) + 1.0)  # never 0

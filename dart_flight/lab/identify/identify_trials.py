@@ -25,13 +25,13 @@ FLIGHT_LOG = ".mcap"
 
 
 class IdentifyResult(NamedTuple):
-    """The trials, the identification and the vehicle behind it.
+    """The trials, the result of their identification, and the vehicle used for it.
 
     Attributes:
         trials: the trials as read.
         found: the result of the fit.
         vehicle: the vehicle whose mass, modes and onset rule were used.
-        flown: the vehicle from the logs with its source, if it differs from the given one.
+        flown: the vehicle from the logs with its source; None if it equals the given vehicle.
         mass_kg, onset: mass and onset rule used in the fit.
     """
 
@@ -59,13 +59,13 @@ def identify_trials(
     Args:
         paths: files and folders of flight logs.
         reading: options for reading them.
-        vehicle: vehicle of the trials that do not contain theirs.
+        vehicle: vehicle of the trials that do not contain a vehicle.
         onset: onset rule to use instead of the vehicle's.
         given: trials in memory, used together with those of the files.
 
     Raises:
         InputError: an option or a trial is invalid, an option applies to no file, or the trials are of
-            different vehicles. Of several logs, those without a collision are left out with a note.
+            different vehicles. If there are several logs, logs without a collision are left out, with a note.
     """
     if not 0.0 <= reading.contact_distance_m <= 1.0:
         raise InputError(f"{reading.contact_distance_m:g} m, expected 0 to 1", key=("contact-distance",))
@@ -97,8 +97,8 @@ def identify_trials(
         for trial, read in zip(found.trials, trials, strict=True):
             if "normal_m" in read.series and abs(-trial.normal_m_s / expected - 1.0) > 0.2:
                 found.notes.append(
-                    f"{trial.name}: arrives at {-trial.normal_m_s:.2f} m/s; a drop from "
-                    f"{reading.height_m:g} m arrives at {expected:.2f} m/s"
+                    f"{trial.name}: touches at {-trial.normal_m_s:.2f} m/s, but a drop from "
+                    f"{reading.height_m:g} m touches at {expected:.2f} m/s"
                 )
     return IdentifyResult(trials, found, vehicle, flown, mass_kg, onset)
 
@@ -141,8 +141,8 @@ def _flown(trials: Sequence[Trial], vehicle: VehicleConfig) -> LoadedVehicle | N
         own = vehicle if trial.flown is None else trial.flown.config
         if not _alike(own, first.config):
             raise InputError(
-                f"a trial of another vehicle ({own.airframe.mass_kg:g} kg; the others' have "
-                f"{first.config.airframe.mass_kg:g} kg): identify them separately",
+                f"a trial of another vehicle ({own.airframe.mass_kg:g} kg, not "
+                f"{first.config.airframe.mass_kg:g} kg): identify the vehicles separately",
                 source=trial.name,
             )
     return first
@@ -169,7 +169,7 @@ def _refuse_idle_options(reading: TrialReading, paths: Sequence[Path]) -> None:
     given = {path.suffix.lower() for path in paths}
     for option, (value, suffixes) in idle.items():
         if value and given.isdisjoint(suffixes):
-            raise InputError(f"applies to {' and '.join(suffixes)} files, but no trial is one", key=(option,))
+            raise InputError(f"applies to {' and '.join(suffixes)} files, but none is given", key=(option,))
 
 
 def columns_of(text: str | None) -> dict[str, str]:

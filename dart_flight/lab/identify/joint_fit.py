@@ -32,7 +32,7 @@ def solve(
     *,
     least: int = 0,
 ) -> tuple[SampleFit, Array, list[str]]:
-    """Minimise with a robust loss, then by least squares with weights from the residuals.
+    """Fit the samples with a robust loss, then by least squares with weights from the residuals.
 
     Args:
         trials: trials with positions.
@@ -99,7 +99,7 @@ class SampleResult:
     """The result of a fit of samples, part of `Identification`; empty if no trial shows its contact.
 
     Attributes:
-        trials: fits by position of the trial in the call.
+        trials: index of a trial in the call of `identify` -> its fit.
         bad: modes whose law does not fit the samples of a contact.
     """
 
@@ -117,7 +117,7 @@ def conclude(fit: SampleFit, theta: Array, places: Sequence[int]) -> SampleResul
 
     Args:
         fit, theta: the fit and its parameters.
-        places: positions of its trials in the call.
+        places: index of each of the fit's trials in the call of `identify`.
     """
     halves = half_widths(fit, theta)
     plane_m = Estimate.about(float(theta[0]), float(halves[0]))
@@ -134,7 +134,7 @@ def conclude(fit: SampleFit, theta: Array, places: Sequence[int]) -> SampleResul
         aside = trial_fit.set_aside
         if aside.contact:
             result.notes.append(
-                f"{hit.name}: {aside.contact} of {aside.in_contact} samples in contact set aside"
+                f"{hit.name}: {aside.contact} of {aside.in_contact} samples in contact were set aside"
             )
     for mode in fit.parameters.modes:
         members = [i for i, trial in enumerate(fit.trials) if trial.mode == mode]
@@ -167,7 +167,7 @@ def _friction(fit: SampleFit, theta: Array, halves: Array, members: list[int]) -
 def _vertical(
     fit: SampleFit, theta: Array, halves: Array, members: list[int]
 ) -> tuple[Estimate | None, int | None]:
-    """Return the magnitude of nu and the side on which the force acts."""
+    """Return the magnitude of nu and the direction of the vertical force (`vertical_side`)."""
     at = fit.parameters.mode_indices(fit.trials[members[0]].mode)["nu"]
     if not any("z0" in fit.parameters.own[i] for i in members):
         return None, None

@@ -1,4 +1,4 @@
-"""Measurement of whole hits without a contact law: incoming and outgoing speed, peak and duration.
+"""Measurement of hits as a whole, without a contact law: incoming and outgoing speed, peak and duration.
 
 A law must predict these numbers, and restitution and tangential ratio follow from them. They are the only
 data if a recording has too few samples of the contact (motion capture at 100 Hz) or no positions (an
@@ -50,9 +50,9 @@ class MeasuredImpact:
         sd_in_m_s, sd_out_m_s, sd_tangential_m_s: standard deviations of these speeds.
         peak_force_n: largest measured normal force.
         contact_s: duration of the contact.
-        compression_m: largest depth behind the position at first touch.
-        acceleration_m_s2: other acceleration along the normal, -9.81 in a drop.
-        begin_s, end_s: interval of the contact in the recording, widened to whole samples.
+        compression_m: largest displacement into the wall since first touch.
+        acceleration_m_s2: acceleration along the normal that the contact does not cause, -9.81 in a drop.
+        begin_s, end_s: begin and end of the contact in the recording, widened to whole samples.
         samples_in_contact: position samples in this interval.
         clipped: whether the sensor saturated, so that the peak is unknown.
         notes: remarks for the reader, in sentences.
@@ -97,7 +97,7 @@ def measure_impact(trial: Trial, mass_kg: float) -> MeasuredImpact:
 
 
 class _FreeFlightFit:
-    """A parabola through free flight on one side of a contact, robust to outliers."""
+    """A parabola fitted to free flight on one side of a contact, robust to outliers."""
 
     def __init__(self, time: Array, value: Array, about_s: float, bend: float, bend_sd: float) -> None:
         self.about_s = about_s
@@ -330,7 +330,7 @@ def _measure_accelerometer(trial: Trial, mass_kg: float) -> MeasuredImpact:
     reading, largest = value - level, float(value.max())
     notes = []
     if abs(level) > _WEIGHTLESS_M_S2:
-        notes.append(f"{trial.name}: {level:.1f} m/s² before the impact is not free fall")
+        notes.append(f"{trial.name}: no free fall before the impact: the reading is {level:.1f} m/s², not 0")
     begin_at, end_at = _extent_of_pulse(
         time, reading, pulse_at, noise, max(_DETECTED * noise, 0.05 * largest)
     )
@@ -446,7 +446,7 @@ def _fall(time: Array, reading: Array, begin_at: int, noise: float) -> float | N
 
 
 def _bounce(time: Array, reading: Array, end_at: int, threshold: float) -> float | None:
-    """Return the rebound speed from the time to the next contact; None without one or without free flight."""
+    """Return the rebound speed from the time to the next contact, or None if it cannot be found."""
     later = np.flatnonzero((np.abs(reading) > threshold) & (time > time[end_at] + _BRIDGED_S))
     if not later.size:
         return None

@@ -26,7 +26,7 @@ class TrialImpact(NamedTuple):
         turn_s: time at which the normal velocity changes its sign.
         approach_m_s: normal velocity before the turn (negative).
         rebound_m_s: normal velocity after the turn.
-        deepest_m: position at the turn.
+        deepest_m: normal position at the turn.
         noise_m: standard deviation of the position samples.
     """
 
@@ -47,7 +47,7 @@ def refuse_unusable(trial: Trial) -> None:
         if series.time_s.size > 1 and not (np.diff(series.time_s) > 0.0).all():
             raise InputError("time does not increase", source=trial.name, key=(name,))
         if not (np.isfinite(series.time_s).all() and np.isfinite(series.value).all()):
-            raise InputError("values that are not numbers", source=trial.name, key=(name,))
+            raise InputError("some values are not numbers", source=trial.name, key=(name,))
     if "normal_m" not in trial.series:
         return
     time = trial.normal.time_s
@@ -56,7 +56,7 @@ def refuse_unusable(trial: Trial) -> None:
     step = float(np.median(np.diff(time)))
     if step > _LONGEST_STEP_S:
         raise InputError(
-            f"one sample every {1e3 * step:.0f} ms, but a contact of 50 to 180 ms needs one every "
+            f"the samples are {1e3 * step:.0f} ms apart, but a contact of 50 to 180 ms needs a sample every "
             f"{1e3 * _LONGEST_STEP_S:.0f} ms or less; is time_s in seconds?",
             source=trial.name,
             key=("time_s",),
@@ -110,18 +110,18 @@ def find_impact(trial: Trial) -> TrialImpact:
         impact = impact._replace(approach_m_s=_line_slope(time, value, impact))
     if -impact.approach_m_s > _FASTEST_M_S:
         raise InputError(
-            f"an approach at {-impact.approach_m_s:.0f} m/s: are positions in metres and times in seconds?",
+            f"approach at {-impact.approach_m_s:.0f} m/s: are positions in metres and times in seconds?",
             source=trial.name,
         )
     if impact.deepest_m < -_DEEPEST_M:
         raise InputError(
-            f"turns {-impact.deepest_m:.2f} m behind the plane; an impact turns within {_DEEPEST_M:g} m",
+            f"the motion turns {-impact.deepest_m:.2f} m behind the plane, limit {_DEEPEST_M:g} m",
             source=trial.name,
         )
     if impact.deepest_m > _NEAREST_M:
         raise InputError(
-            f"turns {impact.deepest_m:.2f} m before the plane of first touch; for distances from the surface "
-            "give --contact-distance",
+            f"the motion turns {impact.deepest_m:.2f} m before the plane of first touch; if normal_m is the "
+            "distance from the surface, give --contact-distance",
             source=trial.name,
         )
     return impact

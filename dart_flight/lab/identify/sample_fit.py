@@ -1,4 +1,4 @@
-"""The residuals of the law at the samples of all trials of a call, with one parameter vector.
+"""The residuals of the law at the samples of all trials of an identification, with one parameter vector.
 
 All trials share one plane, whose position is known to one or two centimetres and estimated as well. All
 trials of a mode share its coefficients. Every trial has its own onset time and approach velocity, and a clock
@@ -74,7 +74,7 @@ class Parameters:
         return {name: first + i for i, name in enumerate(("k", "f", "mu", "nu"))}
 
     def trial_indices(self, i: int, mode: str) -> list[int]:
-        """Return the indices of everything that trial i depends on."""
+        """Return the indices of the parameters that trial i depends on."""
         return [0, *self.mode_indices(mode).values(), *self.own[i].values()]
 
 
@@ -182,7 +182,7 @@ class SampleFit:
         return np.concatenate([counts[name] * error / self.sd[name] for name, error in errors.items()])
 
     def prior(self, theta: Array) -> Array:
-        """Return the residuals of the priors: the plane's position, and weak ones on the coefficients."""
+        """Return the residuals of the priors on the plane's position and, weakly, on the coefficients."""
         weak = []
         for mode in self.parameters.modes:
             at = self.parameters.mode_indices(mode)
@@ -199,7 +199,7 @@ class SampleFit:
         return np.array([theta[0] / _PLANE_SD_M, *weak])
 
     def residuals(self, theta: Array) -> Array:
-        """Return all weighted residuals, those of the priors last."""
+        """Return the weighted residuals of all trials, then those of the priors."""
         return np.concatenate([self.block(theta, i) for i in range(len(self.trials))] + [self.prior(theta)])
 
     def jacobian(self, theta: Array) -> Array:
@@ -302,7 +302,7 @@ class SampleFit:
     # -- starting point --
 
     def start(self) -> Array:
-        """Return a start: approach lines from the samples before, coefficients from a coarse search."""
+        """Return a starting point: lines through each approach, and coefficients from a coarse search."""
         theta = np.zeros(self.parameters.size)
         for i, impact in enumerate(self.impacts):
             own = self.parameters.own[i]

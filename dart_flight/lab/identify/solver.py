@@ -41,10 +41,10 @@ class LawProblem(Protocol):
         """Return the derivatives of the residuals, one column for each unknown."""
 
     def reweight(self, theta: Array) -> None:
-        """Weigh the data by their residuals."""
+        """Replace the weights of the data by weights from their residuals."""
 
     def variance(self, theta: Array) -> float:
-        """Return the factor on the variances of independent data with the assumed deviations."""
+        """Return the data's variance over that of independent data with the assumed deviations."""
 
     def resampling_groups(self) -> Sequence[NDArray[np.intp]]:
         """Return the groups of rows that are resampled together."""
@@ -119,9 +119,9 @@ def stiffness_and_damping(
     bounds = ((LOWEST_K, HIGHEST_K), (LOWEST_F, HIGHEST_F))
     for name, (lowest, highest), log, half in zip(found, bounds, logs.tolist(), halves.tolist(), strict=True):
         if not math.log(lowest) + _AT_BOUND <= log <= math.log(highest) - _AT_BOUND:
-            notes.append(f"{name} is at a bound of the search ({math.exp(log):.3g}) and unknown")
+            notes.append(f"{name} is unknown: the fit ends at a bound of the search ({math.exp(log):.3g})")
         elif half >= widest:
-            notes.append(f"{name} cannot be determined from these trials")
+            notes.append(f"these trials do not determine {name}")
         else:
             found[name] = Estimate(*(math.exp(v) for v in (log, log - half, log + half)))
     return found, notes

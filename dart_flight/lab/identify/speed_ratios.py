@@ -62,8 +62,9 @@ def _sliding_hits(hits: Sequence[MeasuredImpact]) -> Iterator[tuple[MeasuredImpa
 
 
 def tangential_ratio(hits: Sequence[MeasuredImpact]) -> Estimate | None:
-    """Return the velocity along the wall after a hit over that before, or None if no hit moves along the
-    wall.
+    """Return the ratio of the velocities along the wall after and before a hit.
+
+    The result is None if no hit moves along the wall.
 
     The ratio is negative if the vehicle reverses along the wall.
     """

@@ -49,8 +49,8 @@ def widen_intervals(
             found = found | {"mu": Estimate(mu.value, mu.low / (1.0 + slides), mu.high / (1.0 - slides))}
         notes.append(
             f"the vehicle turned at up to {math.degrees(rate_rad_s):.0f} deg/s in these contacts, so its "
-            f"guards slid up to {100.0 * slides:.0f} % slower or faster than its centre; the law has no "
-            "rotation, so the interval of mu is widened"
+            f"guards slid up to {100.0 * slides:.0f} % slower or faster than its centre; the law "
+            "ignores rotation, so the interval of mu is widened"
         )
     return {name: _widened(e, shares[name]) for name, e in found.items()}, notes
 

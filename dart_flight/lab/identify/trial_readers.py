@@ -66,7 +66,7 @@ def _refuse_millimetres(trial: Trial) -> None:
     """Reject implausibly large positions in a CSV file; logs are always in metres."""
     far = float(np.abs(trial.normal.value).max()) if "normal_m" in trial.series else 0.0
     if far > _FARTHEST_M:
-        problem = f"positions up to {far:.0f} m: millimetres? the column must be in metres"
+        problem = f"positions up to {far:.0f} m: millimetres? convert the column to metres"
         raise InputError(problem, source=trial.name, key=("normal_m",))
 
 
@@ -203,7 +203,7 @@ def read_ulog(path: Path, reading: TrialReading) -> list[Trial]:
         for name, axis in (("normal_m", normal), ("tangential_m", tangent), ("vertical_m", _UP)):
             series[name] = _increasing(track.position_s, moved @ axis)
     elif not reading.drop or not has_force:
-        raise InputError("has no vehicle_local_position", source=source)
+        raise InputError("the log has no vehicle_local_position", source=source)
     if has_force:
         force = reading.kg * track.to_ned(track.specific_force)
         series["normal_force_n"] = _increasing(track.imu_s, force @ normal)
@@ -235,11 +235,11 @@ def read_flight(path: Path, reading: TrialReading) -> list[Trial]:
     """Return the collisions of a flight log as trials.
 
     Raises:
-        InputError: as `trials_at_one`, or a drop is requested, which no mission contains.
+        InputError: as for `trials_at_one`, or drops are requested, which no mission contains.
     """
     if reading.drop:
         raise InputError(
-            "a flight log has wall collisions and no drops: omit --drop",
+            "a flight log contains wall collisions, not drops: omit --drop",
             source=str(path),
             key=("drop",),
         )

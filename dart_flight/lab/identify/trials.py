@@ -53,7 +53,7 @@ class Trial:
         position_measured: whether `normal_m` was recorded; if not, it is integrated from `normal_m_s`.
         allowance: coefficient -> relative systematic error of this kind of recording, which widens the
             interval.
-        flown: the vehicle, if the recording contains it as a flight log does.
+        flown: the vehicle that flew; None if the recording does not contain it (a flight log does).
         turn_rad_s: largest yaw rate during the contact; None if not recorded.
         notes: one line for each missing part of the recording.
     """
@@ -71,7 +71,7 @@ class Trial:
 
     @property
     def normal(self) -> Series:
-        """The signed distance to the assumed plane of first touch."""
+        """The signed distance of the vehicle's centre from its assumed position at first touch, m."""
         return self.series["normal_m"]
 
     def samples_between(self, begin_s: float, end_s: float) -> int:
@@ -85,14 +85,16 @@ class TrialReading:
     """The options of `identify` for reading files.
 
     Attributes:
-        mode: mode of trials that do not record it; for a flight, only collisions in this mode are used.
-        surface: for a flight, only collisions with this material are used; None: there must be only one.
+        mode: mode of trials that do not record their mode; for a flight, only collisions in this mode are
+            used.
+        surface: for a flight, only collisions with this material are used; None: all collisions must be with
+            one material.
         drop: whether gravity acts along the normal.
-        contact_distance_m: distance to subtract from the normal position, for recordings of the centre's
-            height or distance from the surface itself.
+        contact_distance_m: distance from the surface to the centre at first touch, subtracted from the normal
+            position; 0 if positions already count from first touch.
         columns: our column name -> header in the file.
-        wall: for logs in local NED, north and east of the plane of first touch, and the heading of its
-            outward normal in degrees.
+        wall: for logs in local NED: north and east (m) of a place of the vehicle's centre at first touch, and
+            the heading of the wall's outward normal, degrees.
         mass_kg: vehicle mass to use instead of the configuration's.
         height_m: height of drops, if known.
     """
@@ -115,7 +117,8 @@ class TrialReading:
 def without_derived(trials: Sequence[Trial]) -> tuple[list[Trial], list[str]]:
     """Leave out velocities differenced from positions, and dead channels.
 
-    The former would count twice. The latter seem to have no noise and would dominate the fit.
+    Differenced velocities would count the positions twice. Dead channels seem to have no noise and would
+    dominate the fit.
     """
     kept, notes = [], []
     for trial in trials:

@@ -38,7 +38,7 @@ class TrialWindow(NamedTuple):
 
     Attributes:
         series: the samples.
-        counts: weight on each residual; 0 ignores it, 1 gives it the standard deviation of free flight.
+        counts: weight on each residual: 0 ignores the sample, 1 assumes the noise of free flight.
         contact: mask of the samples in contact, by the law or by the recording itself.
     """
 

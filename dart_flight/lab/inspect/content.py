@@ -23,7 +23,7 @@ TOPICS = (
     "vehicle_status",
     "battery_status",
 )
-# Topic -> sufficient rate in Hz; a lower rate is reported.
+# Topic -> rate that detection needs, Hz; a lower rate is reported.
 WANTED_HZ = {
     "sensor_combined": 190.0,
     "vehicle_attitude": 15.0,
@@ -75,7 +75,7 @@ def missing(log: ULogFile) -> list[str]:
     for name in ("sensor_combined", "vehicle_attitude"):
         out += describe_holes(_stamps(log, name), name)
     if log.first("vehicle_status") is None:
-        out.append("no vehicle_status: vehicle type and arming")
+        out.append("no vehicle_status, hence vehicle type and arming")
     return [*out, *[f"recommended logging: {_PROFILE}"] * slow, *log.damage]
 
 
@@ -98,7 +98,7 @@ def _landed(log: ULogFile, track: Track) -> list[tuple[float, float]]:
 
 
 def height_at(track: Track, t_s: float) -> float:
-    """Return the height above the begin of the log, metres; NaN if PX4 has no estimate."""
+    """Return the height above that at the begin of the log, metres; NaN if PX4 has no estimate."""
     if not track.position_s.size:
         return math.nan
     down = track.position[:, 2]
@@ -125,7 +125,7 @@ def flights_of(log: ULogFile, track: Track) -> list[tuple[float, float]]:
 
 
 def describe_cut(log: ULogFile, track: Track, flying: list[tuple[float, float]]) -> list[str]:
-    """Return lines if a log with PX4's land detector begins or ends in the air."""
+    """Return a line for each end of the log that is in the air; none without PX4's land detector."""
     if not flying or log.first("vehicle_land_detected") is None:
         return []
     begin, end = float(track.imu_s[0]), float(track.imu_s[-1])
@@ -143,7 +143,7 @@ def _clipped(stretches: Iterable[tuple[float, float]], begin: float, end: float)
 
 
 def _stretches(log: ULogFile, topic: str, field: str, value: int = 1) -> list[tuple[float, float]]:
-    """Return begin and end (s) of the intervals in which a field has a value; the last sample holds on."""
+    """Return begin and end (s) of the intervals in which a field has a value, held from sample to sample."""
     data = log.first(topic)
     if data is None:
         return []

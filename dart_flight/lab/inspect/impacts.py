@@ -52,9 +52,9 @@ class InspectedImpact(msgspec.Struct):
     Attributes:
         t_s: time of first contact since the begin of the log.
         acceleration_m_s2: peak of the normal force over mass.
-        acceleration_sd_m_s2: its standard deviation from noise and from the uncertainty of the thrust.
+        acceleration_sd_m_s2: standard deviation of that peak, from noise and the uncertainty of the thrust.
         force_n: peak of the normal force; None without a mass.
-        force_sd_n: its standard deviation.
+        force_sd_n: standard deviation of `force_n`.
         direction_deg: direction of the force, clockwise from north.
         clipped: whether the accelerometer saturated, so that the peak is a lower bound.
         kind: `impact`; `touch-down` if PX4 reports a landing shortly after; `crash` after a fall, and for
@@ -62,7 +62,7 @@ class InspectedImpact(msgspec.Struct):
             standard deviations, a crash precedes it, or the thrust is unknown (`is_thrust_known`) and the
             vehicle does not hover.
         speed_m_s: horizontal speed before the impact.
-        height_m: height above the begin of the log by PX4's estimate, or None.
+        height_m: height above that at the begin of the log by PX4's estimate, or None.
     """
 
     t_s: float
@@ -99,8 +99,8 @@ class Estimated(NamedTuple):
     def beyond_thrust(self) -> Vec2:
         """Return the horizontal force that no thrust explains, newton, mission frame.
 
-        A log's thrust is fitted or assumed, from commands at 10 Hz. Along its axis the accelerometer may
-        measure anything from nothing to full thrust without a contact.
+        A log's thrust is fitted or assumed, from commands at 10 Hz. Without a contact, the
+        accelerometer may measure anything from nothing to full thrust along the thrust axis.
         """
         could_n = max(0.0, min(self.full_n, self.along_n)) - self.thrust_n
         x, y, _ = self.force.force_mission
@@ -114,9 +114,9 @@ class ThresholdCrossing(msgspec.Struct):
     """A crossing of the detection threshold by the force, with its peak.
 
     Attributes:
-        onset: the onset.
+        onset: the onset that the detector reported.
         threshold_n: the crossed threshold.
-        peak: None if the log ends before the peak is known.
+        peak: the fitted peak; None if the log ends before the peak is known.
         beyond_thrust: whether no thrust of the motors explains the crossing. The part beyond the thrust must
             have half of the impulse up to the peak, or exceed the threshold in a mean over the detector's
             short window.
@@ -153,7 +153,7 @@ class ThresholdCrossing(msgspec.Struct):
     def is_impact(self) -> bool:
         """Whether the fitted peak confirms the crossing and the thrust does not explain it.
 
-        Otherwise the crossing is noise or a manoeuvre.
+        A crossing that is no impact is noise or a manoeuvre.
         """
         if self.peak is None:
             return True
@@ -170,8 +170,8 @@ class InspectedFlight(msgspec.Struct):
     """The impacts and the noise of one log; forces are None without a mass.
 
     `weak` counts threshold crossings that are no impacts: the fitted peak stayed below the threshold, or an
-    error of the thrust explains the force. `untold` counts the impacts of that kind, which may be a manoeuvre
-    or a contact.
+    error of the thrust explains the force. `untold` counts the impacts of kind `untold`, which may be
+    manoeuvres or contacts.
     """
 
     log: str
@@ -197,12 +197,12 @@ class InspectedFlight(msgspec.Struct):
 
     @property
     def nothing_found(self) -> str:
-        """The text that replaces the table of impacts; without a flight there cannot be one."""
+        """The text that replaces an empty table of impacts, with a remark if the log contains no flight."""
         return "no impact" if self.flight_s > 0.0 else "0 s in the air: no impact can be found"
 
 
 class InspectedSeries(msgspec.Struct):
-    """Force over mass in flight (north, east, down) and the threshold, for the report and for trials."""
+    """Force over mass (north, east, down), threshold and position in flight, for reports and trials."""
 
     time_s: Array
     force_m_s2: Array  # (n, 3)
@@ -239,7 +239,7 @@ class ImpactScan:
         self.crossings: list[ThresholdCrossing] = []
 
     def in_the_air(self, t_s: float) -> bool:
-        """Return whether a time is within one of the flights; times must not decrease."""
+        """Return whether a time is within a flight; times must not decrease from call to call."""
         while self._place < len(self._flying) and self._flying[self._place][1] < t_s:
             self._place += 1
         return self._place < len(self._flying) and self._flying[self._place][0] <= t_s
@@ -258,7 +258,7 @@ class ImpactScan:
 
     def _process_imu(self, sample: ImuSample) -> None:
         detector, flying = self.detector, self.in_the_air(sample.t_us * 1e-6)
-        # The noise on the ground differs from that in flight, so the estimator must not learn it.
+        # The noise on the ground differs from that in flight, so the estimator must not adapt to it.
         estimate = self.estimator.estimate(sample, self.state, detector.in_contact or not flying)
         if estimate is None:
             return
@@ -420,7 +420,7 @@ def _thrust_sd(track: Track, curve: SpecificThrust | None, t_s: float) -> float:
 
 
 def falls(track: Track, flying: list[tuple[float, float]]) -> list[float]:
-    """Return the times at which a fall ends in a jolt, the first of several; means suppress vibration."""
+    """Return the times at which a fall ends in a jolt, the first jolt of each fall."""
     found: list[float] = []
     jolt = _mean_size(track, _JOLT_S)
     carried = _mean_size(track, _FALLING_S)
@@ -444,7 +444,7 @@ def _mean_size(track: Track, window_s: float) -> Array:
 
 
 def _with_crashes(impacts: list[InspectedImpact], crashes: list[InspectedImpact]) -> list[InspectedImpact]:
-    """Return all impacts in order: those during a crash are merged into it, and later ones are `untold`."""
+    """Return all impacts in order: a crash replaces those during it, and later ones are `untold`."""
     kept = list(crashes)
     for impact in impacts:
         since_s = [impact.t_s - crash.t_s for crash in crashes if impact.t_s >= crash.t_s - _FALLING_S]

@@ -57,7 +57,7 @@ def inspect_log(
     curve = None if isinstance(fitted, str) else fitted
     if curve is not None and are_motors_slow(track):
         unknown.append(
-            f"thrust between motor outputs, which need {THRUST_KNOWN_HZ:.0f} Hz; only hover is evaluated"
+            f"thrust between motor outputs slower than {THRUST_KNOWN_HZ:.0f} Hz; only hover is evaluated"
         )
     flying = flights_of(log, track)
     unknown += describe_cut(log, track, flying)
@@ -66,7 +66,7 @@ def inspect_log(
         unknown.append("drag: the flight is too slow for an estimate")
     unknown.append("wind, and the accelerometer's bias outside hover")
     if mass_kg is None:
-        unknown.append("mass: forces are in m/s2, with --mass also in newton")
+        unknown.append("mass: forces are in m/s2 only; give --mass for newton")
     flown = vehicle_for(vehicle, log, curve, drag)
     scan = ImpactScan(flown, flying, listen(flown, flying) if listen is not None else None)
     for sample in samples_of(track, curve, len(flown.airframe.motors)):

@@ -23,9 +23,8 @@ Sample = ImuSample | AttitudeSample | OdometrySample | ActuatorSample
 def samples_of(track: Track, curve: SpecificThrust | None, motors: int) -> Iterator[Sample]:
     """Yield the samples of a log in the order of their stamps.
 
-    The attitude is output at the IMU's rate: the logged attitude is propagated by the gyro. The commands are
-    collective, already converted by the curve, interpolated between the logged ones and equal for all
-    `motors`.
+    The attitude is output at the IMU's rate: the logged attitude is propagated by the gyro. All `motors` get
+    the same command: the collective command, converted by the curve and interpolated between logged values.
     """
     stamps, attitude_us = _us(track.imu_s), _us(track.attitude_s)
     f, rate, q = track.specific_force, track.rate, track.q
@@ -83,7 +82,7 @@ def _collective(track: Track, curve: SpecificThrust | None, motors: int) -> Iter
 def vehicle_for(
     vehicle: VehicleConfig, log: ULogFile, curve: SpecificThrust | None, drag: float
 ) -> VehicleConfig:
-    """Return the configured vehicle with the log's thrust, drag and IMU interval, but its own mass."""
+    """Return the configured vehicle with its mass, but the thrust, drag and IMU interval of the log."""
     replace, mass = msgspec.structs.replace, vehicle.airframe.mass_kg
     all_n = mass * (curve.full_m_s2 if curve else 2.0 * GRAVITY_M_S2)
     imu = log.first("sensor_combined") or {}

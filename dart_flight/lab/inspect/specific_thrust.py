@@ -25,9 +25,9 @@ _FAST_M_S = 99.0
 
 
 class SpecificThrust(msgspec.Struct):
-    """Thrust over mass at full command, with the other parameters of the curve.
+    """Thrust over mass at full command, with the other parameters of the thrust curve.
 
-    `held_out_percent` is the error of the thrust on held-out segments; `said` describes the segments used.
+    `held_out_percent` is the error of the thrust on held-out segments. `said` describes the fitted segments.
     """
 
     full_m_s2: float
@@ -53,7 +53,7 @@ def fit_specific_thrust(track: Track, vehicle: VehicleConfig) -> SpecificThrust 
         source = "flight at any speed, so the residual includes the effect of speed on the propellers"
         if len(points.force) < MIN_POINTS:
             return (
-                f"{len(points.force)} quiet half seconds, needs at least {MIN_POINTS}; rejected: "
+                f"{len(points.force)} quiet half seconds, at least {MIN_POINTS} are needed; rejected: "
                 f"{format_rejected(slow.rejected) or 'none'}"
             )
     error, best = best_fit(points, vehicle.thrust.square_share)
@@ -98,7 +98,8 @@ def _is_too_far(apart_s: float) -> bool:
 def fit_drag(track: Track, flying: list[tuple[float, float]]) -> float:
     """Fit the drag, 1/s: horizontal specific force across the thrust axis over the velocity, ignoring wind.
 
-    The fit is robust and uses half-second means over the whole flight; it is 0 if the flight is too slow.
+    The fit is robust and uses half-second means over the whole flight. If the flight is too slow, the drag is
+    0.
     """
     if not track.attitude_s.size or not track.position_s.size:
         return 0.0

@@ -16,8 +16,7 @@ _TRIAL_BEFORE_S, _TRIAL_AFTER_S = 0.5, 0.4
 def write_trials(flight: InspectedFlight, folder: Path) -> list[Path]:
     """Write every impact of a flight as a CSV trial for `identify`, in the collision frame of its own force.
 
-    The plane of first touch is at the vehicle's position at the onset. Without a mass there is no force
-    column.
+    Normal positions count from the vehicle's position at the onset. Without a mass there is no force column.
     """
     series, written = flight.series, []
     if series is None:

@@ -77,7 +77,7 @@ def plot_drop(
 ) -> None:
     """Plot height, velocity and force of a drop over time from the release into `path`.
 
-    The plot includes the paper's contact time and rebound speed if it published this drop.
+    The plot includes the paper's contact time and rebound speed if the paper published this drop.
 
     Raises:
         InputError: matplotlib is missing, or the file cannot be written.

@@ -1,8 +1,8 @@
 """One contact over time in closed form, for plots and for the fit of recorded trials.
 
-`contact_map` returns the outcome of a contact; this module returns its course. Normal position, velocity and
-force are elementary functions (`dart_flight.contact.oscillator`). The displacement along the wall and the
-vertical impulse are integrals of smooth functions, computed by quadrature to the stated bounds.
+`contact_map` returns the outcome of a contact; this module returns the quantities over time. Normal position,
+velocity and force are elementary functions (`dart_flight.contact.oscillator`). The displacement along the
+wall and the vertical impulse are integrals of smooth functions, computed by quadrature to the stated bounds.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ class _Integral:
 
     @cached_property
     def _twice(self) -> tuple[Array, Array]:
-        """The integral at the nodes, and the series of the double integral."""
+        """The integral at the nodes, and the Chebyshev series of the double integral."""
         at_nodes = _nodes().at_nodes @ self._once
         return at_nodes, self._primitive(at_nodes)
 
@@ -99,16 +99,17 @@ class ContactMotion:
     Args:
         coefficients: coefficients of material and mode.
         mass_kg: vehicle mass.
-        normal_m_s: normal velocity at the onset, collision frame, not positive.
+        normal_m_s: normal velocity at the onset, collision frame; negative or 0.
         onset: onset rule.
-        acceleration_m_s2: constant other acceleration along the normal, before, in and after the contact.
+        acceleration_m_s2: constant acceleration along the normal by other causes, such as gravity in a drop.
+            It also acts before and after the contact.
 
     Attributes:
         has_contact: whether there is a contact.
         end_s: time of the release; infinite if the vehicle never leaves the wall, 0 without a contact.
         peak_s: time of the largest normal force.
         turn_s: time of the largest outward speed in contact.
-        onset_m: position at the onset.
+        onset_m: normal position at the onset, m.
     """
 
     def __init__(
@@ -165,7 +166,7 @@ class ContactMotion:
         return impulse
 
     def slip(self, time_s: ArrayLike) -> Array:
-        """Return the velocity along the wall over that at the onset."""
+        """Return the velocity along the wall, as a fraction of its value at the onset."""
         t = np.asarray(time_s, dtype=float)
         if not self.has_contact:
             return np.ones_like(t)
@@ -173,17 +174,17 @@ class ContactMotion:
         return left
 
     def slide(self, time_s: ArrayLike) -> Array:
-        """Return the displacement along the wall over the tangential velocity at the onset, s."""
+        """Return the displacement along the wall, divided by the tangential velocity at the onset, s."""
         t = np.asarray(time_s, dtype=float)
         return self._slipped.once(t) if self.has_contact else t.copy()
 
     def rise(self, time_s: ArrayLike) -> Array:
-        """Return the velocity m/s due to the vertical force per newton of nu, along that force."""
+        """Return the velocity in m/s that the vertical force causes, along that force, for nu = 1 N."""
         t = np.asarray(time_s, dtype=float)
         return self._raised.once(t) if self.has_contact else np.zeros_like(t)
 
     def lift(self, time_s: ArrayLike) -> Array:
-        """Return the displacement m due to the vertical force per newton of nu, along that force."""
+        """Return the displacement in m that the vertical force causes, along that force, for nu = 1 N."""
         t = np.asarray(time_s, dtype=float)
         return self._raised.twice(t) if self.has_contact else np.zeros_like(t)
 
@@ -199,7 +200,7 @@ class ContactMotion:
         return _Integral(self._share, self._horizon, 0.0, held)
 
     def _share(self, time_s: Array) -> Array:
-        """Return the acceleration m/s2 due to the vertical force per newton of nu."""
+        """Return the acceleration in m/s2 that the vertical force causes for nu = 1 N."""
         force = self.normal(time_s)[2]
         return force / (1.0 + force) / self.mass_kg
 
@@ -209,7 +210,7 @@ class HitHistory(NamedTuple):
 
     Attributes:
         time_s: time since the onset of the contact.
-        normal_m: signed distance of the vehicle's centre to its plane of first touch.
+        normal_m: signed distance of the vehicle's centre from its position at first touch.
         tangential_m, vertical_m: displacement along Y and Z since the onset (Z points down at a wall).
         normal_m_s, tangential_m_s, vertical_m_s: velocity.
         normal_force_n, tangential_force_n, vertical_force_n: contact force.
@@ -230,13 +231,14 @@ class HitHistory(NamedTuple):
 def trajectory(
     contact: ContactMotion, time_s: ArrayLike, tangential_m_s: float = 0.0, vertical_sign: int = -1
 ) -> HitHistory:
-    """Return a hit at the given times (s, since the onset).
+    """Return the quantities of a hit at some times.
 
     Args:
         contact: the hit.
-        time_s: times (n,), of any sign.
+        time_s: times since the onset (n,), s; negative before it.
         tangential_m_s: velocity along the wall at the onset.
-        vertical_sign: -1 as the paper writes lz (against Z of the collision frame), or 1.
+        vertical_sign: direction of the vertical force along Z of the collision frame: -1 as the paper writes
+            lz, or 1.
     """
     t = np.asarray(time_s, dtype=float)
     x, vx, force = contact.normal(t)

@@ -114,7 +114,7 @@ def wall_contact(condition: Condition, normal_m_s: float, tangential_m_s: float)
     """Return the contact of a wall hit over time.
 
     Raises:
-        InputError: as `refuse_hit`.
+        InputError: as for `refuse_hit`.
     """
     refuse_hit(normal_m_s, tangential_m_s)
     return ContactMotion(condition.coefficients, condition.mass_kg, normal_m_s, condition.onset)
@@ -124,7 +124,7 @@ def predict_wall(condition: Condition, normal_m_s: float, tangential_m_s: float)
     """Return the quantities of a wall hit, named with their units.
 
     Raises:
-        InputError: as `wall_contact`.
+        InputError: as for `wall_contact`.
     """
     contact = wall_contact(condition, normal_m_s, tangential_m_s)
     r = collide(condition.coefficients, condition.mass_kg, normal_m_s, tangential_m_s, condition.onset)
@@ -134,7 +134,7 @@ def predict_wall(condition: Condition, normal_m_s: float, tangential_m_s: float)
 
 
 class Ratios(NamedTuple):
-    """Outgoing over incoming speed, along the normal and along the wall."""
+    """Ratios of outgoing to incoming speed, along the normal and along the wall."""
 
     restitution: float
     tangential_ratio: float | None
@@ -204,7 +204,7 @@ def predict_drop(condition: Condition, height_m: float) -> dict[str, float]:
     """Return the quantities of a drop, named with their units.
 
     Raises:
-        InputError: as `drop_contact`.
+        InputError: as for `drop_contact`.
     """
     drop_contact(condition, height_m)
     return drop(condition.coefficients, condition.mass_kg, height_m, condition.onset)._asdict()
@@ -248,7 +248,7 @@ def predict_batch(
     """Return the rows of `predict_batch_rows` as CSV text in full double precision.
 
     Raises:
-        InputError: as `predict_batch_rows`.
+        InputError: as for `predict_batch_rows`.
     """
     out = io.StringIO()
     writer = csv.DictWriter(out, (*BATCH_COLUMNS, *WALL_COLUMNS), lineterminator="\n")
@@ -298,7 +298,7 @@ def _read_batch(path: str | Path, modes: list[str]) -> tuple[Rows, Array, Array]
 
 
 def described(name: str, value: float | None) -> tuple[str, str, str]:
-    """Return quantity, value and unit for display, from a name that ends in its unit."""
+    """Return quantity, value and unit as text, from a name that ends in the unit."""
     stem, unit = split_unit(name)
     words = stem.replace("_", " ")
     if value is None or math.isnan(value):

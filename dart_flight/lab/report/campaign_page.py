@@ -101,7 +101,7 @@ def _rules(summary: CampaignSummary) -> PageTable:
 def _not_followed(summary: CampaignSummary) -> PageTable:
     rows: list[Row] = [
         [d.mission, d.what, f"{d.flights} of {d.of}", d.not_flown or "", d.planned,
-         "–" if d.flown is None else d.flown, "the same" if d.tolerance is None else d.tolerance]
+         "–" if d.flown is None else d.flown, "must be equal" if d.tolerance is None else d.tolerance]
         for d in summary.not_followed
     ]  # fmt: skip
     return PageTable(["mission", "figure", "flights", "not flown", "planned", "flown", "tolerance"], rows)

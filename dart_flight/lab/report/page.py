@@ -128,7 +128,7 @@ def comparison_page(flights: Sequence[RecordedFlight]) -> str:
 
 
 def _check_same_mission(flights: Sequence[RecordedFlight]) -> None:
-    """Raise an InputError for flights of different missions; vehicle and mission file may differ."""
+    """Raise an InputError if the missions of the flights differ; vehicles and file names may differ."""
     first = flights[0]
     for other in flights[1:]:
         alike = msgspec.structs.replace(
@@ -139,15 +139,14 @@ def _check_same_mission(flights: Sequence[RecordedFlight]) -> None:
         )
         if alike != first.mission:
             raise InputError(
-                f"another mission ({other.verdict.mission}) than {first.log.source} "
-                f"({first.verdict.mission}){_first_difference(first, other)}: a comparison needs flights of "
-                "one mission",
+                f"the flight is of another mission ({other.verdict.mission}) than {first.log.source} "
+                f"({first.verdict.mission}){_first_difference(first, other)}: compare flights of one mission",
                 source=other.log.source,
             )
 
 
 def _first_difference(first: RecordedFlight, other: RecordedFlight) -> str:
-    """Return the first key that differs between two missions of one name, as text, or an empty string."""
+    """Return as text the first key that differs between two missions of one name, or an empty string."""
     if first.verdict.mission != other.verdict.mission:
         return ""
     there, here = (
@@ -211,7 +210,7 @@ def outcome_sentence(flight: RecordedFlight) -> str:
     """Return the outcome of a flight as a sentence."""
     v, planned, hit = flight.verdict, len(flight.mission.collisions), len(flight.impacts)
     if flight.mission.standoff_m is not None:
-        hits = "a rehearsal, which stops before each wall"
+        hits = "it was a rehearsal, which stops before each wall"
     elif planned == 0:
         hits = "no collision was planned"
     elif planned == 1:
@@ -253,7 +252,7 @@ def _where_px4_log(flight: RecordedFlight) -> str:
     if flight.log.world in (World.FAST, World.EMBEDDED):
         return "none (not a PX4 flight)"
     armed = flight.armed_utc()
-    return "not beside the log (dart-flight px4-log)" + (f"; armed at {armed}" if armed else "")
+    return "not in the log's folder (run dart-flight px4-log)" + (f"; armed at {armed}" if armed else "")
 
 
 def _compared_table(flight: RecordedFlight, names: Sequence[str] = ()) -> PageTable:
@@ -352,8 +351,8 @@ def disagreements(flights: Sequence[RecordedFlight]) -> dict[str, dict[str, tupl
         flights: flights of vehicles with the same materials.
 
     Returns:
-        By material, then by mode and force (`rigid, normal`): mean of measured over predicted peak minus one,
-            and its 95 % half width.
+        Material -> mode and force (such as `rigid, normal`) -> mean of measured over predicted peak minus
+            one, and half the width of its 95 % interval.
     """
     found: dict[str, dict[str, list[float]]] = {}
     for impact in (impact for flight in flights for impact in flight.impacts):
@@ -443,7 +442,7 @@ def _percent(share: float | None) -> float | None:
 
 
 def _spread(name: str, values: Iterable[float | None]) -> list[Cell]:
-    """Return count, mean, half width of its 95 % interval, standard deviation, minimum and maximum."""
+    """Return name, count, mean, half its 95 % interval, standard deviation, minimum and maximum."""
     known = [v for v in values if v is not None]
     if not known:
         return [name, 0, *(None,) * 5]

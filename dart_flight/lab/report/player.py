@@ -77,7 +77,7 @@ def player_data(flight: RecordedFlight) -> dict[str, Any] | None:
 
 
 def _lock(flight: RecordedFlight, span: tuple[float, float]) -> list[list[Any]]:
-    """Return the states of the arms with their begin; without a lock they are always rigid."""
+    """Return each state of the arms with the time at which it begins; without a lock they are rigid."""
     if not flight.mission.vehicle.has_lock:
         return [[_ms(span[0]), Mode.RIGID.value]]
     return [[_ms(since), name] for since, _, name in lock_stretches(flight.course, span[1])]

@@ -82,10 +82,11 @@ class Impact:
         verdict: the impact, with planned, measured and true figures.
         collision, material: the planned collision, and its wall's material.
         at_s: time of detection in seconds of the flight's `FlightArrays`.
-        prediction, predicted: the contact law at the measured velocity over time since its onset, and its
-            figures.
-        onset_s: begin of the predicted contact, such that the predicted and measured peaks coincide. Without
-            a measured peak, the predicted force reaches the threshold at `at_s`.
+        prediction: the hit by the contact law at the measured velocity, over the time since its onset.
+        predicted: figures of the predicted hit.
+        onset_s: time at which the predicted contact begins, s. It is chosen so that the predicted and
+            measured peaks coincide. Without a measured peak, the predicted force reaches the threshold at
+            `at_s`.
         compared: planned, predicted, measured and true figures.
     """
 
@@ -151,12 +152,12 @@ class Impact:
 
     @property
     def disagreement(self) -> float | None:
-        """Measured over predicted peak normal force, minus one; None if one is unknown or clipped."""
+        """Measured over predicted peak normal force, minus one; None if a peak is unknown or clipped."""
         return self._excess("peak normal force", 0.0)
 
     @property
     def friction_disagreement(self) -> float | None:
-        """The same for the friction force; None also if it is too small."""
+        """Measured over predicted peak friction, minus one; None if unknown, clipped or too small."""
         return self._excess(_FRICTION, _MIN_FRICTION_N)
 
     def _excess(self, name: str, least_n: float) -> float | None:
@@ -167,7 +168,7 @@ class Impact:
 
 
 class GuardAct(NamedTuple):
-    """A rule that fired, with the vehicle's position, or None if unknown."""
+    """A guard rule that fired. `place` is the vehicle's position, or None if unknown."""
 
     at_s: float
     rule: str
@@ -181,7 +182,7 @@ class Timing(msgspec.Struct):
     Attributes:
         setpoint_interval_ms: intervals between the receipts of the samples that triggered successive
             setpoints.
-        imu_delay_ms: delays from the IMU's stamp to its receipt, by the clock estimate, minus the smallest.
+        imu_delay_ms: delays from the stamp of an IMU sample to its receipt, minus the smallest delay.
         recovery_ms: times from the receipt of the sample that triggered a recovery to the sending of its
             setpoint.
     """
@@ -223,7 +224,7 @@ class RecordedFlight:
 
     @property
     def name(self) -> str:
-        """The name of the flight among others."""
+        """The name that distinguishes the flight from others: its folder, and a simulation's seed."""
         folder = Path(self.log.source).resolve().parent.name
         return f"{folder} (seed {self.log.seed})" if self.log.seed is not None else folder
 
@@ -280,7 +281,7 @@ class RecordedFlight:
         return (answer.received_us - before[-1]) * 1e-3 if before else None
 
     def planned_trajectories(self) -> list[Array]:
-        """Return the trajectories planned and flown in flight: (n, 2), mission frame, metres."""
+        """Return the trajectories that were planned in flight and used: (n, 2), mission frame, metres."""
         found = []
         for _, answer, taken in self.replanned():
             if answer is not None and taken is not None and taken.taken and answer.x_mission:
@@ -290,7 +291,7 @@ class RecordedFlight:
         return found
 
     def planned_lines(self) -> list[Array]:
-        """Return the planned path from above: (n, 2), mission frame, metres."""
+        """Return the planned path, seen from above, as lines: (n, 2), mission frame, metres."""
         planned = self.planned
         approaches = [np.array(line) for line in planned.approaches.values()]
         from_rest = [

@@ -44,12 +44,12 @@ class PageTable(NamedTuple):
         return [(head or "", is_number(cell)) for head, cell in zip_longest(self.heads, first)]
 
     def folded(self, count: int) -> tuple[PageTable, PageTable]:
-        """Return the first rows and the others as two tables."""
+        """Return two tables: the first `count` rows, and the other rows."""
         return self._replace(rows=self.rows[:count]), self._replace(rows=self.rows[count:])
 
 
 def is_number(value: Cell) -> bool:
-    """Return whether a cell is a number or an unknown one."""
+    """Return whether a cell is a number, or None for an unknown number."""
     return isinstance(value, Number) or not isinstance(value, str | dict)
 
 
@@ -76,8 +76,8 @@ def picture(figure: Any) -> str:
 def render(template: str, title: str, *, script: str = "", **values: Any) -> str:
     """Return a complete HTML file.
 
-    The file loads nothing. Its content policy allows only embedded pictures and the one script whose hash it
-    names, or none.
+    The file loads nothing. Its content security policy allows embedded pictures and the given script, which
+    it identifies by a hash, and nothing else.
 
     Args:
         template: file name in `templates/`.

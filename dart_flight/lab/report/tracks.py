@@ -51,9 +51,9 @@ class SetpointSeries(NamedTuple):
     """The setpoints sent; each is held until the next.
 
     Attributes:
-        time_s: (n,).
-        position, velocity: (n, 3); the velocity is NaN if none was sent.
-        recovery: (n,), whether it is the response to an impact.
+        time_s: times of sending, s, (n,).
+        position, velocity: m and m/s, (n, 3); the velocity is NaN if none was sent.
+        recovery: whether the setpoint is the response to an impact, (n,).
     """
 
     time_s: Array
@@ -68,7 +68,7 @@ class Power(NamedTuple):
     Attributes:
         time_s, thrust_n: total thrust by the core's model (`core/sense/thrust_model.py`), arrays (n,).
         motor_time_s, lowest, highest: smallest and largest command to a motor, 0 to 1, arrays (m,).
-        battery_time_s, battery_v: arrays (k,).
+        battery_time_s, battery_v: battery voltage, arrays (k,).
     """
 
     time_s: Array
@@ -104,17 +104,17 @@ def setpoint_series(course: FlightArrays) -> SetpointSeries:
 
 
 def in_force(times: Array, at_s: Array) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
-    """Return for each of `at_s` the index of the last of `times` not after it, and whether there is one."""
+    """Return, for each of `at_s`, the index of the latest of `times` up to it, and whether one exists."""
     index = np.searchsorted(times, at_s, side="right") - 1
     return np.maximum(index, 0), index >= 0
 
 
 def tracking(course: FlightArrays) -> tuple[Array, Array, Array]:
-    """Return the distances of estimated position and velocity from the active setpoint at each odometry
-    sample.
+    """Return the differences between the estimate and the active setpoint at each odometry sample.
 
     Returns:
-        Times in s, distances in m and in m/s, arrays (n,); the last is NaN if the setpoint had no velocity.
+        Times in s, and the magnitudes of the differences in position (m) and in velocity (m/s), arrays (n,).
+            The velocity difference is NaN if the setpoint had no velocity.
     """
     motion, sent = course.estimated, setpoint_series(course)
     if not sent.time_s.size or not motion.time_s.size:
@@ -155,7 +155,7 @@ def power(course: FlightArrays, mission: Mission) -> Power:
 
 
 def stretches(moments: list[tuple[float, V]], end: float) -> list[tuple[float, float, V]]:
-    """Return the intervals of values that hold until the next; the last holds until the end."""
+    """Return (begin, end, value) for values that each hold until the next, the last until `end`."""
     stops = [t for t, _ in moments[1:]] + [end] if moments else []
     return [(t, stop, value) for (t, value), stop in zip(moments, stops, strict=True)]
 

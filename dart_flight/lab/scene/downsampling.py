@@ -59,8 +59,8 @@ WANTED: frozenset[type[Record]] = frozenset({*_ALL, *_EVERY, *_STRONGEST})
 class Downsampler:
     """A filter that receives the records of a flight in order and passes on those that a display needs.
 
-    Periods refer to the autopilot's time. A strongest sample is passed on at the end of its period, after
-    records that are up to one period newer.
+    Periods refer to the autopilot's time. The strongest sample of a period is passed on at the period's
+    end, after other records that are newer than the sample.
     """
 
     def __init__(self) -> None:

@@ -215,7 +215,7 @@ def goal_altitude_m(mission: Mission) -> float:
 
 
 def planned(flight: PredictedFlight, mission: Mission, t_us: int) -> SceneEntity:
-    """Return the planned path by mission and flight model, with balls at hits and small ones at waypoints."""
+    """Return the planned path by mission and flight model, with balls at hits, small at waypoints."""
     lines = [[leg.begin, leg.end] for leg in transit_segments(mission) if leg.begin is not None]
     for index, approach in flight.approaches.items():
         z = mission.altitude_at(index - 1)

@@ -41,8 +41,8 @@ class LiveViewSpec(msgspec.Struct):
         mission: the mission with its room and vehicle.
         host, port: address to listen at.
         show_room: whether to show the mission's room.
-        frame_known: whether the mission frame lies as the mission specifies from the beginning.
-        from_truth: whether to show a simulated vehicle alone, at its true pose.
+        frame_known: whether the mission frame is known from the beginning, from the mission.
+        from_truth: whether to show only a simulated vehicle, at its true pose.
     """
 
     mission: Mission
@@ -54,7 +54,7 @@ class LiveViewSpec(msgspec.Struct):
 
 
 class PortStatus(msgspec.Struct):
-    """The open port, or the problem that prevented opening it."""
+    """The open port, or the problem that prevented the process from opening it."""
 
     port: int | None = None
     problem: str = ""
@@ -96,13 +96,17 @@ class LiveViewProcess:
         with contextlib.suppress(queue.Empty):
             line = output.get(timeout=_START_S)
         opened = (
-            msgspec.json.decode(line, type=PortStatus) if line else PortStatus(problem="it did not start")
+            msgspec.json.decode(line, type=PortStatus)
+            if line
+            else PortStatus(problem="the process did not start")
         )
         if opened.port is None:
             self.process.end(_END_S)
             where = f"{show.host}:{show.port}"
             if "in use" in opened.problem:
-                raise InputError(f"port {show.port} is in use; choose another with --live-port", source=where)
+                raise InputError(
+                    f"port {show.port} is in use; choose another port with --live-port", source=where
+                )
             raise InputError(f"no live view: {opened.problem}", source=where)
         return opened.port
 
@@ -115,7 +119,7 @@ class LiveViewProcess:
                 self._waiting.append(record)
 
     def feed(self, record: Record) -> None:
-        """Queue a record and wait if the queue is full, for readers of recorded logs."""
+        """Queue a record, and wait if the queue is full; for records read from a log."""
         while len(self._waiting) >= _MAX_WAITING and self._thread.is_alive():
             time.sleep(_TURN_S)
         self(record)

@@ -27,7 +27,7 @@ class VehicleState(Record, frozen=True, gc=False):
 
 
 class ForceState(Record, frozen=True, gc=False):
-    """Estimated external force on the vehicle, newton, the strongest of 20 ms."""
+    """Strongest estimated external force on the vehicle in 20 ms, newton."""
 
     topic: ClassVar[str] = "/flight/force"
     t_us: int
@@ -39,7 +39,7 @@ class ForceState(Record, frozen=True, gc=False):
 
 
 class TrueForce(Record, frozen=True, gc=False):
-    """True force of the walls on the simulated vehicle, newton, the strongest of 20 ms."""
+    """Strongest true force of the walls on the simulated vehicle in 20 ms, newton."""
 
     topic: ClassVar[str] = "/flight/true_force"
     t_us: int

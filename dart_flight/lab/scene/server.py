@@ -32,7 +32,7 @@ _JUMP_US = 1_000_000
 
 
 class SubscriptionListener(ServerListener):
-    """Records that a viewer has subscribed to a channel that is published only on changes."""
+    """A listener that notes subscriptions to channels that are published only on changes."""
 
     def __init__(self) -> None:
         self.waiting = threading.Event()

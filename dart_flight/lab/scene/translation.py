@@ -105,12 +105,12 @@ class FlownTrajectory:
 
 
 class SceneTranslator:
-    """A translator that receives the records of a flight in order and returns the resulting messages.
+    """A translator from the records of a flight, in order, to messages.
 
     Args:
         mission: the mission.
-        frame: the mission frame in local NED, if known beforehand. Otherwise the frame is the flight's
-            anchor, and until then assumes the vehicle at its take-off point.
+        frame: the mission frame in local NED, if known beforehand. Otherwise the frame comes from the
+            flight's anchor record; before that record, the vehicle is assumed at its take-off point.
         show_room: whether to show the mission's room and plan.
         from_truth: whether to show the true motion of a simulated vehicle that no program flies.
     """
@@ -235,7 +235,7 @@ class SceneTranslator:
         return Message(VehicleState.topic, t_us, state)
 
     def _horn_share(self, t_us: int) -> float:
-        """Return the fraction by which the rods are inserted, 1 for a vehicle without a lock."""
+        """Return the fraction by which the lock's rods are inserted; 1 for a vehicle without a lock."""
         if self._horn is None or self._servo is None:
             return 1.0
         return locked_fraction(self._servo, self._horn.pulse_at(t_us))
@@ -264,8 +264,9 @@ class SceneTranslator:
         return [Message(ForceState.topic, t_us, ForceState(t_us, *parts, estimate.clipped))]
 
     def _along_wall(self, force: Vec3, position: Vec3 | None) -> tuple[float, float, float, float]:
-        """Return magnitude, components along the nearest wall's normal and tangent, and up; x and y without a
-        wall.
+        """Return a force as magnitude, normal, tangential (of the nearest wall) and upward component.
+
+        Without a wall, the components along x and y replace the normal and tangential ones.
         """
         walls = self._mission.walls if self._show_room and position is not None else ()
         if not walls or position is None:
@@ -381,8 +382,8 @@ def _log(t_us: int, event: Event) -> Message:
 def attitude_in(frame: MissionFrame, q_frd_to_ned: Rotation) -> Rotation:
     """Return the attitude for viewers: body forward, left, up to the mission frame.
 
-    Both flips, of the body's axes and of the world's, are half turns about x, followed by the heading about
-    z.
+    The changes of the body's axes and of the world's axes are half turns about x. The heading is a rotation
+    about z.
     """
     half = 0.5 * frame.heading_rad
     flip = (0.0, 1.0, 0.0, 0.0)

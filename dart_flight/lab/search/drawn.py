@@ -13,9 +13,9 @@ from dart_flight.planning.rollout import MIN_FACTOR, UncertaintyDraw, draw_wall
 def predict_with_draws(mission: Mission, count: int = 40, seed: int = 1) -> list[PredictedFlight]:
     """Predict the path of a mission for drawn k, f and mu of every wall and mode, and drawn wall positions.
 
-    The coefficients are drawn around the table's with the relative standard deviation
-    `estimation.walls.spread`, the prior of a wall. Positions and directions are drawn with a wall's own
-    uncertainty, if it has one. Approaches stay as planned.
+    The coefficients are drawn around those of the configuration, with the relative standard deviation
+    `estimation.walls.spread` (the prior of a wall). Positions and directions are drawn if a wall has an
+    uncertainty. Approaches stay as planned.
 
     Args:
         mission: supplies approaches, modes and gains.

@@ -38,7 +38,7 @@ class FlownMission(NamedTuple):
 
     Attributes:
         record: record for the mission file.
-        times_s: durations of completed drawn flights from take-off to landing, by seed.
+        times_s: seed -> duration of a completed flight in a drawn world, from take-off to landing.
     """
 
     record: FlownRecord
@@ -126,7 +126,7 @@ class OfferedPlan(NamedTuple):
         scenario: scenario of the plan, with the touches that the plan needs.
         record: record of the plan's flights.
         says: lines that report the flights and the reason for the choice.
-        flown: all records, by `free`, `colliding` and `touched`.
+        flown: records of all plans flown, under the keys `free`, `colliding` and `touched`.
     """
 
     plan: QuickestPlan | None
@@ -173,7 +173,7 @@ def choose_flown(
                 f" with a touch of each wall at {wanted.spec.touch_m_s:g} m/s" if name == "touched" else ""
             )
             if record.failure is not None:
-                lines.append(f"the colliding plan{with_touches} is not offered as a saving: {record.failure}")
+                lines.append(f"the colliding plan{with_touches} is not offered: {record.failure}")
                 continue
             lines.append(f"the colliding plan{with_touches} succeeds in simulation: {record.summary}")
             if _is_offered(record, free, scenario):

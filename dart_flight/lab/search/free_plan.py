@@ -2,8 +2,8 @@
 
 Along a straight line the time is the optimum from Ruckig (time-optimal with bounded speed, acceleration and
 jerk). Around walls it is the fastest flight past the corners of the shortest polyline (`optimal_trajectory`).
-`gap_s` bounds the possible improvement: the time minus that of the shortest path around the walls' edges,
-straightened, which no flight beats.
+`gap_s` bounds the improvement by any other flight. It is the plan's time minus a lower bound: the time
+along a straight line as long as the shortest path around the walls' edges.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class FreePlan(msgspec.Struct, frozen=True):
 
     Attributes:
         time_s: duration; None without a path.
-        gap_s: upper bound of a possible improvement; 0 for an optimum.
+        gap_s: largest time by which another flight could be faster; 0 for an optimum.
         length_m: length of the polyline.
         via: corners of the polyline, mission frame.
         limits: limits of the motion.
@@ -51,7 +51,7 @@ class FreePlan(msgspec.Struct, frozen=True):
 
 
 def limits_of(scenario: Scenario) -> MotionLimits:
-    """Return the limits of a scenario that its flights use."""
+    """Return the motion limits that a scenario's flights use."""
     flying, px4 = scenario.vehicle.flying, scenario.vehicle.px4
     tilt = math.degrees(math.atan2(flying.acceleration_m_s2, GRAVITY_M_S2))
     speed = scenario.limits.speed_m_s
@@ -101,10 +101,10 @@ def straight_time_s(length_m: float, limits: MotionLimits) -> float:
 
 
 def rest_at_s(place: Vec2, velocity: Vec2, goal: Vec2, limits: MotionLimits) -> float:
-    """Return the time from passing a goal at some velocity until the vehicle rests there.
+    """Return the time from passing a goal at some velocity until the vehicle rests at the goal.
 
-    The limits are split between the axes, which is a disadvantage for the colliding plan. A higher speed is
-    reduced to the limit.
+    Each axis gets a share of the limits, which makes the time of a colliding plan too long rather than too
+    short. A velocity above the speed limit is reduced to the limit.
     """
     speed = math.hypot(*velocity)
     most = _AXIS * limits.speed_m_s

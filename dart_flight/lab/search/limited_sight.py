@@ -1,8 +1,8 @@
-"""Plans for a wall that is detected late, with the highest cruise speed for stopping before it or hitting it.
+"""Plans for a wall that is detected late: cruise as fast as a stop before the wall, or a hit, allows.
 
 Until the wall is detected, and during the reaction time, the flight cruises straight towards it. A flight
-without a hit cruises no faster than allows it to stop (`safe_speed_m_s`). A colliding flight cruises as fast
-as an allowed hit permits. Both then continue to the goal as fast as possible.
+without a hit cruises at the highest speed from which it can stop (`safe_speed_m_s`). A colliding flight
+cruises as fast as an allowed hit permits. Both then continue to the goal as fast as possible.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ _AT_LIMIT = 0.998  # share of a limit for cruising, because the solver needs som
 
 
 def safe_speed_m_s(limits: MotionLimits, room_m: float, reaction_s: float) -> float:
-    """Return the speed at which the reaction and the braking use all of the room."""
+    """Return the speed at which reaction and braking together take the distance `room_m`."""
     a, j = limits.acceleration_m_s2, limits.jerk_m_s3 or math.inf
 
     def needs_m(v: float) -> float:
@@ -60,7 +60,7 @@ def plan_limited_sight(
 
     Args:
         scenario: a scenario with one wall, in front of the start.
-        progress: called with the numbers of computed and of known flights.
+        progress: called with the number of computed flights and the number of flights to compute.
 
     Raises:
         InputError: no flight reaches the goal within the limits.

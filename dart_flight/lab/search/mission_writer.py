@@ -107,8 +107,8 @@ def _with_touches(collisions: list[dict[str, Any]], speed_m_s: float, start: Vec
     """Return the keys of a mission that first touches each wall to be hit, and rests at its start after each
     touch.
 
-    The touches measure each wall's direction and vertical force. Without them a first hit succeeds up to 2
-    m/s (docs/results/faster_hits.md), and a hit of a rotated wall turns the vehicle.
+    The touches measure each wall's direction and vertical force. Without touches, a first hit succeeds only
+    up to 2 m/s (docs/results/faster_hits.md), and a hit of a rotated wall turns the vehicle.
     """
     modes = {hit["wall"]: hit["mode"] for hit in reversed(collisions)}  # a wall's first hit decides
     touches = [
@@ -125,14 +125,14 @@ def _with_touches(collisions: list[dict[str, Any]], speed_m_s: float, start: Vec
 
 
 def _rounded(leg: TrajectoryPieces) -> dict[str, Any]:
-    """Return a trajectory without insignificant digits, which changes its end by a few micrometres."""
+    """Return a trajectory with rounded numbers, which changes its end by a few micrometres."""
     pieces = [[round(t, 5), round(jx, 4) + 0.0, round(jy, 4) + 0.0] for t, jx, jy in leg.pieces]
     vectors = ("position_m", "velocity_m_s", "acceleration_m_s2")
     return {name: [round(v, 5) + 0.0 for v in getattr(leg, name)] for name in vectors} | {"pieces": pieces}
 
 
 def recovery_gains(vehicle: VehicleConfig, wall: Wall, hit: TrajectoryHit) -> Vec2:
-    """Return the gains (A_n, A_t) of the setpoint from the peak of a hit until the replanned trajectory, m/N.
+    """Return the gains (A_n, A_t) of the setpoint between a hit's peak and the replanned trajectory, m/N.
 
     At the outgoing velocity these gains make PX4's position loop command the thrust per mass of the hit, u =
     a + drag v, so that kv (kp A F - v) = u.
@@ -180,7 +180,7 @@ def planned_mission(scenario: Scenario, plan: Plan | QuickestPlan, text: str | N
     Args:
         scenario: the planned scenario.
         plan: the chosen plan.
-        text: text of the file, if it exists.
+        text: text of the mission file; None: the text of `mission_text`.
     """
     source = Path(scenario.source)
     document = Document(text or mission_text(scenario, plan, source), str(source))

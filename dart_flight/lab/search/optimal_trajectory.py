@@ -4,8 +4,8 @@ problem.
 Between two events the jerk is constant over each of several equal intervals. Position, velocity and
 acceleration are therefore polynomials, exact at the intervals' ends (direct multiple shooting). The duration
 of each part is free. A hit changes the velocity by the contact law in closed form (`ContactResponse`) and
-takes the contact's time. For `dead_s` after it the thrust stays constant, because the attitude cannot jump
-and the next leg is planned meanwhile. The drag follows the velocity. CasADi states the problem and its
+takes the contact's time. For `dead_s` after the hit the thrust stays constant, because the attitude cannot
+jump and the next leg is planned meanwhile. The drag follows the velocity. CasADi states the problem and its
 derivatives, and IPOPT solves it (extra `plan`). Each part of a path stays inside half-planes and outside
 discs, which keeps it clear of walls and posts.
 """
@@ -50,7 +50,7 @@ _SOLVER: dict[str, Any] = {
 
 
 class MotionLimits(msgspec.Struct, frozen=True):
-    """The limits of a trajectory; a `jerk_m_s3` of None is no limit."""
+    """The limits of a trajectory; None for `jerk_m_s3` means that the jerk is not limited."""
 
     speed_m_s: float
     acceleration_m_s2: float
@@ -59,13 +59,13 @@ class MotionLimits(msgspec.Struct, frozen=True):
 
 
 class HitLimits(NamedTuple):
-    """The limits of a hit; None is no limit.
+    """The limits of a hit; None means that the quantity is not limited.
 
     Attributes:
-        peak_force_n: magnitude of normal force and friction.
-        closing_m_s: velocity along the normal.
-        sliding_m_s: velocity along the wall.
-        friction_ratio: friction over normal force.
+        peak_force_n: largest force, normal force and friction together.
+        closing_m_s: largest velocity along the normal.
+        sliding_m_s: largest velocity along the wall.
+        friction_ratio: largest ratio of friction to normal force.
         detectable_n: smallest normal force that is detected.
         thrust_m_s2: (smallest, largest) thrust per mass away from the wall at the hit, by mode. The contact
             rotates a tilted vehicle, further the longer it lasts. With flexible arms the vehicle turns over
@@ -88,10 +88,12 @@ class ContactResponse(NamedTuple):
     Attributes:
         restitution: outgoing over incoming normal velocity.
         contact_s: duration of the contact.
-        lead_s: distance before the plane at which the force begins and ends, over the speed (`onset: lcp`).
-        peak_n_per_m_s: peak of the normal force over the incoming velocity.
-        friction_s_per_m: the velocity along the wall is multiplied by exp(-this times the incoming velocity).
-        mu_s_per_m: friction over normal force, per velocity along the wall.
+        lead_s: distance before the plane at which the force begins and ends, divided by the speed
+            (`onset: lcp`).
+        peak_n_per_m_s: peak of the normal force, divided by the incoming velocity.
+        friction_s_per_m: decay of the velocity along the wall, which a hit multiplies by
+            exp(-friction_s_per_m * incoming velocity).
+        mu_s_per_m: friction over normal force, divided by the velocity along the wall.
     """
 
     restitution: float
@@ -129,7 +131,7 @@ def most_sliding_m_s(limits: HitLimits, response: ContactResponse) -> float:
 
 
 class Visit(NamedTuple):
-    """A place to pass in flight."""
+    """A place to pass in flight, at a distance of at most `within_m`."""
 
     place: Vec2
     within_m: float
@@ -139,9 +141,9 @@ class Hit(NamedTuple):
     """A wall to hit.
 
     Attributes:
-        visit: place near which the hit must be, if it serves one.
+        visit: place that the hit must pass; None: the hit passes no visit.
         guess: initial guess of the position.
-        velocity_m_s: (normal, tangential) velocity of the hit; None: free.
+        velocity_m_s: (normal, tangential) velocity of the hit; None: the solver chooses it.
     """
 
     wall: Wall
@@ -183,7 +185,7 @@ Event = Visit | Hit | RouteCorner | Cruise
 
 
 class Part(NamedTuple):
-    """The path to an event; the last part ends at the goal, without an event."""
+    """The path to an event, within the regions `keep`; the last part ends at the goal, without an event."""
 
     to: Event | None
     keep: tuple[Region, ...]
@@ -202,10 +204,10 @@ class Problem(NamedTuple):
 
 
 class TrajectoryHit(msgspec.Struct, frozen=True):
-    """A hit of a trajectory; times from its beginning, velocities in the wall's collision frame.
+    """A hit of a trajectory; velocities are in the wall's collision frame.
 
     Attributes:
-        t_s: time of the onset.
+        t_s: time from the begin of the trajectory to the onset.
         position_m: position of the vehicle's centre at the onset, mission frame.
         acceleration_m_s2: acceleration at the onset, along normal and tangent.
     """

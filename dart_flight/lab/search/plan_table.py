@@ -89,12 +89,12 @@ def plan_table(result: SearchResult) -> Table:
 def describe_free(free: FreePlan | None, best: Plan) -> str:
     """Return a sentence that compares the free plan with the best colliding one."""
     if free is None:
-        return f"without any collision: needs ruckig: {install_command('plan')}"
+        return f"without any collision: unknown, ruckig is not installed: {install_command('plan')}"
     if free.time_s is None:
         return "without any collision: no path reaches the goal"
     limits, gap = free.limits, ""
     if free.gap_s > _SHOWN_S:
-        gap = f", {free.time_s - free.gap_s:.2f} at best"
+        gap = f", {free.time_s - free.gap_s:.2f} s at best"
     jerk = "" if limits.jerk_m_s3 is None else f", {limits.jerk_m_s3:g} m/s3"
     text = (
         f"without any collision: {free.time_s:.2f} s{gap} "
@@ -141,7 +141,7 @@ def _in_order(result: QuickestResult) -> list[QuickestPlan]:
 
 
 def quickest_table(result: QuickestResult) -> Table:
-    """Return a table of the hits of the best plan and of the other one."""
+    """Return a table of the hits of the best plan and of the plan that it was compared with."""
     table = Table(title=f"{result.scenario.name}: quickest", title_justify="left", box=None, pad_edge=False)
     for column in ("", "wall", "mode"):
         table.add_column(column, overflow="fold")
@@ -165,7 +165,7 @@ def describe_quickest(result: QuickestResult) -> str:
     if result.free is None:
         text += "no flight without a collision reaches the goal"
     elif result.saving_s is None:
-        text += f"{result.free.time_s:.2f} s without a collision; no collision can be faster"
+        text += f"{result.free.time_s:.2f} s without a collision; no flight with collisions can be faster"
     else:
         verb = "would save" if result.saving_s > 0.0 else "would lose"
         share = abs(result.saving_s) / result.free.time_s

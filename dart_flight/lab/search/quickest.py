@@ -54,9 +54,9 @@ _FORCE_USED = 0.8  # share of limits.peak_force_n, because the stiffness is know
 _FRICTION_RATIO = 0.5  # default, because friction was measured at half a metre per second
 POLISHED = 3 * INTERVALS
 _COMPARED_TO, _POLISHED_TO = 1e-4, 1e-6  # tolerance of the solver
-_SWEEPS = 12  # of the shortest path through discs and walls
-_SLACK = 0.98  # of a leg, because the sweeps end slightly above the shortest path
-_REVERSAL_COSINE = -0.9  # between the legs to and from a place at which the path reverses
+_SWEEPS = 12  # iterations for the shortest path through discs and walls
+_SLACK = 0.98  # factor on a leg's length, because the iterations end slightly above the shortest path
+_REVERSAL_COSINE = -0.9  # cosine between two legs below which the path reverses between them
 _SPEEDS = 61
 _TRIED_IN_OTHER_MODE = 3  # number of the fastest sequences that are also tried in other modes
 _SEARCHED = 0.94  # share of the time for the search; the rest is for polishing
@@ -64,7 +64,7 @@ _OFF_BOUNDS_M = 0.1  # distance of trajectories from the bounds
 
 
 class QuickestPlan(msgspec.Struct, frozen=True):
-    """A flight with its hits, or the free plan without hits; `cruise_m_s` applies to a late-detected wall."""
+    """A flight with or without hits. `cruise_m_s` is the speed until a late-detected wall is detected."""
 
     time_s: float
     trajectory: OptimalTrajectory
@@ -88,9 +88,9 @@ class QuickestResult(msgspec.Struct, frozen=True):
     Attributes:
         best: the fastest plan that the scenario allows.
         free: the fastest plan without a hit; None if there is no path or a place is reachable only by a hit.
-        colliding: the fastest plan with hits; None if none can be faster than the free one.
-        computed, pruned: numbers of sequences.
-        gap_s: upper bound on the advantage of sequences that were not computed; 0: none is faster.
+        colliding: the fastest plan with hits; None if no plan with hits can be faster than the free plan.
+        computed, pruned: numbers of sequences that were computed and that were ruled out by their bound.
+        gap_s: largest time by which a sequence that was not computed could be faster than the best plan.
         most_hits: number of hits above which sequences were omitted; None: no sequence was omitted.
         elapsed_s: duration of the search.
     """
@@ -107,7 +107,7 @@ class QuickestResult(msgspec.Struct, frozen=True):
 
     @property
     def saving_s(self) -> float | None:
-        """The time saved by the colliding plan; negative if it is slower than the free one."""
+        """The free plan's time minus the colliding plan's; negative if the colliding plan is slower."""
         if self.free is None or self.colliding is None:
             return None
         return self.free.time_s - self.colliding.time_s
@@ -120,8 +120,8 @@ def plan_quickest(
 
     Args:
         scenario: visits, walls, limits, and the demanded hits if it names a sequence.
-        within_s: time after which to return the best plan found, polished.
-        progress: called with the numbers of computed and of known sequences.
+        within_s: time limit, after which the best plan found is returned, polished.
+        progress: called with the number of computed sequences and the number of known sequences.
 
     Raises:
         InputError: no flight reaches the goal within the limits.
@@ -147,7 +147,7 @@ def best_of(scenario: Scenario, free: QuickestPlan | None, colliding: QuickestPl
     """Return the fastest plan that a scenario allows.
 
     Raises:
-        InputError: there is none.
+        InputError: the scenario allows neither plan.
     """
     demanded = _demanded(scenario)
     found = [colliding] if demanded else [free, colliding]
@@ -190,12 +190,12 @@ def first_mode(scenario: Scenario) -> Mode:
 
 
 def _demanded(scenario: Scenario) -> tuple[str, ...]:
-    """Return the walls that a scenario demands to be hit, whether that saves time or not."""
+    """Return the walls that the plan must hit, whether the hits save time or not."""
     return () if scenario.chosen_by_planner else scenario.sequences[0]
 
 
 class LegEnd(Enum):
-    """The constraint on the motion along a straight leg at its end."""
+    """The constraint on the motion at an end of a straight leg."""
 
     REST = "rest"  # no velocity, no acceleration
     REVERSAL = "reversal"  # no velocity along the leg
@@ -230,7 +230,7 @@ class LeastTimes:
         return max(float(ramped_s), length_m / self._limits.speed_m_s)
 
     def _to_speed(self, end: LegEnd, leaving: bool, levels: bool) -> tuple[Array, Array]:
-        """Return time and distance from an end to each speed; `levels` demands zero acceleration there."""
+        """Return time and distance from an end to each speed; `levels`: at zero acceleration there."""
         v, a, j = self._speeds, self._limits.acceleration_m_s2, self._limits.jerk_m_s3
         zero = np.zeros_like(v)
         if end is LegEnd.ANY or (end is LegEnd.HIT and not leaving):
@@ -351,7 +351,7 @@ class _Search:
                 yield more
 
     def _is_wanted(self, events: Sequence[Event]) -> bool:
-        """Return whether the events contain hits, and the demanded ones."""
+        """Return whether the events contain at least one hit, and every demanded hit."""
         walls = _walls_hit(events)
         return bool(walls) and (not self._demanded or walls == self._demanded)
 
@@ -373,7 +373,7 @@ class _Search:
         return total + sum(self._least_contact_s(e.wall) for e in events if isinstance(e, Hit))
 
     def _end_of_leg(self, events: Sequence[Event], places: Sequence[Vec2], k: int) -> LegEnd:
-        """Return the constraint of an event on its adjacent legs; -1 and the last are start and goal."""
+        """Return the constraint of event `k` on its adjacent legs; -1 is the start, the last `k` the goal."""
         if not 0 <= k < len(events):
             return LegEnd.REST
         event = events[k]
@@ -387,7 +387,7 @@ class _Search:
         return LegEnd.REVERSAL if dot < _REVERSAL_COSINE * into * out else LegEnd.ANY
 
     def _largest_speed_after_hit_m_s(self) -> float:
-        """Return the largest speed after any hit: the full sliding speed and the reduced closing speed."""
+        """Return the largest speed after any hit, from full sliding speed and reduced closing speed."""
         fastest, hits, left = self.limits.speed_m_s, self.hits, 0.0
         for wall, mode in itertools.product(self.walls, self.scenario.modes):
             response = self._responses[wall.name, mode]

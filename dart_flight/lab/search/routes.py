@@ -1,7 +1,8 @@
 """Shortest polylines past walls and posts, and the regions that keep each of their parts clear.
 
-A part of a path stays on one side of every wall, in a half-plane in front of it or behind it. Past a wall's
-end it stays beyond the end, and half a vehicle plus a margin away from the edge, as from a post.
+Each part of a path stays on one side of every wall: in a half-plane in front of the wall or behind it. Past a
+wall's end, a part stays beyond the end. It keeps half a vehicle plus a margin away from the edge, as from a
+post.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ _PAST_END_M = 0.12  # margin beyond half a vehicle, for a longer wall and for tr
 _AFTER_HIT_M = 0.05  # additional margin after a hit, whose outgoing velocity is uncertain
 _ON_LINE_M = 0.01  # distance of a path's corner from the edge of its half-planes
 _AROUND = 8  # corners of the polyline around a post
-TOUCH_M = 0.01  # distance from a wall's plane of a path to a place at the wall
+TOUCH_M = 0.01  # distance that a path to a place at a wall keeps from the wall's plane
 
 
 class Obstacles(NamedTuple):
@@ -62,7 +63,7 @@ def shortest_path(begin: Vec2, end: Vec2, obstacles: Obstacles) -> list[Vec2] | 
 
 
 def least_length_m(begin: Vec2, end: Vec2, obstacles: Obstacles) -> float:
-    """Return a lower bound on the length of clear paths, which pass a wall's end beyond the edge.
+    """Return a lower bound on the length of clear paths, which go around the edges of walls.
 
     Posts are ignored, which keeps the result a lower bound.
     """
@@ -79,7 +80,7 @@ def least_length_m(begin: Vec2, end: Vec2, obstacles: Obstacles) -> float:
 
 
 def _shortest_through(places: Sequence[Vec2], blocked: Callable[[Vec2, Vec2], bool]) -> list[Vec2] | None:
-    """Return the shortest polyline from the first place to the second, by any others (Dijkstra)."""
+    """Return the shortest polyline from the first place to the second, through any others (Dijkstra)."""
     best, queue = {0: 0.0}, [(0.0, 0)]
     previous: dict[int, int] = {}
     while queue:
@@ -199,7 +200,7 @@ def _half_planes(wall: Wall) -> tuple[HalfPlane, ...]:
 
 
 def _blocks(wall: Wall, a: Vec2, b: Vec2) -> bool:
-    """Return whether a wall blocks a path, as `is_blocked`, with a place at the wall in front of it."""
+    """Return whether a wall blocks a path; a place at the wall counts as in front of the wall."""
     if _is_at(wall, a) or _is_at(wall, b):
         return not _fits(a, b, wall)
     return bool(is_blocked(wall, a, b))

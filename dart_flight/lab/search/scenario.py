@@ -79,7 +79,7 @@ class SearchSpec(Section, frozen=True):
     Attributes:
         normal_m_s: grid along the wall's normal; negative is towards the wall.
         tangential_m_s: grid along the wall.
-        modes: for every collision of the sequence; by default all that the vehicle has.
+        modes: modes to try at every collision of the sequence; by default every mode of the vehicle.
     """
 
     normal_m_s: GridSpec
@@ -88,11 +88,11 @@ class SearchSpec(Section, frozen=True):
 
 
 class VisitSpec(Section, frozen=True):
-    """A place to be passed on the way, in flight.
+    """A place that the vehicle passes in flight on its way to the goal.
 
     Attributes:
-        position_m: [x, y], mission frame, of the vehicle's centre.
-        within_m: how near.
+        position_m: place [x, y] for the vehicle's centre, mission frame.
+        within_m: largest distance from the place at which the vehicle's centre passes it.
     """
 
     position_m: Point2
@@ -100,11 +100,11 @@ class VisitSpec(Section, frozen=True):
 
 
 class SightSpec(Section, frozen=True):
-    """The wall is seen only when it is near; until then, and for the time of a reaction, the flight cruises.
+    """The wall is detected only when it is near; the flight cruises until it has reacted to the detection.
 
     Attributes:
-        distance_m: from the vehicle's centre at which the wall's plane is seen.
-        reaction_s: from then on until the flight follows what was seen.
+        distance_m: distance from the vehicle's centre to the wall's plane at which the wall is detected.
+        reaction_s: time from the detection until the flight reacts.
     """
 
     distance_m: Annotated[float, Meta(gt=0.0, le=100.0)]
@@ -115,10 +115,10 @@ class Uncertainty(Section, frozen=True):
     """Standard deviations for the objective `robust`.
 
     Attributes:
-        samples: draws per candidate, the same for all.
-        k, f, mu: of the contact coefficients, relative.
-        approach_m_s: of each component of the approach velocity.
-        detection_delay_s: of the time between force peak and setpoint.
+        samples: number of draws; every candidate gets the same draws.
+        k, f, mu: relative standard deviation of the contact coefficient.
+        approach_m_s: standard deviation of each component of the approach velocity.
+        detection_delay_s: standard deviation of the time between force peak and setpoint.
     """
 
     samples: Annotated[int, Meta(ge=64, le=4096)] = 64
@@ -133,24 +133,26 @@ class ScenarioFile(SpaceKeys, frozen=True, kw_only=True):
     """A scenario as written in YAML.
 
     Attributes:
-        version: of the format.
-        walls: by name; those outside the sequence are obstacles.
-        posts: by name; obstacles, with the objective quickest only.
-        touch_m_s: at this speed each wall that is to be hit is touched before, from the start and back, so
-            that it is known how it stands and how high it pushes; with the objective quickest only.
-        sequence: walls in the order of the hits, up to four, or up to 16 with the objective quickest; any:
-            the planner chooses walls and order. With the objective quickest it may also hit none.
-        search: the approaches to try; with the objective quickest there is nothing to say.
-        name: of the mission that is written; without it, the file's name.
-        vehicle: vehicle configuration, relative to this file; without it, the default one.
+        version: version of the file format.
+        walls: the walls by name; walls outside the sequence are obstacles.
+        posts: the posts by name, which are obstacles; only with the objective quickest.
+        touch_m_s: speed at which the flight first touches each wall to be hit, from the start and back. The
+            touches measure the direction of the walls and their vertical force. Without this key the flight
+            makes no touches; only with the objective quickest.
+        sequence: walls in the order of the hits: up to four, or up to 16 with the objective quickest. `any`:
+            the planner chooses walls and order, and with the objective quickest possibly no wall.
+        search: the approaches to try; the objective quickest does not use this key.
+        name: name of the written mission; by default the name of this file.
+        vehicle: vehicle configuration, relative to this file; by default the default configuration.
         alpha_m_per_n: wall -> recovery gains along the mission's x and y axes, as in a mission.
         alpha_wall_m_per_n: wall -> recovery gains [normal, tangential], as in a mission.
-        objective: nearest: smallest miss of the goal; fastest; gentlest: smallest peak force; robust:
-            smallest miss under the uncertainty; quickest: from rest to rest over the visits, hits where they
-            pay or `sequence` wants them, along trajectories.
-        visits: places to be passed, in this order; with the objective quickest only.
-        sight: the one wall, which the start is before, is seen late; with the objective quickest only.
-        uncertainty: for the objective robust.
+        objective: criterion of the best plan. nearest: smallest miss of the goal; fastest: shortest time to
+            the goal; gentlest: smallest peak force; robust: smallest miss under the uncertainty; quickest:
+            shortest time from rest to rest over the visits, with hits that save time or that `sequence`
+            demands.
+        visits: places to pass, in this order; only with the objective quickest.
+        sight: late detection of the only wall, in front of the start; only with the objective quickest.
+        uncertainty: standard deviations for the objective robust.
     """
 
     version: Literal[1]
@@ -175,7 +177,7 @@ class Scenario(SpaceKeys, frozen=True, kw_only=True):
     """A checked scenario and its vehicle.
 
     Attributes:
-        spec: the file's content; the mission file repeats its walls, frame and others unchanged.
+        spec: the file's content; keys that a mission shares, such as walls, are copied into the mission file.
         vehicle_path: file of the configuration, or None for the default one.
         vehicle_source: source of the configuration; None if it was given as an object.
         walls: planes of the vehicle's centre, by name.
@@ -219,7 +221,7 @@ def load_scenario(
     Args:
         path: the scenario, or a mapping with the content of a file.
         config: vehicle configuration to use instead of the one that the scenario names.
-        vehicle: a configuration already loaded from it, for example with parameters read from the vehicle.
+        vehicle: configuration already loaded, for example with parameters read from the vehicle.
         settings: `KEY=VALUE` settings that override the vehicle configuration.
 
     Raises:
@@ -292,11 +294,11 @@ def resolve_scenario(
         raise document.error(("search",), f"{count} candidates, limit {_MAX_CANDIDATES}; increase the steps")
     for i, visit in enumerate(spec.visits):
         if spec.objective is not Objective.QUICKEST:
-            raise document.error(("visits",), "visits need the objective quickest")
+            raise document.error(("visits",), "visits are possible only with the objective quickest")
         check_place(spec.bounds_m, {}, visit.position_m, None, ("visits", i), document)
     for name in ("posts", "touch_m_s"):
         if getattr(spec, name) and spec.objective is not Objective.QUICKEST:
-            raise document.error((name,), "this key needs the objective quickest")
+            raise document.error((name,), "this key is possible only with the objective quickest")
     if spec.sight is not None:
         _check_sight(spec, spec.sight, list(walls.values()), document)
     return Scenario(
@@ -328,12 +330,12 @@ def _check_sight(spec: ScenarioFile, sight: SightSpec, walls: list[Wall], docume
     """Reject scenarios that limited sight does not support."""
     start = spec.start.position_m
     for valid, problem in (
-        (spec.objective is Objective.QUICKEST, "limited sight needs the objective quickest"),
-        (len(walls) == 1 and not spec.visits, "limited sight needs exactly one wall and no visits"),
-        (walls[0].spans(start), "the wall is seen straight ahead: move start in front of it"),
+        (spec.objective is Objective.QUICKEST, "sight is possible only with the objective quickest"),
+        (len(walls) == 1 and not spec.visits, "sight is possible only with one wall and no visits"),
+        (walls[0].spans(start), "sight is straight ahead: move start in front of the wall"),
         (
             walls[0].signed_distance(start) > sight.distance_m,
-            "the wall must be out of sight at start: move start away from it",
+            "the wall must be out of sight at start: move start away from the wall",
         ),
     ):
         if not valid:
@@ -374,7 +376,9 @@ def _sequences(spec: ScenarioFile, document: Document) -> tuple[tuple[str, ...],
         if name not in spec.walls:
             raise document.error((*key, i), unknown_name(name, list(spec.walls)))
         if i and name == sequence[i - 1]:
-            raise document.error((*key, i), "the recovery leads away from a wall, never back to it")
+            raise document.error(
+                (*key, i), "a wall cannot be hit twice in a row: the recovery leads away from the wall"
+            )
     return (sequence,)
 
 

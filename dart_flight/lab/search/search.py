@@ -66,7 +66,7 @@ class PlannedCollision(msgspec.Struct, frozen=True):
 
     Attributes:
         wall, mode: wall and mode.
-        t_s: onset of the contact, since the start of the run-up.
+        t_s: time from the start of the run-up to the onset of the contact.
         position_m: position of the vehicle's centre at the onset, mission frame.
         normal_m_s, tangential_m_s: velocity at the onset, collision frame.
         peak_force_n: peak of the normal force.
@@ -99,13 +99,13 @@ class Plan(msgspec.Struct, frozen=True):
             remaining distance to the goal at transit speed.
         peak_force_n: largest force of any contact, normal and friction together.
         closest_m: position of the closest approach, mission frame.
-        expected_miss_m, worst_miss_m: over the draws, `robust` only. A draw in which the plan fails counts as
-            the distance from start to goal, at least 1 m.
+        expected_miss_m, worst_miss_m: mean and largest miss of the goal over the draws, only for `robust`. A
+            draw in which the plan fails counts as the distance from start to goal, at least 1 m.
         failed_draws: share of the draws in which a constraint stops the plan.
         time_to_rest_s: time from `start` until the vehicle rests at the goal, within the limits of the free
             plan.
-        saving_s: the free plan's time minus `time_to_rest_s`, negative if the hit is slower. Both are None
-            without a free plan.
+        saving_s: the free plan's time minus `time_to_rest_s`, negative if the hit is slower. Both times are
+            None without a free plan.
     """
 
     rank: int
@@ -135,7 +135,7 @@ class Plan(msgspec.Struct, frozen=True):
 
 
 class Candidates(NamedTuple):
-    """All feasible candidates of one sequence and mode sequence, as arrays (n,), for ranking and pictures."""
+    """All feasible candidates of one sequence of walls and modes, as arrays (n,), for ranking and maps."""
 
     sequence: tuple[str, ...]
     modes: tuple[Mode, ...]
@@ -158,7 +158,7 @@ class SearchResult(msgspec.Struct, frozen=True):
 
     Attributes:
         plans: the best plans, in order.
-        candidates, feasible: numbers of tried and of feasible candidates.
+        candidates, feasible: number of candidates, and number of feasible ones.
         refused: numbers of rejected candidates by reason.
         trajectories: number of simulated trajectories, including the draws of `robust`.
         elapsed_s: duration, including preparation.
@@ -186,7 +186,7 @@ def search(
         scenario: the scenario.
         top: number of plans to return.
         seed: seed of the draws of `robust`.
-        progress: called with the numbers of finished and of all trajectories.
+        progress: called with the number of finished trajectories and the number of all trajectories.
 
     Raises:
         InputError: no candidate is feasible; the message names the most frequent obstacle and how to relax
@@ -363,7 +363,7 @@ class ScenarioSearch:
         return next(a for a in arrivals if a.modes == c.modes)
 
     def why_infeasible(self) -> str:
-        """Return the reasons by frequency, and the single constraint whose removal admits candidates."""
+        """Return the reasons for rejection, most frequent first, and what to relax, as a sentence."""
         counts = sorted(
             ((int(n), r) for r, n in zip(REFUSALS, self.refused[1:], strict=True) if n), reverse=True
         )

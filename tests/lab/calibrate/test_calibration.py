@@ -112,9 +112,9 @@ def test_a_fit_that_does_not_hold_is_refused_by_calibrate_and_by_inspect(
     track = read_calibration_series(path)
     refused = fit_specific_thrust(track, VEHICLE)
     assert isinstance(refused, str)
-    assert "10 % allowed: no fit" in refused
+    assert "limit 10 %" in refused
     assert main(["calibrate", "thrust", str(path), "--config", str(config), "--write"]) == 2
-    assert "10 % allowed: no fit" in capsys.readouterr().err
+    assert "limit 10 %" in capsys.readouterr().err
     assert load_vehicle(config).thrust.full_n == 7.0
     ulog(path, 16.0, 0.7, 7.0)
     track = read_calibration_series(path)

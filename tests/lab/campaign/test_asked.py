@@ -98,17 +98,20 @@ def test_another_campaign_is_told_by_what_differs(tmp_path: Path) -> None:
     assert differs() is None
     assert differs(runs=9) is None, "more seeds are the same campaign"
     for changes, said in (
-        ({"runs": 2}, "--runs: it has 4"),
-        ({"seed": 4}, "--seed: it has 3, not 4"),
-        ({"vary": ("mass=0.2",)}, "--vary: it has mass, not mass=0.2"),
-        ({"settings": {"airframe.mass_kg": ("1.2",)}}, "--set: it has none, not airframe.mass_kg=1.2"),
+        ({"runs": 2}, "--runs: 4 in the existing campaign"),
+        ({"seed": 4}, "--seed: 3 in the existing campaign, not 4"),
+        ({"vary": ("mass=0.2",)}, "--vary: mass in the existing campaign, not mass=0.2"),
+        (
+            {"settings": {"airframe.mass_kg": ("1.2",)}},
+            "--set: none in the existing campaign, not airframe.mass_kg=1.2",
+        ),
         ({"missions": (SINGLE,)}, "the missions"),
     ):
         found = differs(**changes)
         assert found is not None
         assert found.startswith(said)
     mission.write_text(mission.read_text().replace("hold_s: 2.0", "hold_s: 1.0"))
-    assert differs() == "a mission or configuration file has changed since"
+    assert differs() == "a mission or configuration file has changed since the campaign began"
 
 
 # --- statistics -----------------------------------------------------------------------------------------

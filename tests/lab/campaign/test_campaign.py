@@ -166,10 +166,10 @@ def test_more_seeds_go_on_with_the_table(
 @pytest.mark.parametrize(
     ("more", "said"),
     [
-        (["--seed", "2"], "is a different campaign: --seed: it has 1, not 2"),
-        (["--vary", "battery"], "is a different campaign: --vary"),
-        (["--set", "airframe.mass_kg=1.2"], "is a different campaign: --set"),
-        (["--keep", "all"], "is a different campaign: --keep: it has failed, not all"),
+        (["--seed", "2"], "cannot resume this campaign: --seed: 1 in the existing campaign, not 2"),
+        (["--vary", "battery"], "cannot resume this campaign: --vary"),
+        (["--set", "airframe.mass_kg=1.2"], "cannot resume this campaign: --set"),
+        (["--keep", "all"], "cannot resume this campaign: --keep: failed in the existing campaign, not all"),
     ],
 )
 def test_another_campaign_is_refused_in_one_line(

@@ -60,7 +60,7 @@ def test_what_is_no_table_of_ours_is_left_alone(tmp_path: Path) -> None:
     filled(tmp_path / "good.csv", 2)
     with open(tmp_path / "good.csv", "ab") as file:
         file.write(b"too,few\nm.yaml,5,\n")
-    with pytest.raises(InputError, match=r"good.csv:4: 2 cells, a row has 3"):
+    with pytest.raises(InputError, match=r"good.csv:4: this line has 2 cells, the header has 3"):
         list(rows_in(tmp_path / "good.csv"))
 
 

@@ -142,7 +142,7 @@ def test_a_flight_log_has_no_drops(
         [*drops, log, "--drop"],
     ):
         said = refused(capsys, *words)
-        assert said == f"{log}: drop: a flight log has wall collisions and no drops: omit --drop\n"
+        assert said == f"{log}: drop: a flight log contains wall collisions, not drops: omit --drop\n"
     assert not out.exists()
 
 
@@ -186,7 +186,7 @@ def test_a_flight_log_is_of_the_vehicle_that_flew(
     k = VEHICLE.materials["acrylic"].coefficients(Mode.FLEXIBLE).k
     assert right["coefficients"]["flexible"]["k"]["value"] == pytest.approx(k, rel=0.04)
     said = refused(capsys, *hits, log, "--mode", "flexible", "--config", str(other))
-    assert "a trial of another vehicle (0.9 kg; the others' have 1.3 kg): identify them separately" in said
+    assert "a trial of another vehicle (0.9 kg, not 1.3 kg): identify the vehicles separately" in said
 
 
 def test_a_mass_that_is_not_the_logs_is_taken_and_named(

@@ -114,7 +114,7 @@ def test_slow_and_missing_topics_are_named_with_what_would_help(
     assert any("SDLOG_PROFILE" in what for what in slow)
     flight = felt(write_ulog(tmp_path / "none.ulg", topics(motors=False)), capsys)
     assert flight["thrust"] is None
-    assert any(what.startswith("thrust: has no actuator_motors") for what in flight["unknown"])
+    assert any(what.startswith("thrust: the log has no actuator_motors") for what in flight["unknown"])
 
 
 def test_without_motor_outputs_only_a_vehicle_that_hovers_is_believed(
@@ -163,7 +163,7 @@ def test_a_thrust_fit_that_fails_on_what_it_has_not_seen_is_refused_by_name(
     assert flight["thrust"] is None
     (says,) = (what for what in flight["unknown"] if what.startswith("thrust:"))
     assert "half seconds" in says
-    assert "10 % allowed: no fit" in says
+    assert "limit 10 %" in says
 
 
 @pytest.mark.parametrize(

@@ -162,4 +162,4 @@ def test_without_ruckig_the_plan_says_what_is_missing(
 ) -> None:
     monkeypatch.setattr("dart_flight.lab.search.search._free", lambda scenario: None)
     assert main(["plan", str(SCENARIO), "--top", "1"]) == 0
-    assert "needs ruckig: " in " ".join(capsys.readouterr().out.split())
+    assert "ruckig is not installed: " in " ".join(capsys.readouterr().out.split())

@@ -114,7 +114,7 @@ def test_only_quickest_plans_have_a_free_one(capsys: pytest.CaptureFixture[str])
     [
         ({"visits": [{"position_m": [1.0, 0.0], "within_m": 0.1}]}, "no visits"),
         ({"start": {"position_m": [3.6, 0.0], "altitude_m": 1.0}}, "must be out of sight at start"),
-        ({"start": {"position_m": [0.0, 2.3], "altitude_m": 1.0}}, "move start in front of it"),
+        ({"start": {"position_m": [0.0, 2.3], "altitude_m": 1.0}}, "move start in front of the wall"),
         (
             {"limits": {"speed_m_s": 3.7, "peak_force_n": 7.0}, "sequence": ["east"]},
             "no feasible trajectory hits east",

@@ -361,11 +361,11 @@ def test_plan_says_what_the_hit_is_worth(capsys: pytest.CaptureFixture[str], tmp
         ({"objective": "nearest"}, "missing key search"),
         (
             {"objective": "nearest", "posts": {"mast": POST}, "visits": [], "search": SEARCH},
-            "posts: this key needs",
+            "posts: this key is possible only",
         ),
         (
             {"objective": "nearest", "touch_m_s": 0.5, "visits": [], "search": SEARCH},
-            "touch_m_s: this key needs",
+            "touch_m_s: this key is possible only",
         ),
         ({"posts": {"mast": POST | {"centre_m": [0.0, 0.0]}}}, "is in or at post mast"),
         ({"posts": {"east": POST}}, "a wall already has the name east"),

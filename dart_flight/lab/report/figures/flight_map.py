@@ -78,7 +78,7 @@ def flight_map(flights: Sequence[RecordedFlight], *, look: Look = PAGE) -> Any:
 
 
 def _draw_one(axis: Any, flight: RecordedFlight) -> tuple[list[Label], list[Array]]:
-    """Draw everything but the labels; return these, and the lines that they should not cover.
+    """Draw everything but the labels; return the labels, and the lines that they should not cover.
 
     The labels are ordered by importance: hits, guard, seconds. Important labels are placed first.
     """

@@ -28,8 +28,8 @@ _SHOWN_MS = (-60.0, 175.0)
 def impact_forces(flight: RecordedFlight, impact: Impact, *, look: Look = PAGE) -> Any:
     """Draw normal, friction and vertical force of one collision over time: predicted, estimated, true.
 
-    The vertical force is up; its prediction follows the law along Z of the collision frame, which points
-    down.
+    The vertical force is positive upwards. The law predicts it along Z of the collision frame, which points
+    down, so the sign of the prediction is reversed.
     """
     figure, axes = new_figure(look, 5.0, 3, 1, sharex=True)
     wall, path = impact.collision.wall, impact.prediction
@@ -65,7 +65,7 @@ def impact_forces(flight: RecordedFlight, impact: Impact, *, look: Look = PAGE) 
 
 @in_style
 def impact_forces_over_trials(flights: Sequence[RecordedFlight], index: int, *, look: Look = PAGE) -> Any:
-    """Draw the estimated normal force of one collision in every flight, and means of both curves."""
+    """Draw the estimated normal force of one collision in every flight, its mean, and the mean prediction."""
     figure, axis = new_figure(look, 3.0)
     grid = np.arange(-0.05, 0.17, 0.002)
     curves, predictions = [], []

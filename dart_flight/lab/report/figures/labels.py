@@ -57,14 +57,14 @@ def place_labels(
     """Write every label where it covers least, with a thin line to a distant point.
 
     Each label takes the best position of several rings around its point. The cost counts first the overlap
-    with existing text, then the covered lines, then the distance. Limits and aspect of the axis must be set
-    before.
+    with existing text, then the covered lines, then the distance. Set the limits and
+    the aspect of the axis before the call.
 
     Args:
         axis: an axis with an equal aspect.
         labels: labels, the most important first.
-        lines: (n, 2) in the axis' data, lines that should stay visible.
-        taken: [[low x, low y], [high x, high y]] each, in the axis' data: areas of other texts.
+        lines: lines that should stay visible, each (n, 2) in the axis' data.
+        taken: areas of other texts, each [[low x, low y], [high x, high y]] in the axis' data.
         font_pt: font size, points.
     """
     scale = points_per_unit(axis)

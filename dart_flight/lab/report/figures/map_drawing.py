@@ -82,7 +82,7 @@ def draw_north(axis: Any, mission: Mission) -> None:
 
 
 def draw_wall(axis: Any, wall: Wall, airframe: Airframe, thickness_m: float = THICKNESS_M) -> None:
-    """Draw the wall behind its surface, and a thin line for the plane of the centre at first touch."""
+    """Draw the wall behind its surface, and a thin line where the vehicle's centre is at first touch."""
     plane, surface = np.array(wall.ends), np.array(airframe.wall_surface(wall).ends)
     back = surface - thickness_m * np.array(wall.normal)
     axis.fill(
@@ -117,7 +117,7 @@ def name_walls(axis: Any, mission: Mission, font_pt: float) -> list[Array]:
     """Write names and materials behind the visible parts of walls, or in front of thin partitions.
 
     Returns:
-        The areas of the names: [[low x, low y], [high x, high y]] each, metres.
+        The areas of the names, each [[low x, low y], [high x, high y]] in metres.
     """
     (x0, x1), (y0, y1) = axis.get_xlim(), axis.get_ylim()
     unit = points_per_unit(axis)

@@ -112,7 +112,9 @@ def prediction_lines(
     lines = []
     missing = [c for c in mission.collisions if c.index not in planned.hits]
     if missing:
-        lines.append(f"The model does not reach wall {missing[0].wall.name} of collision {missing[0].index}.")
+        lines.append(
+            f"In the flight model, collision {missing[0].index} does not reach wall {missing[0].wall.name}."
+        )
     if planned.goal_miss_m is not None:
         words = describe_goal_miss(
             planned.goal_miss_m, mission.goal, mission.after_impact, mission.goal_trajectory is not None
@@ -129,8 +131,8 @@ def prediction_lines(
         if uncertain:
             lines.append(f"The positions of {' and '.join(uncertain)} are varied within their uncertainty.")
         lines.append(
-            f"With k, f and mu of the walls drawn ± {100 * spread:.0f} %: {low:.2f} to {high:.2f} m "
-            "in nine of ten draws"
+            f"With k, f and mu of the walls drawn ± {100 * spread:.0f} %, the goal is missed by {low:.2f} to "
+            f"{high:.2f} m in nine of ten draws"
             + (
                 f"; {len(drawn) - len(misses)} of {len(drawn)} draws do not reach the goal."
                 if len(misses) < len(drawn)
@@ -215,7 +217,7 @@ def _draw_trajectory(axis: Any, mission: Mission, planned: PredictedFlight) -> N
 
 
 def _draw_hits(axis: Any, mission: Mission, planned: PredictedFlight) -> tuple[list[Label], list[Array]]:
-    """Draw the hits; return their labels, and the lines that these should not cover."""
+    """Draw the hits; return their labels, and the lines that the labels should not cover."""
     largest = max((math.hypot(h.normal_n, h.tangential_n) for h in planned.hits.values()), default=0.0)
     labels: list[Label] = []
     lines: list[Array] = []
@@ -283,7 +285,7 @@ def _draw_side(axis: Any, mission: Mission, planned: PredictedFlight | None, top
 
 
 def _stops(mission: Mission) -> list[tuple[str, Vec2]]:
-    """Return labels with places: start, goal, numbered waypoints and changes of altitude."""
+    """Return the labels and places of start, goal, waypoints (numbered) and changes of altitude."""
     found: dict[Vec2, str] = {mission.start: "start"}
     goal = mission.goal.position_m
     found[goal] = f"{found[goal]}, goal" if goal in found else "goal"
@@ -299,7 +301,7 @@ def _stops(mission: Mission) -> list[tuple[str, Vec2]]:
 
 
 def _side_by_side(mission: Mission, planned: PredictedFlight) -> list[tuple[Vec2, str]]:
-    """Return the positions of hits along x and z, with their numbers."""
+    """Return the positions of hits (x, z), with their numbers; near hits share a position."""
     found: list[tuple[Vec2, str]] = []
     for index, hit in sorted(planned.hits.items(), key=lambda item: item[1].position[0]):
         x, z = hit.position[0], mission.altitude_at(index - 1)

@@ -30,7 +30,7 @@ def room_figure(mission: Mission, room: Room, touches: Sequence[RoomContact], *,
     Args:
         mission: mission with the start and the simulated walls.
         room: the measured room.
-        touches: contacts that determine it.
+        touches: contacts from which the room was measured.
         look: size of the figure.
     """
     figure, axis = new_figure(look, 5.0)
