@@ -1,7 +1,8 @@
-"""Impacts that a mission may plan: its own force limit, and the range covered by flights.
+"""Impacts that a mission may plan: the mission's own force limit, and the range that flights have covered.
 
-The limits of speed and force come from the sweep of docs/px4.md (acrylic and wood, both modes, 0.5 to 4 m/s)
-and its impacts with guards; those of incidence and height come from the flights of docs/results/body.md.
+The limits of speed and force come from the sweep in docs/px4.md (acrylic and wood, both modes, 0.5 to 4 m/s)
+and from its impacts with guards. The limits of incidence and height come from the flights in
+docs/results/body.md.
 """
 
 from __future__ import annotations
@@ -31,13 +32,13 @@ def full_scale_n(mission: Mission) -> float:
 
 
 def expected_force_n(mission: Mission, collision: Collision) -> float | None:
-    """Return the expected peak contact force of a collision (normal and friction together), newton."""
+    """Return a collision's expected peak force (normal and friction together), newton, or None."""
     hit = expected_hit(mission, collision)
     return None if hit is None else math.hypot(hit.peak_normal_force_n, hit.peak_friction_force_n)
 
 
 def impact_problem(mission: Mission) -> str | None:
-    """Return the reason why a mission must not be flown: an impact above its own limit; or None."""
+    """Return the reason not to fly a mission: an impact above the mission's force limit; otherwise None."""
     for collision in mission.collisions:
         force = expected_force_n(mission, collision)
         if force is not None and force > mission.limits.peak_force_n:
@@ -66,7 +67,7 @@ def clipping_warning(mission: Mission, collision: Collision) -> str | None:
 
 
 def speed_warning(collision: Collision) -> str | None:
-    """Return a warning about an impact faster than any flown with a real PX4, or None."""
+    """Return a warning about an impact faster than every impact flown with a real PX4, or None."""
     velocity = impact_velocity(collision)
     if velocity is None or -velocity[0] <= FLOWN_UP_TO_M_S:
         return None
@@ -89,7 +90,7 @@ def incidence_deg(mission: Mission, collision: Collision) -> float:
 
 
 def max_incidence_deg(vehicle: VehicleConfig, mode: Mode) -> float:
-    """Return the largest incidence at which the mode holds and the impact was recovered, degrees."""
+    """Return the largest incidence, degrees, at which the arms keep the mode and flights have recovered."""
     arms = vehicle.airframe.incidence_rigid_deg if mode is Mode.FLEXIBLE else INCIDENCE_FLOWN_DEG
     return min(arms, INCIDENCE_FLOWN_DEG)
 
@@ -107,7 +108,7 @@ def incidence_warning(mission: Mission, collision: Collision) -> str | None:
 
 
 def heights_flown_m(normal_m_s: float) -> tuple[float, float]:
-    """Return the largest flown distances of the guards below and above the centre of mass, m."""
+    """Return the largest distances of guards below and above the centre of mass that were flown, m."""
     fits = (heights for speed, *heights in HEIGHTS_FLOWN_M if normal_m_s <= speed)
     below, above = next(fits, HEIGHTS_FLOWN_M[-1][1:])
     return below, above
