@@ -105,7 +105,7 @@ class TelemetrySender:
         self._resets = -1
 
     def samples(self, ticks: int, received: int) -> Iterator[Input]:
-        """Yield the samples that are due at a tick; `received` is their time of receipt, host microseconds."""
+        """Yield the samples that are due at a tick; `received`: their time of receipt, host microseconds."""
         a, t_us = self._autopilot, self._autopilot.time_us
         e = a.estimator
         if ticks % _HALF_RATE == 0:

@@ -143,7 +143,7 @@ class TelemetryMonitor:
         self._cpu = (time.monotonic(), time.process_time())
 
     def process_record(self, record: Record) -> None:
-        """Process a record of a flight's log; only inputs, phases, wall estimates and plans have an effect."""
+        """Process a record of a flight's log; ignore all but inputs, phases, wall estimates and plans."""
         if isinstance(record, PhaseChange):
             self._phase = record.after.value
         elif isinstance(record, WallEstimate):

@@ -2,7 +2,7 @@
 
 `dry-run --fault NAME[=VALUE][@PHASE]` adds a fault. It begins when the mission first reaches the phase, or
 at once without a phase, and it persists. The site of a fault decides which part applies it. `VehicleFault`
-applies faults of plant, sensors and autopilot, and `pose_feed` those of the forwarded poses (`mocap`).
+applies faults of plant, sensors and autopilot. `pose_feed` applies faults of the forwarded poses (`mocap`).
 `link` faults act on the messages between vehicle and application, `lock` faults on the mock servo, and `app`
 faults on the program itself.
 """
@@ -48,7 +48,7 @@ class FaultKind(msgspec.Struct, frozen=True):
     Attributes:
         name: name of the fault, for `--fault`.
         site: site of the fault.
-        description: for the operator.
+        description: description for the operator.
         unit: unit of the value.
         value: default value.
         low, high: range of the value.
@@ -64,7 +64,7 @@ class FaultKind(msgspec.Struct, frozen=True):
 
     @property
     def needs_real_time(self) -> bool:
-        """Whether the fault affects the host's time or the link, so that the world must not wait."""
+        """Whether the fault affects the host's time or the link, so that the world must run in real time."""
         about_link = self.site is FaultSite.LINK or self.name == "clock-back"
         return about_link or (self.site is FaultSite.APP and self.name != "disk-full")
 
@@ -247,7 +247,7 @@ def parse_fault(text: str, has_lock: bool = True, has_mocap: bool = True) -> Fau
 
 
 class Trigger:
-    """The trigger of a fault: the fault begins at a delay after the mission first reaches its phase."""
+    """The trigger of a fault, which begins `after_s` after the mission first reaches the fault's phase."""
 
     def __init__(self, fault: Fault) -> None:
         self._fault = fault
@@ -264,7 +264,7 @@ class Trigger:
         return self._since_us is not None
 
     def is_due(self, now_us: int) -> bool:
-        """Return whether the fault begins now; a fault from the start needs no record."""
+        """Return whether the fault begins now; a fault from the start of the flight needs no record."""
         if self._fault.phase is None and self._fault.after_s == 0.0:
             return True
         return self._since_us is not None and now_us - self._since_us >= self._fault.after_s * 1e6
