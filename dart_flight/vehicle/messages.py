@@ -1,7 +1,7 @@
 """The acceptance table: every MAVLink message that the program uses, and the conditions for its use.
 
 A message is used only if the autopilot's component sent it, its instance is accepted and its values are
-usable. `VehicleSession` subscribes to the messages in this table, and docs/link.md shows it.
+usable. `VehicleSession` subscribes to the messages in this table, and docs/link.md shows the table.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ SEVERITIES: Final = ("emergency", "alert", "critical", "error", "warning", "noti
 
 
 class Unusable(NamedTuple):
-    """The reason why a message is not usable, as the end of "none ...", such as "with a velocity"."""
+    """The reason why a message is not usable; it continues the text "none ...", as in "with a velocity"."""
 
     reason: str
 
@@ -64,7 +64,7 @@ class Odometry(NamedTuple):
 
 
 class Heartbeat(NamedTuple):
-    """Mode and state; `hil` is set if the vehicle uses simulated sensors."""
+    """Mode and state of the autopilot; `hil` is set if the vehicle uses simulated sensors."""
 
     armed: bool
     hil: bool
@@ -100,7 +100,7 @@ class BatteryReading(NamedTuple):
 
 
 class EstimatorState(NamedTuple):
-    """Validity of attitude, horizontal velocity and position, and the position's standard deviation."""
+    """Validity of PX4's attitude, horizontal velocity and position, and the position's standard deviation."""
 
     healthy: bool
     position_sd_m: float | None
@@ -109,7 +109,7 @@ class EstimatorState(NamedTuple):
 class Sensors(NamedTuple):
     """Enabled, healthy and present sensors (bits of MAV_SYS_STATUS_SENSOR) and errors of the links.
 
-    `drop_rate_comm` is in units of 0.01 %.
+    `drop_rate_comm` is the share of lost packets in units of 0.01 %.
     """
 
     enabled: int
@@ -130,7 +130,7 @@ class TextChunk(NamedTuple):
 
 
 class Timesync(NamedTuple):
-    """Answer to a request: host time of the request and autopilot time, microseconds."""
+    """Answer to a TIMESYNC request: host time of the request and autopilot time, microseconds."""
 
     sent_us: int
     autopilot_us: int
@@ -452,9 +452,9 @@ class MessageEntry(msgspec.Struct, frozen=True):
         frame: coordinate frame.
         units: units and scale.
         invalid: conditions under which a message has no usable values, as text.
-        instance: field that distinguishes several senders in one component, or None.
-        instances: accepted values of `instance`, or None for all.
-        which: accepted instances, as text.
+        instance: name of the field that distinguishes several senders in one component, or None.
+        instances: accepted values of the field `instance`, or None for all.
+        which: description of the accepted instances for the manual's table.
     """
 
     message: str

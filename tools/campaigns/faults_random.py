@@ -1,4 +1,4 @@
-"""Campaign: flights with random faults, with the ends of each kind and the uncontrolled flights."""
+"""Campaign: flights with random faults, their outcomes by kind of fault, and the uncontrolled flights."""
 
 from __future__ import annotations
 

@@ -23,9 +23,7 @@ _FLIGHTS = 3
 
 
 class Identified(msgspec.Struct, frozen=True):
-    """Coefficients by `material, mode, name`: estimate, interval and truth; None if the logs do not determine
-    it.
-    """
+    """Coefficients by `material, mode, name`: estimate, interval and truth, or None if not determined."""
 
     coefficients: dict[str, tuple[float | None, float | None, float | None, float]]
 

@@ -21,7 +21,7 @@ from tools.campaigns.results import markdown
 
 
 class Px4Hit(msgspec.Struct, frozen=True):
-    """One collision: true velocity and peak, measured over true peak, latency of the detection."""
+    """One collision: true velocity, true peak, ratio of measured to true peak, and detection latency."""
 
     normal_m_s: float | None
     peak_n: float | None

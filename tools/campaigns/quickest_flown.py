@@ -23,7 +23,7 @@ OTHER_SEED = 800_001
 
 
 class Room(NamedTuple):
-    """A room: places to visit and walls by their letters, half the room's width, tolerance, and options."""
+    """A room: letters of the places to visit and of the walls, half the width, tolerance, and options."""
 
     vehicle: str
     visits: str
@@ -64,7 +64,7 @@ def scenario_of(room: Room) -> dict[str, Any]:
 
 
 class RoomFlown(msgspec.Struct, frozen=True):
-    """The planned saving, the offered plan and both records; None if nothing was offered."""
+    """The planned saving, the offered plan, and its flights by `plan` and in other worlds; None: no offer."""
 
     planned_saving_s: float | None
     offered: str
@@ -78,7 +78,7 @@ def cases() -> list[dict[str, str]]:
 
 
 def fly(point: Point, _: int) -> RoomFlown:
-    """Plan a room, fly the plan as `plan` does, and fly it in twenty other worlds."""
+    """Plan a room, fly the plan in the worlds that `plan` draws, and fly it in twenty other worlds."""
     room, alone = ROOMS[int(point.case["room"]) - 1], flown_plan.fly_in_process
     result = plan_quickest(load_scenario(scenario_of(room)), 60.0)
     offered = flown_plan.choose_flown(result, False, fly=alone)

@@ -66,7 +66,7 @@ def fly(point: Point, seed: int) -> Replanned:
 def _goal_figures(
     mission: Mission, end_us: int, track: Sequence[tuple[int, float]]
 ) -> tuple[float, float | None]:
-    """Return the first closest approach to the goal after a time, m, and the time until it is held, s."""
+    """Return the first closest approach to the goal after a time, m, and the time until goal hold, s."""
     after = [(t, d) for t, d in track if t >= end_us]
     least = math.inf
     for _, distance in after:

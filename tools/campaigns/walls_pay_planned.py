@@ -18,7 +18,7 @@ class PlannedMap(msgspec.Struct, frozen=True):
     """Times of both plans, None without a plan, and the share of the free time that hits save.
 
     Attributes:
-        cruise_ratio: with limited sight, approach speed of the colliding plan over that of the free plan.
+        cruise_ratio: approach speed of the colliding plan over that of the free plan, with limited sight.
     """
 
     free_s: float | None

@@ -1,8 +1,8 @@
 """Generator of the manual's tables, diagrams, schemas and configuration comments: `make docs` updates them.
 
 A generated part is in a page of docs/ between `<!-- begin: NAME -->` and `<!-- end -->`. The JSON Schemas in
-docs/schemas are whole files. In configs/dart.yaml the part of each comment before the source is generated. A
-test runs `python -m tools.docs.generated --check`.
+docs/schemas are generated as a whole. In configs/dart.yaml the generator writes the part of each comment
+before the source. A test runs `python -m tools.docs.generated --check`.
 """
 
 from __future__ import annotations

@@ -84,7 +84,7 @@ def _schema(type_: type[msgspec.Struct], title: str) -> Schema:
 
 
 def _with_no_lock(schema: Schema) -> Schema:
-    """Allow a lock with driver `none` and any other keys, which the loader treats as no lock."""
+    """Allow a lock with driver `none` and any other keys; the loader treats such a lock as no lock."""
     no_lock = {
         "type": "object",
         "properties": {"driver": {"const": NO_LOCK, "description": "the vehicle has no lock"}},

@@ -498,7 +498,7 @@ class Px4:
     def keep_log(self) -> Path | None:
         """Move PX4's ULog into the flight's folder and return its path, or None without a log.
 
-        A log's move also deletes the working folder.
+        If there is a log, the working folder is deleted.
         """
         logs = sorted(self.work.glob("log/**/*.ulg"), key=lambda path: path.stat().st_size)
         if not logs:
