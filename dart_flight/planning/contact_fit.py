@@ -512,9 +512,9 @@ class ContactFitter:
         (nx, ny), (vx, vy, _) = request.normal, onset.velocity_mission
         velocity = (vx * nx + vy * ny, vx * ny - vy * nx)
         if sum(t_us >= onset.first_us for t_us in request.sample_us) < _FEWEST:
-            raise ValueError("too few readings")
+            raise ValueError("there are too few force readings")
         if velocity[0] > -_SLOWEST_M_S:
-            raise ValueError("not flown at the wall")
+            raise ValueError("the vehicle did not fly towards the wall")
         begin_us = request.sample_us[0] - round((imu.tick_s + imu.filter_lag_s) * 1e6)
         place_sd, angle_sd = _PLACE_M, _UNPLANNED_RAD
         if wall is not None:

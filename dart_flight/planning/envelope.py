@@ -62,7 +62,7 @@ def clipping_warning(mission: Mission, collision: Collision) -> str | None:
         )
     return (
         f"{where}, at or beyond the accelerometer's full scale ({full_n:.0f} N): the measured force will be "
-        "a lower bound and PX4's estimate will be shaken (docs/px4.md)"
+        "a lower bound and PX4's estimate will be disturbed (docs/px4.md)"
     )
 
 
@@ -101,9 +101,9 @@ def incidence_warning(mission: Mission, collision: Collision) -> str | None:
     if planned <= most:
         return None
     return (
-        f"{_name(collision)} is met at an incidence of {planned:.0f} degrees, "
+        f"{_name(collision)} has an incidence of {planned:.0f} degrees, but "
         f"{collision.mode.value} arms tolerate {most:g}: "
-        "give it an approach of its own, which turns the vehicle parallel to the wall"
+        "give the collision its own approach, which turns the vehicle parallel to the wall"
     )
 
 
@@ -126,7 +126,7 @@ def height_warning(mission: Mission, collision: Collision) -> str | None:
     where = "below" if height < 0.0 else "above"
     return (
         f"{_name(collision)} at {-velocity[0]:.2g} m/s with guards {abs(height):g} m {where} the centre of "
-        f"mass may turn the vehicle over: {below:g} m below to {above:g} m above it was flown "
+        f"mass may turn the vehicle over: flights covered {below:g} m below to {above:g} m above it "
         "(docs/results/body.md)"
     )
 

@@ -50,7 +50,7 @@ def plan_survey(mission: Mission, speed_m_s: float = _SPEED_M_S) -> SurveyPlan:
         legs = {wall.name: _probe_leg(mission, wall, here) for wall in left}
         near = [(distance2(here, leg.begin), wall) for wall in left if (leg := legs[wall.name]) is not None]
         if not near:
-            unreachable |= {wall.name: "no clear path to it" for wall in left}
+            unreachable |= {wall.name: "no clear path leads to the wall" for wall in left}
             break
         _, wall = min(near, key=lambda found: found[0])
         leg = legs[wall.name]
@@ -71,7 +71,7 @@ def plan_survey(mission: Mission, speed_m_s: float = _SPEED_M_S) -> SurveyPlan:
             )
         here = leg.back
     if not probes:
-        raise InputError("no wall can be touched: there is no clear path to any", source=mission.source)
+        raise InputError("no wall can be touched: no clear path leads to a wall", source=mission.source)
     changes = {
         "name": f"survey-{mission.name}"[:64],
         "collisions": probes,

@@ -456,7 +456,7 @@ class FlightApp:
         if not session.armed:
             return
         now_us = self._host_us()
-        text = "forwarding poses until the vehicle is disarmed; Ctrl-C ends it"
+        text = "forwarding poses until the vehicle is disarmed; Ctrl-C ends the forwarding"
         self.show(StatusText(session.clock.to_autopilot(now_us), now_us, "warning", text, found_here=True))
         self._stopped.clear()
         while session.armed and not self._stopped.is_set():

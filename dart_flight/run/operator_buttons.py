@@ -74,7 +74,7 @@ def reply_in_flight(press: Press, phase: Phase, lock: str) -> Reply:
     if button is None:
         return _denied(f"there is no button {press.button}")
     if phase is Phase.CONTACT:
-        return Reply(Result.TEMPORARILY_REJECTED, "in contact: press again after it")
+        return Reply(Result.TEMPORARILY_REJECTED, "in contact: press again after the contact")
     if button is Button.CONTINUE:
         if phase is Phase.PAUSE:
             return Reply(Result.ACCEPTED, "continuing", Request.CONTINUE)
@@ -128,7 +128,7 @@ class StandbyButtons:
             return _denied("standby was started without missions")
         count, number = len(state.missions), press.value
         if number not in range(1, count + 1) and not (button is Button.CHECK and number == 0):
-            return _denied(f"there is no mission {number}: 1 to {count}")
+            return _denied(f"there is no mission {number}, only 1 to {count}")
         if state.armed is not False:
             return _denied("the vehicle is armed" if state.armed else "PX4 has sent no heartbeat yet")
         if button is Button.CHECK:

@@ -176,10 +176,10 @@ def _missing(numbers: list[int]) -> int:
 def _note(log: Log, result: Replay) -> str:
     notes = changed_keys(log.about)
     if result.missing:
-        lost = f"the log lost {result.missing} inputs; after the first, the replay may differ from the flight"
+        lost = f"the log lost {result.missing} inputs; after the first lost input the replay may differ"
         notes.append(lost)
     elif not log.complete:
-        notes.append("the log is cut short; replayed to its end")
+        notes.append("the log is cut short; the replay ends with the log")
     return "; ".join(notes)
 
 

@@ -121,6 +121,6 @@ class EmbeddedSimulator:
     def is_over(self, alone_s: float) -> bool:
         """Implement `ServedWorld`: the world ends when the vehicle's failsafe has landed it."""
         if not alone_s and self._autopilot.armed:
-            self._report("warning", "app disconnected; continuing to the failsafe")
+            self._report("warning", "app disconnected; the vehicle continues until its failsafe acts")
         most_s = _PILOT_S if self._autopilot.mode is FlightMode.MANUAL else _ORPHAN_S
         return not self._autopilot.armed or alone_s > most_s

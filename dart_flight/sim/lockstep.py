@@ -28,7 +28,7 @@ _POLL_S: Final = 0.05  # host time between two polls if no descriptor wakes the 
 _STEP_MAX_S: Final = 0.2  # longest counted host time between two polls; beyond it, this process did not run
 _SENDER_S: Final = 0.2  # host time for a sender to catch up
 _SENDER: Final = "the autopilot to send its telemetry"
-_TELEMETRY: Final = "the application to step its telemetry"
+_TELEMETRY: Final = "the application to process its telemetry"
 _SETPOINT_TOLERANCE: Final = 1e-5  # relative; MAVLink carries single precision
 
 

@@ -265,9 +265,9 @@ class GroundLink:
         unanswered = await self._session.measure_link(_ROUND_TRIP_MAX_S)
         if unanswered:
             says = (
-                "sends telemetry but answers no request"
+                "sends telemetry but does not answer requests"
                 if self._system.is_connected()
-                else "went silent after"
+                else "has stopped sending; unanswered requests"
             )
             raise NoAnswerError(f"the vehicle {says}: {', '.join(unanswered)}", source=self._url)
         with contextlib.suppress(TimeoutError):
@@ -344,7 +344,9 @@ class GroundLink:
         for done, name in enumerate(names):
             progress(done)
             if time.monotonic() > end_s:
-                says = f"the vehicle did not send parameter {name} and others within {_PARAMETERS_S:g} s"
+                says = (
+                    f"the vehicle did not send all parameters within {_PARAMETERS_S:g} s: {name} is missing"
+                )
                 raise NoAnswerError(says, source=self._url)
             for read in (self._param.get_param_int, self._param.get_param_float):
                 try:

@@ -350,7 +350,7 @@ class VehicleSession:
 
     def _handle_answer(self, answer: messages.Timesync, _: int) -> Unusable | None:
         if answer.sent_us not in self._requests_us:
-            return Unusable("with an answer to a request of this program")
+            return Unusable("answers a request of this program")
         self._deliver(self.clock.round_trip(answer.sent_us, host_us(), answer.autopilot_us))
         return None
 
@@ -415,7 +415,7 @@ class VehicleSession:
         assert self.motor_outputs is not None
         throttles = self.motor_outputs.decode(outputs.values, self._status.landed in _AIRBORNE)
         if isinstance(throttles, str):
-            return Unusable(f"of the motors: {throttles}")
+            return Unusable(f"has the motors' outputs: {throttles}")
         self._deliver(ActuatorSample(outputs.t_us, received, throttles))
         return None
 
@@ -423,7 +423,7 @@ class VehicleSession:
         if group.first == 0:
             self._rpm, self._rpm_us = [], group.t_us
         if group.t_us != self._rpm_us or group.first != len(self._rpm):
-            return Unusable("with all groups of one stamp")
+            return Unusable("completes the groups of one stamp")
         self._rpm += group.rpm
         if len(self._rpm) >= self._motors:
             self._deliver(EscSample(group.t_us, received, tuple(self._rpm[: self._motors])))

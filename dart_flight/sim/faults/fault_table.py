@@ -77,25 +77,25 @@ KINDS: tuple[FaultKind, ...] = (
     FaultKind("sigstop", _P.APP, "the program is stopped (SIGSTOP)"),
     FaultKind("sigkill", _P.APP, "the program is killed (SIGKILL, as when memory runs out)"),
     FaultKind("disk-full", _P.APP, "the disk of the flight log is full"),
-    FaultKind("link-loss", _P.LINK, "link down for this long (0: permanently)", "s", 0.0, 0.0, 60.0),
+    FaultKind("link-loss", _P.LINK, "the link is down for this time (0: permanently)", "s", 0.0, 0.0, 60.0),
     FaultKind("packet-loss", _P.LINK, "messages are lost", "%", 10.0, 0.0, 100.0),
     FaultKind("delay", _P.LINK, "messages are delayed", "ms", 50.0, 0.0, 2000.0),
     FaultKind(
-        "jitter", _P.LINK, "messages are delayed by up to this much, each its own", "ms", 100.0, 0.0, 2000.0
+        "jitter", _P.LINK, "each message has a random delay of up to this time", "ms", 100.0, 0.0, 2000.0
     ),
     FaultKind("reorder", _P.LINK, "messages overtake each other by 20 ms", "%", 10.0, 0.0, 100.0),
     FaultKind("duplicate", _P.LINK, "messages are duplicated", "%", 10.0, 0.0, 100.0),
     FaultKind(
         "second-vehicle",
         _P.LINK,
-        "another vehicle with the same system id sends on the link, its clock this far ahead",
+        "another vehicle with the same system id sends on the link; its clock is ahead by this time",
         "s",
         238.0,
         -1000.0,
         1000.0,
     ),
     FaultKind("imu-dropout", _P.LINK, "the telemetry contains no IMU samples"),
-    FaultKind("imu-stuck", _P.SENSOR, "the reported IMU repeats its last reading"),
+    FaultKind("imu-stuck", _P.SENSOR, "the reported IMU samples repeat the last reading"),
     FaultKind("imu-clip", _P.SENSOR, "the accelerometer clips at this many g", "g", 4.0, 1.2, 16.0),
     FaultKind(
         "ekf-jump", _P.SENSOR, "estimate and motion capture jump north by this distance", "m", 0.5, -3.0, 3.0
@@ -112,7 +112,7 @@ KINDS: tuple[FaultKind, ...] = (
     FaultKind(
         "ev-delay",
         _P.AUTOPILOT,
-        "PX4 assumes a motion-capture pose to be this old on arrival (EKF2_EV_DELAY)",
+        "PX4 assumes this age of a motion-capture pose on arrival (EKF2_EV_DELAY)",
         "ms",
         150.0,
         0.0,
@@ -134,7 +134,9 @@ KINDS: tuple[FaultKind, ...] = (
         5.0,
     ),
     FaultKind("servo-stuck", _P.LOCK, "the lock's servo does not move"),
-    FaultKind("servo-slow", _P.LOCK, "the lock's servo takes this many times as long", "x", 4.0, 1.0, 100.0),
+    FaultKind(
+        "servo-slow", _P.LOCK, "the lock's servo needs this multiple of its time", "x", 4.0, 1.0, 100.0
+    ),
     FaultKind("servo-unplugged", _P.LOCK, "the servo's controller does not answer"),
     FaultKind("wall-missing", _P.PLANT, "the walls are missing"),
     FaultKind("wall-nearer", _P.PLANT, "the walls are nearer than planned", "m", 0.3, -1.0, 1.0),
@@ -208,9 +210,7 @@ def parse_mission_fault(mission: Mission, text: str) -> Fault:
     has_mocap = simulated_source(mission) is PositionSource.MOCAP
     fault = parse_fault(text, mission.vehicle.has_lock, has_mocap)
     if fault.kind.site is FaultSite.MOCAP and mission.vehicle.mocap.url is None:
-        raise InputError(
-            f"{fault.name}: needs poses that this program forwards, add --mocap", key=("--fault",)
-        )
+        raise InputError(f"{fault.name}: this fault needs forwarded poses: add --mocap", key=("--fault",))
     return fault
 
 
@@ -230,7 +230,7 @@ def parse_fault(text: str, has_lock: bool = True, has_mocap: bool = True) -> Fau
         raise InputError(f"{name}: this vehicle has no lock", key=("--fault",))
     if name == "ev-delay" and not has_mocap:
         raise InputError(
-            f"{name}: needs motion capture, this vehicle's position comes from GPS", key=("--fault",)
+            f"{name}: needs motion capture, but this vehicle's position comes from GPS", key=("--fault",)
         )
     if at and phase not in PHASES:
         raise InputError(unknown_name(phase, list(PHASES), "phase"), key=("--fault",))

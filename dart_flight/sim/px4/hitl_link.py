@@ -203,7 +203,7 @@ class HitlLink:
         self._send_periodic()
         self.receive()
         if self.answered and self.silent_s > SILENCE_S:
-            raise Px4LostError(f"flight controller sent no actuator outputs for {SILENCE_S:g} s")
+            raise Px4LostError(f"the flight controller has sent no actuator outputs for {SILENCE_S:g} s")
         return self.controls
 
     def _send_periodic(self) -> None:
@@ -241,16 +241,16 @@ class HitlLink:
         if sum(k >= len(still) or values != still[k] for k, values in enumerate(found)) > 1:
             self._command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0.0, _FORCE)
             raise Px4LostError(
-                "outputs of the flight controller beside the simulated ones move: told it to disarm; set "
-                "PWM_MAIN_FUNC1 to 8 and UAVCAN_ENABLE to 0 (docs/hitl.md)"
+                "the flight controller moves real outputs, so it was commanded to disarm: set PWM_MAIN_FUNC1 "
+                "to 8 and UAVCAN_ENABLE to 0 (docs/hitl.md)"
             )
 
     def _check_gap(self, gap_s: float, in_flight: bool) -> None:
         self.longest_gap_s = max(self.longest_gap_s, gap_s)
         if in_flight and gap_s > GAP_S:
             raise Px4LostError(
-                f"flight controller without simulated sensors for {gap_s * 1e3:.0f} ms: its estimate does "
-                "not survive that (its port, or a computer that is too busy)"
+                f"the flight controller was without simulated sensors for {gap_s * 1e3:.0f} ms, so its "
+                "estimate is lost: check its port and the load of this computer"
             )
 
     def send(self, *messages: Any) -> None:

@@ -78,9 +78,9 @@ class HitlSimulator:
 
     def _report_totals(self, link: HitlLink) -> None:
         self._report(
-            f"{link.sent} messages sent, {link.dropped} not taken by the port; {self._merged} of "
+            f"{link.sent} messages sent, {link.dropped} not accepted by the port; {self._merged} of "
             f"{self._ticks} ticks reported late; longest gap between actuator outputs "
-            f"{link.longest_gap_s * 1e3:.0f} ms; stood still for {self._still_ticks * TICK_S * 1e3:.0f} ms; "
+            f"{link.longest_gap_s * 1e3:.0f} ms; plant paused for {self._still_ticks * TICK_S * 1e3:.0f} ms; "
             + ("real outputs stayed off" if link.outputs_seen else "real outputs could not be checked")
         )
 
@@ -96,7 +96,7 @@ class HitlSimulator:
             if time.monotonic() > end_s:
                 raise Px4LostError(
                     f"no actuator outputs on {self._hitl.url} within {_FIRST_S:g} s: the flight controller "
-                    "must have SYS_HITL 1 and have been restarted since, and the port must be its USB port"
+                    "must have been restarted with SYS_HITL 1, and the port must be its USB port"
                 )
         self._report("the flight controller answers")
         end_s = time.monotonic() + _ALIGN_S[self._hitl.position_from]

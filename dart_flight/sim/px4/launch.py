@@ -165,7 +165,7 @@ def select_parameters(parameters: Mapping[str, Parameter], known: Mapping[str, f
         elif not parameter.absent or parameter.renamed is not None:
             raise Px4Error(
                 f"this PX4 has no parameter {name} (wanted {parameter.value:g}): "
-                "its version is not one of docs/px4.md, or the name is wrong"
+                "docs/px4.md does not list its version, or the name is wrong"
             )
     return chosen
 
@@ -276,7 +276,7 @@ def claim_instance() -> Instance:
         if listener is not None:
             return Instance(number, listener, lease)
         lease.release()
-    raise Px4Error(f"all {len(_INSTANCES)} PX4 instances are taken: stop one (ports 4560, 14540 and on)")
+    raise Px4Error(f"all {len(_INSTANCES)} PX4 instances are in use: stop one (ports from 4560 and 14540 on)")
 
 
 def _free_simulator_port(number: int) -> socket.socket | None:

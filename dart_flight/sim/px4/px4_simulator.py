@@ -227,7 +227,7 @@ class Px4Simulator:
     def is_over(self, alone_s: float) -> bool:
         """Implement `ServedWorld`: the world ends when PX4 has disarmed after its failsafe."""
         if not alone_s and self._armed:
-            self._report("app disconnected; PX4 continues to its failsafe")
+            self._report("app disconnected; PX4 continues until its failsafe acts")
         if alone_s > _ORPHAN_S:
             self._report(f"PX4 has not landed within {_ORPHAN_S:g} s")
             return True
