@@ -186,7 +186,7 @@ class Grid(NamedTuple):
 
 
 class SeriesSolution:
-    """Solutions near one time per candidate, as power series in the time since then."""
+    """Solutions near one time per candidate, as power series in the difference from that time."""
 
     def __init__(self, flight: FreeFlight, leg: SetpointResponse, times: Array, zx: Array, zy: Array) -> None:
         ax, ay = flight.axes

@@ -43,8 +43,8 @@ class RejoiningTrajectories(NamedTuple):
             duration of the candidate.
         settled_s: (n,) time from the candidate's beginning until it equals the plan again.
         added: (2, n, 6) coefficients of the added polynomials before `settled_s`, constant term first.
-        kept: (2, n, 6) coefficients of the added polynomials after `settled_s`, in the time since then:
-            displacement and acceleration of the end.
+        kept: (2, n, 6) coefficients of the added polynomials after `settled_s`, in the time since
+            `settled_s`. They give the displacement and acceleration of the end.
         position, velocity, acceleration, jerk: (2, n, k) samples, mission frame.
     """
 
@@ -102,7 +102,7 @@ def candidate_trajectories(
     Args:
         planned: planned trajectory of one or more polynomial pieces.
         start: initial position, velocity and acceleration per axis; mission frame.
-        moved: position of the end minus the planned position, m.
+        moved: final position minus the planned one, m.
         pushed: final acceleration minus the planned one, m/s2.
         settled_s: time before the end during which the trajectory differs from the plan only by `moved` and
             `pushed`; less for a short trajectory.

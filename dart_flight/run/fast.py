@@ -379,7 +379,7 @@ class FastFlight:
             self._transmit(self._last_setpoint)
 
     def _transmit(self, order: Setpoint | VehicleAction) -> None:
-        """Send an order to the autopilot, through the faulty link if there is one."""
+        """Send an order to the autopilot, through the faulty link if a fault affects the link."""
         self._repeated_us = self.host_us
         if self.faulted is not None:
             self.faulted.send_out(order)

@@ -79,7 +79,7 @@ def reply_in_flight(press: Press, phase: Phase, lock: str) -> Reply:
         if phase is Phase.PAUSE:
             return Reply(Result.ACCEPTED, "continuing", Request.CONTINUE)
         return _denied(f"there is no pause in phase {phase}")
-    return _denied("the mission moves the lock while it flies")
+    return _denied("the mission moves the lock during its flight")
 
 
 # --- standby -----------------------------------------------------------------------------------------------

@@ -166,7 +166,7 @@ def fly_simulated(
     """Start a world, fly in it, end it and close the record's log; return the world.
 
     Args:
-        record: record of the flight, which also gets the world's truth.
+        record: record of the flight, to which the truth of the world is added.
         spec: specification of the world; its text log goes into the flight's folder.
         make_app: function that makes the app once the world is ready.
         process: class of the world's process.

@@ -213,7 +213,7 @@ _HEADS = (
 
 
 def page(rows: Sequence[JudgedRow]) -> str:
-    """Return a row for every case."""
+    """Return a table with a row for every case."""
     groups: dict[tuple[str, ...], list[FastHit]] = {}
     for r in rows:
         groups.setdefault(tuple(r.values.values()), []).append(r.row)

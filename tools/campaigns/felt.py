@@ -189,7 +189,7 @@ _HEADS = (
 
 
 def page(rows: Sequence[JudgedRow]) -> str:
-    """Return a row for every set and body."""
+    """Return a table with a row for every set and body."""
     groups: dict[tuple[str, str], list[EstimatedContact]] = {}
     for r in rows:
         groups.setdefault((r.values["set"], r.values["body"]), []).append(r.row)

@@ -69,7 +69,7 @@ def _log_of(mission: Mission, real: Mission, seed: int) -> Log:
 
 
 def page(rows: Sequence[JudgedRow]) -> str:
-    """Return a row for every coefficient, bold if the interval does not contain the truth."""
+    """Return a table with a row for every coefficient, in bold if its interval does not contain the truth."""
     table = []
     for r in rows:
         for what, (value, low, high, true) in r.row.coefficients.items():

@@ -252,7 +252,7 @@ def fly(point: Point, seed: int) -> Tally:
 
 
 def page(rows: Sequence[JudgedRow]) -> str:
-    """Return a row for every kind, and the failures."""
+    """Return a table with a row for every kind, and the failures."""
     kinds: dict[str, list[Tally]] = {}
     for r in rows:
         kinds.setdefault(r.values["kind"], []).append(r.row)

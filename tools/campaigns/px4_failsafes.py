@@ -137,7 +137,7 @@ class Disturbed(msgspec.Struct, frozen=True):
 
 
 def cases() -> list[dict[str, str]]:
-    """Return every disturbance in every phase."""
+    """Return the cases: every disturbance in every phase."""
     return [{"disturbance": name, "phase": phase.value} for name in ROWS for phase in PHASES]
 
 
@@ -191,7 +191,7 @@ def _fly_once(name: str, phase: Phase, seed: int) -> Disturbed:
 
 
 def page(rows: Sequence[JudgedRow]) -> str:
-    """Return a row for every disturbance, with the time of each rule in each phase."""
+    """Return a table with a row for every disturbance, with the time of each rule in each phase."""
     groups: dict[str, list[Disturbed]] = {}
     for r in rows:
         groups.setdefault(r.values["disturbance"], []).append(r.row)

@@ -73,7 +73,7 @@ class RoomFlown(msgspec.Struct, frozen=True):
 
 
 def cases() -> list[dict[str, str]]:
-    """Return the numbers of the rooms."""
+    """Return the cases: the number of every room."""
     return [{"room": str(number)} for number in range(1, len(ROOMS) + 1)]
 
 
@@ -100,7 +100,7 @@ _HEADS = ("vehicle", "visits", "walls", "within m", "planned s", "offered", "com
 
 
 def page(rows: Sequence[JudgedRow]) -> str:
-    """Return a row for every room; pairs of figures are those of `plan` and those of the other worlds."""
+    """Return a table with a row for every room; a pair of figures is for `plan` and for the other worlds."""
     table = []
     for r in rows:
         room, found = ROOMS[int(r.values["room"]) - 1], r.row

@@ -86,7 +86,7 @@ _HEADS = ("after an impact", "completed (95 %)", "uncontrolled", "second impact 
 
 
 def page(rows: Sequence[JudgedRow]) -> str:
-    """Return a row for each setting of `after_impact`."""
+    """Return a table with a row for each setting of `after_impact`."""
     ways: dict[str, list[Replanned]] = {}
     for r in rows:
         ways.setdefault(r.values["after_impact"], []).append(r.row)

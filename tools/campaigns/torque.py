@@ -53,7 +53,7 @@ class BodyHit(msgspec.Struct, frozen=True):
 
     Attributes:
         force_error: relative error of the peak, as force over mass.
-        over_bound: error of the peak force, divided by its Cramér-Rao bound for the noise measured in hover.
+        over_bound: error of the peak force, divided by its Cramér-Rao bound for the estimated noise level.
         friction_error: relative error of the peak friction; None if the true peak is below 3 N.
         raw_torque_nm: largest single sample of the torque.
         by_yaw_rad: incidence computed from attitude and planned wall.
@@ -214,7 +214,7 @@ def cramer_rao_n(time_s: NDArray[np.float64], pulse_n: NDArray[np.float64], nois
 
 
 def page(rows: Sequence[JudgedRow]) -> str:
-    """Return a column for every set."""
+    """Return a table with a column for every set."""
     sets: dict[str, list[BodyHit]] = {}
     for r in rows:
         sets.setdefault(r.values["set"], []).append(r.row)

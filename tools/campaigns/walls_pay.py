@@ -76,7 +76,7 @@ _WHERE = ROOT / "missions" / "generated.yaml"
 
 
 def flown_cases() -> list[dict[str, str]]:
-    """Return every map."""
+    """Return the cases: every map."""
     return [{"kind": kind, "map": str(number)} for kind, numbers in MAPS.items() for number in numbers]
 
 

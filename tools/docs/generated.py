@@ -54,7 +54,7 @@ def current(text: str) -> str:
 
 
 def stale() -> Iterator[str]:
-    """Yield what is out of date: files, and parts without a place or a generator."""
+    """Yield a line for every file that is out of date, and for parts without a place or a generator."""
     for page, names in pages().items():
         text = page.read_text("utf-8")
         unknown = [name for name in names if name not in PARTS]

@@ -76,7 +76,7 @@ def find_install(directory: str | Path | None) -> Install:
     """Find PX4 in an installation (`bin/px4`, `etc`) or a build folder with the same layout.
 
     Args:
-        directory: as given by the user; None or empty selects the environment's DART_PX4_DIR.
+        directory: folder that the user has named; None or empty: the environment's DART_PX4_DIR.
 
     Raises:
         InputError: PX4 is not found.
@@ -357,7 +357,7 @@ class Px4:
 
     @property
     def pid(self) -> int:
-        """Process id, which is also that of its session and process group."""
+        """Process id of PX4, which is also the id of its session and process group."""
         return self._process.pid
 
     def ending(self) -> str | None:
@@ -478,7 +478,7 @@ class Px4:
                 check=False,
             )
         except (OSError, subprocess.TimeoutExpired):
-            self._check_alive(f"while {program} asked it")
+            self._check_alive(f"while {program} waited for its answer")
             raise Px4Error(f"PX4 does not answer {program} {' '.join(arguments)}") from None
         return done.stdout.decode(errors="replace")
 

@@ -33,7 +33,7 @@ def decode(data: bytes, body: str, sender: str) -> RawPose | str:
     place, names = _BLOCK.size, []
     for _ in range(items):
         if place + _ITEM.size > len(data):
-            return "block of Vicon's object stream with fewer items than it counts"
+            return "block of Vicon's object stream with fewer items than it announces"
         item, size = _ITEM.unpack_from(data, place)
         place += _ITEM.size
         if place + size > len(data) or (item == _OBJECT_ID and size != _OBJECT.size):
