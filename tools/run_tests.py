@@ -2,8 +2,9 @@
 
     python -m tools.run_tests
 
-Real-time tests run first and alone; one that fails is skipped and counted if the computer was too busy. All
-others run in simulated time and pass at any load. Types are checked in parallel. Ctrl-C ends everything.
+Real-time tests run first and alone. If such a test fails while the computer is too busy, it counts as
+skipped. All other tests run in simulated time and pass at any load. Types are checked in parallel. Ctrl-C
+ends everything.
 """
 
 from __future__ import annotations
@@ -63,7 +64,7 @@ def end(process: subprocess.Popen[bytes], send: Callable[[int], None]) -> None:
 
 
 def behind(commands: Sequence[str], output: IO[bytes]) -> subprocess.Popen[bytes]:
-    """Start commands in a separate process group."""
+    """Start commands in a separate process group, with their output in a file."""
     words = [sys.executable, "-m", "tools.run_tests", BEHIND, *commands]
     return subprocess.Popen(
         words, stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT, process_group=0

@@ -20,14 +20,14 @@ Codes = NDArray[np.int8]
 
 
 class ApproachGrid(NamedTuple):
-    """Approaches of the first collision; arrays that broadcast with the velocities.
+    """The approach of every candidate to the first wall; arrays that broadcast with the velocities.
 
     Attributes:
-        codes: refusals, 0 if the approach can be flown.
-        impact_x, impact_y: impact point on the plane.
-        begin_x, begin_y: run-up point.
-        impact_s: time from the start of the run-up to the plane.
-        transit_s: time from `start` to the run-up point.
+        codes: reason to refuse the approach (`Refusal`), 0 if it can be flown.
+        impact_x, impact_y: point at which the centre reaches the wall's plane, mission frame, m.
+        begin_x, begin_y: point at which the run-up starts, mission frame, m.
+        impact_s: time from the start of the run-up to the impact.
+        transit_s: duration of the transit from the task's `start` to the run-up point.
     """
 
     codes: Codes
@@ -44,7 +44,7 @@ def approach_grid(
 ) -> ApproachGrid:
     """Return the approaches to a wall at given velocities in its collision frame (m/s, normal < 0).
 
-    Without constraints nothing is refused.
+    If `constraints` is None, no approach is refused.
     """
     flying, (sx, sy) = task.vehicle.flying, task.start
     (nx, ny), (tx, ty) = wall.normal, wall.tangent

@@ -96,14 +96,14 @@ class Constraints:
     def mark(
         self, codes: Codes, where: NDArray[np.bool_] | NDArray[np.intp] | np.bool_, reason: Refusal
     ) -> None:
-        """Refuse the selected candidates."""
+        """Set the code of the selected candidates to a reason, unless the reason is ignored."""
         if reason not in self._ignored:
             codes[where] = CODE[reason]
 
     def hit(
         self, velocity: tuple[Array, Array], normal_n: Array, tangential_n: Array, rebound_m_s: Array
     ) -> Codes:
-        """Return codes (0: accepted) for an impact: velocity (normal, tangential), peaks and rebound."""
+        """Return codes (0: accepted) for impacts with a velocity (normal, tangential), peaks and rebound."""
         codes, limits = np.zeros(normal_n.shape, dtype=np.int8), self.limits
         normal, tangential = velocity
         if limits.closing_m_s is not None:
@@ -120,8 +120,8 @@ class Constraints:
     def command(self, leg: SetpointResponse, loop: tuple[float, float, float, float, float]) -> Codes:
         """Return codes for a recovery's setpoint and its first command.
 
-        The setpoint may lie outside the bounds, but not far. The command must be within PX4's tilt limit,
-        where the model is linear.
+        The setpoint may lie at most `SETPOINT_OUTSIDE_M` outside the bounds. The command must be within
+        PX4's tilt limit, because the model is linear only there.
         """
         kp, kv, _, kd, _ = loop
         ax = kv * (-kp * leg.x[0] - leg.x[1]) + leg.x[3] - kd * leg.x[2]
@@ -144,10 +144,10 @@ class Constraints:
 
         Args:
             window: positions and velocities.
-            until: per candidate.
+            until: first grid index that is not checked, for each candidate.
             target: the next wall or post of the plan, which is no obstacle.
             begins: whether the first grid point is the release from a wall.
-            walls: estimated walls; None for the mission's.
+            walls: estimated walls; None: the mission's walls.
         """
         w = window
         bad = w.vx * w.vx + w.vy * w.vy > np.float32(self.limits.speed_m_s**2)
@@ -193,7 +193,10 @@ class Constraints:
         return codes
 
     def _leaves_bounds(self, w: GridWindow) -> NDArray[np.bool_]:
-        """Return where the bounds are left, now or before stopping; a wall ahead stops earlier (guard)."""
+        """Return at which grid points the vehicle is outside the bounds or could not stop inside them.
+
+        A wall ahead shortens the stop, as in the guard.
+        """
         share = stop_share(self.walls, (w.x, w.y), (w.vx, w.vy))
         leaves = _outside(self.bounds.x, w.x, share * w.vx)
         leaves |= _outside(self.bounds.y, w.y, share * w.vy)
@@ -209,7 +212,7 @@ class Constraints:
         return codes
 
     def to_goal(self, x: Array, y: Array, goal: Vec2) -> Codes:
-        """Return codes for walls between the closest approaches and the goal, on a straight line."""
+        """Return codes for walls that cross the straight line from a closest approach to the goal."""
         codes = np.zeros(x.shape, dtype=np.int8)
         for wall in self.walls:
             (nx, ny), (px, py) = wall.normal, wall.point
@@ -223,7 +226,7 @@ class Constraints:
         return codes
 
     def lock_in_time(self, leg: SetpointResponse, wall: Wall) -> NDArray[np.bool_]:
-        """Return whether holding at these states still stops short of the wall (executive)."""
+        """Return whether a hold from these states stops in front of the wall, by the executive's rule."""
         nx, ny = wall.normal
         distance = nx * (leg.x[0] + leg.goal_x - wall.point[0]) + ny * (leg.y[0] + leg.goal_y - wall.point[1])
         closing = -(nx * leg.x[1] + ny * leg.y[1])
@@ -241,7 +244,7 @@ class Constraints:
     def lock_too_late(
         self, ready: SetpointResponse, impact: SetpointResponse, after_s: Array, wall: Wall
     ) -> NDArray[np.bool_]:
-        """Return whether the executive would break off because the lock is still moving.
+        """Return whether the executive would abort the approach because the lock is still moving.
 
         Args:
             ready: states when the lock settles.
@@ -268,7 +271,7 @@ class Constraints:
 
 
 def leads_behind(wall: Wall, place: tuple[Number, Number], target: tuple[Number, Number]) -> Number:
-    """Return whether a setpoint is behind a wall and the vehicle in front; numbers, or arrays of them."""
+    """Return whether a setpoint is behind a wall and the vehicle in front; coordinates may be arrays."""
     crosses = (wall.signed_distance(place) > 0.0) & (wall.signed_distance(target) <= 0.0)
     return crosses & (wall.end_distance_m(target) >= -end_margin_m(wall, target))
 
@@ -297,10 +300,10 @@ def _touches_wall(wall: Wall, w: GridWindow) -> NDArray[np.bool_]:
 
 
 def _hits_post(post: Post, corner_m: float, w: GridWindow) -> NDArray[np.bool_]:
-    """Return whether the vehicle approaches a post too closely, with any heading; departures are free.
+    """Return whether the vehicle approaches a post too closely at any heading; moving away is allowed.
 
-    Between two grid points the flight is taken as straight, because they may be far apart compared with the
-    post.
+    The path between two grid points is treated as a straight line, because the points may be farther apart
+    than the post is wide.
     """
     x, y = w.x - np.float32(post.centre[0]), w.y - np.float32(post.centre[1])
     reach2 = np.float32((post.radius_m + corner_m) ** 2)
@@ -314,7 +317,11 @@ def _hits_post(post: Post, corner_m: float, w: GridWindow) -> NDArray[np.bool_]:
 
 
 def _reach_tables(task: Task) -> tuple[Array, Array, Array]:
-    """Return tables of the braking distance by the executive's rule, which is homogeneous in its inputs."""
+    """Return tables of the braking distance by the executive's rule, for `lock_in_time`.
+
+    The tables are the distance with an acceleration towards the wall, the distance with one away from it, and
+    their common argument, the speed's share of the input. The distance is proportional to the input.
+    """
     knots = np.linspace(0.0, 1.0, 41)
     far = 100.0
     tables = []

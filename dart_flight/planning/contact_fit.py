@@ -2,19 +2,19 @@
 
 Here x is the signed distance of the vehicle's centre to the wall's plane. The angle of incidence i is
 positive if the vehicle is turned left. A side has two guards, g = 1 (right) and -1 (left). They are
-`guard_along_m` (a) to the side of its middle and `contact_distance_m` (d) ahead of the centre:
+`guard_along_m` (a) to either side of the middle and `contact_distance_m` (d) ahead of the centre:
 
     x_g = x - g a sin i + d (1 - cos i)        depth of a guard
     F   = sum of max(0, -(k x_g + f dx_g/dt)/2)
-    T   = -mu F (v_t + b d di/dt)              b the share of the lever at which friction acts
+    T   = -mu F (v_t + b d di/dt)              b: share of the lever at which friction acts
     M   = a cos(i) (F_1 - F_-1) - d sin(i) F - b d T              torque, positive turns to the right
     m dv/dt = force + push by thrust and drag
 
-The angle i follows from attitude and gyro, minus the angle between the real and the planned wall. Unknown are
-k, f and mu relative to their prior, the angle of the wall, and distance and velocity at the beginning.
+The angle i follows from attitude and gyro, minus the angle between the real and the planned wall. The fit
+estimates k, f and mu relative to their prior, the wall's angle, and the initial distance and velocity.
 Rigid and flexible arms obey the same law with different coefficients, so both modes are fitted.
-Levenberg-Marquardt steps from several angles lead to the most probable values. All modes, starts, dampings
-and derivatives are lanes of one array. The evidence is Laplace's approximation:
+Levenberg-Marquardt steps from several angles lead to the most probable values. One array holds all modes,
+starts, dampings and derivatives; each combination is called a lane. The evidence is Laplace's approximation:
 
     2 ln p(readings) = -(misfit + prior) - ln det(curvature) + ln det(curvature of the prior)
 
@@ -110,14 +110,15 @@ class Belief(NamedTuple):
 
 
 class Ticks(NamedTuple):
-    """The readings of a contact; arrays over the ticks (T,), or over ticks and modes (T, M).
+    """The readings of a contact, averaged over ticks; arrays (T,) over the ticks, or (T, M) with the modes.
 
     Attributes:
-        h: length, s.
+        h: duration of the tick, s.
         normal, along: mean force along the planned wall's axes, N, for each mode (T, M).
         up: mean vertical force, N.
         push_normal, push_along: force of thrust and drag, N.
-        turned, turning: angle since the first tick at its middle, rad, positive to the left; its rate, rad/s.
+        turned, turning: rotation since the middle of the first tick, rad, and its rate, rad/s; positive to
+            the left.
         torque: torque about the vertical, N m, positive if it turns the vehicle to the right.
         samples: number of samples in the tick.
         bound: whether the reading is at full scale, so that the true force is larger.
@@ -152,11 +153,11 @@ class Ticks(NamedTuple):
 
 
 class Contact(NamedTuple):
-    """Input of the fit.
+    """The readings of one contact and what was known before the fit.
 
     Attributes:
         ticks: readings from a few ticks before the first touch until shortly after the last.
-        touched_s: approximate time of the first touch after the beginning of the first tick.
+        touched_s: approximate time from the beginning of the first tick to the first touch, s.
         velocity: PX4's velocity at the touch along the planned wall's axes, m/s.
         incidence_rad: angle between the leading edge and the planned wall at the touch.
         noise_n, noise_nm: standard deviation of a force reading and of a torque reading.
@@ -182,7 +183,7 @@ class Hypothesis(NamedTuple):
         belief: posterior coefficients of the wall in this mode.
         incidence_rad, incidence_sd: angle of incidence at the first tick and its standard deviation.
         place_m, place_sd: signed distance of the centre to the wall's plane at the first tick's beginning.
-        theta: all parameters.
+        theta: all fitted parameters (7,).
     """
 
     evidence: float
@@ -272,10 +273,10 @@ class ContactFit:
         return found
 
     def _begin(self, lead: Array, believed: NDArray[np.bool_], mode: NDArray[np.intp]) -> Array:
-        """Return start parameters with the wall turned to an angle of incidence `lead`.
+        """Return start parameters with the wall turned so that the angle of incidence is `lead`.
 
-        The starts flagged in `believed` use the prior of k. The others derive k from the peak force, which is
-        v (k m)^0.5 for a point mass.
+        The starts flagged in `believed` use the prior of k. The others compute k from the peak force, which
+        is v (k m)^0.5 for a point mass.
         """
         c, (vn, vt), before = self.contact, self.contact.velocity, np.array(self.before)[mode].T
         angle = c.incidence_rad - lead
@@ -287,7 +288,10 @@ class ContactFit:
         return np.stack([k / before[0], one, place, normal, angle, one, along])
 
     def _linearized(self, theta: Array, mode: NDArray[np.intp]) -> tuple[Array, Array, Array]:
-        """Return cost (L, D), Jacobian (7, R, L, D) and residuals (R, L, D) at parameters (7, L, D)."""
+        """Return cost (L, D), Jacobian (7, R, L, D) and residuals (R, L, D) at parameters (7, L, D).
+
+        L counts the starts in all modes, D the dampings and R the residuals.
+        """
         shifts = np.concatenate([np.zeros((7, 1)), _DIFFERENCE * np.eye(7)], axis=1)
         shifted = theta[..., None] + shifts[:, None, None, :]
         lanes = np.broadcast_to(mode[:, None, None], shifted.shape[1:])
@@ -298,7 +302,7 @@ class ContactFit:
         return cost, jacobian, at
 
     def _residuals(self, theta: Array, mode: NDArray[np.intp]) -> Array:
-        """Return readings minus model, then parameters minus prior, each divided by its error."""
+        """Return readings minus model, then parameters minus prior, each over its standard deviation."""
         t, c = self._ticks, self.contact
         co, so = np.cos(theta[_D]), np.sin(theta[_D])
         force, along, torque = (part.mean(axis=1) for part in self.forces(t, theta, mode, _SUBSTEPS))
@@ -390,11 +394,11 @@ class ContactFit:
         return Hypothesis(float(evidence + seen), misfit, belief, *at, theta)
 
     def _wall_factor(self, factor: float, variance: float, before_sd: float) -> tuple[float, float]:
-        """Return factor and relative deviation of the wall, from those of one contact.
+        """Return factor and relative deviation of a wall's coefficient, from those of one contact.
 
-        A contact's coefficient is the wall's coefficient times a scatter. With sd2 the wall's prior variance,
-        s2 the sum with the scatter's variance and G = sd2/s2, the wall's posterior variance is
-        sd2 - G^2 (s2 - variance).
+        A contact's coefficient is the wall's coefficient times a random factor, the scatter. Let sd2 be the
+        wall's prior variance, s2 the sum of sd2 and the scatter's variance, and G = sd2/s2. The wall's
+        posterior variance is then sd2 - G^2 (s2 - variance).
         """
         wall2 = before_sd * before_sd
         hit2 = wall2 + (self._scatter * factor) ** 2
@@ -404,7 +408,7 @@ class ContactFit:
         return float(mean), math.sqrt(after) / float(mean)
 
     def _vertical(self, b: Belief, force: Array) -> tuple[float, float, float]:
-        """Return factor, deviation and evidence of nu from the mean vertical force, nu F/(1 + F)."""
+        """Return factor, deviation and evidence of nu, given the mean vertical force nu F/(1 + F)."""
         t, touching = self._ticks, force > 0.0
         time_s = float(t.h[touching].sum())
         if time_s <= 0.0 or b.nu <= 0.0:
@@ -420,7 +424,7 @@ class ContactFit:
 
 
 class ContactFitter:
-    """Fitter of the contacts of one flight; the posterior of a contact is the prior of the next.
+    """Fitter of the contacts of one flight; the posterior from a contact is the prior for the next.
 
     Args:
         vehicle: configuration with geometry and materials.
@@ -508,9 +512,9 @@ class ContactFitter:
         (nx, ny), (vx, vy, _) = request.normal, onset.velocity_mission
         velocity = (vx * nx + vy * ny, vx * ny - vy * nx)
         if sum(t_us >= onset.first_us for t_us in request.sample_us) < _FEWEST:
-            raise ValueError("too few readings")
+            raise ValueError("there are too few force readings")
         if velocity[0] > -_SLOWEST_M_S:
-            raise ValueError("not flown at the wall")
+            raise ValueError("the vehicle did not fly towards the wall")
         begin_us = request.sample_us[0] - round((imu.tick_s + imu.filter_lag_s) * 1e6)
         place_sd, angle_sd = _PLACE_M, _UNPLANNED_RAD
         if wall is not None:
@@ -530,7 +534,7 @@ class ContactFitter:
         return ContactFit(contact, before, self._vehicle), begin_us
 
     def _ticks(self, request: ContactRequest) -> Ticks:
-        """Return the readings, for each mode with the arms' vibration that belongs to it removed."""
+        """Return the readings; for each mode, the arms' vibration in this mode is removed."""
         arms, mass = self._vehicle.estimation.arm_vibration, self._vehicle.airframe.mass_kg
         tick_s, (nx, ny) = self._vehicle.imu.tick_s, request.normal
         t_us, force = np.array(request.sample_us), np.array(request.force_mission)
@@ -579,7 +583,7 @@ class ContactFitter:
         return Belief(c.k, c.f, c.mu, c.nu, sd, sd, sd, sd)
 
     def _likely_material(self, felt: Belief, mode: Mode) -> str | None:
-        """Return the material of the table that the coefficients fit best, or None if none does."""
+        """Return the configured material that the coefficients fit best, or None if they fit none."""
         spread2 = self._vehicle.estimation.walls.spread**2
 
         def misfit(name: str) -> float:
@@ -594,9 +598,9 @@ class ContactFitter:
 def _torque_peak(request: ContactRequest, fit: ContactFit, found: Hypothesis, mode: int) -> Array:
     """Return the largest torque, N m, FRD.
 
-    The largest of noisy samples is biased, and the mean over a tick lowers the top when the second guard
-    touches the wall. The model therefore gives the shape of the torque about the vertical. The samples near
-    its top give its size, and the remaining torque is smoothed.
+    The largest of many noisy samples is biased. A mean over a tick underestimates the peak that occurs when
+    the second guard touches the wall. The model therefore gives the shape of the torque about the vertical,
+    and the samples near its peak give the size. The remaining torque is smoothed.
     """
     torque, down = np.array(request.torque_frd), _down(request.q_frd_to_ned)
     model = fit.forces(fit.contact.ticks, found.theta[:, None], np.array([mode]), _FINE)[2][:, :, 0]
@@ -616,7 +620,7 @@ def _torque_peak(request: ContactRequest, fit: ContactFit, found: Hypothesis, mo
 
 
 def measure_incidence(frame_heading_rad: float, q: Quaternion, normal: Vec2) -> float:
-    """Return the angle of incidence of the edge nearest to a wall, rad, from attitude and normal."""
+    """Return the angle of incidence of the side nearest to a wall, rad, from attitude and wall normal."""
     seen = wrap_angle(frame_heading_rad - yaw_ned_of(q) - math.atan2(-normal[1], -normal[0]))
     return seen - _QUARTER * round(seen / _QUARTER)
 
@@ -634,12 +638,12 @@ def _down(q: Sequence[Quaternion]) -> Array:
 
 
 def _turned(normal: Array | float, along: Array | float, co: Array, so: Array) -> tuple[Array, Array]:
-    """Return the components along normal and tangent of a wall that is rotated counter-clockwise."""
+    """Return a vector's components along normal and tangent of a wall rotated counter-clockwise."""
     return normal * co - along * so, along * co + normal * so
 
 
 def _moved(theta: Array, step: Array) -> Array:
-    """Return the parameters after a step, within bounds: a factor at most halves or doubles."""
+    """Return the parameters after a step, within bounds: one step at most halves or doubles a factor."""
     moved = theta + step
     old = theta[_FACTORS]
     moved[_FACTORS] = np.clip(moved[_FACTORS], np.maximum(0.5 * old, _MIN_FACTOR), 2.0 * old)

@@ -9,16 +9,16 @@ recovery setpoint s. Along the normal, with PX4's loop of `core/mission/position
     x'' = -(k x + f x')/m + a - b x'
     a'  = (kv e + i - kd (a - b x') - a) / tau,      i' = ki e
 
-Along the wall, friction dominates: u' = -(mu/m) lx u is the motion by the contact law, and q its distance.
-The controller, which sees u (e = kp (s - q) - u), adds its push d to it:
+Along the wall, friction dominates. By the contact law alone the velocity u follows u' = -(mu/m) lx u, and q
+is the distance. The controller's error is e = kp (s - q) - u, and its thrust adds a velocity d:
 
     a' = (kv e + i - kd a - a) / tau,      i' = ki e
     d' = -(mu/m) lx d + a,                 velocity u + d
 
-lx along the wall, and so the peak of the friction force, is that of the contact law alone at the speed of the
-onset; the setpoint (`core/mission/recovery.py`) is a sum of the peaks. The normal part is therefore a
-constant matrix per material and mode, exact by the matrix exponential. The part along the wall needs only
-integrals of exp(-c (1 + xi')), by Gauss quadrature to about 1e-10.
+The normal force lx in these equations is that of the contact law alone at the speed of the onset, which also
+gives the peak of the friction force. The setpoint (`core/mission/recovery.py`) is a weighted sum of both
+peaks. The normal part is therefore a constant matrix per material and mode, exact by the matrix exponential.
+The part along the wall needs only integrals of exp(-c (1 + xi')), by Gauss quadrature to about 1e-10.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ _MIN_AFTER_PEAK_S = 0.008  # the detector needs two samples after the maximum
 
 
 class _Quadrature(NamedTuple):
-    """Gauss-Legendre rule on [0, 1], with the interpolating polynomial's integral to each node and to 1."""
+    """Gauss-Legendre rule on [0, 1] that also integrates from 0 to each of its nodes."""
 
     nodes: Array  # (J,)
     weights: Array  # (J,)
@@ -73,7 +73,7 @@ def _gauss(count: int) -> tuple[Array, Array]:
 
 
 def _lagrange(nodes: Array, at: Array) -> Array:
-    """Return the Lagrange polynomials of `nodes` at points of any shape: shape + (J,)."""
+    """Return the J Lagrange polynomials of `nodes` at points of any shape, as an array of shape + (J,)."""
     others = ~np.eye(nodes.size, dtype=bool)
     away = np.where(others, (at[..., None] - nodes)[..., None, :], 1.0)
     apart = np.where(others, nodes[:, None] - nodes, 1.0)
@@ -106,7 +106,10 @@ def expm(matrix: Array) -> Array:
 
 
 class NormalOut(NamedTuple):
-    """Motion along the normal, x from the plane: onset, force at the peak, and the state at the release."""
+    """Motion along the wall's normal: position at the onset, peak force, and state at the release.
+
+    Positions are distances from the wall's plane, metres.
+    """
 
     onset_m: Array
     peak_force_n: Array
@@ -118,7 +121,7 @@ class NormalOut(NamedTuple):
 
 
 class TangentialOut(NamedTuple):
-    """Motion along the wall, relative to the place of the onset; the friction force is signed."""
+    """Motion along the wall: state at the release relative to the onset, and signed friction force."""
 
     release_m: Array
     velocity: Array
@@ -129,10 +132,9 @@ class TangentialOut(NamedTuple):
 
 
 class TangentialShape(NamedTuple):
-    """The part of the motion along the wall that depends on the normal speed, per unit of each input.
+    """Factors of the motion along the wall per unit of each input, for given normal speeds; arrays (...,).
 
-    The inputs are the velocity at the onset (v), acceleration a, integral i and the recovery setpoint s;
-    arrays (...,).
+    The inputs are the velocity v, acceleration a and integral i at the onset, and the recovery setpoint s.
     """
 
     distance_to_peak: Array
@@ -147,13 +149,13 @@ class TangentialShape(NamedTuple):
 
 
 class ContactStage:
-    """One material in one mode with one pair of gains, prepared for many impacts.
+    """The contact model of one material in one mode with one pair of gains, prepared for many impacts.
 
     Attributes:
-        duration_s: of the contact; infinite if the vehicle stays at the wall.
-        peak_s: from the onset to the peak of the normal force.
-        engaged_s: from the onset to the recovery setpoint (at the latest at the release).
-        lead_s: f/k with the onset rule `lcp`, where x + lead * x' = 0 is the onset; 0 with `touch`.
+        duration_s: time from the onset to the release; infinite if the vehicle stays at the wall.
+        peak_s: time from the onset to the peak of the normal force.
+        engaged_s: time from the onset to the recovery setpoint, which comes no later than the release.
+        lead_s: f/k with the onset rule `lcp`, whose onset is at x + lead_s x' = 0; 0 with `touch`.
     """
 
     def __init__(
@@ -180,7 +182,7 @@ class ContactStage:
 
         Args:
             speed: normal velocity at the onset, m/s, < 0.
-            acceleration, integral: the controller's states at the onset, m/s2.
+            acceleration, integral: acceleration and velocity loop's integral at the onset, m/s2.
         """
         inputs = (speed, acceleration, integral)
         rows = [sum(c * v for c, v in zip(row, inputs, strict=True) if c != 0.0) for row in self._normal]
@@ -211,7 +213,7 @@ class ContactStage:
         """Return the motion along the wall.
 
         Args:
-            s: from `tangential_shape`; broadcasts with the other arguments.
+            s: result of `tangential_shape`; broadcasts with the other arguments.
             v: velocity along the wall at the onset, m/s.
             a, i: acceleration and integral of the controller at the onset, m/s2.
         """
@@ -245,7 +247,7 @@ def build_stages(
         table: contact coefficients.
         alphas: gains (A_n, A_t), m/N.
         drags: air drag along the normal, 1/s.
-        extra_delay_s: added to the expected delay between peak and setpoint.
+        extra_delay_s: time added to the expected delay between force peak and recovery setpoint.
     """
     onset, mass = Onset(vehicle.onset), vehicle.airframe.mass_kg
     stages = [ContactStage(c, mass, onset, pair) for c, pair in zip(table, alphas, strict=True)]
@@ -272,7 +274,7 @@ def build_stages(
 
 
 def _time_of_drop(course: Oscillation, peak: Array, end: Array, fraction: float) -> Array:
-    """Return the time at which the force has fallen by a fraction of its peak, in 1/omega."""
+    """Return the time at which the force has dropped by a fraction of its peak, in units of 1/omega."""
     finite = np.where(np.isfinite(end), end, 2.0 * peak + 1.0)
     level = (1.0 - fraction) * motion(course, peak)[0]
 
@@ -318,7 +320,7 @@ def _prepare_normal(stage: ContactStage, loop: PositionLoop, drag: float) -> Non
 
 
 class _Phases:
-    """Integration over the two phases of a contact, as matrices on the values at their nodes."""
+    """Integrals over both phases of a contact, as matrices on a function's values at J nodes per phase."""
 
     def __init__(self, first_s: float, second_s: float) -> None:
         rule = _quadrature()
@@ -327,7 +329,7 @@ class _Phases:
         self.weights = np.concatenate((first_s * rule.weights, second_s * rule.weights))
 
     def integral(self, decay: float) -> Array:
-        """Return (2 J + 1, 2 J): the integral of exp(-decay (s - r)) f(r) to every node and to the end."""
+        """Return a matrix (2 J + 1, 2 J): integrals of exp(-decay (s - r)) f(r) to every node and the end."""
         rule = _quadrature()
         parts = []
         for length in self.lengths:
@@ -343,7 +345,7 @@ class _Phases:
         return out
 
     def to_time(self, t_s: float) -> Array:
-        """Return (2 J,): the plain integral to a time in the first phase."""
+        """Return the row (2 J,) that integrates f without a decay up to a time in the first phase."""
         rule = _quadrature()
         share = t_s / self.lengths[0] if self.lengths[0] > 0.0 else 0.0
         values = _lagrange(rule.nodes, share * rule.sub_nodes)

@@ -1,7 +1,8 @@
-"""Impacts that a mission may plan: its own force limit, and the range covered by flights.
+"""Impacts that a mission may plan: the mission's own force limit, and the range that flights have covered.
 
-The limits of speed and force come from the sweep of docs/px4.md (acrylic and wood, both modes, 0.5 to 4 m/s)
-and its impacts with guards; those of incidence and height come from the flights of docs/results/body.md.
+The limits of speed and force come from the sweep in docs/px4.md (acrylic and wood, both modes, 0.5 to 4 m/s)
+and from its impacts with guards. The limits of incidence and height come from the flights in
+docs/results/body.md.
 """
 
 from __future__ import annotations
@@ -31,13 +32,13 @@ def full_scale_n(mission: Mission) -> float:
 
 
 def expected_force_n(mission: Mission, collision: Collision) -> float | None:
-    """Return the expected peak contact force of a collision (normal and friction together), newton."""
+    """Return a collision's expected peak force (normal and friction together), newton, or None."""
     hit = expected_hit(mission, collision)
     return None if hit is None else math.hypot(hit.peak_normal_force_n, hit.peak_friction_force_n)
 
 
 def impact_problem(mission: Mission) -> str | None:
-    """Return the reason why a mission must not be flown: an impact above its own limit; or None."""
+    """Return the reason not to fly a mission: an impact above the mission's force limit; otherwise None."""
     for collision in mission.collisions:
         force = expected_force_n(mission, collision)
         if force is not None and force > mission.limits.peak_force_n:
@@ -61,12 +62,12 @@ def clipping_warning(mission: Mission, collision: Collision) -> str | None:
         )
     return (
         f"{where}, at or beyond the accelerometer's full scale ({full_n:.0f} N): the measured force will be "
-        "a lower bound and PX4's estimate will be shaken (docs/px4.md)"
+        "a lower bound and PX4's estimate will be disturbed (docs/px4.md)"
     )
 
 
 def speed_warning(collision: Collision) -> str | None:
-    """Return a warning about an impact faster than any flown with a real PX4, or None."""
+    """Return a warning about an impact faster than every impact flown with a real PX4, or None."""
     velocity = impact_velocity(collision)
     if velocity is None or -velocity[0] <= FLOWN_UP_TO_M_S:
         return None
@@ -89,7 +90,7 @@ def incidence_deg(mission: Mission, collision: Collision) -> float:
 
 
 def max_incidence_deg(vehicle: VehicleConfig, mode: Mode) -> float:
-    """Return the largest incidence at which the mode holds and the impact was recovered, degrees."""
+    """Return the largest incidence, degrees, at which the arms keep the mode and flights have recovered."""
     arms = vehicle.airframe.incidence_rigid_deg if mode is Mode.FLEXIBLE else INCIDENCE_FLOWN_DEG
     return min(arms, INCIDENCE_FLOWN_DEG)
 
@@ -100,14 +101,14 @@ def incidence_warning(mission: Mission, collision: Collision) -> str | None:
     if planned <= most:
         return None
     return (
-        f"{_name(collision)} is met at an incidence of {planned:.0f} degrees, "
+        f"{_name(collision)} has an incidence of {planned:.0f} degrees, but "
         f"{collision.mode.value} arms tolerate {most:g}: "
-        "give it an approach of its own, which turns the vehicle parallel to the wall"
+        "give the collision its own approach, which turns the vehicle parallel to the wall"
     )
 
 
 def heights_flown_m(normal_m_s: float) -> tuple[float, float]:
-    """Return the largest flown distances of the guards below and above the centre of mass, m."""
+    """Return the largest distances of guards below and above the centre of mass that were flown, m."""
     fits = (heights for speed, *heights in HEIGHTS_FLOWN_M if normal_m_s <= speed)
     below, above = next(fits, HEIGHTS_FLOWN_M[-1][1:])
     return below, above
@@ -125,7 +126,7 @@ def height_warning(mission: Mission, collision: Collision) -> str | None:
     where = "below" if height < 0.0 else "above"
     return (
         f"{_name(collision)} at {-velocity[0]:.2g} m/s with guards {abs(height):g} m {where} the centre of "
-        f"mass may turn the vehicle over: {below:g} m below to {above:g} m above it was flown "
+        f"mass may turn the vehicle over: flights covered {below:g} m below to {above:g} m above it "
         "(docs/results/body.md)"
     )
 

@@ -7,9 +7,9 @@ reached, i the velocity loop's integral, b the air drag and the gains of `core/m
     a' = (kv (-kp p - v) + i - kd v' - a) / tau
 
 This is linear with constant coefficients, so the state at any time is exp(A t) times the initial state. One
-matrix product gives the positions of all candidates on a grid of times. An event is bracketed on that grid
-and found by Newton's method on the exact solution about its grid point: the Taylor series of the matrix
-exponential, which is exact to rounding at half a grid step. There is no stepping through time.
+matrix product gives the positions of all candidates on a grid of times. The grid brackets an event. Newton's
+method then finds the event in the solution about that grid point, the Taylor series of the matrix
+exponential, whose error at half a grid step is only rounding. The model does not step through time.
 """
 
 from __future__ import annotations
@@ -36,7 +36,12 @@ _SINGLE_M = 1e-4  # well above the rounding of single precision
 
 
 class SetpointResponse(NamedTuple):
-    """Initial states of a flight to a constant setpoint; arrays (4, n): p, v, a, i, and (n,)."""
+    """Flights of n candidates, each to a constant setpoint.
+
+    Attributes:
+        x, y: initial states (4, n) along each axis: p relative to the setpoint, v, a, i.
+        goal_x, goal_y: setpoints (n,), mission frame, m.
+    """
 
     x: Array
     y: Array
@@ -56,7 +61,7 @@ class SetpointResponse(NamedTuple):
 class GridWindow(NamedTuple):
     """Positions (mission frame, m) and velocities on a part of the time grid; arrays (n, times).
 
-    Single precision (1e-6 m) suffices, because they only bracket events and are compared with constraints.
+    Single precision (1e-6 m) suffices to bracket events and to check constraints.
     """
 
     times: Array
@@ -80,7 +85,7 @@ def loop_matrix(loop: PositionLoop, drag_per_s: float) -> Array:
 
 
 class _Axis:
-    """Tables of one axis."""
+    """The loop's solution along one axis, tabulated over the time grid."""
 
     def __init__(self, matrix: Array, count: int) -> None:
         self.matrix = matrix
@@ -100,7 +105,7 @@ class _Axis:
 
 
 class FreeFlight:
-    """The loop of one vehicle, tabulated for a horizon.
+    """The position loop of one vehicle, tabulated up to a longest time of flight.
 
     Args:
         vehicle: gains and drag.
@@ -118,7 +123,7 @@ class FreeFlight:
         )
 
     def grid(self, leg: SetpointResponse) -> Grid:
-        """Return the leg on the time grid."""
+        """Return the leg, prepared for evaluation on the time grid."""
         x, y = (np.ascontiguousarray(z.T, dtype=np.float32) for z in (leg.x, leg.y))
         goals = (leg.goal_x[:, None].astype(np.float32), leg.goal_y[:, None].astype(np.float32))
         return Grid(self, x, y, *goals)
@@ -146,7 +151,7 @@ class FreeFlight:
 
 
 class Grid(NamedTuple):
-    """Legs prepared for the time grid: initial states (n, 4) and setpoints (n, 1)."""
+    """Legs of n candidates on the time grid, from initial states (n, 4) to setpoints (n, 1)."""
 
     flight: FreeFlight
     x: Array32
@@ -181,7 +186,7 @@ class Grid(NamedTuple):
 
 
 class SeriesSolution:
-    """Solutions about a time of each candidate, as power series in the time from it."""
+    """Solutions near one time per candidate, as power series in the difference from that time."""
 
     def __init__(self, flight: FreeFlight, leg: SetpointResponse, times: Array, zx: Array, zy: Array) -> None:
         ax, ay = flight.axes
@@ -200,7 +205,7 @@ class SeriesSolution:
         return direction[0] * self.x + direction[1] * self.y
 
     def leg_at(self, d: Array) -> SetpointResponse:
-        """Return the states at a time `d` from the grid point, towards the same setpoints."""
+        """Return the states a time `d` after the grid point, with the same setpoints."""
         states = []
         for axis, z in zip(self._flight.axes, (self._zx, self._zy), strict=True):
             terms = (axis.series.reshape(-1, 4) @ z).reshape(_ORDER + 1, 4, -1)
@@ -245,7 +250,7 @@ def _with_curvature(coefficients: Array, d: Array) -> tuple[Array, Array, Array]
 
 
 def first_crossing(position: Array, lead_s: float, low: float, high: float) -> Array:
-    """Return where x + lead x' falls through 0, for position series (order + 1, n), in [low, high] s."""
+    """Return the time in [low, high] s at which x + lead x' falls through 0; x: series (order + 1, n)."""
     g = position
     if lead_s:
         g = position.copy()
@@ -267,8 +272,8 @@ def closest(
 ) -> tuple[Array, Array, tuple[Array, Array, Array, Array]]:
     """Return the closest approach to a point near the grid point, for position series (order + 1, n).
 
-    It is the smallest distance over [low, high]: a grid step to either side, or 0 on a side where the flight
-    begins or ends.
+    The search covers the times [low, high] from the grid point: one grid step to either side, or 0 on a side
+    where the flight begins or ends.
 
     Returns:
         Time from the grid point, distance, and position and velocity there (x, y, vx, vy), each (n,).

@@ -14,8 +14,8 @@ def quintic(begin: Array | Sequence[Array | float], end: Sequence[Array | float]
     """Return coefficients (6, n) of the polynomials from one (position, velocity, acceleration) to another.
 
     Args:
-        begin, end: numbers, or arrays (n,).
-        duration_s: (n,).
+        begin, end: position, velocity and acceleration; each a number or an array (n,).
+        duration_s: durations, array (n,).
     """
     p, v, a = begin
     q, w, b = end

@@ -34,6 +34,6 @@ def frame_problem(mission: Mission, source: PositionSource) -> str | None:
     if source is PositionSource.MOCAP or not surveyed:
         return None
     return (
-        "with GPS, PX4's local origin is where it was powered on, so surveyed coordinates do not "
+        "with GPS, PX4's local origin is where PX4 was powered on, so surveyed coordinates do not "
         "apply; use frame: {origin: takeoff}"
     )

@@ -1,7 +1,7 @@
 """The predicted path of a mission: the planner's flight model from start to goal, for `check` and the report.
 
-A mission file contains the approach and the gains, not the path. The path follows from them by the model that
-chose them (`planning.rollout`).
+A mission file contains the approach and the gains, not the path. The path is computed from both, by the model
+with which `plan` has chosen them (`planning.rollout`).
 """
 
 from __future__ import annotations
@@ -39,9 +39,9 @@ class PredictedImpact(NamedTuple):
     """A predicted impact.
 
     Attributes:
-        position: of the vehicle's centre at the onset, mission frame.
+        position: position of the vehicle's centre at the onset, mission frame.
         normal_m_s, tangential_m_s: velocity at the onset, collision frame.
-        normal_n, tangential_n: peaks of the force; friction as a force along the wall's tangent.
+        normal_n, tangential_n: peak of the normal force, and peak of the friction along the wall's tangent.
         setpoint: recovery setpoint, mission frame.
     """
 
@@ -59,10 +59,10 @@ class PredictedFlight(msgspec.Struct):
     Attributes:
         approaches: straight lines by the index of the next collision, mission frame, metres: previous resting
             position (if known and different), run-up point, impact.
-        legs: arrays (n, 4) of x, y, vx, vy by collision index (0: a trajectory from rest at the start to the
-            goal), from the onset over the release to the next onset, or to the closest approach to the goal.
-            The velocity at the onset itself is given as 0.
-        hits: impacts by collision index; without those that the model does not reach.
+        legs: arrays (n, 4) of x, y, vx, vy by collision index. A leg lasts from the onset over the release to
+            the next onset or to the closest approach to the goal. Index 0 is a trajectory from rest at the
+            start to the goal. The velocity at the onset itself is given as 0.
+        hits: impacts by collision index, except impacts that the model does not reach.
         goal_miss_m: closest approach to the goal after the last contact; None if not reached.
         walls: drawn positions of the walls that the mission declares uncertain.
     """
@@ -89,7 +89,8 @@ def predicted_segments(mission: Mission, hits: Mapping[int, PredictedImpact]) ->
 
     Args:
         mission: the mission to be flown.
-        hits: predicted impacts. The begin of a segment after any other hit stays None.
+        hits: predicted impacts by collision index. A segment after a collision without a predicted impact
+            has None as its beginning.
     """
     found = []
     ends = {w.name: w.after for w in mission.waypoints}
@@ -109,7 +110,7 @@ def describe_goal_miss(
 ) -> str:
     """Describe the miss distance at the goal, and the capture radius."""
     if along_trajectory:
-        return f"flown to along a trajectory, to rest there (capture radius {goal.capture_radius_m:g} m)"
+        return f"reached at rest, along a trajectory (capture radius {goal.capture_radius_m:g} m)"
     text = f"passes the goal at {miss_m:.2f} m (capture radius {goal.capture_radius_m:g} m)"
     if after_impact is AfterImpact.REPLAN:
         return (
@@ -122,7 +123,8 @@ def describe_goal_miss(
 def predict_mission(mission: Mission) -> PredictedFlight:
     """Predict the path that follows from the mission's approaches, modes and gains.
 
-    The path ends where the model does not reach the next wall. A rehearsal has approaches only.
+    The path ends after the impact from which the model does not reach the next wall. A rehearsal has
+    approaches only.
     """
     return flights_with(mission, [None])[0]
 
@@ -155,7 +157,7 @@ def flights_with(mission: Mission, draws: Sequence[UncertaintyDraw | None]) -> l
 def _add_prediction(
     planned: PredictedFlight, group: Sequence[Collision], flight: FreeFlight, arrivals: Arrivals, last: bool
 ) -> None:
-    """Add the prediction that follows from one approach; `last`: the goal is next."""
+    """Add the prediction that follows from one approach; `last`: the goal follows its last impact."""
     for i, (collision, hit) in enumerate(zip(group, arrivals.hits, strict=True)):
         planned.hits[collision.index] = PredictedImpact(
             position=(float(hit.x[0]), float(hit.y[0])),
@@ -227,7 +229,7 @@ def _groups(collisions: Sequence[Collision]) -> list[list[Collision]]:
 def _fly(
     mission: Mission, group: Sequence[Collision], draws: Sequence[UncertaintyDraw | None]
 ) -> tuple[FreeFlight, Vec2, list[Arrivals | None]]:
-    """Return one approach's flight, run-up point and arrivals per draw; None where it fails."""
+    """Return one approach's flight model, run-up point, and arrivals per draw (None if the draw fails)."""
     task = make_task(mission, group)
     flight = new_flight(task)
     rollout = _rollout(task, flight)
@@ -246,7 +248,7 @@ def _fly(
 
 
 def _rename_walls(draw: UncertaintyDraw | None, group: Sequence[Collision]) -> UncertaintyDraw | None:
-    """Return a draw with its walls renamed to the task's names, where every collision has its own wall."""
+    """Return a draw with its walls renamed to those of the task, which has one wall per collision."""
     if draw is None:
         return None
     places = {
@@ -258,7 +260,7 @@ def _rename_walls(draw: UncertaintyDraw | None, group: Sequence[Collision]) -> U
 
 
 def _rollout(task: MissionTask, flight: FreeFlight, walls: Mapping[str, Wall] | None = None) -> Rollout:
-    """Return the rollout of a task's only candidate; `walls` are those that differ from the approach's."""
+    """Return the rollout of a task's only candidate; `walls` replace those assumed by the approach."""
     sequence = tuple(task.walls)
     if walls is None:
         return Rollout(task, sequence, flight, None, keep_hits=True)

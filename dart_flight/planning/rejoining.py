@@ -1,11 +1,11 @@
 """Trajectories from the state after an impact back to the trajectory that was planned before the flight.
 
-Each is the planned trajectory, from some time on and possibly slower, plus a polynomial of fifth order per
-axis. The polynomial starts with the deviation of the vehicle's state and vanishes, with two derivatives, some
-time before the trajectory's end. This keeps the optimised shape, end and final velocity, while the additional
-accelerations stay small. Before a wall the last tenths of a second are those of the plan, apart from the
-wall's place and the wanted lean: a correction until the very end would leave the vehicle rotating at the
-impact.
+Each rejoining trajectory is the planned trajectory, begun at a later time and possibly slower, plus a
+fifth-order polynomial per axis. The polynomial starts with the deviation of the vehicle's state from the
+plan. Some time before the trajectory's end, the polynomial and two derivatives reach zero. This keeps the
+optimised shape, the end and the final velocity, with small additional accelerations. In the last tenths of a
+second before a wall the trajectory differs from the plan only by the wall's estimated place and the wanted
+lean. A correction until the very end would leave the vehicle rotating at the impact.
 """
 
 from __future__ import annotations
@@ -34,18 +34,18 @@ _SETTLED_SHARE = 0.3  # largest share of a trajectory
 
 
 class RejoiningTrajectories(NamedTuple):
-    """Trajectories back to a planned one; n of them, at k times each.
+    """The n candidate trajectories back to a planned trajectory, sampled at k times each.
 
     Attributes:
-        planned: the trajectory.
-        shares: (k,) the times, as shares of each duration.
+        planned: the planned trajectory.
+        shares: (k,) sampling times, as shares of each duration.
         from_s, slower, duration_s: (n,) starting time on the planned trajectory, factor on its duration, and
-            duration.
-        settled_s: (n,) time from the beginning at which each equals the planned one again.
-        added: (2, n, 6) coefficients of the added polynomials until then, constant term first.
-        kept: (2, n, 6) coefficients of the added polynomials afterwards, about `settled_s`: displacement and
-            acceleration of the end.
-        position, velocity, acceleration, jerk: (2, n, k), mission frame.
+            duration of the candidate.
+        settled_s: (n,) time from the candidate's beginning until it equals the plan again.
+        added: (2, n, 6) coefficients of the added polynomials before `settled_s`, constant term first.
+        kept: (2, n, 6) coefficients of the added polynomials after `settled_s`, in the time since
+            `settled_s`. They give the displacement and acceleration of the end.
+        position, velocity, acceleration, jerk: (2, n, k) samples, mission frame.
     """
 
     planned: Trajectory
@@ -100,12 +100,12 @@ def candidate_trajectories(
     """Return the candidate trajectories back to a planned trajectory.
 
     Args:
-        planned: with several pieces.
+        planned: planned trajectory of one or more polynomial pieces.
         start: initial position, velocity and acceleration per axis; mission frame.
-        moved: displacement of the end from the plan, m.
-        pushed: difference of the final acceleration from the plan, m/s2.
-        settled_s: time before the end in which the trajectory equals the plan apart from these two; a short
-            trajectory has less.
+        moved: final position minus the planned one, m.
+        pushed: final acceleration minus the planned one, m/s2.
+        settled_s: time before the end during which the trajectory differs from the plan only by `moved` and
+            `pushed`; less for a short trajectory.
     """
     tried = [
         (begin, slower)

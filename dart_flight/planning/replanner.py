@@ -2,11 +2,11 @@
 
 The replanner uses the contact stages and constraints of `plan` (`contact_stage`, `constraints`). It chooses a
 trajectory: one fifth-order polynomial per axis. The trajectory begins in the state that the vehicle will have
-when the answer arrives. It ends at the next wall with the planned velocity, or at rest at the goal. The
-replanner tries durations and places along the wall and discards the trajectories that violate a constraint.
-It prefers trajectories that are quick, gentle and near the planned place. A mission may have a trajectory of
-its own (`trajectory`, `goal_trajectory`). The replanner then first tries to lead the vehicle back to it with
-an added polynomial (`planning.rejoining`).
+when the core receives the answer. It ends at the next wall with the planned velocity, or at rest at the goal.
+The replanner tries durations and places along the wall and discards the trajectories that violate a
+constraint. It prefers trajectories that are quick, gentle and near the planned place. A mission may have a
+trajectory of its own (`trajectory`, `goal_trajectory`). The replanner then first tries to lead the vehicle
+back to it with an added polynomial (`planning.rejoining`).
 
 A `WallEstimate` replaces the wall's configured coefficients and its planned plane. No other state is kept
 between requests, so an answer follows from the log. A collision that is approached from rest keeps its
@@ -71,7 +71,7 @@ _OFF_PLACE_S = 1.0  # cost of a contact as far from the planned place as the mis
 
 
 class _EndStates(NamedTuple):
-    """End states of polynomials, arrays (n,): position, velocity, duration, cost added to the duration."""
+    """End states of n candidate polynomials: position, velocity, duration, and cost added to the duration."""
 
     x: Array
     y: Array
@@ -127,7 +127,7 @@ class Replanner:
         self._planned_m_s3 = min(_JERK_M_S3, limits.jerk_m_s3 or math.inf)
 
     def update_wall(self, felt: WallEstimate) -> None:
-        """Store a wall estimate; its coefficients count only if mode and fit are valid."""
+        """Store a wall estimate; use its coefficients only if its mode and fit are valid."""
         self._survey.add_estimate(felt, self._walls[felt.wall])
         mode = felt.mode_felt or felt.mode_reported
         if mode is not None and not felt.problem:
@@ -250,7 +250,7 @@ class Replanner:
         return None
 
     def _thrust_off(self, wall: Wall, written: Trajectory) -> float:
-        """Return the thrust off a wall at the end of the mission's trajectory to it, m/s2."""
+        """Return the acceleration off a wall at the end of the mission's trajectory to this wall, m/s2."""
         end = written.at(written.duration_s)
         drag_n, _ = drag_along(wall, self._mission.vehicle.airframe.drag_per_s)
         return wall.to_collision(end.acceleration)[0] + drag_n * wall.to_collision(end.velocity)[0]
@@ -276,7 +276,10 @@ class Replanner:
     def _to_wall(
         self, request: PlanRequest, collision: Collision, velocity: Vec2, straight_s: float
     ) -> _EndStates:
-        """Return end states `straight_s` before the wall, at a velocity in its collision frame."""
+        """Return end states from which the vehicle flies straight for `straight_s` to the wall.
+
+        `velocity` is (normal, tangential) in the wall's collision frame.
+        """
         wall = self._survey.known_wall(collision.wall, request.t_us)
         vx, vy, _ = wall.from_collision((*velocity, 0.0))
         place = wall.foot(impact_place(collision, self._planned))
@@ -356,7 +359,7 @@ class Replanner:
         )
 
     def _within_limits(self, x: Array, y: Array, duration_s: Array) -> tuple[Rows, Array]:
-        """Return the rows of the trajectories within the limits, and the greatest tilt share of each."""
+        """Return the rows of the trajectories within the limits, and their largest tilt over its limit."""
         times = duration_s[:, None] * np.linspace(0.0, 1.0, _PUSH_SAMPLES)
         push = np.hypot(_derivative(x, times, 2), _derivative(y, times, 2)).max(axis=1)
         rows = np.flatnonzero(push <= self._planned_m_s2)
@@ -366,8 +369,9 @@ class Replanner:
     def _obstacles(self, start: tuple[Array, Array], now_us: int) -> list[Wall]:
         """Return the known walls, for a trajectory from (position, velocity, acceleration) in x and y.
 
-        The vehicle may start slightly inside the plane of the wall that it has just left. Flexible arms
-        release while still compressed, and a wall's place is uncertain. Such a wall is moved to the vehicle.
+        The vehicle may start slightly behind the plane of the wall that it has just left, because flexible
+        arms release while still compressed and a wall's place is uncertain. The plane of such a wall is
+        shifted back to the vehicle.
         """
         place = (float(start[0][0]), float(start[1][0]))
         walls = []
@@ -415,7 +419,7 @@ class Replanner:
 
 
 def _leans_in_late(rejoining: RejoiningTrajectories, wall: Wall) -> Array:
-    """Return how far the final jerk into the wall exceeds its limit, in steps, for each trajectory."""
+    """Return by how many steps of `_LEANS_IN_STEP_M_S3` each final jerk into the wall exceeds its limit."""
     (nx, ny), (jx, jy) = wall.normal, rejoining.jerk[:, :, -_LAST:]
     too_fast = np.max(-(nx * jx + ny * jy), axis=1, initial=0.0) - _LEANS_IN_M_S3
     steps: Array = np.maximum(np.ceil(too_fast / _LEANS_IN_STEP_M_S3), 0.0)
@@ -423,7 +427,7 @@ def _leans_in_late(rejoining: RejoiningTrajectories, wall: Wall) -> Array:
 
 
 def _straights(slack: float) -> list[tuple[float, float]]:
-    """Return times of straight flight before a plane, each with its multiple of the slack; best first."""
+    """Return pairs to try, best first: time of straight flight before a plane, and multiple of the slack."""
     if slack <= 0.0:
         return [(s, 0.0) for s in _STRAIGHT_S]
     return [(s, 1.0) for s in _STRAIGHT_S] + [(_STRAIGHT_S[-1], 0.0)]

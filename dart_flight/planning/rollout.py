@@ -1,8 +1,8 @@
 """The flight of many candidates through one sequence of walls: approach, contact, recovery, ..., goal.
 
-All candidates of a sequence, in any modes, are computed together, one leg after the other: few long arrays
-instead of many short ones. Candidates that fail are removed and counted by reason. Approaches and contacts
-are in `approach_grid` and `contact_stage`, the flights between them in `flight_model`.
+All candidates of a sequence, in all modes, are computed together, one leg after the other, in few long arrays
+instead of many short ones. Candidates that fail are removed and counted by reason. Approaches are computed by
+`approach_grid`, contacts by `contact_stage`, and the flights between contacts by `flight_model`.
 """
 
 from __future__ import annotations
@@ -49,16 +49,16 @@ Stages = dict[tuple[str, Mode], ContactStage]
 
 
 class Hits(NamedTuple):
-    """One collision of candidates; arrays (n,).
+    """The same collision of n candidates; arrays (n,).
 
     Attributes:
         wall: the wall.
-        t_s: onset, from the start of the run-up.
+        t_s: time from the start of the run-up to the onset.
         x, y: position at the onset, mission frame.
         normal_m_s, tangential_m_s: velocity at the onset, collision frame.
         normal_n, tangential_n: peaks of the force.
-        duration_s: of the contact.
-        leg: state at the release.
+        duration_s: duration of the contact.
+        leg: state at the release, and recovery setpoint.
     """
 
     wall: Wall
@@ -74,7 +74,7 @@ class Hits(NamedTuple):
 
     @property
     def peak_force_n(self) -> Array:
-        """Peak of normal force and friction together."""
+        """Peak of the contact force, normal force and friction together, newton."""
         return np.hypot(self.normal_n, self.tangential_n)
 
     def select(self, rows: Rows | NDArray[np.bool_]) -> Hits:
@@ -87,9 +87,9 @@ class Arrivals(NamedTuple):
 
     Attributes:
         rows: index of the approach.
-        modes: of each collision.
-        miss_m: closest approach to the goal after the last contact.
-        t_s: time of it, from the start of the run-up.
+        modes: mode of each collision, the same for all candidates.
+        miss_m: smallest distance to the goal after the last contact.
+        t_s: time from the start of the run-up to that closest approach.
         force_n: largest peak force of all collisions.
         x, y, vx, vy: state at the closest approach.
         hits: the collisions, if requested.
@@ -151,7 +151,7 @@ def _concatenate_legs(legs: list[SetpointResponse]) -> SetpointResponse:
 
 
 class UncertaintyDraw(NamedTuple):
-    """One draw of the uncertain quantities: factors per (wall, mode), offsets, and true walls."""
+    """One draw of the uncertain quantities: coefficient factors, offsets of the approach, and true walls."""
 
     factors: dict[tuple[str, Mode], tuple[float, float, float]]  # of k, f, mu
     normal_m_s: float
@@ -194,9 +194,9 @@ class Rollout:
         task: walls, goal, limits.
         sequence: names of the walls in the order of the impacts.
         flight: the loop's tables, shared between rollouts.
-        constraints: None lets every candidate fly to its end without limits (for comparisons).
+        constraints: constraints of the task; None: every candidate flies to its end (for comparisons).
         keep_hits: whether arrivals contain their collisions.
-        approached: the first wall as assumed by the approach, if the task's walls differ.
+        approached: first wall as the approach assumes it; None: as in the task.
     """
 
     def __init__(
@@ -231,8 +231,8 @@ class Rollout:
         Args:
             stages: contact stages of this draw.
             normal, tangential: planned velocities; arrays that broadcast with each other.
-            grid: from `approach` for them.
-            draw: offsets of the approach.
+            grid: result of `approach` for these velocities.
+            draw: draw with the offsets of the approach; None: nominal.
         """
         firsts = [self._first(stages, i, normal, tangential, grid, draw) for i in range(len(self.task.modes))]
         fronts = [front for front in firsts if front is not None]
@@ -255,7 +255,7 @@ class Rollout:
         return stays
 
     def _refuse_all(self, reason: Refusal, count: int, collision: int) -> None:
-        """Count candidates that are physically impossible, with or without constraints."""
+        """Count candidates that are impossible even without constraints."""
         self.refused[CODE[reason]] += count * self._weight(collision)
 
     # -- first collision --
@@ -322,7 +322,7 @@ class Rollout:
         out: tuple[NormalOut, TangentialOut],
         before: tuple[Rows, Rows, Array, Array, tuple[Hits, ...]],
     ) -> _Released | None:
-        """Continue from contact `number` into the next leg; remove recoveries that exceed the limits."""
+        """Return the candidates released from contact `number`, without recoveries that exceed the limits."""
         (n, t), (nx, ny), (tx, ty) = out, wall.normal, wall.tangent
         rows, modes, time, force, hits = before
 
@@ -359,7 +359,7 @@ class Rollout:
     # -- to the next wall --
 
     def _next(self, stages: Stages, front: _Released, wall: Wall, number: int) -> list[_Released]:
-        """Compute collision `number`; return a front for every possible mode."""
+        """Compute collision `number`; return the released candidates, one group per possible mode."""
         index, order = self._search_wall(front, wall, number - 1)
         if order.size == 0:
             return []
@@ -384,7 +384,7 @@ class Rollout:
     def _reached_codes(
         self, front: _Released, wall: Wall, mode: int, impact: SetpointResponse, after: Array
     ) -> NDArray[np.int8] | None:
-        """Return codes of vehicle, lock and detector at the wall; `mode` is an index of the task's modes."""
+        """Return codes of the checks of vehicle, lock and detector at the wall, for a mode's index."""
         if self.constraints is None:
             return None
         codes = np.zeros(after.size, dtype=np.int8)
@@ -401,7 +401,7 @@ class Rollout:
         return codes
 
     def _search_wall(self, front: _Released, wall: Wall, number: int) -> tuple[Rows, Rows]:
-        """Return the grid index just behind the plane and the candidates that reach it, after `number`."""
+        """Return the first grid index behind the wall's plane, and the candidates that reach the plane."""
         (nx, ny), (px, py) = wall.normal, wall.point
         offset = nx * px + ny * py
         live = np.arange(front.leg.size)
@@ -475,7 +475,7 @@ class Rollout:
     # -- to the goal --
 
     def _arrive(self, front: _Released) -> list[Arrivals]:
-        """Return the closest approaches by the executive's rule for a passed goal, per sequence of modes."""
+        """Return the closest approaches to the goal per sequence of modes, by the executive's rule."""
         index, order = self._search_goal(front)
         arrived = front.select(order)
         near = self.flight.near(arrived.leg, index)
@@ -498,7 +498,7 @@ class Rollout:
         return arrivals
 
     def _search_goal(self, front: _Released) -> tuple[Rows, Rows]:
-        """Return the grid index of the smallest distance before its rise is detected, and the rows."""
+        """Return the grid index of the first detected minimum of the distance to the goal, and its rows."""
         live = np.arange(front.leg.size)
         grid = self.flight.grid(front.leg)
         best = np.full(live.size, math.inf, dtype=np.float32)
@@ -551,11 +551,14 @@ def _actual_approach(
     tangential: Array,
     shift: tuple[float, float],
 ) -> tuple[ApproachGrid, Array, Array, float, float]:
-    """Return the approaches to a wall that differs from the planned one: place, time and velocity of impact.
+    """Return the impacts of planned approaches on a wall that differs from the planned wall.
 
-    Velocities and their offsets are converted from the planned wall's frame to the true one's. Recovery
-    setpoints are then those of the true frame: the force is a vector, and only gains that differ per axis
-    distinguish the frames.
+    Velocities and their offsets are converted from the planned wall's frame to the true wall's frame.
+    Recovery setpoints then refer to the true frame. This matters only if the gains of the axes differ,
+    because the force is a vector.
+
+    Returns:
+        Approaches, normal and tangential velocity (arrays), and the draw's offsets of both, true frame.
     """
     (nx, ny), (tx, ty) = wall.normal, wall.tangent
     (ox, oy), (sx, sy) = planned.normal, planned.tangent
@@ -582,7 +585,7 @@ def _actual_approach(
 
 
 def _along(direction: Vec2, x: NDArray[Any], y: NDArray[Any]) -> NDArray[Any]:
-    """Return the component along a direction, omitting the zero term of an axis."""
+    """Return the component along a direction; skip the term of an axis whose share is zero."""
     nx, ny = x.dtype.type(direction[0]), y.dtype.type(direction[1])
     along: NDArray[Any] = x * nx if ny == 0.0 else y * ny if nx == 0.0 else x * nx + y * ny
     return along

@@ -1,13 +1,13 @@
 """A room measured by touch: a star of probes from the start, and the outline that their contacts form.
 
-At a contact the body touches a wall: an octagon of known size at a known heading. The body's reach h towards
-the wall depends on the wall's direction, so contacts at places c_i are on one wall with the normal n if
+The body that touches a wall is an octagon of known size at a known heading. Its reach h towards the wall
+depends on the wall's direction. Contacts at places c_i are therefore on one wall with the normal n if
 
     c_i . n - h_i(n) = offset        for all of them
 
-This holds for any incidence. Neighbouring contacts are assigned to as few walls as explain them, and
-consecutive walls intersect in the corners. If a wall rests on a single contact, or a corner is not between
-its walls, another probe is flown there.
+This holds for any incidence. The fit uses as few walls as explain all contacts, each with contacts in
+neighbouring directions. Consecutive walls intersect in the corners. If a wall has only one contact, or a
+corner does not lie between the contacts of its walls, another probe is needed in that direction.
 """
 
 from __future__ import annotations
@@ -39,10 +39,10 @@ class RoomContact(NamedTuple):
     """A contact: position of the vehicle's centre, heading, and measured direction of the wall.
 
     Attributes:
-        place: mission frame, metres.
-        heading_rad: of the body, mission frame; that of the probe.
-        normal_rad: direction of the wall's normal from the contact itself; None if not measured.
-        sd_rad: its standard deviation.
+        place: position of the vehicle's centre at the contact, mission frame, metres.
+        heading_rad: heading of the body during the probe, mission frame.
+        normal_rad: direction of the wall's normal as measured by this contact; None if not measured.
+        sd_rad: standard deviation of `normal_rad`.
     """
 
     place: Vec2
@@ -56,7 +56,7 @@ class RoomWall(NamedTuple):
 
     Attributes:
         normal_rad: direction of n, mission frame.
-        offset_m: of the surface.
+        offset_m: component along n of every point c of the surface.
         offset_sd_m, normal_sd_rad: standard deviations.
         touches: contacts with the wall.
     """
@@ -78,7 +78,8 @@ class Room(NamedTuple):
 
     Attributes:
         walls: counter-clockwise, as seen from the start.
-        corners: corner of each wall's surface with the next one; None if they do not intersect between them.
+        corners: intersection of each wall's surface with the next one's; None if it is not between the
+            contacts of both walls.
         gaps_rad: directions from the start that need more probes; empty if the outline is closed.
     """
 
@@ -96,7 +97,7 @@ def plan_star(mission: Mission, directions_rad: Sequence[float], speed_m_s: floa
     """Return the mission with a probe from its start in each direction, up to its bounds.
 
     Raises:
-        InputError: the mission does not permit them.
+        InputError: the mission does not permit the probes.
     """
     probes = []
     for k, angle in enumerate(directions_rad):
@@ -126,9 +127,9 @@ class RoomFit:
     """Estimates walls from contacts.
 
     Args:
-        start: inside the room, mission frame, metres.
-        touches: in any order.
-        along_m, out_m: position of the guards: beside the middle of a side, and ahead (`airframe`).
+        start: a point inside the room, mission frame, metres.
+        touches: contacts in any order.
+        along_m, out_m: distance of a guard from the middle of its side, and from the centre to the side.
     """
 
     def __init__(self, start: Vec2, touches: Sequence[RoomContact], along_m: float, out_m: float) -> None:
@@ -169,7 +170,7 @@ class RoomFit:
         return self._closed(walls)
 
     def _partition(self, order: list[int]) -> tuple[float, list[list[int]]]:
-        """Return the contiguous groups with the lowest cost, by dynamic programming."""
+        """Return the lowest cost and its groups of neighbouring contacts, by dynamic programming."""
         n = len(order)
         cost: list[float] = [0.0] + [math.inf] * n
         back = [0] * (n + 1)
@@ -188,7 +189,7 @@ class RoomFit:
         return cost[n], groups[::-1]
 
     def _misfit(self, group: list[int]) -> tuple[float, int, float]:
-        """Return squared deviations, index of the normal's direction and offset of a group's best wall."""
+        """Return a group's best wall: squared deviations, index of the normal's direction, and offset."""
         offsets = self._offsets[group]
         middle = offsets.mean(axis=0)
         off = offsets - middle
@@ -250,8 +251,8 @@ def contacts_from_walls(walls: Sequence[Any], directions_rad: Sequence[float]) -
     """Return the contacts of a flight that `plan_star` planned in these directions.
 
     Args:
-        walls: `MeasuredWall`s of its verdict.
-        directions_rad: of its probes, mission frame.
+        walls: `MeasuredWall`s of the flight's verdict.
+        directions_rad: directions of the flight's probes, mission frame.
     """
     found = []
     for wall in walls:

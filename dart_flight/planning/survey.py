@@ -1,8 +1,8 @@
 """A mission that measures the walls of another mission by touching them.
 
-Probes touch every wall twice (docs/walls.md): first rigid, along the assumed normal; then along the measured
-normal, in the mode of the mission's impact, because a contact at large incidence does not measure the
-direction well. The nearest wall with a clear path comes first.
+Probes touch every wall twice (docs/walls.md). The first contact is rigid, along the assumed normal. The
+second is along the measured normal, in the mode of the mission's impact, because a contact at large incidence
+does not measure the wall's direction well. The nearest wall with a clear path comes first.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _PLACE_SD_M, _YAW_SD_DEG = 0.1, 3.0  # for walls without configured deviations
 
 
 class SurveyPlan(NamedTuple):
-    """A mission that touches walls, and the names of unreachable walls, each with the reason."""
+    """A mission that touches walls, and the reason for each unreachable wall, by the wall's name."""
 
     mission: Mission
     unreachable: dict[str, str]
@@ -36,8 +36,8 @@ def plan_survey(mission: Mission, speed_m_s: float = _SPEED_M_S) -> SurveyPlan:
     """Return the mission that touches the walls of another one.
 
     Args:
-        mission: mission whose flat walls are measured; start, bounds, limits and vehicle are kept, and the
-            goal is its start.
+        mission: mission whose flat walls are measured. The survey keeps its start, bounds, limits and
+            vehicle, and returns to its start.
         speed_m_s: speed of the contacts.
 
     Raises:
@@ -50,7 +50,7 @@ def plan_survey(mission: Mission, speed_m_s: float = _SPEED_M_S) -> SurveyPlan:
         legs = {wall.name: _probe_leg(mission, wall, here) for wall in left}
         near = [(distance2(here, leg.begin), wall) for wall in left if (leg := legs[wall.name]) is not None]
         if not near:
-            unreachable |= {wall.name: "no clear path to it" for wall in left}
+            unreachable |= {wall.name: "no clear path leads to the wall" for wall in left}
             break
         _, wall = min(near, key=lambda found: found[0])
         leg = legs[wall.name]
@@ -71,7 +71,7 @@ def plan_survey(mission: Mission, speed_m_s: float = _SPEED_M_S) -> SurveyPlan:
             )
         here = leg.back
     if not probes:
-        raise InputError("no wall can be touched: there is no clear path to any", source=mission.source)
+        raise InputError("no wall can be touched: no clear path leads to a wall", source=mission.source)
     changes = {
         "name": f"survey-{mission.name}"[:64],
         "collisions": probes,
@@ -86,7 +86,7 @@ def plan_survey(mission: Mission, speed_m_s: float = _SPEED_M_S) -> SurveyPlan:
 
 
 def _figures(mission: Mission) -> dict[str, float]:
-    """Return default deviations for walls that have none, because they are being surveyed."""
+    """Return default standard deviations, as keys, for walls without configured ones."""
     figures = {}
     for wall in mission.flat_walls:
         if wall.position_sd_m is None:
@@ -171,12 +171,13 @@ def surveyed_collisions(
 ) -> list[dict[str, Any]]:
     """Return the keys of a mission's collisions, expressed relative to the measured walls.
 
-    Gains along the mission's axes, and places in its frame, would not fit walls that have moved.
+    Gains along the mission's axes and places in the mission frame would not fit walls that were measured
+    elsewhere.
 
     Args:
-        mission: as loaded.
-        written: its collisions as in the file.
-        measured: as `surveyed_walls`.
+        mission: mission as loaded.
+        written: collisions as in the mission's file.
+        measured: `MeasuredWall` by name.
     """
     found = []
     for keys, collision in zip(written, mission.collisions, strict=True):

@@ -1,6 +1,6 @@
 """The inputs of a rollout: vehicle, room, and the options at each wall.
 
-`make_task` makes one from a part of a mission; a scenario of the planner is one.
+`make_task` returns the inputs for part of a mission. A scenario of the planner has the same fields (`Task`).
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from dart_flight.core.mission.approach import run_up
 
 
 class MissionTask(NamedTuple):
-    """Collisions of a mission that follow from one approach; each has its own wall name."""
+    """Collisions of a mission that follow from one approach; each collision has its own wall name."""
 
     vehicle: VehicleConfig
     start: Vec2
@@ -33,7 +33,7 @@ class MissionTask(NamedTuple):
 
 
 class Task(Protocol):
-    """The inputs of a rollout, from part of a mission or from a scenario; as in `MissionTask`."""
+    """The inputs of a rollout, from part of a mission (`MissionTask`) or from a scenario."""
 
     @property
     def vehicle(self) -> VehicleConfig:

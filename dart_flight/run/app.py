@@ -1,6 +1,6 @@
 """Shell around the core for flights over MAVSDK: streams -> queue -> core -> vehicle, lock, log.
 
-Threads:
+The threads are:
     MAVSDK's thread builds records and queues them. Near a wall it also steps the core (`core_thread`).
     The core thread steps the core and sends setpoints.
     The lock thread, if there is a lock, steps the lock's state machine and may block on its driver.
@@ -86,7 +86,7 @@ Progress = Callable[[Record], None]
 
 
 class Simulator(Protocol):
-    """A simulated world, as the app uses it in addition to MAVLink."""
+    """The app's interface to a simulated world, in addition to MAVLink."""
 
     @property
     def died(self) -> bool:
@@ -94,7 +94,7 @@ class Simulator(Protocol):
 
     @property
     def cause(self) -> str:
-        """Text that names what died."""
+        """Text that names the part of the world that has died."""
 
     def send_horn(self, pulse_us: float) -> None:
         """Send the position of the mock servo's horn to the plant."""
@@ -107,13 +107,14 @@ class LockThread:
     """Thread of the lock's state machine, on the core's time base and with a driver that may block.
 
     Args:
-        make_session: function that makes the session of state machine and driver. It is called once the
-            autopilot's time is known, because stamps of the host's clock could lie in the future.
+        make_session: function that makes the session of state machine and driver. It is called when the
+            autopilot's time is known. Before that, stamps could lie in the autopilot's future.
         states: queue of the session's states, in order.
         clock_known: function that returns whether the autopilot's time is known.
         deliver: callback for every state of the lock.
         after_poll: callback after every poll of the driver.
-        lockstep: reporter to a simulated world that waits; the driver is then polled in simulated time.
+        lockstep: reporter to a simulated world that waits for the app; the driver is then polled in
+            simulated time. None in real time.
     """
 
     def __init__(
@@ -201,9 +202,9 @@ class FlightApp:
         deadman_note: file in which the deadman reports why it killed the program, or None for no deadman.
         lock_faults: faults of the mock servo from the start of the flight.
         opened: called once the link is open.
-        unwanted: numbers of MAVLink messages that the vehicle is asked not to send on this link.
+        unwanted: numbers of MAVLink messages that the app requests the vehicle not to send on this link.
         lockstep: whether the world waits for this program, whose clock is then simulated time.
-        mocap_url: pose source to forward from; None: the vehicle's `mocap.url`.
+        mocap_url: URL of the pose source whose poses are forwarded; None: the vehicle's `mocap.url`.
 
     Attributes:
         loop: event loop during the flight.
@@ -339,7 +340,7 @@ class FlightApp:
                     task.cancel()
 
     def show(self, record: Record) -> None:
-        """Show a record that is not from the core; any thread."""
+        """Queue a record that is not from the core for display; any thread."""
         self._shown.append(record)
 
     def stop(self) -> None:
@@ -386,7 +387,7 @@ class FlightApp:
             systemd.stopping()
 
     def _show(self) -> None:
-        """Show records periodically, because waking up for every record would delay the core thread."""
+        """Show queued records periodically; a wake-up for every record would delay the core thread."""
         while not (self._ended.wait(_SHOW_PERIOD_S) and not self._shown):
             while self._shown:
                 with contextlib.suppress(OSError):
@@ -451,11 +452,11 @@ class FlightApp:
         return bridge
 
     async def _forward_until_disarmed(self, session: VehicleSession) -> None:
-        """Forward poses until disarmed, because a pilot who has taken over needs PX4's position."""
+        """Forward poses until the vehicle is disarmed, because a pilot in control needs PX4's position."""
         if not session.armed:
             return
         now_us = self._host_us()
-        text = "forwarding poses until the vehicle is disarmed; Ctrl-C ends it"
+        text = "forwarding poses until the vehicle is disarmed; Ctrl-C ends the forwarding"
         self.show(StatusText(session.clock.to_autopilot(now_us), now_us, "warning", text, found_here=True))
         self._stopped.clear()
         while session.armed and not self._stopped.is_set():
@@ -500,7 +501,7 @@ class FlightApp:
         )
 
     def _after_step(self) -> None:
-        """Run other work that is due at this simulated time, in lockstep."""
+        """In lockstep, run the other work that is due at this simulated time."""
         if self._lock is not None:
             self._lock.poll_if_due()
         self._deliver_answers()
@@ -601,7 +602,7 @@ class FlightApp:
 
 
 def _in_background(terminal: int) -> bool:
-    """Return whether another job has the terminal at present."""
+    """Return whether this process is in the background, because another job has the terminal."""
     try:
         return os.tcgetpgrp(terminal) != os.getpgrp()
     except OSError:  # not the terminal of this session, so there is no job control

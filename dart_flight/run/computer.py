@@ -1,7 +1,7 @@
 """State of the computer for the flight's log: temperature, undervoltage and throttling.
 
-A Raspberry Pi reports undervoltage and throttling in one word of flags, at present and since power-on. Other
-computers report at most a temperature.
+A Raspberry Pi reports undervoltage and throttling as flags in one word, for the present and for the time
+since power-on. Other computers report at most a temperature.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _SINCE_START = 16  # shift of the same flags since power-on
 
 
 def read_computer(root: Path = Path("/")) -> ComputerSample:
-    """Return the present state as reported by the kernel; fields that it does not report are None.
+    """Return the present state as reported by the kernel; fields without a report are None.
 
     Args:
         root: root of the file system.

@@ -1,10 +1,10 @@
 """Owner of the core in flights over MAVSDK: one input queue, one step at a time, setpoints sent at once.
 
 Only the thread that holds `_owner` steps the core. In real time the core chooses this thread (`core.pace`).
-Near a wall it is MAVSDK's thread, on which samples arrive, so that no other thread has to wake first
-(docs/latency.md). Elsewhere it is the core's own thread. In lockstep a simulated world waits until samples
-are stepped. The thread that delivers them steps them: one by one near a wall, elsewhere in batches of
-simulated time.
+Near a wall MAVSDK's thread steps the core. Samples arrive on that thread, so no other thread has to wake up
+first (docs/latency.md). Elsewhere the core's own thread steps. In lockstep a simulated world waits until
+samples are stepped. The thread that delivers the samples also steps them: one by one near a wall, elsewhere
+in batches of simulated time.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ class CoreThread:
     Args:
         runner: runner that steps the core and hands out its outputs.
         alive: callback that feeds the deadman, called at least every 20 ms unless a step hangs.
-        lockstep: reporter to a simulated world that waits, or None in real time.
-        after_step: callback after every step in lockstep, before the report.
+        lockstep: reporter to a simulated world that waits for the app, or None in real time.
+        after_step: callback after every step in lockstep, before the report to the world.
     """
 
     def __init__(
@@ -72,7 +72,7 @@ class CoreThread:
             self._step_now()
 
     def arrive(self, item: Input) -> None:
-        """Queue a stream's input from any thread, and step it at once if the core is in haste."""
+        """Queue a stream's input from any thread, and step it at once if the core's pace requires that."""
         now = self._lockstep is None or self._lockstep.completes_batch(item)
         self._queue.put(item)
         if now:
@@ -122,7 +122,10 @@ class CoreThread:
             self._runner.step(Tick(now_us))
 
     def _step_queued(self) -> None:
-        """Step the queued inputs; of a backlog, step only the newest state samples. Owner only."""
+        """Step the queued inputs; the caller must hold `_owner`.
+
+        In a backlog, step only the newest of the state samples.
+        """
         items, queued = list[Input](), self._queue
         while not queued.empty():  # only the owner removes inputs
             items.append(queued.get_nowait())

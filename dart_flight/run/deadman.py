@@ -1,9 +1,9 @@
 """Deadman: a small process that kills the app if the app hangs.
 
 MAVSDK repeats the last setpoint from its own thread, so PX4 would not notice a hang of the app. A hang that
-holds the interpreter lock also stops every watching thread. Therefore the core thread and the event loop feed
-a separate process through a pipe. If either stops, the process kills the app (SIGKILL). The setpoints then
-stop and PX4's failsafe acts.
+holds the interpreter lock also stops every watching thread of the app. Therefore the core thread and the
+event loop feed a separate process through a pipe. If either stops feeding, the process kills the app
+(SIGKILL). The setpoints then stop and PX4's failsafe acts.
 
 `SystemdNotice` is the second protection: systemd's watchdog (`Type=notify`, `WatchdogSec`). The event loop
 feeds it only while the core thread is also alive.
@@ -41,7 +41,7 @@ class Deadman:
         note: text file that gets a line when the app is killed, or None.
 
     Attributes:
-        feed_period_s: period at which both should feed the deadman, seconds.
+        feed_period_s: period at which core thread and event loop should feed the deadman, seconds.
 
     Raises:
         OSError: the process cannot be started.
@@ -82,7 +82,7 @@ class Deadman:
         self._write(_ARM)
 
     def feed(self, part: bytes) -> None:
-        """Report that `CORE` or `LOOP` is alive; any thread, never blocks, cheap enough for every step."""
+        """Report that `CORE` or `LOOP` is alive; any thread, never blocks, fast enough for every step."""
         now = time.monotonic()
         if now - self._fed_s[part] >= self.feed_period_s:
             self._fed_s[part] = now
@@ -111,7 +111,7 @@ class Deadman:
 
 
 class SystemdNotice:
-    """Messages to systemd (sd_notify) over $NOTIFY_SOCKET; without effect if that is not set."""
+    """Sender of messages to systemd (sd_notify) over $NOTIFY_SOCKET; does nothing if that is not set."""
 
     def __init__(self, environment: dict[str, str] | None = None) -> None:
         values = os.environ if environment is None else environment
@@ -135,7 +135,7 @@ class SystemdNotice:
         self._send("STOPPING=1")
 
     def alive(self) -> None:
-        """Feed systemd's watchdog, at half its period; call it often."""
+        """Feed systemd's watchdog at half its period; call this more often."""
         now = time.monotonic()
         if self._period_s is not None and now - self._sent_s >= self._period_s:
             self._sent_s = now

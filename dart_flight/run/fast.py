@@ -93,7 +93,7 @@ class TelemetrySender:
     """Telemetry of one simulated vehicle, at the rates of the stream table.
 
     Args:
-        vehicle: the sender.
+        vehicle: vehicle whose telemetry is sent.
         begins: whether the vehicle has just been switched on, so that it sends its status at once.
     """
 
@@ -105,7 +105,7 @@ class TelemetrySender:
         self._resets = -1
 
     def samples(self, ticks: int, received: int) -> Iterator[Input]:
-        """Yield the samples of a tick, received at a host time in microseconds."""
+        """Yield the samples that are due at a tick; `received`: their time of receipt, host microseconds."""
         a, t_us = self._autopilot, self._autopilot.time_us
         e = a.estimator
         if ticks % _HALF_RATE == 0:
@@ -147,10 +147,11 @@ class FastFlight:
     Args:
         mission: mission to fly.
         seed: seed of the sensor noise.
-        driver: lock driver, `mock` or `px4`; real servo controllers do not work in simulated time. Ignored
-            for a vehicle without a lock.
+        driver: lock driver, `mock` or `px4`, because real servo controllers do not work in simulated time.
+            It is ignored for a vehicle without a lock.
         faults: faults of the mock servo.
-        observe: callback for every input with its number, and every output and note with that of its input.
+        observe: callback for every input with its number, then for every output and note with the same
+            number.
         fault: fault to inject, with its time.
         world: drawn world (`sim.draws`), or None if it equals the mission.
     """
@@ -217,9 +218,9 @@ class FastFlight:
         return LockSession(lock, hardware, clock_us, self._lock_states.append)
 
     def run(self) -> None:
-        """Fly until the core ends the flight, or end it at the time limit.
+        """Fly until the core ends the flight, or until the time limit.
 
-        Without a limit, a simulated flight that never ends would block a campaign.
+        Without the limit, a simulated flight that never ends would block a campaign.
         """
         limit_s = time_limit_s(self.mission)
         self.step(ClockOffset(self.host_us, 0))
@@ -318,7 +319,7 @@ class FastFlight:
     # -- inputs and commands of the core (`runner.CommandSink`) --
 
     def step(self, item: Input) -> None:
-        """Step the core with an input; external callers pass an operator's request or a fault's sample."""
+        """Step the core with an input, also one from outside: an operator's request or a fault's sample."""
         self._runner.step(item)
 
     def _observe_record(self, record: Record, number: int) -> None:
@@ -332,7 +333,7 @@ class FastFlight:
             self.faulted.observe(record)
 
     def send(self, setpoint: Setpoint) -> None:
-        """Send a setpoint to the autopilot, and repeat it like MAVSDK."""
+        """Send a setpoint to the autopilot, and repeat it periodically like MAVSDK."""
         self._last_setpoint = setpoint
         self._transmit(setpoint)
 
@@ -378,7 +379,7 @@ class FastFlight:
             self._transmit(self._last_setpoint)
 
     def _transmit(self, order: Setpoint | VehicleAction) -> None:
-        """Send an order to the autopilot, through the faulty link if there is one."""
+        """Send an order to the autopilot, through the faulty link if a fault affects the link."""
         self._repeated_us = self.host_us
         if self.faulted is not None:
             self.faulted.send_out(order)
@@ -449,7 +450,7 @@ def fly_fast(
         seed: seed of the sensor noise and of the draws.
         log_dir: folder for the flight's folder, or None for no log on disk (campaigns).
         progress: callback for every record.
-        lock_faults: faults of the mock servo from the start of the flight; None: those that are drawn.
+        lock_faults: faults of the mock servo from the start of the flight; None: the drawn faults.
         fault: fault to inject, with its time.
         spreads: standard deviations of the quantities that the seed draws (`sim.draws`).
         keep_record: callback for the complete record; without `log_dir` its log is in memory.

@@ -20,7 +20,7 @@ _SENDER = "simulated"
 
 
 class _PlantPoses:
-    """Pose source that delivers the poses passed to `publish`."""
+    """Pose source of simulated frames: it delivers the poses that the caller passes to `publish`."""
 
     problem: str | None = None
 

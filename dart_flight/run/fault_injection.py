@@ -42,7 +42,7 @@ Order = Setpoint | VehicleAction | TimeRequest
 
 
 class FaultyFlight(Protocol):
-    """The flight into which a fault is injected, as the fault uses it."""
+    """The interface of a flight that its fault uses."""
 
     mission: Mission
     vehicle: SimulatedVehicle

@@ -30,7 +30,7 @@ class MemoryLog:
         self.log = Log(IN_MEMORY, about, {}, [], complete=True)
 
     def put(self, record: Record, number: int) -> None:
-        """Append a record; `number` is that of the input which it is or follows from."""
+        """Append a record; `number` is its own number (an input) or that of the causing input."""
         self.log.entries.append(LogEntry(number, record))
 
     def close(self) -> None:
@@ -50,10 +50,10 @@ class FlightRecord:
         in_memory: whether to keep the log in memory if `log_dir` is None.
 
     Attributes:
-        onlookers: callbacks for every record, on the thread of the record.
+        onlookers: callbacks for every record, on the thread that produced it.
         viewers: callbacks for every record and, on another thread, for the truth of a simulated vehicle;
             they must not block.
-        notice: callback for the first failure of the log, on the thread of a record.
+        notice: callback for the first failure of the log, on the thread that produced a record.
 
     Raises:
         InputError: the log cannot be written.
@@ -107,7 +107,7 @@ class FlightRecord:
         return self.path.parent
 
     def __call__(self, record: Record, number: int) -> None:
-        """Log a record and pass it on; `number` is that of the input which it is or follows from."""
+        """Log a record and pass it on; `number` is its own number (an input) or that of the causing input."""
         log = self._log
         if log is not None:
             log.put(record, number)
@@ -140,7 +140,7 @@ class FlightRecord:
 
     @property
     def _speed(self) -> float | None:
-        """Simulated seconds per second achieved, or None without a simulated vehicle."""
+        """Achieved simulated seconds per second, or None without a simulated vehicle."""
         if self._first is None or self._last is None or self._last[1] <= self._first[1]:
             return None
         return 1e-6 * (self._last[0] - self._first[0]) / (self._last[1] - self._first[1])

@@ -48,8 +48,8 @@ def fly_hitl(
         seed: seed of the sensor noise and of the draws.
         log_dir: folder for the flight's folder.
         progress: callback for every record, on its own thread.
-        motors: motor geometry from the flight controller's parameters; None: that of the configuration.
-        position_from: simulated motion capture or GPS receiver.
+        motors: motor geometry from the flight controller's parameters; None: geometry of the configuration.
+        position_from: source of PX4's position, a simulated motion capture or GPS receiver.
         spreads: standard deviations of the quantities that the seed draws (`sim.draws`).
         viewer: callback for every record, on the thread that processed it.
 

@@ -34,7 +34,8 @@ class RunsSummary(msgspec.Struct):
     """Summary of many flights of one mission.
 
     Attributes:
-        unexplained_modes: findings by seed about arms in another mode than the lock (`unexplained_modes`).
+        unexplained_modes: by seed, findings about arms that were not in the lock's mode
+            (`unexplained_modes`).
     """
 
     runs: int
@@ -49,7 +50,7 @@ class RunsSummary(msgspec.Struct):
 
 
 class RunsInterruptedError(Exception):
-    """Interrupt by Ctrl-C, SIGTERM or SIGHUP; `verdicts` are those of the complete flights."""
+    """Interrupt by Ctrl-C, SIGTERM or SIGHUP; `verdicts` contains the verdicts of the completed flights."""
 
     def __init__(self, verdicts: list[Verdict]) -> None:
         super().__init__(f"interrupted after {len(verdicts)} flights")
@@ -91,7 +92,7 @@ def fly_fast_many(
 
     Raises:
         RunsInterruptedError: Ctrl-C. Flights in progress are completed and no other begins; a second Ctrl-C
-            also ends those in progress.
+            also ends the flights in progress.
         InputError: as `fly_fast`.
         FlightError: a flight's process died, and died again when the flight was retried.
     """
@@ -169,7 +170,8 @@ def summarise(verdicts: list[Verdict]) -> RunsSummary:
 def unexplained_modes(verdict: Verdict) -> list[str]:
     """Return findings about arms that were not in the lock's mode although no lock fault was drawn.
 
-    In a simulated world this is an error of the simulation or of the estimated mode: the flight is invalid.
+    In a simulated world such a finding means an error of the simulation or of the estimated mode, and the
+    flight is invalid.
     """
     if verdict.drawn.get(LOCK_TRUE_MODE, AS_COMMANDED) != AS_COMMANDED:
         return []

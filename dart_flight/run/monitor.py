@@ -61,7 +61,7 @@ _INPUTS = get_args(Input)
 
 
 class StreamView(msgspec.Struct):
-    """One stream: measured and required rate, age of the newest sample; null before the first."""
+    """One stream: measured and required rate, and age of the newest sample (null before the first)."""
 
     name: str
     rate_hz: float
@@ -143,7 +143,7 @@ class TelemetryMonitor:
         self._cpu = (time.monotonic(), time.process_time())
 
     def process_record(self, record: Record) -> None:
-        """Process a record of a flight's log: an input, a phase, a wall estimate or a plan."""
+        """Process a record of a flight's log; ignore all but inputs, phases, wall estimates and plans."""
         if isinstance(record, PhaseChange):
             self._phase = record.after.value
         elif isinstance(record, WallEstimate):

@@ -29,7 +29,7 @@ _MODES: Final = {Button.LOCK_RIGID: Mode.RIGID, Button.LOCK_FLEXIBLE: Mode.FLEXI
 
 
 class Errand(NamedTuple):
-    """Task for which standby passes the link to another process; mission numbers begin at 1."""
+    """Task for which standby passes the link to another process; `mission` is a mission's number, from 1."""
 
     fly: bool
     missions: tuple[int, ...]
@@ -74,12 +74,12 @@ def reply_in_flight(press: Press, phase: Phase, lock: str) -> Reply:
     if button is None:
         return _denied(f"there is no button {press.button}")
     if phase is Phase.CONTACT:
-        return Reply(Result.TEMPORARILY_REJECTED, "in contact: press again after it")
+        return Reply(Result.TEMPORARILY_REJECTED, "in contact: press again after the contact")
     if button is Button.CONTINUE:
         if phase is Phase.PAUSE:
             return Reply(Result.ACCEPTED, "continuing", Request.CONTINUE)
         return _denied(f"there is no pause in phase {phase}")
-    return _denied("the mission moves the lock while it flies")
+    return _denied("the mission moves the lock during its flight")
 
 
 # --- standby -----------------------------------------------------------------------------------------------
@@ -91,7 +91,7 @@ _REPEATED_S: Final = (2.7, 3.8)
 
 
 class StandbyState(NamedTuple):
-    """The facts that decide about a button in standby.
+    """The state of vehicle and missions on which the answer to a button in standby depends.
 
     Attributes:
         missions: names of the missions, in the order of their numbers.
@@ -109,7 +109,7 @@ class StandbyState(NamedTuple):
 
 
 class StandbyButtons:
-    """Buttons in standby; they store the first press of *Fly*."""
+    """Buttons in standby; *Fly* needs two presses, so the first one is stored."""
 
     def __init__(self) -> None:
         self._asked: tuple[int, float] | None = None  # mission of the first press, and its time
@@ -128,7 +128,7 @@ class StandbyButtons:
             return _denied("standby was started without missions")
         count, number = len(state.missions), press.value
         if number not in range(1, count + 1) and not (button is Button.CHECK and number == 0):
-            return _denied(f"there is no mission {number}: 1 to {count}")
+            return _denied(f"there is no mission {number}, only 1 to {count}")
         if state.armed is not False:
             return _denied("the vehicle is armed" if state.armed else "PX4 has sent no heartbeat yet")
         if button is Button.CHECK:
@@ -164,8 +164,8 @@ _HELD_S, _GAP_S = 0.5, 2.0
 class RcSwitch:
     """Switch of the transmitter that moves the lock: high is rigid, low is flexible.
 
-    The middle position has no effect, nor has the first position at the start or after a gap. The lock moves
-    only if the switch changes and holds its new position.
+    The middle position has no effect. Neither has the switch's first position after the start or after a gap
+    of the pulses. The lock moves only if the switch changes and then holds its new position.
     """
 
     def __init__(self) -> None:

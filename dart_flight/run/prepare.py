@@ -59,7 +59,7 @@ def flight_core_of(mission: Mission) -> FlightCore:
 
 
 def with_driver(mission: Mission, driver: LockDriver | None) -> Mission:
-    """Return the mission with another lock driver; None: the configuration's.
+    """Return the mission with another lock driver; None: the configuration's driver.
 
     Raises:
         InputError: the vehicle has no lock.
@@ -74,7 +74,7 @@ def with_driver(mission: Mission, driver: LockDriver | None) -> Mission:
 
 
 def with_mocap(mission: Mission, url: str | None) -> Mission:
-    """Return the mission with another source of poses; None: the configuration's.
+    """Return the mission with another source of poses; None: the configuration's source.
 
     Raises:
         InputError: the URL does not name a pose source.
@@ -99,11 +99,11 @@ def with_simulated_mocap(
         source: position source of the simulated autopilot.
 
     Raises:
-        InputError: there is no such kind, or the position comes from GPS.
+        InputError: the kind is unknown, or the position comes from GPS.
     """
     if kind is not None and kind not in KINDS:
         known = ", ".join(KINDS)
-        says = f"{kind!r}: a simulated vehicle's motion capture is emulated, give one of {known}"
+        says = f"{kind!r}: a simulated vehicle needs an emulated motion capture: give one of {known}"
         raise InputError(says, key=("--mocap",))
     if kind is not None and not simulated_source(mission) is source is PositionSource.MOCAP:
         raise InputError("this vehicle's position comes from GPS", key=("--mocap",))
@@ -120,7 +120,7 @@ def emulated_kind(mission: Mission) -> str | None:
 
 
 def with_px4_delays(mission: Mission) -> Mission:
-    """Return the mission with PX4's delays from sample to attitude, if the configuration has no others."""
+    """Return the mission with PX4's delays of setpoint and attitude where the configuration sets none."""
     flying = mission.vehicle.flying
     own = {name: default_s for name, default_s in _PX4_DELAYS_S.items() if getattr(flying, name) is None}
     flying = msgspec.structs.replace(flying, **own)

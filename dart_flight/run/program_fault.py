@@ -19,13 +19,13 @@ _HANG_S = 60
 
 
 class ProgramFault:
-    """Onlooker that begins one fault at its time; called on the core thread.
+    """Onlooker that begins one fault when it is due; called on the core thread.
 
     Args:
         fault: fault to inject, with its phase.
         app: app with the event loop and the mock servo.
         world: simulated vehicle for the faults of a vehicle, or None.
-        log: path of the flight log, for a full disk.
+        log: path of the flight log, whose disk appears full.
     """
 
     def __init__(

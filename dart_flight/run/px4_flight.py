@@ -62,7 +62,7 @@ def fly_px4(
         viewer: callback for every record, on the thread that processed it.
 
     Raises:
-        InputError: there is no PX4, a parameter file is wrong, or GPS cannot provide the mission's frame.
+        InputError: PX4 is not found, a parameter file is wrong, or GPS cannot provide the mission's frame.
         SimulatorError, VehicleError: PX4 did not start or did not answer.
     """
     require_mavlink()

@@ -2,7 +2,7 @@
 
 A new core, built from the mission in the log, gets the inputs in the order of their numbers. Truth and notes
 of the shell are not inputs. On the same kind of machine, outputs must be equal bit for bit. On another kind
-they must agree to a relative 1e-9, because the mathematics library may round differently.
+they must agree to a relative error of 1e-9, because the mathematics library may round differently.
 
 With changed settings, the replay shows the decisions on the same samples. It is open loop: after the first
 different command, the recorded vehicle did not follow the replayed commands. `dart-flight replay` and tests
@@ -69,7 +69,7 @@ _IN_FLIGHT = 3  # inputs at the end of a cut log whose outputs may be missing
 
 
 class Difference(msgspec.Struct, frozen=True):
-    """An output that differs from the recording; the output is None on a side that has none."""
+    """An output that differs from the recording; a side without this output is None."""
 
     number: int
     t_us: int
@@ -96,11 +96,11 @@ class Replay(msgspec.Struct):
     Attributes:
         inputs: number of inputs that were stepped.
         outputs: number of outputs that were compared.
-        exact: whether the comparison was bit for bit; otherwise to a relative 1e-9.
+        exact: whether the comparison was bit for bit; otherwise to a relative error of 1e-9.
         differences: outputs that differ from the recording.
-        recorded, replayed: decisions of both sides, in order.
+        recorded, replayed: decisions in the log and in the replay, in order.
         zero_us: autopilot time that is shown as 0 s (`recording.flight_time`).
-        missing: number of inputs that the log lost; the core's state may differ after the first.
+        missing: number of inputs that the log lost; the core's state may differ after the first lost input.
         note: remark for the reader, or "".
     """
 
@@ -176,10 +176,10 @@ def _missing(numbers: list[int]) -> int:
 def _note(log: Log, result: Replay) -> str:
     notes = changed_keys(log.about)
     if result.missing:
-        lost = f"the log lost {result.missing} inputs; after the first, the replay may differ from the flight"
+        lost = f"the log lost {result.missing} inputs; after the first lost input the replay may differ"
         notes.append(lost)
     elif not log.complete:
-        notes.append("the log is cut short; replayed to its end")
+        notes.append("the log is cut short; the replay ends with the log")
     return "; ".join(notes)
 
 

@@ -1,7 +1,7 @@
 """Runner with which every shell steps the core and carries out its outputs.
 
-The app (MAVSDK) and the fast world (in process) differ only in the source of inputs and in the sink of
-commands (`CommandSink`). Numbers, order and records are the same.
+The app (MAVSDK) and the fast world (in process) differ only in the source of inputs and in the receiver of
+commands (`CommandSink`). The numbers, order and records of the inputs are handled in the same way.
 """
 
 from __future__ import annotations
@@ -53,8 +53,9 @@ class CoreRunner:
     Args:
         core: flight core.
         sink: receiver of the core's commands.
-        observe: callback for every input with its number, then every output and note with that number.
-        host_us: function that returns the host's monotonic time, microseconds; simulated in the fast world.
+        observe: callback for every input with its number, then for every output and note with the same
+            number.
+        host_us: function that returns the host's monotonic time, microseconds; the fast world simulates it.
     """
 
     def __init__(self, core: Core, sink: CommandSink, observe: Observe, host_us: Callable[[], int]) -> None:
@@ -94,7 +95,7 @@ class CoreRunner:
         self._observe(record, self._number)
 
     def _send(self, setpoint: Setpoint) -> SetpointSent | None:
-        """Send a recovery setpoint at once, or hold any other until no input follows at once."""
+        """Send a recovery setpoint at once; hold any other while another input follows at once."""
         if not setpoint.recovery:
             self._held = setpoint
             return None

@@ -1,4 +1,4 @@
-"""App's side of a simulated vehicle that runs in its own process, for the worlds over MAVSDK."""
+"""The app's side of a simulated vehicle that runs in its own process, for the worlds over MAVSDK."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class SimulatorError(FlightError):
 
 
 class SimulatorProcess:
-    """Simulated vehicle in its own process and session, which survive Ctrl-C and the app.
+    """Simulated vehicle in its own process and session, which continue after Ctrl-C and after the app's end.
 
     Args:
         spec: specification of the simulated vehicle.
@@ -65,7 +65,7 @@ class SimulatorProcess:
 
     @property
     def cause(self) -> str:
-        """Text that names what died; valid if `died`."""
+        """Text that names the part of the world that has died; valid if `died`."""
         if self._cause is None:
             self.process.listener.join(_LAST_WORDS_S)  # the cause may still be unread in the pipe
         if self._cause is not None:
@@ -92,7 +92,7 @@ class SimulatorProcess:
         return self.ready.version if self.ready is not None else None
 
     def wait_ready(self) -> None:
-        """Block until the autopilot sends.
+        """Block until the autopilot sends telemetry.
 
         Raises:
             SimulatorError: the autopilot does not start in time; the message contains the cause if known.
@@ -166,7 +166,7 @@ def fly_simulated(
     """Start a world, fly in it, end it and close the record's log; return the world.
 
     Args:
-        record: record of the flight, which also gets the world's truth.
+        record: record of the flight, to which the truth of the world is added.
         spec: specification of the world; its text log goes into the flight's folder.
         make_app: function that makes the app once the world is ready.
         process: class of the world's process.

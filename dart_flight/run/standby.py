@@ -1,7 +1,7 @@
 """Standby: holds link and lock between flights, and passes the link to `check` and `fly` processes.
 
 `StandbyDesk` decides without I/O. `Standby` has the connection, the lock and the child processes. A flight
-does not depend on standby: it is the command that an operator would type.
+does not depend on standby, because standby starts the same command that an operator would type.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ _NO_GOES: Final = 3  # of a check, sent to the ground station; the rest is in th
 
 
 class Ended(NamedTuple):
-    """End of a child process: status (negative: its signal), output, last line of its messages."""
+    """End of a child process: status (negative if ended by a signal), output, last line of its messages."""
 
     status: int
     output: bytes
@@ -188,7 +188,7 @@ class Standby:
             systemd.stopping()
 
     def _stop(self) -> None:
-        """End standby and pass each signal to a flight: the first lands, the second releases."""
+        """End standby, and pass each signal to a flight in progress: the first lands, the second releases."""
         self._stops += 1
         self._wake.set()
         if self._child is not None and self._child.returncode is None:
@@ -230,11 +230,11 @@ class Standby:
 
     @contextlib.contextmanager
     def _holding_lock(self, config: LockConfig, session: VehicleSession) -> Iterator[LockThread]:
-        """Own the servo and step the lock; the servo does not move without a command.
+        """Hold the servo and step the lock within the context; the servo does not move without a command.
 
         Raises:
             ServoInUseError: another process moves the servo.
-            DriverError: the driver cannot be made.
+            DriverError: the driver of the servo cannot be opened.
         """
         store, states = CommandStore(config.driver), queue.SimpleQueue[LockState]()
 

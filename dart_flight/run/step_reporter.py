@@ -1,9 +1,9 @@
 """The application's side of the lockstep with a simulated world (`sim.lockstep`).
 
-Open work is everything that the application still has to do: queued inputs, lock orders, requests to the
-autopilot, plans. Whenever no work is open, a report goes to the world, which may then advance. Near a wall it
-advances by one tick. Elsewhere it advances by a batch of 20 ms, whose samples are stepped together
-(`core.pace`).
+The reporter counts the tasks that the application has not finished: queued inputs, lock orders, requests to
+the autopilot, plans. Whenever no task is left, it sends a report to the world, which may then advance. Near a
+wall the world advances by one tick. Elsewhere it advances by a batch of 20 ms, whose samples are stepped
+together (`core.pace`).
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class StepReporter:
 
     Args:
         send: function that writes one line to the world; must not block.
-        batches: whether the world may advance by batches. With forwarded poses it must not, because the
+        batches: whether the world may advance by batches; False with forwarded poses, because the
             computer's load would decide the order of poses and samples in a batch.
 
     Attributes:
@@ -75,36 +75,36 @@ class StepReporter:
         self._begun, self._flies = False, True
 
     def begin(self) -> None:
-        """Make the world wait, once the streams are requested."""
+        """Make the world wait for the application; call this once the streams are requested."""
         with self._guard:
             self._begun = True
             self._report()
 
     def end(self) -> None:
-        """Let the world continue without the application, which sends nothing more."""
+        """Let the world continue without the application, which must send nothing more."""
         with self._guard:
             self._flies = False
             self._report()
 
     def open(self) -> None:
-        """Add a piece of open work."""
+        """Count one more unfinished task, which `close` finishes."""
         with self._guard:
             self._open += 1
 
     def completes_batch(self, item: Input) -> bool:
         """Return whether to step an input of the vehicle now, with all inputs queued before it.
 
-        Such inputs are not counted as open work, because the world counts what it has sent.
+        Inputs of the vehicle are not counted as tasks, because the world itself counts what it has sent.
         """
         with self._guard:
             return not self._hold_us or (isinstance(item, ImuSample) and item.t_us >= self._hold_us)
 
     def close(self, items: Sequence[Input] = (), work: int = 1, batched: bool | None = None) -> None:
-        """Remove finished work, and report if none is left.
+        """Remove finished tasks from the count, and report to the world if no task is left.
 
         Args:
             items: inputs that were stepped.
-            work: pieces of open work that are finished; telemetry is none.
+            work: number of finished tasks; telemetry does not count as a task.
             batched: whether the core steps the next samples in batches, or None if unchanged.
         """
         with self._guard:
@@ -126,14 +126,14 @@ class StepReporter:
                 self._report()
 
     def open_command(self) -> None:
-        """Add a request to the autopilot, which its `CommandResult` closes."""
+        """Count a request to the autopilot as unfinished until its `CommandResult` arrives."""
         with self._guard:
             self._commands += 1
             self._report()
 
     @contextmanager
     def command(self) -> Iterator[None]:
-        """Count a request to the autopilot as open work within the context."""
+        """Count a request to the autopilot as an unfinished task within the context."""
         self.open_command()
         try:
             yield
@@ -143,7 +143,7 @@ class StepReporter:
                 self._report()
 
     def open_request(self, request: PlanRequest | ContactRequest, latency_us: int) -> None:
-        """Add a request to a planner; its answer is due `latency_us` after the request and closes it."""
+        """Count a request to a planner as unfinished until its answer, due `latency_us` after the request."""
         with self._guard:
             due_us = request.t_us + latency_us
             if isinstance(request, PlanRequest):

@@ -1,7 +1,7 @@
 """Parallel flights in a pool of processes, for campaigns and `dry-run --fast --runs`.
 
-If a process dies, its flight is retried. The processes come from a fork server. Otherwise they could inherit
-a lock that a thread of the parent holds, such as a progress bar's.
+If a process dies, its flight is retried. The processes come from a fork server, because a direct fork could
+inherit a mutex that a thread of the parent holds, such as the mutex of a progress bar.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ class Failure(NamedTuple):
     """A flight without a result.
 
     Attributes:
-        what: one line with the exception and its place, or about the death of the process.
+        what: one line that gives the exception and its place, or reports the death of the process.
         error: exception, or None if the process died.
     """
 
@@ -79,7 +79,7 @@ class Failure(NamedTuple):
 
 
 class FinishedItem(NamedTuple, Generic[I, R]):
-    """One item after its flight: its result, or its failure."""
+    """An item and the outcome of its flight: a result or a failure."""
 
     item: I
     result: R | Failure
@@ -182,8 +182,8 @@ def work(
         fly: function that flies one item; pickled once for each process.
         items: items to fly, read one by one.
         processes: number of processes.
-        interrupt: a first interrupt begins no further item and completes those in progress; a second one
-            abandons them.
+        interrupt: counter of interrupts. After the first, no further item begins and the items in progress
+            are completed; after the second, the items in progress are abandoned.
 
     Raises:
         FlightError: new processes end before their first flight.

@@ -12,7 +12,7 @@ class Allocation:
     """Shares of the thrust of each motor.
 
     Args:
-        motors: of the airframe, which can be controlled about every axis (`config.vehicle.configuration`).
+        motors: motors of an airframe that they can control about every axis (`config.vehicle.configuration`).
     """
 
     def __init__(self, motors: Sequence[Motor]) -> None:
@@ -27,7 +27,7 @@ class Allocation:
             up: normalised collective thrust.
 
         Returns:
-            In the motors' order; outside 0 to 1 only if the torques alone exceed the range.
+            Shares in the motors' order; a share is outside 0 to 1 only if the torques alone exceed the range.
         """
         largest = self._largest
         wanted = [up * u + largest * (r * roll + p * pitch) + y * yaw for r, p, y, u in self._rows]

@@ -1,9 +1,9 @@
 """PX4's multicopter control cascade (P-PID), with PX4's parameter names: position, velocity, attitude, rate.
 
-It follows PX4's documentation of the controller diagrams. P on position gives a velocity, and PID on velocity
-gives an acceleration. The acceleration gives a thrust vector and, with the yaw, an attitude. P on the
-attitude error (tilt before heading) gives body rates. PID on the rates gives torques, which the allocation
-converts to motor commands.
+The cascade follows the controller diagrams in PX4's documentation. P on position gives a velocity, and PID on
+velocity gives an acceleration. The acceleration gives a thrust vector and, with the yaw, an attitude. P on
+the attitude error (tilt before heading) gives body rates. PID on the rates gives torques, which the
+allocation converts to motor commands.
 """
 
 from __future__ import annotations
@@ -52,8 +52,8 @@ class Cascade:
     Args:
         parameters: PX4 parameters by name; read at every step, so that a PARAM_SET takes effect.
         hover_thrust: MPC_THR_HOVER, as found by PX4's hover thrust estimator.
-        thrust: the motors' curve (THR_MDL_FAC), which is inverted.
-        motors: the airframe's (CA_ROTOR*).
+        thrust: the motors' thrust curve (THR_MDL_FAC), which the cascade inverts.
+        motors: the airframe's motors (CA_ROTOR*).
     """
 
     def __init__(
@@ -139,7 +139,7 @@ class Cascade:
         return (wanted[0], wanted[1], wanted[2])
 
     def _thrust_vector(self, acceleration: list[float]) -> Vec3:
-        """Return the normalised thrust vector (NED) for an acceleration; limits keep the height first."""
+        """Return the normalised thrust vector (NED) for an acceleration; at a limit, lift has priority."""
         g = self.parameters
         limit = math.tan(math.radians(g["MPC_TILTMAX_AIR"])) * GRAVITY_M_S2
         ax, ay = acceleration[0], acceleration[1]
@@ -201,9 +201,9 @@ class Cascade:
 def _attitude_error(q: Quaternion, wanted: Quaternion) -> Quaternion:
     """Return the rotation from an attitude to the wanted one, body axes, tilt before heading.
 
-    The thrust direction is corrected by the shortest rotation. Of the remaining rotation about it, only a
-    share is commanded (MC_YAW_WEIGHT). The complete rotation would mix the two: with half a turn of heading
-    error, it would tilt the vehicle across the direction in which it must be righted.
+    The thrust direction is corrected by the shortest rotation. The remaining rotation about the thrust
+    direction is commanded only in part (MC_YAW_WEIGHT). A single rotation to the wanted attitude would mix
+    both: with a heading error of 180 degrees, it would tilt the vehicle sideways instead of levelling it.
     """
     up, up_wanted = body_up(q), body_up(wanted)
     cosine = up[0] * up_wanted[0] + up[1] * up_wanted[1] + up[2] * up_wanted[2]
@@ -229,7 +229,7 @@ def _unit(a: Vec3) -> Vec3:
 
 
 def _quaternion_from_axes(x: Vec3, y: Vec3, z: Vec3) -> Quaternion:
-    """Return the rotation whose columns are the body axes in the world."""
+    """Return the attitude of a body with these axes, given in the world."""
     trace = x[0] + y[1] + z[2]
     # Use the best conditioned of the four forms.
     if trace > 0.0:

@@ -13,7 +13,7 @@ def send_datagram(link: socket.socket, data: bytes, address: Address) -> None:
     """Send a datagram through a non-blocking socket; it is lost if nobody listens.
 
     Raises:
-        FlightError: the network refuses it for another reason.
+        FlightError: the network refuses the datagram for another reason.
     """
     try:
         link.sendto(data, address)

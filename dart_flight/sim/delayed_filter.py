@@ -1,10 +1,11 @@
-"""A small model of PX4's EKF2, which takes every motion-capture pose to be EKF2_EV_DELAY old on arrival.
+"""A small model of PX4's EKF2, which assumes that every motion-capture pose is EKF2_EV_DELAY old on arrival.
 
 `Estimator` uses the true age of every pose, so it cannot model a wrong delay. This filter works like EKF2. A
-Kalman filter runs about 0.15 s behind the present and fuses the pose with that configured time. An output
-predictor propagates its state to the present by the IMU. The filter attributes a pose of the wrong time to
-velocity, tilt and accelerometer bias, and rejects poses beyond its gate, so the estimate oscillates. Gains,
-gates and time constants are PX4's defaults and those of `configs/px4/indoor.params`.
+Kalman filter runs about 0.15 s behind the present and fuses each pose at its arrival minus the configured
+delay. An output predictor propagates the filter's state to the present by the IMU. If that time is wrong, the
+filter attributes the error to velocity, tilt and accelerometer bias, and rejects poses beyond its gate, so
+the estimate oscillates. Gains, gates and time constants are from PX4's defaults and
+`configs/px4/indoor.params`.
 """
 
 from __future__ import annotations
@@ -64,13 +65,13 @@ class EstimatedMotion(Protocol):
 
 
 class DelayedFilter:
-    """A filter that takes every pose for `delay_s` old when it arrives, and writes an estimator's state.
+    """A filter that assumes an age of `delay_s` for every arriving pose, and writes an estimator's state.
 
     Args:
-        estimator: whose position, velocity and attitude it writes from now on.
-        started: whether the estimator has had a pose.
-        now_s: the present.
-        delay_s: the configured age, EKF2_EV_DELAY.
+        estimator: estimator whose position, velocity and attitude the filter writes from now on.
+        started: whether the estimator has already had a pose.
+        now_s: present time, seconds.
+        delay_s: assumed age of a pose on arrival (EKF2_EV_DELAY), seconds.
     """
 
     def __init__(self, estimator: EstimatedMotion, started: bool, now_s: float, delay_s: float) -> None:
@@ -125,7 +126,7 @@ class DelayedFilter:
         self._of.ok = self._of.ok or (self._updates > 50 and self._now_s - self._fused_s < _INVALID_AFTER_S)
 
     def shift(self, by_ned: Vec3) -> None:
-        """Jump, as EKF2 does at a reset."""
+        """Shift the position by a step, as EKF2 does at a reset, metres."""
         self._of.resets += 1
         self._of.position, self._at_p = add(self._of.position, by_ned), add(self._at_p, by_ned)
         self._outputs = deque((add(p, by_ned), v, q) for p, v, q in self._outputs)
@@ -195,7 +196,7 @@ class DelayedFilter:
         self._accelerometer_bias = (_bounded(x), _bounded(y), _bounded(z))
 
     def _jump_to(self, position_ned: Vec3) -> None:
-        """Reset the horizontal position to the pose, without a change of the queued poses."""
+        """Reset the horizontal position to a pose; the queued poses stay unchanged."""
         by = (position_ned[0] - self._at_p[0], position_ned[1] - self._at_p[1], 0.0)
         waiting = self._poses
         self.shift(by)
@@ -225,7 +226,7 @@ class DelayedFilter:
 def _integrate(
     p: Vec3, v: Vec3, q: Quaternion, f: Vec3, rate: Vec3, dt_s: float
 ) -> tuple[Vec3, Vec3, Quaternion]:
-    """Return position, velocity and attitude after `dt_s` of specific force and rate, FRD."""
+    """Return position, velocity and attitude after `dt_s` with a specific force and body rate, FRD."""
     q = quaternion_normalise(advance_attitude(q, rate, dt_s))
     a = add(rotate(q, f), (0.0, 0.0, GRAVITY_M_S2))
     return add(p, add(scale(v, dt_s), scale(a, 0.5 * dt_s * dt_s))), add(v, scale(a, dt_s)), q

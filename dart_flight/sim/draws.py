@@ -50,9 +50,9 @@ class DrawnWorld(NamedTuple):
     """The result of a draw.
 
     Attributes:
-        mission: with the true vehicle and the true walls; for the simulated vehicle only.
-        lock_faults: of the mock servo.
-        drawn: values by name, for log and verdict.
+        mission: mission with the true vehicle and the true walls; only the simulated vehicle uses it.
+        lock_faults: drawn faults of the mock servo, or None.
+        drawn: drawn values by name, for log and verdict.
     """
 
     mission: Mission
@@ -64,7 +64,7 @@ def parse_vary(settings: Iterable[str], vehicle: VehicleConfig) -> dict[str, flo
     """Return the spreads by name from `NAME[=SD]`; `all` selects every name of the vehicle, at its default.
 
     Raises:
-        InputError: an unknown name, a name for a part that the vehicle lacks, or a number below 0.
+        InputError: a name is unknown or refers to a part that the vehicle lacks, or a number is below 0.
     """
     names = [n for n in NAMES if vehicle.has_lock or n not in _OF_LOCK]
     wanted: dict[str, float] = {}
@@ -94,7 +94,7 @@ def draw_world(mission: Mission, seed: int, spreads: Mapping[str, float]) -> Dra
 
     Args:
         mission: the mission, as assumed by the core.
-        seed: the same seed and spreads give the same world.
+        seed: seed of the draws; the same seed and spreads give the same world.
         spreads: standard deviations by name (`parse_vary`).
     """
     world = DrawnWorld(mission, None, {})
@@ -146,7 +146,7 @@ def _contact(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
 
 
 def with_walls(world: DrawnWorld, walls: Mapping[str, Wall]) -> DrawnWorld:
-    """Return the world with these walls (all that exist), by name; a post moves with its tangent plane."""
+    """Return the world with these walls by name, which must be all; a post moves with its tangent plane."""
     mission = world.mission
     collisions = tuple(
         msgspec.structs.replace(c, wall=walls.get(c.wall.name, c.wall)) for c in mission.collisions
@@ -171,7 +171,7 @@ def with_walls(world: DrawnWorld, walls: Mapping[str, Wall]) -> DrawnWorld:
 
 
 def _wall_offset(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
-    """Move every wall along its normal; its own standard deviation overrides the general one."""
+    """Move every wall along its normal; a wall's own `position_sd_m` overrides `sd`."""
     walls, drawn = {}, Drawn()
     for wall in world.mission.standing_walls:
         own = wall.position_sd_m
@@ -182,7 +182,7 @@ def _wall_offset(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld
 
 
 def _wall_yaw(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
-    """Rotate every wall about its middle, counter-clockwise seen from above; as `_wall_offset`."""
+    """Rotate every wall about its middle (seen from above); a wall's own `yaw_sd_deg` overrides `sd`."""
     walls, drawn = {}, Drawn()
     for wall in world.mission.standing_walls:
         own = wall.yaw_sd_rad
@@ -193,7 +193,7 @@ def _wall_yaw(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
 
 
 def _contact_scatter(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
-    """Draw k, f and mu again for every contact; the plant does this."""
+    """Set the spread with which the plant draws k, f and mu again for every contact."""
     return _with_contact(world, {"contact_scatter": sd}, scatter=sd)
 
 
@@ -216,7 +216,7 @@ def _mass(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
 
 
 def _wind(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
-    """Draw a steady wind from any direction, with gusts of half its spread."""
+    """Draw a steady wind from any direction, with gusts of half the wind's spread."""
     north, east = world.mission.vehicle.simulation.wind_north_east_m_s
     north, east = north + sd * rng.gauss(0.0, 1.0), east + sd * rng.gauss(0.0, 1.0)
     drawn: Drawn = {"wind_north_m_s": north, "wind_east_m_s": east}
@@ -234,7 +234,7 @@ def _servo(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
 
 
 def _lock_true_mode(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
-    """With this probability make the servo ignore commands: stuck from the start, or half engaged."""
+    """With probability `sd`, make the lock disobey: a servo stuck from the start, or half-engaged rods."""
     if rng.random() >= sd:
         return world._replace(drawn=world.drawn | {LOCK_TRUE_MODE: AS_COMMANDED})
     if rng.random() < 0.5:

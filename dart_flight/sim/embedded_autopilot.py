@@ -51,7 +51,7 @@ class Autopilot:
     """The simulated vehicle's autopilot: arming, modes, failsafes and control.
 
     Args:
-        plant: the body and its world.
+        plant: vehicle body and its surroundings.
         seed: seed of the noise of all sensors.
         send_text: receives (severity, text) of every STATUSTEXT.
         position_from: motion capture or a GPS receiver.
@@ -196,7 +196,7 @@ class Autopilot:
         self.estimator.assume_delay(self.now_s, 1e-3 * float(self.parameters["EKF2_EV_DELAY"]))
 
     def fuse_external_pose(self, position_ned: Vec3, q_frd_to_ned: Quaternion | None) -> None:
-        """Fuse an external pose, if the vehicle does not fuse its own."""
+        """Fuse an external pose, unless the vehicle fuses poses of its own simulated motion capture."""
         if not self.fuses_own_pose:
             self.estimator.correct(self.now_s, position_ned, q_frd_to_ned)
 
@@ -256,7 +256,7 @@ class Autopilot:
         self.motors = self.cascade.update_attitude(e.q, e.rate, TICK_S)
 
     def _correct_by_gps(self, receiver: GpsReceiver, pose: tuple[float, Vec3, Quaternion] | None) -> None:
-        """Correct position and velocity by GPS, and the attitude as with motion capture."""
+        """Correct position and velocity by GPS, and the attitude by the simulated pose's attitude."""
         if pose is not None:
             self.estimator.correct_attitude(pose[0], pose[2])
         fix = receiver.measure(self.plant)
@@ -345,7 +345,7 @@ class Autopilot:
 def default_parameters(
     vehicle: VehicleConfig, position_from: PositionSource = PositionSource.MOCAP
 ) -> dict[str, Value]:
-    """Return the embedded autopilot's PX4 parameters: the configuration's and those of a typical vehicle.
+    """Return the embedded autopilot's PX4 parameters, from the configuration and from a typical vehicle.
 
     An int is an INT32 parameter of PX4, a float a REAL32 parameter.
     """

@@ -1,7 +1,7 @@
 """The world of the embedded autopilot: plant, autopilot and MAVLink, with or without lockstep.
 
-If the app ends (end of input), the vehicle flies on to its failsafe and reports to its text log. The process
-ends once the vehicle has landed, after 30 s at the latest, or after 3 s in a pilot's mode.
+If the app ends (end of input), the vehicle continues until its failsafe has acted, and reports to its text
+log. The process ends once the vehicle has landed, after 30 s at the latest, or after 3 s in a pilot's mode.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class EmbeddedSimulator:
             self._mocap = EmulatedMotionCapture(spec.mocap, spec.mission, self._autopilot.plant)
 
     def run(self, commands: IO[bytes], truth: IO[bytes]) -> None:
-        """Fly at the requested pace until the app has ended and the vehicle is down."""
+        """Fly at the requested pace until the app has ended and the vehicle has landed."""
         writer = LineWriter(truth)
         writer.put(Ready(self._autopilot.time_us, mocap_url=self._mocap.url if self._mocap else None))
         lockstep = None
@@ -119,8 +119,8 @@ class EmbeddedSimulator:
         return self._mocap.publish(self._autopilot.now_s, self._autopilot.pose)
 
     def is_over(self, alone_s: float) -> bool:
-        """Implement `ServedWorld`: the vehicle flies on to its failsafe, and the world ends when landed."""
+        """Implement `ServedWorld`: the world ends when the vehicle's failsafe has landed it."""
         if not alone_s and self._autopilot.armed:
-            self._report("warning", "app disconnected; continuing to the failsafe")
+            self._report("warning", "app disconnected; the vehicle continues until its failsafe acts")
         most_s = _PILOT_S if self._autopilot.mode is FlightMode.MANUAL else _ORPHAN_S
         return not self._autopilot.armed or alone_s > most_s

@@ -2,8 +2,8 @@
 
 The estimator replaces PX4's EKF2. It uses fixed gains for motion capture, and for GPS a small Kalman filter
 weighted by PX4's parameters. It is no copy of the EKF2, but it has the same kinds of error. Poses and fixes
-are noisy and late, and a clipped accelerometer causes a velocity error. With GPS the position follows a
-wandering receiver, or drifts with the measured velocity.
+are noisy and late, and a clipped accelerometer causes a velocity error. With GPS the position follows the
+receiver's wandering error, or drifts with the measured velocity.
 """
 
 from __future__ import annotations
@@ -110,7 +110,7 @@ class Estimator:
         self._delayed = DelayedFilter(self, self._updates > 0, now_s, delay_s)
 
     def correct(self, t_s: float, position_ned: Vec3, q: Quaternion | None) -> None:
-        """Correct by a pose measured at `t_s`, which may be in the past; None: its attitude is unknown."""
+        """Correct by a pose measured at `t_s`, which may be in the past; `q`: None without attitude."""
         if self._delayed is not None:
             self._delayed.correct(t_s, position_ned, q)
             return
@@ -174,7 +174,12 @@ class Estimator:
         self.q = quaternion_normalise(quaternion_multiply(self.q, quaternion_from_rotation_vector(twist)))
 
     def _move(self, by_ned: Vec3, faster_ned: Vec3) -> None:
-        """Correct position and velocity, and the stored predictions, so that no error is corrected twice."""
+        """Correct the state and the stored predictions, so that no error is corrected twice.
+
+        Args:
+            by_ned: correction of the position, metres.
+            faster_ned: correction of the velocity, m/s.
+        """
         self.position = add(self.position, by_ned)
         self.velocity = add(self.velocity, faster_ned)
         if self._gps is None:

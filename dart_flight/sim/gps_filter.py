@@ -13,7 +13,7 @@ class GpsWeights(NamedTuple):
     """Weights of the filter.
 
     Attributes:
-        position_m, velocity_m_s: EKF2_GPS_P_NOISE and EKF2_GPS_V_NOISE.
+        position_m, velocity_m_s: assumed noise of a fix, EKF2_GPS_P_NOISE and EKF2_GPS_V_NOISE.
         standing_bias_ned: accelerometer bias estimated before take-off, m/s2.
     """
 
@@ -40,11 +40,11 @@ class GpsFilter:
         return float(np.sqrt(2.0 * self._p[0, 0]))
 
     def predict(self, dt_s: float) -> None:
-        """Advance the time."""
+        """Propagate the covariance over a time."""
         self._since_s += dt_s
 
     def correct(self) -> tuple[tuple[float, float], ...]:
-        """Return the gains of position, velocity and bias for a fix's position and velocity."""
+        """Return the gains of position, velocity and bias, each for a fix's position and velocity."""
         h, self._since_s = self._since_s, 0.0
         step = np.array([[1.0, h, 0.5 * h * h], [0.0, 1.0, h], [0.0, 0.0, 1.0]])
         q = (self._ACCELERATION_M_S2**2) * self._SAMPLE_S * h

@@ -1,13 +1,13 @@
 """Lockstep with the application: simulated time does not advance until the application has answered.
 
-The world counts the messages that it has sent. The application reports in `Stepped` which of them it has
-stepped, and the messages that it has sent itself. Time waits for telemetry and poses that the core has not
-stepped, for setpoints and poses in transit to the autopilot, and for outstanding commands, lock orders and
-plans. A busy computer therefore makes a simulated flight slower but never different.
+The world counts the messages that it has sent. The application reports in `Stepped` which of these messages
+the core has processed, and which messages it has sent itself. Time waits for telemetry and poses that the
+core has not processed, for setpoints and poses in transit to the autopilot, and for outstanding commands,
+lock orders and plans. A busy computer therefore makes a simulated flight slower but never different.
 
-A message also counts as stepped if a newer message of its stream has been stepped. A lost datagram therefore
-delays the world only by `_LOST_S`: then time advances by one tick, and the next message replaces the lost
-message.
+A message also counts as processed if the core has processed a newer message of its stream. A lost datagram
+therefore delays the world only by `_LOST_S`. Time then advances by one tick, and the next message replaces
+the lost one.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _POLL_S: Final = 0.05  # host time between two polls if no descriptor wakes the 
 _STEP_MAX_S: Final = 0.2  # longest counted host time between two polls; beyond it, this process did not run
 _SENDER_S: Final = 0.2  # host time for a sender to catch up
 _SENDER: Final = "the autopilot to send its telemetry"
-_TELEMETRY: Final = "the application to step its telemetry"
+_TELEMETRY: Final = "the application to process its telemetry"
 _SETPOINT_TOLERANCE: Final = 1e-5  # relative; MAVLink carries single precision
 
 
@@ -37,7 +37,7 @@ class SilentParticipantError(FlightError):
 
 
 class LinkEnd(Protocol):
-    """The part of the autopilot's side of the link that lockstep uses."""
+    """The interface of the autopilot's side of the link that lockstep uses."""
 
     @property
     def sent_us(self) -> Mapping[str, int]:
@@ -56,9 +56,10 @@ class Lockstep:
 
     Args:
         autopilot: the autopilot's side of the link.
-        answers_at_rest: whether the autopilot answers requests while time stands still. A real PX4 does not:
-            time advances while a request is open, but still waits for the telemetry to be stepped.
-        waits_at_first: whether time stands still until the first report.
+        answers_at_rest: whether the autopilot answers requests while time stands still. A real PX4 does not.
+            Time then advances while a request is outstanding, but still waits for the core to process
+            telemetry.
+        waits_at_first: whether time stands still until the application's first report.
         sender_lag_us: simulated time by which a sender in its own thread may lag behind the autopilot,
             microseconds.
     """
@@ -92,7 +93,7 @@ class Lockstep:
         self._report, self._unanswered_s = report, 0.0
 
     def publish(self, stream: str, number: int) -> None:
-        """Count a message that the world, not the autopilot, has sent; `number` increases."""
+        """Count a message that the world has sent itself, without the autopilot; `number` must increase."""
         self._published[stream] = number
 
     def _sent(self) -> dict[str, int]:
@@ -134,7 +135,7 @@ class Lockstep:
         Args:
             next_us: simulated time of the next tick, microseconds.
             wake: descriptors that become readable when data has arrived.
-            look: function that processes the application's lines and returns False once it has left.
+            look: function that processes the application's lines; False: the application has disconnected.
 
         Raises:
             SilentParticipantError: nothing came from the application for 10 s of host time.

@@ -1,8 +1,8 @@
 """The embedded autopilot's MAVLink side: it sends and answers like PX4, over UDP.
 
-Message rates are PX4's onboard defaults until a client requests others by SET_MESSAGE_INTERVAL. Like PX4's,
-they are rounded to ticks of 4 ms. An endpoint has one or more links. Each link is a UDP socket that sends to
-a fixed port: 14540 for a companion computer, 14550 for a ground station.
+Message rates are PX4's onboard defaults until a client requests others by SET_MESSAGE_INTERVAL. As in PX4,
+periods are rounded to ticks of 4 ms. An endpoint has one or more links. Each link is a UDP socket that sends
+to a fixed port: 14540 for a companion computer, 14550 for a ground station.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ _ESC_THRUST_N_PER_RPM2 = 1.1e-8  # example value, for a configuration without on
 
 
 class Link:
-    """A UDP socket with its peer and its requested rates; `local_port` 0 selects any port."""
+    """A UDP socket with its peer and the message rates of its peer; `local_port` 0 selects any port."""
 
     def __init__(self, remote_port: int, host: str = "127.0.0.1", local_port: int = 0) -> None:
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -159,13 +159,13 @@ class MavlinkEndpoint:
 
     @property
     def sockets(self) -> list[int]:
-        """The descriptors that become readable when data has arrived."""
+        """Descriptors of the sockets, which become readable when data has arrived."""
         return [link.socket.fileno() for link in self.links]
 
     def answer_requests(self) -> None:
         """Answer requests that have arrived while simulated time stands still.
 
-        MAVSDK treats a vehicle without a heartbeat as lost after 3 s of the computer's time.
+        Repeat the heartbeat too, because MAVSDK reports a vehicle as lost after 3 s of the computer's time.
         """
         for link in self.links:
             self._receive(link)
@@ -234,7 +234,7 @@ class MavlinkEndpoint:
                     self._handle_message(link, message)
 
     def _forward(self, link: Link, message: Any, system: int, component: int) -> None:
-        """Forward a message to the other links on which its target sends, like PX4 with MAV_x_FORWARD."""
+        """Forward a message to the other links on which its target has sent, as PX4's MAV_x_FORWARD does."""
         link.seen.add((message.get_srcSystem(), message.get_srcComponent()))
         for other in self.links:
             known = any(system in (0, s) and component in (0, c) for s, c in other.seen)

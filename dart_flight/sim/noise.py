@@ -35,7 +35,7 @@ class GaussianNoise:
         return 0.0 + math.cos(angle) * radius * sigma
 
     def three(self, sigma: float) -> Vec3:
-        """Return three numbers: in x, y and z."""
+        """Return three independent numbers with this standard deviation, for x, y and z."""
         x = self.one(sigma)
         y = self.one(sigma)
         return (x, y, self.one(sigma))

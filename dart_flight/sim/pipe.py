@@ -45,9 +45,9 @@ class HitlSpec(msgspec.Struct):
     """The settings of a flight controller in hardware-in-the-loop mode.
 
     Attributes:
-        url: URL of its port, `serial:///dev/ttyACM0:921600` or UDP.
-        motors: motors in its parameters, or None for the motors of the configuration.
-        position_from: simulated motion capture or GPS receiver.
+        url: URL of the flight controller's port, `serial:///dev/ttyACM0:921600` or UDP.
+        motors: motors in the flight controller's parameters, or None for the motors of the configuration.
+        position_from: source of PX4's position, a simulated motion capture or GPS receiver.
     """
 
     url: str
@@ -90,14 +90,14 @@ class Stepped(msgspec.Struct, tag="stepped"):
     """The progress of the application, sent whenever it has no work left (`sim.lockstep`).
 
     Attributes:
-        streams: newest stamp that the core has stepped on each telemetry stream, microseconds; for poses,
-            number of the newest frame.
-        sent: numbers of the last message of each kind passed to MAVSDK, None if unused. `setpoint` has
+        streams: newest stamp that the core has processed on each telemetry stream, microseconds. For poses it
+            is the number of the newest frame.
+        sent: values of the last message of each kind passed to MAVSDK, None if unused. `setpoint` has
             position, velocity and acceleration; `pose` has the position of a forwarded pose, local NED.
         commands: number of requests to the autopilot without a result.
         plan_due_us: due time of the planner's answer, or None without an open request.
-        batch_us: span of samples that the core steps together; the world does not wait within it.
-        flies: False once the application sends nothing more and the world continues without it.
+        batch_us: duration of the samples that the core processes together; the world does not wait within it.
+        flies: False once the application sends nothing more, so that the world continues alone.
     """
 
     streams: dict[str, int]
@@ -114,8 +114,8 @@ WorldInput = HornPosition | Ping | FaultLine | Stepped
 class Ready(msgspec.Struct, tag="ready"):
     """The first message of a simulated vehicle: the autopilot now sends telemetry.
 
-    `port` is the UDP port to which the autopilot sends if it has chosen the port itself. `mocap_url` is the
-    URL of an emulated motion-capture server.
+    `port` is the UDP port to which the autopilot sends, if the autopilot has chosen it. `mocap_url` is the
+    URL of an emulated motion-capture server, if there is one.
     """
 
     time_us: int
@@ -126,7 +126,7 @@ class Ready(msgspec.Struct, tag="ready"):
 
 
 class Truth(msgspec.Struct, tag="truth"):
-    """A truth record for the application."""
+    """The simulated vehicle's true state, a record for the application."""
 
     state: TruthSample | None = None
     contact: TruthContact | None = None
@@ -180,7 +180,7 @@ class LineReader:
     Attributes:
         items: received items that have not been processed.
         closed: whether the application has closed the pipe.
-        wake: descriptor that is readable after new items, until `clear`.
+        wake: descriptor that becomes readable when an item arrives, and stays readable until `clear`.
     """
 
     def __init__(self, stream: IO[bytes]) -> None:
@@ -191,7 +191,7 @@ class LineReader:
         threading.Thread(target=self._run, daemon=True, name="commands").start()
 
     def clear(self) -> None:
-        """Reset `wake`; call before reading `items`."""
+        """Reset `wake`; call this before reading `items`, so that no item is missed."""
         with contextlib.suppress(BlockingIOError):
             os.eventfd_read(self.wake)
 

@@ -1,11 +1,11 @@
 """The simulated vehicle as a body: six degrees of freedom, motors, drag, walls, ground, arms.
 
 The state is in NED and FRD, as in the autopilot. Walls are given in the mission frame and converted once.
-Contacts act at guards (`contact/propeller_guards.py`), or through the centre of mass as in the paper's
-equations (`simulation.contact.body: point`), by the law of `dart_flight.contact.law`. They are integrated in
-steps of 0.1 ms, everything else in steps of 1 ms. `contact/cylinders.py` handles posts and the ends of walls.
-`tests/sim/test_plant.py` compares the point with reference solutions; `tests/sim/test_body.py` and
-`tests/sim/test_ends_and_posts.py` compare the guards with independent rigid bodies.
+Contacts follow the law in `dart_flight.contact.law`. They act at guards (`contact/propeller_guards.py`), or
+through the centre of mass as in the paper's equations (`simulation.contact.body: point`). Contacts are
+integrated in steps of 0.1 ms, everything else in steps of 1 ms. `contact/cylinders.py` handles posts and the
+ends of walls. `tests/sim/test_plant.py` compares the point body with reference solutions. The guards are
+compared with independent rigid bodies in `tests/sim/test_body.py` and `tests/sim/test_ends_and_posts.py`.
 """
 
 from __future__ import annotations
@@ -82,11 +82,14 @@ _GROUND_SPEED_M_S: Final = 0.05  # regularisation of the ground's friction
 
 
 class _WallPlane:
-    """A wall in NED with the axes of its collision frame; `ends.plane` is its surface, for the guards.
+    """A wall in NED with the axes of its collision frame.
 
     Attributes:
-        near_end: whether a guard may be near an end, or contact state is left there.
-        away: whether the vehicle was too far away to touch it at the last check.
+        wall: the wall, mission frame.
+        point, normal, tangent: plane that the vehicle's centre reaches at a contact, NED.
+        ends: surface that the guards touch, with both ends of the wall.
+        near_end: whether a guard may be near an end, or an end still holds the state of a contact.
+        away: whether the vehicle was too far away to touch the wall at the last check.
     """
 
     def __init__(self, wall: Wall, point: Vec3, normal: Vec3, tangent: Vec3, ends: WallWithEnds) -> None:
@@ -105,7 +108,7 @@ class _WallPlane:
 
     @property
     def depths(self) -> list[float] | None:
-        """Deflection of each guard; None: the depth behind the surface."""
+        """Deflection of each guard near an end; None elsewhere, where it is the depth behind the surface."""
         return self.ends.depths if self.near_end else None
 
     def move(self, away_m: float) -> None:
@@ -169,14 +172,14 @@ class Plant:
     """The body and the world it can touch.
 
     Args:
-        vehicle: mass, motors, materials and so on.
-        walls: mission frame, planes of the vehicle's centre.
+        vehicle: configuration with mass, motors, materials and so on.
+        walls: walls in the mission frame, as planes that the vehicle's centre reaches at a contact.
         frame: the mission frame in local NED.
         start_ned: initial position, metres.
         yaw_ned_rad: initial heading.
-        motors: the airframe's motors in the autopilot's order; the configuration's by default.
-        scatter_seed: of the coefficients' scatter between contacts.
-        posts: mission frame.
+        motors: the airframe's motors in the autopilot's order; default: motors of the configuration.
+        scatter_seed: seed of the coefficients' scatter between contacts.
+        posts: posts in the mission frame.
     """
 
     def __init__(
@@ -252,9 +255,11 @@ class Plant:
         """Advance by `steps` milliseconds.
 
         Returns:
-            The mean specific force over that time, body FRD, m/s2: the reading of a noiseless IMU at its
-            position, with the arms' vibration, through its anti-alias filter, saturated at full scale in each
-            millisecond.
+            The mean specific force over that time, body FRD, m/s2, as a noiseless IMU reads it at its
+                position.
+            The reading includes the arms' vibration, passes the anti-alias filter, and saturates at full
+                scale
+            in each millisecond.
         """
         fx = fy = fz = 0.0
         most = self._full_scale
@@ -349,7 +354,7 @@ class Plant:
     # -- translation and contact --
 
     def _wall_in_reach(self, seconds: float) -> bool:
-        """Return whether a wall is near or may come near within this time; called once for several steps."""
+        """Return whether the vehicle may be near a wall within this time; called once for several steps."""
         (px, py, _), (vx, vy, _) = self.position, self.velocity
         slack = seconds * (abs(vx) + abs(vy) + _GAIN_M_S)
         for plane in self.planes:
@@ -378,7 +383,7 @@ class Plant:
         return found
 
     def _may_touch(self, obstacle: _Obstacle, c: Coefficients) -> bool:
-        """Return whether guards can be pressed within the next step: the law's onset is at k x + f vx = 0."""
+        """Return whether a contact may begin or continue within the next step; onset is at k x + f vx = 0."""
         if obstacle.name in self._open:
             return True
         v = self.velocity
@@ -443,7 +448,7 @@ class Plant:
         )
 
     def _fold(self) -> tuple[float, float, float, float] | None:
-        """Return the fold angle of each arm (`propeller_guards.fold_angles`), or None if all are straight."""
+        """Return the fold angle of each arm (`propeller_guards.fold_angles`), or None if no arm is folded."""
         touched = [current for current in self._open.values() if current.fold_share > 0.0]
         if not touched:
             return None
@@ -506,7 +511,7 @@ class Plant:
         return acceleration, (roll / ix, pitch / iy, yaw / iz), touches
 
     def _move_on_ground(self, pushed: Vec3) -> Vec3:
-        """Move the centre of mass near the ground only; return the mean acceleration by the ground, NED."""
+        """Move the centre of mass near the ground but no wall; return the ground's mean acceleration, NED."""
         self.contact_force_ned = self.contact_torque_frd = _NO_FORCE
         free = (pushed[0], pushed[1], pushed[2] + GRAVITY_M_S2)
         h = STEP_S / _GROUND_STEPS
@@ -533,7 +538,7 @@ class Plant:
         return (free[0] + x / m, free[1] + y / m, free[2] + z / m)
 
     def _move_freely(self, pushed: Vec3) -> Vec3:
-        """Move the centre of mass without contact; return no acceleration by contact."""
+        """Move the centre of mass without contact; return a zero acceleration by contact."""
         self.on_ground = False
         self.contact_force_ned = self.contact_torque_frd = _NO_FORCE
         if self._open:
@@ -568,7 +573,7 @@ class Plant:
     def _coefficients_of_cylinder(
         self, obstacle: _Obstacle, contact: CylinderContact, near: NearestPoint
     ) -> Coefficients:
-        """Return the coefficients of a cylinder at the nearest point, kept while it is pressed."""
+        """Return a cylinder's coefficients at its nearest point; during a contact they stay constant."""
         c = contact.coefficients
         if c is None or contact.share is None:
             c = contact.coefficients = self._coefficients(obstacle, abs(self._incidence(near.normal)))
@@ -581,7 +586,7 @@ class Plant:
         return wrap_angle(turn - _QUARTER * round(turn / _QUARTER))
 
     def _coefficients(self, obstacle: _Obstacle, incidence: float) -> Coefficients:
-        """Return the coefficients of a side at an angle of incidence with an obstacle."""
+        """Return the contact coefficients of an obstacle at an angle of incidence, radians."""
         open_contact = self._open.get(obstacle.name)
         if open_contact is not None:
             # Rods and arms do not change while they are loaded: keep the initial values.
@@ -601,7 +606,7 @@ class Plant:
         return (factors[0], factors[1], factors[2])
 
     def _ground_force(self, p: Vec3, v: Vec3) -> Vec3:
-        """Return the force of the ground: normal law without lz, regularised Coulomb friction."""
+        """Return the ground's force: a spring and damper, and regularised Coulomb friction."""
         s = self.vehicle.simulation
         depth = p[2] - self.ground_down
         normal = s.ground_stiffness_n_m * depth + s.ground_damping_n_s_m * v[2]
@@ -657,7 +662,7 @@ class Plant:
         return current
 
     def _end_open_contacts(self) -> None:
-        """End all open contacts at their last forces, because no obstacle is near."""
+        """End all open contacts at the times of their last forces, because no obstacle is near."""
         for current in list(self._open.values()):
             self._end_contact(current)
 
@@ -689,12 +694,12 @@ class Plant:
         )
 
     def _arm_vibration(self, contact: Vec3) -> Vec2:
-        """Return the acceleration of the body about the common centre of mass by the arms' vibration, NED.
+        """Return the body's acceleration relative to the centre of mass by the arms' vibration, NED.
 
-        The vibration is an internal motion: it moves the IMU, not the centre of mass, so the truth follows
-        the contact law. With q the arms' displacement against the body and s their share of the mass, the
-        body is at -s q from the centre of mass. A contact drives q'' = -w^2 q - 2 zeta w q' - a, and the IMU
-        measures -s q''.
+        The vibration is an internal motion: it moves the IMU, not the centre of mass, so the true force
+        follows the contact law. Let q be the arms' displacement relative to the body and s their share of the
+        mass. The body is then at -s q from the centre of mass. With the acceleration a of the contact, q'' =
+        -w^2 q - 2 zeta w q' - a, and the IMU measures the additional acceleration -s q''.
         """
         freedom = self._arm_freedom() if self._arm_share else 0.0
         if freedom == 0.0:

@@ -1,4 +1,4 @@
-"""The output of the simulated motion capture, and its faults; a pose source or an emulated server uses it."""
+"""The output of the simulated motion capture, and its faults, for a pose source or an emulated server."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ class PoseFeed:
     """A converter of the pose sensor's output to frames in the room's axes.
 
     Args:
-        mocap: axes of room and marker body.
-        publisher: receives each frame.
+        mocap: configuration with the axes of room and marker body.
+        publisher: receiver of each frame.
         other_ned: position of another vehicle's body, NED, metres.
 
     Attributes:
@@ -98,7 +98,7 @@ class EmulatedMotionCapture:
         self._heard = False
 
     def publish(self, now_s: float, pose: Pose | None) -> int | None:
-        """Publish the frame that is due; return its number if a client has connected, otherwise None."""
+        """Publish the frame if one is due; return its number if a client has connected, otherwise None."""
         if now_s <= self._published_s:
             return None  # time has not advanced
         self._published_s = now_s

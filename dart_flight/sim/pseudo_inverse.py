@@ -1,8 +1,9 @@
 """PX4's allocation pseudo-inverse, computed once per airframe with NumPy (`allocation` uses it).
 
-PX4 builds the effectiveness of the motors from their positions and yaw torques (CA_ROTOR*). It computes the
-pseudo-inverse and scales its columns: roll and pitch by the larger of both (the root of twice the mean
-square), yaw by its largest entry, and lift to a mean of one (`ControlAllocationPseudoInverse`).
+PX4 builds the effectiveness matrix of the motors from their positions and yaw torques (CA_ROTOR*). It
+computes the pseudo-inverse and scales its columns (`ControlAllocationPseudoInverse`). Roll and pitch share
+one scale: the larger of their two values of the root of twice the mean square. Yaw is scaled by its largest
+entry, and lift to a mean of one.
 """
 
 from __future__ import annotations
@@ -18,7 +19,10 @@ _SHAPE_DIGITS = 9  # further digits are rounding errors of the inverse
 
 
 def scaled_mix(motors: Sequence[Motor]) -> tuple[float, list[tuple[float, float, float, float]]]:
-    """Return the largest entry of roll and pitch, and each motor's (roll, pitch, yaw, lift), scaled."""
+    """Return the largest entry of roll and pitch, and each motor's scaled (roll, pitch, yaw, lift).
+
+    The returned roll and pitch are divided by that largest entry.
+    """
     mix = np.linalg.pinv(np.array(effectiveness(motors)))
     size = np.abs(mix) > 1e-6
     scale = [float(np.sqrt(2.0 * (mix[:, i] ** 2).sum() / size[:, i].sum())) for i in (0, 1)]

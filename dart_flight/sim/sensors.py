@@ -48,7 +48,7 @@ class ImuSensor:
     ) -> tuple[Vec3, Vec3]:
         """Return the reported specific force (m/s2) and body rate (rad/s) of one tick, FRD.
 
-        Stopped motors cause no ringing; PX4 aligns its estimator meanwhile, which ringing would prevent.
+        Stopped motors cause no vibration, so that PX4 can align its estimator before the take-off.
         """
         noisy = add(add(specific_force_frd, self.bias), self._noise.three(self._sigma))
         if self._ringing is not None and motors_turn:
@@ -59,7 +59,7 @@ class ImuSensor:
 
 
 class _Ringing:
-    """A vibration of white noise and a tone with a wandering frequency; the axes differ in phase."""
+    """A vibration of the frame: white noise and a tone of wandering frequency; its phase differs by axis."""
 
     _WANDER_S = 1.0  # time in which the tone's frequency crosses its band
 
@@ -91,7 +91,7 @@ class _Ringing:
 
 
 def _saturate(true: float, noisy: float, scale: float) -> float:
-    """Return one axis saturated at `scale`; if the true value exceeds it, noise and bias have no effect."""
+    """Return one axis's reading, saturated at `scale`; a true value beyond `scale` gives exactly `scale`."""
     if abs(true) >= scale:
         return math.copysign(scale, true)
     return max(-scale, min(scale, noisy))
@@ -143,7 +143,7 @@ def pressure_hpa(altitude_amsl_m: float) -> float:
 
 
 def altitude_m(pressure: float) -> float:
-    """Return the altitude of a pressure in hPa, metres above mean sea level; inverse of `pressure_hpa`."""
+    """Return the altitude, metres above mean sea level, of a pressure in hPa (inverse of `pressure_hpa`)."""
     return float((1.0 - (pressure / 1013.25) ** (1.0 / 5.25588)) / 2.25577e-5)
 
 
@@ -170,7 +170,7 @@ class GpsQuality(NamedTuple):
     """The accuracy of a receiver, whose error is a first-order Gauss-Markov process plus white noise.
 
     Attributes:
-        fix_type: MAVLink's GPS_FIX_TYPE: 3 for 3D, 6 for RTK fixed.
+        fix_type: MAVLink's GPS_FIX_TYPE, such as 3 for 3D or 6 for RTK fixed.
         wander_m, wander_s: standard deviation and correlation time of the position's wandering error. The
             standard deviation is horizontal; the vertical one is 1.5 times larger.
         noise_m, velocity_noise_m_s: standard deviations of the white noise.

@@ -37,7 +37,7 @@ class Pacer:
         self._due_s = time.monotonic()
 
     def wait(self, period_s: float) -> None:
-        """Wait until the next tick is due, a period after the last tick; do not wait for a period of 0."""
+        """Wait until the next tick is due, a period after the last tick; a period of 0 means no wait."""
         now_s = time.monotonic()
         if self._due_s > now_s:
             time.sleep(self._due_s - now_s)
@@ -47,7 +47,7 @@ class Pacer:
 
 
 def ticks_in_real_time(period_s: float = TICK_S) -> Iterator[int]:
-    """Yield numbers of ticks, one every period; with 4 ms a tick takes the time it simulates."""
+    """Yield the numbers of ticks, one every period; the default period is the simulated time of a tick."""
     pace = Pacer()
     for tick in itertools.count():
         pace.wait(period_s)
@@ -72,10 +72,10 @@ class ServedWorld(Protocol):
         ...
 
     def publish_pose(self) -> int | None:
-        """Send the pose that is due at this time; return its frame's number if a program listens."""
+        """Send the pose if one is due; return its frame's number if a program listens, otherwise None."""
 
     def is_over(self, alone_s: float) -> bool:
-        """Return whether the world may end, `alone_s` after the app; 0 means that the app has just ended."""
+        """Return whether the world may end now, `alone_s` seconds after the app has ended."""
         ...
 
 
@@ -95,7 +95,7 @@ def serve(
         commands: lines from the app.
         speed: highest number of simulated seconds per second.
         lockstep: decides whether time may advance; None: time does not wait for the app.
-        wake: the world's descriptors that become readable when data has arrived.
+        wake: descriptors of the world that become readable when data has arrived.
 
     Returns:
         The number of ticks.
@@ -156,7 +156,7 @@ def raise_terminated(_signum: int, _frame: object) -> None:
 
 
 class WorldLog:
-    """The world's text log with times in its own seconds; without a path nothing is written."""
+    """The world's text log, with simulated times in seconds; without a path it writes nothing."""
 
     def __init__(self, path: str | None) -> None:
         self._file = None if path is None else open(path, "a", encoding="utf-8", buffering=1)  # noqa: SIM115

@@ -33,7 +33,7 @@ class LockServo:
         self._plant.set_mode(self._wanted)
 
     def track_pulse(self, t_us: int, pulse_us: float | None) -> None:
-        """Move towards a commanded pulse (None: no new command) until `t_us`, and set the arms' mode."""
+        """Move the servo until `t_us` towards a commanded pulse (None: the last one); set the arms' mode."""
         if pulse_us is not None:
             self._model.command(t_us, pulse_us)
         self.set_horn(self._model.pulse_at(t_us))
@@ -43,10 +43,10 @@ class SimulatedVehicle:
     """Autopilot and lock servo of one simulated vehicle.
 
     Args:
-        mission: walls and start.
-        seed: of the sensors' noise.
-        driver: with `px4` the autopilot's own output moves the servo; with any other driver `set_horn` does.
-            A vehicle without a lock has no servo.
+        mission: mission with walls and start.
+        seed: seed of the sensors' noise.
+        driver: lock driver. With `px4` the autopilot's output moves the servo, otherwise `set_horn` does. A
+            vehicle without a lock has no servo.
     """
 
     def __init__(self, mission: Mission, seed: int, driver: LockDriver | None) -> None:

@@ -1,4 +1,4 @@
-"""The simulated vehicle for another program: no pipe, no truth, until it is stopped."""
+"""The simulated vehicle for another program, without pipe and truth; it runs until it is stopped."""
 
 from __future__ import annotations
 
@@ -26,17 +26,17 @@ _LISTEN_S = 0.4  # a vehicle sends dozens of messages per second
 
 
 class VehiclePortLease:
-    """The right to be the vehicle on a UDP port: as far as detectable, nothing else sends there.
+    """The right to be the only vehicle that sends to a UDP port, as far as other senders can be detected.
 
-    Another `simulate` or `dry-run --px4` is detected by its lease. PX4's own simulator is detected by its own
-    port, which is bound here as well, so that the later of the two gives up. Any other sender is detected by
-    listening, unless a program already receives on the port.
+    Another `simulate` or `dry-run --px4` is detected by its lease. PX4's own simulator is detected by the
+    port that it binds. The lease binds that port as well, so that the later of the two gives up. Any other
+    sender is detected by listening, unless a program already receives on the port.
 
     Args:
         port: port to send to.
 
     Raises:
-        LinkInUseError: something already sends there; the message names it if known.
+        LinkInUseError: another program already sends to the port; the message names it if known.
         InputError: the state folder cannot be used.
     """
 
@@ -68,7 +68,7 @@ class VehiclePortLease:
 
 
 def _listen(port: int) -> str | None:
-    """Describe the MAVLink traffic at a port without a receiver; None if silent or the port is in use."""
+    """Describe the MAVLink traffic that arrives at a port; None without traffic or if the port is in use."""
     parser = mavlink.MAVLink(None)
     parser.robust_parsing = True
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as listener:

@@ -14,11 +14,11 @@ GUST_TIME_S: Final = 2.0  # correlation time: gusts in a room, slower than a con
 
 
 class Wind:
-    """Sets the plant's wind at every tick; in still air the plant is unchanged.
+    """The wind that the plant flies in, set again at every tick; zero without steady wind and gusts.
 
     Args:
-        simulation: steady wind, gusts.
-        seed: of the gusts; the sensors' noise does not depend on them.
+        simulation: configuration of steady wind and gusts.
+        seed: seed of the gusts, which do not affect the sensors' noise.
         tick_s: time between two calls.
     """
 

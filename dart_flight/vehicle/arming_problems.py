@@ -1,4 +1,4 @@
-"""Text reasons why PX4 refuses to arm or to change mode, from its arming checks or from SYS_STATUS."""
+"""Reasons as text why PX4 refuses to arm or to change mode, from its arming checks or from SYS_STATUS."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def report_from_checks(report: Any) -> Report:
 
 
 def report_from_sys_status(sensors: Sensors) -> Report:
-    """Return a report from SYS_STATUS for a PX4 without health reports: the enabled but unhealthy sensors."""
+    """Return a report of the enabled but unhealthy sensors, for a PX4 that sends no health reports."""
     bad = sensors.enabled & ~sensors.healthy
     words = tuple(f"{name} not healthy" for bit, name in _SENSORS.items() if bad & 1 << bit)
     refused = not sensors.healthy & _PREARM  # PX4 v1.14 sets this bit only in `healthy`

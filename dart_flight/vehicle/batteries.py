@@ -1,4 +1,4 @@
-"""The batteries of one vehicle: the newest reading of each, and the choice of the battery to judge."""
+"""The batteries of one vehicle: the newest reading of each, and the choice of the worst battery."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ _LEAST_SHARE = 0.5
 class Batteries:
     """The batteries that BATTERY_STATUS reports, by id.
 
-    PX4 acts on the worst connected battery, so this class selects the worst one as well. A battery does not
-    count if it supplies avionics or a payload, or if its voltage has never been enough to fly.
+    PX4 acts on the worst connected battery, so this class also selects the worst battery. It ignores a
+    battery that supplies avionics or a payload, or whose voltage has never been enough to fly.
 
     Args:
         lowest_v: voltage below which the vehicle must land.
@@ -40,12 +40,12 @@ class Batteries:
         return able or list(self._readings.values())
 
     def other_batteries(self) -> list[BatteryReading]:
-        """Return the batteries that are not judged."""
+        """Return the batteries that are not flight batteries."""
         counted = self.flight_batteries()
         return [reading for reading in self._readings.values() if reading not in counted]
 
     def worst(self) -> BatteryReading | None:
-        """Return the battery to judge: below the lowest voltage first, then with the least charge."""
+        """Return the worst flight battery: below the lowest voltage, or else with the least charge."""
         return min(self.flight_batteries(), key=self._rank, default=None)
 
     def _is_flight_battery(self, reading: BatteryReading) -> bool:

@@ -1,7 +1,8 @@
 """Detection of MAVLink and its baud rate on a serial port, for a link on which no autopilot answers.
 
-At a wrong rate, bytes arrive but contain no frames. A frame begins with 0xFD and contains its length, so the
-next frame begins at its end. Noise produces three consecutive frames with a probability of 1 in 10^7.
+At a wrong rate, bytes arrive but contain no frames. A frame begins with 0xFD and contains its own length,
+which tells where the next frame must begin. Noise looks like three consecutive frames with a probability of 1
+in 10^7.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ class PortFinding(msgspec.Struct, frozen=True):
 
 
 def listen_for_mavlink(device: str, baud: int) -> PortFinding:
-    """Listen for MAVLink at a rate, then at the other usual rates, 0.6 s each; then look for a console.
+    """Listen for MAVLink at `baud`, then at the other usual rates, 0.6 s each; then look for a console.
 
     Raises:
         OSError: the port cannot be opened.

@@ -27,7 +27,7 @@ class Clock(Protocol):
         """Return the host's time in microseconds, monotonic; simulated time in lockstep."""
 
     def round_trip(self, sent_us: int, received_us: int, autopilot_us: int | None) -> RoundTrip:
-        """Return the record of a request from its computer times of sending and answer, microseconds."""
+        """Return the record of a request, from the host times of sending and answer, microseconds."""
 
     def receive(self, t_us: int, received_us: int) -> int:
         """Return the time of receipt of a message with this stamp, host time in microseconds."""
@@ -50,7 +50,7 @@ class _RealHost:
     _PACE_KNOWN = True  # whether the autopilot's time advances at the host's pace
 
     def round_trip(self, sent_us: int, received_us: int, autopilot_us: int | None) -> RoundTrip:
-        """Return the record, without the autopilot's time if that time may advance at another pace."""
+        """Return the record of a request, without an autopilot's time that may advance at another pace."""
         return RoundTrip(received_us, sent_us, autopilot_us if self._PACE_KNOWN else None)
 
     @staticmethod
@@ -62,8 +62,9 @@ class _RealHost:
 class ClockEstimate(_RealHost):
     """An estimate of autopilot time minus host time, from stamps and times of receipt.
 
-    Every message has an unknown positive delay, so the largest difference of the last seconds is the best
-    estimate. The window allows the estimate to follow a drifting clock.
+    Every message has an unknown positive delay. The largest difference between stamp and time of receipt in
+    the last seconds is therefore the best estimate. The limit to the last seconds lets it follow a drifting
+    clock.
     """
 
     def __init__(self) -> None:
@@ -144,7 +145,7 @@ class SimulatedTime:
         return 0
 
     def to_autopilot(self, host_time_us: int) -> int:
-        """Return the same time."""
+        """Return the time unchanged, because both clocks are equal."""
         return host_time_us
 
 

@@ -28,7 +28,7 @@ _PREFIX: Final = {Result.ACCEPTED: "", Result.TEMPORARILY_REJECTED: "not now: ",
 
 
 class Press(NamedTuple):
-    """A received command: param1, param2, and whether the sender marks it as a repetition."""
+    """A received command: param1, param2, and whether the sender marks the command as a repetition."""
 
     button: int
     value: int = 0
@@ -46,13 +46,13 @@ class CommandServer:
 
     Args:
         mavsdk: the connection.
-        system_id: system id of the ground station that may command.
+        system_id: system id of the only ground station that may command.
         answer: function that returns the result of a press and its reason.
-        note: receives a line about every command, for log and ground station. Only the first command of
-            other systems gives a line.
+        note: callback for a line about every command, for log and ground station. Of the commands from other
+            systems, only the first one gives a line.
 
     Attributes:
-        refused: number of denied commands of other systems.
+        refused: number of commands from other systems, which are all denied.
     """
 
     def __init__(

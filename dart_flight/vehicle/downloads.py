@@ -114,7 +114,7 @@ def logs_of_flight(
     armed: tuple[datetime, datetime] | None,
     before: Collection[Px4LogEntry] | None,
 ) -> list[Px4LogEntry]:
-    """Return the logs that may belong to a flight; a single log if it can be identified.
+    """Return the logs that may belong to a flight, or only the flight's log if it can be identified.
 
     Args:
         entries: logs on the flight controller.
@@ -156,7 +156,7 @@ class Px4Logs:
             raise DownloadError(f"cannot read PX4's list of logs: {says}") from None
 
     def download(self, entry: Px4LogEntry, path: Path, progress: Callable[[float], None]) -> None:
-        """Download a log to a file, which exists only after a complete download, even after Ctrl-C.
+        """Download a log to a file; after an incomplete download or Ctrl-C the file does not exist.
 
         Args:
             entry: element of `entries` of this connection.
@@ -193,7 +193,7 @@ class Px4Logs:
 
 
 class DownloadTime:
-    """An estimator of a download's remaining time, which reports once, after its first seconds.
+    """An estimator of a download's remaining time, which gives one estimate, after the first seconds.
 
     Args:
         size_bytes: size of the whole download.

@@ -1,6 +1,6 @@
 """A blocking connection for work on the ground: parameters, outputs, logs and a few seconds of telemetry.
 
-The commands on the ground use it, such as `check`, `parameters`, `bringup`, `lock` and `px4-log`.
+Commands that are used on the ground need it, such as `check`, `parameters`, `bringup`, `lock` and `px4-log`.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ from dart_flight.vehicle.vehicle_session import NoAnswerError, Sender, VehicleEr
 
 
 class Source(msgspec.Struct, frozen=True):
-    """A sender of a message, with its rates during the observation."""
+    """A sender of a message, with the rates of all and of usable messages during the observation."""
 
     sender: Sender
     arriving_hz: float
@@ -64,7 +64,7 @@ class Source(msgspec.Struct, frozen=True):
 
 
 def unusable_streams(sources: Iterable[Source]) -> dict[str, str]:
-    """Return the reason by stream for each of the vehicle's streams without a usable message."""
+    """Return, by stream, why the vehicle's messages of a stream are unusable, if none was usable."""
     found: dict[str, Source] = {}
     for source in sources:
         stream = messages.STREAM_OF[source.sender.message]
@@ -109,7 +109,7 @@ class HeartbeatMode(msgspec.Struct, frozen=True):
     Attributes:
         armed: whether the motors may turn.
         hil: whether the autopilot uses simulated sensors.
-        not_px4: reason why the heartbeat is not PX4's, or an empty string.
+        not_px4: reason why the heartbeat is not from PX4, or an empty string.
     """
 
     armed: bool
@@ -187,7 +187,7 @@ class GroundLink:
     Raises:
         VehicleError: on entering, if the URL cannot be opened or no autopilot answers.
         InputError: on entering, if the motion capture cannot be opened.
-        NoAnswerError: on a request, if the vehicle has answered no request or has stopped sending.
+        NoAnswerError: on a request, if the vehicle answers no requests or has stopped sending.
     """
 
     def __init__(
@@ -257,7 +257,7 @@ class GroundLink:
         """Return the shortest TIMESYNC round trip, seconds, or None without an answer within 5 s.
 
         Raises:
-            NoAnswerError: another request was not answered either.
+            NoAnswerError: the vehicle has not answered another request either.
         """
         return asyncio.run(self._round_trip_s())
 
@@ -265,9 +265,9 @@ class GroundLink:
         unanswered = await self._session.measure_link(_ROUND_TRIP_MAX_S)
         if unanswered:
             says = (
-                "sends telemetry but answers no request"
+                "sends telemetry but does not answer requests"
                 if self._system.is_connected()
-                else "went silent after"
+                else "has stopped sending; unanswered requests"
             )
             raise NoAnswerError(f"the vehicle {says}: {', '.join(unanswered)}", source=self._url)
         with contextlib.suppress(TimeoutError):
@@ -322,7 +322,7 @@ class GroundLink:
         return Px4Logs(self._system)
 
     def kill(self) -> None:
-        """Disarm at once, even in the air; raise MAVSDK's exception if PX4 refuses."""
+        """Force PX4 to disarm at once, even in the air; raise MAVSDK's exception if PX4 refuses."""
         Action(self._system).kill()
 
     def set_actuator(self, index: int, value: float) -> None:
@@ -344,7 +344,9 @@ class GroundLink:
         for done, name in enumerate(names):
             progress(done)
             if time.monotonic() > end_s:
-                says = f"the vehicle did not send parameter {name} and others within {_PARAMETERS_S:g} s"
+                says = (
+                    f"the vehicle did not send all parameters within {_PARAMETERS_S:g} s: {name} is missing"
+                )
                 raise NoAnswerError(says, source=self._url)
             for read in (self._param.get_param_int, self._param.get_param_float):
                 try:
@@ -359,7 +361,7 @@ class GroundLink:
         return values
 
     def write_parameter(self, name: str, value: Value) -> None:
-        """Set a parameter; give an int for an INT32.
+        """Set a parameter; `value` must be an int for an INT32 parameter and a float for a REAL32.
 
         Raises:
             NoAnswerError: the vehicle does not answer requests.
@@ -390,7 +392,7 @@ class GroundLink:
     def observe(self, vehicle: VehicleConfig, seconds: float) -> Observation:
         """Request the rates of the stream table, listen for `seconds` and return the observation.
 
-        If PX4 has no position or would not arm, wait up to 5 s more for its reasons.
+        If PX4 has no position or would not arm, wait up to 5 s longer for the reasons that PX4 reports.
         """
         seen, session = self._listener.seen, self._session
 

@@ -3,8 +3,8 @@
 MAVSDK opens UDP ports and serial devices without excluding other programs. A second program would receive
 half of the datagrams or bytes, and the flight would fail. Every command that talks to a vehicle therefore
 acquires a `LinkLease` first. A lease is an advisory lock on one file per link in the state folder; the kernel
-releases it when the process ends. The file names the holder and the flight's log, for `monitor`. Other
-programs are found by their open ports and devices.
+releases it when the process ends. The file names the holder and the flight's log, for `monitor`. Programs
+that do not use leases are found by their open ports and devices.
 """
 
 from __future__ import annotations
@@ -61,9 +61,9 @@ class LinkEndpoint(msgspec.Struct, frozen=True):
 
     Attributes:
         key: part of the lease's file name.
-        udp_port: UDP port that this side binds, or None.
-        host: host of that port.
-        device: serial device, or None.
+        udp_port: UDP port that this program binds, or None.
+        host: local address of `udp_port`.
+        device: path of the serial device, or None.
     """
 
     key: str
@@ -75,7 +75,7 @@ class LinkEndpoint(msgspec.Struct, frozen=True):
 def endpoint_of(url: str) -> LinkEndpoint:
     """Return the resource that a MAVSDK connection URL uses.
 
-    An invalid URL gets a key as well, because MAVSDK refuses it later.
+    An invalid URL also gets a key, because MAVSDK will refuse the URL later.
     """
     link = parse_link(url)
     if link is None:
@@ -91,7 +91,10 @@ def endpoint_of(url: str) -> LinkEndpoint:
 
 
 def feed_name(port: int) -> str:
-    """Return the name that a simulated vehicle leases to send to a UDP port; a receiver leases its URL."""
+    """Return the name that a simulated vehicle leases before it sends to a UDP port.
+
+    A program that receives on the port leases its URL instead, so both can use the port.
+    """
     return f"feed:{port}"
 
 
@@ -254,7 +257,7 @@ def _decoded(content: bytes) -> Holder | None:
 
 
 def _network() -> str:
-    """Return a suffix for the network namespace: containers that share a home do not share ports."""
+    """Return a suffix that names the network namespace, because containers may share a home but no ports."""
     with contextlib.suppress(OSError):
         return f"@{os.stat('/proc/self/ns/net').st_ino}"
     return "@"
@@ -266,7 +269,7 @@ _UNKNOWN_OWNER = "another program"
 
 
 def udp_port_is_free(port: int, host: str = "") -> bool:
-    """Return whether no socket is bound to a UDP port, not even one that shares it, like MAVSDK's.
+    """Return whether no socket is bound to a UDP port, not even a socket that shares the port, as in MAVSDK.
 
     Raises:
         InputError: the port cannot be bound for another reason, such as an address of another computer.
@@ -284,7 +287,7 @@ def udp_port_is_free(port: int, host: str = "") -> bool:
 
 
 def owner_of_udp_port(port: int) -> str:
-    """Return text that names the programs with a UDP port open, as far as this user may list them."""
+    """Return text that names the programs that have a UDP port open, as far as this user may list them."""
     wanted = f":{port:04X}"
     inodes = set()
     for table in ("/proc/net/udp", "/proc/net/udp6"):
@@ -301,7 +304,7 @@ def _owners_of_device(device: Path, besides: int | None = None) -> str:
 
 
 def _owners(targets: set[str], besides: int | None = None) -> str:
-    """Return text that names the processes with one of these files or sockets open."""
+    """Return text that names the processes that have one of these files or sockets open."""
     found = []
     for process in Path("/proc").iterdir():
         if not process.name.isdigit() or int(process.name) == besides:

@@ -1,7 +1,7 @@
 """The acceptance table: every MAVLink message that the program uses, and the conditions for its use.
 
 A message is used only if the autopilot's component sent it, its instance is accepted and its values are
-usable. `VehicleSession` subscribes to the messages in this table, and docs/link.md shows it.
+usable. `VehicleSession` subscribes to the messages in this table, and docs/link.md shows the table.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ SEVERITIES: Final = ("emergency", "alert", "critical", "error", "warning", "noti
 
 
 class Unusable(NamedTuple):
-    """The reason why a message is not usable, as the end of "none ...", such as "with a velocity"."""
+    """The reason why a message is not usable; it continues the text "none ...", as in "has a velocity"."""
 
     reason: str
 
@@ -64,7 +64,7 @@ class Odometry(NamedTuple):
 
 
 class Heartbeat(NamedTuple):
-    """Mode and state; `hil` is set if the vehicle uses simulated sensors."""
+    """Mode and state of the autopilot; `hil` is set if the vehicle uses simulated sensors."""
 
     armed: bool
     hil: bool
@@ -100,7 +100,7 @@ class BatteryReading(NamedTuple):
 
 
 class EstimatorState(NamedTuple):
-    """Validity of attitude, horizontal velocity and position, and the position's standard deviation."""
+    """Validity of PX4's attitude, horizontal velocity and position, and the position's standard deviation."""
 
     healthy: bool
     position_sd_m: float | None
@@ -109,7 +109,7 @@ class EstimatorState(NamedTuple):
 class Sensors(NamedTuple):
     """Enabled, healthy and present sensors (bits of MAV_SYS_STATUS_SENSOR) and errors of the links.
 
-    `drop_rate_comm` is in units of 0.01 %.
+    `drop_rate_comm` is the share of lost packets in units of 0.01 %.
     """
 
     enabled: int
@@ -130,7 +130,7 @@ class TextChunk(NamedTuple):
 
 
 class Timesync(NamedTuple):
-    """Answer to a request: host time of the request and autopilot time, microseconds."""
+    """Answer to a TIMESYNC request: host time of the request and autopilot time, microseconds."""
 
     sent_us: int
     autopilot_us: int
@@ -248,23 +248,23 @@ _ACCELEROMETER_AND_GYRO: Final = 0x3F  # bits of fields_updated
 
 def _imu(m: _HighresImuFields) -> InertialReading | Unusable:
     if m.fields_updated & _ACCELEROMETER_AND_GYRO != _ACCELEROMETER_AND_GYRO:
-        return Unusable("with accelerometer and gyro updated")
+        return Unusable("has accelerometer and gyro updated")
     ax, ay, az, wx, wy, wz = m.xacc, m.yacc, m.zacc, m.xgyro, m.ygyro, m.zgyro
     if ax is None or ay is None or az is None or wx is None or wy is None or wz is None:
-        return Unusable("with a specific force and a rate")
+        return Unusable("has a specific force and a rate")
     if ax * ax + ay * ay + az * az > _MAX_SPECIFIC_FORCE_M_S2 * _MAX_SPECIFIC_FORCE_M_S2:
-        return Unusable(f"with a specific force below {_MAX_SPECIFIC_FORCE_M_S2:g} m/s2: another unit")
+        return Unusable(f"has a specific force below {_MAX_SPECIFIC_FORCE_M_S2:g} m/s2: its unit is wrong")
     if max(wx, wy, wz, -wx, -wy, -wz) > _MAX_RATE_RAD_S:
-        return Unusable(f"with a rate below {_MAX_RATE_RAD_S:g} rad/s: another unit")
+        return Unusable(f"has a rate below {_MAX_RATE_RAD_S:g} rad/s: its unit is wrong")
     return InertialReading(m.time_usec, (ax, ay, az), (wx, wy, wz))
 
 
 def _attitude(m: _AttitudeQuaternionFields) -> Attitude | Unusable:
     w, x, y, z = m.q1, m.q2, m.q3, m.q4
     if w is None or x is None or y is None or z is None:
-        return Unusable("with an attitude")
+        return Unusable("has an attitude")
     if abs(w * w + x * x + y * y + z * z - 1.0) > 2.0 * _UNIT_TOLERANCE:
-        return Unusable("with a quaternion of length 1")
+        return Unusable("has a quaternion of length 1")
     return Attitude(m.time_boot_ms * 1000, (w, x, y, z))
 
 
@@ -288,20 +288,20 @@ def _odometry(m: _OdometryFields) -> Odometry | Unusable:
         kind = m.estimator_type
         name = _ESTIMATORS[kind] if kind < len(_ESTIMATORS) else f"type {kind}"
         poses = " without a velocity" if vx is None else ""
-        return Unusable(f"of PX4's own estimator, but poses{poses} of an external one ({name}; MAV_ODOM_LP)")
+        return Unusable(f"is from PX4's own estimator, only external poses{poses} ({name}; MAV_ODOM_LP)")
     if m.frame_id != _LOCAL_NED:
-        return Unusable(f"in local NED, but in frame {m.frame_id}: an external pose")
+        return Unusable(f"is in local NED: the frame is {m.frame_id}, as of an external pose")
     if m.child_frame_id != _LOCAL_NED:
         old = ", as before PX4 1.14" if m.child_frame_id == _BODY_FRD else ""
-        return Unusable(f"with a velocity in local NED, but in frame {m.child_frame_id}{old}")
+        return Unusable(f"has a velocity in local NED: its frame is {m.child_frame_id}{old}")
     if x is None or y is None or z is None:
-        return Unusable("with a position")
+        return Unusable("has a position")
     if vx is None or vy is None or vz is None:
-        return Unusable("with a velocity")
+        return Unusable("has a velocity")
     if m.quality < 0:
-        return Unusable("with a valid estimate (quality -1)")
+        return Unusable("has a valid estimate (the quality is -1)")
     if max(abs(x), abs(y), abs(z)) > _MAX_POSITION_M or max(abs(vx), abs(vy), abs(vz)) > _MAX_SPEED_M_S:
-        return Unusable(f"within {_MAX_POSITION_M:g} m and {_MAX_SPEED_M_S:g} m/s: another unit")
+        return Unusable(f"is within {_MAX_POSITION_M:g} m and {_MAX_SPEED_M_S:g} m/s: the unit is wrong")
     return Odometry(m.time_usec, (x, y, z), (vx, vy, vz), m.reset_counter)
 
 
@@ -334,9 +334,9 @@ _STATES: Final = tuple(SystemStatus)[1:]  # MAV_STATE's order
 def _heartbeat(m: _HeartbeatFields) -> Heartbeat | Unusable:
     if m.autopilot != _PX4:
         other = _OTHER_AUTOPILOTS.get(m.autopilot, f"autopilot {m.autopilot}")
-        return Unusable(f"of PX4, but of {other}")
+        return Unusable(f"is from PX4, only from {other}")
     if not m.base_mode & _CUSTOM_MODE:
-        return Unusable("with a flight mode of PX4")
+        return Unusable("has a flight mode of PX4")
     main, sub = m.custom_mode >> 16 & 255, m.custom_mode >> 24 & 255
     modes, number = (_AUTO_MODES, sub) if main == _AUTO else (_MAIN_MODES, main)
     state = m.system_status
@@ -357,7 +357,7 @@ _LANDED: Final = {
 
 
 def _landed(m: _ExtendedSysStateFields) -> LandedState | Unusable:
-    return _LANDED.get(m.landed_state) or Unusable("with a state of the land detector")
+    return _LANDED.get(m.landed_state) or Unusable("has a state of the land detector")
 
 
 def _outputs(m: _ActuatorOutputStatusFields) -> Outputs | Unusable:
@@ -368,9 +368,9 @@ def _outputs(m: _ActuatorOutputStatusFields) -> Outputs | Unusable:
 
 def _esc(m: _EscStatusFields) -> EscGroup | Unusable:
     if m.index % _ESCS or len(m.rpm) != _ESCS:
-        return Unusable("in groups of four motors")
+        return Unusable("is a group of four motors")
     if max(abs(rpm) for rpm in m.rpm) > _MAX_RPM:
-        return Unusable(f"below {_MAX_RPM} 1/min: another unit")
+        return Unusable(f"is below {_MAX_RPM} 1/min: the unit is wrong")
     return EscGroup(m.time_usec, m.index, tuple([float(rpm) for rpm in m.rpm]))
 
 
@@ -384,9 +384,9 @@ def _battery(m: _BatteryStatusFields) -> BatteryReading | Unusable:
     volts = sum(cells) * 1e-3 if cells else None
     remaining = m.battery_remaining / 100.0 if 0 <= m.battery_remaining <= 100 else None
     if volts is None and remaining is None:
-        return Unusable("of a connected battery")
+        return Unusable("is from a connected battery")
     if volts is not None and not _MIN_BATTERY_V <= volts <= _MAX_BATTERY_V:
-        return Unusable(f"with a voltage of a battery, but {volts:.2f} V")
+        return Unusable(f"has a plausible battery voltage: it is {volts:.2f} V")
     return BatteryReading(m.id, volts, remaining, m.battery_function in _FLIGHT_FUNCTIONS)
 
 
@@ -397,14 +397,14 @@ _NEEDED, _PLACED = 1 | 2, 8 | 16
 def _estimator(m: _EstimatorStatusFields) -> EstimatorState | Unusable:
     sd = m.pos_horiz_accuracy
     if sd is not None and not 0.0 <= sd <= _MAX_SD_M:
-        return Unusable("with a standard deviation in metres")
+        return Unusable("has a standard deviation in metres")
     healthy = m.flags & _NEEDED == _NEEDED and bool(m.flags & _PLACED)
     return EstimatorState(healthy, sd)
 
 
 def _sys_status(m: _SysStatusFields) -> Sensors | Unusable:
     if not m.onboard_control_sensors_present:
-        return Unusable("with sensors")
+        return Unusable("lists sensors")
     enabled, healthy = m.onboard_control_sensors_enabled, m.onboard_control_sensors_health
     present = m.onboard_control_sensors_present
     return Sensors(enabled, healthy, m.drop_rate_comm, m.errors_comm, present)
@@ -412,16 +412,16 @@ def _sys_status(m: _SysStatusFields) -> Sensors | Unusable:
 
 def _status_text(m: _StatusTextFields) -> TextChunk | Unusable:
     if not 0 <= m.severity < len(SEVERITIES):
-        return Unusable("with a severity")
+        return Unusable("has a severity")
     is_last = m.id == 0 or len(m.text.encode()) < _CHUNK
     if not m.text and m.id == 0:
-        return Unusable("with a text")
+        return Unusable("has a text")
     return TextChunk(SEVERITIES[m.severity], m.id, m.chunk_seq, m.text, is_last)
 
 
 def _timesync(m: _TimesyncFields) -> Timesync | Unusable:
     if m.tc1 <= 0:
-        return Unusable("with an answer")  # PX4 sends requests too
+        return Unusable("is an answer")  # PX4 sends requests too
     return Timesync(m.ts1 // 1000, m.tc1 // 1000)
 
 
@@ -429,12 +429,12 @@ _FIXES: Final = ("no_gps", "no_fix", "fix_2d", "fix_3d", "fix_dgps", "rtk_float"
 
 
 def _gps(m: _GpsRawIntFields) -> str | Unusable:
-    return _FIXES[m.fix_type] if m.fix_type < len(_FIXES) else Unusable("with a known type of fix")
+    return _FIXES[m.fix_type] if m.fix_type < len(_FIXES) else Unusable("has a known type of fix")
 
 
 def _radio(m: Any) -> tuple[int, ...] | Unusable:
     if m.chancount <= 0 or m.rssi == 0:
-        return Unusable("of a receiver with a signal")
+        return Unusable("is from a receiver with a signal")
     return tuple(getattr(m, f"chan{n}_raw") for n in range(1, min(m.chancount, _RC_CHANNELS) + 1))
 
 
@@ -452,9 +452,9 @@ class MessageEntry(msgspec.Struct, frozen=True):
         frame: coordinate frame.
         units: units and scale.
         invalid: conditions under which a message has no usable values, as text.
-        instance: field that distinguishes several senders in one component, or None.
-        instances: accepted values of `instance`, or None for all.
-        which: accepted instances, as text.
+        instance: name of the field that distinguishes several senders in one component, or None.
+        instances: accepted values of the field `instance`, or None for all.
+        which: description of the accepted instances for the manual's table.
     """
 
     message: str
@@ -477,12 +477,12 @@ class MessageEntry(msgspec.Struct, frozen=True):
             try:
                 fields = read(fields_json)
             except msgspec.MsgspecError:
-                return 0, Unusable("with the fields of the message")
+                return 0, Unusable("has the fields of the message")
             if instance is None:
                 return 0, convert(fields)
             number = getattr(fields, instance)
             if instances is not None and number not in instances:
-                return number, Unusable(f"of {instance} {instances[0]}, but of {instance} {number}")
+                return number, Unusable(f"has {instance} {instances[0]}, only {instance} {number}")
             return number, convert(fields)
 
         return decode
@@ -500,7 +500,7 @@ HIGHRES_IMU = MessageEntry(
     _imu,
     "body FRD",
     "m/s², rad/s",
-    "a value NaN, fields_updated without accelerometer or gyro, over 600 m/s² or 75 rad/s",
+    "a value is NaN, fields_updated lacks accelerometer or gyro, over 600 m/s² or 75 rad/s",
     "id",
     (0,),
     "id 0",
@@ -512,7 +512,7 @@ ATTITUDE_QUATERNION = MessageEntry(
     _attitude,
     "body FRD to NED",
     "unit quaternion, ms",
-    "a value NaN, length not 1",
+    "a value is NaN, the length is not 1",
 )
 ODOMETRY = MessageEntry(
     "ODOMETRY",
@@ -521,7 +521,7 @@ ODOMETRY = MessageEntry(
     _odometry,
     "frame_id and child_frame_id LOCAL_NED, as PX4 sends from 1.14 on",
     "m, m/s",
-    "position or velocity NaN, quality -1, over 10 km or 100 m/s",
+    "position or velocity is NaN, quality is -1, over 10 km or 100 m/s",
     "estimator_type",
     None,
     "estimator_type 8 (autopilot)",
@@ -533,7 +533,7 @@ HEARTBEAT = MessageEntry(
     _heartbeat,
     "-",
     "PX4's main and sub mode, MAV_STATE",
-    "autopilot not PX4, no custom mode",
+    "the autopilot is not PX4, no custom mode",
 )
 EXTENDED_SYS_STATE = MessageEntry(
     "EXTENDED_SYS_STATE",
@@ -550,11 +550,11 @@ ACTUATOR_OUTPUT_STATUS = MessageEntry(
     _ActuatorOutputStatusFields,
     _outputs,
     "-",
-    "PWM 1000 to 2000 µs, DShot 0 to 1999 or UAVCAN 0 to 8191, decided by the values",
-    "fewer outputs than motors, a value NaN or of no type, all idle in flight",
+    "PWM 1000 to 2000 µs, DShot 0 to 1999 or UAVCAN 0 to 8191; the values decide which",
+    "fewer outputs than motors, a value is NaN or of unknown type, all outputs idle in flight",
     None,
     None,
-    "the bank that PX4 started first: it sends no other",
+    "the bank that PX4 started first, because PX4 sends no other",
 )
 ESC_STATUS = MessageEntry(
     "ESC_STATUS",
@@ -563,7 +563,7 @@ ESC_STATUS = MessageEntry(
     _esc,
     "-",
     "1/min",
-    "a group of one stamp missing, over 200 000 1/min",
+    "a group with the same stamp is missing, over 200 000 1/min",
     "index",
     None,
     "groups of four from index 0 on",
@@ -578,7 +578,7 @@ BATTERY_STATUS = MessageEntry(
     "neither voltage nor charge, under 3 V or over 150 V",
     "id",
     None,
-    "one reading per id; the worst flight battery is judged",
+    "one reading per id; the guard checks the worst flight battery",
 )
 ESTIMATOR_STATUS = MessageEntry(
     "ESTIMATOR_STATUS",
@@ -587,10 +587,10 @@ ESTIMATOR_STATUS = MessageEntry(
     _estimator,
     "-",
     "flags, m",
-    "standard deviation negative or over 10 km; NaN means not reported",
+    "standard deviation is negative or over 10 km; NaN means not reported",
     None,
     None,
-    "PX4 sends the selected one; the message has no id",
+    "PX4 sends the selected estimator; the message has no id",
 )
 SYS_STATUS = MessageEntry(
     "SYS_STATUS",
@@ -608,7 +608,7 @@ STATUSTEXT = MessageEntry(
     _status_text,
     "-",
     "MAV_SEVERITY, UTF-8 in parts of 50 bytes",
-    "severity over 7, empty",
+    "severity is over 7, text is empty",
     which="parts with one id are joined",
 )
 TIMESYNC = MessageEntry(
@@ -636,7 +636,7 @@ RC_CHANNELS = MessageEntry(
     _radio,
     "-",
     "pulses in µs",
-    "no channels, signal 0",
+    "no channels, the signal is 0",
 )
 
 ENTRIES: Final = (

@@ -59,7 +59,7 @@ def _log_repetitions() -> None:
 
 @contextmanager
 def closing() -> Iterator[None]:
-    """Enclose the closing of a connection: errors of its socket are not reported."""
+    """Suppress errors of a connection's socket within the context, in which the connection is closed."""
     global _closing  # noqa: PLW0603  (MAVSDK has one log for the whole process)
     with _lock:
         _closing += 1

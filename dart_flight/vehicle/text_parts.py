@@ -34,7 +34,7 @@ class TextAssembler:
         self._is_old = False  # whether a heartbeat has arrived since the last part
 
     def add(self, part: TextChunk) -> list[tuple[str, str]]:
-        """Add a part; return (severity, text) of each text that it completes or interrupts."""
+        """Add a part; return (severity, text) of each text that the part completes or interrupts."""
         found: list[tuple[str, str]] = []
         if part.id == 0 or part.id != self._id or part.chunk < self._next:
             found = self._cut_off()
@@ -46,7 +46,7 @@ class TextAssembler:
         return found
 
     def overdue(self) -> list[tuple[str, str]]:
-        """Return the text without a new part for a second, if any; call at every heartbeat."""
+        """Return an incomplete text, if any, after a second without a new part; call at every heartbeat."""
         if self._is_old:
             return self._cut_off()
         self._is_old = bool(self._text)

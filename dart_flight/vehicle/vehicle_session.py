@@ -73,7 +73,7 @@ _ENOUGH_MESSAGES = 10  # consecutive unusable messages before a report
 
 
 class Sender(NamedTuple):
-    """The origin of a message; a component may have several instances."""
+    """The sender of a message: system, component, and instance within the component."""
 
     message: str
     system: int
@@ -82,7 +82,7 @@ class Sender(NamedTuple):
 
 
 class SenderCount(msgspec.Struct):
-    """The counts of a sender's messages and usable messages, and the reason of the last unusable one."""
+    """The counts of a sender's messages and usable messages, and the reason of the last unusable message."""
 
     messages: int = 0
     usable: int = 0
@@ -113,7 +113,7 @@ class VehicleSession:
         clock: relation of the autopilot's time to the host's.
 
     Attributes:
-        senders: counts by sender of each subscribed message, including senders that are not used.
+        senders: counts by sender of each subscribed message, including senders whose messages are not used.
         batteries: the newest reading of each battery.
         motor_outputs: decoder of the motor outputs, or None before `subscribe`.
         clock: relation of the autopilot's time to the host's.
@@ -166,7 +166,7 @@ class VehicleSession:
         Args:
             estimation: selects the sources of thrust.
             motors: number of the vehicle's motors.
-            guarded: whether to subscribe also to messages that only the guard needs.
+            guarded: whether to subscribe also to messages that only the core's guard needs.
             lowest_battery_v: lowest voltage at which the vehicle may fly (`guard.battery_v`).
         """
         self._motors, self.motor_outputs = motors, MotorOutputDecoder(motors)
@@ -194,7 +194,7 @@ class VehicleSession:
         on_value: Callable[[Any, int], Unusable | None],
         on_unusable: Callable[[int], None] | None = None,
     ) -> Any:
-        """Subscribe to a message of the table; return the handle.
+        """Subscribe to a message of the table; return MAVSDK's handle of the subscription.
 
         Args:
             entry: the message.
@@ -257,7 +257,7 @@ class VehicleSession:
             self._direct.unsubscribe_message(handle)
 
     def unusable_reason(self, entry: MessageEntry) -> str:
-        """Return why the autopilot's last message was refused, or an empty string if it was not."""
+        """Return why the autopilot's last message of this kind was unusable, or "" if it was usable."""
         own = self._raw.get_system_id()
         for (name, system, component, _), count in self.senders.items():
             if (name, system, component) == (entry.message, own, AUTOPILOT) and count.unusable_in_a_row:
@@ -309,9 +309,9 @@ class VehicleSession:
             await asyncio.to_thread(self._request_interval, number, -1)
 
     async def measure_link(self, timeout_s: float) -> list[str]:
-        """Wait for the first round trip; return the unanswered requests, or an empty list after an answer.
+        """Wait for the first answer to a request; return the unanswered requests, or [] after an answer.
 
-        Use TIMESYNC, and a rate request if the vehicle does not answer TIMESYNC.
+        The request is TIMESYNC, or a rate request if the vehicle does not answer TIMESYNC.
         """
         loop, heard = asyncio.get_running_loop(), asyncio.Event()
 
@@ -340,7 +340,7 @@ class VehicleSession:
         return []
 
     async def keep_measuring(self) -> None:
-        """Request the round trip periodically; the subscription of `measure_link` handles the answers."""
+        """Send TIMESYNC requests periodically; the subscription of `measure_link` handles the answers."""
         while True:
             now = host_us()  # identifies the request even in lockstep, where time may not advance
             self._requests_us.append(now)
@@ -350,7 +350,7 @@ class VehicleSession:
 
     def _handle_answer(self, answer: messages.Timesync, _: int) -> Unusable | None:
         if answer.sent_us not in self._requests_us:
-            return Unusable("with an answer to a request of this program")
+            return Unusable("answers a request of this program")
         self._deliver(self.clock.round_trip(answer.sent_us, host_us(), answer.autopilot_us))
         return None
 
@@ -415,7 +415,7 @@ class VehicleSession:
         assert self.motor_outputs is not None
         throttles = self.motor_outputs.decode(outputs.values, self._status.landed in _AIRBORNE)
         if isinstance(throttles, str):
-            return Unusable(f"of the motors: {throttles}")
+            return Unusable(f"has the motors' outputs: {throttles}")
         self._deliver(ActuatorSample(outputs.t_us, received, throttles))
         return None
 
@@ -423,7 +423,7 @@ class VehicleSession:
         if group.first == 0:
             self._rpm, self._rpm_us = [], group.t_us
         if group.t_us != self._rpm_us or group.first != len(self._rpm):
-            return Unusable("with all groups of one stamp")
+            return Unusable("completes the groups of one stamp")
         self._rpm += group.rpm
         if len(self._rpm) >= self._motors:
             self._deliver(EscSample(group.t_us, received, tuple(self._rpm[: self._motors])))
@@ -469,7 +469,7 @@ class VehicleSession:
         self._deliver(StatusText(self.clock.to_autopilot(received), received, *text))
 
     async def detect_other_autopilot(self) -> None:
-        """Deliver a record of another autopilot on the link, once; its system id identifies its messages."""
+        """Deliver one record if another autopilot, with another system id, sends on the link."""
         if self._other is not None:
             return
         own = self._raw.get_system_id()
@@ -525,9 +525,9 @@ class VehicleSession:
     def send(self, setpoint: Setpoint) -> None:
         """Send a setpoint at once, from any thread; MAVSDK repeats it at 20 Hz until the next one.
 
-        In offboard mode, skip an unchanged setpoint for 0.1 s, because MAVSDK repeats it. In other modes
-        MAVSDK stops repeating, and without a setpoint it refuses to start offboard mode. A recovery setpoint
-        is never skipped.
+        In offboard mode, an unchanged setpoint is skipped for 0.1 s, because MAVSDK repeats the last one. In
+        other modes MAVSDK does not repeat it, and MAVSDK starts offboard mode only after a setpoint. A
+        recovery setpoint is never skipped.
         """
         if self._silent:
             return
@@ -585,7 +585,7 @@ class VehicleSession:
         return self._status.armed
 
     def silence(self) -> None:
-        """Send nothing more; MAVSDK stops repeating a setpoint once PX4 leaves offboard mode."""
+        """Send nothing from now on; MAVSDK repeats the last setpoint until PX4 leaves offboard mode."""
         self._silent = True
 
     def set_actuator(self, index: int, value: float) -> None:
@@ -611,7 +611,7 @@ class VehicleSession:
     def serve_operator(self, system_id: int, answer: Callable[[Press], tuple[Result, str]]) -> None:
         """Answer the commands of a ground station, on MAVSDK's thread (`CommandServer`).
 
-        Each answer becomes a text on the ground station and a record.
+        Each answer is also sent to the ground station as a text and delivered as a record.
 
         Args:
             system_id: system id of the ground station.

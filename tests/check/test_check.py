@@ -392,7 +392,7 @@ def judged(observed: Observation, **values: float) -> dict[str, CheckFinding]:
 
 
 def test_what_this_program_finds_is_not_put_into_px4s_mouth() -> None:
-    here = "ODOMETRY arrives, none with a velocity"
+    here = "ODOMETRY arrives, none has a velocity"
     observed = msgspec.structs.replace(OBSERVED, local_position_ok=False, own_findings=[here])
     assert judged(observed)["estimator"].says == f"no valid local position; {here}"
     assert "px4_checks" not in judged(observed)
@@ -420,11 +420,11 @@ def source(
 
 
 def test_a_stream_that_arrives_without_values_is_a_no_go_with_the_cause() -> None:
-    echo = source("ODOMETRY", 1, 2, 125.0, False, "with a velocity")
+    echo = source("ODOMETRY", 1, 2, 125.0, False, "has a velocity")
     seen = msgspec.structs.replace(OBSERVED, rates_hz={**RATES, "odometry": 0.0}, sources=(echo,))
-    assert judged(seen)["rate_odometry"].says == "125 Hz arrive, none with a velocity"
+    assert judged(seen)["rate_odometry"].says == "125 Hz arrive, none has a velocity"
     says = judged(seen, MAV_ODOM_LP=1.0)["rate_odometry"].says
-    assert says == "125 Hz arrive, none with a velocity: MAV_ODOM_LP is 1, set it to 0"
+    assert says == "125 Hz arrive, none has a velocity: MAV_ODOM_LP is 1, set it to 0"
 
 
 def test_another_sender_of_a_stream_is_a_remark() -> None:

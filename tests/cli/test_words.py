@@ -248,7 +248,8 @@ def test_an_export_without_an_ending_gets_the_viewers(tmp_path: Path, given: str
 
 
 @pytest.mark.parametrize(
-    ("autopilot", "says"), [(12, None), (3, "of ArduPilot"), (0, "a generic autopilot"), (42, "autopilot 42")]
+    ("autopilot", "says"),
+    [(12, None), (3, "from ArduPilot"), (0, "a generic autopilot"), (42, "autopilot 42")],
 )
 def test_an_autopilot_that_is_not_px4_is_named(autopilot: int, says: str | None) -> None:
     fields = {"autopilot": autopilot, "base_mode": 129, "custom_mode": 6 << 16, "system_status": 4}

@@ -1682,9 +1682,11 @@ def test_another_system_on_the_link_is_refused_before_take_off_and_harmless_in_t
 def test_a_stream_without_usable_messages_is_silent_with_the_cause() -> None:
     c = HandFedCore(rules=tuple(r for r in RULES if r.name == "actuator_silent"))
     c.to_flight()
-    c.give(StatusText(c.t_us, c.t_us, "error", "ODOMETRY arrives, none with a velocity"))
-    c.give(StatusText(c.t_us, c.t_us, "error", "ACTUATOR_OUTPUT_STATUS arrives, none of the motors"))
+    c.give(StatusText(c.t_us, c.t_us, "error", "ODOMETRY arrives, none has a velocity"))
+    c.give(
+        StatusText(c.t_us, c.t_us, "error", "ACTUATOR_OUTPUT_STATUS arrives, none has the motors' outputs")
+    )
     c.silent.add("actuator")
     c.run(0.6)
     event = next(item for item in c.outputs if isinstance(item, GuardEvent))
-    assert event.detail.endswith("ms; ACTUATOR_OUTPUT_STATUS arrives, none of the motors")
+    assert event.detail.endswith("ms; ACTUATOR_OUTPUT_STATUS arrives, none has the motors' outputs")

@@ -202,7 +202,7 @@ def test_words_of_its_checks_come_first_and_none_twice() -> None:
 
 
 def test_what_this_program_finds_is_not_put_into_px4s_mouth() -> None:
-    state, here = FlightState(), "ODOMETRY arrives, none with a velocity"
+    state, here = FlightState(), "ODOMETRY arrives, none has a velocity"
     state.add_text(StatusText(0, 0, "error", here, found_here=True))
     assert state.reasons() == f"; {here}"
     assert state.text_about("ODOMETRY") == f"; {here}"

@@ -473,9 +473,9 @@ def test_what_was_felt_is_kept_for_the_mode_that_is_likely(
 @pytest.mark.parametrize(
     ("inside", "velocity", "problem"),
     [
-        (3, (1.0, 0.0), "too few readings"),
-        (12, (0.01, 0.5), "not flown at the wall"),
-        (12, (-1.0, 0.0), "not flown at the wall"),
+        (3, (1.0, 0.0), "there are too few force readings"),
+        (12, (0.01, 0.5), "the vehicle did not fly towards the wall"),
+        (12, (-1.0, 0.0), "the vehicle did not fly towards the wall"),
     ],
 )
 def test_a_contact_that_says_nothing_says_why(

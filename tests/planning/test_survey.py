@@ -75,7 +75,7 @@ def test_the_nearest_comes_first() -> None:
 def test_a_wall_behind_another_is_named_and_the_rest_touched() -> None:
     behind = NEAR | {"point_m": [2.5, 0.0], "length_m": 1.0}
     survey = plan_survey(room(front=NEAR | {"length_m": 6.0}, behind=behind))
-    assert survey.unreachable == {"behind": "no clear path to it"}
+    assert survey.unreachable == {"behind": "no clear path leads to the wall"}
     assert {c.wall.name for c in survey.mission.collisions} == {"front"}
 
 

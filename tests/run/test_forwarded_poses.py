@@ -106,7 +106,7 @@ def test_a_pose_goes_to_px4_and_to_the_core_until_the_core_withholds_it(
 def test_a_pilot_who_takes_over_keeps_his_position_until_he_disarms(monkeypatch: pytest.MonkeyPatch) -> None:
     _, source, records = flown(monkeypatch, 5, lambda app, source: None)
     (text,) = (r.text for r in records if isinstance(r, StatusText))
-    assert text == "forwarding poses until the vehicle is disarmed; Ctrl-C ends it"
+    assert text == "forwarding poses until the vehicle is disarmed; Ctrl-C ends the forwarding"
     assert source.stops == 1
 
 
@@ -134,8 +134,8 @@ def test_a_latency_is_one_of_simulated_time_and_the_flight_replays(tmp_path: Pat
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (["--mocap", "optitrack://10.0.0.1/dart"], "is emulated, give one of"),
-        (["--mocap", "kinect"], "is emulated, give one of"),
+        (["--mocap", "optitrack://10.0.0.1/dart"], "emulated motion capture: give one of"),
+        (["--mocap", "kinect"], "emulated motion capture: give one of"),
         (["--mocap", "udp", "--set", "simulation.position_from=rtk"], "comes from GPS"),
         (["--fault", "mocap-lost"], "add --mocap"),
         (["--mocap", "udp", "--fault", "mocap-slow=0"], "takes 1 to 50 Hz"),

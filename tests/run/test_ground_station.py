@@ -151,7 +151,7 @@ def test_every_button_in_every_phase_but_landing(tmp_path: Path) -> None:
         record.request for record in flight.of(OperatorRequest) if isinstance(record, OperatorRequest)
     ]
     assert requests == [Request.CONTINUE]
-    assert "denied: the mission moves the lock while it flies" in flight.texts
+    assert "denied: the mission moves the lock during its flight" in flight.texts
     assert any(text.startswith("in flight: approach; lock rigid") for text in flight.texts)
     noted = [r.text for r in flight.of(StatusText) if isinstance(r, StatusText) and r.found_here]
     assert "ground station: denied: a mission is flying" in noted

@@ -160,6 +160,6 @@ def test_the_right_delay_and_one_near_it_complete(delay_ms: int) -> None:
 
 def test_without_motion_capture_there_is_no_such_fault() -> None:
     with pytest.raises(
-        InputError, match="ev-delay: needs motion capture, this vehicle's position comes from GPS"
+        InputError, match="ev-delay: needs motion capture, but this vehicle's position comes from GPS"
     ):
         parse_fault("ev-delay=90", has_mocap=False)

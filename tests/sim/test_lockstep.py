@@ -98,7 +98,7 @@ def test_a_published_pose_is_waited_for_until_it_is_stepped_and_has_come_back() 
     world = lockstep(sender)
     world.update(Stepped({}))
     world.publish("pose", 7)
-    assert world.outstanding(4_000) == "the application to step its telemetry"
+    assert world.outstanding(4_000) == "the application to process its telemetry"
     pose = (1.0, 2.0, -3.0)
     world.update(Stepped({"pose": 7}, {"pose": pose}))
     assert world.outstanding(4_000) == "a pose of the application"
@@ -217,7 +217,7 @@ def test_an_application_that_is_stopped_ends_the_flight_although_messages_may_be
             world.wait(12_000 + tick * TICK_US, [wake], lambda: True)
             ticks.append(tick)
 
-    with pytest.raises(SilentParticipantError, match="step its telemetry"):
+    with pytest.raises(SilentParticipantError, match="process its telemetry"):
         fly_on()
     assert host.now_s - began_s == pytest.approx(10.0, abs=0.5)
     assert len(ticks) <= 10

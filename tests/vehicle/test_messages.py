@@ -220,7 +220,7 @@ def test_a_stream_without_a_usable_message_is_reported_with_its_reason(
     for _ in range(100):
         rig.hear("ODOMETRY", **{**_ODOMETRY, "vx": None})
     (text,) = rig.of(StatusText)
-    assert text.text == "ODOMETRY arrives, none with a velocity"
+    assert text.text == "ODOMETRY arrives, none has a velocity"
     assert text.found_here
     assert EventFormatter().format_event(text) == (Level.ERROR, "link", text.text, "")
 

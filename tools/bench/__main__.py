@@ -24,7 +24,7 @@ OUTPUT = Path("build/bench.json")
 
 
 def cli_help() -> list[Row]:
-    """Measure the time of `dart-flight --help` against a bare interpreter."""
+    """Measure the time of `dart-flight --help`, with the start of the bare interpreter as the baseline."""
 
     def seconds(*arguments: str) -> float:
         times = []

@@ -1,7 +1,7 @@
 """MAVSDK alone, for the benchmarks: the link at a flight's rates, with empty callbacks.
 
-Its processor time is the minimum of any app over MAVSDK; `tools.bench.share` measures what `dart_flight`
-adds.
+No app over MAVSDK can take less processor time than this program. `tools.bench.share` measures what
+`dart_flight` adds.
 """
 
 from __future__ import annotations

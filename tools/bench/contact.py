@@ -31,9 +31,7 @@ def _best_s(run: Callable[[], object], repeats: int) -> float:
 def step_through(
     c: CoefficientArrays, mass_kg: float, normal_m_s: Array, tangential_m_s: Array, step_s: float
 ) -> tuple[Array, Array]:
-    """Return the exit velocities of a batch by implicit Euler, as in the paper; finished contacts are
-    removed.
-    """
+    """Return the exit velocities of a batch of contacts by implicit Euler, as in the paper."""
     out_n, out_t = normal_m_s.copy(), tangential_m_s.copy()
     index = np.arange(out_n.size)
     x, v, slip = -c.f * out_n / c.k, out_n.copy(), out_t.copy()
@@ -56,7 +54,7 @@ def rows(batch: int = BATCH) -> list[dict[str, Any]]:
     """Return rows for the benchmark table: collisions per second on one core.
 
     The batch mixes all materials and modes of the configuration. `baseline` is the implicit Euler model with
-    the step in the name, and `ratio` the speed of the closed form over it.
+    the step that the row's name gives. `ratio` is the speed of the closed form over that of the baseline.
     """
     vehicle = load_vehicle(packaged("configs", "dart.yaml"))
     table = CoefficientArrays.from_table(

@@ -51,13 +51,13 @@ _KINDS = get_args(Input)
 
 
 class Figures(msgspec.Struct):
-    """The figures of one process: processor time, seconds.
+    """The figures of one process, in seconds; all except `flown_s` are processor times.
 
     Attributes:
         compiled: whether the core was compiled.
         flight_s: time of a flight with its verdict, without a log, by mission.
-        flown_s: simulated duration, by mission.
-        step_s: time of one step of the core.
+        flown_s: simulated duration of the flight, by mission.
+        step_s: time of one step of the core, averaged over all inputs of a flight.
         imu_step_s: time of one step with an IMU sample.
         vehicle_s: time of plant and autopilot in one dual collision.
     """
@@ -158,7 +158,7 @@ def _step(mission: Mission, inputs: list[Input]) -> list[float]:
 
 
 def _imu_step_s(mission: Mission, inputs: list[Input]) -> float:
-    """Return the time of a step with an IMU sample, which includes estimate, detector and pulse fit."""
+    """Return the time of a step with an IMU sample, including force estimate, detector and pulse fit."""
 
     def times_of() -> list[float]:
         clock, times, step = time.process_time, [], FlightCore(mission).step
@@ -175,7 +175,7 @@ def _imu_step_s(mission: Mission, inputs: list[Input]) -> float:
 
 
 def _drive(mission: Mission, recorded: _Recorded) -> list[float]:
-    """Drive a vehicle without a core by the recorded orders."""
+    """Repeat the recorded orders on a vehicle without a core, and return the times of its ticks."""
     clock, times = time.process_time, []
     vehicle = SimulatedVehicle(mission, 1, simulated_driver(mission))
     autopilot, advance = vehicle.autopilot, vehicle.advance

@@ -1,11 +1,12 @@
-"""A hovering MAVLink source with simulated impacts, for `tools.bench.latency`; a separate process in real
-time.
+"""A simulated hovering vehicle with impacts, for `tools.bench.latency`: a MAVLink source in a real-time
+process.
 
     python -m tools.bench.impact_source PORT IMPACTS PERIOD_S
 
-It sends what the embedded autopilot would send, armed and in offboard mode, with the contact model's rigid
-pulse on the IMU every PERIOD_S seconds. At the end it prints one JSON object with the sending time of every
-IMU sample and the receiving time of every setpoint, in nanoseconds of the host's monotonic clock.
+It sends the telemetry of the embedded autopilot, armed and in offboard mode. Every PERIOD_S seconds it adds
+the contact model's force pulse in rigid mode to the IMU samples. At the end it prints one JSON object with
+the sending time of every IMU sample and the receiving time of every setpoint, in nanoseconds of the host's
+monotonic clock.
 """
 
 from __future__ import annotations
@@ -71,7 +72,10 @@ class _Endpoint(MavlinkEndpoint):
 
 
 def pulse_n(t_s: float, k: float, f: float, mass_kg: float) -> float:
-    """Force of a contact at `SPEED_M_S` on stiffness k and damping f, `t_s` after its onset, newton."""
+    """Return the force of a contact at `SPEED_M_S`, `t_s` after its onset, newton.
+
+    The wall has the stiffness k (N/m) and the damping f (N s/m).
+    """
     sigma = 0.5 * f / mass_kg
     w = math.sqrt(k / mass_kg - sigma * sigma)
     return (

@@ -2,8 +2,8 @@
 UDP.
 
 The whole app runs (MAVSDK, core thread, lock thread, log) at the rates of the stream table against
-`impact_source`, which is a separate process. The latency begins when the source sends the IMU sample at which
-the peak is known, and ends when it receives the resulting setpoint.
+`impact_source`, which is a separate process. The latency begins when the source sends the IMU sample that
+completes the detection of a force peak, and ends when the source receives the resulting setpoint.
 
     python -m tools.bench.latency [IMPACTS]
 """
@@ -113,7 +113,7 @@ class Result(msgspec.Struct):
 
 
 class _AppRun(NamedTuple):
-    """The app's part of a result."""
+    """The app's part of a result: its core, the latencies that it measures itself, and its load."""
 
     core: RepeatingCore
     inside_ms: list[float]
@@ -131,7 +131,7 @@ def rigid_mission(mocap_url: str | None = None) -> Mission:
 
 
 def measure(impacts: int = IMPACTS, mocap_url: str | None = None) -> Result:
-    """Run source and app, about 0.3 s per impact, and return the result.
+    """Run source and app, which takes about 0.3 s per impact, and return the result.
 
     Args:
         impacts: number of impacts.

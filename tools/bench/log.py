@@ -25,7 +25,7 @@ _WRITTEN_S = 0.5  # after the last record
 
 
 def recorded() -> list[list[tuple[Record, int]]]:
-    """Return the records of a dual collision, without the simulator's truth, in slots of 4 ms."""
+    """Return the records of a dual collision in slots of 4 ms, without the simulator's truth."""
     slots: list[list[tuple[Record, int]]] = [[]]
     begin: list[int] = []
 
@@ -76,9 +76,9 @@ def rows() -> list[dict[str, Any]]:
     """Return rows for the benchmark table.
 
     `log record` is the processor time per record at the pace of a flight, in microseconds, including
-    encoding, compression and writing. Its baseline puts the same records at once, with warm caches. `log put`
-    is the part on the core's thread. `log share` is the share of one core at 250 IMU samples a second, in per
-    cent. `log size` is in megabytes per minute.
+    encoding, compression and writing. Its baseline puts all records without pauses, with warm caches.
+    `log put` is the part of that time on the core's thread. `log share` is the share of one core at 250 IMU
+    samples a second, in per cent. `log size` is in megabytes per minute.
     """
     paced = recorded()[: round(_PACED_S * 1e6 / _SLOT_US)]
     about = describe_flight(load_mission(_MISSION), World.FAST, 1)

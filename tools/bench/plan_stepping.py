@@ -43,7 +43,7 @@ class Flying(NamedTuple):
 
 
 class Ends(NamedTuple):
-    """Closest approaches of one mode sequence, (n,)."""
+    """Closest approaches to the goal with one sequence of modes; arrays (n,)."""
 
     modes: tuple[Mode, ...]
     rows: Rows
@@ -55,7 +55,7 @@ class Ends(NamedTuple):
 def step_everything(
     scenario: Scenario, stages: Stages, normal: Array, tangential: Array, grid: ApproachGrid, h: float = 1e-3
 ) -> list[Ends]:
-    """Return all mode sequences of a scenario's first sequence, without constraints."""
+    """Return all mode sequences of a scenario's first sequence of walls, without constraints."""
     walls = [scenario.walls[name] for name in scenario.sequences[0]]
     shape = np.broadcast_shapes(normal.shape, tangential.shape)
     vn, vt = (np.broadcast_to(v, shape).ravel() for v in (normal, tangential))

@@ -1,4 +1,4 @@
-"""Benchmark of what forwarding motion-capture poses costs: latency from impact to setpoint, processor time.
+"""Benchmark of the forwarding of motion-capture poses: its cost in latency and in processor time.
 
 The app of `tools.bench.latency` flies without a motion capture, then with the frames of an emulated OptiTrack
 server, which it forwards at `mocap.rate_hz`. The figures are in docs/results/motion_capture.md.

@@ -2,9 +2,9 @@
 
     python -m tools.bench.share [--seconds S] [--rounds N]
 
-Each client is a separate process against `impact_source` (a contact every three seconds), and the clients
-take turns. The parts are threads, with the processor time that Linux counts for each. Threads that are
-neither Python's nor the app's own belong to MAVSDK, whose callbacks build the records. The deadman is a
+Each client is a separate process that receives from `impact_source` (a contact every three seconds), and the
+clients take turns. The parts are threads, with the processor time that Linux counts for each. Threads that
+are neither Python's nor the app's own belong to MAVSDK, whose callbacks build the records. The deadman is a
 process. The figures are in docs/results/latency.md.
 """
 

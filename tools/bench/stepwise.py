@@ -1,4 +1,4 @@
-"""Benchmark of stepping a simulation from Python: `DartShuttle-v0`, and rotorpy's vehicle beside it.
+"""Benchmark of stepping a simulation from Python: `DartShuttle-v0`, compared with rotorpy's vehicle.
 
     python -m tools.bench.stepwise [--rotorpy PYTHON]
 

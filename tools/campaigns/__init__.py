@@ -1,1 +1,1 @@
-"""The measurements behind the manual's results, one specification and one page each."""
+"""The measurements behind the manual's results; each has a specification and a page of results."""

@@ -31,7 +31,7 @@ class BothWays(NamedTuple):
 
     @property
     def visits(self) -> list[tuple[Vec2, float]]:
-        """The places with their tolerances."""
+        """The places that both flights must visit, each with its tolerance."""
         return [(visit.position_m, visit.within_m + BESIDE_M) for visit in self.scenario.visits]
 
     def planned_s(self, way: str) -> float:

@@ -1,6 +1,7 @@
 """Campaign: hits of a body at oblique walls, with tilt, rate and the next hit (docs/results/body.md).
 
-For another body than the configured one, edit `settings` in body.yaml; `vary: [all]` draws everything.
+To measure another body than the configured one, edit `settings` in body.yaml; `vary: [all]` draws all
+quantities.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ _AFTER_US = 600_000  # interval for the effect of a hit on tilt and rate
 
 
 class TurnedHit(msgspec.Struct, frozen=True):
-    """One true contact, and the largest tilt and rate within 0.6 s of its begin, or until the next."""
+    """One true contact, and the largest tilt and rate from its onset for 0.6 s or until the next contact."""
 
     wall: str
     normal_m_s: float
@@ -89,7 +90,7 @@ _HEADS = ("mission", "wall yaw", "completed", "broken off", "uncontrolled", "til
 
 
 def page(rows: Sequence[JudgedRow]) -> str:
-    """Return a row for every mission and yaw, with median and worst figures."""
+    """Return a table with a row for every mission and yaw, with median and worst figures."""
     groups: dict[tuple[str, str], list[BodyFlight]] = {}
     for r in rows:
         groups.setdefault((r.mission, r.values["yaw_deg"]), []).append(r.row)

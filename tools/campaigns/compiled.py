@@ -2,9 +2,9 @@
 
     make compiled && python -m tools.campaigns.compiled [--seeds N]
 
-It flies all shipped missions with the seeds 1 to N (default 5), and as many drawn worlds of the dual
-collision. Each package runs in a separate process, and every record with its number and the verdict is
-compared. It prints a line per flight, and exits with 1 if one differs.
+It flies all shipped missions with the seeds 1 to N (default 5), and the dual collision in as many drawn
+worlds. Each package runs in a separate process. The comparison covers every record with its number, and the
+verdict. The program prints a line per flight, and exits with 1 if a flight differs.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ MISSIONS = ("paper_dual_collision", "dual_collision_replan", "dual_collision_sti
 
 
 class Flown(msgspec.Struct, frozen=True):
-    """The flights of one package: digests of records and verdict, by name of the flight."""
+    """The flights of one package: a digest of records and verdict for each flight, by its name."""
 
     compiled: bool
     digests: dict[str, str]

@@ -1,8 +1,8 @@
 """Campaign: single hits along planned trajectories at increasing speed, and the causes that end them.
 
-A flight (docs/results/faster_hits.md) starts from rest, hits a wall at a given velocity, rebounds and rests 2
-m in front of the wall. The mission's limits are raised so that force and speed end no flight. A flight is
-*recovered* if it completed and was truly at rest at the goal.
+A flight (docs/results/faster_hits.md) starts from rest, hits a wall at a given velocity, rebounds, and comes
+to rest 2 m in front of the wall. The mission's limits are raised so that force and speed end no flight. A
+flight is *recovered* if it completed and was truly at rest at the goal.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ _NEAR_M, _STILL_M_S = 0.25, 0.3
 
 
 class FastHit(msgspec.Struct, frozen=True):
-    """One flight; `closing_m_s` and `exit_m_s` are true, along the true wall's normal, None without a hit."""
+    """One flight; `closing_m_s` and `exit_m_s` are true speeds along the true normal, None without a hit."""
 
     outcome: str
     rule: str
@@ -213,7 +213,7 @@ _HEADS = (
 
 
 def page(rows: Sequence[JudgedRow]) -> str:
-    """Return a row for every case."""
+    """Return a table with a row for every case."""
     groups: dict[tuple[str, ...], list[FastHit]] = {}
     for r in rows:
         groups.setdefault(tuple(r.values.values()), []).append(r.row)

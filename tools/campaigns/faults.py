@@ -1,4 +1,4 @@
-"""Campaign: the fault matrix as a table, with the end of each cell and the time of the first decision."""
+"""Campaign: the fault matrix as a table, with each flight's outcome and the time of its first decision."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from tools.campaigns.results import markdown
 
 
 def page(rows: Sequence[JudgedRow]) -> str:
-    """Return the matrix, one row per fault, followed by the uncontrolled cells."""
+    """Return the matrix, one row per fault, followed by the uncontrolled flights."""
     cells = {(r.values["fault"], r.values["phase"]): _cell(r.row) for r in rows}
     faults = dict.fromkeys(fault for fault, _ in cells)
     phases = tuple(dict.fromkeys(phase for _, phase in cells))

@@ -1,4 +1,4 @@
-"""Campaign: flights with random faults, with the ends of each kind and the uncontrolled flights."""
+"""Campaign: flights with random faults, their outcomes by kind of fault, and the uncontrolled flights."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _HEADS = (
 
 
 def page(rows: Sequence[JudgedRow]) -> str:
-    """Return a row for each kind of fault."""
+    """Return a table with a row for each kind of fault."""
     by_kind: dict[str, list[FaultFlight]] = {}
     for r in rows:
         by_kind.setdefault(r.row.fault, []).append(r.row)

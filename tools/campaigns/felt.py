@@ -2,7 +2,8 @@
 (docs/results/felt.md).
 
 A flight ends when its contact has been evaluated. The seed draws approach velocity, mode, and whether the
-lock obeys. It also draws the wall's coefficients (30 %) and those of each hit (5 %).
+lock obeys. It also draws the wall's coefficients (standard deviation 30 %) and their scatter between contacts
+(5 %).
 """
 
 from __future__ import annotations
@@ -85,12 +86,12 @@ class EstimatedContact(msgspec.Struct, frozen=True):
 
     @property
     def is_wrong(self) -> bool:
-        """Whether the estimated mode is the wrong one."""
+        """Whether the estimated mode is wrong."""
         return self.mode_felt not in (None, self.true_mode)
 
 
 def cases() -> list[dict[str, str]]:
-    """Return every set with every body."""
+    """Return the cases: every set with every body."""
     return [{"set": name, "body": body} for name in SETS for body in ("point", "guards")]
 
 
@@ -188,7 +189,7 @@ _HEADS = (
 
 
 def page(rows: Sequence[JudgedRow]) -> str:
-    """Return a row for every set and body."""
+    """Return a table with a row for every set and body."""
     groups: dict[tuple[str, str], list[EstimatedContact]] = {}
     for r in rows:
         groups.setdefault((r.values["set"], r.values["body"]), []).append(r.row)

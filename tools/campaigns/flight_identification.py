@@ -23,9 +23,7 @@ _FLIGHTS = 3
 
 
 class Identified(msgspec.Struct, frozen=True):
-    """Coefficients by `material, mode, name`: estimate, interval and truth; None if the logs do not determine
-    it.
-    """
+    """Coefficients by `material, mode, name`: estimate, interval and truth, or None if not determined."""
 
     coefficients: dict[str, tuple[float | None, float | None, float | None, float]]
 
@@ -71,7 +69,7 @@ def _log_of(mission: Mission, real: Mission, seed: int) -> Log:
 
 
 def page(rows: Sequence[JudgedRow]) -> str:
-    """Return a row for every coefficient, bold if the interval does not contain the truth."""
+    """Return a table with a row for every coefficient, in bold if its interval does not contain the truth."""
     table = []
     for r in rows:
         for what, (value, low, high, true) in r.row.coefficients.items():

@@ -1,9 +1,9 @@
 """Campaign: malformed files and MAVLink frames must be rejected in one line, without traceback or hang.
 
-Each input (docs/results/fuzz.md) is a valid one damaged according to its number: bytes or lines are removed,
-doubled, swapped or replaced, or values are exchanged. An input fails if it raises anything but `InputError`
-(for frames: anything at all). It also fails if the error has several lines, or if it takes more than a second
-of processor time.
+Each input (docs/results/fuzz.md) is a valid input with a damage that its number determines: bytes or lines
+are removed, doubled, swapped or replaced, or values are exchanged. An input fails if it raises an exception
+other than `InputError` (for frames: any exception). It also fails if the error has several lines, or if the
+program takes more than a second of processor time.
 """
 
 from __future__ import annotations
@@ -90,7 +90,7 @@ def spoil_text(text: str, chance: random.Random) -> str:
 
 
 def _exchange_value(text: str, chance: random.Random) -> str:
-    """Replace the value of one key."""
+    """Return a copy of the text with the value of one key replaced."""
     lines = text.splitlines()
     keyed = [i for i, line in enumerate(lines) if ": " in line]
     if not keyed:
@@ -102,7 +102,7 @@ def _exchange_value(text: str, chance: random.Random) -> str:
 
 
 def spoil_bytes(data: bytes, chance: random.Random) -> bytes:
-    """Flip, remove, insert or cut off bytes."""
+    """Return a copy of the data with bytes flipped, removed, inserted or cut off."""
     body = bytearray(data)
     for _ in range(chance.randint(1, 6)):
         i = chance.randrange(len(body)) if body else 0
@@ -252,7 +252,7 @@ def fly(point: Point, seed: int) -> Tally:
 
 
 def page(rows: Sequence[JudgedRow]) -> str:
-    """Return a row for every kind, and the failures."""
+    """Return a table with a row for every kind, and the failures."""
     kinds: dict[str, list[Tally]] = {}
     for r in rows:
         kinds.setdefault(r.values["kind"], []).append(r.row)

@@ -82,7 +82,7 @@ _HEADS = (
 
 
 def page(rows: Sequence[JudgedRow]) -> str:
-    """Return a row for every kind of trials and coefficient."""
+    """Return a table with a row for every kind of trials and coefficient."""
     groups: dict[tuple[str, str, str], list[tuple[float, float, float, float]]] = {}
     for r in rows:
         for name, estimate in r.row.coefficients.items():

@@ -1,8 +1,8 @@
 """Campaign: mutants of the core by cosmic-ray, drawn by a seed, and the tests that detect them.
 
 Within a file, every kind of change is drawn with the same probability. The mutant is written into a copy of
-the tree, where the core's tests run until the first failure. If none fails, the mutant has survived. Then a
-test is written for it, or docs/results/mutants.md explains why none is needed.
+the tree, where the core's tests run until the first failure. If no test fails, the mutant has survived. The
+author then adds a test for it, or docs/results/mutants.md explains why no test is needed.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ _LONGEST_S = 3600.0
 
 
 class Mutant(msgspec.Struct, frozen=True):
-    """One mutant: place, line before and after, and the test that detected it, or empty."""
+    """One mutant: place, line before and after the change, and the test that detected it, or ""."""
 
     place: str
     kind: str
@@ -60,7 +60,7 @@ class Mutant(msgspec.Struct, frozen=True):
 
 
 def mutations(file: Path) -> Iterator[tuple[str, str, int, int]]:
-    """Yield kind, operator, its occurrence in the file, and line of every mutation."""
+    """Yield every possible mutation: kind, operator, number of its occurrence in the file, and line."""
     nodes = list(ast_nodes(get_ast_from_path(file)))
     for kind, operators in _KINDS.items():
         for name in operators:

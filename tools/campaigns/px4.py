@@ -21,7 +21,7 @@ from tools.campaigns.results import markdown
 
 
 class Px4Hit(msgspec.Struct, frozen=True):
-    """One collision: true velocity and peak, measured over true peak, latency of the detection."""
+    """One collision: true velocity, true peak, ratio of measured to true peak, and detection latency."""
 
     normal_m_s: float | None
     peak_n: float | None
@@ -87,7 +87,7 @@ _OF_HIT: dict[str, tuple[Callable[[Px4Hit], float | None], int]] = {
 
 
 def page(rows: Sequence[JudgedRow]) -> str:
-    """Return a column for every mission and source of the position, with median (minimum to maximum)."""
+    """Return a table of median (minimum to maximum), with a column for every mission and position source."""
     groups: dict[str, list[Px4Flight]] = {}
     for r in rows:
         mission = Path(r.mission).stem

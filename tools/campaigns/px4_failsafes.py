@@ -87,11 +87,11 @@ class Second:
             self.send(mavlink.MAVLink_manual_control_message(1, 0, 0, 500, 0, 0))
 
     def turn(self, degrees: float) -> None:
-        """Send PX4 a heading with an error in degrees."""
+        """Send PX4 an external heading with this error, degrees."""
         self.command(620, p3=math.degrees(self.yaw_rad) + degrees, p7=0.5)
 
     def move(self) -> None:
-        """Send PX4 a position one metre north of its own."""
+        """Send PX4 an external position one metre north of the vehicle's own."""
         north, east, down = self.position_ned
         place = [round(degrees * 1e7) for degrees in geodetic((north + _JUMP_M, east, down))]
         values = (math.nan, 0.0, 0.05, math.nan, *place, math.nan)
@@ -99,7 +99,7 @@ class Second:
 
 
 class Row(NamedTuple):
-    """One disturbance; `falls` if PX4 stops the motors, `off_m` is the allowed position error."""
+    """One disturbance; `falls`: whether PX4 stops the motors; `off_m`: allowed position error, m."""
 
     begin: Callable[[Second], None]
     position_from: PositionSource = PositionSource.MOCAP
@@ -123,7 +123,10 @@ ROWS = {
 
 
 class Disturbed(msgspec.Struct, frozen=True):
-    """One disturbed flight: rules, seconds after the disturbance (None: before it), details; the truth."""
+    """One disturbed flight: the guard's rules with their times and details, and the true outcome.
+
+    Times are seconds since the disturbance; None: before it.
+    """
 
     rules: list[tuple[str, float | None, str]]
     outcome: str
@@ -134,12 +137,12 @@ class Disturbed(msgspec.Struct, frozen=True):
 
 
 def cases() -> list[dict[str, str]]:
-    """Return every disturbance in every phase."""
+    """Return the cases: every disturbance in every phase."""
     return [{"disturbance": name, "phase": phase.value} for name in ROWS for phase in PHASES]
 
 
 def fly(point: Point, seed: int) -> Disturbed:
-    """Fly until the disturbance began before any rule fired, at most four times."""
+    """Fly up to four times, until the disturbance begins before the first rule fires."""
     for _ in range(_TRIES):
         flown = _fly_once(point.case["disturbance"], Phase(point.case["phase"]), seed)
         if all(after_s is not None for _, after_s, _ in flown.rules):
@@ -188,7 +191,7 @@ def _fly_once(name: str, phase: Phase, seed: int) -> Disturbed:
 
 
 def page(rows: Sequence[JudgedRow]) -> str:
-    """Return a row for every disturbance, with the time of each rule in each phase."""
+    """Return a table with a row for every disturbance, with the time of each rule in each phase."""
     groups: dict[str, list[Disturbed]] = {}
     for r in rows:
         groups.setdefault(r.values["disturbance"], []).append(r.row)

@@ -45,7 +45,8 @@ class PoseFlight(msgspec.Struct, frozen=True):
     Attributes:
         rules: guard rules that fired, in order.
         uncontrolled: reasons why control was lost (`recording.uncontrolled`).
-        moved_m: true horizontal distance from where the guard first acted to where the vehicle came to rest.
+        moved_m: true horizontal distance between the places of the guard's first reaction and of the final
+            rest.
     """
 
     outcome: str

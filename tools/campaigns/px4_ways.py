@@ -39,7 +39,7 @@ _both_ways = functools.cache(both_ways)
 
 
 def cases() -> list[dict[str, str]]:
-    """Return every mission with and without collisions."""
+    """Return the cases: every mission with and without collisions."""
     return [
         {"flown": name, "way": way} for name, way in itertools.product(USING_COLLISIONS, (COLLIDING, FREE))
     ]
@@ -71,7 +71,7 @@ _HEADS = ("mission", "way", "completed", "plan followed", "places passed", "plan
 
 
 def page(rows: Sequence[JudgedRow]) -> str:
-    """Return a row for every mission and variant."""
+    """Return a table with a row for every mission and variant."""
     groups: dict[tuple[str, str], list[WayFlown]] = {}
     for r in rows:
         groups.setdefault((r.values["flown"], r.values["way"]), []).append(r.row)

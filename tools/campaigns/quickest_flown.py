@@ -23,7 +23,7 @@ OTHER_SEED = 800_001
 
 
 class Room(NamedTuple):
-    """A room: places to visit and walls by their letters, half the room's width, tolerance, and options."""
+    """A room: letters of the places to visit and of the walls, half the width, tolerance, and options."""
 
     vehicle: str
     visits: str
@@ -64,7 +64,7 @@ def scenario_of(room: Room) -> dict[str, Any]:
 
 
 class RoomFlown(msgspec.Struct, frozen=True):
-    """The planned saving, the offered plan and both records; None if nothing was offered."""
+    """The planned saving, the offered plan, and its flights by `plan` and in other worlds; None: no offer."""
 
     planned_saving_s: float | None
     offered: str
@@ -73,12 +73,12 @@ class RoomFlown(msgspec.Struct, frozen=True):
 
 
 def cases() -> list[dict[str, str]]:
-    """Return the numbers of the rooms."""
+    """Return the cases: the number of every room."""
     return [{"room": str(number)} for number in range(1, len(ROOMS) + 1)]
 
 
 def fly(point: Point, _: int) -> RoomFlown:
-    """Plan a room, fly the plan as `plan` does, and fly it in twenty other worlds."""
+    """Plan a room, fly the plan in the worlds that `plan` draws, and fly it in twenty other worlds."""
     room, alone = ROOMS[int(point.case["room"]) - 1], flown_plan.fly_in_process
     result = plan_quickest(load_scenario(scenario_of(room)), 60.0)
     offered = flown_plan.choose_flown(result, False, fly=alone)
@@ -100,7 +100,7 @@ _HEADS = ("vehicle", "visits", "walls", "within m", "planned s", "offered", "com
 
 
 def page(rows: Sequence[JudgedRow]) -> str:
-    """Return a row for every room; pairs of figures are those of `plan` and those of the other worlds."""
+    """Return a table with a row for every room; a pair of figures is for `plan` and for the other worlds."""
     table = []
     for r in rows:
         room, found = ROOMS[int(r.values["room"]) - 1], r.row

@@ -66,7 +66,7 @@ def fly(point: Point, seed: int) -> Replanned:
 def _goal_figures(
     mission: Mission, end_us: int, track: Sequence[tuple[int, float]]
 ) -> tuple[float, float | None]:
-    """Return the first closest approach to the goal after a time, m, and the time until it is held, s."""
+    """Return the first closest approach to the goal after a time, m, and the time until goal hold, s."""
     after = [(t, d) for t, d in track if t >= end_us]
     least = math.inf
     for _, distance in after:
@@ -86,7 +86,7 @@ _HEADS = ("after an impact", "completed (95 %)", "uncontrolled", "second impact 
 
 
 def page(rows: Sequence[JudgedRow]) -> str:
-    """Return a row for each setting of `after_impact`."""
+    """Return a table with a row for each setting of `after_impact`."""
     ways: dict[str, list[Replanned]] = {}
     for r in rows:
         ways.setdefault(r.values["after_impact"], []).append(r.row)

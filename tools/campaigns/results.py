@@ -1,4 +1,4 @@
-"""The checkout in which campaigns run, and Markdown tables for their pages."""
+"""The folder of the checkout in which campaigns run, and a writer of Markdown tables for their pages."""
 
 from __future__ import annotations
 

@@ -53,11 +53,11 @@ class BodyHit(msgspec.Struct, frozen=True):
 
     Attributes:
         force_error: relative error of the peak, as force over mass.
-        over_bound: error of the peak force over its Cramér-Rao bound for white noise of the learnt level.
-        friction_error: relative error; None if the true peak is below 3 N.
-        raw_torque_nm: largest sample.
-        by_yaw_rad: incidence from attitude and planned wall.
-        lead_m: lead of the right contact point.
+        over_bound: error of the peak force, divided by its Cramér-Rao bound for the estimated noise level.
+        friction_error: relative error of the peak friction; None if the true peak is below 3 N.
+        raw_torque_nm: largest single sample of the torque.
+        by_yaw_rad: incidence computed from attitude and planned wall.
+        lead_m: distance by which the right contact point is ahead of the left one.
     """
 
     mode: Mode
@@ -214,7 +214,7 @@ def cramer_rao_n(time_s: NDArray[np.float64], pulse_n: NDArray[np.float64], nois
 
 
 def page(rows: Sequence[JudgedRow]) -> str:
-    """Return a column for every set."""
+    """Return a table with a column for every set."""
     sets: dict[str, list[BodyHit]] = {}
     for r in rows:
         sets.setdefault(r.values["set"], []).append(r.row)

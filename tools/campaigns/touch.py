@@ -1,7 +1,7 @@
 """Campaign: walls measured by touch: direction from one contact, survey, hits on plain GPS, and rooms.
 
-Every row (docs/results/touch.md) is a flight with everything drawn, or the flights in one room. Errors refer
-to the simulation's truth.
+Every row (docs/results/touch.md) is a flight with all quantities drawn, or the flights in one room. Errors
+refer to the simulation's truth.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ _MATERIALS = ("wood", "acrylic", "concrete")
 
 
 class EstimatedWall(msgspec.Struct, frozen=True):
-    """One wall of a flight: errors against the truth, standard deviations; k relative to the drawn one."""
+    """One wall of a flight: errors and standard deviations of its estimate; k relative to the drawn k."""
 
     mode: str
     incidence_deg: float | None
@@ -59,7 +59,12 @@ class HitOnGps(msgspec.Struct, frozen=True):
 
 
 class FoundRoom(msgspec.Struct, frozen=True):
-    """A room: true and found walls, whether the outline is closed, its share within 5 cm, and the effort."""
+    """A room: numbers of true and found walls, quality of the outline, and effort.
+
+    Attributes:
+        share: share of the true outline that is within 5 cm of the found one.
+        contacts, flights, flown_s: number of contacts and of flights, and their total time.
+    """
 
     walls: int
     found: int
@@ -82,7 +87,7 @@ class Touched(msgspec.Struct, frozen=True):
 
 
 def directions_mission(seed: int) -> Mission:
-    """Return four unknown walls around the start, each rotated by up to 15 degrees, and a probe for each."""
+    """Return a mission with four unknown walls around the start, rotated by up to 15 degrees, and probes."""
     rng = np.random.default_rng(seed)
     walls, probes = {}, []
     for k in range(4):
@@ -130,7 +135,7 @@ def survey_mission(case: str) -> Mission:
 
 
 def gps_mission(case: str) -> Mission:
-    """Return the dual collision on GPS, with touches or without anchors."""
+    """Return the dual collision on GPS, either with touches as anchors or without anchors."""
     mission = load_mission(packaged("missions", "dual_collision_gps.yaml"))
     changes: dict[str, Any] = {"vehicle.simulation.position_from": "plain"}
     if case == "no anchors":  # PX4's own uncertainty would prevent the flight
@@ -178,7 +183,7 @@ def room_of(seed: int) -> tuple[Mission, np.ndarray]:
 
 
 def find_room(seed: int, spreads: Mapping[str, float]) -> Touched:
-    """Fly in one room until its outline is closed, at most four times."""
+    """Fly up to four times in one room, until its outline is closed."""
     mission, corners = room_of(seed)
     # The walls are those of the room; everything else is drawn.
     spreads = {name: sd for name, sd in spreads.items() if not name.startswith("wall_")}

@@ -65,7 +65,7 @@ _HEADS = ("mission", "the wall really stands", "the mission says", "completed", 
 
 
 def page(rows: Sequence[JudgedRow]) -> str:
-    """Return a row for every mission and case."""
+    """Return a table with a row for every mission and case."""
     groups: dict[tuple[str, ...], list[MovedWall]] = {}
     for r in rows:
         case = r.values

@@ -39,11 +39,10 @@ _PLAN_WITHIN_S = 20.0
 
 
 class BothFlown(msgspec.Struct, frozen=True):
-    """A map flown free and, if the planner returns the hit, colliding; a time is None if not flown or not
-    arrived.
+    """A map flown free and, if the planner returns a hit, with the hit; a time is None without an arrival.
 
     Attributes:
-        planned_free_s, planned_hit_s: planned arrival times, by the rule of the flown times.
+        planned_free_s, planned_hit_s: planned arrival times, defined as for the flown times.
         problems: reasons of flights that did not complete or are uncontrolled.
     """
 
@@ -77,7 +76,7 @@ _WHERE = ROOT / "missions" / "generated.yaml"
 
 
 def flown_cases() -> list[dict[str, str]]:
-    """Return every map."""
+    """Return the cases: every map."""
     return [{"kind": kind, "map": str(number)} for kind, numbers in MAPS.items() for number in numbers]
 
 
@@ -151,7 +150,7 @@ def scenario_of(kind: str, seed: int, limits: str) -> dict[str, Any]:
 def _wall(
     x: float, y: float, normal: tuple[float, float], length_m: float, surveyed: bool = False
 ) -> dict[str, Any]:
-    """Return a wall; a `surveyed` one is drawn with at most a centimetre, because it is passed at 0.15 m."""
+    """Return a wall; a `surveyed` wall is drawn within a centimetre, because the path passes it at 0.15 m."""
     wall = {"point_m": [x, y], "normal": list(normal), "length_m": length_m, "material": "acrylic"}
     return wall | ({"position_sd_m": 0.01, "yaw_sd_deg": 0.2} if surveyed else {})
 
@@ -169,7 +168,7 @@ def _shuttle(tree: dict[str, Any], rng: np.random.Generator, seed: int) -> None:
 
 
 def _hairpin(tree: dict[str, Any], rng: np.random.Generator, seed: int) -> None:
-    """Lead around the end of a partition in front of a wall."""
+    """Set a path around the end of a partition in front of a wall."""
     gap, lane, length = rng.uniform(0.4, 1.5), rng.uniform(0.36, 0.5), rng.uniform(2.5, 3.5)
     tree["start"]["position_m"], tree["goal"]["position_m"] = [-length, lane], [-length, -lane]
     # The partition ends where the vehicle's side passes at x = 0.
@@ -181,7 +180,7 @@ def _hairpin(tree: dict[str, Any], rng: np.random.Generator, seed: int) -> None:
 
 
 def _corner(tree: dict[str, Any], rng: np.random.Generator, seed: int) -> None:
-    """Lead around a corner of ninety degrees, whose outer side is flat or chamfered."""
+    """Set a path around a corner of ninety degrees, whose outer side is flat or chamfered."""
     half, into, out = rng.uniform(0.5, 0.8), rng.uniform(1.5, 3.0), rng.uniform(1.5, 3.0)
     tree["start"]["position_m"], tree["goal"]["position_m"] = [-into - half, 0.0], [0.0, out + half]
     tree["walls"] = {
@@ -194,14 +193,14 @@ def _corner(tree: dict[str, Any], rng: np.random.Generator, seed: int) -> None:
 
 
 def _stop(tree: dict[str, Any], rng: np.random.Generator, seed: int) -> None:
-    """Lead to rest close in front of a wall."""
+    """Set a path to rest close in front of a wall."""
     length = rng.uniform(1.5, 4.0)
     tree["goal"]["position_m"] = [float(length), 0.0]
     tree["walls"] = {"east": _wall(float(length + rng.uniform(0.2, 0.6)), 0.0, (-1.0, 0.0), 4.0)}
 
 
 def _free(tree: dict[str, Any], rng: np.random.Generator, seed: int) -> None:
-    """Lead straight between walls."""
+    """Set a straight path between walls."""
     length, left, right = rng.uniform(2.0, 4.0), *rng.uniform(0.4, 1.2, 2)
     tree["goal"]["position_m"] = [float(length), float(rng.uniform(-0.2, 0.2))]
     tree["walls"] = {
@@ -211,7 +210,7 @@ def _free(tree: dict[str, Any], rng: np.random.Generator, seed: int) -> None:
 
 
 def _sight(tree: dict[str, Any], rng: np.random.Generator, seed: int) -> None:
-    """Lead towards a wall that is detected late, and back to rest in front of it."""
+    """Set a path towards a wall that is detected late, and back to rest in front of the wall."""
     length = rng.uniform(4.0, 5.5)
     tree["walls"] = {"east": _wall(float(length), 0.0, (-1.0, 0.0), 4.0)}
     tree["goal"]["position_m"] = [float(length - 1.2), 0.0]
@@ -233,7 +232,7 @@ _MAKERS: dict[str, Callable[[dict[str, Any], np.random.Generator, int], None]] =
 
 
 def page(rows: Sequence[JudgedRow]) -> str:
-    """Return a row for every kind, then for every map, of medians over the seeds."""
+    """Return medians over the seeds: a row for every kind of map, then a row for every map."""
     maps: dict[tuple[str, str], list[BothFlown]] = {}
     for r in rows:
         maps.setdefault((r.values["kind"], r.values["map"]), []).append(r.row)

@@ -18,7 +18,7 @@ class PlannedMap(msgspec.Struct, frozen=True):
     """Times of both plans, None without a plan, and the share of the free time that hits save.
 
     Attributes:
-        cruise_ratio: with limited sight, approach speed of the colliding plan over that of the free plan.
+        cruise_ratio: approach speed of the colliding plan over that of the free plan, with limited sight.
     """
 
     free_s: float | None
@@ -29,7 +29,7 @@ class PlannedMap(msgspec.Struct, frozen=True):
 
 
 def cases() -> list[dict[str, str]]:
-    """Return every map with every set of limits."""
+    """Return the cases: every map with every set of limits."""
     return [{**case, "limits": limits} for limits in MOTIONS for case in flown_cases()]
 
 
@@ -45,7 +45,7 @@ def plan(point: Point, _: int) -> PlannedMap:
 
 
 def page(rows: Sequence[JudgedRow]) -> str:
-    """Return a row for every kind and set of limits."""
+    """Return a table with a row for every kind and set of limits."""
     groups: dict[tuple[str, str], list[PlannedMap]] = {}
     for r in rows:
         groups.setdefault((r.values["kind"], r.values["limits"]), []).append(r.row)

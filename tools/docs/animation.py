@@ -2,7 +2,7 @@
 
 python -m tools.docs.animation [FILE]
 
-The clock slows down at a hit, which takes a tenth of a second.
+The animation slows down at a hit, because a hit takes only a tenth of a second.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Draw the missions that use collisions beside the fastest flights without, both flown in simulation.
+"""Draw the missions that use collisions and the fastest flights without collisions, both flown in simulation.
 
 python -m tools.docs.both_ways [FOLDER]
 
@@ -200,7 +200,7 @@ def two_clocks(missions: list[FlownBothWays], *, look: Look = _LOOK) -> Any:
 
 
 def _moments(both: FlownBothWays, way: FlownWay) -> list[tuple[str, float]]:
-    """Return names and times of the places that both flights pass."""
+    """Return the names of the places that both flights pass, with the times of one flight."""
     if both.scenario.visits:
         named = [(f"place {k}", t) for k, t in enumerate(way.visits_s, start=1)]
     else:

@@ -1,7 +1,7 @@
 """The comments of `configs/dart.yaml`: meaning of every key and source of its value.
 
-A comment is `MEANING [tag] source`. `make docs` writes the meaning; the part from the tag on is written by
-hand and stays. Names that the user chooses (materials) and keys below them have no comment.
+A comment is `MEANING [tag] source`. `make docs` writes the meaning and keeps the rest, which is written by
+hand. Names that the user chooses (materials) and the keys of their sections have no comment.
 """
 
 from __future__ import annotations

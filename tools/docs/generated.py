@@ -1,8 +1,8 @@
 """Generator of the manual's tables, diagrams, schemas and configuration comments: `make docs` updates them.
 
 A generated part is in a page of docs/ between `<!-- begin: NAME -->` and `<!-- end -->`. The JSON Schemas in
-docs/schemas are whole files. In configs/dart.yaml the part of each comment before the source is generated. A
-test runs `python -m tools.docs.generated --check`.
+docs/schemas are generated as a whole. In configs/dart.yaml the generator writes the part of each comment
+before the source. A test runs `python -m tools.docs.generated --check`.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ def current(text: str) -> str:
 
 
 def stale() -> Iterator[str]:
-    """Yield what is out of date: files, and parts without a place or a generator."""
+    """Yield a line for every file that is out of date, and for parts without a place or a generator."""
     for page, names in pages().items():
         text = page.read_text("utf-8")
         unknown = [name for name in names if name not in PARTS]

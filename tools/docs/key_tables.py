@@ -26,7 +26,7 @@ def mission_tables() -> str:
 
 
 def scenario_tables() -> str:
-    """Return the tables of a scenario's sections that a mission lacks."""
+    """Return the tables of the sections that a scenario has and a mission lacks."""
     return "".join(_sections(schemas()["scenario.json"], known=set(schemas()["mission.json"]["$defs"])))
 
 

@@ -84,7 +84,7 @@ def _schema(type_: type[msgspec.Struct], title: str) -> Schema:
 
 
 def _with_no_lock(schema: Schema) -> Schema:
-    """Allow a lock with driver `none` and any other keys, which the loader treats as no lock."""
+    """Allow a lock with driver `none` and any other keys; the loader treats such a lock as no lock."""
     no_lock = {
         "type": "object",
         "properties": {"driver": {"const": NO_LOCK, "description": "the vehicle has no lock"}},
@@ -95,7 +95,7 @@ def _with_no_lock(schema: Schema) -> Schema:
 
 
 def _draft_7(node: Any) -> Any:
-    """Convert fixed-length lists to draft 7; everything else is equal there."""
+    """Convert fixed-length lists to draft 7, in which everything else is the same."""
     if isinstance(node, list):
         return [_draft_7(item) for item in node]
     if not isinstance(node, dict):

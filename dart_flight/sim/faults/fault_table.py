@@ -2,7 +2,7 @@
 
 `dry-run --fault NAME[=VALUE][@PHASE]` adds a fault. It begins when the mission first reaches the phase, or
 at once without a phase, and it persists. The site of a fault decides which part applies it. `VehicleFault`
-applies faults of plant, sensors and autopilot, and `pose_feed` those of the forwarded poses (`mocap`).
+applies faults of plant, sensors and autopilot. `pose_feed` applies faults of the forwarded poses (`mocap`).
 `link` faults act on the messages between vehicle and application, `lock` faults on the mock servo, and `app`
 faults on the program itself.
 """
@@ -48,7 +48,7 @@ class FaultKind(msgspec.Struct, frozen=True):
     Attributes:
         name: name of the fault, for `--fault`.
         site: site of the fault.
-        description: for the operator.
+        description: description for the operator.
         unit: unit of the value.
         value: default value.
         low, high: range of the value.
@@ -64,7 +64,7 @@ class FaultKind(msgspec.Struct, frozen=True):
 
     @property
     def needs_real_time(self) -> bool:
-        """Whether the fault affects the host's time or the link, so that the world must not wait."""
+        """Whether the fault affects the host's time or the link, so that the world must run in real time."""
         about_link = self.site is FaultSite.LINK or self.name == "clock-back"
         return about_link or (self.site is FaultSite.APP and self.name != "disk-full")
 
@@ -77,25 +77,25 @@ KINDS: tuple[FaultKind, ...] = (
     FaultKind("sigstop", _P.APP, "the program is stopped (SIGSTOP)"),
     FaultKind("sigkill", _P.APP, "the program is killed (SIGKILL, as when memory runs out)"),
     FaultKind("disk-full", _P.APP, "the disk of the flight log is full"),
-    FaultKind("link-loss", _P.LINK, "link down for this long (0: permanently)", "s", 0.0, 0.0, 60.0),
+    FaultKind("link-loss", _P.LINK, "the link is down for this time (0: permanently)", "s", 0.0, 0.0, 60.0),
     FaultKind("packet-loss", _P.LINK, "messages are lost", "%", 10.0, 0.0, 100.0),
     FaultKind("delay", _P.LINK, "messages are delayed", "ms", 50.0, 0.0, 2000.0),
     FaultKind(
-        "jitter", _P.LINK, "messages are delayed by up to this much, each its own", "ms", 100.0, 0.0, 2000.0
+        "jitter", _P.LINK, "each message has a random delay of up to this time", "ms", 100.0, 0.0, 2000.0
     ),
     FaultKind("reorder", _P.LINK, "messages overtake each other by 20 ms", "%", 10.0, 0.0, 100.0),
     FaultKind("duplicate", _P.LINK, "messages are duplicated", "%", 10.0, 0.0, 100.0),
     FaultKind(
         "second-vehicle",
         _P.LINK,
-        "another vehicle with the same system id sends on the link, its clock this far ahead",
+        "another vehicle with the same system id sends on the link; its clock is ahead by this time",
         "s",
         238.0,
         -1000.0,
         1000.0,
     ),
     FaultKind("imu-dropout", _P.LINK, "the telemetry contains no IMU samples"),
-    FaultKind("imu-stuck", _P.SENSOR, "the reported IMU repeats its last reading"),
+    FaultKind("imu-stuck", _P.SENSOR, "the reported IMU samples repeat the last reading"),
     FaultKind("imu-clip", _P.SENSOR, "the accelerometer clips at this many g", "g", 4.0, 1.2, 16.0),
     FaultKind(
         "ekf-jump", _P.SENSOR, "estimate and motion capture jump north by this distance", "m", 0.5, -3.0, 3.0
@@ -112,7 +112,7 @@ KINDS: tuple[FaultKind, ...] = (
     FaultKind(
         "ev-delay",
         _P.AUTOPILOT,
-        "PX4 assumes a motion-capture pose to be this old on arrival (EKF2_EV_DELAY)",
+        "PX4 assumes this age of a motion-capture pose on arrival (EKF2_EV_DELAY)",
         "ms",
         150.0,
         0.0,
@@ -134,7 +134,9 @@ KINDS: tuple[FaultKind, ...] = (
         5.0,
     ),
     FaultKind("servo-stuck", _P.LOCK, "the lock's servo does not move"),
-    FaultKind("servo-slow", _P.LOCK, "the lock's servo takes this many times as long", "x", 4.0, 1.0, 100.0),
+    FaultKind(
+        "servo-slow", _P.LOCK, "the lock's servo needs this multiple of its time", "x", 4.0, 1.0, 100.0
+    ),
     FaultKind("servo-unplugged", _P.LOCK, "the servo's controller does not answer"),
     FaultKind("wall-missing", _P.PLANT, "the walls are missing"),
     FaultKind("wall-nearer", _P.PLANT, "the walls are nearer than planned", "m", 0.3, -1.0, 1.0),
@@ -208,9 +210,7 @@ def parse_mission_fault(mission: Mission, text: str) -> Fault:
     has_mocap = simulated_source(mission) is PositionSource.MOCAP
     fault = parse_fault(text, mission.vehicle.has_lock, has_mocap)
     if fault.kind.site is FaultSite.MOCAP and mission.vehicle.mocap.url is None:
-        raise InputError(
-            f"{fault.name}: needs poses that this program forwards, add --mocap", key=("--fault",)
-        )
+        raise InputError(f"{fault.name}: this fault needs forwarded poses: add --mocap", key=("--fault",))
     return fault
 
 
@@ -230,7 +230,7 @@ def parse_fault(text: str, has_lock: bool = True, has_mocap: bool = True) -> Fau
         raise InputError(f"{name}: this vehicle has no lock", key=("--fault",))
     if name == "ev-delay" and not has_mocap:
         raise InputError(
-            f"{name}: needs motion capture, this vehicle's position comes from GPS", key=("--fault",)
+            f"{name}: needs motion capture, but this vehicle's position comes from GPS", key=("--fault",)
         )
     if at and phase not in PHASES:
         raise InputError(unknown_name(phase, list(PHASES), "phase"), key=("--fault",))
@@ -247,7 +247,7 @@ def parse_fault(text: str, has_lock: bool = True, has_mocap: bool = True) -> Fau
 
 
 class Trigger:
-    """The trigger of a fault: the fault begins at a delay after the mission first reaches its phase."""
+    """The trigger of a fault, which begins `after_s` after the mission first reaches the fault's phase."""
 
     def __init__(self, fault: Fault) -> None:
         self._fault = fault
@@ -264,7 +264,7 @@ class Trigger:
         return self._since_us is not None
 
     def is_due(self, now_us: int) -> bool:
-        """Return whether the fault begins now; a fault from the start needs no record."""
+        """Return whether the fault begins now; a fault from the start of the flight needs no record."""
         if self._fault.phase is None and self._fault.after_s == 0.0:
             return True
         return self._since_us is not None and now_us - self._since_us >= self._fault.after_s * 1e6

@@ -1,6 +1,6 @@
 """Emulated motion-capture servers: they speak the vendors' protocols on loopback.
 
-They have no clock: the caller publishes a pose when simulated time has come to it.
+The servers have no clock: the caller publishes each pose when it is due in simulated time.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class PoseServer(Protocol):
         """Send one frame with the body's pose.
 
         Args:
-            t_us: the server's time stamp of the frame.
+            t_us: the server's time stamp of the frame, microseconds.
             position_room: position of the body, metres.
             q_body_to_room: attitude of the body.
             tracked: whether the body is tracked in this frame.

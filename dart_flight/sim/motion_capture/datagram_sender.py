@@ -1,4 +1,4 @@
-"""An emulated system that sends one datagram per frame to one port of this computer, unasked."""
+"""An emulated system that sends one datagram per frame to a port of this computer, without a request."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ _LOOPBACK: Final = "127.0.0.1"
 
 
 class DatagramSender:
-    """A sender whose receiver may or may not listen yet.
+    """A sender of datagrams to a receiver that may not listen yet.
 
     Args:
-        scheme: of the URL.
+        scheme: scheme of the pose source's URL.
         body: name of the body.
     """
 
@@ -29,7 +29,7 @@ class DatagramSender:
 
     @property
     def clients(self) -> int:
-        """Whether a program on this computer listens at the port, as 0 or 1."""
+        """1 if a program on this computer listens at the port, otherwise 0."""
         wanted = f":{self._port:04X} "
         lines = Path("/proc/net/udp").read_text().splitlines()[1:]
         return int(any(wanted in line.split(": ", 1)[1][:14] for line in lines))

@@ -1,6 +1,6 @@
-"""An emulated OptiTrack server: NatNet 4.1 in unicast, as Motive 3 speaks it.
+"""An emulated OptiTrack server: NatNet 4.1 in unicast, as used by Motive 3.
 
-Layout from the NatNet SDK's public documentation and headers. All values are little-endian.
+The layout is taken from the NatNet SDK's public documentation and headers. All values are little-endian.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ def _sized(kind: int, payload: bytes) -> bytes:
 
 
 def _counted(items: list[bytes]) -> bytes:
-    """Return a list of a frame: number, size in bytes, items."""
+    """Return a list in a frame, encoded as the number of items, their size in bytes, and the items."""
     data = b"".join(items)
     return struct.pack("<II", len(items), len(data)) + data
 
 
 class NatNetServer:
-    """An emulated NatNet server with a wand and the body, on a free port of this computer."""
+    """An emulated NatNet server on a free port of this computer, with a calibration wand and the body."""
 
     def __init__(self, body: str) -> None:
         self._body, self._frame = body, 0

@@ -1,6 +1,6 @@
 """An emulated Qualisys Track Manager: its real-time protocol 1.25, little-endian, 6DOF data.
 
-Layout from the public documentation of QTM's real-time protocol.
+The layout is taken from the public documentation of QTM's real-time protocol.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ def _text(kind: int, text: str) -> bytes:
 
 
 class QtmServer:
-    """An emulated QTM with a wand and the body, on a free port of this computer."""
+    """An emulated QTM that tracks a calibration wand and the body, on a free port of this computer."""
 
     def __init__(self, body: str) -> None:
         self._body, self._frame = body, 0

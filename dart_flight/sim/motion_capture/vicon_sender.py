@@ -1,4 +1,4 @@
-"""An emulated Vicon Tracker: its UDP object stream, with a second object beside the vehicle."""
+"""An emulated Vicon Tracker: its UDP object stream, which contains the vehicle and a second object."""
 
 from __future__ import annotations
 

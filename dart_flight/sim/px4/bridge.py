@@ -1,7 +1,7 @@
 """The plant as PX4's external simulator: HIL messages over TCP, in lockstep.
 
-PX4 connects as a TCP client. It receives one HIL_SENSOR per tick and answers with one HIL_ACTUATOR_CONTROLS;
-its clock is the `time_usec` of HIL_SENSOR. `HilLink` implements this exchange. `Px4Vehicle` contains the
+PX4 connects as a TCP client. It receives one HIL_SENSOR per tick and answers with one HIL_ACTUATOR_CONTROLS.
+PX4's clock is the `time_usec` of HIL_SENSOR. `HilLink` implements this exchange. `Px4Vehicle` contains the
 plant, its sensors and the lock's servo. `sim/px4/launch.py` starts and stops PX4.
 """
 
@@ -66,7 +66,7 @@ class Px4LostError(FlightError):
 
 
 class Controls(msgspec.Struct, frozen=True):
-    """One HIL_ACTUATOR_CONTROLS: motors 0 to 1, everything else -1 to 1; all zero while disarmed."""
+    """One HIL_ACTUATOR_CONTROLS: motors 0 to 1, other outputs -1 to 1; all zero while PX4 is disarmed."""
 
     time_us: int
     armed: bool
@@ -78,10 +78,10 @@ class SensorLink(Protocol):
 
     @property
     def controls(self) -> Controls:
-        """PX4's last outputs."""
+        """The last outputs received from PX4."""
 
     def exchange(self, sensor: Any, *others: Any) -> Controls:
-        """Send one tick's messages; return the outputs that are valid from now on."""
+        """Send one tick's messages; return PX4's outputs for the next tick."""
 
 
 class HilLink:
@@ -101,7 +101,7 @@ class HilLink:
         self.locked = False  # whether PX4 has begun to answer
 
     def send(self, *messages: Any) -> None:
-        """Send messages in one piece.
+        """Send messages with a single write.
 
         Raises:
             Px4LostError: the connection is gone.
@@ -118,10 +118,10 @@ class HilLink:
     def exchange(self, sensor: Any, *others: Any) -> Controls:
         """Send one tick's messages, wait for PX4's answer and return it.
 
-        Until the first answer the wait is short and the controls are those of a disarmed vehicle.
+        Before PX4's first answer the wait is short, and the result is the outputs of a disarmed vehicle.
 
         Raises:
-            Px4LostError: the connection is gone, or no answer for 5 s.
+            Px4LostError: the connection is gone, or PX4 has not answered for 5 s.
         """
         # PX4 stamps poses and fixes with its clock, which the later HIL_SENSOR advances.
         self.send(*others, sensor)
@@ -163,11 +163,11 @@ class Px4Vehicle:
     """Plant, sensors and lock servo behind a HIL link.
 
     Args:
-        mission: walls, start, vehicle.
-        seed: of every sensor's noise.
-        link: to PX4.
+        mission: mission with walls, start and vehicle.
+        seed: seed of every sensor's noise.
+        link: link to PX4.
         position_from: motion capture (no GPS) or a GPS receiver.
-        motors: the airframe's motors according to PX4's parameters; default: the configuration's.
+        motors: the airframe's motors according to PX4's parameters; default: motors of the configuration.
         sends_poses: whether the poses of the simulated motion capture go to PX4 over this link.
 
     Attributes:
@@ -222,7 +222,7 @@ class Px4Vehicle:
         """Advance the plant by one tick of 4 ms with PX4's last outputs, then send its measurements to PX4.
 
         Args:
-            report: whether to send; if not, the next IMU sample is the mean that includes this tick.
+            report: whether to send; if not, the next IMU sample is a mean that includes this tick.
 
         Raises:
             Px4LostError: as in the link's `exchange`.
@@ -291,7 +291,7 @@ def servo_channel(vehicle: VehicleConfig) -> int:
 
 
 def accelerometer_output(specific_force_m_s2: float, full_scale_m_s2: float) -> float:
-    """Return one axis of HIL_SENSOR; full scale becomes the largest count, which PX4 treats as clipping.
+    """Return one axis of HIL_SENSOR, with full scale as the largest count, which PX4 treats as clipping.
 
     A sensor of less than 16 g also saturates, but PX4's simulated driver does not detect that.
     """
@@ -329,7 +329,7 @@ def odometry_message(time_us: int, position_ned: Vec3, q: Quaternion, vehicle: A
 
 
 def gps_message(time_us: int, fix: GpsFix, receiver: GpsReceiver) -> Any:
-    """Return HIL_GPS: degrees 1e7, millimetres, centimetres."""
+    """Return HIL_GPS, in its units: 1e-7 degrees, millimetres, centimetres per second."""
     latitude, longitude = geodetic(fix.position_ned)
     vn, ve, vd = fix.velocity_ned
     return mavlink.MAVLink_hil_gps_message(

@@ -1,18 +1,18 @@
 """The plant's side of a flight controller in hardware-in-the-loop mode: HIL messages over USB or UDP.
 
 There is no lockstep. PX4 uses its own clock and stamps every HIL_SENSOR, ODOMETRY and HIL_GPS on arrival
-(v1.14 to v1.18), because nothing here answers its TIMESYNC. The time of sending is therefore the time stamp:
+(v1.14 to v1.18), because this link does not answer its TIMESYNC. The time of sending is therefore the stamp:
 
-- A late message is not compensated by a burst, which PX4 would treat as one sample of 20 ms and several of
-zero duration. The missed ticks are reported as one message with their mean (`Px4Vehicle.step`).
+- Missed ticks are not sent later in a burst, which PX4 would treat as one sample of 20 ms and several of
+zero duration. They are reported as one message with their mean (`Px4Vehicle.step`).
 - A message that the port does not accept is dropped as a whole and counted.
 - After a lost HIL_ACTUATOR_CONTROLS the motors keep their last values, as ESCs do after a lost frame.
 - A gap of more than about 75 ms in HIL_SENSOR (measured on v1.18) shifts PX4's vertical estimate by g times
 its length, and the vehicle descends to the ground. In flight such a gap ends the simulation, with that cause.
-The sent messages and PX4's own stamps reveal it; outputs that only arrive late are harmless.
+The times of sending and PX4's own stamps reveal the gap; outputs that only arrive late are harmless.
 
-The link also queries PX4's outputs through its shell: only the simulated ones may change. This verifies that
-the motors stay off, because v1.18 no longer locks them in this mode.
+The link also queries PX4's outputs through PX4's shell: only the simulated outputs may change. This verifies
+that the motors stay off, because v1.18 no longer locks the outputs in this mode.
 """
 
 from __future__ import annotations
@@ -129,7 +129,7 @@ def open_port(url: str) -> HitlPort:
     """Return the port of a URL of `--hitl`.
 
     Raises:
-        InputError: it cannot be opened, or is neither serial nor UDP.
+        InputError: the port cannot be opened, or is neither serial nor UDP.
     """
     address = parse_link(url)
     if address is None or address.kind not in ("serial", "udpin", "udpout"):
@@ -148,18 +148,19 @@ def open_port(url: str) -> HitlPort:
 
 
 class HitlLink:
-    """Sends the plant's measurements and stores the flight controller's outputs.
+    """The link that sends the plant's measurements and stores the flight controller's outputs.
 
     Args:
-        port: to the flight controller.
+        port: port to the flight controller.
 
     Attributes:
-        controls: the last actuator outputs.
-        answered: whether any have arrived.
-        sent, dropped: number of messages that the port accepted, and did not.
-        outputs_seen: number of PX4's kinds of outputs, including the simulated ones; 0: not queried yet.
-        longest_gap_s: longest gap between two accepted ticks, and between two messages with actuator outputs
-            by PX4's clock (which sends them at least every 50 ms).
+        controls: last actuator outputs.
+        answered: whether any actuator outputs have arrived.
+        sent, dropped: numbers of messages that the port has accepted and has not accepted.
+        outputs_seen: number of output drivers that PX4 reports, including the simulated one; 0 before the
+            first report.
+        longest_gap_s: longest gap between two accepted ticks or, by PX4's clock, between two messages with
+            actuator outputs. PX4 sends these at least every 50 ms.
     """
 
     def __init__(self, port: HitlPort) -> None:
@@ -188,9 +189,9 @@ class HitlLink:
         """Send one tick's messages, process the received data, and return the newest actuator outputs.
 
         Raises:
-            Px4LostError: the port is gone, there were no actuator outputs for `SILENCE_S`, there was a gap in
-                flight of more than `GAP_S`, or other outputs than the simulated ones change; in the last case
-                it also disarms the flight controller.
+            Px4LostError: the port is gone, no actuator outputs have arrived for `SILENCE_S`, a gap in flight
+                has exceeded `GAP_S`, or outputs other than the simulated ones change. In the last case this
+                method also disarms the flight controller.
         """
         dropped = self.dropped
         self.send(*others, sensor)
@@ -202,7 +203,7 @@ class HitlLink:
         self._send_periodic()
         self.receive()
         if self.answered and self.silent_s > SILENCE_S:
-            raise Px4LostError(f"flight controller sent no actuator outputs for {SILENCE_S:g} s")
+            raise Px4LostError(f"the flight controller has sent no actuator outputs for {SILENCE_S:g} s")
         return self.controls
 
     def _send_periodic(self) -> None:
@@ -240,16 +241,16 @@ class HitlLink:
         if sum(k >= len(still) or values != still[k] for k, values in enumerate(found)) > 1:
             self._command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0.0, _FORCE)
             raise Px4LostError(
-                "outputs of the flight controller beside the simulated ones move: told it to disarm; set "
-                "PWM_MAIN_FUNC1 to 8 and UAVCAN_ENABLE to 0 (docs/hitl.md)"
+                "the flight controller moves real outputs, so it was commanded to disarm: set PWM_MAIN_FUNC1 "
+                "to 8 and UAVCAN_ENABLE to 0 (docs/hitl.md)"
             )
 
     def _check_gap(self, gap_s: float, in_flight: bool) -> None:
         self.longest_gap_s = max(self.longest_gap_s, gap_s)
         if in_flight and gap_s > GAP_S:
             raise Px4LostError(
-                f"flight controller without simulated sensors for {gap_s * 1e3:.0f} ms: its estimate does "
-                "not survive that (its port, or a computer that is too busy)"
+                f"the flight controller was without simulated sensors for {gap_s * 1e3:.0f} ms, so its "
+                "estimate is lost: check its port and the load of this computer"
             )
 
     def send(self, *messages: Any) -> None:

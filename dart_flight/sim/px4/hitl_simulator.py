@@ -1,9 +1,9 @@
 """The world of a flight controller in hardware-in-the-loop mode: plant and sensors in real time.
 
 The flight controller uses its own time, and neither side waits. Ticks follow the host's clock. Ticks that a
-busy computer has missed are computed at once and reported as one (`hitl_link`). After a stall of more than a
-quarter of a second the plant pauses instead, as with the embedded autopilot. The plant also pauses while an
-armed flight controller is silent, because constant outputs soon tip a vehicle over.
+busy computer has missed are computed at once and reported as one tick (`hitl_link`). After a stall of more
+than a quarter of a second the plant does not catch up, as with the embedded autopilot. The plant also pauses
+while an armed flight controller is silent, because constant outputs soon tip a vehicle over.
 """
 
 from __future__ import annotations
@@ -34,11 +34,11 @@ _STALL_TICKS = round(STALL_S / TICK_S)
 
 
 class HitlSimulator:
-    """Plant between the app's pipe and the flight controller's port.
+    """The world of a flight controller, connected to the app's pipe and to the flight controller's port.
 
     Args:
-        spec: of the world.
-        hitl: its hardware-in-the-loop part.
+        spec: specification of the world.
+        hitl: hardware-in-the-loop part of the specification.
     """
 
     def __init__(self, spec: SimulatorSpec, hitl: HitlSpec) -> None:
@@ -52,7 +52,7 @@ class HitlSimulator:
         self._still_ticks = 0
 
     def run(self, commands: IO[bytes], truth: IO[bytes]) -> int:
-        """Feed the flight controller until the app has ended and it has disarmed; return the exit status."""
+        """Run until the app has ended and the flight controller has disarmed; return the exit status."""
         signal.signal(signal.SIGTERM, raise_terminated)
         writer, link = LineWriter(truth), None
         status = 0
@@ -78,9 +78,9 @@ class HitlSimulator:
 
     def _report_totals(self, link: HitlLink) -> None:
         self._report(
-            f"{link.sent} messages sent, {link.dropped} not taken by the port; {self._merged} of "
+            f"{link.sent} messages sent, {link.dropped} not accepted by the port; {self._merged} of "
             f"{self._ticks} ticks reported late; longest gap between actuator outputs "
-            f"{link.longest_gap_s * 1e3:.0f} ms; stood still for {self._still_ticks * TICK_S * 1e3:.0f} ms; "
+            f"{link.longest_gap_s * 1e3:.0f} ms; plant paused for {self._still_ticks * TICK_S * 1e3:.0f} ms; "
             + ("real outputs stayed off" if link.outputs_seen else "real outputs could not be checked")
         )
 
@@ -96,7 +96,7 @@ class HitlSimulator:
             if time.monotonic() > end_s:
                 raise Px4LostError(
                     f"no actuator outputs on {self._hitl.url} within {_FIRST_S:g} s: the flight controller "
-                    "must have SYS_HITL 1 and have been restarted since, and the port must be its USB port"
+                    "must have been restarted with SYS_HITL 1, and the port must be its USB port"
                 )
         self._report("the flight controller answers")
         end_s = time.monotonic() + _ALIGN_S[self._hitl.position_from]
@@ -112,7 +112,7 @@ class HitlSimulator:
     # -- as `ServedWorld` --
 
     def publish_pose(self) -> None:
-        """As `ServedWorld`: the poses go to the flight controller over its own link."""
+        """Implement `ServedWorld` by doing nothing: poses go to the flight controller over its own link."""
 
     @property
     def time_us(self) -> int:
@@ -120,14 +120,14 @@ class HitlSimulator:
         return self._vehicle.time_us
 
     def set_horn(self, pulse_us: float) -> None:
-        """Set the horn's position, from the model beside the real servo."""
+        """Set the position of the simulated horn, which a model computes while the real servo moves."""
         self._vehicle.set_horn(pulse_us)
 
     def begin_fault(self, fault: Fault) -> None:
         """Do nothing: faults are not available with a flight controller."""
 
     def advance(self) -> Plant:
-        """Advance by one tick when due; if the next one is due as well, report both together."""
+        """Advance by one tick when it is due; if the next tick is also due, report both together."""
         late_s = time.monotonic() - (self._start_s + (self._ticks + 1) * TICK_S)
         time.sleep(max(0.0, -late_s))
         behind = int(late_s / TICK_S)
@@ -149,5 +149,5 @@ class HitlSimulator:
         return self._vehicle.plant
 
     def is_over(self, alone_s: float) -> bool:
-        """Return whether the flight controller has disarmed, or the app has ended long ago."""
+        """Return whether the flight controller has disarmed, or the app ended more than `_ORPHAN_S` ago."""
         return not self._armed or alone_s > _ORPHAN_S

@@ -1,9 +1,9 @@
 """Start and stop of a real PX4 (SITL) from the user's own build or installation, for one flight.
 
 PX4 runs in a new working folder, in a separate session, with the first free instance number, which defines
-its ports. Its parameters are set through PX4's own client while it waits for its simulator. Every version
-since v1.14 waits there with its airframe's defaults applied, before estimator and controllers start. The user
-provides PX4; its documentation explains how to build and install it (docs/px4.md).
+its ports. Its parameters are set through PX4's own client while PX4 waits for its simulator. Every version
+since v1.14 waits after the airframe's defaults are applied and before estimator and controllers start. The
+user provides PX4; PX4's documentation explains how to build and install it (docs/px4.md).
 """
 
 from __future__ import annotations
@@ -76,10 +76,10 @@ def find_install(directory: str | Path | None) -> Install:
     """Find PX4 in an installation (`bin/px4`, `etc`) or a build folder with the same layout.
 
     Args:
-        directory: as given by the user; None or empty selects the environment's DART_PX4_DIR.
+        directory: folder that the user has named; None or empty: the environment's DART_PX4_DIR.
 
     Raises:
-        InputError: there is no PX4.
+        InputError: PX4 is not found.
     """
     named = directory or os.environ.get(ENVIRONMENT)
     if not named:
@@ -118,12 +118,12 @@ def parameter_files(position_from: PositionSource) -> list[Path]:
 def flight_parameters(
     vehicle: VehicleConfig, position_from: PositionSource, extra: list[Path] | None = None
 ) -> dict[str, Parameter]:
-    """Return all parameters for PX4: the airframe's and the configuration's, then those of the files.
+    """Return all parameters for PX4, from airframe and configuration and then from the parameter files.
 
     Args:
-        vehicle: masses, motors and the `px4` section.
+        vehicle: configuration with masses, motors and the `px4` section.
         position_from: motion capture (indoors) or a GPS receiver.
-        extra: the user's own parameter files, which override the others.
+        extra: the user's own parameter files, which override all other parameters.
 
     Raises:
         InputError: a file is invalid.
@@ -151,10 +151,10 @@ def values_of(parameters: Mapping[str, Parameter]) -> dict[str, Value]:
 
 
 def select_parameters(parameters: Mapping[str, Parameter], known: Mapping[str, float]) -> dict[str, Value]:
-    """Return the parameters to set in a PX4 that has the `known` ones; renamed ones by their name there.
+    """Return the parameters to set in a PX4 that has the `known` parameters, under that PX4's names.
 
     Raises:
-        Px4Error: PX4 lacks one, and configs/px4 does not permit that.
+        Px4Error: PX4 lacks a parameter, and configs/px4 does not permit that.
     """
     chosen: dict[str, Value] = {}
     for name, parameter in parameters.items():
@@ -165,7 +165,7 @@ def select_parameters(parameters: Mapping[str, Parameter], known: Mapping[str, f
         elif not parameter.absent or parameter.renamed is not None:
             raise Px4Error(
                 f"this PX4 has no parameter {name} (wanted {parameter.value:g}): "
-                "its version is not one of docs/px4.md, or the name is wrong"
+                "docs/px4.md does not list its version, or the name is wrong"
             )
     return chosen
 
@@ -205,7 +205,7 @@ def airframe_parameters(vehicle: VehicleConfig) -> dict[str, Value]:
 
 
 def motors_from(parameters: Mapping[str, Value], vehicle: VehicleConfig) -> tuple[Motor, ...]:
-    """Return the motors that PX4 will fly with: from its parameters, or else from the configuration.
+    """Return the motors that PX4 will fly with, from its parameters or otherwise from the configuration.
 
     Raises:
         InputError: the numbers of motors in the parameters and the configuration differ.
@@ -220,9 +220,9 @@ def motors_from(parameters: Mapping[str, Value], vehicle: VehicleConfig) -> tupl
 
 
 def environment() -> dict[str, str]:
-    """Return the environment of the PX4 process, without variables of the caller that could affect it.
+    """Return the environment of the PX4 process, without variables of the caller that could affect PX4.
 
-    PX4_PARAM_* variables set parameters since v1.16, and in different orders between versions.
+    Since v1.16 PX4 sets parameters from PX4_PARAM_* variables, in an order that depends on the version.
     """
     kept = {name: os.environ[name] for name in ("PATH", "HOME", "LANG", "TZ") if name in os.environ}
     kept["PX4_SIM_MODEL"] = MODEL
@@ -230,7 +230,7 @@ def environment() -> dict[str, str]:
 
 
 def arguments(install: Install, instance: int) -> list[str]:
-    """Return PX4's command line: without a shell (-d), and with a path that contains a slash."""
+    """Return PX4's command line, without a shell (-d); the path must contain a slash."""
     return [str(install.program), "-i", str(instance), "-d", str(install.etc)]
 
 
@@ -276,7 +276,7 @@ def claim_instance() -> Instance:
         if listener is not None:
             return Instance(number, listener, lease)
         lease.release()
-    raise Px4Error(f"all {len(_INSTANCES)} PX4 instances are taken: stop one (ports 4560, 14540 and on)")
+    raise Px4Error(f"all {len(_INSTANCES)} PX4 instances are in use: stop one (ports from 4560 and 14540 on)")
 
 
 def _free_simulator_port(number: int) -> socket.socket | None:
@@ -316,19 +316,20 @@ def _instance_is_locked(instance: int) -> bool:
 
 
 def _die_with_parent() -> None:
-    """Have the kernel kill this child with its parent, because PX4 without a simulator only spins."""
+    """Make the kernel kill this child with its parent, because PX4 without a simulator would spin forever."""
     ctypes.CDLL(None).prctl(_SET_PDEATHSIG, signal.SIGKILL)
 
 
 class Px4:
     """One running PX4.
 
-    Start it from the main thread, before other threads run, because the kernel ties its life to that thread.
+    Start PX4 from the main thread, because the kernel kills PX4 when the thread that has started it ends.
 
     Args:
         install: paths of PX4.
-        instance: claimed with `claim_instance`.
-        folder: of the flight; PX4 works in `folder/px4`, and its console output goes to `folder/px4.log`.
+        instance: instance claimed with `claim_instance`.
+        folder: folder of the flight. PX4 works in `folder/px4`, and its console output goes to
+            `folder/px4.log`.
 
     Raises:
         Px4Error: the program does not start.
@@ -356,7 +357,7 @@ class Px4:
 
     @property
     def pid(self) -> int:
-        """Process id, which is also that of its session and process group."""
+        """Process id of PX4, which is also the id of its session and process group."""
         return self._process.pid
 
     def ending(self) -> str | None:
@@ -372,7 +373,7 @@ class Px4:
         """Wait until PX4 waits for its simulator, which must not listen yet.
 
         Raises:
-            Px4Error: PX4 ends, or does not get there in time.
+            Px4Error: PX4 ends, or does not reach that state in time.
         """
         deadline = time.monotonic() + timeout_s
         while not self._console_contains(_WAITING):
@@ -388,8 +389,7 @@ class Px4:
             The parameters that were set, without those that this version does not need.
 
         Raises:
-            Px4Error: PX4 does not answer, does not know a parameter, or did not accept one; the message names
-            it.
+            Px4Error: PX4 does not answer, or does not know or accept a parameter; the message names it.
         """
         known = self.parameters()
         if not known:
@@ -402,7 +402,7 @@ class Px4:
 
     @staticmethod
     def check_parameters(wanted: Mapping[str, Value], actual: Mapping[str, float]) -> None:
-        """Compare the set parameters with PX4's.
+        """Check that PX4's parameters have the values that were set.
 
         Raises:
             Px4Error: a parameter was not accepted; the message contains name and values.
@@ -454,7 +454,7 @@ class Px4:
         return ""
 
     def parameters(self) -> dict[str, float]:
-        """Return all parameters of PX4 by name; after booting it answers only while the lockstep continues.
+        """Return all parameters of PX4 by name; after booting, PX4 answers only while the lockstep continues.
 
         Raises:
             Px4Error: PX4 does not answer.
@@ -478,7 +478,7 @@ class Px4:
                 check=False,
             )
         except (OSError, subprocess.TimeoutExpired):
-            self._check_alive(f"while {program} asked it")
+            self._check_alive(f"while {program} waited for its answer")
             raise Px4Error(f"PX4 does not answer {program} {' '.join(arguments)}") from None
         return done.stdout.decode(errors="replace")
 
@@ -496,7 +496,10 @@ class Px4:
             os.unlink(f"/tmp/px4-sock-{self.instance}")
 
     def keep_log(self) -> Path | None:
-        """Move PX4's ULog beside the flight's own and delete the working folder; None without a log."""
+        """Move PX4's ULog into the flight's folder and return its path, or None without a log.
+
+        If there is a log, the working folder is deleted.
+        """
         logs = sorted(self.work.glob("log/**/*.ulg"), key=lambda path: path.stat().st_size)
         if not logs:
             return None

@@ -1,8 +1,8 @@
-"""The world of a real PX4: the plant in lockstep with it, in a process that owns PX4 and ends it.
+"""The world of a real PX4: the plant in lockstep with PX4, in a process that starts PX4 and ends it.
 
-The pipe to the app is that of the embedded autopilot (`pipe`). The process ends PX4 in every case: on request
-of the app, if PX4 ends or hangs, on SIGTERM, and if the app has ended (after PX4's failsafe). If the process
-itself is killed, the kernel kills PX4.
+The pipe to the app is the same as for the embedded autopilot (`pipe`). The process ends PX4 in every case: on
+request of the app, if PX4 ends or hangs, on SIGTERM, and if the app has ended (after PX4's failsafe). If the
+process itself is killed, the kernel kills PX4.
 """
 
 from __future__ import annotations
@@ -49,11 +49,11 @@ _LANDED_S = 1.0  # host time after disarming for PX4 to write its log
 
 
 class Px4Simulator:
-    """Plant and PX4 between the app's pipe and PX4's sockets.
+    """The world of a real PX4, connected to the app's pipe and to PX4's sockets.
 
     Args:
-        spec: of the world.
-        px4: its PX4 part.
+        spec: specification of the world.
+        px4: PX4 part of the specification.
     """
 
     def __init__(self, spec: SimulatorSpec, px4: Px4SimulatorSpec) -> None:
@@ -68,7 +68,7 @@ class Px4Simulator:
         self._mocap: EmulatedMotionCapture | None = None
 
     def run(self, commands: IO[bytes], truth: IO[bytes]) -> int:
-        """Run PX4 until the app has ended and the vehicle is down; return the exit status."""
+        """Run PX4 until the app has ended and the vehicle has landed; return the exit status."""
         signal.signal(signal.SIGTERM, raise_terminated)
         px4: Px4 | None = None
         instance: Instance | None = None
@@ -106,7 +106,7 @@ class Px4Simulator:
 
     @staticmethod
     def _cause(px4: Px4 | None, error: Exception) -> str:
-        """Return the cause of the end: the exit of PX4 explains a lost connection."""
+        """Return the cause of the end: PX4's exit if PX4 has ended, otherwise the error."""
         if px4 is not None and isinstance(error, Px4LostError):
             time.sleep(0.05)  # wait for the process to exit
             return px4.ending() or str(error)
@@ -187,7 +187,7 @@ class Px4Simulator:
         px4.check_parameters(self._set, answer.result())
 
     def _free_run(self, seconds: float) -> None:
-        """Step as fast as PX4 answers, invisible to the app."""
+        """Step as fast as PX4 answers, without reports to the app."""
         for _ in range(round(seconds / TICK_S)):
             self._vehicle.step()
             self._ticks += 1
@@ -225,9 +225,9 @@ class Px4Simulator:
         return plant
 
     def is_over(self, alone_s: float) -> bool:
-        """Implement `ServedWorld`: PX4 flies on to its failsafe, and the world ends after disarming."""
+        """Implement `ServedWorld`: the world ends when PX4 has disarmed after its failsafe."""
         if not alone_s and self._armed:
-            self._report("app disconnected; PX4 continues to its failsafe")
+            self._report("app disconnected; PX4 continues until its failsafe acts")
         if alone_s > _ORPHAN_S:
             self._report(f"PX4 has not landed within {_ORPHAN_S:g} s")
             return True

@@ -1,4 +1,4 @@
-"""Relay between PX4 and the application, which forwards every datagram and counts for `sim.lockstep`.
+"""Relay of every datagram between PX4 and the application, which keeps the counts for `sim.lockstep`.
 
 The relay listens on PX4's onboard port; the application listens on another port.
 """
@@ -42,8 +42,8 @@ class Relay:
 
     Attributes:
         sent_us: newest forwarded stamp of each telemetry stream, microseconds.
-        arrived: last forwarded setpoint (position, velocity, acceleration) and pose (position).
-        wake: descriptor that is readable once a datagram was forwarded.
+        arrived: values of the last forwarded setpoint (position, velocity, acceleration) and pose (position).
+        wake: descriptor that becomes readable when a datagram has been forwarded.
     """
 
     def __init__(self, px4_port: int, app_port: int) -> None:
@@ -65,9 +65,10 @@ class Relay:
         self._thread.start()
 
     def answer_requests(self) -> None:
-        """Repeat PX4's last heartbeat after a second of the computer's time.
+        """Repeat PX4's last heartbeat once per second of the computer's time.
 
-        PX4 sends a heartbeat every simulated second. Without it MAVSDK reports a lost vehicle after 3 s.
+        PX4 sends a heartbeat every simulated second. MAVSDK reports a lost vehicle after 3 s of the
+        computer's time without a heartbeat.
 
         Raises:
             FlightError: the network has failed.

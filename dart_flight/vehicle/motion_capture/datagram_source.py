@@ -21,7 +21,7 @@ Decoder = Callable[[bytes, str, str], RawPose | str]
 
 
 class DatagramSource:
-    """A source that decodes each datagram received at an address; it joins a multicast group.
+    """A source that decodes each datagram received at an address; it joins the group of a multicast address.
 
     Args:
         address: local address and port, and the name of the body.
@@ -70,7 +70,7 @@ class DatagramSource:
         return int(self._socket.getsockname()[1])
 
     def start(self, deliver: Callable[[RawPose], None]) -> None:
-        """Deliver every further pose on a thread of the source; discard datagrams that already wait."""
+        """Deliver every further pose on a thread of the source; discard datagrams received before."""
         self._socket.settimeout(0.0)
         with contextlib.suppress(OSError):
             while True:

@@ -176,7 +176,8 @@ class OptiTrackSource:
     def _reconnect(self) -> None:
         """Query a silent server, and connect again if the server does not answer.
 
-        The client's threads end on a damaged datagram, and a restarted server does not know its clients.
+        A new connection is needed after a damaged datagram, which ends the client's threads, and after a
+        restart of the server, which then does not know its clients.
         """
         while not self._stopped.wait(_SILENT_S):
             now_s = time.monotonic()

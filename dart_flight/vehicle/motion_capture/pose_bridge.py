@@ -38,11 +38,11 @@ _NO_ATTITUDE: Final[Sequence[float | None]] = [None] * 4
 
 
 def odometry(t_us: int, position_ned: Vec3, q_frd_to_ned: Quaternion | None) -> MavlinkMessage:
-    """Return the ODOMETRY message of a pose; what is null arrives as NaN, which PX4 does not fuse.
+    """Return the ODOMETRY message of a pose; its null fields arrive as NaN, which PX4 does not fuse.
 
-    Without an attitude PX4 still fuses the position, and keeps its heading by the gyro.
+    Without an attitude PX4 still fuses the position, and its heading then follows from the gyro alone.
 
-    The reset counter stays 0. If it changed, PX4's estimate would follow a jump of the poses at once.
+    The reset counter stays 0, because after a change PX4's estimate would follow a jump of the poses at once.
     """
     x, y, z = position_ned
     fields = {
@@ -85,7 +85,7 @@ def forwarded_pose(message: Any) -> ForwardedPose:
 
 
 class Decimation:
-    """A selection of frames at a mean rate, as evenly as the frames allow.
+    """A selection of frames that has a mean rate and is as even as the frames allow.
 
     Args:
         rate_hz: mean rate of the selected frames; all frames of a slower source are selected.

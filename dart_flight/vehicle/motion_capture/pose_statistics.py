@@ -28,18 +28,19 @@ _FRESH_US: Final = 500_000  # oldest estimate of PX4 that is compared
 
 
 class PoseFigures(msgspec.Struct, frozen=True):
-    """The statistics of a stream of poses; None means not measurable yet, or not with this source.
+    """The statistics of a stream of poses; None: not measurable yet, or not measurable with this source.
 
     Attributes:
         rate_hz: tracked poses per second over the last 2 s.
         gaps: number of gaps of more than 0.1 s between tracked poses.
         longest_gap_s: longest time between two tracked poses, including a gap that has not ended.
-        lost: share of poses without a tracked body.
-        age_ms: age of the newest poses: excess over the shortest age by stamps, plus `mocap.delay_ms`.
+        lost: share of frames in which the body is not tracked, 0 to 1.
+        age_ms: age of the newest poses: by their stamps, the excess over the shortest age, plus
+            `mocap.delay_ms`.
         age_growth_ms: growth of the age since the first poses.
         distance_to_px4_m: distance of PX4's position from the newest pose.
         angle_to_px4_deg: angle between PX4's attitude and the newest pose.
-        senders: addresses that have sent in the last 2 s.
+        senders: addresses that have sent poses in the last 2 s.
     """
 
     rate_hz: float = 0.0

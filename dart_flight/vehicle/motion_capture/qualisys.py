@@ -149,7 +149,9 @@ class QualisysSource:
         bodies, number, source_us = found[1], int(packet.framenumber), int(packet.timestamp)
         names = self._enabled if len(bodies) == len(self._enabled) else self._all
         if len(bodies) != len(names) or self._address.body not in names:
-            self.problem = f"QTM sends {len(bodies)} bodies and names {len(self._all)}: restart the stream"
+            self.problem = (
+                f"QTM sends {len(bodies)} bodies but has named {len(self._all)}: restart the stream"
+            )
             self._deliver(lost_pose(self._address.body, number, source_us, self._sender))
             return
         self.problem = None

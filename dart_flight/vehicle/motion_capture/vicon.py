@@ -4,7 +4,8 @@ The layout is taken from public readers of the stream, not from Tracker's user g
 little-endian block: frame number (u32), number of items (u8), and the items. Each item has an id (u8, 0 for
 an object), the size of its data (u16) and the data. An object's data are its name (24 bytes, padded with
 zeros), translation (3 doubles, millimetres) and Euler angles XYZ (3 doubles, radians). A frame with many
-objects takes several datagrams, so a missing object is not lost. An object with zeros only is not tracked.
+objects takes several datagrams, so an object that a datagram lacks may still be tracked. An object whose
+values are all zero is not tracked.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ def decode(data: bytes, body: str, sender: str) -> RawPose | str:
     place, names = _BLOCK.size, []
     for _ in range(items):
         if place + _ITEM.size > len(data):
-            return "block of Vicon's object stream with fewer items than it counts"
+            return "block of Vicon's object stream with fewer items than it announces"
         item, size = _ITEM.unpack_from(data, place)
         place += _ITEM.size
         if place + size > len(data) or (item == _OBJECT_ID and size != _OBJECT.size):

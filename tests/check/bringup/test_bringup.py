@@ -204,12 +204,12 @@ def test_a_file_that_cannot_be_read_is_not_called_foreign(
 
 def test_a_vehicle_that_answers_nothing_is_a_failed_step(monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(_: Bringup) -> None:
-        raise NoAnswerError("sends telemetry but answers no request: TIMESYNC")
+        raise NoAnswerError("sends telemetry but does not answer requests: TIMESYNC")
 
     monkeypatch.setattr(Bringup, "_connect", refuse)
     found = carry_out(Bringup(MISSION, "udpin://127.0.0.1:1", Hands()), "link")
     assert found.result is StepOutcome.FAIL
-    assert "answers no request: TIMESYNC" in found.message
+    assert "does not answer requests: TIMESYNC" in found.message
 
 
 @pytest.mark.realtime

@@ -120,9 +120,9 @@ def test_a_slow_stream_is_named_with_what_it_needs() -> None:
     assert evaluate_link(stream_rates(rates, {}), 0.005, 0.2, {}).result is StepOutcome.PASS
     assert "radio" in evaluate_link(stream_rates(rates, {}), 0.5, 0.2, {}).message
     assert "5.0 %" in evaluate_link(stream_rates(rates, {}), 0.005, 0.2, {"drop_rate_comm": 500.0}).message
-    why = {"odometry": "125 Hz arrive, none with a velocity"}
+    why = {"odometry": "125 Hz arrive, none has a velocity"}
     empty = evaluate_link(stream_rates({**rates, "odometry": 0.0}, why), 0.005, 0.2, {})
-    assert empty.message == "odometry: 125 Hz arrive, none with a velocity"  # and no word of a baud rate
+    assert empty.message == "odometry: 125 Hz arrive, none has a velocity"  # and no word of a baud rate
 
 
 @given(st.binary(max_size=400))

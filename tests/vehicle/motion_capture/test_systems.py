@@ -347,7 +347,7 @@ def test_a_qtm_frame_with_another_number_of_bodies_is_lost_and_named() -> None:
         source._all = source._enabled = ["wand", "hat", BODY]  # type: ignore[attr-defined]
         server.publish(0, POSITION, ATTITUDE)
         assert not poses.get(timeout=30).tracked
-        assert source.problem == "QTM sends 2 bodies and names 3: restart the stream"
+        assert source.problem == "QTM sends 2 bodies but has named 3: restart the stream"
 
 
 def test_disabled_qtm_bodies_are_known() -> None:
