@@ -285,14 +285,14 @@ def page(vehicle: VehicleConfig) -> str:
     normal, tangential = FLIGHT_APPROACH_M_S
     return f"""# The paper's tables
 
-Computed by `dart-flight tables`, to compare the paper's figures with the contact model: closed form,
-{vehicle.airframe.mass_kg:g} kg, coefficients of the configuration.
+Computed by `dart-flight tables`. The tables compare the paper's figures with the contact model in closed
+form, for a mass of {vehicle.airframe.mass_kg:g} kg and with the coefficients of the configuration.
 docs/contact.md explains the onset rules `lcp` and `touch`.
 
 ## Drop tests
 
-Concrete, gravity along the normal, released at rest. Published values are averages of three
-trials (Sec. III).
+The vehicle is released at rest above concrete, so gravity acts along the normal. The published values are
+averages of three trials (Sec. III).
 
 | drop | onset | contact ms, paper | model | error | rebound m/s, paper | model | error | peak force N |
 | --- | --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: |
@@ -302,8 +302,9 @@ Mean magnitude of the error: {"; ".join(means)}.
 
 ## Drop tests refitted
 
-Stiffness and damping that fit the published contact time and rebound speed best, for each height and for
-both. Errors are relative to the published value. Some pair fits one height exactly, but no pair fits both.
+The table has the stiffness k and the damping f that fit the published contact time and rebound speed best,
+for each height alone and for both together. Errors are relative to the published value. One height can be
+fitted exactly, but no pair of k and f fits both.
 The rigid mode fits worst: its published contact lasts longer from the greater height, but the law's contact
 is shorter.
 
@@ -313,8 +314,8 @@ is shorter.
 
 ## Peaks in flight
 
-Acrylic, {normal:g} m/s along the normal, {
-        tangential:g} m/s along the wall (Sec. V-A). The paper gives no values.
+The vehicle hits acrylic at {normal:g} m/s along the normal and {
+        tangential:g} m/s along the wall (Sec. V-A). The paper does not give the peak forces.
 The last column is the paper's agreement between predicted and measured peak acceleration over three trials.
 
 | mode | onset | normal N | friction N | vertical N | normal m/s² | friction m/s² | agreement in the paper |
@@ -323,9 +324,9 @@ The last column is the paper's agreement between predicted and measured peak acc
 
 ## Dual collision
 
-Velocities in each wall's frame, from the published first impact and with the published recovery gains
-(Sec. V-B). The paper does not give its controller gains, so the flight model uses PX4's defaults. Wood has
-the ground's coefficients.
+The table has the velocities at each impact, in the wall's frame. The model begins with the published first
+impact and uses the published recovery gains (Sec. V-B). The paper does not give its controller gains, so the
+flight model uses PX4's defaults. Wood has the ground's coefficients.
 
 | wall | mode | normal m/s, paper | along, paper | normal m/s, model | along, model | peak N, model |
 | --- | --- | ---: | ---: | ---: | ---: | ---: |
@@ -333,7 +334,8 @@ the ground's coefficients.
 
 ## Stiffness ratio
 
-Rigid over flexible; the paper states {STIFFNESS_RATIO:g} (abstract), from the drop tests.
+The ratio is rigid over flexible stiffness. The paper states {STIFFNESS_RATIO:g}
+(abstract), from the drop tests.
 
 | surface | source of the coefficients | k rigid / k flexible |
 | --- | --- | ---: |
