@@ -90,7 +90,7 @@ def test_a_picture_that_fails_ends_no_check(
 ) -> None:
     monkeypatch.setattr("dart_flight.cli.mission_picture.load_entry", lambda _: 1 / 0)
     assert main(["check", MISSION, "--plot", str(tmp_path / "picture.png")]) == 0
-    assert "no picture (ZeroDivisionError" in capsys.readouterr().err
+    assert "no picture: ZeroDivisionError" in capsys.readouterr().err
 
 
 def test_the_old_name_of_a_command_goes_on_working(capsys: pytest.CaptureFixture[str]) -> None:

@@ -86,7 +86,7 @@ def test_last_command_is_what_was_commanded(
     last = load_last()
     assert last is not None
     assert (last.driver, last.mode, last.pid) == (LockDriver.PWM, mode, os.getpid())
-    assert last.describe() == f"{mode} through pwm at {last.at_utc}, {text}"
+    assert last.describe() == f"{mode} by pwm at {last.at_utc}, {text}"
     assert [path.name for path in folder.iterdir()] == ["last_command.json"]
     delete_last()
     delete_last()

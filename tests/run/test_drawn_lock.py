@@ -35,7 +35,7 @@ def test_arms_that_never_follow_the_lock_are_named_where_no_fault_was_drawn() ->
     verdict = fly_fast(mission, 4, None, lock_faults=MockFaults(servo=ServoFaults(stuck=True)))
     assert unexplained_modes(verdict) == [
         "the arms did not follow the lock",
-        "collision 2: the arms were flexible, the lock rigid",
+        "collision 2: the arms were flexible, the lock reported rigid",
         "collision 2: the contact indicates flexible, the lock reports rigid, true mode flexible",
     ]
     assert summarise([verdict]).unexplained_modes == {"4": unexplained_modes(verdict)}
