@@ -73,7 +73,7 @@ def _longest(name: str, table: dict[str, str], ends: bool) -> str:
 def _unit(name: str) -> str:
     if name.endswith("_us"):
         return f"microseconds, {CLOCKS.get(name, 'autopilot clock')}"
-    return _longest(name, QUANTITIES, ends=False) or unit_from_name(name)
+    return unit_from_name(name) or _longest(name, QUANTITIES, ends=False)
 
 
 def _frame(name: str) -> str:
