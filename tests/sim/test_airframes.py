@@ -271,4 +271,4 @@ def test_calibrate_with_the_wrong_words_is_one_line(
 def test_a_thrust_table_is_not_overwritten(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     config = octorotor(tmp_path)
     assert main(["calibrate", "thrust", "a.ulg", "--config", str(config), "--write"]) == 2
-    assert "has thrust.table" in capsys.readouterr().err
+    assert "remove thrust.table first" in capsys.readouterr().err
