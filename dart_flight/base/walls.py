@@ -45,13 +45,13 @@ class Wall(msgspec.Struct, frozen=True):
         material: key of the materials table.
         position_sd_m: standard deviation of the plane's position along the normal; None if not configured.
         yaw_sd_rad: standard deviation of the plane's direction, about `point`; None if not configured.
-        half_vehicle_m: distance from the vehicle's centre to its side: an impact stays at least this far
-            inside the wall's end, and a passing path at least this far outside.
+        half_vehicle_m: distance from the vehicle's centre to its side. An impact keeps at least this distance
+            inside the wall's end. A path that passes the wall keeps at least this distance outside that end.
         post_radius_m: radius of the post whose tangent plane this is; 0 for a wall.
-        sought: whether the wall's position is unknown and a probe searches for it; the plane is then at the
-            end of the probe.
-        material_known: whether the material is given; if not, `material` is the stiffest one until a contact
-            identifies the wall's material.
+        sought: whether a probe searches for the wall, because the wall's position is unknown. The plane is
+            then assumed where the probe's path ends.
+        material_known: whether the material is given. If not, `material` is the vehicle's stiffest material
+            until a contact identifies the wall's material.
     """
 
     name: str

@@ -320,7 +320,7 @@ class _Batch:
 
     @property
     def is_table(self) -> bool:
-        """Whether to compute the quantities that depend on coefficients alone once per set."""
+        """Whether to compute, once per set, the quantities that depend on the coefficients alone."""
         return self.rows is not None or self.mass.size == 1
 
     def parts(self) -> list[slice]:
@@ -353,14 +353,14 @@ def contact_map(
         coefficients: one set, one set per collision (any shape that broadcasts with the velocities), or, with
             `rows`, a table of shape (n,).
         mass_kg: vehicle mass; broadcasts with `coefficients`.
-        normal_m_s: velocity along the outward normal at the onset, collision frame. A vehicle that does not
-            approach does not touch the wall: its velocity is unchanged, force and contact time are 0.
+        normal_m_s: velocity along the outward normal at the onset, collision frame. If the vehicle does not
+            approach, it does not touch the wall: the velocity is unchanged, and force and contact time are 0.
         tangential_m_s: velocity along the wall at the onset.
         onset: onset rule.
         rows: row of the table for each collision's (mode, material); broadcasts with the velocities.
         acceleration_m_s2: constant acceleration along the normal by other forces during the contact, such as
-            the controller's push; negative into the wall; None if there is none. A pushed vehicle can come to
-            rest at the wall: contact time and impulse are then infinite, and the speeds are 0.
+            the controller's push. It is negative into the wall; None means no acceleration. If a pushed
+            vehicle comes to rest at the wall, contact time and impulse are infinite and the speeds are 0.
 
     Returns:
         Arrays of the broadcast shape, without NaN.

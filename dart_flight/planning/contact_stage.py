@@ -2,9 +2,10 @@
 
 The contact law alone (paper, Sec. IV-B) determines the duration T, the time t_p of the force peak and, with
 the detector's rule, the time t_e of the recovery setpoint. All three depend on coefficients and mass, not on
-the speed. The vehicle yields to the contact (`core/mission/contact_feedforward.py`): before t_e it has no
-reference, e = 0, and PX4's D term never responds to the wall's force. After t_e, e = kp (s - x) - x' with the
-recovery setpoint s. Along the normal, with PX4's loop of `core/mission/position_loop.py`,
+the speed. The vehicle yields to the contact (`core/mission/contact_feedforward.py`). Before t_e there is no
+reference and the controller's error e is 0. PX4's D term never responds to the wall's force. After t_e, e =
+kp (s - x) - x' with the recovery setpoint s. Along the normal, with PX4's loop of
+`core/mission/position_loop.py`,
 
     x'' = -(k x + f x')/m + a - b x'
     a'  = (kv e + i - kd (a - b x') - a) / tau,      i' = ki e
@@ -154,7 +155,7 @@ class ContactStage:
     Attributes:
         duration_s: time from the onset to the release; infinite if the vehicle stays at the wall.
         peak_s: time from the onset to the peak of the normal force.
-        engaged_s: time from the onset to the recovery setpoint, which comes no later than the release.
+        engaged_s: time from the onset to the recovery setpoint, at most the time to the release.
         lead_s: f/k with the onset rule `lcp`, whose onset is at x + lead_s x' = 0; 0 with `touch`.
     """
 
@@ -240,7 +241,7 @@ def build_stages(
     drags: Sequence[float],
     extra_delay_s: Sequence[float],
 ) -> list[ContactStage]:
-    """Return the stages for a table of (wall, mode, draw).
+    """Return the stages for a table with one set of coefficients per wall, mode and random draw.
 
     Args:
         vehicle: mass, loop, detector.

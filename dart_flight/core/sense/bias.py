@@ -38,7 +38,7 @@ class HoverBias:
         bias_x, bias_y: accelerometer bias, body FRD, m/s2; part of the reading.
         scale: true thrust divided by the thrust of the curve, limited.
         thrust_ratio: the same ratio without a limit, or None before it has settled.
-        noise_m_s2: standard deviation of the white part of one sample and axis.
+        noise_m_s2: standard deviation of the white noise in one sample of one axis.
     """
 
     def __init__(self, config: Estimation, mass_kg: float) -> None:
