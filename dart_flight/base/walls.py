@@ -35,11 +35,13 @@ class Post(msgspec.Struct, frozen=True):
 
 
 class Wall(msgspec.Struct, frozen=True):
-    """A finite vertical wall, given by the plane on which the vehicle's *centre* lies at first touch.
+    """A finite vertical wall, given by its plane of first touch.
+
+    The vehicle's *centre* lies on this plane when the vehicle first touches the wall.
 
     Attributes:
         name: name in the mission file.
-        point: the middle of the wall on that plane, mission frame, metres.
+        point: the middle of the wall on the plane of first touch, mission frame, metres.
         normal: outward unit normal, from the wall into free space, mission frame.
         length_m: extent along the tangent, centred on `point`.
         material: key of the materials table.

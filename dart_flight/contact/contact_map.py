@@ -19,9 +19,9 @@ w = sqrt(1 - zeta^2) and A = theta / w,
     deepest point      exp(-zeta (pi / w - A))       exp(-zeta A)
     peak force         exp(-zeta A)                  exp(-zeta (3 A - pi / w)); 2 zeta if zeta >= 1/2
 
-(in units of 1/omega, 1, V/omega and m V omega). At and above critical damping an `lcp` contact never ends:
-its contact time is infinite and its exit speed is 0. The peak of the friction force and, if a is not 0, the
-release have no elementary form. A safeguarded Newton iteration finds both to machine precision.
+The rows are in units of 1/omega, 1, V/omega and m V omega. At and above critical damping an `lcp` contact
+never ends: its contact time is infinite and its exit speed is 0. The peak of the friction force and, if a is
+not 0, the release have no elementary form. A safeguarded Newton iteration finds both to machine precision.
 
 All arrays are float64. Frame: the wall's collision frame (`base/walls.py`); normal < 0 approaches.
 """
@@ -164,8 +164,8 @@ def _shape(c: CoefficientArrays, mass: Array, onset: Onset) -> _Shape:
 def _friction_peak(mu_speed: Array, s: _Shape) -> Array:
     """Return the largest phi exp(-mu V (1 + xi')) of a contact, to machine precision.
 
-    The stationary point is r = c phi with r = phi'/phi and c = mu V. r falls monotonically in time and is
-    therefore used as the unknown: phi and xi' are elementary in it,
+    The stationary point is r = c phi with r = phi'/phi and c = mu V. The unknown is r, because r falls
+    monotonically in time, and phi and xi' are elementary in r:
         tau = acot((zeta + r)/w)/w,   Q = 1 + 2 zeta r + r^2,   phi = exp(-zeta tau)/sqrt(Q),
         xi' = -phi (r + 2 zeta).
     Newton's method solves r Q = c sqrt(Q) exp(-zeta tau) at any damping. `touch` is the same solution at c *

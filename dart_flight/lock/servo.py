@@ -29,7 +29,7 @@ class ServoFaults(msgspec.Struct, frozen=True):
         stuck: the horn does not move at all.
         slow: factor on the duration of every travel.
         stall_fraction: point that the horn cannot pass, from 0 (flexible end) to 1 (rigid end). The horn
-            stays on the side of the point on which it is.
+            cannot move to the other side of this point.
     """
 
     stuck: bool = False

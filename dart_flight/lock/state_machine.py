@@ -167,10 +167,10 @@ class LockStateMachine:
     def start(self, t_us: int, reading: DriverReading | None) -> list[Action]:
         """Home the lock, or adopt the position in the driver's first `reading`, as configured.
 
-        A closed switch defines the adopted position. If no switch is closed, the pulse that the hardware
-        still outputs defines it, if this pulse is that of an end. The travel time begins now, because the
-        command may be recent. If neither gives a position, the lock stays `unknown`: a command stored by the
-        last run does not prove the position of the horn.
+        If a limit switch is closed, the lock adopts that end. If not, but the hardware still outputs the
+        pulse of one end, the lock adopts this end. The travel time begins now, because the command may be
+        recent. If neither is the case, the lock stays `unknown`: a command stored by the last run does not
+        prove the position of the horn.
         """
         if self.config.startup is LockStartup.HOME:
             return self.command(t_us, self.config.home_mode)

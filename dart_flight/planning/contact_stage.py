@@ -3,8 +3,8 @@
 The contact law alone (paper, Sec. IV-B) determines the duration T, the time t_p of the force peak and, with
 the detector's rule, the time t_e of the recovery setpoint. All three depend on coefficients and mass, not on
 the speed. The vehicle yields to the contact (`core/mission/contact_feedforward.py`). Before t_e there is no
-reference and the controller's error e is 0. PX4's D term never responds to the wall's force. After t_e, e =
-kp (s - x) - x' with the recovery setpoint s. Along the normal, with PX4's loop of
+reference and the controller's error e is 0. PX4's D term never responds to the wall's force. After t_e, the
+error is kp (s - x) - x', where s is the recovery setpoint. Along the normal, with PX4's loop of
 `core/mission/position_loop.py`,
 
     x'' = -(k x + f x')/m + a - b x'

@@ -59,9 +59,9 @@ class PredictedFlight(msgspec.Struct):
     Attributes:
         approaches: straight lines by the index of the next collision, mission frame, metres: previous resting
             position (if known and different), run-up point, impact.
-        legs: arrays (n, 4) of x, y, vx, vy by collision index. A leg lasts from the onset over the release to
-            the next onset or to the closest approach to the goal. Index 0 is a trajectory from rest at the
-            start to the goal. The velocity at the onset itself is given as 0.
+        legs: arrays (n, 4) of x, y, vx, vy by collision index. A leg begins at the onset of a contact. It
+            ends at the next onset, or at the closest approach to the goal. Index 0 is a trajectory from rest
+            at the start to the goal. The velocity at the onset itself is given as 0.
         hits: impacts by collision index, except impacts that the model does not reach.
         goal_miss_m: closest approach to the goal after the last contact; None if not reached.
         walls: walls at random positions, within the uncertainty that the mission declares; empty for the

@@ -105,7 +105,7 @@ def candidate_trajectories(
         moved: final position minus the planned one, m.
         pushed: final acceleration minus the planned one, m/s2.
         settled_s: time before the end during which the trajectory differs from the plan only by `moved` and
-            `pushed`; less for a short trajectory.
+            `pushed`; shortened if the trajectory is short.
     """
     tried = [
         (begin, slower)

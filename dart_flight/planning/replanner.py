@@ -6,7 +6,7 @@ when the core receives the answer. It ends at the next wall with the planned vel
 The replanner tries durations and places along the wall and discards the trajectories that violate a
 constraint. It prefers trajectories that are quick, gentle and near the planned place. A mission may have a
 trajectory of its own (`trajectory`, `goal_trajectory`). The replanner then first tries to lead the vehicle
-back to it with an added polynomial (`planning.rejoining`).
+back to this trajectory with an added polynomial (`planning.rejoining`).
 
 A `WallEstimate` replaces the wall's configured coefficients and its planned plane. No other state is kept
 between requests, so an answer can be computed again from the log. A collision that is approached from rest
@@ -429,8 +429,8 @@ def _leans_in_late(rejoining: RejoiningTrajectories, wall: Wall) -> Array:
 def _straights(slack: float) -> list[tuple[float, float]]:
     """Return pairs to try, best first: time of straight flight before a plane, and multiple of `slack`.
 
-    `slack` is the tolerance of the plane's position, metres. The straight flight begins earlier by this
-    multiple of it.
+    `slack` is the tolerance of the plane's position, metres. The multiple of `slack` is a distance by which
+    the straight flight begins earlier.
     """
     if slack <= 0.0:
         return [(s, 0.0) for s in _STRAIGHT_S]

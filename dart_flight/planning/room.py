@@ -1,8 +1,8 @@
 """A room measured by touch: a star of probes from the start, and the outline that their contacts form.
 
-The body that touches a wall is an octagon of known size at a known heading. The distance h from the body's
-centre to the touching corner or side depends on the wall's direction. Contacts at places c_i are therefore on
-one wall with the normal n if
+The body that touches a wall is an octagon of known size at a known heading. The distance h between the body's
+centre and the touched wall depends on the wall's direction. Contacts at places c_i are therefore on one wall
+with the normal n if
 
     c_i . n - h_i(n) = offset        for all of them
 

@@ -244,8 +244,8 @@ class FlightConditions:
     def landing_s(self) -> float:
         """Time in land mode while armed, seconds.
 
-        It is the smaller of autopilot time and host time, because jumping stamps must not stop motors in the
-        air.
+        It is the smaller of autopilot time and host time, because a jump of the stamps must not stop the
+        motors in the air.
         """
         if self._landing_since_us is None:
             return 0.0

@@ -2,8 +2,8 @@
 
 `review` is the last stage of every step. It evaluates all rules of `rules` every 20 ms. Some rules are also
 evaluated immediately after the inputs that they name. The guard also receives the findings of the mission. An
-override latches, in the order release > kill > land > hold > break off. From then on the mission's setpoints
-and commands are dropped and the guard flies without the mission.
+override latches: only a stronger action can replace it, in the order release > kill > land > hold > break
+off. From then on the mission's setpoints and commands are dropped and the guard flies without the mission.
 """
 
 from __future__ import annotations

@@ -25,7 +25,7 @@ _SURE_DIRECTION_RAD = 0.05  # a direction estimated less accurately does not cha
 
 
 def position_margin_m(wall: Wall, place: tuple[Number, ...]) -> Number:
-    """Return the tolerance of the plane's position opposite a place, metres; 0 without deviations.
+    """Return the tolerance of the plane's position in front of a place, metres; 0 without deviations.
 
     Args:
         wall: the wall.

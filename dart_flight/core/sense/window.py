@@ -99,8 +99,8 @@ class WindowMean:
 def half_sine_share(samples: int, duration_s: float, period_s: float) -> float:
     """Return the least value that the largest window mean of a half-sine of height one can have.
 
-    In the least case the samples lie half a sampling period off the middle of the half-sine. The result is
-    the closed form of a sum of equally spaced sines.
+    The value is least if the samples lie half a sampling period off the middle of the half-sine. The result
+    is the closed form of a sum of equally spaced sines.
 
     Args:
         samples: number of samples in the window.
