@@ -12,9 +12,9 @@ The paper does not specify the share of the friction's lever that rotates the ve
 vertical force. Both are parameters (`config/vehicle/simulation.py`, `ContactBody`). The friction acts at the
 reduced lever, and its sliding velocity is computed there, so friction only removes energy.
 
-Unlocked arms fold: each rotates in the horizontal plane about a bearing in the vehicle's middle, so that the
-arm's guard yields by a share of the guard's penetration (`fold_angles`). The law already accounts for this
-yield by a smaller k. The angles only add the displacement of the arm's motor.
+Unlocked arms fold: each arm rotates in the horizontal plane about a bearing in the vehicle's middle. Its
+guard thereby yields by a share of the penetration (`fold_angles`). The law already accounts for this yield by
+a smaller k. The angles only add the displacement of the arm's motor.
 """
 
 from __future__ import annotations

@@ -30,7 +30,7 @@ _NOTHING: Final = Sensed()
 
 
 class FlightCore:
-    """Estimates the force, detects impacts, flies one mission and applies the guard's rules.
+    """Core that estimates the force, detects impacts, flies one mission and applies the guard's rules.
 
     Args:
         mission: the mission, checked and resolved.

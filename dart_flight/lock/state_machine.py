@@ -4,8 +4,8 @@ This file performs no I/O and reads no clock: every input carries its time, inte
 time base. Only `_transition` changes the phase, by the table `TRANSITIONS`. `docs/lock.md` shows the table as
 a diagram.
 
-The servo has no position feedback. `settled` means that the driver accepted the command, that the travel time
-with its margin is over, and that a later reading still shows the commanded pulse. Only a limit switch sets
+The servo has no position feedback. `settled` means three things: the driver accepted the command, the travel
+time with its margin is over, and a later reading still shows the commanded pulse. Only a limit switch sets
 `feedback=True`. If an end has a switch, the lock settles at that end only when the switch closes.
 
 A shell calls `start` once, then `command` and `permit` as the core requests. It executes the returned actions

@@ -1,7 +1,7 @@
 """Constraints of a plan: the reasons to refuse a candidate, and their tests.
 
-The rules are those of the core (`core.mission`, `core.guard`), so that they do not abort a plan in flight,
-and the limits of the mission file.
+The tests apply the limits of the mission file and the rules of the core (`core.mission`, `core.guard`), so
+that the core does not abort a plan in flight.
 """
 
 from __future__ import annotations

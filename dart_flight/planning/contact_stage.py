@@ -16,10 +16,10 @@ is the distance. The controller's error is e = kp (s - q) - u, and its thrust ad
     a' = (kv e + i - kd a - a) / tau,      i' = ki e
     d' = -(mu/m) lx d + a,                 velocity u + d
 
-The normal force lx in these equations is that of the contact law alone at the speed of the onset, which also
-gives the peak of the friction force. The setpoint (`core/mission/recovery.py`) is a weighted sum of both
-peaks. The normal part is therefore a constant matrix per material and mode, exact by the matrix exponential.
-The part along the wall needs only integrals of exp(-c (1 + xi')), by Gauss quadrature to about 1e-10.
+In these equations, lx is the normal force of the contact law alone, at the speed of the onset. It also gives
+the peak of the friction force. The setpoint (`core/mission/recovery.py`) is a weighted sum of both peaks. The
+normal part is therefore a constant matrix per material and mode, exact by the matrix exponential. The part
+along the wall needs only integrals of exp(-c (1 + xi')), by Gauss quadrature to about 1e-10.
 """
 
 from __future__ import annotations
@@ -156,7 +156,7 @@ class ContactStage:
         duration_s: time from the onset to the release; infinite if the vehicle stays at the wall.
         peak_s: time from the onset to the peak of the normal force.
         engaged_s: time from the onset to the recovery setpoint, at most the time to the release.
-        lead_s: f/k with the onset rule `lcp`, whose onset is at x + lead_s x' = 0; 0 with `touch`.
+        lead_s: f/k with the onset rule `lcp`, 0 with `touch`; the onset is at x + lead_s x' = 0.
     """
 
     def __init__(

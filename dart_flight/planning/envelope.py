@@ -1,7 +1,7 @@
 """Impacts that a mission may plan: the mission's own force limit, and the range that flights have covered.
 
-The limits of speed and force come from the sweep in docs/px4.md (acrylic and wood, both modes, 0.5 to 4 m/s)
-and from its impacts with guards. The limits of incidence and height come from the flights in
+The limits of speed and force come from docs/px4.md: from its sweep (acrylic and wood, both modes, 0.5 to 4
+m/s) and from its impacts with guards. The limits of incidence and height come from the flights in
 docs/results/body.md.
 """
 

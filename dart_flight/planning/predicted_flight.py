@@ -230,7 +230,7 @@ def _groups(collisions: Sequence[Collision]) -> list[list[Collision]]:
 def _fly(
     mission: Mission, group: Sequence[Collision], draws: Sequence[UncertaintyDraw | None]
 ) -> tuple[FreeFlight, Vec2, list[Arrivals | None]]:
-    """Return one approach's flight model, run-up point, and arrivals per draw (None if the draw fails)."""
+    """Return the flight model, the run-up point, and the arrivals of each draw, or None for a failed draw."""
     task = make_task(mission, group)
     flight = new_flight(task)
     rollout = _rollout(task, flight)

@@ -369,9 +369,9 @@ class Replanner:
     def _obstacles(self, start: tuple[Array, Array], now_us: int) -> list[Wall]:
         """Return the known walls, for a trajectory from (position, velocity, acceleration) in x and y.
 
-        The vehicle may start slightly behind the plane of the wall that it has just left, because flexible
-        arms release while still compressed and a wall's place is uncertain. The plane of such a wall is
-        shifted back to the vehicle.
+        The vehicle may start slightly behind the plane of the wall that it has just left. The reasons are
+        that flexible arms release while still compressed, and that a wall's place is uncertain. The plane of
+        such a wall is shifted back to the vehicle.
         """
         place = (float(start[0][0]), float(start[1][0]))
         walls = []

@@ -585,7 +585,7 @@ def _actual_approach(
 
 
 def _along(direction: Vec2, x: NDArray[Any], y: NDArray[Any]) -> NDArray[Any]:
-    """Return the component along a direction; skip the term of an axis whose share is zero."""
+    """Return the component along a direction; if the direction's share of an axis is zero, skip its term."""
     nx, ny = x.dtype.type(direction[0]), y.dtype.type(direction[1])
     along: NDArray[Any] = x * nx if ny == 0.0 else y * ny if nx == 0.0 else x * nx + y * ny
     return along

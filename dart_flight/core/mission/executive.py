@@ -106,7 +106,7 @@ class Executive:
     # -- stepping --
 
     def propose(self, item: Input, state: FlightState, sensed: Sensed, p: Proposal) -> None:
-        """Fill a proposal after an input, which has updated `state` and produced `sensed`."""
+        """Fill a proposal after an input; `state` and `sensed` already include the input."""
         progress = self.progress
         if not self._has_begun(state):
             return
@@ -320,7 +320,7 @@ class Executive:
             self._fly_to_goal()
 
     def _skip_legs(self, state: FlightState, p: Proposal) -> None:
-        """Skip the legs whose condition on a wall is not met."""
+        """Skip each leg that depends on a wall if its condition is not met."""
         while (leg := self.progress.waypoint or self.progress.collision) is not None:
             reason = skip_reason(leg, self.progress.walls)
             if reason is None:
@@ -375,7 +375,7 @@ class Executive:
         self.progress.course = self.progress.course.fly_to(begin[:2], self._flying)
 
     def _replan_approach(self, collision: Collision, state: FlightState, p: Proposal) -> None:
-        """Plan the approach to a wall in its estimated position; a probe at a fixed place keeps its line."""
+        """Plan the approach to a wall's estimated position; a probe at a fixed place keeps its line."""
         if collision.trajectory is not None:
             return
         then_us = state.now_us + _RUN_UP_US

@@ -1,9 +1,10 @@
 """The return to the wanted heading after a contact, as fast as PX4's yaw control permits, and its duration.
 
-An oblique wall rotates the vehicle, and the motors correct the yaw only by their drag, slowly. With a large
-heading step PX4 overshoots, because its integrator winds up while the torque is at its limit, and the next
-contact is oblique again. The commanded heading is therefore ahead of the actual heading only as far as the
-torque can follow. The vehicle is turned only as fast as the same torque can stop the rotation in time.
+An oblique wall rotates the vehicle, and the motors correct the yaw only by their drag, slowly. If the heading
+command is a large step, PX4 overshoots, because its integrator winds up while the torque is at its limit. The
+next contact is then oblique again. The commanded heading is therefore limited in two ways. It is ahead of the
+actual heading only as far as the torque can follow. The resulting rotation is only as fast as the same torque
+can stop in time.
 """
 
 from __future__ import annotations

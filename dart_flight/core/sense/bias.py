@@ -98,8 +98,8 @@ def _bounded(value: float, most: float) -> float:
 class ForceBaseline:
     """Slow horizontal force, mission frame, newton, limited in size.
 
-    The detector subtracts `value` before it compares a force with a threshold. `value` is some samples old,
-    so that the start of a contact is not subtracted from the contact itself.
+    The detector subtracts `value` before it compares a force with a threshold. `value` is some samples old.
+    The start of a contact is therefore not subtracted from the contact itself.
     """
 
     def __init__(self, config: Estimation) -> None:

@@ -240,8 +240,8 @@ class ImpactDetector:
     def detection_floor_n(self, duration_s: float) -> float:
         """Return the least peak at which a half-sine of this duration is certainly detected, newton.
 
-        The detection floor of a window is its threshold plus one standard deviation, divided by the share of
-        the peak that the window keeps. The result is the least floor of the windows in use.
+        Each window has a detection floor: threshold plus one standard deviation, divided by the share of the
+        peak that the window's mean keeps. The result is the least floor of the windows in use.
         """
         best = math.inf
         for i, threshold in enumerate(self.thresholds_n()):

@@ -224,7 +224,7 @@ class FlightState:
         received_us: int,
         previous: ImuSample | AttitudeSample | OdometrySample | ActuatorSample | None,
     ) -> bool:
-        """Return whether a stamp is too far ahead for the elapsed time, so that it may be another vehicle's.
+        """Return whether a stamp is too far ahead for the elapsed time; it may then be another vehicle's.
 
         If the clock has really jumped, the new stamps are accepted after some consecutive samples. The first
         sample of a stream is compared with the newest sample of the other streams.
