@@ -50,9 +50,9 @@ class LowPass:
 
 
 class VarianceEstimate:
-    """Running estimate of a noise variance, as the mean of given squares; outliers have little weight.
+    """Running estimate of a noise variance: the mean of the squares that `update` receives.
 
-    The variance never reaches 0, because no noise is ever known to be absent.
+    Outliers have little weight. The variance never reaches 0, because no noise is ever known to be absent.
 
     Args:
         value: initial variance.

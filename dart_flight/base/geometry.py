@@ -156,8 +156,8 @@ def quaternion_from_rotation_vector(v: Vec3) -> Quaternion:
 def advance_attitude(q_frd_to_ned: Quaternion, rate_frd_rad_s: Vec3, dt_s: float) -> Quaternion:
     """Return the attitude after `dt_s` seconds (either sign) at a constant body rate.
 
-    This is the Hamilton product with `quaternion_from_rotation_vector(rate * dt)`, written out because it
-    runs for every sample of the core and every millisecond of the plant.
+    The result is the Hamilton product with `quaternion_from_rotation_vector(rate * dt)`. The product is
+    written out for speed: the core needs it for every sample, the plant for every millisecond.
     """
     rx, ry, rz = rate_frd_rad_s
     rx, ry, rz = rx * dt_s, ry * dt_s, rz * dt_s

@@ -71,11 +71,11 @@ class MotorOutputDecoder:
     """Converter of a stream of raw outputs into motor throttles.
 
     The scale follows from the smallest and the largest value since the start. The motors of an armed vehicle
-    pass through small values before take-off, which distinguishes DShot from PWM. UAVCAN is recognised once
-    a motor passes a quarter of full throttle; below that it is read as DShot.
+    pass through small values before take-off, which distinguishes DShot from PWM. UAVCAN is recognised once a
+    motor passes a quarter of full throttle. Before that, its values are read as DShot.
 
     Args:
-        motors: number of motors; they are the first outputs.
+        motors: number of motors; the motors are the first outputs.
 
     Attributes:
         scale: the scale in use; None before any output was above 0.
@@ -88,7 +88,7 @@ class MotorOutputDecoder:
         self.scale: OutputScale | None = None
 
     def decode(self, outputs: Sequence[float | None], airborne: bool) -> tuple[float, ...] | str:
-        """Return the throttle of each motor, or the reason why the outputs cannot be the motors'.
+        """Return the throttle of each motor, or the reason why the outputs cannot be those of the motors.
 
         Args:
             outputs: raw values; None for a value that is not a number.

@@ -41,7 +41,7 @@ def measure_lateness_s() -> float:
 
 
 class ChildProcess(subprocess.Popen[bytes]):
-    """A Python module run in a process and session of its own; the two sides exchange lines.
+    """A Python module that runs in its own process and session, and exchanges lines with this program.
 
     The new session keeps Ctrl-C at the terminal away from the module.
 

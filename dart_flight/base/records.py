@@ -107,7 +107,7 @@ class Request(StrEnum):
 
 
 class ModeMismatch(StrEnum):
-    """Response to a contact that indicates the other mode than the lock reports."""
+    """Response if a contact indicates one mode of the arms, but the lock reports the other mode."""
 
     NOTE_ONLY = "go_on"  # recorded in the log and the verdict
     LAND = "land"
@@ -158,8 +158,8 @@ class Record(msgspec.Struct, frozen=True, gc=False):
 
     Attributes:
         topic: name of its channel in the log.
-        frequent: whether records of this kind arrive many times a second and can be spared: if the log is
-            short of space, they are dropped first.
+        frequent: whether records of this kind arrive many times a second. If the log is short of space, these
+            records are dropped first.
     """
 
     topic: ClassVar[str] = ""
@@ -305,7 +305,7 @@ class PoseSample(Record, frozen=True, gc=False):
 
 
 class LockPhase(StrEnum):
-    """Phase of the lock's state machine; `settled` means that the travel time is over, without a sensor."""
+    """Phase of the lock's state machine; without a sensor, `settled` means that the travel time is over."""
 
     UNKNOWN = "unknown"
     TRAVELLING = "travelling"
@@ -559,8 +559,8 @@ class ForceEstimate(Record, frozen=True, gc=False):
 class TorqueEstimate(Record, frozen=True, gc=False):
     """External torque about the centre of mass at an IMU sample, body FRD (docs/torque.md).
 
-    It is inertia times the change of the body rate over the tick, plus the gyroscopic term, minus the torque
-    of the motors. A sample is the mean over the tick that ends at `t_us`.
+    The torque is the inertia times the change of the body rate over the tick, plus the gyroscopic term, minus
+    the torque of the motors. A sample is the mean over the tick that ends at `t_us`.
     """
 
     topic: ClassVar[str] = "/estimate/torque"
@@ -640,8 +640,8 @@ class ImpactBody(Record, frozen=True, gc=False):
 class WallEstimate(Record, frozen=True, gc=False):
     """Properties of the wall and the arms, estimated from a planned contact at its end (docs/felt.md).
 
-    Coefficients are posterior means for the estimated mode of the arms, or for the reported mode if the
-    contact does not decide between the modes.
+    The coefficients are posterior means, and hold for the estimated mode of the arms. If the contact does not
+    decide between the modes, they hold for the mode that the lock reports.
     """
 
     topic: ClassVar[str] = "/estimate/wall"
@@ -673,7 +673,7 @@ class WallEstimate(Record, frozen=True, gc=False):
 
 
 class DetectionFloor(Record, frozen=True, gc=False):
-    """Smallest detectable contact at the start of an approach, from the noise so far, N (docs/force.md)."""
+    """Smallest force, N, that is detectable despite the noise when an approach begins (docs/force.md)."""
 
     topic: ClassVar[str] = "/estimate/detection"
     t_us: int
@@ -696,7 +696,7 @@ class PhaseChange(Record, frozen=True, gc=False):
 
 
 class PosesWithheld(Record, frozen=True, gc=False):
-    """End of forwarding poses, or only their attitudes, that are not the vehicle's; PX4 then uses its IMU."""
+    """Notice that wrong poses, or only their attitudes, are no longer forwarded; PX4 uses its IMU instead."""
 
     topic: ClassVar[str] = "/event/poses_withheld"
     t_us: int
@@ -715,7 +715,7 @@ class GuardEvent(Record, frozen=True, gc=False):
 
 
 class GoalPassed(Record, frozen=True, gc=False):
-    """Closest approach to the goal after the last contact; the goal is held from here."""
+    """Closest approach to the goal after the last contact; from this moment on the vehicle holds the goal."""
 
     topic: ClassVar[str] = "/event/goal"
     t_us: int

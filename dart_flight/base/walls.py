@@ -35,23 +35,25 @@ class Post(msgspec.Struct, frozen=True):
 
 
 class Wall(msgspec.Struct, frozen=True):
-    """A finite vertical wall, given by the plane on which the vehicle's *centre* lies at first touch.
+    """A finite vertical wall, given by its plane of first touch.
+
+    The vehicle's *centre* lies on this plane when the vehicle first touches the wall.
 
     Attributes:
         name: name in the mission file.
-        point: the middle of the wall on that plane, mission frame, metres.
+        point: the middle of the wall on the plane of first touch, mission frame, metres.
         normal: outward unit normal, from the wall into free space, mission frame.
         length_m: extent along the tangent, centred on `point`.
         material: key of the materials table.
         position_sd_m: standard deviation of the plane's position along the normal; None if not configured.
         yaw_sd_rad: standard deviation of the plane's direction, about `point`; None if not configured.
-        half_vehicle_m: distance from the vehicle's centre to its side: an impact stays at least this far
-            inside the wall's end, and a passing path at least this far outside.
+        half_vehicle_m: distance from the vehicle's centre to its side. An impact keeps at least this distance
+            inside the wall's end. A path that passes the wall keeps at least this distance outside that end.
         post_radius_m: radius of the post whose tangent plane this is; 0 for a wall.
-        sought: whether the wall's position is unknown and a probe searches for it; the plane is then at the
-            end of the probe.
-        material_known: whether the material is given; if not, `material` is the stiffest one until a contact
-            identifies the wall's material.
+        sought: whether a probe searches for the wall, because the wall's position is unknown. The plane is
+            then assumed where the probe's path ends.
+        material_known: whether the material is given. If not, `material` is the vehicle's stiffest material
+            until a contact identifies the wall's material.
     """
 
     name: str

@@ -19,9 +19,9 @@ w = sqrt(1 - zeta^2) and A = theta / w,
     deepest point      exp(-zeta (pi / w - A))       exp(-zeta A)
     peak force         exp(-zeta A)                  exp(-zeta (3 A - pi / w)); 2 zeta if zeta >= 1/2
 
-(in units of 1/omega, 1, V/omega and m V omega). At and above critical damping an `lcp` contact never ends:
-its contact time is infinite and its exit speed is 0. The peak of the friction force and, if a is not 0, the
-release have no elementary form. A safeguarded Newton iteration finds both to machine precision.
+The rows are in units of 1/omega, 1, V/omega and m V omega. At and above critical damping an `lcp` contact
+never ends: its contact time is infinite and its exit speed is 0. The peak of the friction force and, if a is
+not 0, the release have no elementary form. A safeguarded Newton iteration finds both to machine precision.
 
 All arrays are float64. Frame: the wall's collision frame (`base/walls.py`); normal < 0 approaches.
 """
@@ -164,8 +164,8 @@ def _shape(c: CoefficientArrays, mass: Array, onset: Onset) -> _Shape:
 def _friction_peak(mu_speed: Array, s: _Shape) -> Array:
     """Return the largest phi exp(-mu V (1 + xi')) of a contact, to machine precision.
 
-    The stationary point is r = c phi with r = phi'/phi and c = mu V. r falls monotonically in time and is
-    therefore used as the unknown: phi and xi' are elementary in it,
+    The stationary point is r = c phi with r = phi'/phi and c = mu V. The unknown is r, because r falls
+    monotonically in time, and phi and xi' are elementary in r:
         tau = acot((zeta + r)/w)/w,   Q = 1 + 2 zeta r + r^2,   phi = exp(-zeta tau)/sqrt(Q),
         xi' = -phi (r + 2 zeta).
     Newton's method solves r Q = c sqrt(Q) exp(-zeta tau) at any damping. `touch` is the same solution at c *
@@ -320,7 +320,7 @@ class _Batch:
 
     @property
     def is_table(self) -> bool:
-        """Whether to compute the quantities that depend on coefficients alone once per set."""
+        """Whether to compute, once per set, the quantities that depend on the coefficients alone."""
         return self.rows is not None or self.mass.size == 1
 
     def parts(self) -> list[slice]:
@@ -353,14 +353,14 @@ def contact_map(
         coefficients: one set, one set per collision (any shape that broadcasts with the velocities), or, with
             `rows`, a table of shape (n,).
         mass_kg: vehicle mass; broadcasts with `coefficients`.
-        normal_m_s: velocity along the outward normal at the onset, collision frame. A vehicle that does not
-            approach does not touch the wall: its velocity is unchanged, force and contact time are 0.
+        normal_m_s: velocity along the outward normal at the onset, collision frame. If the vehicle does not
+            approach, it does not touch the wall: the velocity is unchanged, and force and contact time are 0.
         tangential_m_s: velocity along the wall at the onset.
         onset: onset rule.
         rows: row of the table for each collision's (mode, material); broadcasts with the velocities.
         acceleration_m_s2: constant acceleration along the normal by other forces during the contact, such as
-            the controller's push; negative into the wall; None if there is none. A pushed vehicle can come to
-            rest at the wall: contact time and impulse are then infinite, and the speeds are 0.
+            the controller's push. It is negative into the wall; None means no acceleration. If a pushed
+            vehicle comes to rest at the wall, contact time and impulse are infinite and the speeds are 0.
 
     Returns:
         Arrays of the broadcast shape, without NaN.

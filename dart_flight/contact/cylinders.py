@@ -8,13 +8,13 @@ horizontal tangent, at the same reduced lever as at the guards (`propeller_guard
 
 A bar rests on the springs of its two guards, k/2 and f/2 each. At the fraction s of its length the stiffness
 is k/2 / ((1 - s)^2 + s^2): k/2 at a guard, and k in the middle, as at a wall that touches both guards. This
-*share* of k is fixed at the touch and kept while the bar is pressed. The depth stays continuous when the axis
-enters the outline. Sliding therefore adds no energy: the stored energy, 1/2 share k x^2, depends on the depth
-alone.
+*share* of k is fixed at the touch and kept while the bar is pressed. The depth stays continuous when the
+cylinder's axis enters the outline. Sliding therefore adds no energy: the stored energy, 1/2 share k x^2,
+depends on the depth alone.
 
 For the same reason only points that come from outside are pressed. A guard that moved behind the surface past
-the wall's end touches nothing until it is in front of the surface again. The same holds for an edge whose
-load a guard has carried: a bar touches no edge while the surface presses one of the bar's guards.
+the wall's end touches nothing until it is in front of the surface again. While the surface presses one of a
+bar's guards, this guard carries the load, and the bar touches no edge.
 """
 
 from __future__ import annotations
@@ -140,8 +140,8 @@ class CylinderContact:
         cylinder: its position and radius.
         coefficients: coefficients for the whole side of the vehicle; None if not set.
         share: share of k and f, fixed at the touch; None if the outline is not pressed.
-        stood_in: whether the outline is inside the cylinder without a force, because a guard carried the load
-            first or the outline did not come from outside.
+        stood_in: whether the outline is inside the cylinder but feels no force. The reason is that a guard
+            carried the load first, or that the outline did not come from outside.
     """
 
     def __init__(self, cylinder: Cylinder) -> None:
@@ -172,7 +172,7 @@ class CylinderContact:
         return ContactPoint(near.guard, near.normal, (-ny, nx, 0.0), near.x_m, own)
 
     def settle(self, near: NearestPoint, force_n: float) -> None:
-        """Fix the share of the side's coefficients from the first force until the outline is clear."""
+        """Fix the share of the side's coefficients at the first force; reset it when the outline is clear."""
         if force_n > 0.0:
             self.share = near.share if self.share is None else self.share
         elif near.x_m > 0.0:
@@ -258,7 +258,7 @@ class WallWithEnds:
         return WallWithEnds(self.plane._replace(point=point), self._guards)
 
     def reset_contacts(self, q: Quaternion, position: Vec3) -> None:
-        """Initialise the contact state: guards behind the surface did not pass through it."""
+        """Reset the contact state; assume that guards behind the surface have not passed through it."""
         self.beside = {i for i, h, _ in self._foot_points(q, position) if h < 0.0}
         for edge, near in self.nearest(q, position):
             edge.share, edge.stood_in = None, near.x_m < 0.0

@@ -41,7 +41,7 @@ def quarter_time(zeta: Array, w2: Array) -> Array:
 class Oscillation(NamedTuple):
     """A contact in dimensionless units: phi - alpha is the force, xi' the normal velocity (see the module).
 
-    V is |v| + |a|/omega, so that a vehicle at rest or without push is no special case.
+    V is |v| + |a|/omega. It is 0 only for a vehicle at rest without push.
     """
 
     omega: Array

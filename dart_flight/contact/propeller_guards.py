@@ -2,18 +2,19 @@
 
 A vehicle touches a wall with guard points, two on each of its four sides. They are `guard_out_m` from the
 centre of mass, `guard_along_m` to either side of the middle, and `guard_height_m` above the centre of mass.
-Each guard is a point of the published law with its share of the coefficients. With both guards of a side at
-the same depth, k/2 and f/2 each sum to the point law, so a symmetric hit keeps its normal force, contact time
-and exit velocity. Friction is -mu lambda ydot with the guard's own sliding velocity. The vertical force keeps
-its sum -nu L/(1 + L), where L is the sum of the normal forces on the wall.
+Each guard is a point of the published law with its share of the coefficients. If both guards of a side are at
+the same depth, their k/2 and f/2 sum to the k and f of the point law. A symmetric hit therefore has the
+normal force, contact time and exit velocity of the point law. Friction is -mu lambda ydot with the guard's
+own sliding velocity. The vertical force keeps its sum -nu L/(1 + L), where L is the sum of the normal forces
+on the wall.
 
 The paper does not specify the share of the friction's lever that rotates the vehicle, nor the lever of the
 vertical force. Both are parameters (`config/vehicle/simulation.py`, `ContactBody`). The friction acts at the
 reduced lever, and its sliding velocity is computed there, so friction only removes energy.
 
-Unlocked arms fold: each rotates in the horizontal plane about a bearing in the vehicle's middle, so that its
-guard yields by a share of its penetration (`fold_angles`). The law already accounts for this by a smaller k;
-the angles add the displacement of the arm's motor.
+Unlocked arms fold: each arm rotates in the horizontal plane about a bearing in the vehicle's middle. Its
+guard thereby yields by a share of the penetration (`fold_angles`). The law already accounts for this yield by
+a smaller k. The angles only add the displacement of the arm's motor.
 """
 
 from __future__ import annotations
@@ -118,7 +119,8 @@ def touch(
         plane: the surface.
         position, velocity: m and m/s, of the centre of mass, world frame.
         rate_frd: angular velocity, rad/s.
-        vertical_sign: -1 as the paper writes lz (against Z of the collision frame: up at a wall), or 1.
+        vertical_sign: sign of the vertical force along Z of the collision frame, which points down at a wall:
+            -1 (up) as the paper writes lz, or 1 (down).
         vertical_lever_m: distance from the centre of mass, outwards, at which the vertical force acts.
     """
     world = plane.normal

@@ -28,8 +28,8 @@ class Pace(Enum):
 def pace_near_walls(mission: Mission, state: FlightState, phase: Phase) -> Pace:
     """Return `BATCHED` or `IMMEDIATE`, depending on the vehicle's position.
 
-    The pace is `IMMEDIATE` in a contact, and in any phase if a wall may be met within 0.2 s, with the guard's
-    tolerances for early and late contacts.
+    In a contact the pace is `IMMEDIATE`. In any phase, it is `IMMEDIATE` if the vehicle may meet a wall
+    within 0.2 s. This includes the guard's tolerances for early and late contacts.
     """
     if phase is Phase.CONTACT:
         return Pace.IMMEDIATE

@@ -68,7 +68,7 @@ class CommandStore:
         self.problem: str | None = None
 
     def store(self, state: LockState) -> None:
-        """Store a state atomically; a state that follows no command is not stored."""
+        """Store a state atomically; if no command led to the state, store nothing."""
         self._mode = state.mode or self._mode
         if state.commanded_us is None or self._mode is None:
             return

@@ -28,8 +28,8 @@ class ServoFaults(msgspec.Struct, frozen=True):
     Attributes:
         stuck: the horn does not move at all.
         slow: factor on the duration of every travel.
-        stall_fraction: point that the horn cannot pass, 0 the flexible end, 1 the rigid end; the horn stays
-            on its side of the point.
+        stall_fraction: point that the horn cannot pass, from 0 (flexible end) to 1 (rigid end). The horn
+            cannot move to the other side of this point.
     """
 
     stuck: bool = False

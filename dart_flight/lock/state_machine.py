@@ -4,8 +4,8 @@ This file performs no I/O and reads no clock: every input carries its time, inte
 time base. Only `_transition` changes the phase, by the table `TRANSITIONS`. `docs/lock.md` shows the table as
 a diagram.
 
-The servo has no position feedback. `settled` means that the driver accepted the command, that the travel time
-with its margin is over, and that a later reading still shows the commanded pulse. Only a limit switch sets
+The servo has no position feedback. `settled` means three things: the driver accepted the command, the travel
+time with its margin is over, and a later reading still shows the commanded pulse. Only a limit switch sets
 `feedback=True`. If an end has a switch, the lock settles at that end only when the switch closes.
 
 A shell calls `start` once, then `command` and `permit` as the core requests. It executes the returned actions
@@ -31,8 +31,8 @@ class DriverReading(msgspec.Struct, frozen=True):
     """State that a driver reports.
 
     Attributes:
-        pulse_us: present output pulse width, read back if the hardware can; None if the pulses are off, or if
-            nothing was commanded yet and the hardware cannot be read.
+        pulse_us: present output pulse width, read from the hardware if possible. None if the pulses are off.
+            Also None if the hardware cannot be read and nothing was commanded yet.
         rigid_switch: whether the limit switch at the rigid end is closed; None if not fitted.
         flexible_switch: the same at the flexible end.
         errors: error messages of the hardware.
@@ -167,9 +167,10 @@ class LockStateMachine:
     def start(self, t_us: int, reading: DriverReading | None) -> list[Action]:
         """Home the lock, or adopt the position in the driver's first `reading`, as configured.
 
-        Adopting uses a closed switch, or else a pulse that the hardware still outputs at one of the two ends.
-        The travel counts from now, because the command may be recent. If nothing is found, the lock stays
-        `unknown`: a command stored by the last run does not prove the position of the horn.
+        If a limit switch is closed, the lock adopts that end. If not, but the hardware still outputs the
+        pulse of one end, the lock adopts this end. The travel time begins now, because the command may be
+        recent. If neither is the case, the lock stays `unknown`: a command stored by the last run does not
+        prove the position of the horn.
         """
         if self.config.startup is LockStartup.HOME:
             return self.command(t_us, self.config.home_mode)
@@ -211,8 +212,8 @@ class LockStateMachine:
     def permit(self, t_us: int, permitted: bool) -> list[Action]:
         """Set whether the arms are clear of contact and back in place; initially they are not.
 
-        If the permission ends while locking, the machine unlocks: the rods must not move into the slots
-        during a contact.
+        If the permission ends while the lock moves to rigid, the machine unlocks again: the rods must not
+        move into the slots during a contact.
         """
         self._permitted = permitted
         locking = self._state.phase is LockPhase.TRAVELLING and self._target is Mode.RIGID

@@ -1,7 +1,7 @@
 """Constraints of a plan: the reasons to refuse a candidate, and their tests.
 
-The rules are those of the core (`core.mission`, `core.guard`), so that they do not abort a plan in flight,
-and the limits of the mission file.
+The tests apply the limits of the mission file and the rules of the core (`core.mission`, `core.guard`), so
+that the core does not abort a plan in flight.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ class Constraints:
 
     Args:
         task: limits, bounds, walls.
-        ignored: reasons that do not count, to find which ones prevent a plan.
+        ignored: reasons that are ignored, to find out which reasons prevent a plan.
         posts: posts in the flight space.
     """
 
@@ -285,7 +285,7 @@ def _outside(limits: tuple[float, float], x: NDArray[Any], v: NDArray[Any]) -> N
 
 
 def _touches_wall(wall: Wall, w: GridWindow) -> NDArray[np.bool_]:
-    """Return whether the plane of a wall is behind the vehicle, or will be within `_TOUCH_S`."""
+    """Return whether the vehicle has passed the plane of a wall, or will pass it within `_TOUCH_S`."""
     (nx, ny), (px, py) = wall.normal, wall.point
     soon, offset = np.float32(_TOUCH_S), np.float32(nx * px + ny * py)
     depth: NDArray[Any]
@@ -319,8 +319,9 @@ def _hits_post(post: Post, corner_m: float, w: GridWindow) -> NDArray[np.bool_]:
 def _reach_tables(task: Task) -> tuple[Array, Array, Array]:
     """Return tables of the braking distance by the executive's rule, for `lock_in_time`.
 
-    The tables are the distance with an acceleration towards the wall, the distance with one away from it, and
-    their common argument, the speed's share of the input. The distance is proportional to the input.
+    The first table is the distance with an acceleration towards the wall. The second is the distance with an
+    acceleration away from the wall. The third is the argument of both: the share of the speed in the sum of
+    speed and scaled acceleration. The distance is proportional to this sum.
     """
     knots = np.linspace(0.0, 1.0, 41)
     far = 100.0

@@ -121,7 +121,7 @@ class Ticks(NamedTuple):
             the left.
         torque: torque about the vertical, N m, positive if it turns the vehicle to the right.
         samples: number of samples in the tick.
-        bound: whether the reading is at full scale, so that the true force is larger.
+        bound: whether the reading is at full scale; the true force is then larger.
     """
 
     h: Array
@@ -273,7 +273,7 @@ class ContactFit:
         return found
 
     def _begin(self, lead: Array, believed: NDArray[np.bool_], mode: NDArray[np.intp]) -> Array:
-        """Return start parameters with the wall turned so that the angle of incidence is `lead`.
+        """Return start parameters; the wall's angle is chosen to give the angle of incidence `lead`.
 
         The starts flagged in `believed` use the prior of k. The others compute k from the peak force, which
         is v (k m)^0.5 for a point mass.

@@ -2,9 +2,10 @@
 
 The contact law alone (paper, Sec. IV-B) determines the duration T, the time t_p of the force peak and, with
 the detector's rule, the time t_e of the recovery setpoint. All three depend on coefficients and mass, not on
-the speed. The vehicle yields to the contact (`core/mission/contact_feedforward.py`): before t_e it has no
-reference, e = 0, and PX4's D term never responds to the wall's force. After t_e, e = kp (s - x) - x' with the
-recovery setpoint s. Along the normal, with PX4's loop of `core/mission/position_loop.py`,
+the speed. The vehicle yields to the contact (`core/mission/contact_feedforward.py`). Before t_e there is no
+reference and the controller's error e is 0. PX4's D term never responds to the wall's force. After t_e, the
+error is kp (s - x) - x', where s is the recovery setpoint. Along the normal, with PX4's loop of
+`core/mission/position_loop.py`,
 
     x'' = -(k x + f x')/m + a - b x'
     a'  = (kv e + i - kd (a - b x') - a) / tau,      i' = ki e
@@ -15,10 +16,10 @@ is the distance. The controller's error is e = kp (s - q) - u, and its thrust ad
     a' = (kv e + i - kd a - a) / tau,      i' = ki e
     d' = -(mu/m) lx d + a,                 velocity u + d
 
-The normal force lx in these equations is that of the contact law alone at the speed of the onset, which also
-gives the peak of the friction force. The setpoint (`core/mission/recovery.py`) is a weighted sum of both
-peaks. The normal part is therefore a constant matrix per material and mode, exact by the matrix exponential.
-The part along the wall needs only integrals of exp(-c (1 + xi')), by Gauss quadrature to about 1e-10.
+In these equations, lx is the normal force of the contact law alone, at the speed of the onset. It also gives
+the peak of the friction force. The setpoint (`core/mission/recovery.py`) is a weighted sum of both peaks. The
+normal part is therefore a constant matrix per material and mode, exact by the matrix exponential. The part
+along the wall needs only integrals of exp(-c (1 + xi')), by Gauss quadrature to about 1e-10.
 """
 
 from __future__ import annotations
@@ -154,8 +155,8 @@ class ContactStage:
     Attributes:
         duration_s: time from the onset to the release; infinite if the vehicle stays at the wall.
         peak_s: time from the onset to the peak of the normal force.
-        engaged_s: time from the onset to the recovery setpoint, which comes no later than the release.
-        lead_s: f/k with the onset rule `lcp`, whose onset is at x + lead_s x' = 0; 0 with `touch`.
+        engaged_s: time from the onset to the recovery setpoint, at most the time to the release.
+        lead_s: f/k with the onset rule `lcp`, 0 with `touch`; the onset is at x + lead_s x' = 0.
     """
 
     def __init__(
@@ -240,7 +241,7 @@ def build_stages(
     drags: Sequence[float],
     extra_delay_s: Sequence[float],
 ) -> list[ContactStage]:
-    """Return the stages for a table of (wall, mode, draw).
+    """Return the stages for a table with one set of coefficients per wall, mode and random draw.
 
     Args:
         vehicle: mass, loop, detector.

@@ -1,7 +1,7 @@
 """Impacts that a mission may plan: the mission's own force limit, and the range that flights have covered.
 
-The limits of speed and force come from the sweep in docs/px4.md (acrylic and wood, both modes, 0.5 to 4 m/s)
-and from its impacts with guards. The limits of incidence and height come from the flights in
+The limits of speed and force come from docs/px4.md: from its sweep (acrylic and wood, both modes, 0.5 to 4
+m/s) and from its impacts with guards. The limits of incidence and height come from the flights in
 docs/results/body.md.
 """
 
@@ -38,7 +38,7 @@ def expected_force_n(mission: Mission, collision: Collision) -> float | None:
 
 
 def impact_problem(mission: Mission) -> str | None:
-    """Return the reason not to fly a mission: an impact above the mission's force limit; otherwise None."""
+    """Return the reason not to fly a mission if an impact exceeds the mission's force limit, or None."""
     for collision in mission.collisions:
         force = expected_force_n(mission, collision)
         if force is not None and force > mission.limits.peak_force_n:
@@ -96,7 +96,7 @@ def max_incidence_deg(vehicle: VehicleConfig, mode: Mode) -> float:
 
 
 def incidence_warning(mission: Mission, collision: Collision) -> str | None:
-    """Return a warning about an impact with more incidence than its mode tolerates, or None."""
+    """Return a warning if the incidence of an impact exceeds the limit of its mode, or None."""
     planned, most = incidence_deg(mission, collision), max_incidence_deg(mission.vehicle, collision.mode)
     if planned <= most:
         return None
@@ -108,14 +108,14 @@ def incidence_warning(mission: Mission, collision: Collision) -> str | None:
 
 
 def heights_flown_m(normal_m_s: float) -> tuple[float, float]:
-    """Return the largest distances of guards below and above the centre of mass that were flown, m."""
+    """Return how far below and above the centre of mass guards have been in flights so far, metres."""
     fits = (heights for speed, *heights in HEIGHTS_FLOWN_M if normal_m_s <= speed)
     below, above = next(fits, HEIGHTS_FLOWN_M[-1][1:])
     return below, above
 
 
 def height_warning(mission: Mission, collision: Collision) -> str | None:
-    """Return a warning about guards too far below or above the centre of mass, or None."""
+    """Return a warning if the guards are too far below or above the centre of mass, or None."""
     velocity = impact_velocity(collision)
     if velocity is None or mission.vehicle.simulation.contact.body is BodyModel.POINT:
         return None

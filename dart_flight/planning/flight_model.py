@@ -7,9 +7,9 @@ reached, i the velocity loop's integral, b the air drag and the gains of `core/m
     a' = (kv (-kp p - v) + i - kd v' - a) / tau
 
 This is linear with constant coefficients, so the state at any time is exp(A t) times the initial state. One
-matrix product gives the positions of all candidates on a grid of times. The grid brackets an event. Newton's
-method then finds the event in the solution about that grid point, the Taylor series of the matrix
-exponential, whose error at half a grid step is only rounding. The model does not step through time.
+matrix product gives the positions of all candidates on a grid of times. The grid brackets an event. About the
+nearest grid point the solution is the Taylor series of the matrix exponential, whose error at half a grid
+step is only rounding. Newton's method finds the event in this series. The model does not step through time.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The predicted path of a mission: the planner's flight model from start to goal, for `check` and the report.
 
-A mission file contains the approach and the gains, not the path. The path is computed from both, by the model
-with which `plan` has chosen them (`planning.rollout`).
+A mission file contains the approach and the gains, not the path. The path is computed from approach and
+gains, by the model with which `plan` has chosen them (`planning.rollout`).
 """
 
 from __future__ import annotations
@@ -59,12 +59,13 @@ class PredictedFlight(msgspec.Struct):
     Attributes:
         approaches: straight lines by the index of the next collision, mission frame, metres: previous resting
             position (if known and different), run-up point, impact.
-        legs: arrays (n, 4) of x, y, vx, vy by collision index. A leg lasts from the onset over the release to
-            the next onset or to the closest approach to the goal. Index 0 is a trajectory from rest at the
-            start to the goal. The velocity at the onset itself is given as 0.
+        legs: arrays (n, 4) of x, y, vx, vy by collision index. A leg begins at the onset of a contact. It
+            ends at the next onset, or at the closest approach to the goal. Index 0 is a trajectory from rest
+            at the start to the goal. The velocity at the onset itself is given as 0.
         hits: impacts by collision index, except impacts that the model does not reach.
         goal_miss_m: closest approach to the goal after the last contact; None if not reached.
-        walls: drawn positions of the walls that the mission declares uncertain.
+        walls: walls at random positions, within the uncertainty that the mission declares; empty for the
+            nominal walls.
     """
 
     approaches: dict[int, list[Vec2]]
@@ -123,14 +124,14 @@ def describe_goal_miss(
 def predict_mission(mission: Mission) -> PredictedFlight:
     """Predict the path that follows from the mission's approaches, modes and gains.
 
-    The path ends after the impact from which the model does not reach the next wall. A rehearsal has
-    approaches only.
+    If the model does not reach the next wall after an impact, the path ends there. A rehearsal has approaches
+    only.
     """
     return flights_with(mission, [None])[0]
 
 
 def flights_with(mission: Mission, draws: Sequence[UncertaintyDraw | None]) -> list[PredictedFlight]:
-    """Predict the path for each draw of the walls; None stands for the nominal walls."""
+    """Predict the path for each random draw of the walls' positions; None means the nominal walls."""
     found = [PredictedFlight({}, {}, {}, walls=() if d is None else tuple(d.walls.values())) for d in draws]
     if mission.goal_trajectory is not None and not mission.collisions:
         rows = [(*state.position, *state.velocity) for state in _sampled(mission.goal_trajectory)]
@@ -229,7 +230,7 @@ def _groups(collisions: Sequence[Collision]) -> list[list[Collision]]:
 def _fly(
     mission: Mission, group: Sequence[Collision], draws: Sequence[UncertaintyDraw | None]
 ) -> tuple[FreeFlight, Vec2, list[Arrivals | None]]:
-    """Return one approach's flight model, run-up point, and arrivals per draw (None if the draw fails)."""
+    """Return the flight model, the run-up point, and the arrivals of each draw, or None for a failed draw."""
     task = make_task(mission, group)
     flight = new_flight(task)
     rollout = _rollout(task, flight)
@@ -248,7 +249,7 @@ def _fly(
 
 
 def _rename_walls(draw: UncertaintyDraw | None, group: Sequence[Collision]) -> UncertaintyDraw | None:
-    """Return a draw with its walls renamed to those of the task, which has one wall per collision."""
+    """Return a draw with walls named as in the task, because the task has one wall per collision."""
     if draw is None:
         return None
     places = {

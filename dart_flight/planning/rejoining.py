@@ -2,10 +2,11 @@
 
 Each rejoining trajectory is the planned trajectory, begun at a later time and possibly slower, plus a
 fifth-order polynomial per axis. The polynomial starts with the deviation of the vehicle's state from the
-plan. Some time before the trajectory's end, the polynomial and two derivatives reach zero. This keeps the
-optimised shape, the end and the final velocity, with small additional accelerations. In the last tenths of a
-second before a wall the trajectory differs from the plan only by the wall's estimated place and the wanted
-lean. A correction until the very end would leave the vehicle rotating at the impact.
+plan. Some time before the trajectory's end, the polynomial and two derivatives reach zero. The trajectory
+therefore keeps the optimised shape, the end and the final velocity of the plan, with small additional
+accelerations. In the last tenths of a second before a wall the trajectory differs from the plan only by the
+wall's estimated place and the wanted lean. A correction until the very end would leave the vehicle rotating
+at the impact.
 """
 
 from __future__ import annotations
@@ -105,7 +106,7 @@ def candidate_trajectories(
         moved: final position minus the planned one, m.
         pushed: final acceleration minus the planned one, m/s2.
         settled_s: time before the end during which the trajectory differs from the plan only by `moved` and
-            `pushed`; less for a short trajectory.
+            `pushed`; shortened if the trajectory is short.
     """
     tried = [
         (begin, slower)

@@ -6,11 +6,11 @@ when the core receives the answer. It ends at the next wall with the planned vel
 The replanner tries durations and places along the wall and discards the trajectories that violate a
 constraint. It prefers trajectories that are quick, gentle and near the planned place. A mission may have a
 trajectory of its own (`trajectory`, `goal_trajectory`). The replanner then first tries to lead the vehicle
-back to it with an added polynomial (`planning.rejoining`).
+back to this trajectory with an added polynomial (`planning.rejoining`).
 
 A `WallEstimate` replaces the wall's configured coefficients and its planned plane. No other state is kept
-between requests, so an answer follows from the log. A collision that is approached from rest keeps its
-approach, at a lower speed if the estimated impact would be too hard.
+between requests, so an answer can be computed again from the log. A collision that is approached from rest
+keeps its approach, at a lower speed if the estimated impact would be too hard.
 
 The replanner runs outside of the core's step: in its own process (`run.planner_process`), or in simulated
 time (`run.fast`).
@@ -82,7 +82,7 @@ class _EndStates(NamedTuple):
 
 
 class Replanner:
-    """Planner of one flight.
+    """Planner of new trajectories during one flight.
 
     Args:
         mission: the mission that is flown.
@@ -359,7 +359,7 @@ class Replanner:
         )
 
     def _within_limits(self, x: Array, y: Array, duration_s: Array) -> tuple[Rows, Array]:
-        """Return the rows of the trajectories within the limits, and their largest tilt over its limit."""
+        """Return the rows of the trajectories within the limits, and their largest tilt / tilt limit."""
         times = duration_s[:, None] * np.linspace(0.0, 1.0, _PUSH_SAMPLES)
         push = np.hypot(_derivative(x, times, 2), _derivative(y, times, 2)).max(axis=1)
         rows = np.flatnonzero(push <= self._planned_m_s2)
@@ -369,9 +369,9 @@ class Replanner:
     def _obstacles(self, start: tuple[Array, Array], now_us: int) -> list[Wall]:
         """Return the known walls, for a trajectory from (position, velocity, acceleration) in x and y.
 
-        The vehicle may start slightly behind the plane of the wall that it has just left, because flexible
-        arms release while still compressed and a wall's place is uncertain. The plane of such a wall is
-        shifted back to the vehicle.
+        The vehicle may start slightly behind the plane of the wall that it has just left. The reasons are
+        that flexible arms release while still compressed, and that a wall's place is uncertain. The plane of
+        such a wall is shifted back to the vehicle.
         """
         place = (float(start[0][0]), float(start[1][0]))
         walls = []
@@ -427,7 +427,11 @@ def _leans_in_late(rejoining: RejoiningTrajectories, wall: Wall) -> Array:
 
 
 def _straights(slack: float) -> list[tuple[float, float]]:
-    """Return pairs to try, best first: time of straight flight before a plane, and multiple of the slack."""
+    """Return pairs to try, best first: time of straight flight before a plane, and multiple of `slack`.
+
+    `slack` is the tolerance of the plane's position, metres. The multiple of `slack` is a distance by which
+    the straight flight begins earlier.
+    """
     if slack <= 0.0:
         return [(s, 0.0) for s in _STRAIGHT_S]
     return [(s, 1.0) for s in _STRAIGHT_S] + [(_STRAIGHT_S[-1], 0.0)]

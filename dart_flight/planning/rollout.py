@@ -125,7 +125,7 @@ class _Released(NamedTuple):
 
 
 def _merge(fronts: list[_Released]) -> _Released:
-    """Merge the candidates of several fronts at the same wall."""
+    """Merge groups of candidates that were released from the same wall."""
     if len(fronts) == 1:
         return fronts[0]
     hits = tuple(
@@ -151,7 +151,7 @@ def _concatenate_legs(legs: list[SetpointResponse]) -> SetpointResponse:
 
 
 class UncertaintyDraw(NamedTuple):
-    """One draw of the uncertain quantities: coefficient factors, offsets of the approach, and true walls."""
+    """Random values of the uncertain quantities: coefficient factors, offsets of the approach, true walls."""
 
     factors: dict[tuple[str, Mode], tuple[float, float, float]]  # of k, f, mu
     normal_m_s: float
@@ -161,7 +161,7 @@ class UncertaintyDraw(NamedTuple):
 
 
 def draw_wall(wall: Wall, rng: np.random.Generator) -> Wall:
-    """Draw a wall's true position and direction from its standard deviations."""
+    """Return a wall with random differences of position and direction, from its standard deviations."""
     away, angle = rng.standard_normal(2)
     moved = wall.displaced(float(away) * (wall.position_sd_m or 0.0))
     return moved.rotated(float(angle) * (wall.yaw_sd_rad or 0.0))
@@ -232,7 +232,7 @@ class Rollout:
             stages: contact stages of this draw.
             normal, tangential: planned velocities; arrays that broadcast with each other.
             grid: result of `approach` for these velocities.
-            draw: draw with the offsets of the approach; None: nominal.
+            draw: random values, of which the offsets of the approach are used; None: nominal.
         """
         firsts = [self._first(stages, i, normal, tangential, grid, draw) for i in range(len(self.task.modes))]
         fronts = [front for front in firsts if front is not None]
@@ -585,7 +585,7 @@ def _actual_approach(
 
 
 def _along(direction: Vec2, x: NDArray[Any], y: NDArray[Any]) -> NDArray[Any]:
-    """Return the component along a direction; skip the term of an axis whose share is zero."""
+    """Return the component along a direction; if the direction's share of an axis is zero, skip its term."""
     nx, ny = x.dtype.type(direction[0]), y.dtype.type(direction[1])
     along: NDArray[Any] = x * nx if ny == 0.0 else y * ny if nx == 0.0 else x * nx + y * ny
     return along

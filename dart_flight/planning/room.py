@@ -1,13 +1,15 @@
 """A room measured by touch: a star of probes from the start, and the outline that their contacts form.
 
-The body that touches a wall is an octagon of known size at a known heading. Its reach h towards the wall
-depends on the wall's direction. Contacts at places c_i are therefore on one wall with the normal n if
+The body that touches a wall is an octagon of known size at a known heading. The distance h between the body's
+centre and the touched wall depends on the wall's direction. Contacts at places c_i are therefore on one wall
+with the normal n if
 
     c_i . n - h_i(n) = offset        for all of them
 
 This holds for any incidence. The fit uses as few walls as explain all contacts, each with contacts in
-neighbouring directions. Consecutive walls intersect in the corners. If a wall has only one contact, or a
-corner does not lie between the contacts of its walls, another probe is needed in that direction.
+neighbouring directions. Consecutive walls intersect in the corners. Another probe is needed in a wall's
+direction if the wall has only one contact. It is also needed towards a corner that does not lie between the
+contacts of its two walls.
 """
 
 from __future__ import annotations

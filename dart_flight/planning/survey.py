@@ -1,8 +1,8 @@
 """A mission that measures the walls of another mission by touching them.
 
 Probes touch every wall twice (docs/walls.md). The first contact is rigid, along the assumed normal. The
-second is along the measured normal, in the mode of the mission's impact, because a contact at large incidence
-does not measure the wall's direction well. The nearest wall with a clear path comes first.
+second is along the measured normal, in the mode of the mission's impact. It is needed because a contact at
+large incidence does not measure the wall's direction well. The nearest wall with a clear path comes first.
 """
 
 from __future__ import annotations
@@ -105,7 +105,7 @@ class _SurveyLeg(NamedTuple):
 
 
 def _probe_leg(mission: Mission, wall: Wall, here: Vec2) -> _SurveyLeg | None:
-    """Return the leg along a wall's normal whose beginning can be reached, or None."""
+    """Return a leg to a wall, along its normal, with a beginning that can be reached, or None."""
     (px, py), (nx, ny), (tx, ty) = wall.point, wall.normal, wall.tangent
     for share in _ALONG:
         along = share * wall.length_m

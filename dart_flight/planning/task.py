@@ -69,7 +69,7 @@ class Task(Protocol):
 
 
 def make_task(mission: Mission, group: Sequence[Collision]) -> MissionTask:
-    """Return the task whose only candidate is the approach of the group's first collision."""
+    """Return a task with one candidate only: the approach of the group's first collision."""
     first = group[0]
     assert first.approach_m_s is not None
     assert first.impact_point is not None

@@ -19,7 +19,7 @@ _STEPS: Final = 16  # odometry samples, covering more than `REACH_US`
 
 
 class EstimatorReset:
-    """One reset, with the largest steps within 0.1 s of the counter's step.
+    """One reset, with the largest steps within 0.1 s of the change of the counter.
 
     Attributes:
         t_us: autopilot time at which the counter rose.
@@ -57,7 +57,7 @@ class EstimatorResets:
         self._heading.add_attitude(item)
 
     def add_odometry(self, item: OdometrySample) -> tuple[float, float]:
-        """Return by how much position (m) and velocity (m/s) changed more than the motion explains."""
+        """Return the change of position (m) and velocity (m/s) that the motion does not explain."""
         before, self._odometry = self._odometry, item
         if before is None or not 0 < item.t_us - before.t_us <= _JUMP_REACH_US:
             return 0.0, 0.0

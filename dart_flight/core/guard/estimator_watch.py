@@ -48,7 +48,7 @@ class EstimatorWatch:
         self._invalid_since_us: int | None = None
 
     def begin(self, now_us: int, excused: bool) -> None:
-        """Begin a step; `excused` states whether an impact explains the estimator's behaviour."""
+        """Begin a step; if `excused`, an impact explains unusual behaviour of the estimator."""
         self.jump, self._now_us, self._excused = "", now_us, excused
 
     def add_odometry(self, item: OdometrySample) -> None:

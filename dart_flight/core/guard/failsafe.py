@@ -33,7 +33,7 @@ class FailsafeEvidence:
     def add_text(self, item: StatusText, now_us: int) -> None:
         """Remember a text or event of PX4 if it announces a failsafe or a termination.
 
-        A text that names the cause is kept when a generic one follows.
+        If a generic text follows a text that names the cause, the text with the cause is kept.
         """
         words = "; ".join(line.strip() for line in item.text.splitlines() if line.strip())
         text = item.text.strip().lower()
@@ -44,7 +44,7 @@ class FailsafeEvidence:
             self._rank, self._words, self._text_us = rank, words, now_us
 
     def is_mentioned(self, now_us: int) -> bool:
-        """Return whether PX4 has mentioned a failsafe, so that PX4 itself has changed the mode."""
+        """Return whether PX4 has mentioned a failsafe; a change of mode is then PX4's own."""
         return self._rank_at(now_us) >= _MENTIONED
 
     def announcement(self, now_us: int) -> str | None:

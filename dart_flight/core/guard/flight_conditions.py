@@ -84,7 +84,7 @@ class FlightConditions:
         self._imu: ImuSample | None = None
 
     def observe(self, item: Input, state: FlightState, sensed: Sensed, phase: Phase) -> None:
-        """Process the step's input, which has updated `state`, and its results."""
+        """Process the step's input and its results; `state` already includes the input."""
         self.state, self.phase, self.force = state, phase, sensed.estimate
         self.request = item if isinstance(item, OperatorRequest) else None
         self.thrust_ratio = sensed.thrust_ratio or self.thrust_ratio
@@ -148,7 +148,7 @@ class FlightConditions:
 
     @property
     def just_after_impact(self) -> bool:
-        """Whether an impact is recent, so that its effects on estimator and altitude are no fault."""
+        """Whether an impact is recent; its effects on estimator and altitude then count as no fault."""
         return self.impact is not None and self.state.now_us - self.impact.t_us < IMPACT_WINDOW_S * 1e6
 
     @property
@@ -189,7 +189,7 @@ class FlightConditions:
 
     @property
     def unrequested_mode(self) -> FlightMode | None:
-        """The flight mode, once PX4 has left offboard without being asked to."""
+        """The present flight mode if PX4 has certainly left offboard without a request; otherwise None."""
         mode = self._mode_left_to
         # Another vehicle's mode may alternate with this one's; after sticks, nothing is sent in any case.
         if (
@@ -204,8 +204,9 @@ class FlightConditions:
     def mode_change_unexplained(self) -> bool:
         """Whether PX4 seems to have left offboard a moment ago, by itself or by a pilot's switch.
 
-        The mode may belong to another vehicle whose first sample has not arrived. Until then nothing is
-        decided and nothing is sent. A mode change that PX4 has announced, or that a gap explains, is certain.
+        The reported mode may belong to another vehicle, of which no other sample has arrived yet. For this
+        moment nothing is decided and nothing is sent. If PX4 has announced the mode change, or a gap explains
+        it, the mode change is certain.
         """
         if self._left_since_us is None or self.failsafe_reported or self.streams.was_cut_off:
             return False
@@ -243,8 +244,8 @@ class FlightConditions:
     def landing_s(self) -> float:
         """Time in land mode while armed, seconds.
 
-        It is the smaller of autopilot time and host time, because jumping stamps must not stop motors in the
-        air.
+        It is the smaller of autopilot time and host time, because a jump of the stamps must not stop the
+        motors in the air.
         """
         if self._landing_since_us is None:
             return 0.0
@@ -252,7 +253,7 @@ class FlightConditions:
         return min(self.state.now_us - autopilot_us, self.state.host_us - host_us) * 1e-6
 
     def _landing_timeout_s(self) -> float | None:
-        """Return the time in land mode after which any vehicle is down, or None for never."""
+        """Return the time in land mode after which the vehicle must be down, or None if there is no limit."""
         if self.config.kill_after_s is None:
             return None
         way_down_s = self.mission.bounds.z[1] / self.mission.vehicle.px4.mpc_land_speed
@@ -263,7 +264,7 @@ class FlightConditions:
         self.others.add_sample(name, item)
 
     def _record_pause(self, host_us: int) -> None:
-        """Record that this program has not run since the previous step, because no tick arrived."""
+        """Record the time since the previous step if this program did not run meanwhile: no tick arrived."""
         pause_us = host_us - self._stepped_us
         if pause_us > self._pause_us or host_us - self._paused_us > _PAUSE_MEMORY_US:
             self._pause_us, self._paused_us = pause_us, host_us

@@ -1,9 +1,9 @@
 """The guard: it observes the same state as the mission and can overrule the mission's proposal.
 
-`review` is the last stage of every step. It evaluates the rules of `rules`, all of them every 20 ms, and some
-immediately after the inputs that they name. It also receives the findings of the mission. An override
-latches, in the order release > kill > land > hold > break off. From then on the mission's setpoints and
-commands are dropped and the guard flies without the mission.
+`review` is the last stage of every step. It evaluates all rules of `rules` every 20 ms. Some rules are also
+evaluated immediately after the inputs that they name. The guard also receives the findings of the mission. An
+override latches: only a stronger action can replace it, in the order release > kill > land > hold > break
+off. From then on the mission's setpoints and commands are dropped and the guard flies without the mission.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ _LANDING_US: Final = 60_000_000  # from 2 m at 0.7 m/s a landing takes 5 s
 
 
 class _PhaseRules(NamedTuple):
-    """The rules of a phase: `all` are evaluated at a tick, some `at_once` after another input."""
+    """The rules of a phase: `all` for every tick, and `at_once` for each other input that a rule names."""
 
     all: Causes
     at_once: dict[type, Causes]
@@ -178,7 +178,7 @@ class Guard:
     def _apply_explanation(
         self, rule: Rule, detail: str | None, state: FlightState, events: list[Output]
     ) -> None:
-        """Replace the rule in force by the rule that explains its cause, which then gives the reason."""
+        """Put `rule` in force, with its reason, if it explains why the present rule has fired."""
         if detail is not None and self._rule is not None and self._rule.name in rule.explains:
             if rule.of_streams:
                 detail += self._watch.circumstances
@@ -188,9 +188,10 @@ class Guard:
     def _fire(
         self, name: str, detail: str, state: FlightState, events: list[Output], noted: bool = False
     ) -> None:
-        """Fire the rule of this name: overrule the mission from now on. A weaker action changes nothing.
+        """Fire the rule of this name: overrule the mission from now on.
 
-        With `noted` the rule is only logged.
+        If an action at least as strong is already active, nothing changes. With `noted` the rule is only
+        logged.
 
         Raises:
             KeyError: no such rule exists.
@@ -270,7 +271,7 @@ class Guard:
             self._land(state, out)
 
     def _has_stopped_elsewhere(self, state: FlightState, hold: Vec3) -> bool:
-        """Return whether the vehicle rests well away from its break-off point, as after a large tilt.
+        """Return whether the vehicle rests well away from its break-off point, as happens after a large tilt.
 
         The guard then holds it there: on the way back PX4's integrator would push the vehicle past the point,
         towards the wall.
@@ -295,7 +296,7 @@ class Guard:
     def _hold_point(self, state: FlightState) -> Vec3:
         """Return the present place at the mission's altitude, moved away from walls to the retreat distance.
 
-        This applies to the mission's walls, and to an unknown wall that was just touched.
+        The retreat distance applies to the mission's walls, and to an unknown wall that was just touched.
         """
         x, y, z = state.position
         if self.action is Override.BREAK_OFF:

@@ -64,7 +64,7 @@ class HeadingStep:
 
     @property
     def before(self) -> Quaternion | None:
-        """The rotation D (see the module) up to 0.1 s before the newest one, or None if there is none."""
+        """The oldest rotation D (see the module) of the last 0.1 s, or None if there is none."""
         return self._turns[0][1] if self._turns else None
 
     def step_since(self, before: Quaternion) -> float:

@@ -1,14 +1,15 @@
 """Checks of the motion-capture poses that this program forwards to PX4, and the guard's rules about them.
 
 Without poses PX4 uses only its IMU. A bias of 0.05 m/s2 and a tilt error of half a degree then move the
-estimate by 0.02 m in 0.5 s. Every phase tolerates that. A contact adds a velocity error of up to 1 m/s. The
-vehicle must therefore not hit a wall without poses, and the limit is shorter in an approach. A contact and
-its recovery are finished first, because the recovery works with the IMU alone.
+estimate by 0.02 m in 0.5 s. Every phase tolerates this error. A contact adds a velocity error of up to 1 m/s.
+The vehicle must therefore not hit a wall without poses, and the limit is shorter in an approach. A contact
+and its recovery are finished first, because the recovery works with the IMU alone.
 
 Poses that jump belong to another body and are withheld from PX4 at once. PX4 would reject such poses for a
-second and then reset its position to them. Without poses, PX4 dead-reckons long enough to land. If poses are
-only turned, for example by swapped markers, their attitudes are withheld: PX4 would reset its heading to
-them, and the vehicle would tumble. Their positions are still correct, and PX4 keeps its heading by the gyro.
+second and then reset its position to them. Without poses, PX4 dead-reckons long enough to land. If only the
+attitudes are wrong, for example because markers were swapped, only the attitudes are withheld. PX4 would
+otherwise reset its heading to the wrong attitudes, and the vehicle would tumble. The positions are still
+correct, and PX4 keeps its heading by the gyro.
 """
 
 from __future__ import annotations
@@ -142,16 +143,17 @@ class PoseWatch:
         return self._lost(LOST_LAND_S)
 
     def waits(self, phase: Phase) -> bool:
-        """Return whether a contact or a recovery is finished before a fault of the poses counts.
+        """Return whether a fault of the poses must wait until the present contact or recovery is finished.
 
-        Withheld poses do not return, so the vehicle must not recover towards another wall without them.
+        If poses are withheld, a fault waits only for the first part of a recovery. Withheld poses do not
+        return, and the vehicle must not continue to another wall without poses.
         """
         if phase is Phase.RECOVERY and self._wrong:
             return (self._now_us - self._not_recovering_us) * 1e-6 < _RECOVERED_S
         return phase in _FINISHED_FIRST
 
     def withhold(self, phase: Phase, t_us: int) -> PosesWithheld | None:
-        """Return a record of what this program must no longer forward, once when that begins, or None."""
+        """Return a record when this program begins to withhold poses or their attitudes; otherwise None."""
         if self._wrong or phase in ON_GROUND:
             return None
         if self._jump:

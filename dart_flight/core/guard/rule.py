@@ -33,8 +33,8 @@ class RuleCondition(NamedTuple):
     Attributes:
         description: description of the problem for the manual's table.
         threshold: compared values: keys of the vehicle's configuration or of the mission, and constants.
-        cause: function that describes the present problem, or None; a rule without one fires by a finding of
-            the mission.
+        cause: function that returns the present problem as text. If `cause` is None, the rule fires by a
+            finding of the mission.
     """
 
     description: str
@@ -59,15 +59,16 @@ class Rule(NamedTuple):
         action: action of the guard.
         scope: part of the flight in which it is evaluated.
         condition: condition that fires it.
-        at_once: inputs after which it is evaluated immediately: modes, arming and requests are urgent, and
-            some conditions are known only at one sample.
-        by_person: whether a person took over, so that the flight counts as released and not as aborted.
-        explains: rules that may fire earlier for the same cause; if their action is active and at least as
-            strong, this rule replaces the reason.
+        at_once: inputs after which the rule is evaluated immediately. Modes, arming and requests are urgent;
+            some other conditions can be seen only at one sample.
+        by_person: whether the rule means that a person took over. The flight then counts as released, not as
+            aborted.
+        explains: rules that may fire earlier for the same cause. If one of them is in force, this rule
+            replaces it and gives the reason.
         of_streams: whether the rule concerns failing telemetry; its detail then includes the state of link
             and computer.
-        noted: whether log and verdict record the rule even while an equally strong action is active, once per
-            flight.
+        noted: whether log and verdict record the rule, once per flight, even if an equally strong action is
+            already active.
     """
 
     name: str

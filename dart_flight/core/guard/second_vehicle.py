@@ -26,7 +26,8 @@ class SecondClockDetector:
     """Detects a second clock in the stamps of one stream.
 
     Args:
-        tolerance_us: largest age of a stamp that counts as a late datagram.
+        tolerance_us: a stamp that is older than the newest stamp by at most this time comes from a late
+            datagram, not from a second clock.
     """
 
     def __init__(self, tolerance_us: float) -> None:

@@ -45,9 +45,10 @@ _AGE_MAX_S: Final = 999.0  # limit for a stream that never arrived
 class TelemetryDelay:
     """Age of a vehicle's samples at their receipt; unknown before the first round trip.
 
-    A constant delay does not show in stamps, because the clock offset hides it. A round trip bounds it: the
-    autopilot answers between request and receipt, so the resulting offset is wrong by at most half the round
-    trip. The best round trip so far relates the stamp of an IMU sample to its receipt.
+    A constant delay does not show in stamps, because the clock offset hides it. A round trip bounds this
+    delay. The autopilot answers at some time between request and receipt, so the clock offset from a round
+    trip is wrong by at most half the duration of the round trip. The best offset so far relates the stamp of
+    an IMU sample to its receipt.
 
     Args:
         limit_s: samples older than this are late.
@@ -172,7 +173,8 @@ def _silence(
         streams: names of the streams.
         limit: seconds, or the key of the guard's threshold.
         words: format of the message; `s` and `ms` are the duration.
-        alone: key of the limit while other streams continue, when neither link nor host is the cause.
+        alone: key of the limit that applies while other streams continue, because then neither link nor host
+            is the cause.
     """
     message = BY_NAME[streams[0]].message if streams[0] in BY_NAME else ""
 

@@ -52,9 +52,9 @@ def run_up(
 ) -> RunUp:
     """Return the run-up of an approach.
 
-    It starts at the mission's start if that lies on the ray and far enough from the wall. Otherwise it starts
-    on the ray at the distance that the acceleration and the steady run need, counted from the nearest
-    possible position of the wall.
+    The approach follows a ray that ends at the impact. If the mission's start lies on this ray and far enough
+    from the wall, the run-up begins there. Otherwise the run-up begins on the ray at the distance that the
+    acceleration and the steady run need. The distance counts from the nearest possible position of the wall.
 
     Args:
         start: start of the mission.
@@ -122,7 +122,9 @@ def is_blocked_by_post(mission: Mission, post: Post, a: Vec2, b: Vec2) -> bool:
 def segments_to_impact(
     start: Vec2, begin: tuple[Number, Number], impact: tuple[Number, Number], wall: Wall, first: bool
 ) -> Callable[[Wall], list[tuple[tuple[Number, Number], tuple[Number, Number], float]]]:
-    """Return a function that lists the segments before an impact, as (a, b, clearance at b), for any wall.
+    """Return a function that lists the segments before an impact that an obstacle must not block.
+
+    The function's argument is the obstacle, a wall. Each segment is (a, b, required clearance at b).
 
     Args:
         start: previous resting position; if it is known, the segment to the run-up point is listed too.
@@ -141,7 +143,7 @@ def segments_to_impact(
 def plan_approach(mission: Mission, collision: Collision) -> Trajectory:
     """Return the approach of a collision: the mission's trajectory, a probe, or a run-up.
 
-    It ends at the impact; a probe ends where it gives up.
+    The approach ends at the impact. A probe ends where it stops searching for the wall.
 
     Raises:
         NoApproachError: the run-up leaves the bounds, or an obstacle blocks it.
@@ -232,7 +234,7 @@ class TransitSegment(NamedTuple):
 
 
 def transit_segments(mission: Mission) -> list[TransitSegment]:
-    """Return the segments to the waypoints, and the segment to the goal unless a recovery leads to it."""
+    """Return the segments to the waypoints, and to the goal unless a recovery leads to the goal."""
     found: list[TransitSegment] = []
     here: Vec3 | None = (*mission.start, mission.altitude_m)
     flown = 0
@@ -259,7 +261,7 @@ def check_segments_clear(mission: Mission) -> None:
     """Check that no wall blocks a trajectory, or a segment with known ends.
 
     Raises:
-        NoApproachError: a wall blocks one of them, or a trajectory leaves the bounds.
+        NoApproachError: a wall blocks a trajectory or a segment, or a trajectory leaves the bounds.
     """
     for collision in mission.collisions:
         if collision.trajectory is not None:

@@ -1,9 +1,9 @@
 """The last moment for stopping: whether to fly on towards a wall while the lock is still moving.
 
-An approach continues while holding would still stop short of the wall. Beyond that point it continues only if
-the lock settles `SETTLED_BEFORE_S` before the impact and the impact is acceptable in *either* mode: a servo
-without feedback may be stuck, and the impact then occurs in the other mode. Executive, planner and `check`
-use this rule.
+As long as a hold would still stop the vehicle short of the wall, an approach continues. Beyond that point the
+approach continues only under two conditions. The lock must settle `SETTLED_BEFORE_S` before the impact, and
+the impact must be acceptable in *either* mode. If a servo without feedback is stuck, the impact occurs in the
+other mode. Executive, planner and `check` use this rule.
 """
 
 from __future__ import annotations

@@ -1,10 +1,11 @@
 """Feed-forward that keeps PX4's velocity loop from reacting to a contact.
 
 While a wall stops the vehicle, PX4 still follows its last setpoint. It reacts to the lost speed by leaning
-into the wall. Its D term, which opposes acceleration, leans further the harder the wall pushes back: at 1 m/s
-and `MPC_XY_VEL_D_ACC` 0.2 it causes more than half of the tilt after an impact (docs/results/body.md). From
-onset to peak the setpoint is therefore the measured motion. The D term's response to the contact is fed
-forward with the opposite sign, also with the recovery setpoint, until PX4's filter has decayed.
+into the wall. Its D term opposes acceleration: if the wall pushes back harder, the D term leans the vehicle
+further into the wall. At 1 m/s and `MPC_XY_VEL_D_ACC` 0.2 the D term causes more than half of the tilt after
+an impact (docs/results/body.md). From onset to peak the setpoint is therefore the measured motion, so that
+PX4 does not push. The feed-forward also cancels the D term's response to the contact. It continues with the
+recovery setpoint until PX4's filter has decayed.
 """
 
 from __future__ import annotations
@@ -33,12 +34,13 @@ def balancing_acceleration_m_s2(height_m: float | None, out_m: float, planned: M
     """Return the additional acceleration off a wall that reduces the rotation by an impact, m/s2.
 
     A lean into the wall by the angle `height_m / out_m` brings the guards to the level of the centre of mass.
+    The acceleration of such a lean points into the wall, so the result is then negative.
 
     Args:
-        height_m: height of the wall's force above the centre of mass; None if unknown.
+        height_m: height above the centre of mass at which the wall's force acts; None if unknown.
         out_m: horizontal distance of the guards from the centre of mass, metres.
-        planned: mode of the arms if the impact ends the mission's own trajectory, which for rigid arms leans
-            off the wall; None for a replanned impact, in which the vehicle leans less.
+        planned: mode of the arms if the impact ends the mission's own trajectory. For rigid arms this
+            trajectory leans off the wall. None for a replanned impact, because the vehicle then leans less.
     """
     if height_m is None:
         return 0.0
@@ -74,7 +76,7 @@ class ContactFeedforward:
 
     @property
     def feed_forward(self) -> Vec3 | None:
-        """Acceleration against the D term, mission frame, m/s2, or None without a recent contact."""
+        """Acceleration that cancels the D term, mission frame, m/s2, or None without a recent contact."""
         x, y = self._gain * self._filtered[0], self._gain * self._filtered[1]
         size = math.hypot(x, y)
         if size == 0.0:

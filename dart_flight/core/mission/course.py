@@ -41,7 +41,7 @@ class Course(NamedTuple):
         return Course((point[0], point[1], self.altitude_m), self.altitude_m)
 
     def move_frame(self, by: Vec2) -> Course:
-        """Keep the target in place when the origin of the mission frame moves, in the frame's axes."""
+        """Keep the target in place when the mission frame's origin moves by `by`, in the frame's axes."""
         x, y, z = self.target
         return self._replace(target=(x - by[0], y - by[1], z))
 
@@ -56,11 +56,11 @@ class Course(NamedTuple):
         return self._transit(target, speed_m_s or flying.transit_speed_m_s, flying)
 
     def fly_to_waypoint(self, place: Vec3, flying: Flying, speed_m_s: float) -> Course:
-        """Fly from rest at the target to rest at a waypoint, whose altitude is kept."""
+        """Fly from rest at the target to rest at a waypoint, and keep the waypoint's altitude."""
         return self._replace(altitude_m=place[2])._transit(place, speed_m_s, flying)
 
     def follow(self, trajectory: Trajectory) -> Course:
-        """Follow a planned trajectory, whose end becomes the target."""
+        """Follow a planned trajectory; the trajectory's end becomes the target."""
         end = trajectory.at(trajectory.duration_s).position
         return self._replace(target=end, trajectory=trajectory)
 

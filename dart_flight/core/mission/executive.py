@@ -106,7 +106,7 @@ class Executive:
     # -- stepping --
 
     def propose(self, item: Input, state: FlightState, sensed: Sensed, p: Proposal) -> None:
-        """Fill a proposal after an input, which has updated `state` and produced `sensed`."""
+        """Fill a proposal after an input; `state` and `sensed` already include the input."""
         progress = self.progress
         if not self._has_begun(state):
             return
@@ -320,7 +320,7 @@ class Executive:
             self._fly_to_goal()
 
     def _skip_legs(self, state: FlightState, p: Proposal) -> None:
-        """Skip the legs whose condition on a wall is not met."""
+        """Skip each leg that depends on a wall if its condition is not met."""
         while (leg := self.progress.waypoint or self.progress.collision) is not None:
             reason = skip_reason(leg, self.progress.walls)
             if reason is None:
@@ -375,7 +375,7 @@ class Executive:
         self.progress.course = self.progress.course.fly_to(begin[:2], self._flying)
 
     def _replan_approach(self, collision: Collision, state: FlightState, p: Proposal) -> None:
-        """Plan the approach to a wall in its estimated position; a probe at a fixed place keeps its line."""
+        """Plan the approach to a wall's estimated position; a probe at a fixed place keeps its line."""
         if collision.trajectory is not None:
             return
         then_us = state.now_us + _RUN_UP_US
@@ -516,13 +516,17 @@ class Executive:
                 p.add_finding("wall_not_met", detail)
 
     def _mode_after(self, following: Collision | None, stops: bool) -> Mode:
-        """Return the mode of the lock after a contact: the transit mode before waypoints and the goal."""
+        """Return the mode of the lock after a contact.
+
+        If the vehicle flies to waypoints or the goal, this is the transit mode. Otherwise it is the mode of
+        the following collision.
+        """
         return self.mission.transit_mode if following is None or stops else following.mode
 
     def _check_lock_in_time(
         self, following: Collision, state: FlightState, sensed: Sensed, p: Proposal
     ) -> None:
-        """Break off at the last moment at which holding still stops short of the wall."""
+        """Break off if the lock is late when a hold can only just stop the vehicle short of the wall."""
         if sensed.in_contact or state.lock_is_in(following.mode):
             return
         closing = -following.wall.to_collision(state.velocity)[0]
@@ -578,7 +582,7 @@ class Executive:
             self._transition(PhaseTrigger.PASSED if passed else PhaseTrigger.TIMED_OUT, state, p)
 
     def _head_for_goal(self, state: FlightState, distance_m: float) -> None:
-        """Hold the goal; if a step would be faster than a transit, fly a transit."""
+        """Hold the goal; if a step to the goal would be faster than a transit, fly a transit instead."""
         vehicle, goal, course = self.mission.vehicle, self.mission.goal.position_m, self.progress.course
         if vehicle.px4.mpc_xy_p * distance_m > vehicle.flying.transit_speed_m_s:
             self.progress.course = course.hold(state.position).fly_to(goal, self._flying)

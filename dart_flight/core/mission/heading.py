@@ -1,9 +1,10 @@
 """The return to the wanted heading after a contact, as fast as PX4's yaw control permits, and its duration.
 
-An oblique wall rotates the vehicle, and the motors correct the yaw only by their drag, slowly. With a large
-heading step PX4 overshoots, because its integrator winds up while the torque is at its limit, and the next
-contact is oblique again. The commanded heading therefore leads only as far as the torque can follow. It
-turns only as fast as the same torque can stop in time.
+An oblique wall rotates the vehicle, and the motors correct the yaw only by their drag, slowly. If the heading
+command is a large step, PX4 overshoots, because its integrator winds up while the torque is at its limit. The
+next contact is then oblique again. The commanded heading is therefore limited in two ways. It is ahead of the
+actual heading only as far as the torque can follow. The resulting rotation is only as fast as the same torque
+can stop in time.
 """
 
 from __future__ import annotations
@@ -98,7 +99,7 @@ class HeadingControl:
         return last * _STEP_S
 
     def _torque(self, to: float, rate: float) -> float:
-        """Return the normalised torque towards a heading offset; part of it suffices to stop in time."""
+        """Return the normalised torque towards a heading offset; less torque suffices to stop in time."""
         braking = _BRAKING * self._most_rad_s2
         linear = braking / self._per_s**2
         wanted = self._per_s * to

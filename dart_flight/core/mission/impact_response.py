@@ -107,7 +107,7 @@ class ImpactResponse:
         return Change(finding=finding, course=course, replan=progress.replan.contact_begins())
 
     def on_detection_floor(self, event: DetectionFloor, progress: MissionState) -> Change:
-        """Report a planned impact that the vibration would hide: the vehicle would fly on into the wall."""
+        """Report if vibration would hide the planned impact: the vehicle would then push on into the wall."""
         collision, vehicle = progress.collision, self._mission.vehicle
         if collision is None or event.threshold_n <= vehicle.detection.force_threshold_n:
             return NO_CHANGE

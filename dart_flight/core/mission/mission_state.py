@@ -44,7 +44,7 @@ class MissionState:
         walls: walls as estimated from contacts.
         anchors: contacts that corrected the mission frame; None if PX4's position does not drift.
         expected: the next expected contact.
-        contact_height_m: height of the walls' force above the centre of mass; None if unknown.
+        contact_height_m: height above the centre of mass at which the walls' force acts; None if unknown.
         arrived_us, reached_us, captured_us: time of arrival at the target, at the waypoint, at the goal.
         least_miss_m: smallest distance to the goal after the last contact.
         final_error_m: distance from the goal at the end of its hold, or None.

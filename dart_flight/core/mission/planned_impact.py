@@ -10,7 +10,7 @@ from dart_flight.contact.law import Onset
 def impact_velocity(collision: Collision) -> tuple[float, float] | None:
     """Return the (normal, tangential) impact velocity in m/s, collision frame: planned, or else predicted.
 
-    The result is None if the mission has neither, as for a wall that a recovery leads to.
+    If the mission has neither velocity, the result is None, for example for a wall to which a recovery leads.
     """
     if collision.approach_m_s is not None:
         return collision.approach_m_s

@@ -31,9 +31,9 @@ _BEHIND_M = 0.3  # beyond this distance behind the plane the vehicle is on the o
 def stop_share(
     walls: Iterable[Wall], position: tuple[Number, Number], velocity: tuple[Number, Number]
 ) -> Number:
-    """Return the share of the distance `STOP_TIME_S` times velocity in which the vehicle would now stop.
+    """Return the vehicle's stopping distance as a share of `STOP_TIME_S` times its velocity.
 
-    The share is 1 in the open and smaller if a wall ahead stops the vehicle earlier.
+    The share is 1 in the open. It is smaller if a wall ahead stops the vehicle earlier.
 
     Args:
         walls: walls of the mission.

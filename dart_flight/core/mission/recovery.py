@@ -2,7 +2,8 @@
 
     p_ref = p(t_c) + (A_n N - A_t T) force,   N = n n', T = t t'
 
-away from the wall by the normal force, onward along the wall by the friction force, height unchanged.
+The normal force moves the setpoint away from the wall, and the friction force moves it onward along the wall.
+The height is unchanged.
 """
 
 from __future__ import annotations

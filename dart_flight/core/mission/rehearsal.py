@@ -14,7 +14,7 @@ from dart_flight.core.sense.state import FlightState
 
 
 class Rehearsal(Executive):
-    """Flies from rest to rest to `standoff_m` before each wall, then to the goal; no contact is planned."""
+    """Executive that stops `standoff_m` before each wall, then flies to the goal; no contact is planned."""
 
     def _begin_approach(self, collision: Collision) -> None:
         """Follow the approach's line, from rest to rest."""

@@ -21,7 +21,8 @@ class Replan(NamedTuple):
         answer: accepted answer that is not flown yet.
         from_rest: whether the request was for an approach from rest.
         trajectory, begin_us: the active trajectory and its beginning.
-        ends_leaning: whether the trajectory ends with the lean that its wall needs, as the mission's does.
+        ends_leaning: whether the trajectory ends with the lean that the impact needs, as a trajectory of the
+            mission does.
         must_not_be_later: whether a new trajectory must not end much later than the active one.
         impact_us: time at which the trajectory meets the next wall.
     """
@@ -54,7 +55,7 @@ class Replan(NamedTuple):
 
     @property
     def is_leaned(self) -> bool:
-        """Whether the active trajectory ends with the lean that its wall needs."""
+        """Whether the active trajectory ends with the lean that the impact needs."""
         return self.trajectory is not None and self.ends_leaning
 
     def is_over(self, now_us: int) -> bool:

@@ -50,15 +50,15 @@ class ReplanRequests:
     ) -> Change:
         """Request a plan for the next leg, once after each contact.
 
-        Along the mission's own trajectories repeat the request, because the errors of PX4's loop take longer
-        to decay than these trajectories last.
+        If the vehicle flies a trajectory of the mission, repeat the request. The errors of PX4's loop take
+        longer to decay than such a trajectory lasts.
 
         Args:
             progress: state of the mission.
             state: state of the vehicle.
             sensed: results of the last input.
             square_us: time at which the vehicle, rotated by the contact, is square to the wall again.
-            coasts: whether only thrust is commanded, without a setpoint ahead.
+            coasts: whether the setpoint commands only thrust, so that no position ahead pulls the vehicle.
         """
         replan = progress.replan
         again = self._should_repeat(replan, state.now_us)
@@ -105,8 +105,9 @@ class ReplanRequests:
     def _should_wait_for_wall(self, progress: MissionState, replan: Replan, state: FlightState) -> bool:
         """Return whether the estimate of the last wall is worth waiting for.
 
-        It is if that wall is next again, or if contacts correct the frame: a trajectory planned in the old
-        frame begins in the wrong place.
+        The estimate is worth waiting for if the vehicle hits that wall again next. It is also worth waiting
+        for if contacts correct the frame, because a trajectory in the old frame would begin in the wrong
+        place.
         """
         following = progress.collision
         returns = following is not None and following.wall.name == progress.last_collision.wall.name
@@ -231,7 +232,7 @@ def _rejection(replan: Replan, trajectory: Trajectory, answer: PlanAnswer, state
 
 
 def _active_is_faster(replan: Replan, trajectory: Trajectory, answer: PlanAnswer, state: FlightState) -> bool:
-    """Return whether the vehicle holds an active trajectory that ends well before another trajectory."""
+    """Return whether the vehicle is on its active trajectory, which ends well before the new one."""
     flown = replan.trajectory
     if flown is None or not replan.must_not_be_later:
         return False

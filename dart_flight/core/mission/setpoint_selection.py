@@ -73,7 +73,7 @@ class SetpointSelection:
         return state.now_us + round(1e6 * self._control.time_to_s(off, _yaw_rate(state), _SQUARE_RAD))
 
     def heading(self, progress: MissionState, state: FlightState) -> Heading:
-        """Return the heading with its command, which leads back to the wanted heading after a contact."""
+        """Return the heading and the command that leads back to the wanted heading after a contact."""
         heading, control = progress.heading, self._control
         if control is None or progress.phase not in _TURNED:
             heading = heading._replace(before=heading.yaw, asked=None)
@@ -152,8 +152,8 @@ class SetpointSelection:
     def _thrust_after_contact(self, progress: MissionState, state: FlightState) -> Vec3:
         """Return the acceleration of the mission's trajectory, as if it began at the end of the contact.
 
-        It is zero during a contact, and if the vehicle is already as fast, for example because it leans off
-        the wall.
+        The acceleration is zero during a contact. It is also zero if the vehicle is already as fast as the
+        trajectory, for example because the vehicle leans off the wall.
         """
         trajectory, end_us = self._next_trajectory(progress), progress.lock.contact_end_us
         if trajectory is None or end_us is None:
@@ -190,9 +190,11 @@ class SetpointSelection:
         return balancing_acceleration_m_s2(progress.contact_height_m, out_m, collision.mode)
 
     def _timing_correction_m_s2(self, progress: MissionState, since_s: float, free: FreeAxes) -> float:
-        """Return the thrust across a wall at the vehicle's own time to impact, minus the present thrust.
+        """Return the change of the thrust across a wall for a vehicle ahead of or behind its trajectory.
 
-        A vehicle ahead of its trajectory meets the wall before the trajectory leans off it.
+        The change is the trajectory's thrust at the time that corresponds to the vehicle's own time to
+        impact, minus the trajectory's thrust now. Without this change, a vehicle ahead of its trajectory
+        would meet the wall before the vehicle leans off the wall.
 
         Args:
             progress: state of the mission, with the trajectory to the wall.
@@ -222,9 +224,9 @@ class SetpointSelection:
     def _lead(self, trajectory: Trajectory, since_s: float) -> Reference:
         """Return the reference of a trajectory for the time at which PX4 executes it.
 
-        The acceleration is that of a later time, because the attitude lags, but never of a time after the
-        trajectory's end, where it has no thrust. Drag and the response of PX4's D term are added, so that no
-        error builds up in the position loop.
+        The acceleration is taken at an even later time, because the attitude lags. This time is never after
+        the trajectory's end, because the trajectory has no thrust there. Drag and the response of PX4's D
+        term are added, so that no error builds up in the position loop.
         """
         flown_s = since_s + self._delay_s
         flown = trajectory.at(flown_s)

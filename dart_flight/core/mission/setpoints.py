@@ -1,7 +1,7 @@
 """Construction of setpoints from a reference, the horizontal axes left free, and an added acceleration.
 
-On a free axis the measured motion is commanded, so PX4 does not push along it; only the acceleration of the
-reference remains.
+On a free axis the setpoint is the measured motion, so that PX4 does not push along this axis. Only the
+acceleration is still that of the reference.
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ class Reference(NamedTuple):
 
 
 class FreeAxes(NamedTuple):
-    """Horizontal unit vectors along which the measured motion is commanded; mission frame.
+    """Horizontal directions in which the setpoint is the measured motion, so that PX4 does not push.
 
     Attributes:
-        along: the free directions: none, the normal of a wall, or both axes of the mission frame.
+        along: unit vectors of the free directions, mission frame: none, the normal of a wall, or both axes.
         position, velocity: measured motion, extrapolated to the execution of the setpoint.
     """
 

@@ -1,7 +1,8 @@
 """The possible positions of a wall, and their consequences for a flight to it (docs/walls.md).
 
-A wall may have standard deviations of its place and direction. An approach allows for three of them, in
-addition to the tolerances of `guard:`, which also apply to walls without deviations.
+A wall may have standard deviations of its place and direction. An approach allows for three standard
+deviations, in addition to the tolerances of `guard:`. The tolerances also apply to walls without standard
+deviations.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ _SURE_DIRECTION_RAD = 0.05  # a direction estimated less accurately does not cha
 
 
 def position_margin_m(wall: Wall, place: tuple[Number, ...]) -> Number:
-    """Return the tolerance of the plane's position opposite a place, metres; 0 without deviations.
+    """Return the tolerance of the plane's position in front of a place, metres; 0 without deviations.
 
     Args:
         wall: the wall.
@@ -34,9 +35,10 @@ def position_margin_m(wall: Wall, place: tuple[Number, ...]) -> Number:
 
 
 def end_margin_m(wall: Wall, place: tuple[Number, ...]) -> Number:
-    """Return the distance from the wall's end that an impact keeps inside and a passing path outside, metres.
+    """Return the distance to keep from the wall's end, metres.
 
-    It is half a vehicle plus the tolerance of the wall's position.
+    An impact keeps this distance inside the end, and a path past the wall keeps it outside the end. The
+    distance is half a vehicle plus the tolerance of the wall's position.
     """
     return wall.half_vehicle_m + position_margin_m(wall, place)
 
@@ -47,7 +49,7 @@ def overrun_m(guard: GuardThresholds, wall: Wall, place: Vec2 | Vec3) -> float:
 
 
 def early_m(guard: GuardThresholds, wall: Wall, place: Vec2 | Vec3) -> float:
-    """Return the distance before the plane from which a contact counts as the wall's, metres."""
+    """Return how far before the plane a contact already counts as a contact with the wall, metres."""
     return float(guard.wall_early_m + position_margin_m(wall, place))
 
 
@@ -60,7 +62,8 @@ class EstimatedWalls:
     """The walls of a mission as estimated from its contacts; shared by core and planner.
 
     Args:
-        anchors: if contacts correct the mission frame, the frame's deviation adds to that of every wall.
+        anchors: contacts that correct the mission frame, or None. The frame's standard deviation is
+            added to the deviation of every wall.
     """
 
     def __init__(self, anchors: FrameAnchors | None = None) -> None:

@@ -38,7 +38,7 @@ class HoverBias:
         bias_x, bias_y: accelerometer bias, body FRD, m/s2; part of the reading.
         scale: true thrust divided by the thrust of the curve, limited.
         thrust_ratio: the same ratio without a limit, or None before it has settled.
-        noise_m_s2: standard deviation of the white part of one sample and axis.
+        noise_m_s2: standard deviation of the white noise in one sample of one axis.
     """
 
     def __init__(self, config: Estimation, mass_kg: float) -> None:
@@ -98,8 +98,8 @@ def _bounded(value: float, most: float) -> float:
 class ForceBaseline:
     """Slow horizontal force, mission frame, newton, limited in size.
 
-    The detector subtracts `value` before it compares a force with a threshold. `value` is some samples old,
-    so that the start of a contact is not subtracted from the contact itself.
+    The detector subtracts `value` before it compares a force with a threshold. `value` is some samples old.
+    The start of a contact is therefore not subtracted from the contact itself.
     """
 
     def __init__(self, config: Estimation) -> None:

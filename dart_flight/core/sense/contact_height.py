@@ -1,11 +1,11 @@
-"""Height of a wall's force above the centre of mass, estimated from the torque of the contacts so far.
+"""Height above the centre of mass at which a wall's force acts, from the torque of the contacts so far.
 
 A wall pushes on the guards of one side, `contact_distance_m` ahead of the centre of mass and at some height
 above it. The force times this height pitches the vehicle back, and the lever grows with the pitch. If battery
 and payload move the centre of mass by 2 cm, the vehicle can turn over at 3 m/s (docs/results/faster_hits.md).
 A gentle contact yields the height, and the planner leans the vehicle accordingly at later contacts
-(`planning.replanner`). The planner needs the height when the contact ends, before the contact is fitted.
-Therefore the core computes it in closed form.
+(`planning.replanner`). The planner needs the height when the contact ends, before the contact is fitted. The
+core therefore computes the height in closed form.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ _LEAST_N2: Final = 1000.0  # sum of the squared forces: a few samples of a conta
 
 
 class ContactHeight:
-    """Estimator of the height of the walls' force above the centre of mass.
+    """Estimator of the height above the centre of mass at which the walls' force acts.
 
     Args:
         contact_distance_m: distance from the centre of mass to the guards' plane.

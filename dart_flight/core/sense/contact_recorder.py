@@ -139,7 +139,7 @@ class ContactRecorder:
         return answer.body, answer.wall
 
     def overdue(self, now_us: int) -> WallEstimate | None:
-        """Return the undecided estimate of a contact whose answer is late, once for each contact."""
+        """If the answer for a contact is late, return the undecided estimate, once for each contact."""
         for number, request in self.unanswered.items():
             if now_us - request.t_us > ANSWER_WITHIN_US:
                 del self.unanswered[number]

@@ -6,9 +6,10 @@ the normal and of the tangential force since the onset. Both peaks come from a f
 pulse (`core/sense/pulse.py`), because the maximum of noisy samples is biased upward. States: watching ->
 rising -> falling -> refractory -> watching.
 
-If the vehicle vibrates, the threshold is a multiple of the noise of the compared quantity. That quantity is a
-sample, two samples, or a mean as long as a rigid or a flexible contact (`core/sense/window.py`). The shortest
-of these whose noise permits the configured threshold decides. If there is none, all of them decide
+If the vehicle vibrates, the threshold is a multiple of the noise of the quantity that is compared with it.
+There are four such quantities: one sample, the mean of two samples, a mean as long as a rigid contact, and a
+mean as long as a flexible contact (`core/sense/window.py`). The detector uses the shortest quantity whose
+noise permits the configured threshold. If the noise of all four is too large, the detector uses all four
 (docs/force.md).
 """
 
@@ -58,7 +59,7 @@ class ExpectedContact(NamedTuple):
         watching: whether a contact counts as an impact; False on the ground, in the climb and on landing.
         normal: outward normal of the next planned wall, mission frame, or None if no wall is expected.
         material: material of that wall, a key of the materials table; first guess of the pulse.
-        wall: that wall with name and plane; its estimate carries its name.
+        wall: that wall with name and plane; the wall estimate from the contact has the same name.
     """
 
     watching: bool = False
@@ -239,8 +240,8 @@ class ImpactDetector:
     def detection_floor_n(self, duration_s: float) -> float:
         """Return the least peak at which a half-sine of this duration is certainly detected, newton.
 
-        The detection floor of a window is its threshold plus one standard deviation, divided by the share of
-        the peak that the window keeps. The result is the least floor of the windows in use.
+        Each window has a detection floor: threshold plus one standard deviation, divided by the share of the
+        peak that the window's mean keeps. The result is the least floor of the windows in use.
         """
         best = math.inf
         for i, threshold in enumerate(self.thresholds_n()):
@@ -485,7 +486,7 @@ def confirmed_force(
 
 
 def _onset_of_mean(samples: list[_Sample], along: Vec2) -> int:
-    """Return the stamp from which the summed force of a pulse grows; the pulse was detected in a mean."""
+    """Return the onset of a pulse detected in a mean: the stamp from which the summed force grows."""
     forces = [s.fx * along[0] + s.fy * along[1] for s in samples]
     # Find the largest sum of samples up to the newest, each minus half of the present force.
     rest = 0.5 * sum(forces[-_BEFORE:]) / min(len(forces), _BEFORE)

@@ -6,7 +6,7 @@ Here f is the specific force at the centre of mass, without gravity, and T is th
 from body to mission, and b is the air drag along the mission's axes. `core/sense/angular_motion.py` corrects
 f for an IMU away from the centre of mass. The autopilot's stamps align the streams. A reading is the mean
 over the tick that ends at its stamp, delayed by the anti-alias filter. The gyro extrapolates the attitude to
-the middle of that time, and the thrust is averaged over the tick.
+the middle of this delayed tick. The thrust is averaged over the tick.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """Estimate of the time by which PX4's position estimate is ahead of the IMU, or behind it.
 
-PX4 assumes that a motion-capture pose is EKF2_EV_DELAY old. If this assumption is wrong by d, PX4 estimates
-the position d too early or too late. Each acceleration then changes the estimated velocity by about d times
-the acceleration more than the IMU measures. This error appears about 0.45 s later, because the filter runs
-behind the present and its output follows slowly. A regression of the error on that acceleration yields d.
+PX4 assumes that a motion-capture pose is EKF2_EV_DELAY old. If this assumption is wrong by d, PX4's position
+estimate is early or late by d. Each acceleration then changes the estimated velocity by about d times the
+acceleration more than the IMU measures. This error appears about 0.45 s later, because PX4's filter processes
+delayed samples and its output follows slowly. A regression of the error on that acceleration yields d.
 
     e = v_odometry - integral of the specific force and gravity,   z = acceleration from 0.6 s to 0.3 s ago
     d = covariance of e and z / variance of z

@@ -5,11 +5,11 @@ towards the wall, C the slope of the force at the onset, sigma = f/(2m), w^2 = k
 
     F'' + 2 sigma F' + w^2 F = w^2 B,   F(0) = 0, F'(0) = C
 
-Its impulse has the closed form P = B t + (C - F' - 2 sigma F)/w^2. A reading is the mean over a tick. It is
-compared with the model's mean over that tick, (P(b) - P(a))/(b - a), so averaging needs no correction. The
-anti-alias filter delays by its lag and lowers the top by (w lag)^2/2, which the fit adds again. Readings at
-full scale are lower bounds: they count only if the model is below them. Friction is -mu F v_t, and v_t decays
-with the impulse. The mean friction over a tick is the change of v_t.
+Its impulse has the closed form P = B t + (C - F' - 2 sigma F)/w^2. A reading is the mean over a tick. The fit
+compares a reading with the model's mean over the same tick, (P(b) - P(a))/(b - a), so averaging needs no
+correction. The anti-alias filter delays the pulse by its lag and lowers the top by the share (w lag)^2/2. The
+fit corrects both. Readings at full scale are lower bounds: they count only if the model is below them.
+Friction is -mu F v_t, and v_t decays with the impulse. The mean friction over a tick is the change of v_t.
 
 The impact detector uses this module once per impact, for some tens of samples. It needs scalar floats only.
 """
@@ -33,7 +33,7 @@ _MAX_MISFIT: Final = 0.12  # root mean square relative to the peak above which t
 
 
 class TickReading(NamedTuple):
-    """Mean force over a tick from `a` to `b` seconds, newton; if `bound`, the true force is at least that."""
+    """Mean force over a tick from `a` to `b` seconds, newton; if `bound`, the true mean may be larger."""
 
     a: float
     b: float
@@ -74,7 +74,7 @@ class NormalPulse(NamedTuple):
 
 
 def _terms(s: float, omega: float, sigma: float) -> tuple[float, float, float, float]:
-    """Return force and impulse per push, then per slope, `s` seconds after the onset."""
+    """Return force and impulse per unit of push, then both per unit of slope, `s` seconds after the onset."""
     if s <= 0.0:
         return 0.0, 0.0, 0.0, 0.0
     w2 = omega * omega
@@ -98,7 +98,8 @@ def fit_normal(
     Args:
         readings: readings in order, from a few ticks before the onset until shortly after the peak.
         push: mean force of thrust and drag towards the wall over the contact, newton.
-        prior: expected frequency, which the fit may change within a wide tolerance, and fixed damping.
+        prior: expected frequency and damping. The fit may change the frequency within a wide tolerance; the
+            damping is fixed.
         noise_n: standard deviation of one reading.
         onset_s: first guess of the onset.
         lag_s: lag of the anti-alias filter, 1 / (2 pi f).
@@ -143,8 +144,9 @@ def _binned(readings: list[TickReading]) -> list[tuple[TickReading, int]]:
 class _Ends:
     """The pulse at the end of a reading: force, impulse per slope, impulse, and the impulse's derivative.
 
-    The derivative, by log frequency, is a difference over 1e-4. Both frequencies share the decay, and their
-    constants are computed once: the setpoint after an impact waits for this loop.
+    The derivative with respect to the log frequency is a finite difference over 1e-4. Both frequencies of the
+    difference have the same decay. Their constants are computed only once, because the setpoint after an
+    impact waits for this loop.
     """
 
     def __init__(self, omega: float, sigma: float, push: float, slope: float) -> None:
@@ -366,7 +368,8 @@ def _tangential(
 ) -> tuple[float, float]:
     """Return the best tangential speed at the onset for a given friction, and the sum of squared residuals.
 
-    A tick is its length in seconds, its tangential reading, newton, and the normal impulse over it.
+    Each of the `ticks` contains its length in seconds, the tangential reading in newton, and the normal
+    impulse over the tick.
     """
     kappa = math.exp(log_kappa)
     unit, driven = 1.0, 0.0  # response to the speed at the onset, and to the push

@@ -44,14 +44,16 @@ class Sensed:
 
     Attributes:
         estimate: external force, or None if the input yields none.
-        impacts: events of the detector, usually none; its detection floor when an approach begins.
+        impacts: events of the detector, usually none. When an approach begins, they include the detection
+            floor.
         in_contact: whether a contact has begun and not ended.
         torque: external torque, or None if the input yields none.
         contact: records of a contact that has ended: the request for its fit, or the results of the fit.
         wall: the record among `contact` that estimates a planned wall and the mode of the arms.
-        height_m: height of the walls' force above the centre of mass, metres, or None if not known.
-        thrust_ratio: thrust from mass and accelerometer, over thrust from the curve, in the last seconds of
-            free flight, or None if not known.
+        height_m: height above the centre of mass at which the walls' force acts, metres, or None if not
+            known.
+        thrust_ratio: thrust from mass and accelerometer, divided by thrust from the curve, in the last
+            seconds of free flight; None if not known.
     """
 
     __slots__ = (
@@ -87,7 +89,7 @@ class Senses:
         torque: estimator of the external torque.
         detector: impact detector; active only while `ExpectedContact.watching` is set.
         contacts: recorder of the contacts and of their fits.
-        height: estimator of the height of the walls' force above the centre of mass.
+        height: estimator of the height above the centre of mass at which the walls' force acts.
         delay: estimator of the position estimate's lead over the IMU.
     """
 

@@ -224,10 +224,10 @@ class FlightState:
         received_us: int,
         previous: ImuSample | AttitudeSample | OdometrySample | ActuatorSample | None,
     ) -> bool:
-        """Return whether a stamp is too far ahead for the elapsed time, so that it may be another vehicle's.
+        """Return whether a stamp is too far ahead for the elapsed time; it may then be another vehicle's.
 
-        If the clock has really jumped, its stamps are accepted after some samples in a row. The first sample
-        of a stream is compared with the newest sample of the other streams.
+        If the clock has really jumped, the new stamps are accepted after some consecutive samples. The first
+        sample of a stream is compared with the newest sample of the other streams.
         """
         if previous is not None:
             ahead_us, elapsed_us = t_us - previous.t_us, received_us - previous.received_us

@@ -2,8 +2,8 @@
 
 `estimation.thrust_source` selects the source. Measured motor speeds give thrust = c rpm^2, without lag or
 voltage. Motor commands give thrust through the curve of `thrust:`, a first-order lag and the battery voltage.
-`auto` uses the motor speeds only if their rate resolves the controller's reaction to a contact.
-Hovering corrects either source (`core/sense/bias.py`). Equations: docs/force.md.
+`auto` uses the motor speeds only if their rate resolves the controller's reaction to a contact. The thrust
+scale learnt in hover corrects the thrust of either source (`core/sense/bias.py`). Equations: docs/force.md.
 """
 
 from __future__ import annotations

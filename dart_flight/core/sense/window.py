@@ -28,7 +28,7 @@ class WindowMean:
 
     Args:
         length_s: length of the window, or 0 for a single sample.
-        noise_n: initial standard deviation of one sample and axis, assumed white.
+        noise_n: initial standard deviation of one sample of one axis; the noise is assumed white.
         samples: number of samples in the window at the IMU's nominal rate.
 
     Attributes:
@@ -97,10 +97,10 @@ class WindowMean:
 
 
 def half_sine_share(samples: int, duration_s: float, period_s: float) -> float:
-    """Return the lower bound of the largest window mean of a half-sine of height one.
+    """Return the least value that the largest window mean of a half-sine of height one can have.
 
-    In the worst case the samples lie half a period off the middle of the half-sine. The result is the closed
-    form of a sum of equally spaced sines.
+    The value is least if the samples lie half a sampling period off the middle of the half-sine. The result
+    is the closed form of a sum of equally spaced sines.
 
     Args:
         samples: number of samples in the window.

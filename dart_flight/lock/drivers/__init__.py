@@ -57,8 +57,8 @@ class DriverEntry(NamedTuple):
     """One kind of driver.
 
     Attributes:
-        path: `module:class` beside this file, imported when the driver is made, because pyserial is an
-            optional package.
+        path: `module:class` beside this file, imported only when the driver is made, because some drivers
+            need an optional package, pyserial.
         words: description of the driver for people.
         needs: names of the required arguments of `make_driver`, besides the configuration.
         takes: names of the optional arguments.

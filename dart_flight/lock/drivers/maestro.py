@@ -59,8 +59,8 @@ class MaestroDriver:
         """Open the port and set the channel's speed limit.
 
         Raises:
-            DriverError: the port does not exist, is not writable, is not a serial port or is in use (all
-                with the key of the port); or no Maestro answers.
+            DriverError: no Maestro answers, or the port does not exist, is not writable, is not a serial port
+                or is in use. If the port is the problem, the error has the port's configuration key.
         """
         if self._port is not None:
             return

@@ -63,11 +63,11 @@ class PwmDriver:
         self._period_ns = round(config.pwm.period_us * 1000.0)
 
     def open(self) -> None:
-        """Export the channel and set the frame's period; leave a channel with the right period as it is.
+        """Export the channel and set the frame's period; if the period is right, change nothing.
 
         Raises:
-            DriverError: the chip or the channel does not exist, is not writable, or rejects a value; with the
-                configuration key.
+            DriverError: the chip or the channel does not exist, is not writable, or rejects a value. The
+                error has the configuration key.
         """
         if not (self._channel / "enable").exists():
             self._find()

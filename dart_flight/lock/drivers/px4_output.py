@@ -1,8 +1,8 @@
 """PX4's own servo output: MAV_CMD_DO_SET_ACTUATOR through a callable of the shell.
 
-PX4 acknowledges the command whether or not a servo is connected. It moves the output only when armed, unless
-COM_PREARM_MODE permits more. `required_parameters` lists the necessary parameters, and `parameter_problems`
-compares them with the vehicle's.
+PX4 acknowledges the command whether or not a servo is connected. PX4 moves the output only when armed, unless
+COM_PREARM_MODE permits it before arming. `required_parameters` lists the necessary parameters, and
+`parameter_problems` compares them with the vehicle's.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ class RequiredParameter(msgspec.Struct, frozen=True):
 
     Attributes:
         name: PX4's name.
-        value: required value; with `mask`, required value of the masked bits.
+        value: required value; if `mask` is set, the required value of the masked bits.
         why: consequence of another value.
         mask: bits that matter, or None for all.
     """
@@ -42,7 +42,7 @@ class RequiredParameter(msgspec.Struct, frozen=True):
 
 
 def required_parameters(config: LockConfig) -> tuple[RequiredParameter, ...]:
-    """Return the PX4 parameters (v1.14 and later) for which the output moves the servo as calibrated."""
+    """Return the PX4 parameters (v1.14 and later) with which the output moves the servo as calibrated."""
     px4 = config.px4
     bank, pin = f"PWM_{px4.bank}", px4.pin
     function = ACTUATOR_SET_1 + px4.actuator_index - 1
@@ -105,7 +105,7 @@ def actuator_pulse_us(config: LockConfig, value: float) -> float:
 
 
 class Px4Driver:
-    """The lock's servo on an output of PX4, which reports nothing: a reading is the last command."""
+    """The lock's servo on an output of PX4. PX4 reports no position: a reading is the last command."""
 
     def __init__(self, config: LockConfig, set_actuator: Callable[[int, float], None]) -> None:
         self._config = config
