@@ -47,8 +47,8 @@ def check_lateness(mission: Mission) -> CheckFinding:
 def check_core_speed(mission: Mission, found: Sequence[CheckFinding] = ()) -> CheckFinding:
     """Measure the core's processor time per IMU sample and compare it with the sample interval.
 
-    If the core refuses the mission, the finding is a no-go. It gives the core's reason, or names the finding
-    in `found` that already gives that reason.
+    If the core refuses the mission, the finding is a no-go with the core's reason. If another finding in
+    `found` already gives this reason, the no-go only names that finding.
     """
     interval_s = 1.0 / mission.vehicle.imu.rate_hz
     try:
@@ -61,7 +61,7 @@ def check_core_speed(mission: Mission, found: Sequence[CheckFinding] = ()) -> Ch
 
 
 def evaluate_core_speed(step_s: float, interval_s: float) -> CheckFinding:
-    """Return whether the core keeps up, and whether it finds a contact's peak before the next sample.
+    """Return whether the core keeps up with the samples and finds a contact's peak before the next sample.
 
     Args:
         step_s: mean processor time of one sample in free flight, seconds.
@@ -83,8 +83,8 @@ def evaluate_core_speed(step_s: float, interval_s: float) -> CheckFinding:
 def measure_step_s(mission: Mission) -> float:
     """Return the processor time that the core needs per IMU period in flight, seconds.
 
-    One period has an IMU sample and the other inputs that arrive with it. The result is measured on two
-    seconds of inputs from a vehicle at rest, and scaled to flight.
+    In one period the core processes an IMU sample and the other inputs that arrive with this sample. The time
+    is measured with two seconds of inputs from a vehicle at rest, and scaled to flight.
 
     Raises:
         InputError: the mission cannot be flown.

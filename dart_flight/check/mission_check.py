@@ -209,7 +209,7 @@ def _check_force(mission: Mission, collision: Collision) -> list[CheckFinding]:
 
 
 def _check_noise(mission: Mission, collision: Collision) -> list[CheckFinding]:
-    """Compare the predicted force with the vibration that is assumed until one is measured in flight."""
+    """Compare the predicted force with the vibration that is assumed before any is measured in flight."""
     hit, vehicle = expected_hit(mission, collision), mission.vehicle
     if hit is None:
         return []
@@ -225,7 +225,7 @@ def _check_noise(mission: Mission, collision: Collision) -> list[CheckFinding]:
 
 
 def _check_envelope(mission: Mission, collision: Collision) -> list[CheckFinding]:
-    """Check that flights have recovered from impacts of this speed, incidence and guard height."""
+    """Check that earlier flights have recovered from impacts of this speed, incidence and guard height."""
     warnings = {
         "speed": speed_warning(collision),
         "incidence": incidence_warning(mission, collision),
@@ -239,7 +239,7 @@ def _check_envelope(mission: Mission, collision: Collision) -> list[CheckFinding
 
 
 def check_path(mission: Mission, planned: PredictedFlight | None) -> list[CheckFinding]:
-    """Check, like the guard, that the vehicle stays within the bounds and could stop within them."""
+    """Check the guard's conditions: the vehicle stays within the bounds and could stop within them."""
     if planned is None:
         return []
     worst, where, stops = 0.0, (0.0, 0.0), False
@@ -263,7 +263,7 @@ def check_path(mission: Mission, planned: PredictedFlight | None) -> list[CheckF
 
 
 def check_goal(mission: Mission, planned: PredictedFlight | None) -> list[CheckFinding]:
-    """Check that the last recovery is predicted to reach the goal; return a remark if it passes the goal."""
+    """Check whether the last recovery is predicted to reach the goal; a miss is a remark, not a no-go."""
     if planned is None or not mission.recovers_to_goal or mission.standoff_m is not None:
         return []
     if planned.goal_miss_m is None:
@@ -299,7 +299,7 @@ def _states(mission: Mission, planned: PredictedFlight) -> Iterator[tuple[float,
 def _check_recovery(
     mission: Mission, collision: Collision, planned: PredictedFlight | None
 ) -> list[CheckFinding]:
-    """Check that the recovery leads to the next wall if that is planned, and into no wall otherwise."""
+    """Check that a recovery leads to the next wall if that is planned; otherwise, that it hits no wall."""
     hit, item = expected_hit(mission, collision), f"recovery_{collision.index}"
     place = collision.impact_point or (collision.predicted.position_m if collision.predicted else None)
     velocity = impact_velocity(collision)
@@ -367,8 +367,8 @@ def _begins_after_recovery(mission: Mission, leg: TransitSegment, collision: Col
 def _evaluate_setpoint(mission: Mission, item: str, target: Vec3, says: str, first: str) -> CheckFinding:
     """Return a finding about the recovery setpoint's distance outside the bounds.
 
-    A setpoint slightly outside is a remark, because the vehicle reaches `first` before it. A setpoint far
-    outside is a no-go, because its alpha is probably a mistake.
+    A setpoint slightly outside is a remark, because the vehicle reaches the place that `first` names before
+    it reaches the setpoint. A setpoint far outside is a no-go, because its alpha is probably a mistake.
     """
     outside = setpoint_outside_m(mission.bounds, target[0], target[1])
     if outside > SETPOINT_OUTSIDE_M:
@@ -385,7 +385,7 @@ def _evaluate_setpoint(mission: Mission, item: str, target: Vec3, says: str, fir
 
 
 def _check_servo(mission: Mission, collision: Collision) -> list[CheckFinding]:
-    """Check that the lock can switch to the next mode before the wall that the recovery leads to."""
+    """If a recovery leads to a wall, check that the lock can switch to that wall's mode in time."""
     following = next((c for c in mission.collisions if c.index == collision.index + 1), None)
     if following is None or following.approach_m_s is not None or following.mode is collision.mode:
         return []
@@ -413,7 +413,7 @@ def _check_servo(mission: Mission, collision: Collision) -> list[CheckFinding]:
 
 
 def check_flown(mission: Mission) -> CheckFinding:
-    """Return the result of the simulated flights, and whether the mission has changed since."""
+    """Return the result of the simulated flights, and whether the mission has changed since these flights."""
     flown = mission.flown
     again = f"dart-flight dry-run {shlex.quote(mission.source)} --fast --runs 20 --vary all"
     if flown is None:

@@ -76,8 +76,8 @@ def read_differences(
     Args:
         link: connection to the vehicle.
         mission: provides the vehicle and the frame.
-        claimed: position source; None selects motion capture if the configuration has a motion capture,
-            otherwise the source that the vehicle's parameters select.
+        claimed: position source that the operator claims, or None. With None the source is motion capture if
+            the configuration has one; otherwise the vehicle's parameters select the source.
         restored: parameter file whose values are wanted instead, or None.
         progress: receives the number of parameters read and the total number.
 
@@ -155,7 +155,10 @@ def save_previous(rows: Iterable[ParameterRow], folder: Path, head: str, now: da
 def write_rows(
     link: GroundLink, rows: Iterable[ParameterRow], progress: Progress = lambda done, of: None
 ) -> dict[str, str]:
-    """Write parameters and read them back; return the reason by name for each that was not accepted.
+    """Write parameters and read them back.
+
+    Returns:
+        The reason for each parameter that was not accepted, by name.
 
     Raises:
         NoAnswerError: the vehicle does not answer requests.

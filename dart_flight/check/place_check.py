@@ -71,8 +71,8 @@ def _surroundings(
 ) -> Iterator[tuple[str, float, float, str]]:
     """Yield name, distance, bearing in degrees and side of the vehicle for every wall and post.
 
-    Distances are to the surface, like a tape measure's, so that the operator notices a missing
-    `given_at: surface`.
+    Distances are measured to the surface, as with a tape measure. If `given_at: surface` is missing in the
+    mission, the operator therefore notices that the distances are wrong.
     """
     to_surface_m = mission.vehicle.airframe.contact_distance_m
     points = [

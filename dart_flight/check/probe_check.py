@@ -108,7 +108,7 @@ def check_anchors(mission: Mission) -> Iterator[CheckFinding]:
 
 
 def _hit_times_s(mission: Mission) -> dict[int, float]:
-    """Return the approximate time of each collision after the start of the first run-up, by index, s."""
+    """Return the approximate time of each collision by index, seconds from the start of the first run-up."""
     times, now_s = {}, 0.0
     flying = mission.vehicle.flying
     here: Vec2 | None = None

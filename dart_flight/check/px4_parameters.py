@@ -270,7 +270,7 @@ def _evaluate_pose_delay(
 ) -> CheckFinding:
     """Compare the pose delay that PX4 assumes with the measured one.
 
-    Without a measurement, the text reports `difference`, the deviation from PX4's usual value.
+    If no delay has been measured, the text reports `difference`, the deviation from PX4's usual value.
     """
     measured_ms = mission.vehicle.mocap.delay_ms
     if measured_ms is None:

@@ -11,7 +11,7 @@ from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
 
 
 class Stage(StrEnum):
-    """The stage of a check, by the inputs that the check needs."""
+    """The stage of a check; all checks of a stage need the same kind of inputs."""
 
     FILE = "file"  # the mission alone
     COMPUTER = "computer"  # the onboard computer
@@ -37,7 +37,8 @@ class CheckContext(Generic[Found]):
 
     Attributes:
         found: the findings of the earlier checks.
-        own_errors: types of exceptions from a check that `explain` converts to findings.
+        own_errors: exception types; if a check raises one of them, `explain` converts the exception to a
+            finding.
     """
 
     found: list[Found]

@@ -136,7 +136,7 @@ _SLOWEST_DSHOT = -2  # value of PWM_<bank>_TIM<n>: -2 and below is DShot, -1 is 
 
 
 def motor_output_names(values: Mapping[str, float], motors: int) -> list[str]:
-    """Return the parameters to read next to find the motors' outputs, or an empty list when done.
+    """Return the parameters that must be read next to find the motors' outputs; empty when all are read.
 
     Reading an absent parameter takes seconds, so the first output of a bank decides whether the bank exists.
     """

@@ -19,11 +19,11 @@ _INCIDENCE_SD = 2.0
 
 
 def check_walls(mission: Mission, planned: PredictedFlight | None) -> list[CheckFinding]:
-    """Check each collision against the standard deviations of the walls, and its distance from wall ends.
+    """Check that each collision tolerates the uncertainty of the walls and is far enough from wall ends.
 
     Args:
         mission: provides the walls.
-        planned: the predicted flight; it gives the impact places on walls that a recovery leads to.
+        planned: predicted flight. If a recovery leads to a wall, the predicted flight gives the impact point.
     """
     hits = {} if planned is None else planned.hits
     known = [c for c in mission.collisions if c.probe is None and not c.wall.sought]

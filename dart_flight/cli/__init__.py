@@ -2,7 +2,8 @@
 
 The lab's commands are in `lab/commands/` and are loaded through `lab_entries`. A command module has
 `configure(parser)` and `run(arguments) -> int`. It parses arguments, calls other packages and prints, without
-logic of its own. `main` turns an `InputError` of any command into one line and exit status 2.
+logic of its own. If a command raises `InputError`, `main` prints the error as one line and returns exit
+status 2.
 """
 
 from __future__ import annotations
@@ -143,7 +144,7 @@ def _module(command: str) -> Any:
 
 
 def _renamed(arguments: list[str]) -> list[str]:
-    """Return the arguments with the new name of a renamed command."""
+    """Return the arguments; if the command has been renamed, replace its old name by the new name."""
     if arguments and arguments[0] in RENAMED:
         new = RENAMED[arguments[0]]
         print_status(f"dart-flight: `{arguments[0]}` is now `{new}`")

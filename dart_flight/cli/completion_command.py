@@ -43,7 +43,7 @@ def completion_script(shell: str) -> str:
 
 
 def _complete_paths(parser: argparse.ArgumentParser, by_metavar: dict[str, Any]) -> None:
-    """Make arguments with a file or folder as placeholder complete to file or folder names."""
+    """Let the shell complete paths for arguments whose placeholder is a file or a folder."""
     for action in parser._actions:
         if isinstance(action, argparse._SubParsersAction):
             for sub in action.choices.values():

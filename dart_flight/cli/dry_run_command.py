@@ -153,7 +153,7 @@ def with_emulated_mocap(arguments: argparse.Namespace, mission: Mission) -> Miss
 
 
 def is_realtime(arguments: argparse.Namespace, mission: Mission) -> bool:
-    """Return whether simulated time does not wait for this program."""
+    """Return whether simulated time advances without waiting for this program."""
     if arguments.hitl is not None or arguments.realtime:
         return True
     if arguments.fault is None or arguments.fast:

@@ -25,7 +25,7 @@ def add_plot_option(parser: argparse.ArgumentParser) -> None:
 def write_picture(mission: Mission, path: Path) -> None:
     """Draw a mission with the planner's flight model, and print the path of the picture.
 
-    Any failure except the following prints a message, so that it does not prevent the flight.
+    Apart from the errors below, a failure only prints a message, so that it does not prevent the flight.
 
     Raises:
         InputError: matplotlib is missing, or the file has an unknown extension or cannot be written.

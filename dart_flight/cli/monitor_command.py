@@ -104,7 +104,8 @@ def _flight(log: Path | None, url: str) -> tuple[Path, Callable[[], bool]] | Non
     The result is None if no flight is in progress.
 
     Raises:
-        InputError: several flights are in progress, and not exactly one is on the configuration's link.
+        InputError: several flights are in progress, and none or more than one of them uses the
+            configuration's link.
     """
     if log is not None:
         held = [holder for holder in held_links() if holder.log == printable(str(log.resolve()))]

@@ -71,7 +71,7 @@ def add_set_option(parser: argparse.ArgumentParser) -> None:
 
 
 def add_vary_option(parser: argparse.ArgumentParser) -> None:
-    """Add the option for the quantities of the simulated world that every seed draws."""
+    """Add the option for the quantities of the simulated world that differ at random with every seed."""
     parser.add_argument(
         "--vary",
         action="append",

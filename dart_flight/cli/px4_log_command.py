@@ -66,10 +66,11 @@ def download_px4_log(
 
     Args:
         url, timeout_s, folder, armed, before: as for `fetch_px4_log`.
-        log_id: log that the operator has chosen, or None to ask if several may be the flight's.
+        log_id: log that the operator has chosen. With None, the operator is asked if several logs may belong
+            to the flight.
 
     Raises:
-        InputError: several logs may be the flight's, and there is no terminal or no valid choice.
+        InputError: several logs may belong to the flight, and there is no terminal or no valid choice.
         FlightError: as `fetch_px4_log`.
     """
     from rich.progress import Progress, TimeRemainingColumn  # slow to import

@@ -115,7 +115,10 @@ def _print(name: str, result: Replay) -> None:
 
 
 def _changes(before: str, after: str) -> tuple[str, str]:
-    """Return the parts in which two texts of a decision differ; a decision on one side only is unchanged."""
+    """Return the parts in which two texts of a decision differ.
+
+    If only one side has the decision, return both texts unchanged.
+    """
     one, other = _PARTS.split(before), _PARTS.split(after)
     if len(one) != len(other) or "-" in (before, after):
         return before, after

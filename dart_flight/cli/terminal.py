@@ -106,10 +106,11 @@ _OUTPUT, _MESSAGES = cast("IO[str]", _OutputStream("stdout")), cast("IO[str]", _
 
 
 def open_closed_streams() -> None:
-    """Open a descriptor for each closed standard stream (`>&-`), before a file or link gets its number.
+    """Open a descriptor for each closed standard stream (`>&-`), before any file or link is opened.
 
-    Libraries print to these numbers, so a log or serial link with such a number would receive their text.
-    Writing to a closed standard output still fails.
+    Otherwise a log or serial link would get the descriptor number of the closed stream. Libraries print to
+    this number, so their text would end up in the log or on the link. Writing to a closed standard output
+    still fails.
     """
     for number in _STANDARD:
         try:

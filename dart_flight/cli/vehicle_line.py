@@ -15,8 +15,8 @@ def print_vehicle(
 
     Args:
         source: source of the configuration; if None, nothing is printed.
-        arguments: parsed arguments of the command; with --config there is no note.
-        flown: whether the configuration is from a log; there is no note then.
+        arguments: parsed arguments of the command; if they contain --config, no note is printed.
+        flown: whether the configuration is from a log; if so, no note is printed.
     """
     if source is None:
         return

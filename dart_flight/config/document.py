@@ -50,8 +50,8 @@ _SPECIAL: dict[str, Any] = {
 class InputError(ValueError):
     """An input error in one line: `file:line: key: problem, allowed values`.
 
-    The command line prints it and exits with status 2 before anything moves. For input from Python, `<dict>`
-    replaces file and line.
+    The command line prints it and exits with status 2 before vehicle or lock move. For input from Python,
+    `<dict>` replaces file and line.
     """
 
     def __init__(self, message: str, *, source: str = "", line: int | None = None, key: Key = ()) -> None:
@@ -106,7 +106,7 @@ def stamp_of(path: Path) -> Stamp:
 
 @contextlib.contextmanager
 def noting_files() -> Iterator[dict[Path, Stamp]]:
-    """Collect the files that are opened within the context, each with its stamp from before the read."""
+    """Collect the files that are opened within the context, each with its stamp before it was read."""
     noted: dict[Path, Stamp] = {}
     _noting.append(noted)
     try:
@@ -185,8 +185,8 @@ def iterate_leaves(tree: Any, key: Key = (), *, in_lists: bool = False) -> Itera
 class Document:
     """A parsed YAML file: `tree` of dicts, lists and scalars, and the line of every key.
 
-    `set_by` names the option that set a key that is not from the file (`config.settings`). `above` is the key
-    of the parent document that contains this part.
+    If an option set a key that is not from the file, `set_by` names that option (`config.settings`). If this
+    document is part of another document, `above` is the key of this part in the other document.
 
     Raises:
         InputError: the text is not YAML, not a mapping, too large or too deep, has duplicate keys, aliases,
@@ -240,7 +240,7 @@ class Document:
         return document
 
     def part(self, name: str) -> Document:
-        """Return the mapping below a key as a document; its errors name line and key of this document."""
+        """Return the mapping below a key as a document; its errors name a line and key of this document."""
         part = Document.from_tree(self.tree[name], self.source)
         part.lines = {key[1:]: line for key, line in self.lines.items() if key[:1] == (name,)}
         part.above = (*self.above, name)
@@ -467,7 +467,7 @@ _WORDS = {
 
 
 def _range(type_: Any, value: Any, key: Key) -> str:
-    """Return the allowed range of a number that is outside it, with unit and value, as text."""
+    """Return as text the allowed range that a number violates, with the unit and the number."""
     limits = next(_limits(type_), None)
     if limits is None or isinstance(value, bool) or not isinstance(value, int | float):
         return ""

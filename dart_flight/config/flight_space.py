@@ -42,7 +42,7 @@ def resolve_space(
 
 
 def apply_limits(vehicle: VehicleConfig, limits: Limits) -> VehicleConfig:
-    """Return the vehicle with the mission's limits of acceleration and jerk, if it has any."""
+    """Return the vehicle with the limits of acceleration and jerk that the mission sets, if any."""
     if limits.acceleration_m_s2 is None and limits.jerk_m_s3 is None:
         return vehicle
     flying = vehicle.flying
@@ -58,12 +58,14 @@ def apply_limits(vehicle: VehicleConfig, limits: Limits) -> VehicleConfig:
 def resolve_walls(
     specs: dict[str, WallSpec], vehicle: VehicleConfig, document: Document, section: str = "walls"
 ) -> dict[str, Wall]:
-    """Return the walls by name, as planes of the vehicle's centre at first touch.
+    """Return the walls by name.
+
+    A wall is the plane in which the vehicle's centre lies when the vehicle first touches the wall.
 
     `section` is the key of the walls in the file.
 
     Raises:
-        InputError: a normal has no length, or a material is not in the vehicle's table.
+        InputError: a normal has length zero, or a material is not in the vehicle's table.
     """
     walls = {}
     for name, spec in specs.items():
@@ -111,7 +113,8 @@ def tangent_wall(post: Post, impact: Vec2, vehicle: VehicleConfig, key: Key, doc
     another part of it touches the post.
 
     Raises:
-        InputError: a vehicle whose centre is at `impact` does not just touch the post.
+        InputError: the distance of `impact` from the post's axis is not the distance at which the vehicle
+            touches the post.
     """
     reach = post.radius_m + vehicle.airframe.contact_distance_m
     dx, dy = impact[0] - post.centre[0], impact[1] - post.centre[1]
@@ -133,7 +136,7 @@ def check_clear_of_posts(
     """Check that a vehicle at a place is clear of all posts.
 
     Raises:
-        InputError: the vehicle would be in or at a post.
+        InputError: the vehicle would overlap or touch a post.
     """
     for post in posts.values():
         if post.distance_to_segment(point, point) <= post.radius_m + vehicle.airframe.contact_distance_m:

@@ -54,7 +54,7 @@ class Inherited(NamedTuple):
     Attributes:
         file, base: the vehicle's own file, and the file that it inherits from.
         keys: inherited keys with their values, as text.
-        contradictions: inherited keys with their values, by the changed value that contradicts them.
+        contradictions: for each changed value, the inherited keys with their values that it contradicts.
     """
 
     file: str
@@ -139,7 +139,7 @@ def _is_given(key: str, given: set[str]) -> bool:
 
 
 def _differ(a: Any, b: Any) -> bool:
-    """Return whether two values differ by more than two measurements of one quantity."""
+    """Return whether two values differ by more than two measurements of the same quantity would differ."""
     if isinstance(a, int | float) and isinstance(b, int | float):
         return abs(a - b) > _SAME * max(abs(a), abs(b))
     if isinstance(a, Sequence) and isinstance(b, Sequence) and len(a) == len(b) and not isinstance(a, str):

@@ -1,7 +1,8 @@
 """The checked mission that the flight core flies, and its conversion from and to a mission file.
 
-The file contains what a person writes (`config.mission_file`). `Mission` is the resolved form: walls as
-planes of the vehicle's centre at first touch, unit normals, gains in the wall's axes, and impact points.
+The file contains what a person writes (`config.mission_file`). `Mission` is the resolved form with unit
+normals, gains in the wall's axes, and impact points. A wall is the plane in which the vehicle's centre lies
+when the vehicle first touches the wall.
 """
 
 from __future__ import annotations
@@ -64,7 +65,7 @@ class Collision(CollisionKeys, frozen=True, kw_only=True, forbid_unknown_fields=
 
     Attributes:
         index: number of the collision in the order of flight, from 1.
-        mode: as written, or the only mode of the vehicle.
+        mode: mode in the mission file, or the vehicle's only mode if the file gives none.
         approach_m_s: (normal, tangential) velocity at the impact in the collision frame, or None if the
             previous recovery leads to this wall.
         impact_point: position of the vehicle's centre at the impact, mission frame, or None if the
@@ -95,7 +96,7 @@ class Collision(CollisionKeys, frozen=True, kw_only=True, forbid_unknown_fields=
         return self.wall.from_collision((self.approach_m_s[0], self.approach_m_s[1], 0.0))
 
     def as_written(self, start: Vec2) -> CollisionSpec:
-        """Return the collision as in a file, without an impact point that follows from the approach."""
+        """Return the collision as in a file; an impact point that follows from the approach is omitted."""
         if self.probe is not None:
             return self._probe_as_written(self.probe)
         approach: ApproachSpec | None = None
@@ -138,10 +139,10 @@ class Waypoint(WaypointKeys, frozen=True, kw_only=True, forbid_unknown_fields=Fa
 
     Attributes:
         index: number in the list, from 1.
-        position: mission frame, metres; None for a pause, in which the vehicle holds its place. A place
-            relative to a wall to be found is given for that wall at the end of its probe.
+        position: mission frame, metres; None for a pause, in which the vehicle holds its place. If the place
+            is relative to a wall that a probe must find, the wall is assumed at the end of the probe.
         speed_m_s: largest speed of the leg to the waypoint.
-        hold_s: hold time; for a pause the longest time, after which the vehicle lands.
+        hold_s: hold time at a waypoint; for a pause, the timeout after which the vehicle lands.
         wall_at: the wall that `at_wall` names, or None.
     """
 
@@ -163,8 +164,8 @@ class Mission(MissionKeys, frozen=True, kw_only=True, forbid_unknown_fields=Fals
     Attributes:
         source: the file.
         start: [x, y], mission frame; altitude_m is the altitude at the start.
-        walls: all walls, including the tangent planes of posts to be hit, without walls that probes search
-            for.
+        walls: all walls at known places, and the tangent planes of posts to be hit; walls that probes search
+            for are not included.
         simulated_walls: additional walls that exist only in simulation.
         posts: the posts.
         vehicle_source: origin of the vehicle's configuration, or None if built in Python.
@@ -231,7 +232,7 @@ class Mission(MissionKeys, frozen=True, kw_only=True, forbid_unknown_fields=Fals
     def digest(self) -> str:
         """Fingerprint of mission and vehicle, without file names, link and lock driver.
 
-        Keys at their defaults do not count, so the fingerprint survives keys that a later version adds.
+        Keys at their defaults do not count, so a later version can add keys without changing the fingerprint.
         """
         bare = msgspec.structs.replace(self, source="", vehicle_source=None, flown=None, standoff_m=None)
         tree = without_defaults(bare)

@@ -39,7 +39,8 @@ class FrameSpec(Section, frozen=True):
 
     Attributes:
         origin: local: PX4's local origin, displaced by north_m and east_m (motion capture, surveyed room);
-            takeoff: placed so that the vehicle takes off directly below start, displaced in the same way.
+            takeoff: the origin for which start is directly above the take-off point, displaced in the same
+            way.
         anchored_by: none: PX4's position is used as it is; touch: the position drifts, and every contact with
             a wall of the mission corrects the frame along the wall's normal.
         north_m, east_m: displacement of the frame's origin, m.
@@ -70,7 +71,7 @@ class GoalSpec(Section, frozen=True):
 
     Attributes:
         position_m: [x, y], mission frame.
-        capture_radius_m: largest distance from the goal at which the vehicle counts as at the goal.
+        capture_radius_m: largest distance from the goal at which the goal counts as reached.
         hold_s: hold time at the goal before landing.
     """
 
@@ -106,8 +107,8 @@ class WallSpec(Section, frozen=True):
         material: a key of materials in the vehicle configuration.
         given_at: centre: point_m is the position of the vehicle's centre at first touch, as in the paper;
             surface: point_m is on the wall itself, and airframe.contact_distance_m is added.
-        position_sd_m: standard deviation of the position along the normal; null: known to a few centimetres,
-            which the tolerances of guard cover.
+        position_sd_m: standard deviation of the position along the normal; null: the position is known to a
+            few centimetres, and the tolerances of guard cover this error.
         yaw_sd_deg: standard deviation of the direction, about the middle; null: the tolerances of guard cover
             the error.
     """
@@ -150,15 +151,16 @@ class Limits(Section, frozen=True):
         speed_m_s: largest speed of an approach and of the flight.
         motion: sets acceleration and jerk as in PX4's automatic modes (3 m/s2, 4 m/s3), in its position mode
             (5, 8), or in replanning after an impact (5.9, 25); acceleration_m_s2 and jerk_m_s3 override it.
-        acceleration_m_s2: largest acceleration of transits and run-ups, which then use up to speed_m_s;
-            without it flying.acceleration_m_s2 and flying.transit_speed_m_s apply.
+        acceleration_m_s2: largest acceleration of transits and run-ups. If it is given, their speed may reach
+            speed_m_s; otherwise flying.acceleration_m_s2 and flying.transit_speed_m_s apply.
         jerk_m_s3: largest jerk; without it flying.jerk_m_s3 applies.
         closing_m_s: largest velocity along a wall's normal at an impact.
         sliding_m_s: largest velocity along a wall at an impact.
         friction_ratio: largest ratio of friction to normal force at an impact; a friction coefficient
             measured at low sliding speed is valid up to about 0.5.
         peak_force_n: largest contact force, normal and friction together.
-        collision_timeout_s: longest recovery; then the vehicle flies to the goal, or gives up the next wall.
+        collision_timeout_s: longest duration of a recovery; when it has passed, the vehicle flies to the
+            goal, or gives up the next wall.
     """
 
     speed_m_s: Annotated[float, Meta(gt=0.0, le=20.0)] = 3.0
@@ -209,13 +211,14 @@ class ProbeSpec(Section, frozen=True):
 
     Attributes:
         from_m: [x, y] of its start, mission frame.
-        from_here: whether the leg starts where the vehicle rests, assumed to be near from_m, with the same
-            direction and length; if the frame drifts, this saves a transit.
+        from_here: whether the leg starts at the vehicle's resting place, which is assumed to be near from_m,
+            instead of at from_m. Direction and length stay the same. If the frame drifts, this saves a
+            transit.
         direction: [x, y], any length; may be omitted for a wall of the mission, which is then approached
             along its normal.
-        length_m: length of the leg of the vehicle's centre.
-        speed_m_s: speed of the leg; it may exceed the speed from which the vehicle can stop before a wall,
-            but not the speed that the impact permits.
+        length_m: length of the leg, flown by the vehicle's centre.
+        speed_m_s: speed of the leg. The vehicle need not be able to stop before a wall from this speed, but
+            an impact at this speed must stay within the limits.
         back_m: distance from the point of contact at which the vehicle waits afterwards.
         material: material of a wall that is not in walls, if known; if not given, the contact identifies it.
     """
@@ -274,7 +277,7 @@ class MissPrediction(Section, frozen=True):
 
 
 class MotionState(NamedTuple):
-    """Motion along a trajectory at a time, mission frame: m, m/s, m/s2."""
+    """Position, velocity and acceleration on a trajectory at one time, mission frame: m, m/s, m/s2."""
 
     t_s: float
     position: Vec2
@@ -327,9 +330,9 @@ class CollisionKeys(Section, frozen=True, kw_only=True):
     Attributes:
         mode: state of the arms at the impact; optional only for a vehicle without a lock, which is rigid.
         predicted: written by plan.
-        trajectory: trajectory to this wall; with an approach it starts at rest, without one at the predicted
-            end of the previous collision and is replanned from the real end (after_impact: replan). Without a
-            trajectory the approach is straight, with a run-up.
+        trajectory: trajectory to this wall. If the collision has an approach, the trajectory starts at rest.
+            If not, the trajectory starts at the predicted end of the previous collision and is replanned from
+            the real end (after_impact: replan). Without a trajectory the approach is straight, with a run-up.
         if_met: a wall that an earlier probe searches for; the collision is flown only if that wall was
             touched.
         if_not_met: a wall that an earlier probe searches for; the collision is flown only if that wall was
@@ -350,16 +353,16 @@ class CollisionSpec(CollisionKeys, frozen=True, kw_only=True):
         wall: a key of walls, or of posts; with a probe also the name of an unknown wall.
         approach: velocity at the impact; required for the first collision. Without it the recovery of the
             previous collision leads to this wall.
-        probe: search for the wall, instead of an approach and of gains.
+        probe: search for the wall; a collision with a probe has neither an approach nor gains.
         impact_point_m: [x, y] on the wall's plane; default: where the ray from start along the approach
             crosses the plane. For a post it is required: the position of the vehicle's centre at first touch.
         impact_along_m: the impact point as a distance along the wall from its middle, positive to the right
-            when looking along the normal; give at most one of the two. At a wall that a probe has found, 0 is
-            the point of contact.
+            when looking along the normal; give at most one of impact_point_m and impact_along_m. At a wall
+            that a probe has found, 0 is the point of contact.
         alpha_m_per_n: recovery gains along the mission's x and y axes (the paper's form), m of setpoint per N
             of peak force; for walls along an axis, or with equal gains.
         alpha_wall_m_per_n: recovery gains [normal, tangential] of the wall, in the same unit, for any wall;
-            give exactly one of the two.
+            give exactly one of alpha_m_per_n and alpha_wall_m_per_n.
     """
 
     wall: str
@@ -376,9 +379,12 @@ class WaypointKeys(Section, frozen=True, kw_only=True):
 
     Attributes:
         after: number of collisions flown before the waypoint; it never decreases along the list.
-        at_wall: instead of position_m: a place relative to a wall; skipped if the wall was not touched.
-        if_met: a wall that an earlier probe searches for; flown only if that wall was touched.
-        if_not_met: a wall that an earlier probe searches for; flown only if that wall was not touched.
+        at_wall: a place relative to a wall, instead of position_m. If the wall was not touched, the waypoint
+            is skipped.
+        if_met: a wall that an earlier probe searches for; the waypoint or pause is flown only if that wall
+            was touched.
+        if_not_met: a wall that an earlier probe searches for; the waypoint or pause is flown only if that
+            wall was not touched.
     """
 
     after: Annotated[int, Meta(ge=0, le=1000)] = 0
@@ -428,7 +434,7 @@ Count = Annotated[int, Meta(ge=0, le=1_000_000)]
 
 
 class NominalFlight(Section, frozen=True):
-    """The simulated flight without drawn quantities.
+    """The simulated flight in the nominal world, without random differences.
 
     Attributes:
         outcome: completed, aborted or released.
@@ -446,7 +452,7 @@ class NominalFlight(Section, frozen=True):
 
 
 class DrawnFlights(Section, frozen=True):
-    """Simulated flights in which every quantity is drawn (`--vary all`).
+    """Simulated flights in worlds in which every quantity differs at random (`--vary all`).
 
     Attributes:
         flights: number of flights.
@@ -473,9 +479,12 @@ class FlownRecord(Section, frozen=True):
     Attributes:
         software: version of the software that flew the mission.
         digest: fingerprint of mission and vehicle at that time; `check` compares it.
-        nominal, drawn: the flights; drawn is null if the nominal flight failed.
-        free_time_s: median duration without a collision in the same drawn worlds; null if not flown.
-        saving_s: median time that this mission saves in the same worlds; negative if it is slower.
+        nominal, drawn: the flight in the nominal world, and the flights with random differences; drawn is
+            null if the nominal flight failed.
+        free_time_s: median duration of flights without a collision in the same random worlds; null if not
+            flown.
+        saving_s: median time that this mission saves against those flights; negative if the mission is
+            slower.
     """
 
     software: str
@@ -499,7 +508,7 @@ class FlownRecord(Section, frozen=True):
 
     @property
     def failure(self) -> str | None:
-        """Reason not to offer the plan (`danger`, or too few drawn flights complete), or None."""
+        """Reason not to offer the plan (`danger`, or too few of the `drawn` flights complete), or None."""
         if self.danger is not None or self.drawn is None:
             return self.danger
         if (self.drawn.max_tilt_deg or 0.0) > _MOST_TILT_DEG:
@@ -538,8 +547,8 @@ class MissionKeys(SpaceKeys, frozen=True, kw_only=True):
         flown: written by plan.
         goal_trajectory: trajectory to the goal, from the predicted end of the last collision, or from rest at
             start.
-        after_impact: setpoint: fly the paper's recovery setpoint; replan: follow it until a trajectory
-            planned in flight from the measured impact begins.
+        after_impact: setpoint: fly the paper's recovery setpoint; replan: fly this setpoint only until a
+            trajectory is ready that is planned in flight from the measured impact.
         tolerance: allowed differences between flight and plan; for the goal, goal.capture_radius_m applies.
         mode_mismatch: response to a contact that indicates another mode than the lock reports; go_on:
             record it in log and verdict; land: the guard lands.

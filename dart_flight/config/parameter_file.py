@@ -2,10 +2,13 @@
 
 A line is `vehicle-id component-id name value type`, separated by tabs, with type 6 for INT32 and 9 for
 REAL32. Lines that start with # are comments. In the packaged files the comment above each parameter gives its
-reason. If builds of PX4 differ, the comment has a separate line: `#? absent before v1.16` or `#? absent after
-v1.17` (these versions do not need it), `#? absent without gyro_fft` (builds without that module do not need
-it), or `#? renamed NAME after v1.17` (these versions have it under that name). `after v1.17` includes
-development versions of v1.18.
+reason. If builds of PX4 differ, the comment has a separate line:
+
+- `#? absent before v1.16` or `#? absent after v1.17`: these versions do not need the parameter.
+- `#? absent without gyro_fft`: builds without that module do not need the parameter.
+- `#? renamed NAME after v1.17`: these versions have the parameter under that name.
+
+`after v1.17` includes development versions of v1.18.
 """
 
 from __future__ import annotations
@@ -59,10 +62,10 @@ class Parameter(msgspec.Struct, frozen=True):
         name: PX4's name, at most 16 characters.
         value: wanted value; an int for INT32, a float for REAL32.
         reason: comment lines directly above it, joined; empty if there are none.
-        absent: builds of PX4 that do not have it under this name, such as "before v1.16" or "without
-            gyro_fft"; empty for none.
-        renamed: its name in those builds; None if they do not need it.
-        tolerance: difference from the vehicle's value that counts as equal.
+        absent: builds of PX4 that do not have the parameter under this name, such as "before v1.16" or
+            "without gyro_fft"; empty for none.
+        renamed: name of the parameter in those builds; None if they do not need it.
+        tolerance: largest difference from the vehicle's value that counts as equal.
     """
 
     name: str
@@ -73,7 +76,7 @@ class Parameter(msgspec.Struct, frozen=True):
     tolerance: float = 0.0
 
     def is_absent_in(self, version: Version | None) -> bool:
-        """Return whether a PX4 version does not have it under this name; modules are not checked."""
+        """Return whether a PX4 version lacks the parameter under this name; modules are not checked."""
         when, _, release = self.absent.partition(" v")
         if version is None or not release:
             return False

@@ -30,8 +30,8 @@ _ON_PLANE_M = 1e-6
 class Probe(msgspec.Struct, frozen=True):
     """A leg that searches for a wall.
 
-    It begins and ends at `begin` and `end` (mission frame, metres), flown at `speed_m_s`. The vehicle then
-    waits `back_m` from the wall. With `from_here` it begins at the place where the vehicle rests.
+    The leg leads from `begin` to `end` (mission frame, metres) at `speed_m_s`. The vehicle then waits
+    `back_m` from the wall. With `from_here` the leg begins where the vehicle rests.
     """
 
     begin: Vec2
@@ -133,7 +133,7 @@ def _probe_direction(direction: Vec2, key: Key, document: Document) -> Vec2:
 
 
 def _probe_end(probe: ProbeSpec, wall: Wall | None) -> Vec2:
-    """Return the end of a probe; without a direction it leads along the normal of the mission's wall."""
+    """Return the end of a probe; a probe without a direction leads along the normal of the mission's wall."""
     dx, dy = probe.direction or ((-wall.normal[0], -wall.normal[1]) if wall is not None else (0.0, 0.0))
     share = probe.length_m / math.hypot(dx, dy)
     return (probe.from_m[0] + share * dx, probe.from_m[1] + share * dy)

@@ -11,7 +11,9 @@ from dart_flight.config.document import Document, InputError, Key, to_plain, unk
 
 
 def apply_settings(settings: Sequence[str], *documents: Document) -> list[Document]:
-    """Change documents in place; a setting changes the first document that has the first part of its key.
+    """Change documents in place.
+
+    A setting changes the first document that contains the first part of the setting's key.
 
     Args:
         settings: `KEY=VALUE` with a dotted key, such as `detection.force_threshold_n=8`,

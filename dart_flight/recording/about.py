@@ -55,7 +55,7 @@ def describe_flight(mission: Mission, world: World, seed: int | None) -> dict[st
 
 @lru_cache(maxsize=1)
 def machine() -> str:
-    """Return processor and mathematics library; where both agree, floating-point results are bit-equal."""
+    """Return processor and mathematics library; if both are equal, floating-point results are bit-equal."""
     return " ".join((platform.machine(), *platform.libc_ver()))
 
 

@@ -20,7 +20,7 @@ _WORDS = {"nan": math.nan, "inf": math.inf, "-inf": -math.inf}
 
 
 def encode(record: Record) -> bytes:
-    """Return a record as JSON; records are bit-equal exactly if their encodings are equal."""
+    """Return a record as JSON; two records are bit-equal if and only if their encodings are equal."""
     data = _ENCODER.encode(record)
     nulls = data.count(b"null")
     # The fast encoder writes null for a missing value and for a number that is not finite.
@@ -33,7 +33,7 @@ def decode(data: bytes, decoder: msgspec.json.Decoder[R]) -> R:
     """Return the record that `data` encodes.
 
     Raises:
-        msgspec.MsgspecError: the data are no record of the decoder's type.
+        msgspec.MsgspecError: the data are not a record of the decoder's type.
     """
     try:
         return decoder.decode(data)

@@ -69,7 +69,8 @@ class EventFormatter:
     """Converts the records of a flight, in order, to events.
 
     Args:
-        every_problem: whether to report problems that PX4's checks list for other modes than the present one.
+        every_problem: whether to report also the problems that PX4's checks list for other flight modes than
+            the present one.
     """
 
     def __init__(self, every_problem: bool = False) -> None:

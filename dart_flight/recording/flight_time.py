@@ -1,4 +1,4 @@
-"""The zero of a flight's time, common to terminal, CSV, replay and report: the first IMU sample.
+"""The zero of a flight's time: the first IMU sample, for terminal, CSV, replay and report alike.
 
 Autopilots count time from their own start. The first IMU sample is known early and does not depend on which
 records are shown or were written.

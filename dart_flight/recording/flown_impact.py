@@ -41,8 +41,9 @@ class Velocities(msgspec.Struct):
     Attributes:
         normal_m_s, tangential_m_s: last velocity before the contact.
         peak_force_n: peak normal force.
-        contact_side: guard that touched first, seen when flying into the wall: left, right, both.
-        incidence_deg: angle of the leading edge to the wall at the first touch, positive if turned left.
+        contact_side: guard that touched first: left, right or both, as seen when facing the wall.
+        incidence_deg: angle of the leading edge to the wall at the first touch, positive if the vehicle is
+            turned to the left.
         peak_torque_nm: largest external torque about the centre of mass.
         normal_out_m_s, tangential_out_m_s: first velocity after the contact; the measured velocity is from
             odometry.

@@ -18,7 +18,7 @@ _READ_BYTES = 8 * 1024 * 1024  # per read
 
 
 class LogFollower:
-    """Reads the new records of a growing log; only reads the file.
+    """Reads the new records of a growing log, without writing to the file.
 
     Args:
         path: file of the log's first part.

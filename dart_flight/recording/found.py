@@ -55,7 +55,7 @@ def px4_logs_in(paths: Iterable[str | Path]) -> list[Path]:
 
 
 def read_each(paths: Iterable[Path], read: Callable[[Path], T], left_out: Callable[[str], None]) -> list[T]:
-    """Return the result of `read` for every log; omit logs without the wanted data if other logs have them.
+    """Return the result of `read` for every log; if only some logs lack the wanted data, omit them.
 
     Args:
         paths: the logs.

@@ -85,7 +85,7 @@ class WallMeasurements:
 
         Args:
             end_us: end of the flight, autopilot time.
-            drawn: values drawn for the simulated world, which contain the true wall offsets.
+            drawn: random values of the simulated world, including the true wall offsets.
         """
         return [self._measured(name, end_us, drawn) for name in self._estimates]
 

@@ -1,7 +1,7 @@
 """Comparison of plan and flight: every planned figure with the flown one and the mission's tolerance.
 
-The outcome `completed` only states that a mission passed its phases; the deviations state whether it followed
-the plan.
+The outcome `completed` only states that a mission passed its phases. The deviations state whether the flight
+followed the plan.
 """
 
 from __future__ import annotations

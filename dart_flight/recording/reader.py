@@ -46,7 +46,10 @@ class DamagedLogError(Exception):
 
 
 class LogEntry(msgspec.Struct, frozen=True, gc=False):
-    """One record of a log, with its own number for an input, or the number of the input that caused it."""
+    """One record of a log.
+
+    An input has its own number. Any other record has the number of the input that caused it.
+    """
 
     number: int
     record: Record
@@ -158,7 +161,7 @@ def read_entries(
     source: str,
     begun: bool = False,
 ) -> Iterator[LogEntry]:
-    """Yield the records of one part of a log or, with `begun`, of the data added to it.
+    """Yield the records of one part of a log, or with `begun` those of the data that were added to the part.
 
     `about` receives the description of the flight, `end` the data known only at its end, `topics` the
     channels by number.

@@ -1,7 +1,8 @@
 """Self-description of the log: a JSON Schema per kind of record, with the unit and frame of every number.
 
-The only source is `base/records.py`: a record's docstring describes it, the comment on a line describes the
-field, and the end of a name gives unit and frame (`FRAMES`). Foxglove and PlotJuggler show the description.
+The only source is `base/records.py`: a record's docstring describes the record, the comment on a line
+describes the field, and the end of a name gives unit and frame (`FRAMES`). Foxglove and PlotJuggler show the
+description.
 """
 
 from __future__ import annotations

@@ -60,7 +60,7 @@ class ResetFigures(msgspec.Struct):
 
     Attributes:
         position_m, velocity_m_s: steps that the motion does not explain.
-        heading_deg: step of the heading against the gyro, positive clockwise from above.
+        heading_deg: step of the heading that the gyro does not explain, positive clockwise from above.
     """
 
     t_us: int
@@ -305,7 +305,7 @@ class VerdictBuilder:
         Args:
             world, seed: world and random seed of the flight.
             log, px4_log: paths of the logs.
-            drawn: values drawn for the simulated world.
+            drawn: random values of the simulated world.
         """
         planned, impacts, so_far = predict_flight(self._mission), self.impacts(), self._so_far
         for impact in impacts:

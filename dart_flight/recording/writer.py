@@ -6,7 +6,7 @@ that order. Log time is the autopilot's clock. `ClockOffset` relates it to the h
 description of the flight relates the monotonic clock to the calendar.
 
 A separate thread encodes and writes the records in small chunks, so a killed process loses at most 0.2 s.
-Once a second it syncs them to the disk, in case the battery comes off in a crash. A file that reaches
+Once a second it syncs them to the disk, in case a crash disconnects the battery. A file that reaches
 `part_bytes` is finished and followed by `flight.part2.mcap`, ...; after `most_parts` files only decisions are
 recorded, no telemetry.
 """
@@ -64,7 +64,10 @@ class LogPart:
         return self._file.tell()
 
     def write(self, record: Record, time_us: int, number: int) -> None:
-        """Add a record at an autopilot time; `number` is that of the input that it is or that caused it."""
+        """Add a record at an autopilot time.
+
+        The number of an input is its own. The number of any other record is that of the input that caused it.
+        """
         time_ns = time_us * 1000 if time_us > 0 else 0  # MCAP has no negative times; a broken clock does
         channel = self._channels[type(record)]
         self._writer.add_message(channel, time_ns, encode(record), time_ns, number & 0xFFFFFFFF)
@@ -142,7 +145,10 @@ class FlightLog:
         return f"{self.lost} records lost" if self.lost else None
 
     def put(self, record: Record, number: int) -> None:
-        """Queue a record; `number` is that of the input that it is or that caused it."""
+        """Queue a record.
+
+        The number of an input is its own. The number of any other record is that of the input that caused it.
+        """
         if len(self._waiting) >= _MAX_WAITING:
             self.lost += 1
             return

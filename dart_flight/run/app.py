@@ -139,7 +139,7 @@ class LockThread:
         self._orders.put(order)
 
     def poll_if_due(self) -> None:
-        """Poll the driver if that is due; called after every step in lockstep."""
+        """Poll the driver if a poll is due; called after every step in lockstep."""
         assert self._lockstep is not None
         if self._lockstep.clock.host_us() >= self._due_us:
             self._due_us = math.inf  # until the thread has polled

@@ -111,7 +111,7 @@ class Deadman:
 
 
 class SystemdNotice:
-    """Sender of messages to systemd (sd_notify) over $NOTIFY_SOCKET; does nothing if that is not set."""
+    """Sender of messages to systemd (sd_notify) over $NOTIFY_SOCKET; does nothing without this variable."""
 
     def __init__(self, environment: dict[str, str] | None = None) -> None:
         values = os.environ if environment is None else environment

@@ -40,14 +40,15 @@ def fly_embedded(
 
     Args:
         mission: mission to fly.
-        seed: seed of the sensor noise and of the draws.
+        seed: seed of the sensor noise and of the random quantities.
         log_dir: folder for the flight's folder.
         progress: callback for every record, on its own thread.
         deadman: whether to start the process that kills this one if it hangs; in real time only.
         fault: fault to inject, or None.
-        spreads: standard deviations of the quantities that the seed draws (`sim.draws`).
+        spreads: standard deviations of the quantities that the seed makes random (`sim.draws`).
         speed: highest number of simulated seconds per second.
-        realtime: whether simulated time does not wait for this program; timeouts then use the host's time.
+        realtime: whether simulated time advances without waiting for this program; timeouts then use the
+            host's time.
         viewer: callback for every record, on the thread that produced it.
 
     Raises:

@@ -105,7 +105,7 @@ class TelemetrySender:
         self._resets = -1
 
     def samples(self, ticks: int, received: int) -> Iterator[Input]:
-        """Yield the samples that are due at a tick; `received`: their time of receipt, host microseconds."""
+        """Yield the samples that are due at a tick; `received` is their receipt time, host microseconds."""
         a, t_us = self._autopilot, self._autopilot.time_us
         e = a.estimator
         if ticks % _HALF_RATE == 0:
@@ -153,7 +153,7 @@ class FastFlight:
         observe: callback for every input with its number, then for every output and note with the same
             number.
         fault: fault to inject, with its time.
-        world: drawn world (`sim.draws`), or None if it equals the mission.
+        world: simulated world with random differences (`sim.draws`), or None if it equals the mission.
     """
 
     def __init__(
@@ -319,7 +319,7 @@ class FastFlight:
     # -- inputs and commands of the core (`runner.CommandSink`) --
 
     def step(self, item: Input) -> None:
-        """Step the core with an input, also one from outside: an operator's request or a fault's sample."""
+        """Step the core with an input; operator's requests and samples of a fault are inputs as well."""
         self._runner.step(item)
 
     def _observe_record(self, record: Record, number: int) -> None:
@@ -447,12 +447,13 @@ def fly_fast(
 
     Args:
         mission: mission to fly.
-        seed: seed of the sensor noise and of the draws.
+        seed: seed of the sensor noise and of the random quantities.
         log_dir: folder for the flight's folder, or None for no log on disk (campaigns).
         progress: callback for every record.
-        lock_faults: faults of the mock servo from the start of the flight; None: the drawn faults.
+        lock_faults: faults of the mock servo from the start of the flight; None: the random faults of the
+            seed.
         fault: fault to inject, with its time.
-        spreads: standard deviations of the quantities that the seed draws (`sim.draws`).
+        spreads: standard deviations of the quantities that the seed makes random (`sim.draws`).
         keep_record: callback for the complete record; without `log_dir` its log is in memory.
 
     Raises:

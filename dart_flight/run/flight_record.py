@@ -30,7 +30,10 @@ class MemoryLog:
         self.log = Log(IN_MEMORY, about, {}, [], complete=True)
 
     def put(self, record: Record, number: int) -> None:
-        """Append a record; `number` is its own number (an input) or that of the causing input."""
+        """Append a record.
+
+        The number of an input is its own. The number of any other record is that of the input that caused it.
+        """
         self.log.entries.append(LogEntry(number, record))
 
     def close(self) -> None:
@@ -45,8 +48,8 @@ class FlightRecord:
         world: world of the flight.
         seed: seed of a simulated flight, or None.
         log_dir: folder for the flight's folder, or None for no log on disk (campaigns).
-        drawn: drawn quantities of the simulated world, name -> value.
-        viewer: first of the `viewers`.
+        drawn: random quantities of the simulated world, value by name.
+        viewer: first callback of `viewers`.
         in_memory: whether to keep the log in memory if `log_dir` is None.
 
     Attributes:
@@ -107,7 +110,10 @@ class FlightRecord:
         return self.path.parent
 
     def __call__(self, record: Record, number: int) -> None:
-        """Log a record and pass it on; `number` is its own number (an input) or that of the causing input."""
+        """Log a record and pass it on.
+
+        The number of an input is its own. The number of any other record is that of the input that caused it.
+        """
         log = self._log
         if log is not None:
             log.put(record, number)

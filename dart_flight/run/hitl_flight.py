@@ -45,12 +45,12 @@ def fly_hitl(
         mission: mission to fly; its lock driver is the real one.
         hitl_url: URL of the flight controller's port for simulated sensors.
         url: MAVSDK connection URL of the app's own link.
-        seed: seed of the sensor noise and of the draws.
+        seed: seed of the sensor noise and of the random quantities.
         log_dir: folder for the flight's folder.
         progress: callback for every record, on its own thread.
         motors: motor geometry from the flight controller's parameters; None: geometry of the configuration.
         position_from: source of PX4's position, a simulated motion capture or GPS receiver.
-        spreads: standard deviations of the quantities that the seed draws (`sim.draws`).
+        spreads: standard deviations of the quantities that the seed makes random (`sim.draws`).
         viewer: callback for every record, on the thread that processed it.
 
     Raises:

@@ -88,7 +88,7 @@ def fly_fast_many(
         seeds: seeds of the flights.
         log_dir: folder for the flights' folders, or None for no logs.
         done: callback for the verdict of every flight.
-        spreads: standard deviations of the quantities that each seed draws (`sim.draws`).
+        spreads: standard deviations of the quantities that each seed makes random (`sim.draws`).
 
     Raises:
         RunsInterruptedError: Ctrl-C. Flights in progress are completed and no other begins; a second Ctrl-C
@@ -168,7 +168,7 @@ def summarise(verdicts: list[Verdict]) -> RunsSummary:
 
 
 def unexplained_modes(verdict: Verdict) -> list[str]:
-    """Return findings about arms that were not in the lock's mode although no lock fault was drawn.
+    """Return findings about arms that were not in the lock's mode, although the lock had no simulated fault.
 
     In a simulated world such a finding means an error of the simulation or of the estimated mode, and the
     flight is invalid.

@@ -1,7 +1,7 @@
 """Monitor of a vehicle's telemetry: force and contact from the core's senses, without flying.
 
 MAVSDK's thread passes every record to `TelemetryMonitor`. Another thread processes the records in batches
-several times per second, which takes a third of the processor time of single records. `view` returns the data
+several times per second. This takes a third of the processor time of single records. `view` returns the data
 for a screen. The monitor sends only requests for slow streams, and the poses of a motion capture. It slows no
 stream of a `dart-flight` that flies on the same link. `dart-flight monitor` uses this module.
 """
@@ -274,7 +274,7 @@ async def _raise_rates(watcher: TelemetryMonitor, session: VehicleSession) -> No
 
 
 async def _may_forward(watcher: TelemetryMonitor, session: VehicleSession) -> bool:
-    """Return whether to forward poses: another program forwards already if the vehicle is armed."""
+    """Return whether to forward poses; if the vehicle is armed, another program forwards them already."""
     if watcher.mocap.url is None:
         return False
     beat = await asyncio.to_thread(session.next, messages.HEARTBEAT, _HEARTBEAT_S)

@@ -50,14 +50,14 @@ def fly_px4(
     Args:
         mission: mission to fly.
         directory: folder of PX4 with bin and etc; None: the environment's DART_PX4_DIR.
-        seed: seed of the sensor noise and of the draws.
+        seed: seed of the sensor noise and of the random quantities.
         log_dir: folder for the flight's folder, which also gets PX4's ULog as `px4.ulg`.
         progress: callback for every record, on its own thread.
         position_from: motion capture (indoors, no GPS) or a GPS receiver.
         speed: highest number of simulated seconds per second.
-        realtime: whether simulated time does not wait for this program.
+        realtime: whether simulated time advances without waiting for this program.
         parameter_files: PX4 parameters in addition to `configs/px4/`.
-        spreads: standard deviations of the quantities that the seed draws (`sim.draws`).
+        spreads: standard deviations of the quantities that the seed makes random (`sim.draws`).
         fault: fault of the motion capture, or None.
         viewer: callback for every record, on the thread that processed it.
 

@@ -46,7 +46,7 @@ def fetch_px4_log(
         folder: folder of the flight.
         armed: times of the flight's arming and of its end, or None if not known.
         before: logs that existed before the flight, or None if not known.
-        choose: function that selects a log if several may be the flight's.
+        choose: function that selects a log if several logs may belong to the flight.
         print_line: callback for lines to the operator.
         progress: callback for the received share, 0 to 1.
         opened: called once the link is open (`LinkLease.lock_device`).

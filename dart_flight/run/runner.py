@@ -69,8 +69,8 @@ class CoreRunner:
 
         Args:
             item: input of the core.
-            more: whether another input follows at once. Its step may replace a setpoint, which is therefore
-                not sent yet.
+            more: whether another input follows at once. The step of that input may replace a setpoint, so the
+                setpoint is not sent yet.
         """
         number = self._number
         self._number += 1

@@ -124,7 +124,7 @@ def evaluate_link(
 def mean_while_still(samples: Sequence[ImuSample]) -> Vec3 | None:
     """Return the mean specific force of the last half second, m/s2, FRD.
 
-    The result is None if the samples span less time or the vehicle moves.
+    The result is None if the samples span less than half a second, or if the vehicle moves.
     """
     if not samples or samples[-1].t_us - samples[0].t_us < _WINDOW_US:
         return None
@@ -206,7 +206,10 @@ class Push(msgspec.Struct, frozen=True):
 
 
 def find_push(samples: Sequence[ImuSample], level: Vec3) -> Push | None:
-    """Return the first push, a horizontal acceleration longer than a bump, or None."""
+    """Return the first push, or None.
+
+    A push is a horizontal acceleration that lasts longer than a bump.
+    """
     start = 0
     for end, last in enumerate(samples):
         while last.t_us - samples[start].t_us > _PUSH_US:
@@ -260,8 +263,9 @@ def evaluate_servo(config: LockConfig, moves: Sequence[tuple[Mode, LockState, bo
 
     Args:
         config: configuration of the lock.
-        moves: commanded mode, final state and confirmation of each move. The confirmation is the operator's
-            answer whether the arms are in the mode, or None if a limit switch has reported it.
+        moves: commanded mode, final state and confirmation of each move. If a limit switch has reported the
+            mode, the confirmation is None. Otherwise it is the operator's answer whether the arms are in that
+            mode.
     """
     measured: Measured = {}
     wrong = []
@@ -296,7 +300,7 @@ def evaluate_servo(config: LockConfig, moves: Sequence[tuple[Mode, LockState, bo
 
 
 def measure_displacement(samples: Sequence[OdometrySample], q: Quaternion) -> Vec2 | None:
-    """Return the displacement of a carried vehicle at rest, or None before it is carried and at rest.
+    """Return the displacement of a carried vehicle, or None until it has been carried and rests again.
 
     Args:
         samples: odometry since the start.
@@ -340,7 +344,7 @@ def evaluate_position(forward: Vec2, right: Vec2) -> StepFinding:
 
 
 def is_moved_enough(motion: MotionEstimate) -> bool:
-    """Return whether a motion by hand moves every axis enough."""
+    """Return whether a motion by hand has turned the vehicle about every axis and carried it, both enough."""
     x, y, z = motion.turned_rad_s
     return z > _TURNED_RAD_S and min(x, y) > _TILTING_RAD_S and motion.carried_m_s2 > _CARRIED_M_S2
 
@@ -353,8 +357,8 @@ def evaluate_motion(
     Args:
         motion: estimate from poses, gyro and accelerometer.
         config: configuration with which the poses were converted.
-        round_trip_s: the link's round trip, or None if unknown: the delay of a pose to PX4 plus the delay of
-            an IMU sample to this program.
+        round_trip_s: round trip of the link, or None if unknown. It contains the delay of a pose on its way
+            to PX4 and the delay of an IMU sample on its way to this program.
         heading_off_deg: PX4's heading minus the heading of the poses, or None if unknown.
     """
     delay_ms = 1e3 * max(0.0, motion.latency_s + (round_trip_s or 0.0))
@@ -418,7 +422,7 @@ def _angle_deg(a: Vec3, b: Vec3) -> float:
 
 
 def _axis_of_room(direction_ned: Vec3, config: MotionCapture) -> str:
-    """Return the room's axis nearest to a direction, such as -y."""
+    """Return the name of the room's axis, such as -y, that is nearest to a direction."""
     room = RoomFrame(config.up == "y", math.radians(config.heading_deg))
     parts = room.pose_from_ned(direction_ned, IDENTITY)[0]
     k = max(range(3), key=lambda i: abs(parts[i]))

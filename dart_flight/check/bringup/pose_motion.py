@@ -42,8 +42,8 @@ class MotionEstimate(NamedTuple):
         up_room: upward vertical in the poses' frame; (0, 0, -1) in NED.
         force_correlation: correlation of the accelerations; negative if the room is mirrored.
         carried_m_s2: root mean square of the horizontal acceleration measured by the IMU.
-        scale: ratio of a length in the poses to that length by the accelerometer; valid only if the
-            accelerations correlate.
+        scale: ratio of a length in the poses to the same length measured by the accelerometer; valid only if
+            the accelerations correlate.
     """
 
     latency_s: float
@@ -193,7 +193,7 @@ def _resample(at_s: Array, times_s: Array, values: Array) -> Array:
 
 
 def _without_gaps(grid: Array, times_s: Array, reach_s: float) -> NDArray[np.bool_]:
-    """Return a mask of the times at which no gap is within the filter's reach."""
+    """Return a mask of the times that are farther from every gap than the filter reaches."""
     whole = np.ones(len(grid), dtype=np.bool_)
     for k in np.flatnonzero(np.diff(times_s) > _GAP_S):
         whole &= (grid < times_s[k] - reach_s) | (grid > times_s[k + 1] + reach_s)

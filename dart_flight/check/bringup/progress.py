@@ -1,4 +1,4 @@
-"""The stored progress of a bring-up, so that the operator can resume it, and its printable page."""
+"""The progress of a bring-up: a record, with which the operator can resume, and a printable page."""
 
 from __future__ import annotations
 

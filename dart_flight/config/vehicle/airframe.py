@@ -47,8 +47,8 @@ class Airframe(Section, frozen=True, kw_only=True):
     Attributes:
         mass_kg: take-off mass, battery included.
         contact_distance_m: distance from the centre of mass to the wall's plane at the first contact.
-        incidence_rigid_deg: smallest angle of incidence at which unlocked arms do not fold, so that the rigid
-            coefficients hold in both modes; unused without a lock.
+        incidence_rigid_deg: smallest angle of incidence at which unlocked arms do not fold. From this angle
+            on, the rigid coefficients hold in both modes. Unused without a lock.
         drag_per_s: [b_x, b_y, b_z] along the mission's axes: acceleration by air drag = -b * air speed.
         inertia_kg_m2: moments of inertia about [forward, right, down]; `calibrate inertia` fits it.
         arm_x_m: distance of a motor from the centre of mass, forward.
@@ -107,7 +107,7 @@ class Airframe(Section, frozen=True, kw_only=True):
         return half + [(-x, -y) for x, y in half]
 
     def wall_surface(self, wall: Wall) -> Wall:
-        """Return a wall's surface: the plane of the vehicle's centre, shifted by the contact distance."""
+        """Return a wall's surface, at the contact distance behind the plane of the vehicle's centre."""
         return wall.displaced(-self.contact_distance_m)
 
 
@@ -126,7 +126,9 @@ Newton = Annotated[float, Meta(ge=0.0, le=500.0)]
 
 
 class Thrust(Section, frozen=True):
-    """Thrust of one motor: full_n * (factor u² + (1 - factor) u), u from 0 to 1, or a table; first-order lag.
+    """Thrust of one motor: full_n * (model_factor u² + (1 - model_factor) u), or a table; first-order lag.
+
+    The command u is from 0 to 1.
 
     Attributes:
         motor_lag_s: time constant of motor and propeller.
@@ -275,7 +277,10 @@ class Coefficients(Section, frozen=True):
 
     @property
     def lead_s(self) -> float:
-        """Time from the onset of the force (k x + f vx = 0) to the plane, at constant velocity, seconds."""
+        """Time from the onset of the force (k x + f vx = 0) until the vehicle reaches the plane, seconds.
+
+        At the plane x is 0. The velocity is assumed constant.
+        """
         return self.f / self.k
 
     def scaled(self, k: float, f: float, mu: float, nu: float = 1.0) -> Coefficients:

@@ -126,9 +126,9 @@ def packaged(*parts: str) -> Path:
 def default_config_path() -> Path:
     """Return $DART_FLIGHT_CONFIG, the file chosen from ./configs, or the packaged default, in this order.
 
-    The candidates in ./configs are the files that no other file there extends, because `init --vehicle`
-    writes a vehicle next to dart.yaml. A single candidate is chosen. If there are several candidates and
-    all are unchanged packaged files, dart.yaml is chosen.
+    `init --vehicle` writes a vehicle's file, which extends dart.yaml, next to dart.yaml. Therefore a file in
+    ./configs is a candidate only if no other file in ./configs extends it. A single candidate is chosen. If
+    there are several candidates and all are unchanged packaged files, dart.yaml is chosen.
 
     Raises:
         InputError: there are several candidates, and one of them is the user's own file.

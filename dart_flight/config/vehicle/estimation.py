@@ -106,7 +106,8 @@ class Detection(Section, frozen=True):
 
     Attributes:
         force_threshold_n: horizontal force minus baseline above which an impact is detected.
-        threshold_test: magnitude: of the horizontal force; per_axis: the larger of its mission components.
+        threshold_test: the force that is compared with the threshold. magnitude: the horizontal force;
+            per_axis: the larger of its two components along the mission's axes.
         peak_wait_s: longest wait for the peak after the onset.
         refractory_s: time after a contact in which no new impact is registered.
         noise_sigma: the threshold is at least this multiple of the measured noise of the compared force.

@@ -13,23 +13,25 @@ class GuardThresholds(Section, frozen=True):
     """Thresholds of the guard's rules (docs/guard.md).
 
     Attributes:
-        stream_timeout_s: IMU, attitude or odometry silent for longer than this: land.
-        tilt_deg: tilt above this: land.
-        wall_overrun_m: this far behind the wall's plane without a contact: break off.
+        stream_timeout_s: if the IMU, attitude or odometry is silent for longer than this, the vehicle lands.
+        tilt_deg: if the tilt exceeds this angle, the vehicle lands.
+        wall_overrun_m: if the vehicle is this far behind the wall's plane without a contact, it breaks off.
         retreat_m: distance from the wall that is kept after breaking off.
-        imu_timeout_s: only the IMU silent for longer than this: land.
-        battery_remaining: remaining charge below this share: land.
-        battery_v: battery voltage below this: land.
-        kill_after_s: still armed in PX4's land mode for longer than this: motors off; null: never.
-        wall_late_s: no contact this long after the planned impact: break off.
-        wall_early_m: a contact more than this in front of the wall's plane is not with the planned wall:
-            break off.
-        deadman_s: core thread or event loop blocked for longer than this: the program is killed.
-        telemetry_late_s: delay of samples above this: do not take off, or land.
-        position_sd_m: standard deviation of the horizontal position reported by PX4; above this a mission
-            with walls does not take off, or lands.
-        position_delay_s: time by which the position estimate leads or lags the IMU; above this: break off;
-            null: not checked.
+        imu_timeout_s: if only the IMU is silent for longer than this, the vehicle lands.
+        battery_remaining: if the remaining charge is below this share, the vehicle lands.
+        battery_v: if the battery voltage is below this, the vehicle lands.
+        kill_after_s: if the vehicle is still armed in PX4's land mode after this time, the motors are
+            stopped; null: never.
+        wall_late_s: if there is no contact this long after the planned impact, the vehicle breaks off.
+        wall_early_m: if a contact is more than this in front of the wall's plane, it is not with the planned
+            wall, and the vehicle breaks off.
+        deadman_s: if the core thread or the event loop is blocked for longer than this, the program is
+            killed.
+        telemetry_late_s: if samples are delayed by more than this, the vehicle does not take off, or lands.
+        position_sd_m: largest standard deviation of the horizontal position reported by PX4. Above this value
+            a mission with walls does not take off, or lands.
+        position_delay_s: largest time by which the position estimate may lead or lag the IMU. Above this
+            value the vehicle breaks off; null: not checked.
     """
 
     stream_timeout_s: Seconds
@@ -59,10 +61,11 @@ class Flying(Section, frozen=True):
         yaw_rate_deg_s: largest yaw rate of the reference.
         steady_run_s: time at constant speed before the wall, so that the impact velocity is reached.
         setpoint_delay_s: delay from the stamp of an odometry sample until the autopilot executes the setpoint
-            computed from it; the reference is evaluated this much later. null: 0.024 with PX4, none in the
+            computed from this sample. The setpoint is therefore taken from the reference this much ahead of
+            time. null: 0.024 with PX4, none in the embedded simulator.
+        attitude_delay_s: further time, in addition to setpoint_delay_s, by which acceleration and jerk are
+            taken ahead, because the attitude's rate loop responds late. null: 0.05 with PX4, none in the
             embedded simulator.
-        attitude_delay_s: share of the thrust's lead time that the attitude's rate loop needs before it
-            responds. null: 0.05 with PX4, none in the embedded simulator.
         ready_timeout_s: longest wait for telemetry, offboard mode, arming, the end of climb or transit.
         replan_within_s: time from the end of a contact to the start of a trajectory planned in flight; the
             planner must finish within it.

@@ -12,10 +12,12 @@ from dart_flight.config.section import Seconds, Section
 
 
 class Cam(Section, frozen=True):
-    """Cam of the locking mechanism: l = r_cam - r cos(theta), theta_0 to theta_0 + 90° (paper, eq. 1).
+    """Cam of the locking mechanism: it moves the rods by l = r_cam - r cos(theta) (paper, eq. 1).
+
+    Theta ranges from theta_0 to theta_0 + 90°.
 
     Attributes:
-        r_cam_mm: r_cam of the equation; its l is the translation of the rods.
+        r_cam_mm: r_cam of the equation.
         r_mm: r of the equation, at most r_cam_mm.
         theta0_deg: theta_0 of the equation: the cam angle with retracted rods.
     """
@@ -41,7 +43,8 @@ class Servo(Section, frozen=True):
         direction: 1: the cam angle increases with the pulse width; -1: it decreases.
         min_pulse_us: shortest allowed pulse.
         max_pulse_us: longest allowed pulse.
-        tolerance_us: largest difference from an end's pulse that counts as at the end.
+        tolerance_us: largest difference from the pulse width of an end at which the servo counts as at this
+            end.
         supply_v: supply voltage of the servo, 4.8 to 6.0 V.
         s_per_60deg_at_4v8: time for 60 degrees at 4.8 V, s.
         s_per_60deg_at_6v0: time for 60 degrees at 6.0 V, s.
@@ -166,7 +169,7 @@ class Pwm(DriverSection, frozen=True):
     period_us: Annotated[float, Meta(ge=2_500.0, le=50_000.0)]
 
     def refuse_servo(self, servo: Servo) -> None:
-        """Raise ValueError if the longest pulse exceeds the servo's frame."""
+        """Raise ValueError if the longest pulse is not shorter than the period of the pulses."""
         if servo.max_pulse_us >= self.period_us:
             raise ValueError(
                 f"servo.max_pulse_us must be below pwm.period_us {self.period_us:g}, the servo's frame"
@@ -252,10 +255,12 @@ class LockConfig(Section, frozen=True):
             ignored.
         startup: home: move to home_mode; adopt: use the present position.
         home_mode: end to which `home` moves.
-        relaxation_s: time after a contact before the lock may move, in which the arms spring back.
-        timeout_s: longest travel, and longest time without a reading of a limit switch; if either takes
-            longer, the lock is in fault.
-        debounce_s: time for which a switch must be steady, or a pulse lost, before it counts.
+        relaxation_s: time that the lock waits after a contact before it may move, so that the arms can spring
+            back.
+        timeout_s: longest travel, and longest time without a reading of a limit switch. If one of the two is
+            exceeded, the lock is in fault.
+        debounce_s: a change of a limit switch, or a loss of the pulse, counts after it has lasted for this
+            time.
         limit_switch: {chip: /dev/gpiochip0, rigid_line: 23, flexible_line: 24, active_low: true}, with one
             or both lines; null: no switch, and a travel ends by time.
         rc_channel: RC channel of a switch that moves the lock in standby, high is rigid; null: none.

@@ -32,8 +32,8 @@ class ContactBody(Section, frozen=True):
         friction_lever_share: share of the guards' lever at which friction acts; 0: through the centre of
             mass, 1: at the guards.
         vertical_lever_m: distance from the centre of mass, outwards, at which the vertical force acts.
-        fold_share: share of a guard's penetration by which its unlocked arm swings back with its motor; 0:
-            motors do not move.
+        fold_share: if the arms are unlocked, an arm swings back with its motor by this share of its guard's
+            penetration; 0: motors do not move.
         scatter: relative standard deviation of the coefficients between impacts.
         half_engaged: whether the rods stop half-way, so that the arms are neither locked nor unlocked.
     """
