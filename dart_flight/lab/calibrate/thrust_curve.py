@@ -65,7 +65,7 @@ class Points(msgspec.Struct):
     Attributes:
         start_s: begin of each segment.
         motors: number of motors in the sums.
-        rejected: test (`TESTS`) -> number of windows that failed it first.
+        rejected: test (`TESTS`) -> number of windows for which this test was the first that failed.
     """
 
     square: Array
@@ -213,8 +213,8 @@ def fit_curve(p: Points, factor: float, exponent: float | None, *, fit_factor: b
     Args:
         p: the points.
         factor: value of the factor if it is not fitted or the points do not determine it.
-        exponent: exponent of the voltage, ignored if the voltage is unknown; None: fit it if the voltage
-            varies.
+        exponent: exponent of the voltage. None means that the exponent is fitted if the voltage varies. If
+            the voltage is unknown, the exponent has no effect.
         fit_factor: whether to fit the factor. A result outside 0 to 1 is clipped and has no standard error.
     """
     reference = float(p.volts.mean()) if np.isfinite(p.volts).all() else None

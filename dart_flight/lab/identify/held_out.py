@@ -98,7 +98,7 @@ def _in_proportion(known: HitTable, held: HitTable) -> tuple[Array, Array]:
 
 
 def _scatter(table: HitTable, groups: NDArray[np.intp]) -> Errors:
-    """Return the deviations of repeats at one speed from their median, the lower limit of any law's error."""
+    """Return the differences between hits at one speed and their median; no law has smaller errors."""
     peak, out = np.full(groups.size, math.nan), np.full(groups.size, math.nan)
     for group in np.unique(groups):
         members = groups == group

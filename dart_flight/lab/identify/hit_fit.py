@@ -67,7 +67,9 @@ class HitTable(NamedTuple):
 
     @property
     def is_enough(self) -> bool:
-        """Whether at least two numbers are known and half of the hits have a force, a duration or a depth.
+        """Whether the hits have enough measured quantities for a fit.
+
+        At least two quantities must be known, and half of the hits must have a force, a duration or a depth.
         Speeds alone do not determine the stiffness.
         """
         known = np.isfinite([self.peak, self.contact, self.depth, self.speed_out])

@@ -90,11 +90,12 @@ class TrialReading:
         surface: for a flight, only collisions with this material are used; None: all collisions must be with
             one material.
         drop: whether gravity acts along the normal.
-        contact_distance_m: distance from the surface to the centre at first touch, subtracted from the normal
-            position; 0 if positions already count from first touch.
+        contact_distance_m: distance between the surface and the vehicle's centre when the vehicle first
+            touches the surface. It is subtracted from the normal positions. 0 if the positions already count
+            from first touch.
         columns: our column name -> header in the file.
-        wall: for logs in local NED: north and east (m) of a place of the vehicle's centre at first touch, and
-            the heading of the wall's outward normal, degrees.
+        wall: for logs in local NED: north and east (m) of the vehicle's centre when the vehicle touches the
+            wall, and the heading of the wall's outward normal, degrees.
         mass_kg: vehicle mass to use instead of the configuration's.
         height_m: height of drops, if known.
     """
