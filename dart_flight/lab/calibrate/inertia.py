@@ -7,8 +7,8 @@ Over a short window the motors' torque changes the rates:
 The motors' torque follows from their commands through the thrust curve, their lag, their positions and the
 propellers' drag. A line fitted through many windows therefore has the slope 1/J. Both sides have errors. The
 gyro and disturbances affect the rates; motor behaviour between the recorded commands affects the torques. If
-all errors are assigned to the torques, the fit gives one bound of J; if they are assigned to the rates, it
-gives the other bound. The estimate lies between the two bounds, and its interval contains both bounds. The
+all errors are assigned to the rates, the fit gives the upper bound of J; if they are assigned to the torques,
+it gives the lower bound. The estimate lies between the two bounds, and its interval contains both bounds. The
 rates at a window's ends are averages over some samples, because a controller responds to the noise of a
 single one. The motors' lag is varied and the best value is kept. If the torques about an axis are too small,
 or the two bounds differ too much, the axis gets no estimate.

@@ -65,7 +65,7 @@ def drop_rows(vehicle: VehicleConfig) -> Iterator[DropRow]:
     """Yield the drop tests for both heights, modes and onset rules.
 
     Raises:
-        KeyError: the configuration has no concrete.
+        KeyError: the configuration has no material `concrete`.
     """
     for onset in Onset:
         for row in DROPS:
@@ -193,7 +193,7 @@ def flight_rows(vehicle: VehicleConfig) -> Iterator[FlightRow]:
     """Yield the collision in flight of Sec. V-A for both modes and onset rules.
 
     Raises:
-        KeyError: the configuration has no acrylic.
+        KeyError: the configuration has no material `acrylic`.
     """
     mass = vehicle.airframe.mass_kg
     for onset in Onset:

@@ -89,7 +89,7 @@ class _Integral:
         return value
 
     def _outside(self, t: Array) -> tuple[Array, Array]:
-        """Return the time before the contact (negative) and after it."""
+        """Return the time before the onset (negative, else 0) and the time after the contact (else 0)."""
         return np.minimum(t, 0.0), np.maximum(t - self._end, 0.0)
 
 

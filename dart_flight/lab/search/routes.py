@@ -1,8 +1,8 @@
 """Shortest polylines past walls and posts, and the regions that keep each of their parts clear.
 
-Each part of a path stays on one side of every wall: in a half-plane in front of the wall or behind it. Past a
-wall's end, a part stays beyond the end. It keeps half a vehicle plus a margin away from the edge, as from a
-post.
+Each part of a path stays on one side of every wall: in a half-plane in front of the wall or behind it. If a
+part leads past a wall's end, it stays beyond the end, and keeps half a vehicle plus a margin away from the
+edge, as from a post.
 """
 
 from __future__ import annotations
@@ -147,7 +147,7 @@ def _within_bounds(places: Sequence[Vec2], bounds: BoundsSpec) -> list[Vec2]:
 
 
 def _cuts(disc: Disc, a: Vec2, b: Vec2) -> bool:
-    """Return whether a straight path enters a disc; from a place inside, whether it leads further in."""
+    """Return whether a straight path enters a disc and comes nearer to the centre than both of its ends."""
     nearest_m = distance_to_segment(disc.centre, a, b)
     return nearest_m < min(disc.radius_m, distance2(a, disc.centre), distance2(b, disc.centre))
 
@@ -168,7 +168,10 @@ def _on_one_side_each(path: list[Vec2], walls: Sequence[Wall], bounds: BoundsSpe
 
 
 def _fits(a: Vec2, b: Vec2, wall: Wall) -> bool:
-    """Return whether a straight path is on one side of a wall, in front of it if it begins or ends there."""
+    """Return whether a straight path is on one side of a wall.
+
+    If the path begins or ends at the wall, it must be in front of the wall.
+    """
     if _is_at(wall, a) or _is_at(wall, b):
         return min(wall.signed_distance(a), wall.signed_distance(b)) >= 0.0
     return max(_inside(a, b, wall)) >= 0.0

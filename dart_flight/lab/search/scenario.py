@@ -115,7 +115,7 @@ class Uncertainty(Section, frozen=True):
     """Standard deviations for the objective `robust`.
 
     Attributes:
-        samples: number of draws; every candidate gets the same draws.
+        samples: number of random sets of values (draws); every candidate is evaluated with the same sets.
         k, f, mu: relative standard deviation of the contact coefficient.
         approach_m_s: standard deviation of each component of the approach velocity.
         detection_delay_s: standard deviation of the time between force peak and setpoint.
@@ -136,9 +136,9 @@ class ScenarioFile(SpaceKeys, frozen=True, kw_only=True):
         version: version of the file format.
         walls: the walls by name; walls outside the sequence are obstacles.
         posts: the posts by name, which are obstacles; only with the objective quickest.
-        touch_m_s: speed at which the flight first touches each wall to be hit, from the start and back. The
-            touches measure the direction of the walls and their vertical force. Without this key the flight
-            makes no touches; only with the objective quickest.
+        touch_m_s: speed of touches before the hits; only with the objective quickest. Each wall to be hit is
+            first touched at this speed, from the start and back to the start. The touches measure the
+            direction of the walls and their vertical force. Without this key there are no touches.
         sequence: walls in the order of the hits: up to four, or up to 16 with the objective quickest. `any`:
             the planner chooses walls and order, and with the objective quickest possibly no wall.
         search: the approaches to try; the objective quickest does not use this key.

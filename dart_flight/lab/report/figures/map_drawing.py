@@ -109,7 +109,10 @@ def _gap_behind_m(mission: Mission, wall: Wall) -> float:
 
 
 def _thickness_m(mission: Mission, wall: Wall) -> float:
-    """Return a wall's drawn thickness, at most half of the partition that it is a face of."""
+    """Return the thickness with which to draw a wall.
+
+    If the wall is one face of a partition, the thickness is at most half of the partition's.
+    """
     return min(THICKNESS_M, 0.5 * _gap_behind_m(mission, wall))
 
 
