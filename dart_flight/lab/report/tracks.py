@@ -104,8 +104,9 @@ def setpoint_series(course: FlightArrays) -> SetpointSeries:
 
 
 def in_force(times: Array, at_s: Array) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
-    """For each time in `at_s`, return the index of the latest earlier entry of `times`, and whether one
-    exists.
+    """Return the index in `times` that is current at each of `at_s`, and whether there is one.
+
+    The current index is that of the latest time that is not after the given time.
     """
     index = np.searchsorted(times, at_s, side="right") - 1
     return np.maximum(index, 0), index >= 0

@@ -118,7 +118,7 @@ class HilLink:
     def exchange(self, sensor: Any, *others: Any) -> Controls:
         """Send one tick's messages, wait for PX4's answer and return it.
 
-        Before PX4's first answer the wait is short, and the result is the outputs of a disarmed vehicle.
+        Before PX4's first answer, the wait is short, and the outputs of a disarmed vehicle are returned.
 
         Raises:
             Px4LostError: the connection is gone, or PX4 has not answered for 5 s.

@@ -51,8 +51,9 @@ _EDGE_ON = 0.26  # sine of 15 degrees, the largest angle of a wall in side view
 
 @in_style
 def mission_figure(mission: Mission, planned: PredictedFlight | None, *, look: Look = SHEET) -> Any:
-    """Draw plan view and side view of a mission, with the flight model's prediction and the effect of
-    uncertain walls.
+    """Draw plan view and side view of a mission.
+
+    The figure shows the flight model's prediction and the effect of uncertain walls.
 
     Args:
         mission: the mission.
