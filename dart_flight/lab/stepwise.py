@@ -39,7 +39,7 @@ _DOWN_RAD: Final = 0.5 * math.pi  # tilt from which the vehicle counts as turned
 class FlightSetpoint(NamedTuple):
     """A setpoint of PX4's position controller, mission frame.
 
-    A vector that is None is not controlled. NaN for x and y, or for z, leaves that part of a vector free.
+    A vector that is None is not controlled. If x and y of a vector, or z, are NaN, they are not controlled.
 
     Attributes:
         position_mission, velocity_mission, acceleration_mission: m, m/s, m/s2.

@@ -782,7 +782,10 @@ def _between(a: Coefficients, b: Coefficients) -> Coefficients:
 
 
 def _plane(wall: Wall, frame: MissionFrame, out_m: float, guards: Sequence[PropellerGuard]) -> _WallPlane:
-    """Return a wall in NED; its surface is `out_m` behind the plane of the vehicle's centre."""
+    """Return a wall in NED.
+
+    The wall's surface is `out_m` behind the plane that the vehicle's centre reaches at a contact.
+    """
     point = frame.point_to_ned((wall.point[0], wall.point[1], 0.0))
     normal = frame.vector_to_ned(wall.from_collision((1.0, 0.0, 0.0)))
     tangent = frame.vector_to_ned(wall.from_collision((0.0, 1.0, 0.0)))

@@ -2,7 +2,8 @@
 
 During slow, steady flight the thrust equals the mass times the specific force along the thrust axis. Each
 quiet segment of a log therefore gives one point of the curve, from commands to force. Averages over a segment
-decide whether it is quiet: single samples of a real vehicle vibrate by several m/s2 in hover. The curve
+decide whether the segment is quiet, because single samples of a real vehicle in hover vibrate by several
+m/s2. The curve
 
     T = full_n * sum over the motors of (factor u^2 + (1 - factor) u)
 

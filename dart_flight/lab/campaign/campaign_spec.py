@@ -38,7 +38,7 @@ class Keep(StrEnum):
 class CampaignSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A specification as written in a file or on the command line.
 
-    Functions are named `module:function`.
+    A function is given as text, `module:function`.
 
     Attributes:
         missions: mission files.
@@ -166,7 +166,7 @@ def _split(text: str) -> Iterator[str]:
 
 
 def named_function(name: str) -> Callable[..., Any]:
-    """Import the function that a specification names `module:function`.
+    """Import the function that a specification gives as `module:function`.
 
     Raises:
         InputError: the function does not exist.

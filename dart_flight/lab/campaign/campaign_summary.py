@@ -1,4 +1,7 @@
-"""The summary of a campaign: success rates, causes of failure, and the influence of the drawn quantities."""
+"""The summary of a campaign: success rates, causes of failure, and the influence of drawn quantities.
+
+A drawn quantity has a random value in each flight (docs/draws.md).
+"""
 
 from __future__ import annotations
 
@@ -454,7 +457,7 @@ def _end_causes(rows: Sequence[_SummaryRow], names: Sequence[str]) -> list[EndCa
 def _differing_quantities(
     ended: Sequence[_SummaryRow], fine: Sequence[_SummaryRow], names: Sequence[str]
 ) -> list[DifferingQuantity]:
-    """Return the drawn quantities that separate the flights a rule ended from completed ones, best first."""
+    """Return the drawn quantities that differ most between completed flights and flights ended by a rule."""
     if min(len(ended), len(fine)) < _MIN_FAILED:
         return []
     found: list[tuple[float, DifferingQuantity]] = []

@@ -95,7 +95,9 @@ def _largest_turn_rate(flight: FlightArrays, onset_us: int) -> float | None:
 
 
 def trials_at_one(log: Log, material: str | None, mode: str = UNLABELLED) -> list[Trial]:
-    """Return the collisions of a flight with one material; None accepts any, but only one material.
+    """Return the collisions of a flight with one material.
+
+    If `material` is None, all collisions of the flight must be with the same material.
 
     Raises:
         InputError: the collisions are with several materials; `MissingDataError` if there is no collision.

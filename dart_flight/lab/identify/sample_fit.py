@@ -253,7 +253,7 @@ class SampleFit:
                 self.windows[i].counts[name][:] = weights
 
     def variance(self, theta: Array) -> float:
-        """Return the mean square of the residuals, increased for correlated samples such as a filter's."""
+        """Return the mean square of the residuals; if the samples are correlated, as after a filter, more."""
         data = sum(int(sum((c > 0.0).sum() for c in window.counts.values())) for window in self.windows)
         misfit = sum(float(np.sum(self.block(theta, i) ** 2)) for i in range(len(self.trials)))
         squares, products, n = 0.0, 0.0, 0

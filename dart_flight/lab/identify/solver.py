@@ -45,7 +45,7 @@ class LawProblem(Protocol):
         """Replace the weights of the data by weights from their residuals."""
 
     def variance(self, theta: Array) -> float:
-        """Return the data's variance over that of independent data with the assumed deviations."""
+        """Return the ratio of the data's variance to the variance that the assumed deviations would give."""
 
     def resampling_groups(self) -> Sequence[NDArray[np.intp]]:
         """Return the groups of rows that are resampled together."""

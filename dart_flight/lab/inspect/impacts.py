@@ -170,8 +170,8 @@ def short_samples(vehicle: VehicleConfig) -> int:
 class InspectedFlight(msgspec.Struct):
     """The impacts and the noise of one log; forces are None without a mass.
 
-    `weak` counts threshold crossings that are no impacts: the fitted peak stayed below the threshold, or an
-    error of the thrust explains the force. `untold` counts the impacts of kind `untold`, which may be
+    `weak` counts threshold crossings that are not impacts, because the fitted peak is below the threshold or
+    an error of the thrust explains the force. `untold` counts the impacts of kind `untold`, which may be
     manoeuvres or contacts.
     """
 

@@ -62,7 +62,7 @@ class _Integral:
         return series
 
     def once(self, t: Array) -> Array:
-        """Return the integral from 0 to t (of any sign)."""
+        """Return the integral from 0 to t; t may be negative."""
         early, late = self._outside(t)
         return np.asarray(self._inside(self._once, t) + self._before * early + self._after * late)
 
@@ -79,7 +79,10 @@ class _Integral:
         return at_nodes, self._primitive(at_nodes)
 
     def _inside(self, series: Array, t: Array) -> Array:
-        """Return a series evaluated in the contact, 0 before it, and its value at the end after it."""
+        """Return the value of a series at some times.
+
+        Before the contact the value is 0; after the contact it keeps its last value.
+        """
         value = np.where(t > 0.0, series.sum(), 0.0)
         inside = (t > 0.0) & (t < self._end)
         x = 2.0 * t[inside] / self._end - 1.0

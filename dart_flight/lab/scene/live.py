@@ -41,7 +41,7 @@ class LiveViewSpec(msgspec.Struct):
         mission: the mission with its room and vehicle.
         host, port: address to listen at.
         show_room: whether to show the mission's room.
-        frame_known: whether the mission frame is known from the beginning, from the mission.
+        frame_known: whether the mission frame is at its specified place from the beginning of the flight.
         from_truth: whether to show only a simulated vehicle, at its true pose.
     """
 

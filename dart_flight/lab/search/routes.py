@@ -102,7 +102,7 @@ def _shortest_through(places: Sequence[Vec2], blocked: Callable[[Vec2, Vec2], bo
 
 
 def _edge(wall: Wall) -> tuple[Vec2, Vec2]:
-    """Return the two ends of a wall's face, half a vehicle behind the plane of the vehicle's centre."""
+    """Return the two ends of a wall's face, which is half a vehicle behind the wall's plane."""
     (nx, ny), back = wall.normal, wall.half_vehicle_m
     middle = (wall.point[0] - back * nx, wall.point[1] - back * ny)
     left, right = (_moved_along(wall, middle, side * 0.5 * wall.length_m) for side in (-1.0, 1.0))

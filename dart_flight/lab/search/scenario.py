@@ -64,8 +64,8 @@ class GridSpec(Section, frozen=True):
     """Evenly spaced velocities, both ends included.
 
     Attributes:
-        min, max: m/s.
-        step: m/s; must divide the range.
+        min, max: lowest and highest velocity, m/s.
+        step: difference between neighbouring velocities, m/s; must divide the range.
     """
 
     min: Annotated[float, Meta(ge=-20.0, le=20.0)]
@@ -180,7 +180,8 @@ class Scenario(SpaceKeys, frozen=True, kw_only=True):
         spec: the file's content; keys that a mission shares, such as walls, are copied into the mission file.
         vehicle_path: file of the configuration, or None for the default one.
         vehicle_source: source of the configuration; None if it was given as an object.
-        walls: planes of the vehicle's centre, by name.
+        walls: walls by name. The plane of a wall is where the vehicle's centre is when the vehicle touches
+            the wall.
         sequences: walls in the order of the hits; several if the file contains `any`.
         chosen_by_planner: whether the planner chooses the sequence.
         normal_m_s, tangential_m_s: the grid of approach velocities, collision frame of the first wall.

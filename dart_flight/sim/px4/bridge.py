@@ -222,7 +222,8 @@ class Px4Vehicle:
         """Advance the plant by one tick of 4 ms with PX4's last outputs, then send its measurements to PX4.
 
         Args:
-            report: whether to send; if not, the next IMU sample is a mean that includes this tick.
+            report: whether to send this tick's measurements. If not, the next IMU sample is a mean that
+                includes this tick.
 
         Raises:
             Px4LostError: as in the link's `exchange`.

@@ -151,7 +151,9 @@ def values_of(parameters: Mapping[str, Parameter]) -> dict[str, Value]:
 
 
 def select_parameters(parameters: Mapping[str, Parameter], known: Mapping[str, float]) -> dict[str, Value]:
-    """Return the parameters to set in a PX4 that has the `known` parameters, under that PX4's names.
+    """Return the parameters to set in a PX4, under the names that this PX4 uses.
+
+    `known` contains the parameters that this PX4 has.
 
     Raises:
         Px4Error: PX4 lacks a parameter, and configs/px4 does not permit that.
@@ -518,7 +520,7 @@ def parse_version(answer: str) -> tuple[int, int, int] | None:
 
 
 def check_version(version: tuple[int, int, int] | None) -> str | None:
-    """Return a remark on a version, or None if docs/px4.md has flights with it.
+    """Return a remark on a version of PX4; None if docs/px4.md reports flights with this version.
 
     Raises:
         Px4Error: the version is too old.
