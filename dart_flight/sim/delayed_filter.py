@@ -1,4 +1,4 @@
-"""A small model of PX4's EKF2, which assumes that every motion-capture pose is EKF2_EV_DELAY old on arrival.
+"""A small model of PX4's EKF2: it assumes that every motion-capture pose is EKF2_EV_DELAY old on arrival.
 
 `Estimator` uses the true age of every pose, so it cannot model a wrong delay. This filter works like EKF2. A
 Kalman filter runs about 0.15 s behind the present and fuses each pose at its arrival minus the configured

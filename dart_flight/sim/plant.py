@@ -343,7 +343,10 @@ class Plant:
         self.q = quaternion_normalise(advance_attitude(self.q, self.rate, STEP_S))
 
     def _landing_gear_torque(self, torque: Vec3) -> Vec3:
-        """Add the torque of the landing gear, which levels a resting vehicle and stops its rotation."""
+        """Add the torque of the landing gear.
+
+        The torque levels a resting vehicle and stops its rotation.
+        """
         down = rotate_back(self.q, (0.0, 0.0, 1.0))
         k, c = 3.0, 0.3  # N m/rad and N m s/rad: stiff and well damped for 0.0125 kg m2
         return (

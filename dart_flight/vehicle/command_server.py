@@ -52,7 +52,7 @@ class CommandServer:
             commands, only the first of these commands gives a line.
 
     Attributes:
-        refused: number of commands from other systems, which are all denied.
+        refused: number of commands from other systems; all of them are denied.
     """
 
     def __init__(

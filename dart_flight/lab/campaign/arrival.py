@@ -40,7 +40,7 @@ def arrival_of(log: Log, mission: Mission, visits: Sequence[tuple[Vec2, float]])
     """Return the arrival of a flight, or None if its trajectories never began.
 
     Args:
-        log: the log of a simulated flight, which contains the truth.
+        log: log of a simulated flight; the log contains the truth.
         mission: the mission that was flown.
         visits: places, each with the distance within which it counts as passed, metres.
     """

@@ -2,7 +2,7 @@
 
 The first baseline assumes that the outgoing speed is a constant fraction of the incoming speed. The second
 assumes that the peak force is proportional to the incoming speed. If the law does not predict held-out hits
-better than these, its coefficients add nothing, however well it fits.
+better than the baselines, the law's coefficients add nothing, however well the law fits.
 """
 
 from __future__ import annotations

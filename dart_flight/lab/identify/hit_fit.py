@@ -1,4 +1,4 @@
-"""Fit of k and f to whole hits, which are their outgoing speed, peak force, duration and depth.
+"""Fit of k and f to hits as a whole: to their outgoing speed, peak force, duration and depth.
 
 If the paper's law does not describe a contact, a fit of the law to the samples gives a wrong peak. This fit
 therefore ignores the samples and fits the quantities that a prediction needs.

@@ -3,9 +3,9 @@
 A fit defines a `LawProblem`; `descend` solves it, and `half_widths` returns the intervals of its unknowns.
 The intervals hold even if the law is wrong. Every unknown has two standard deviations. The statistical
 deviation follows from the information of data and priors, and holds if the law is right. The resampled
-deviation is the change of the estimate with other data, to first order. If the interval by the resampled
-deviation is wider by more than chance, it is used; otherwise the interval by the statistical deviation is
-used.
+deviation is the change of the estimate with other data, to first order. If the resampled deviation gives an
+interval that is wider by more than chance, this interval is used. Otherwise the interval of the statistical
+deviation is used.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Widening of intervals by the systematic errors of a kind of recording, which more data do not reduce.
+"""Widening of intervals by systematic errors of a kind of recording; more data do not reduce such errors.
 
 If a vehicle turns during the contact, its guards slide faster or slower than its centre. The law describes a
 point: its friction depends on the velocity of the centre. Flights at one speed do not determine a lever arm

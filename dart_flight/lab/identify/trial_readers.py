@@ -236,7 +236,7 @@ def read_flight(path: Path, reading: TrialReading) -> list[Trial]:
     """Return the collisions of a flight log as trials.
 
     Raises:
-        InputError: as for `trials_at_one`, or drops are requested, which no mission contains.
+        InputError: as for `trials_at_one`, or drops are requested: no mission contains drops.
     """
     if reading.drop:
         raise InputError(

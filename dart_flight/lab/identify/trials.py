@@ -51,8 +51,8 @@ class Trial:
         acceleration_m_s2: acceleration along the normal in free flight: 0 at a wall, -9.81 in a drop.
         height_m: height of a drop, if known.
         position_measured: whether `normal_m` was recorded; if not, it is integrated from `normal_m_s`.
-        allowance: coefficient -> relative systematic error of this kind of recording, which widens the
-            interval.
+        allowance: coefficient -> relative systematic error of this kind of recording; it is added to the
+            coefficient's interval.
         flown: the vehicle that flew; None if the recording does not contain it (a flight log does).
         turn_rad_s: largest yaw rate during the contact; None if not recorded.
         notes: one line for each missing part of the recording.

@@ -1,4 +1,4 @@
-"""The flight's end of a live view, which passes on records without ever waiting for viewers.
+"""The part of a live view in the flight's process: it passes on records and never waits for viewers.
 
 On the flight's own thread a record costs a type check and an append. A thread of this module downsamples,
 encodes and writes to a non-blocking pipe; records that do not fit are dropped and counted. Translation,

@@ -126,7 +126,7 @@ def _with_touches(collisions: list[dict[str, Any]], speed_m_s: float, start: Vec
 
 
 def _rounded(leg: TrajectoryPieces) -> dict[str, Any]:
-    """Return a trajectory with rounded numbers, which changes its end by a few micrometres."""
+    """Return a trajectory with rounded numbers; rounding moves the trajectory's end by a few micrometres."""
     pieces = [[round(t, 5), round(jx, 4) + 0.0, round(jy, 4) + 0.0] for t, jx, jy in leg.pieces]
     vectors = ("position_m", "velocity_m_s", "acceleration_m_s2")
     return {name: [round(v, 5) + 0.0 for v in getattr(leg, name)] for name in vectors} | {"pieces": pieces}

@@ -6,8 +6,8 @@ acceleration are therefore polynomials, exact at the intervals' ends (direct mul
 of each part is free. A hit changes the velocity by the contact law in closed form (`ContactResponse`) and
 takes the contact's time. For `dead_s` after the hit the thrust stays constant, because the attitude cannot
 jump and the next leg is planned meanwhile. The drag is proportional to the velocity. CasADi states the
-problem and its derivatives, and IPOPT solves it (extra `plan`). Each part of a path stays inside half-planes
-and outside discs, which keeps it clear of walls and posts.
+problem and its derivatives, and IPOPT solves it (extra `plan`). To keep clear of walls and posts, each part
+of a path stays inside half-planes and outside discs.
 """
 
 from __future__ import annotations

@@ -63,9 +63,9 @@ def shortest_path(begin: Vec2, end: Vec2, obstacles: Obstacles) -> list[Vec2] | 
 
 
 def least_length_m(begin: Vec2, end: Vec2, obstacles: Obstacles) -> float:
-    """Return a lower bound on the length of clear paths, which go around the edges of walls.
+    """Return a lower bound on the length of the paths that go around the edges of walls.
 
-    Posts are ignored, which keeps the result a lower bound.
+    Posts are ignored. The result is still a lower bound, because posts only lengthen a path.
     """
     tips: list[Vec2] = []
     for wall in obstacles.walls:
@@ -125,7 +125,7 @@ def _crosses(wall: Wall, a: Vec2, b: Vec2) -> bool:
 
 
 def _corners_around_ends(wall: Wall) -> Iterator[Vec2]:
-    """Yield corners around a wall's ends, in front of it and behind it, at the clearance from its plane."""
+    """Yield corners around a wall's ends, in front of the wall and behind, at the clearance from the wall."""
     (tx, ty), (nx, ny), reach = wall.tangent, wall.normal, 0.5 * wall.length_m
     for side, face in itertools.product((-1.0, 1.0), (-1.0, 1.0)):
         tip = (wall.point[0] + side * reach * tx, wall.point[1] + side * reach * ty)
@@ -134,7 +134,7 @@ def _corners_around_ends(wall: Wall) -> Iterator[Vec2]:
 
 
 def _corners_around_disc(disc: Disc) -> Iterator[Vec2]:
-    """Yield corners around a disc whose connecting lines stay outside of it."""
+    """Yield corners around a disc; the lines that connect the corners stay outside of the disc."""
     step = 2.0 * math.pi / _AROUND
     radius = (disc.radius_m + _ON_LINE_M) / math.cos(0.5 * step)
     for k in range(_AROUND):
@@ -215,9 +215,9 @@ def regions(
     """Return regions that contain the straight path between two places and are clear of all walls and posts.
 
     Args:
-        begin, end: ends of the path, which must be unobstructed.
+        begin, end: ends of the path. The path must be unobstructed.
         obstacles: all obstacles.
-        touched: walls hit at the begin or end of the path, which may reach their plane.
+        touched: walls hit at the begin or end of the path; the path may reach the planes of these walls.
         after_hit: whether a hit was the previous event.
     """
     found: list[Region] = [*obstacles.discs]

@@ -64,7 +64,8 @@ class GridSpec(Section, frozen=True):
     """Evenly spaced velocities, both ends included.
 
     Attributes:
-        min, max: lowest and highest velocity, m/s.
+        min: lowest velocity, m/s.
+        max: highest velocity, m/s.
         step: difference between neighbouring velocities, m/s; must divide the range.
     """
 
@@ -135,7 +136,7 @@ class ScenarioFile(SpaceKeys, frozen=True, kw_only=True):
     Attributes:
         version: version of the file format.
         walls: the walls by name; walls outside the sequence are obstacles.
-        posts: the posts by name, which are obstacles; only with the objective quickest.
+        posts: posts by name, as obstacles; only with the objective quickest.
         touch_m_s: speed of touches before the hits; only with the objective quickest. Each wall to be hit is
             first touched at this speed, from the start and back to the start. The touches measure the
             direction of the walls and their vertical force. Without this key there are no touches.

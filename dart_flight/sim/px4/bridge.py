@@ -292,7 +292,7 @@ def servo_channel(vehicle: VehicleConfig) -> int:
 
 
 def accelerometer_output(specific_force_m_s2: float, full_scale_m_s2: float) -> float:
-    """Return one axis of HIL_SENSOR, with full scale as the largest count, which PX4 treats as clipping.
+    """Return one axis of HIL_SENSOR; full scale gives the largest count, which PX4 treats as clipping.
 
     A sensor of less than 16 g also saturates, but PX4's simulated driver does not detect that.
     """

@@ -1,9 +1,9 @@
 """Start and stop of a real PX4 (SITL) from the user's own build or installation, for one flight.
 
-PX4 runs in a new working folder, in a separate session, with the first free instance number, which defines
-its ports. Its parameters are set through PX4's own client while PX4 waits for its simulator. Every version
-since v1.14 waits after the airframe's defaults are applied and before estimator and controllers start. The
-user provides PX4; PX4's documentation explains how to build and install it (docs/px4.md).
+PX4 runs in a new working folder and in a separate session. Its instance number is the first free one and
+defines its ports. Its parameters are set through PX4's own client while PX4 waits for its simulator. Every
+version since v1.14 waits after the airframe's defaults are applied and before estimator and controllers
+start. The user provides PX4; PX4's documentation explains how to build and install it (docs/px4.md).
 """
 
 from __future__ import annotations

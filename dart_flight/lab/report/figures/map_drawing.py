@@ -159,8 +159,8 @@ def set_view(axis: Any, view: Array) -> None:
 def view_of(mission: Mission, points: Array, margin_m: float = 0.45) -> Array:
     """Return [[low x, low y], [high x, high y]], the part of the room around points (n, 2) with a margin.
 
-    The view includes the nearest part of every wall within the bounds. It is limited to the room, which means
-    the bounds and the walls with their names.
+    The view includes the nearest part of every wall within the bounds. The view does not extend beyond the
+    room, which consists of the bounds and the walls with their names.
     """
     (x0, x1), (y0, y1) = mission.bounds.x, mission.bounds.y
     room = [np.array([[x0, y0], [x1, y1]])]
