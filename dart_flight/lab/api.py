@@ -147,15 +147,15 @@ def simulate(
 
     Args:
         mission: a mission, or a file or mapping for `load_mission`.
-        seed: seed of the sensor noise and of the draws.
-        vary: properties of the simulated world to draw (docs/draws.md): `"all"`, `["mass", "contact=0.3"]`,
-            or standard deviations by name.
+        seed: seed of the sensor noise and of the random differences (`vary`).
+        vary: properties in which the simulated world differs at random from the mission (docs/draws.md):
+            `"all"`, `["mass", "contact=0.3"]`, or standard deviations by name.
         fault: a fault to inject, `NAME[=VALUE][@PHASE]` (docs/faults.md).
         log_dir: folder in which a folder for the log is created; by default the log is kept in memory.
 
     Raises:
-        InputError: the mission cannot be flown, the seed is not a whole number, or a draw or the fault is
-            unknown.
+        InputError: the mission cannot be flown, the seed is not a whole number, or a name in `vary` or the
+            fault is unknown.
     """
     if not isinstance(seed, int | np.integer) or isinstance(seed, bool) or not 0 <= seed < 2**31:
         raise InputError(f"expected a whole number from 0 to {2**31 - 1}, not {seed!r}", key=("seed",))
@@ -214,8 +214,8 @@ def predict(
         vehicle: supplies the mass and the materials.
         surface: one of the vehicle's materials.
         mode: `rigid` or `flexible`.
-        normal_m_s: velocity at the onset along the wall's outward normal, negative towards the wall, m/s.
-            An array gives arrays.
+        normal_m_s: velocity at the onset along the wall's outward normal, negative towards the wall, m/s. If
+            it is an array, the results are arrays.
         tangential_m_s: velocity at the onset along the wall, m/s; broadcasts with `normal_m_s`.
         onset: onset rule, `lcp` or `touch`; by default the configuration's rule.
         incidence_deg: angle between the leading edge and the wall, 0 to 45 degrees.
@@ -342,7 +342,7 @@ def plan(
         vehicle: the configuration to use instead of the one that the scenario names.
         objective: `nearest`, `fastest`, `gentlest` or `robust`, instead of the scenario's.
         top: number of plans to keep.
-        seed: seed of the draws for the objective `robust`.
+        seed: seed of the random sets of values that the objective `robust` evaluates.
 
     Raises:
         InputError: the scenario is invalid or has no feasible plan; the message names the most frequent
@@ -389,12 +389,12 @@ def identify(
         mode: state of the arms in trials that do not record the state; for flights, only collisions in this
             mode are used.
         surface: for flights, only collisions with this material are used.
-        drop: whether the trials are drops; a number also gives the drop height, m.
+        drop: whether the trials are drops. A number means drops from this height, m.
         onset: onset rule, `lcp` or `touch`; by default the vehicle's rule.
         contact_distance_m: distance that is subtracted from the column `normal_m` of files, m.
         columns: our column name -> header in the CSV files.
-        wall: for PX4 logs: north and east (m) of a place of the vehicle's centre at first touch, and the
-            heading of the wall's outward normal (degrees).
+        wall: for PX4 logs: north and east (m) of the vehicle's centre when the vehicle touches the wall, and
+            the heading of the wall's outward normal (degrees).
         mass_kg: vehicle mass to use instead of the configuration's.
 
     Raises:

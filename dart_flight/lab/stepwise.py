@@ -39,7 +39,7 @@ _DOWN_RAD: Final = 0.5 * math.pi  # tilt from which the vehicle counts as turned
 class FlightSetpoint(NamedTuple):
     """A setpoint of PX4's position controller, mission frame.
 
-    A vector that is None is not controlled. NaN for x and y, or for z, leaves that part of a vector free.
+    A vector that is None is not controlled. If x and y of a vector, or z, are NaN, they are not controlled.
 
     Attributes:
         position_mission, velocity_mission, acceleration_mission: m, m/s, m/s2.
@@ -63,8 +63,9 @@ class SteppedObservation(NamedTuple):
         attitude: estimated quaternion (w, x, y, z), body FRD to NED, shape (4,).
         force: estimated external force, mission frame, N, shape (3,); zeros before the first estimate.
         mode: mode of the lock's horn; None while it moves.
-        walls: walls in view, nearest first, shape (n, 5): point x, y and normal x, y (mission frame, m), and
-            the distance that the vehicle's centre can move along the normal until first touch (m).
+        walls: walls nearer than `view_m`, nearest first, shape (n, 5): point x, y and normal x, y (mission
+            frame, m), and the distance along the normal that the vehicle's centre can move before the vehicle
+            touches the wall (m).
         contacts: number of contacts that have ended since `reset`.
         is_down: whether the vehicle has landed, or has tilted by more than 90 degrees.
     """
@@ -101,7 +102,7 @@ class SteppedSimulation:
         mission: vehicle, walls and start, or the file of a mission; its collisions are not flown.
         seed: seed of the sensors' noise.
         period_s: simulated time of one step; a multiple of 4 ms.
-        view_m: distance up to which a wall is in view; default: every wall.
+        view_m: distance up to which a wall appears in the observations; default: every wall does.
 
     Raises:
         InputError: the period is not a positive multiple of 4 ms, or the mission is invalid.

@@ -203,7 +203,10 @@ def _other_than_multicopter(log: ULogFile) -> str | None:
 
 
 def seconds(data: dict[str, Any]) -> Array:
-    """Return a topic's stamps, s on the autopilot's clock: times of measurement, or of logging if missing."""
+    """Return a topic's stamps, s on the autopilot's clock.
+
+    The stamps are the times of measurement; if these are missing, they are the times of logging.
+    """
     name = (
         "timestamp_sample" if "timestamp_sample" in data and data["timestamp_sample"].any() else "timestamp"
     )
@@ -267,8 +270,9 @@ def _decoded(log: ULogFile, instance: int, data: dict[str, Any]) -> MotorCommand
 
 
 def _pulse_range(parameters: dict[str, float], instance: int, count: int) -> tuple[Array, Array]:
-    """Return the shortest and longest pulse of each output, from the pin's parameter, the port's or the
-    common one.
+    """Return the shortest and longest pulse of each output.
+
+    They come from the first parameter that has a value: that of the pin, of the port, or of all ports.
     """
     bank = "MAIN" if instance == 0 else "AUX"
     ends = []

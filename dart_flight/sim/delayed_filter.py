@@ -1,10 +1,10 @@
-"""A small model of PX4's EKF2, which assumes that every motion-capture pose is EKF2_EV_DELAY old on arrival.
+"""A small model of PX4's EKF2: it assumes that every motion-capture pose is EKF2_EV_DELAY old on arrival.
 
 `Estimator` uses the true age of every pose, so it cannot model a wrong delay. This filter works like EKF2. A
 Kalman filter runs about 0.15 s behind the present and fuses each pose at its arrival minus the configured
-delay. An output predictor propagates the filter's state to the present by the IMU. If that time is wrong, the
-filter attributes the error to velocity, tilt and accelerometer bias, and rejects poses beyond its gate, so
-the estimate oscillates. Gains, gates and time constants are from PX4's defaults and
+delay. An output predictor propagates the filter's state to the present by the IMU. If the configured delay is
+wrong, the filter attributes the error to velocity, tilt and accelerometer bias, and rejects poses beyond its
+gate, so the estimate oscillates. Gains, gates and time constants are from PX4's defaults and
 `configs/px4/indoor.params`.
 """
 

@@ -1,7 +1,8 @@
-"""The true world of one flight: quantities that `--vary` draws from a seed, and their effects.
+"""The simulated world of one flight, which differs at random from the mission (docs/draws.md).
 
-The flight core uses the mission; the simulated vehicle flies in the drawn world. Every quantity has its own
-random sequence, so drawing one more does not change the others.
+`--vary` selects the quantities that differ, and a seed determines their values; this is called drawing. The
+flight core uses the mission, and the simulated vehicle flies in the drawn world. Every quantity has its own
+random sequence. If one more quantity is drawn, the values of the others therefore stay the same.
 """
 
 from __future__ import annotations
@@ -146,7 +147,11 @@ def _contact(world: DrawnWorld, rng: random.Random, sd: float) -> DrawnWorld:
 
 
 def with_walls(world: DrawnWorld, walls: Mapping[str, Wall]) -> DrawnWorld:
-    """Return the world with these walls by name, which must be all; a post moves with its tangent plane."""
+    """Return the world with other walls.
+
+    `walls` must contain all walls of the world by name. If a wall is the tangent plane of a post, the post
+    moves with the wall.
+    """
     mission = world.mission
     collisions = tuple(
         msgspec.structs.replace(c, wall=walls.get(c.wall.name, c.wall)) for c in mission.collisions

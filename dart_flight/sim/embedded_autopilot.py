@@ -196,7 +196,7 @@ class Autopilot:
         self.estimator.assume_delay(self.now_s, 1e-3 * float(self.parameters["EKF2_EV_DELAY"]))
 
     def fuse_external_pose(self, position_ned: Vec3, q_frd_to_ned: Quaternion | None) -> None:
-        """Fuse an external pose, unless the vehicle fuses poses of its own simulated motion capture."""
+        """Fuse an external pose; ignore it if the vehicle fuses poses of its own simulated motion capture."""
         if not self.fuses_own_pose:
             self.estimator.correct(self.now_s, position_ned, q_frd_to_ned)
 

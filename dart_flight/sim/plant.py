@@ -108,7 +108,10 @@ class _WallPlane:
 
     @property
     def depths(self) -> list[float] | None:
-        """Deflection of each guard near an end; None elsewhere, where it is the depth behind the surface."""
+        """Deflection of each guard near an end of the wall.
+
+        Elsewhere it is None, because the deflection equals the depth of the guard behind the surface.
+        """
         return self.ends.depths if self.near_end else None
 
     def move(self, away_m: float) -> None:
@@ -256,10 +259,8 @@ class Plant:
 
         Returns:
             The mean specific force over that time, body FRD, m/s2, as a noiseless IMU reads it at its
-                position.
-            The reading includes the arms' vibration, passes the anti-alias filter, and saturates at full
-                scale
-            in each millisecond.
+            position. The reading includes the arms' vibration. It passes the anti-alias filter and saturates
+            at full scale in each millisecond.
         """
         fx = fy = fz = 0.0
         most = self._full_scale
@@ -342,7 +343,10 @@ class Plant:
         self.q = quaternion_normalise(advance_attitude(self.q, self.rate, STEP_S))
 
     def _landing_gear_torque(self, torque: Vec3) -> Vec3:
-        """Add the torque of the landing gear, which levels a resting vehicle and stops its rotation."""
+        """Add the torque of the landing gear.
+
+        The torque levels a resting vehicle and stops its rotation.
+        """
         down = rotate_back(self.q, (0.0, 0.0, 1.0))
         k, c = 3.0, 0.3  # N m/rad and N m s/rad: stiff and well damped for 0.0125 kg m2
         return (
@@ -696,10 +700,11 @@ class Plant:
     def _arm_vibration(self, contact: Vec3) -> Vec2:
         """Return the body's acceleration relative to the centre of mass by the arms' vibration, NED.
 
-        The vibration is an internal motion: it moves the IMU, not the centre of mass, so the true force
-        follows the contact law. Let q be the arms' displacement relative to the body and s their share of the
-        mass. The body is then at -s q from the centre of mass. With the acceleration a of the contact, q'' =
-        -w^2 q - 2 zeta w q' - a, and the IMU measures the additional acceleration -s q''.
+        Arms and body vibrate against each other. This moves the IMU but not the centre of mass, so the
+        contact force does not depend on the vibration. Let q be the arms' displacement relative to the body
+        and s their share of the mass. The body is then at -s q from the centre of mass. With the acceleration
+        a of the contact, q'' = -w^2 q - 2 zeta w q' - a, and the IMU measures the additional acceleration -s
+        q''.
         """
         freedom = self._arm_freedom() if self._arm_share else 0.0
         if freedom == 0.0:
@@ -780,7 +785,10 @@ def _between(a: Coefficients, b: Coefficients) -> Coefficients:
 
 
 def _plane(wall: Wall, frame: MissionFrame, out_m: float, guards: Sequence[PropellerGuard]) -> _WallPlane:
-    """Return a wall in NED; its surface is `out_m` behind the plane of the vehicle's centre."""
+    """Return a wall in NED.
+
+    The wall's surface is `out_m` behind the plane that the vehicle's centre reaches at a contact.
+    """
     point = frame.point_to_ned((wall.point[0], wall.point[1], 0.0))
     normal = frame.vector_to_ned(wall.from_collision((1.0, 0.0, 0.0)))
     tangent = frame.vector_to_ned(wall.from_collision((0.0, 1.0, 0.0)))

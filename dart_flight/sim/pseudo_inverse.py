@@ -2,8 +2,8 @@
 
 PX4 builds the effectiveness matrix of the motors from their positions and yaw torques (CA_ROTOR*). It
 computes the pseudo-inverse and scales its columns (`ControlAllocationPseudoInverse`). Roll and pitch share
-one scale: the larger of their two values of the root of twice the mean square. Yaw is scaled by its largest
-entry, and lift to a mean of one.
+one scale. For each of their columns the root of twice the mean square is computed, and the larger value is
+the scale. Yaw is scaled by its largest entry, and lift to a mean of one.
 """
 
 from __future__ import annotations

@@ -59,7 +59,10 @@ class ImuSensor:
 
 
 class _Ringing:
-    """A vibration of the frame: white noise and a tone of wandering frequency; its phase differs by axis."""
+    """A vibration of the frame: white noise and a tone.
+
+    The tone's frequency wanders, and its phase differs between the axes.
+    """
 
     _WANDER_S = 1.0  # time in which the tone's frequency crosses its band
 

@@ -151,7 +151,7 @@ class TerminatedError(Exception):
 
 
 def raise_terminated(_signum: int, _frame: object) -> None:
-    """Handle SIGTERM by an exception, for a world that must clean up."""
+    """Raise an exception at SIGTERM, for a world that must clean up."""
     raise TerminatedError
 
 

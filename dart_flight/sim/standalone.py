@@ -29,8 +29,8 @@ class VehiclePortLease:
     """The right to be the only vehicle that sends to a UDP port, as far as other senders can be detected.
 
     Another `simulate` or `dry-run --px4` is detected by its lease. PX4's own simulator is detected by the
-    port that it binds. The lease binds that port as well, so that the later of the two gives up. Any other
-    sender is detected by listening, unless a program already receives on the port.
+    port that it binds. The lease binds the same port. If both start, the later one therefore gives up. Any
+    other sender is detected by listening, unless a program already receives on the port.
 
     Args:
         port: port to send to.

@@ -18,7 +18,7 @@ class Wind:
 
     Args:
         simulation: configuration of steady wind and gusts.
-        seed: seed of the gusts, which do not affect the sensors' noise.
+        seed: seed of the gusts; the gusts do not affect the sensors' noise.
         tick_s: time between two calls.
     """
 

@@ -1,7 +1,8 @@
 """The interpreter's thread state of MAVSDK's callback thread.
 
 MAVSDK, not Python, starts that thread. The interpreter therefore creates a thread state for every callback
-and releases it on return, which takes a third of the time of an empty callback (docs/latency.md).
+and releases the thread state on return. This takes a third of the time of an empty callback
+(docs/latency.md).
 """
 
 from __future__ import annotations

@@ -50,7 +50,10 @@ class _RealHost:
     _PACE_KNOWN = True  # whether the autopilot's time advances at the host's pace
 
     def round_trip(self, sent_us: int, received_us: int, autopilot_us: int | None) -> RoundTrip:
-        """Return the record of a request, without an autopilot's time that may advance at another pace."""
+        """Return the record of a request.
+
+        The autopilot's time is left out, because it may advance at another pace.
+        """
         return RoundTrip(received_us, sent_us, autopilot_us if self._PACE_KNOWN else None)
 
     @staticmethod
@@ -63,8 +66,8 @@ class ClockEstimate(_RealHost):
     """An estimate of autopilot time minus host time, from stamps and times of receipt.
 
     Every message has an unknown positive delay. The largest difference between stamp and time of receipt in
-    the last seconds is therefore the best estimate. The limit to the last seconds lets it follow a drifting
-    clock.
+    the last seconds is therefore the best estimate. Older messages are not used, so that the estimate follows
+    a drifting clock.
     """
 
     def __init__(self) -> None:

@@ -48,11 +48,11 @@ class CommandServer:
         mavsdk: the connection.
         system_id: system id of the only ground station that may command.
         answer: function that returns the result of a press and its reason.
-        note: callback for a line about every command, for log and ground station. Of the commands from other
-            systems, only the first one gives a line.
+        note: callback for a line about every command, for log and ground station. If other systems send
+            commands, only the first of these commands gives a line.
 
     Attributes:
-        refused: number of commands from other systems, which are all denied.
+        refused: number of commands from other systems; all of them are denied.
     """
 
     def __init__(

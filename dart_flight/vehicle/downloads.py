@@ -193,7 +193,7 @@ class Px4Logs:
 
 
 class DownloadTime:
-    """An estimator of a download's remaining time, which gives one estimate, after the first seconds.
+    """An estimator of a download's remaining time; it gives a single estimate, after the first seconds.
 
     Args:
         size_bytes: size of the whole download.

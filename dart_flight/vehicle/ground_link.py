@@ -64,7 +64,7 @@ class Source(msgspec.Struct, frozen=True):
 
 
 def unusable_streams(sources: Iterable[Source]) -> dict[str, str]:
-    """Return, by stream, why the vehicle's messages of a stream are unusable, if none was usable."""
+    """Return the reason by stream, for each stream of the vehicle that had no usable message."""
     found: dict[str, Source] = {}
     for source in sources:
         stream = messages.STREAM_OF[source.sender.message]

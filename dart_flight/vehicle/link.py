@@ -152,9 +152,9 @@ class LinkLease(Lease):
     def lock_device(self) -> None:
         """Lock the serial device exclusively and make its reads blocking.
 
-        Call after MAVSDK has opened the device. MAVSDK 4 sets VMIN to 0, so that its reads return at once
-        and its thread occupies a whole core. The setting belongs to the device, so it can be changed here.
-        Root can still open a locked device.
+        Call after MAVSDK has opened the device. MAVSDK 4 sets VMIN to 0; its reads then return at once, and
+        its thread occupies a whole core. VMIN is a setting of the device, so this method can change it. Root
+        can still open a locked device.
         """
         if self._device is not None:
             with contextlib.suppress(OSError, termios.error):

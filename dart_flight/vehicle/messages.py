@@ -31,7 +31,7 @@ SEVERITIES: Final = ("emergency", "alert", "critical", "error", "warning", "noti
 
 
 class Unusable(NamedTuple):
-    """The reason why a message is not usable; it continues the text "none ...", as in "has a velocity"."""
+    """The reason why a message is not usable, such as "has a velocity"; texts put "none" before it."""
 
     reason: str
 

@@ -59,7 +59,10 @@ def _log_repetitions() -> None:
 
 @contextmanager
 def closing() -> Iterator[None]:
-    """Suppress errors of a connection's socket within the context, in which the connection is closed."""
+    """Suppress errors of a connection's socket within the context.
+
+    The connection is to be closed within the context.
+    """
     global _closing  # noqa: PLW0603  (MAVSDK has one log for the whole process)
     with _lock:
         _closing += 1

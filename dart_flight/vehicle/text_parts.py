@@ -13,7 +13,10 @@ _INFO = 6  # MAV_SEVERITY
 
 
 def split_text(text: str, number: int) -> list[dict[str, Any]]:
-    """Return the fields of the messages that carry a text; `number` is its id if it needs several."""
+    """Return the fields of the messages that carry a text.
+
+    If the text needs several messages, `number` is its id.
+    """
     plain = text.encode("ascii", "replace").decode()[:_LONGEST]
     if len(plain) <= _PART:
         return [{"severity": _INFO, "text": plain, "id": 0, "chunk_seq": 0}]

@@ -525,9 +525,9 @@ class VehicleSession:
     def send(self, setpoint: Setpoint) -> None:
         """Send a setpoint at once, from any thread; MAVSDK repeats it at 20 Hz until the next one.
 
-        In offboard mode, an unchanged setpoint is skipped for 0.1 s, because MAVSDK repeats the last one. In
-        other modes MAVSDK does not repeat it, and MAVSDK starts offboard mode only after a setpoint. A
-        recovery setpoint is never skipped.
+        In offboard mode, an unchanged setpoint is skipped for 0.1 s, because MAVSDK repeats the last
+        setpoint. In other modes no setpoint is skipped: MAVSDK does not repeat setpoints there, and needs a
+        setpoint to start offboard mode. A recovery setpoint is never skipped.
         """
         if self._silent:
             return
@@ -585,7 +585,7 @@ class VehicleSession:
         return self._status.armed
 
     def silence(self) -> None:
-        """Send nothing from now on; MAVSDK repeats the last setpoint until PX4 leaves offboard mode."""
+        """Send no further messages; MAVSDK repeats the last setpoint until PX4 leaves offboard mode."""
         self._silent = True
 
     def set_actuator(self, index: int, value: float) -> None:
@@ -683,7 +683,8 @@ def connect(
         timeout_s: timeout of the first heartbeat, seconds.
         deliver: receives every record, on MAVSDK's thread.
         ground: whether to appear as a ground station instead of a companion computer. Use False on the
-            vehicle: a ground station's heartbeat from the vehicle may hide the loss of the real one.
+            vehicle: PX4 could take the heartbeat for that of the real ground station, and would not notice
+            the loss of its link.
         clock: clock of an autopilot whose time is not real time, such as `LockstepClock`.
         opened: called once MAVSDK has opened the link and an autopilot answers.
 

@@ -6,11 +6,12 @@ Over a short window the motors' torque changes the rates:
 
 The motors' torque follows from their commands through the thrust curve, their lag, their positions and the
 propellers' drag. A line fitted through many windows therefore has the slope 1/J. Both sides have errors. The
-gyro and disturbances affect the rates; motor behaviour between the recorded commands affects the torques.
-Assigning all errors to one side gives the upper bound of J, and to the other side the lower bound. The value
-lies between them, and the interval contains both. The rates at a window's ends are averages over some
-samples, because a controller responds to the noise of a single one. The motors' lag is varied and the best
-value is kept. An axis is refused if its torques are too small or its two lines differ too much.
+gyro and disturbances affect the rates; motor behaviour between the recorded commands affects the torques. If
+all errors are assigned to the rates, the fit gives the upper bound of J; if they are assigned to the torques,
+it gives the lower bound. The estimate lies between the two bounds, and its interval contains both bounds. The
+rates at a window's ends are averages over some samples, because a controller responds to the noise of a
+single one. The motors' lag is varied and the best value is kept. If the torques about an axis are too small,
+or the two bounds differ too much, the axis gets no estimate.
 """
 
 from __future__ import annotations
@@ -45,7 +46,10 @@ _ROUNDS = 3  # the gyroscopic term depends on the estimated inertia
 
 
 class AxisInertia(msgspec.Struct):
-    """Inertia about one axis, kg m2; None with the reason in `refused` if the flights do not determine it.
+    """Inertia about one axis, kg m2.
+
+    If the flights do not determine the inertia, `value`, `low` and `high` are None and `refused` gives the
+    reason.
 
     Attributes:
         axis: roll (forward), pitch (right) or yaw (down).
@@ -95,8 +99,9 @@ class _Windows(msgspec.Struct):
     """The changes over windows that do not overlap, one row per window.
 
     Attributes:
-        change, impulse, products: change of the rates, integral of the motors' torque, and integral of (wy
-            wz, wz wx, wx wy); (n, 3) each.
+        change: change of the rates, (n, 3).
+        impulse: integral of the motors' torque, (n, 3).
+        products: integral of (wy wz, wz wx, wx wy), (n, 3).
         duration: (n,), seconds.
         noise: variance of a change due to the gyro's white noise, (3,).
     """

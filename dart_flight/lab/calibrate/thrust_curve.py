@@ -2,7 +2,8 @@
 
 During slow, steady flight the thrust equals the mass times the specific force along the thrust axis. Each
 quiet segment of a log therefore gives one point of the curve, from commands to force. Averages over a segment
-decide whether it is quiet: single samples of a real vehicle vibrate by several m/s2 in hover. The curve
+decide whether the segment is quiet, because single samples of a real vehicle in hover vibrate by several
+m/s2. The curve
 
     T = full_n * sum over the motors of (factor u^2 + (1 - factor) u)
 
@@ -65,7 +66,7 @@ class Points(msgspec.Struct):
     Attributes:
         start_s: begin of each segment.
         motors: number of motors in the sums.
-        rejected: test (`TESTS`) -> number of windows that failed it first.
+        rejected: test (`TESTS`) -> number of windows for which this test was the first that failed.
     """
 
     square: Array
@@ -213,8 +214,8 @@ def fit_curve(p: Points, factor: float, exponent: float | None, *, fit_factor: b
     Args:
         p: the points.
         factor: value of the factor if it is not fitted or the points do not determine it.
-        exponent: exponent of the voltage, ignored if the voltage is unknown; None: fit it if the voltage
-            varies.
+        exponent: exponent of the voltage. None means that the exponent is fitted if the voltage varies. If
+            the voltage is unknown, the exponent has no effect.
         fit_factor: whether to fit the factor. A result outside 0 to 1 is clipped and has no standard error.
     """
     reference = float(p.volts.mean()) if np.isfinite(p.volts).all() else None

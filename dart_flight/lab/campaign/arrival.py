@@ -40,7 +40,7 @@ def arrival_of(log: Log, mission: Mission, visits: Sequence[tuple[Vec2, float]])
     """Return the arrival of a flight, or None if its trajectories never began.
 
     Args:
-        log: the log of a simulated flight, which contains the truth.
+        log: log of a simulated flight; the log contains the truth.
         mission: the mission that was flown.
         visits: places, each with the distance within which it counts as passed, metres.
     """
@@ -71,7 +71,7 @@ def arrival_of(log: Log, mission: Mission, visits: Sequence[tuple[Vec2, float]])
 
 
 def planned_there_s(found: OptimalTrajectory, goal: tuple[float, float]) -> float:
-    """Return the time at which a planned flight arrives: near its goal, and slow from then to its end."""
+    """Return the time from which a planned flight stays near its goal and slow until its end."""
     last = found.legs[-1]
     begin = found.time_s - last.duration_s
     there = begin

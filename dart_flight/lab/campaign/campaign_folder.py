@@ -62,7 +62,8 @@ def open_campaign(asked: CampaignSpec | None, folder: Path, resume: bool) -> Cam
         resume: whether to continue an existing campaign.
 
     Raises:
-        InputError: the specification is invalid, or a campaign exists that differs or is not to be resumed.
+        InputError: the specification is invalid. Or the folder already contains a campaign, and `resume` is
+            False or the specification differs.
         FlightError: the folder cannot be written.
     """
     path = folder / ASKED

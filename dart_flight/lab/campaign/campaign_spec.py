@@ -38,17 +38,17 @@ class Keep(StrEnum):
 class CampaignSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A specification as written in a file or on the command line.
 
-    Functions are named `module:function`.
+    A function is given as text, `module:function`.
 
     Attributes:
         missions: mission files.
         config: vehicle configuration to use instead of the missions'.
         settings: configuration key -> its values, as written.
-        vary: draws, as written (`sim.draws`).
+        vary: random differences of the simulated world, as written (`sim.draws`).
         runs: number of seeds for every mission and combination of values, starting with `seed`.
         keep: the flights whose logs are kept.
-        cases: further variations of the flights, each key -> value with a column per key, or a function that
-            returns the cases.
+        cases: further variations of the flights. Each case is a mapping key -> value, and the table has one
+            column for each key. Instead of a list, a function that returns the cases can be named.
         fly: function from point and seed to a flown flight; empty: fly the mission in the fast world.
         judge: function from a flown flight to a `msgspec.Struct` whose fields are columns of the table. If
             `judge` is empty, `fly` returns the struct. If both are empty, the columns are those of
@@ -166,7 +166,7 @@ def _split(text: str) -> Iterator[str]:
 
 
 def named_function(name: str) -> Callable[..., Any]:
-    """Import the function that a specification names `module:function`.
+    """Import the function that a specification gives as `module:function`.
 
     Raises:
         InputError: the function does not exist.
@@ -262,7 +262,7 @@ def campaign_of(asked: CampaignSpec, points: Sequence[Point]) -> Campaign:
 
 
 def difference(kept: Campaign, wanted: Campaign) -> str | None:
-    """Return what prevents resuming `kept` as `wanted`, or None; only seeds may be added."""
+    """Return the reason why `kept` cannot be resumed as `wanted`, or None; only seeds may be added."""
     a, b = kept.asked, wanted.asked
     for name, before, now in (
         ("the missions", a.missions, b.missions),

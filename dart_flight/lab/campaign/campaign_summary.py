@@ -1,4 +1,7 @@
-"""The summary of a campaign: success rates, causes of failure, and the influence of the drawn quantities."""
+"""The summary of a campaign: success rates, causes of failure, and the influence of drawn quantities.
+
+A drawn quantity has a random value in each flight (docs/draws.md).
+"""
 
 from __future__ import annotations
 
@@ -57,8 +60,8 @@ class Bin(msgspec.Struct, frozen=True):
 
     Attributes:
         completed: success rate of these flights.
-        low, high: range of a number.
-        value: the word.
+        low, high: the range, if the quantity is a number.
+        value: the word, if the quantity is a word.
     """
 
     completed: Share
@@ -74,7 +77,8 @@ class Drawn(msgspec.Struct, frozen=True):
         name: name of the quantity.
         bins: bins of about equal counts, or one bin for each word.
         z: Mann and Whitney's statistic, in standard deviations; positive if the quantity is higher in failed
-            flights than in completed ones. For words, the largest statistic. None if all or none completed.
+            flights than in completed ones. If the quantity is a word, the largest statistic of any word. None
+            if all flights completed or none did.
     """
 
     name: str
@@ -88,7 +92,8 @@ class FigureTrend(msgspec.Struct, frozen=True):
     Attributes:
         figure, name: names of the figure and of the drawn quantity.
         correlation: rank correlation (Spearman), -1 to 1.
-        p_value: probability that chance alone correlates a tried quantity as strongly (Bonferroni).
+        p_value: probability that, by chance alone, at least one of the tried quantities correlates as
+            strongly (Bonferroni).
         points: drawn quantity and figure of each of the first 400 flights.
     """
 
@@ -171,7 +176,8 @@ class CampaignSummary(msgspec.Struct, frozen=True):
 
     Attributes:
         flights, asked: number of rows in the table, and total number of flights.
-        errors: flights without a verdict due to a program error; no rate counts them.
+        errors: number of flights that a program error ended without a verdict; the rates leave out these
+            flights.
         completed, plan_followed: rates of completed flights and of flights that followed the plan.
         figures: distributions by column.
         points: success rates by mission and settings.
@@ -181,8 +187,8 @@ class CampaignSummary(msgspec.Struct, frozen=True):
         tried: figure -> number of drawn quantities that can affect it, significant or not.
         not_followed: planned figures out of tolerance, the most frequent first.
         failed: flights that did not complete, at most 1000.
-        unexplained_modes: flights whose arms were in another mode than the lock without a drawn lock fault.
-            The campaign proves nothing while this list is not empty.
+        unexplained_modes: flights in which arms and lock were in different modes although no lock fault was
+            drawn. If there are such flights, the campaign proves nothing.
         vary: standard deviations of the drawn quantities.
         software: version that flew.
         vehicle: vehicle of the first mission and setting.
@@ -451,7 +457,7 @@ def _end_causes(rows: Sequence[_SummaryRow], names: Sequence[str]) -> list[EndCa
 def _differing_quantities(
     ended: Sequence[_SummaryRow], fine: Sequence[_SummaryRow], names: Sequence[str]
 ) -> list[DifferingQuantity]:
-    """Return the drawn quantities that separate the flights a rule ended from completed ones, best first."""
+    """Return the drawn quantities that differ most between completed flights and flights ended by a rule."""
     if min(len(ended), len(fine)) < _MIN_FAILED:
         return []
     found: list[tuple[float, DifferingQuantity]] = []

@@ -1,8 +1,8 @@
 """An engine that flies a campaign on the workers of a Dask scheduler (extra `cluster`), beyond one machine.
 
-The scheduler distributes the flights, repeats those of a worker that dies, and reports a flight that keeps
-killing its workers. The rows equal those of a local run, because a flight depends only on its mission and
-seed.
+The scheduler distributes the flights. If a worker dies, another worker repeats its flights. If a flight kills
+one worker after the other, the scheduler reports this flight. The rows equal those of a local run, because a
+flight depends only on its mission and seed.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ def _connect(url: str) -> Any:
 
     class Client(distributed.Client):  # type: ignore[misc]
         def __del__(self) -> None:
-            """Close nothing: `_work` closes, and closing an unconnected client takes a minute."""
+            """Do nothing: `_work` closes the client, and to close an unconnected client takes a minute."""
 
     for name in ("distributed", "distributed.client"):  # the errors below replace their log messages
         logging.getLogger(name).setLevel(logging.CRITICAL)

@@ -74,7 +74,7 @@ class FaultFlight(msgspec.Struct, frozen=True):
 def fly_fault(mission: Mission, fault: Fault, seed: int) -> FaultFlight:
     """Fly with one fault until the vehicle is on the ground, and write and read its log.
 
-    With a fault of the motion capture, the forwarded poses are PX4's only position source.
+    If the fault is one of the motion capture, the forwarded poses are PX4's only position source.
     """
     if fault.kind.site is FaultSite.MOCAP:
         mission = with_simulated_mocap(mission, "udp")

@@ -1,4 +1,4 @@
-"""The flight of one item of a campaign, in any process, which returns its row and its log if kept.
+"""The flight of one item of a campaign, in any process. The result is a row, and the log if it is kept.
 
 A specification may name the function that flies and the function that judges; the default columns come from
 `cells_of`.

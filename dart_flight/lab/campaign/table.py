@@ -24,7 +24,7 @@ _SYNC_S = 1.0
 
 
 class Table:
-    """The table of a campaign, which only this process may append to.
+    """The table of a campaign; only this process may append rows.
 
     Args:
         path: the file; created with its header if it does not exist.

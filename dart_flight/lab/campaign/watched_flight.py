@@ -3,9 +3,10 @@
 A flight is controlled if all of these conditions hold:
 
 * No exception escaped.
-* The vehicle landed and disarmed, through the mission, the guard or PX4's failsafe once the program is gone.
-Alternatively a pilot took over, and the vehicle holds still outside offboard mode.
-* A flight that did not complete gives a reason, unless the program itself hung or was killed.
+* The vehicle landed and disarmed: by the mission, by the guard or, after the program has ended, by PX4's
+  failsafe. Alternatively a pilot took over, and the vehicle holds still outside offboard mode.
+* A flight that did not complete gives a reason. This is not required if the program itself hung or was
+  killed.
 * Its truth is controlled as `dart_flight.recording.uncontrolled` defines it.
 """
 

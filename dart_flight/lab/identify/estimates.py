@@ -27,7 +27,8 @@ class SetAside(NamedTuple):
 
     Attributes:
         free: ignored samples in free flight, beyond five deviations.
-        contact: ignored samples in contact: single samples between good neighbours, at most a tenth.
+        contact: ignored samples in contact, at most a tenth of `in_contact`. A sample in contact is ignored
+            only if the samples before and after it fit well.
         in_contact: all samples in contact, over all channels.
     """
 
@@ -112,7 +113,8 @@ class HeldOut(NamedTuple):
         hits: number of predicted hits.
         law: errors of the paper's law; None if the hits do not determine the law's coefficients.
         baselines: baseline -> errors; each baseline predicts only one of the two quantities.
-        scatter: errors of repeats at one speed against their median; None without repeats.
+        scatter: differences between hits at one speed and their median, as errors; None if no speed was
+            repeated.
         earned: whether the law predicts better than the baselines in every assessable quantity.
         sentence: the comparison as a sentence.
     """
@@ -146,8 +148,8 @@ class Identification(NamedTuple):
 
     Attributes:
         coefficients: mode -> k, f, mu, nu -> estimate, or None if the data do not determine it.
-        plane_m: normal position of the vehicle's centre at first touch, in the recordings; None if no samples
-            were fitted.
+        plane_m: position along the normal, in the recordings, that the vehicle's centre has when the vehicle
+            first touches the wall; None if no samples were fitted.
         residuals: quantity -> root mean square of its residuals, in the unit of the quantity.
         trials: fit of each trial.
         vertical_side: direction of the vertical force: 1 along `vertical_m`, -1 against it, None if unknown.

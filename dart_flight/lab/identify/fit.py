@@ -38,7 +38,8 @@ def identify(trials: Sequence[Trial], mass_kg: float, onset: Onset) -> Identific
     """Identify the coefficients of each mode from trials at one plane (paper, Sec. IV-B and V-A).
 
     Args:
-        trials: recordings; all share the plane, and those of one mode share its coefficients.
+        trials: recordings. All trials are at the same plane, and trials of one mode have the same
+            coefficients.
         mass_kg: vehicle mass.
         onset: onset rule of the fitted model; k and f depend on it slightly.
 

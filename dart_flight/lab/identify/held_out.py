@@ -2,7 +2,7 @@
 
 The first baseline assumes that the outgoing speed is a constant fraction of the incoming speed. The second
 assumes that the peak force is proportional to the incoming speed. If the law does not predict held-out hits
-better than these, its coefficients add nothing, however well it fits.
+better than the baselines, the law's coefficients add nothing, however well the law fits.
 """
 
 from __future__ import annotations
@@ -98,7 +98,7 @@ def _in_proportion(known: HitTable, held: HitTable) -> tuple[Array, Array]:
 
 
 def _scatter(table: HitTable, groups: NDArray[np.intp]) -> Errors:
-    """Return the deviations of repeats at one speed from their median, the lower limit of any law's error."""
+    """Return the differences between hits at one speed and their median; no law has smaller errors."""
     peak, out = np.full(groups.size, math.nan), np.full(groups.size, math.nan)
     for group in np.unique(groups):
         members = groups == group

@@ -1,4 +1,4 @@
-"""Fit of k and f to whole hits, which are their outgoing speed, peak force, duration and depth.
+"""Fit of k and f to hits as a whole: to their outgoing speed, peak force, duration and depth.
 
 If the paper's law does not describe a contact, a fit of the law to the samples gives a wrong peak. This fit
 therefore ignores the samples and fits the quantities that a prediction needs.
@@ -67,7 +67,9 @@ class HitTable(NamedTuple):
 
     @property
     def is_enough(self) -> bool:
-        """Whether at least two numbers are known and half of the hits have a force, a duration or a depth.
+        """Whether the hits have enough measured quantities for a fit.
+
+        At least two quantities must be known, and half of the hits must have a force, a duration or a depth.
         Speeds alone do not determine the stiffness.
         """
         known = np.isfinite([self.peak, self.contact, self.depth, self.speed_out])

@@ -53,8 +53,8 @@ def identify_trials(
 ) -> IdentifyResult:
     """Read the trials and fit them.
 
-    Mass, modes and onset rule are those of the vehicle that flew if the trials contain it, because a log's
-    forces were computed with them.
+    If the trials contain the vehicle that flew, its mass, modes and onset rule are used, because the forces
+    in a log were computed for this vehicle.
 
     Args:
         paths: files and folders of flight logs.
@@ -114,7 +114,7 @@ def _refuse_mode(reading: TrialReading, vehicle: VehicleConfig) -> None:
 
 
 def _labelled(trials: Sequence[Trial], vehicle: VehicleConfig) -> list[Trial]:
-    """Return the trials with their mode, which is evident for a vehicle without a lock."""
+    """Return the trials with their mode; a vehicle without a lock has only one mode."""
     if vehicle.has_lock:
         return list(trials)
     only = vehicle.modes[0].value

@@ -40,7 +40,7 @@ def materials_entry(
         found: the coefficients.
         surface: name of the material.
         vehicle: configuration with the fallback entry.
-        poor: whether the fit is poor, which the entry then records.
+        poor: whether the fit is poor. If it is, the entry says so.
 
     Raises:
         InputError: the trials have no mode.

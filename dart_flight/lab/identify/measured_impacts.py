@@ -199,7 +199,7 @@ def _measure_motion(trial: Trial) -> MeasuredImpact:
 def _extent(
     series: Series, turn_s: float, flights: tuple[_FreeFlightFit, _FreeFlightFit], noise_m: float, step: float
 ) -> tuple[float, float]:
-    """Return the interval between the adjacent samples in free flight, at most 0.15 s to either side."""
+    """Return the interval in which the positions leave free flight, at most 0.15 s to either side."""
     time, value = series
     at = int(np.searchsorted(time, turn_s))
     limits = []
@@ -366,7 +366,8 @@ def _measure_accelerometer(trial: Trial, mass_kg: float) -> MeasuredImpact:
 def _find_pulse(time: Array, value: Array, noise: float, name: str) -> int:
     """Return the first sample of a pulse after free fall, or of any strong pulse without free fall.
 
-    A soft drop hardly exceeds the 1 g of a vehicle that is held, so the samples before the pulse decide.
+    The pulse of a soft drop hardly exceeds 1 g, which the sensor also reads while the vehicle is held. The
+    samples before the pulse therefore decide: they must show free fall.
     """
     largest = float(value.max())
     strong = np.flatnonzero(value > max(0.1 * largest, 15.0 * noise))
@@ -393,7 +394,7 @@ def _weightless_level(
 def _extent_of_pulse(
     time: Array, reading: Array, pulse_at: int, noise: float, loud: float
 ) -> tuple[int, int]:
-    """Return the first and last sample of the contact, which may pause between its first and last corner."""
+    """Return the first and last sample of the contact; the force may be 0 between touches of two corners."""
     begin_at = end_at = pulse_at
     while begin_at > 0 and abs(reading[begin_at - 1]) > 4.0 * noise:
         begin_at -= 1

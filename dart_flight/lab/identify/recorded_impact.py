@@ -139,7 +139,7 @@ def _line_slope(time: Array, value: Array, impact: TrialImpact) -> float:
 
 
 def deviation_of(errors: Array) -> float:
-    """Return the standard deviation estimated from the median absolute error, which ignores outliers."""
+    """Return the standard deviation, estimated from the median absolute error to ignore outliers."""
     return max(1.4826 * float(np.median(np.abs(errors))), 1e-9)
 
 

@@ -1,13 +1,13 @@
 """The residuals of the law at the samples of all trials of an identification, with one parameter vector.
 
-All trials share one plane, whose position is known to one or two centimetres and estimated as well. All
+All trials share one plane. Its position is known to one or two centimetres, and the fit estimates it too. All
 trials of a mode share its coefficients. Every trial has its own onset time and approach velocity, and a clock
 delay if it has both positions and forces. The law is the paper's closed form in time
 (`dart_flight.lab.predict.path`): free flight, contact, free flight.
 
 In real flights the controller accelerates the vehicle before and after a wall contact. If the recordings show
 such curvature, every wall hit gets three unknown constant accelerations: before, in and after the contact.
-Otherwise straight flight is assumed, which determines more.
+Otherwise straight flight is assumed, because fewer unknowns are determined more accurately.
 """
 
 from __future__ import annotations
@@ -130,7 +130,7 @@ class SampleFit:
 
     @staticmethod
     def _free_s(trial: Trial, speed_in_m_s: float, speed_out_m_s: float) -> tuple[float, float]:
-        """Return the duration of free flight before and after the contact that is fitted."""
+        """Return the durations before and after the contact in which free flight is fitted."""
         longest = (_FREE_S[0], _FREE_S[0]) if trial.acceleration_m_s2 < 0.0 else _FREE_S
         return free_spans_s(trial.acceleration_m_s2, speed_in_m_s, speed_out_m_s, longest)
 
@@ -253,7 +253,7 @@ class SampleFit:
                 self.windows[i].counts[name][:] = weights
 
     def variance(self, theta: Array) -> float:
-        """Return the mean square of the residuals, increased for correlated samples such as a filter's."""
+        """Return the mean square of the residuals; if the samples are correlated, as after a filter, more."""
         data = sum(int(sum((c > 0.0).sum() for c in window.counts.values())) for window in self.windows)
         misfit = sum(float(np.sum(self.block(theta, i) ** 2)) for i in range(len(self.trials)))
         squares, products, n = 0.0, 0.0, 0

@@ -1,10 +1,11 @@
 """The solver of all fits of the law, and the intervals of its unknowns.
 
-A fit defines a `LawProblem`; `descend` solves it, and `half_widths` returns the intervals of its unknowns,
-which hold even if the law is wrong. Every unknown has two standard deviations. The statistical one follows
-from the information of data and priors and holds if the law is right. The resampled one is the change of the
-estimate with other data, to first order. The interval follows the resampled one if it is wider by more than
-chance.
+A fit defines a `LawProblem`; `descend` solves it, and `half_widths` returns the intervals of its unknowns.
+The intervals hold even if the law is wrong. Every unknown has two standard deviations. The statistical
+deviation follows from the information of data and priors, and holds if the law is right. The resampled
+deviation is the change of the estimate with other data, to first order. If the resampled deviation gives an
+interval that is wider by more than chance, this interval is used. Otherwise the interval of the statistical
+deviation is used.
 """
 
 from __future__ import annotations
@@ -44,7 +45,7 @@ class LawProblem(Protocol):
         """Replace the weights of the data by weights from their residuals."""
 
     def variance(self, theta: Array) -> float:
-        """Return the data's variance over that of independent data with the assumed deviations."""
+        """Return the ratio of the data's variance to the variance that the assumed deviations would give."""
 
     def resampling_groups(self) -> Sequence[NDArray[np.intp]]:
         """Return the groups of rows that are resampled together."""

@@ -1,8 +1,8 @@
-"""Widening of intervals by the systematic errors of a kind of recording, which more data do not reduce.
+"""Widening of intervals by systematic errors of a kind of recording; more data do not reduce such errors.
 
 If a vehicle turns during the contact, its guards slide faster or slower than its centre. The law describes a
-point, its friction depends on the centre's velocity, and flights at one speed do not determine a lever arm
-(docs/results/real_data.md). The interval of the coefficient therefore includes the possible effect of the
+point: its friction depends on the velocity of the centre. Flights at one speed do not determine a lever arm
+(docs/results/real_data.md). The intervals of the coefficients therefore include the possible effect of the
 rotation.
 """
 

@@ -177,8 +177,9 @@ def _number(cell: str, name: str, source: str, line: int) -> float:
 def read_ulog(path: Path, reading: TrialReading) -> list[Trial]:
     """Read a PX4 ULog: local position and velocity, and the force along the normal from the IMU.
 
-    The force is the mass times the horizontal specific force minus its mean before the impact, which is the
-    contribution of thrust and tilt in a steady approach. In a drop it is the specific force itself.
+    At a wall, the mean horizontal specific force before the impact is subtracted, because thrust and tilt
+    cause it in a steady approach. The mass times the rest is the force. In a drop, the specific force itself
+    is read.
 
     Raises:
         InputError: pyulog is missing, the file is not a ULog, topics are missing, or no wall was given.
@@ -235,7 +236,7 @@ def read_flight(path: Path, reading: TrialReading) -> list[Trial]:
     """Return the collisions of a flight log as trials.
 
     Raises:
-        InputError: as for `trials_at_one`, or drops are requested, which no mission contains.
+        InputError: as for `trials_at_one`, or drops are requested: no mission contains drops.
     """
     if reading.drop:
         raise InputError(

@@ -51,8 +51,8 @@ class Trial:
         acceleration_m_s2: acceleration along the normal in free flight: 0 at a wall, -9.81 in a drop.
         height_m: height of a drop, if known.
         position_measured: whether `normal_m` was recorded; if not, it is integrated from `normal_m_s`.
-        allowance: coefficient -> relative systematic error of this kind of recording, which widens the
-            interval.
+        allowance: coefficient -> relative systematic error of this kind of recording; it is added to the
+            coefficient's interval.
         flown: the vehicle that flew; None if the recording does not contain it (a flight log does).
         turn_rad_s: largest yaw rate during the contact; None if not recorded.
         notes: one line for each missing part of the recording.
@@ -90,11 +90,12 @@ class TrialReading:
         surface: for a flight, only collisions with this material are used; None: all collisions must be with
             one material.
         drop: whether gravity acts along the normal.
-        contact_distance_m: distance from the surface to the centre at first touch, subtracted from the normal
-            position; 0 if positions already count from first touch.
+        contact_distance_m: distance between the surface and the vehicle's centre when the vehicle first
+            touches the surface. It is subtracted from the normal positions. 0 if the positions already count
+            from first touch.
         columns: our column name -> header in the file.
-        wall: for logs in local NED: north and east (m) of a place of the vehicle's centre at first touch, and
-            the heading of the wall's outward normal, degrees.
+        wall: for logs in local NED: north and east (m) of the vehicle's centre when the vehicle touches the
+            wall, and the heading of the wall's outward normal, degrees.
         mass_kg: vehicle mass to use instead of the configuration's.
         height_m: height of drops, if known.
     """

@@ -2,8 +2,9 @@
 
 A window has two parts. In *free flight* a sample beyond five deviations is a recording error and is ignored.
 In *contact* that test would be wrong, because a deviation there usually comes from the law. The contact
-therefore has its own scale, estimated from its own residuals. Its outlying samples are weighted down (Huber).
-Only single samples between good neighbours are set aside, at most a tenth of a contact, and counted.
+therefore has its own scale, estimated from its own residuals. Its outlying samples get smaller weights
+(Huber). A sample in contact is set aside only if the samples before and after it fit well. At most a tenth of
+a contact is set aside, and the number is reported.
 """
 
 from __future__ import annotations

@@ -98,7 +98,7 @@ def _landed(log: ULogFile, track: Track) -> list[tuple[float, float]]:
 
 
 def height_at(track: Track, t_s: float) -> float:
-    """Return the height above that at the begin of the log, metres; NaN if PX4 has no estimate."""
+    """Return the height since the begin of the log, where it is 0, metres; NaN if PX4 has no estimate."""
     if not track.position_s.size:
         return math.nan
     down = track.position[:, 2]

@@ -1,4 +1,4 @@
-"""The force estimator and the impact detector run over one log, and the impacts that they detect."""
+"""Detection of the impacts in one log, by the flight core's force estimator and impact detector."""
 
 from __future__ import annotations
 
@@ -57,12 +57,13 @@ class InspectedImpact(msgspec.Struct):
         force_sd_n: standard deviation of `force_n`.
         direction_deg: direction of the force, clockwise from north.
         clipped: whether the accelerometer saturated, so that the peak is a lower bound.
-        kind: `impact`; `touch-down` if PX4 reports a landing shortly after; `crash` after a fall, and for
-            seconds after it. `untold` means that a manoeuvre cannot be excluded: the peak is below four
-            standard deviations, a crash precedes it, or the thrust is unknown (`is_thrust_known`) and the
-            vehicle does not hover.
+        kind: `impact`, or one of the following. `touch-down`: PX4 reports a landing shortly after the impact.
+            `crash`: the impact ends a fall, or follows such an impact within seconds. `untold`: a manoeuvre
+            cannot be excluded, because the peak is below four standard deviations, because the vehicle has
+            crashed before, or because the thrust is unknown (`is_thrust_known`) and the vehicle does not
+            hover.
         speed_m_s: horizontal speed before the impact.
-        height_m: height above that at the begin of the log by PX4's estimate, or None.
+        height_m: height by PX4's estimate, which is 0 at the begin of the log, or None.
     """
 
     t_s: float
@@ -99,8 +100,8 @@ class Estimated(NamedTuple):
     def beyond_thrust(self) -> Vec2:
         """Return the horizontal force that no thrust explains, newton, mission frame.
 
-        A log's thrust is fitted or assumed, from commands at 10 Hz. Without a contact, the
-        accelerometer may measure anything from nothing to full thrust along the thrust axis.
+        The thrust is fitted or assumed, and the log contains its commands at 10 Hz only. Any force along the
+        thrust axis from zero to full thrust may therefore be thrust and not a contact.
         """
         could_n = max(0.0, min(self.full_n, self.along_n)) - self.thrust_n
         x, y, _ = self.force.force_mission
@@ -117,9 +118,9 @@ class ThresholdCrossing(msgspec.Struct):
         onset: the onset that the detector reported.
         threshold_n: the crossed threshold.
         peak: the fitted peak; None if the log ends before the peak is known.
-        beyond_thrust: whether no thrust of the motors explains the crossing. The part beyond the thrust must
-            have half of the impulse up to the peak, or exceed the threshold in a mean over the detector's
-            short window.
+        beyond_thrust: whether no thrust of the motors explains the crossing. This is the case if the part of
+            the force beyond the thrust has half of the impulse up to the peak. It is also the case if the
+            mean of this part over the detector's short window exceeds the threshold.
         noise_n: noise of the mean over the detector's short window.
         level: horizontal component of the thrust's direction, 0 for a level vehicle.
     """
@@ -169,8 +170,8 @@ def short_samples(vehicle: VehicleConfig) -> int:
 class InspectedFlight(msgspec.Struct):
     """The impacts and the noise of one log; forces are None without a mass.
 
-    `weak` counts threshold crossings that are no impacts: the fitted peak stayed below the threshold, or an
-    error of the thrust explains the force. `untold` counts the impacts of kind `untold`, which may be
+    `weak` counts threshold crossings that are not impacts, because the fitted peak is below the threshold or
+    an error of the thrust explains the force. `untold` counts the impacts of kind `untold`, which may be
     manoeuvres or contacts.
     """
 
@@ -212,7 +213,7 @@ class InspectedSeries(msgspec.Struct):
 
 
 class ImpactScan:
-    """The force estimator and the impact detector over one log.
+    """A scan of one log for impacts, by the force estimator and the impact detector.
 
     Args:
         vehicle: the result of `vehicle_for`.
@@ -420,7 +421,7 @@ def _thrust_sd(track: Track, curve: SpecificThrust | None, t_s: float) -> float:
 
 
 def falls(track: Track, flying: list[tuple[float, float]]) -> list[float]:
-    """Return the times at which a fall ends in a jolt, the first jolt of each fall."""
+    """Return the time of the first jolt at the end of each fall."""
     found: list[float] = []
     jolt = _mean_size(track, _JOLT_S)
     carried = _mean_size(track, _FALLING_S)
@@ -444,7 +445,11 @@ def _mean_size(track: Track, window_s: float) -> Array:
 
 
 def _with_crashes(impacts: list[InspectedImpact], crashes: list[InspectedImpact]) -> list[InspectedImpact]:
-    """Return all impacts in order: a crash replaces those during it, and later ones are `untold`."""
+    """Return all impacts in order, with the crashes.
+
+    A crash replaces the impacts of its fall. Impacts in the next seconds are part of the crash, and later
+    impacts are `untold`.
+    """
     kept = list(crashes)
     for impact in impacts:
         since_s = [impact.t_s - crash.t_s for crash in crashes if impact.t_s >= crash.t_s - _FALLING_S]

@@ -42,8 +42,8 @@ def inspect_log(
 ) -> InspectedFlight:
     """Detect the impacts in an open log, as `inspect_file` does.
 
-    `listen` is called with the estimator's vehicle and the flights; it returns the function that receives
-    every estimate.
+    The function `listen` is called with the estimator's vehicle and the flights, and returns a second
+    function. The second function receives every estimate.
     """
     refuse_other_vehicles(log)
     unknown = missing(log)

@@ -14,7 +14,9 @@ _TRIAL_BEFORE_S, _TRIAL_AFTER_S = 0.5, 0.4
 
 
 def write_trials(flight: InspectedFlight, folder: Path) -> list[Path]:
-    """Write every impact of a flight as a CSV trial for `identify`, in the collision frame of its own force.
+    """Write every impact of a flight as a CSV trial for `identify`.
+
+    The collision frame of a trial follows from the direction of the impact's force.
 
     Normal positions count from the vehicle's position at the onset. Without a mass there is no force column.
     """

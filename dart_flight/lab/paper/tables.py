@@ -65,7 +65,7 @@ def drop_rows(vehicle: VehicleConfig) -> Iterator[DropRow]:
     """Yield the drop tests for both heights, modes and onset rules.
 
     Raises:
-        KeyError: the configuration has no concrete.
+        KeyError: the configuration has no material `concrete`.
     """
     for onset in Onset:
         for row in DROPS:
@@ -165,7 +165,10 @@ DUAL_PUBLISHED = ((-0.6, 0.5), (-1.6, 0.25))
 
 
 def dual_rows(vehicle: VehicleConfig) -> Iterator[DualRow]:
-    """Yield the paper's dual collision by the flight model, with PX4's default parameters."""
+    """Yield the impacts of the paper's dual collision, as published and as the flight model predicts them.
+
+    The flight model has PX4's default parameters.
+    """
     mission = load_mission(packaged("missions", DUAL_MISSION), packaged("configs", "dart.yaml"))
     mission = msgspec.structs.replace(mission, vehicle=vehicle)
     hits = predict_mission(mission).hits
@@ -193,7 +196,7 @@ def flight_rows(vehicle: VehicleConfig) -> Iterator[FlightRow]:
     """Yield the collision in flight of Sec. V-A for both modes and onset rules.
 
     Raises:
-        KeyError: the configuration has no acrylic.
+        KeyError: the configuration has no material `acrylic`.
     """
     mass = vehicle.airframe.mass_kg
     for onset in Onset:

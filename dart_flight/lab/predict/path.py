@@ -62,7 +62,7 @@ class _Integral:
         return series
 
     def once(self, t: Array) -> Array:
-        """Return the integral from 0 to t (of any sign)."""
+        """Return the integral from 0 to t; t may be negative."""
         early, late = self._outside(t)
         return np.asarray(self._inside(self._once, t) + self._before * early + self._after * late)
 
@@ -79,7 +79,10 @@ class _Integral:
         return at_nodes, self._primitive(at_nodes)
 
     def _inside(self, series: Array, t: Array) -> Array:
-        """Return a series evaluated in the contact, 0 before it, and its value at the end after it."""
+        """Return the value of a series at some times.
+
+        Before the contact the value is 0; after the contact it keeps its last value.
+        """
         value = np.where(t > 0.0, series.sum(), 0.0)
         inside = (t > 0.0) & (t < self._end)
         x = 2.0 * t[inside] / self._end - 1.0
@@ -89,7 +92,7 @@ class _Integral:
         return value
 
     def _outside(self, t: Array) -> tuple[Array, Array]:
-        """Return the time before the contact (negative) and after it."""
+        """Return the time before the onset (negative, else 0) and the time after the contact (else 0)."""
         return np.minimum(t, 0.0), np.maximum(t - self._end, 0.0)
 
 

@@ -186,7 +186,7 @@ def drop_contact(condition: Condition, height_m: float) -> ContactMotion:
     """Return the first contact of a drop over time.
 
     Raises:
-        InputError: the height is not above 0 and up to 100 m.
+        InputError: the height is not above 0, or exceeds 100 m.
     """
     if not 0.0 < height_m <= 100.0:
         raise InputError(f"{height_m:g} m, expected a height above 0 and up to 100", key=("drop",))

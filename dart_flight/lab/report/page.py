@@ -372,7 +372,7 @@ def _mean(values: Sequence[float]) -> tuple[float, float]:
 
 
 def beyond(disagreement: dict[str, tuple[float, float]]) -> bool:
-    """Return whether one of a material's peak forces deviates by more than chance and measurement errors."""
+    """Return whether a material's peak forces differ from the law by more than chance and errors explain."""
     return any(abs(mean) > max(half, AGREES) for mean, half in disagreement.values())
 
 

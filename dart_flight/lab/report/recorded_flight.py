@@ -63,7 +63,9 @@ class Compared(msgspec.Struct):
 
     @property
     def error_percent(self) -> float | None:
-        """The error of the measured value relative to the true, else the predicted, else the planned value.
+        """The error of the measured value relative to the true value, in percent.
+
+        Without a true value it is relative to the predicted value, and without that to the planned value.
 
         It is None for a velocity near 0, where a ratio is meaningless.
         """

@@ -104,7 +104,10 @@ def setpoint_series(course: FlightArrays) -> SetpointSeries:
 
 
 def in_force(times: Array, at_s: Array) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
-    """Return, for each of `at_s`, the index of the latest of `times` up to it, and whether one exists."""
+    """Return the index in `times` that is current at each of `at_s`, and whether there is one.
+
+    The current index is that of the latest time that is not after the given time.
+    """
     index = np.searchsorted(times, at_s, side="right") - 1
     return np.maximum(index, 0), index >= 0
 
@@ -155,7 +158,7 @@ def power(course: FlightArrays, mission: Mission) -> Power:
 
 
 def stretches(moments: list[tuple[float, V]], end: float) -> list[tuple[float, float, V]]:
-    """Return (begin, end, value) for values that each hold until the next, the last until `end`."""
+    """Return (begin, end, value); each value ends where the next begins, and the last value ends at `end`."""
     stops = [t for t, _ in moments[1:]] + [end] if moments else []
     return [(t, stop, value) for (t, value), stop in zip(moments, stops, strict=True)]
 

@@ -210,7 +210,7 @@ def _goal(mission: Mission, t_us: int) -> SceneEntity:
 
 
 def goal_altitude_m(mission: Mission) -> float:
-    """Return the altitude at the end of the flight, which waypoints may have changed."""
+    """Return the altitude at the end of the flight; waypoints may change the altitude before."""
     return mission.altitude_at(len(mission.collisions))
 
 

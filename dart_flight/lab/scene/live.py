@@ -1,4 +1,4 @@
-"""The flight's end of a live view, which passes on records without ever waiting for viewers.
+"""The part of a live view in the flight's process: it passes on records and never waits for viewers.
 
 On the flight's own thread a record costs a type check and an append. A thread of this module downsamples,
 encodes and writes to a non-blocking pipe; records that do not fit are dropped and counted. Translation,
@@ -41,7 +41,7 @@ class LiveViewSpec(msgspec.Struct):
         mission: the mission with its room and vehicle.
         host, port: address to listen at.
         show_room: whether to show the mission's room.
-        frame_known: whether the mission frame is known from the beginning, from the mission.
+        frame_known: whether the mission frame is at its specified place from the beginning of the flight.
         from_truth: whether to show only a simulated vehicle, at its true pose.
     """
 

@@ -11,16 +11,16 @@ from dart_flight.planning.rollout import MIN_FACTOR, UncertaintyDraw, draw_wall
 
 
 def predict_with_draws(mission: Mission, count: int = 40, seed: int = 1) -> list[PredictedFlight]:
-    """Predict the path of a mission for drawn k, f and mu of every wall and mode, and drawn wall positions.
+    """Predict the path of a mission for many sets of walls that differ at random from the mission's.
 
-    The coefficients are drawn around those of the configuration, with the relative standard deviation
-    `estimation.walls.spread` (the prior of a wall). Positions and directions are drawn if a wall has an
-    uncertainty. Approaches stay as planned.
+    k, f and mu of every wall and mode differ from the configuration's by the relative standard deviation
+    `estimation.walls.spread` (the prior of a wall). If the mission gives a wall an uncertainty, its position
+    and direction differ too. Approaches stay as planned.
 
     Args:
         mission: supplies approaches, modes and gains.
-        count: number of draws.
-        seed: seed of the draws.
+        count: number of sets.
+        seed: seed of the random differences.
     """
     rng, spread = np.random.default_rng(seed), mission.vehicle.estimation.walls.spread
     place_rng = np.random.default_rng([seed, 1])  # separate, so that the coefficients do not depend on it

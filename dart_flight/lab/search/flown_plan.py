@@ -1,7 +1,8 @@
 """Simulated flights of plans in the fast world, and the choice of the plan to offer; used by `plan`.
 
-`fly_mission` flies a mission once nominally and twenty times in drawn worlds. `choose_flown` compares flights
-with and without hits from take-off to landing, so the touches that a mission needs count too.
+`fly_mission` flies a mission once nominally, and twenty times in worlds that differ from it at random
+(docs/draws.md); these are called drawn worlds. `choose_flown` compares the times with and without hits from
+take-off to landing. The times therefore include the touches that a mission needs.
 """
 
 from __future__ import annotations
@@ -66,7 +67,7 @@ def fly_in_process(
 def fly_mission(
     mission: Mission, done: Done = lambda verdict: None, fly: FlyMany = fly_on_all_cores
 ) -> FlownMission:
-    """Fly a mission once nominally and, if that succeeds, in twenty drawn worlds.
+    """Fly a mission once nominally. If that flight succeeds, fly the mission in twenty drawn worlds.
 
     Args:
         mission: the mission as loaded from its file.
@@ -107,7 +108,10 @@ def fly_mission(
 
 
 def compare(colliding: FlownMission, free: FlownMission) -> FlownRecord:
-    """Return the colliding mission's record with its median saving in the worlds that both completed."""
+    """Return the record of the mission with hits, and in it the median time that the hits save.
+
+    The median is over the drawn worlds in which both missions were completed.
+    """
     both = colliding.times_s.keys() & free.times_s.keys()
     saving_s = statistics.median(free.times_s[k] - colliding.times_s[k] for k in both) if both else None
     drawn = free.record.drawn
@@ -144,8 +148,9 @@ def choose_flown(
 ) -> OfferedPlan:
     """Fly the plans of a search in simulation and choose the one to offer.
 
-    A colliding plan that flies is offered if it saves time from take-off to landing, or if the scenario
-    demands its hits or touches. A plan that flies only after touching its walls is offered with touches.
+    A plan with hits must succeed in simulation. It is then offered if it saves time from take-off to landing,
+    or if the scenario demands its hits or touches. If the plan succeeds only after touching its walls, it is
+    offered with touches.
 
     Args:
         result: result of the search.

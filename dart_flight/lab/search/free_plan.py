@@ -103,8 +103,8 @@ def straight_time_s(length_m: float, limits: MotionLimits) -> float:
 def rest_at_s(place: Vec2, velocity: Vec2, goal: Vec2, limits: MotionLimits) -> float:
     """Return the time from passing a goal at some velocity until the vehicle rests at the goal.
 
-    Each axis gets a share of the limits, which makes the time of a colliding plan too long rather than too
-    short. A velocity above the speed limit is reduced to the limit.
+    Each axis gets only a share of the limits. The time of a plan with hits may therefore be too long, but is
+    never too short. A velocity above the speed limit is reduced to the limit.
     """
     speed = math.hypot(*velocity)
     most = _AXIS * limits.speed_m_s

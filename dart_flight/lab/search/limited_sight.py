@@ -1,4 +1,4 @@
-"""Plans for a wall that is detected late: cruise as fast as a stop before the wall, or a hit, allows.
+"""Plans for a wall that is detected late: the cruise is as fast as a later stop or a hit permits.
 
 Until the wall is detected, and during the reaction time, the flight cruises straight towards it. A flight
 without a hit cruises at the highest speed from which it can stop (`safe_speed_m_s`). A colliding flight
@@ -56,7 +56,9 @@ def safe_speed_m_s(limits: MotionLimits, room_m: float, reaction_s: float) -> fl
 def plan_limited_sight(
     scenario: Scenario, progress: Callable[[int, int], None] = lambda done, of: None
 ) -> QuickestResult:
-    """Plan both flights of a scenario with `sight`; the faster one is best, unless the hit is demanded.
+    """Plan the flights with and without a hit for a scenario with `sight`.
+
+    If the scenario demands the hit, the flight with the hit is the best plan; otherwise the faster flight is.
 
     Args:
         scenario: a scenario with one wall, in front of the start.

@@ -104,8 +104,9 @@ def trajectory_keys(
 
 
 def _with_touches(collisions: list[dict[str, Any]], speed_m_s: float, start: Vec2) -> dict[str, Any]:
-    """Return the keys of a mission that first touches each wall to be hit, and rests at its start after each
-    touch.
+    """Return the keys of a mission that touches its walls before it hits them.
+
+    Each wall to be hit is touched once, and the vehicle rests at the start after each touch.
 
     The touches measure each wall's direction and vertical force. Without touches, a first hit succeeds only
     up to 2 m/s (docs/results/faster_hits.md), and a hit of a rotated wall turns the vehicle.
@@ -125,7 +126,7 @@ def _with_touches(collisions: list[dict[str, Any]], speed_m_s: float, start: Vec
 
 
 def _rounded(leg: TrajectoryPieces) -> dict[str, Any]:
-    """Return a trajectory with rounded numbers, which changes its end by a few micrometres."""
+    """Return a trajectory with rounded numbers; rounding moves the trajectory's end by a few micrometres."""
     pieces = [[round(t, 5), round(jx, 4) + 0.0, round(jy, 4) + 0.0] for t, jx, jy in leg.pieces]
     vectors = ("position_m", "velocity_m_s", "acceleration_m_s2")
     return {name: [round(v, 5) + 0.0 for v in getattr(leg, name)] for name in vectors} | {"pieces": pieces}
@@ -134,8 +135,8 @@ def _rounded(leg: TrajectoryPieces) -> dict[str, Any]:
 def recovery_gains(vehicle: VehicleConfig, wall: Wall, hit: TrajectoryHit) -> Vec2:
     """Return the gains (A_n, A_t) of the setpoint between a hit's peak and the replanned trajectory, m/N.
 
-    At the outgoing velocity these gains make PX4's position loop command the thrust per mass of the hit, u =
-    a + drag v, so that kv (kp A F - v) = u.
+    The thrust per mass shall stay as it is at the hit, u = a + drag v. With the gain A, the peak force F and
+    the outgoing velocity v, PX4's position loop commands kv (kp A F - v). The gains make both equal.
     """
     response, px4 = ContactResponse.at_wall(vehicle, wall, hit.mode), vehicle.px4
     drag_n, drag_t = drag_along(wall, vehicle.airframe.drag_per_s)

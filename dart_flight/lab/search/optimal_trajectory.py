@@ -5,9 +5,9 @@ Between two events the jerk is constant over each of several equal intervals. Po
 acceleration are therefore polynomials, exact at the intervals' ends (direct multiple shooting). The duration
 of each part is free. A hit changes the velocity by the contact law in closed form (`ContactResponse`) and
 takes the contact's time. For `dead_s` after the hit the thrust stays constant, because the attitude cannot
-jump and the next leg is planned meanwhile. The drag follows the velocity. CasADi states the problem and its
-derivatives, and IPOPT solves it (extra `plan`). Each part of a path stays inside half-planes and outside
-discs, which keeps it clear of walls and posts.
+jump and the next leg is planned meanwhile. The drag is proportional to the velocity. CasADi states the
+problem and its derivatives, and IPOPT solves it (extra `plan`). To keep clear of walls and posts, each part
+of a path stays inside half-planes and outside discs.
 """
 
 from __future__ import annotations
@@ -67,9 +67,10 @@ class HitLimits(NamedTuple):
         sliding_m_s: largest velocity along the wall.
         friction_ratio: largest ratio of friction to normal force.
         detectable_n: smallest normal force that is detected.
-        thrust_m_s2: (smallest, largest) thrust per mass away from the wall at the hit, by mode. The contact
-            rotates a tilted vehicle, further the longer it lasts. With flexible arms the vehicle turns over
-            and loses its velocity unless it is nearly level (docs/results/faster_hits.md).
+        thrust_m_s2: (smallest, largest) thrust per mass away from the wall at the hit, by mode. If the
+            vehicle is tilted, the contact rotates it, and a longer contact rotates it further. If the arms
+            are flexible and the vehicle is not nearly level, it turns over and loses its velocity
+            (docs/results/faster_hits.md).
         thrust_along_m_s2: largest thrust per mass along the wall at the hit.
     """
 
@@ -88,10 +89,10 @@ class ContactResponse(NamedTuple):
     Attributes:
         restitution: outgoing over incoming normal velocity.
         contact_s: duration of the contact.
-        lead_s: distance before the plane at which the force begins and ends, divided by the speed
-            (`onset: lcp`).
+        lead_s: with `onset: lcp`, the force begins and ends at a distance before the plane; `lead_s` is this
+            distance, divided by the speed.
         peak_n_per_m_s: peak of the normal force, divided by the incoming velocity.
-        friction_s_per_m: decay of the velocity along the wall, which a hit multiplies by
+        friction_s_per_m: decay of the velocity along the wall. A hit multiplies this velocity by
             exp(-friction_s_per_m * incoming velocity).
         mu_s_per_m: friction over normal force, divided by the velocity along the wall.
     """
@@ -141,7 +142,7 @@ class Hit(NamedTuple):
     """A wall to hit.
 
     Attributes:
-        visit: place that the hit must pass; None: the hit passes no visit.
+        visit: place to be passed that the hit passes; None if the hit passes no such place.
         guess: initial guess of the position.
         velocity_m_s: (normal, tangential) velocity of the hit; None: the solver chooses it.
     """
@@ -328,7 +329,7 @@ class _Transcription:
         self.require(away / visit.within_m**2, -math.inf, 1.0)
 
     def add_hit(self, event: Hit, before: Any, after: Any) -> None:
-        """Connect the onset of a hit, over release and dead time, to the begin of the next leg."""
+        """Connect the onset of a hit to the begin of the next leg, through release and dead time."""
         ca, wall, limits = self.ca, event.wall, self.problem.hits
         response = ContactResponse.at_wall(self.problem.vehicle, wall, event.mode)
         n, t = ca.DM(wall.normal), ca.DM(wall.tangent)
@@ -402,8 +403,8 @@ def solve(problem: Problem, intervals: int = INTERVALS, tolerance: float = 1e-6)
     Args:
         problem: events and limits.
         intervals: number of intervals of constant jerk in each part.
-        tolerance: tolerance of the solver; 1e-4 costs 2 ms in a flight of 6 s and saves 80 % of the
-            iterations.
+        tolerance: tolerance of the solver. With 1e-4 the duration of a flight of 6 s is inaccurate by 2 ms,
+            and 80 % of the iterations are saved.
 
     Raises:
         InputError: CasADi is not installed.

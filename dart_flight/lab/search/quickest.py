@@ -120,7 +120,7 @@ def plan_quickest(
 
     Args:
         scenario: visits, walls, limits, and the demanded hits if it names a sequence.
-        within_s: time limit, after which the best plan found is returned, polished.
+        within_s: time limit of the search, seconds; the best plan found until then is refined and returned.
         progress: called with the number of computed sequences and the number of known sequences.
 
     Raises:
@@ -147,7 +147,7 @@ def best_of(scenario: Scenario, free: QuickestPlan | None, colliding: QuickestPl
     """Return the fastest plan that a scenario allows.
 
     Raises:
-        InputError: the scenario allows neither plan.
+        InputError: the scenario allows neither the plan with hits nor the plan without.
     """
     demanded = _demanded(scenario)
     found = [colliding] if demanded else [free, colliding]
@@ -185,7 +185,7 @@ def room_of(scenario: Scenario) -> tuple[HalfPlane, ...]:
 
 
 def first_mode(scenario: Scenario) -> Mode:
-    """Return the mode to try first, which loses the least velocity."""
+    """Return the mode to try first: the mode in which a hit loses the least velocity."""
     return Mode.FLEXIBLE if Mode.FLEXIBLE in scenario.modes else scenario.modes[0]
 
 
@@ -230,7 +230,10 @@ class LeastTimes:
         return max(float(ramped_s), length_m / self._limits.speed_m_s)
 
     def _to_speed(self, end: LegEnd, leaving: bool, levels: bool) -> tuple[Array, Array]:
-        """Return time and distance from an end to each speed; `levels`: at zero acceleration there."""
+        """Return the time and the distance that the motion from an end of a leg needs to reach each speed.
+
+        If `levels`, the acceleration is zero when the speed is reached.
+        """
         v, a, j = self._speeds, self._limits.acceleration_m_s2, self._limits.jerk_m_s3
         zero = np.zeros_like(v)
         if end is LegEnd.ANY or (end is LegEnd.HIT and not leaving):
@@ -407,7 +410,10 @@ class _Search:
     # -- flights --
 
     def _solved(self, events: tuple[Event, ...]) -> QuickestPlan | None:
-        """Return the plan for comparison in the search, a few milliseconds inaccurate and cached."""
+        """Return the plan of a sequence, for comparison with other sequences.
+
+        The duration of the plan is inaccurate by a few milliseconds. Each plan is computed once and kept.
+        """
         if events not in self._compared:
             self._compared[events] = self._computed_plan(events, INTERVALS, _COMPARED_TO)
         return self._compared[events]
@@ -483,7 +489,7 @@ def _count_hits(events: Sequence[Event]) -> int:
 
 
 def _serves(wall: Wall, visit: Visit) -> bool:
-    """Return whether a hit at a wall can pass a place."""
+    """Return whether a vehicle that hits a wall can pass a place in the same moment."""
     off_m = math.hypot(wall.signed_distance(visit.place), min(0.0, wall.end_distance_m(visit.place)))
     return off_m <= visit.within_m
 

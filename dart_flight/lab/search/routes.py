@@ -1,8 +1,8 @@
 """Shortest polylines past walls and posts, and the regions that keep each of their parts clear.
 
-Each part of a path stays on one side of every wall: in a half-plane in front of the wall or behind it. Past a
-wall's end, a part stays beyond the end. It keeps half a vehicle plus a margin away from the edge, as from a
-post.
+Each part of a path stays on one side of every wall: in a half-plane in front of the wall or behind it. If a
+part leads past a wall's end, it stays beyond the end, and keeps half a vehicle plus a margin away from the
+edge, as from a post.
 """
 
 from __future__ import annotations
@@ -63,9 +63,9 @@ def shortest_path(begin: Vec2, end: Vec2, obstacles: Obstacles) -> list[Vec2] | 
 
 
 def least_length_m(begin: Vec2, end: Vec2, obstacles: Obstacles) -> float:
-    """Return a lower bound on the length of clear paths, which go around the edges of walls.
+    """Return a lower bound on the length of the paths that go around the edges of walls.
 
-    Posts are ignored, which keeps the result a lower bound.
+    Posts are ignored. The result is still a lower bound, because posts only lengthen a path.
     """
     tips: list[Vec2] = []
     for wall in obstacles.walls:
@@ -102,7 +102,7 @@ def _shortest_through(places: Sequence[Vec2], blocked: Callable[[Vec2, Vec2], bo
 
 
 def _edge(wall: Wall) -> tuple[Vec2, Vec2]:
-    """Return the two ends of a wall's face, half a vehicle behind the plane of the vehicle's centre."""
+    """Return the two ends of a wall's face, which is half a vehicle behind the wall's plane."""
     (nx, ny), back = wall.normal, wall.half_vehicle_m
     middle = (wall.point[0] - back * nx, wall.point[1] - back * ny)
     left, right = (_moved_along(wall, middle, side * 0.5 * wall.length_m) for side in (-1.0, 1.0))
@@ -125,7 +125,7 @@ def _crosses(wall: Wall, a: Vec2, b: Vec2) -> bool:
 
 
 def _corners_around_ends(wall: Wall) -> Iterator[Vec2]:
-    """Yield corners around a wall's ends, in front of it and behind it, at the clearance from its plane."""
+    """Yield corners around a wall's ends, in front of the wall and behind, at the clearance from the wall."""
     (tx, ty), (nx, ny), reach = wall.tangent, wall.normal, 0.5 * wall.length_m
     for side, face in itertools.product((-1.0, 1.0), (-1.0, 1.0)):
         tip = (wall.point[0] + side * reach * tx, wall.point[1] + side * reach * ty)
@@ -134,7 +134,7 @@ def _corners_around_ends(wall: Wall) -> Iterator[Vec2]:
 
 
 def _corners_around_disc(disc: Disc) -> Iterator[Vec2]:
-    """Yield corners around a disc whose connecting lines stay outside of it."""
+    """Yield corners around a disc; the lines that connect the corners stay outside of the disc."""
     step = 2.0 * math.pi / _AROUND
     radius = (disc.radius_m + _ON_LINE_M) / math.cos(0.5 * step)
     for k in range(_AROUND):
@@ -147,7 +147,7 @@ def _within_bounds(places: Sequence[Vec2], bounds: BoundsSpec) -> list[Vec2]:
 
 
 def _cuts(disc: Disc, a: Vec2, b: Vec2) -> bool:
-    """Return whether a straight path enters a disc; from a place inside, whether it leads further in."""
+    """Return whether a straight path enters a disc and comes nearer to the centre than both of its ends."""
     nearest_m = distance_to_segment(disc.centre, a, b)
     return nearest_m < min(disc.radius_m, distance2(a, disc.centre), distance2(b, disc.centre))
 
@@ -168,7 +168,10 @@ def _on_one_side_each(path: list[Vec2], walls: Sequence[Wall], bounds: BoundsSpe
 
 
 def _fits(a: Vec2, b: Vec2, wall: Wall) -> bool:
-    """Return whether a straight path is on one side of a wall, in front of it if it begins or ends there."""
+    """Return whether a straight path is on one side of a wall.
+
+    If the path begins or ends at the wall, it must be in front of the wall.
+    """
     if _is_at(wall, a) or _is_at(wall, b):
         return min(wall.signed_distance(a), wall.signed_distance(b)) >= 0.0
     return max(_inside(a, b, wall)) >= 0.0
@@ -212,9 +215,9 @@ def regions(
     """Return regions that contain the straight path between two places and are clear of all walls and posts.
 
     Args:
-        begin, end: ends of the path, which must be unobstructed.
+        begin, end: ends of the path. The path must be unobstructed.
         obstacles: all obstacles.
-        touched: walls hit at the begin or end of the path, which may reach their plane.
+        touched: walls hit at the begin or end of the path; the path may reach the planes of these walls.
         after_hit: whether a hit was the previous event.
     """
     found: list[Region] = [*obstacles.discs]

@@ -64,8 +64,9 @@ class GridSpec(Section, frozen=True):
     """Evenly spaced velocities, both ends included.
 
     Attributes:
-        min, max: m/s.
-        step: m/s; must divide the range.
+        min: lowest velocity, m/s.
+        max: highest velocity, m/s.
+        step: difference between neighbouring velocities, m/s; must divide the range.
     """
 
     min: Annotated[float, Meta(ge=-20.0, le=20.0)]
@@ -115,7 +116,7 @@ class Uncertainty(Section, frozen=True):
     """Standard deviations for the objective `robust`.
 
     Attributes:
-        samples: number of draws; every candidate gets the same draws.
+        samples: number of random sets of values (draws); every candidate is evaluated with the same sets.
         k, f, mu: relative standard deviation of the contact coefficient.
         approach_m_s: standard deviation of each component of the approach velocity.
         detection_delay_s: standard deviation of the time between force peak and setpoint.
@@ -135,10 +136,10 @@ class ScenarioFile(SpaceKeys, frozen=True, kw_only=True):
     Attributes:
         version: version of the file format.
         walls: the walls by name; walls outside the sequence are obstacles.
-        posts: the posts by name, which are obstacles; only with the objective quickest.
-        touch_m_s: speed at which the flight first touches each wall to be hit, from the start and back. The
-            touches measure the direction of the walls and their vertical force. Without this key the flight
-            makes no touches; only with the objective quickest.
+        posts: posts by name, as obstacles; only with the objective quickest.
+        touch_m_s: speed of touches before the hits; only with the objective quickest. Each wall to be hit is
+            first touched at this speed, from the start and back to the start. The touches measure the
+            direction of the walls and their vertical force. Without this key there are no touches.
         sequence: walls in the order of the hits: up to four, or up to 16 with the objective quickest. `any`:
             the planner chooses walls and order, and with the objective quickest possibly no wall.
         search: the approaches to try; the objective quickest does not use this key.
@@ -180,7 +181,8 @@ class Scenario(SpaceKeys, frozen=True, kw_only=True):
         spec: the file's content; keys that a mission shares, such as walls, are copied into the mission file.
         vehicle_path: file of the configuration, or None for the default one.
         vehicle_source: source of the configuration; None if it was given as an object.
-        walls: planes of the vehicle's centre, by name.
+        walls: walls by name. The plane of a wall is where the vehicle's centre is when the vehicle touches
+            the wall.
         sequences: walls in the order of the hits; several if the file contains `any`.
         chosen_by_planner: whether the planner chooses the sequence.
         normal_m_s, tangential_m_s: the grid of approach velocities, collision frame of the first wall.

@@ -96,12 +96,13 @@ class Plan(msgspec.Struct, frozen=True):
         normal_m_s, tangential_m_s: approach of the first collision.
         goal_miss_m: closest approach to the goal after the last contact, at nominal values.
         time_to_goal_s: time from `start` over transit, run-up and flight to the closest approach, plus the
-            remaining distance to the goal at transit speed.
+            time for the remaining distance to the goal at transit speed.
         peak_force_n: largest force of any contact, normal and friction together.
         closest_m: position of the closest approach, mission frame.
-        expected_miss_m, worst_miss_m: mean and largest miss of the goal over the draws, only for `robust`. A
-            draw in which the plan fails counts as the distance from start to goal, at least 1 m.
-        failed_draws: share of the draws in which a constraint stops the plan.
+        expected_miss_m, worst_miss_m: mean and largest miss of the goal over the random sets of values
+            (draws), only for `robust`. If the plan fails in a draw, the miss counts as the distance from
+            start to goal, or as 1 m if that is larger.
+        failed_draws: share of the draws in which the plan fails because it violates a constraint.
         time_to_rest_s: time from `start` until the vehicle rests at the goal, within the limits of the free
             plan.
         saving_s: the free plan's time minus `time_to_rest_s`, negative if the hit is slower. Both times are
@@ -185,7 +186,7 @@ def search(
     Args:
         scenario: the scenario.
         top: number of plans to return.
-        seed: seed of the draws of `robust`.
+        seed: seed of the random sets of values (draws) of `robust`.
         progress: called with the number of finished trajectories and the number of all trajectories.
 
     Raises:
@@ -315,7 +316,7 @@ class ScenarioSearch:
         return out
 
     def _rollout_of_draw(self, planned: Rollout, sequence: tuple[str, ...], draw: UncertaintyDraw) -> Rollout:
-        """Return the rollout with the walls of a draw, or the planned rollout if they do not move."""
+        """Return the rollout with the walls of a draw; if the draw moves no wall, the planned rollout."""
         if not draw.walls:
             return planned
         there = msgspec.structs.replace(self.scenario, walls=self.scenario.walls | draw.walls)

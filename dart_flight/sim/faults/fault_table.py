@@ -247,7 +247,7 @@ def parse_fault(text: str, has_lock: bool = True, has_mocap: bool = True) -> Fau
 
 
 class Trigger:
-    """The trigger of a fault, which begins `after_s` after the mission first reaches the fault's phase."""
+    """The trigger of a fault, `after_s` after the mission first reaches the phase of the fault."""
 
     def __init__(self, fault: Fault) -> None:
         self._fault = fault

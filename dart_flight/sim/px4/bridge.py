@@ -118,7 +118,7 @@ class HilLink:
     def exchange(self, sensor: Any, *others: Any) -> Controls:
         """Send one tick's messages, wait for PX4's answer and return it.
 
-        Before PX4's first answer the wait is short, and the result is the outputs of a disarmed vehicle.
+        Before PX4's first answer, the wait is short, and the outputs of a disarmed vehicle are returned.
 
         Raises:
             Px4LostError: the connection is gone, or PX4 has not answered for 5 s.
@@ -222,7 +222,8 @@ class Px4Vehicle:
         """Advance the plant by one tick of 4 ms with PX4's last outputs, then send its measurements to PX4.
 
         Args:
-            report: whether to send; if not, the next IMU sample is a mean that includes this tick.
+            report: whether to send this tick's measurements. If not, the next IMU sample is a mean that
+                includes this tick.
 
         Raises:
             Px4LostError: as in the link's `exchange`.
@@ -291,7 +292,7 @@ def servo_channel(vehicle: VehicleConfig) -> int:
 
 
 def accelerometer_output(specific_force_m_s2: float, full_scale_m_s2: float) -> float:
-    """Return one axis of HIL_SENSOR, with full scale as the largest count, which PX4 treats as clipping.
+    """Return one axis of HIL_SENSOR; full scale gives the largest count, which PX4 treats as clipping.
 
     A sensor of less than 16 g also saturates, but PX4's simulated driver does not detect that.
     """

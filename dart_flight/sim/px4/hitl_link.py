@@ -3,16 +3,18 @@
 There is no lockstep. PX4 uses its own clock and stamps every HIL_SENSOR, ODOMETRY and HIL_GPS on arrival
 (v1.14 to v1.18), because this link does not answer its TIMESYNC. The time of sending is therefore the stamp:
 
-- Missed ticks are not sent later in a burst, which PX4 would treat as one sample of 20 ms and several of
-zero duration. They are reported as one message with their mean (`Px4Vehicle.step`).
+- Missed ticks are not sent later in a burst, because PX4 would treat a burst as one sample of 20 ms and
+  several samples of zero duration. The missed ticks are reported as one message with their mean
+  (`Px4Vehicle.step`).
 - A message that the port does not accept is dropped as a whole and counted.
 - After a lost HIL_ACTUATOR_CONTROLS the motors keep their last values, as ESCs do after a lost frame.
 - A gap of more than about 75 ms in HIL_SENSOR (measured on v1.18) shifts PX4's vertical estimate by g times
-its length, and the vehicle descends to the ground. In flight such a gap ends the simulation, with that cause.
-The times of sending and PX4's own stamps reveal the gap; outputs that only arrive late are harmless.
+  its length, and the vehicle descends to the ground. In flight such a gap ends the simulation, and the gap is
+  reported as the cause. The times of sending and PX4's own stamps reveal the gap; outputs that only arrive
+  late are harmless.
 
-The link also queries PX4's outputs through PX4's shell: only the simulated outputs may change. This verifies
-that the motors stay off, because v1.18 no longer locks the outputs in this mode.
+PX4 v1.18 no longer locks the real outputs in this mode. To verify that the motors stay off, the link queries
+PX4's outputs through PX4's shell: only the simulated outputs may change.
 """
 
 from __future__ import annotations

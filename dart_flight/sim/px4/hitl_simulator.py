@@ -120,7 +120,10 @@ class HitlSimulator:
         return self._vehicle.time_us
 
     def set_horn(self, pulse_us: float) -> None:
-        """Set the position of the simulated horn, which a model computes while the real servo moves."""
+        """Set the position of the simulated horn.
+
+        A model computes this position while the real servo moves.
+        """
         self._vehicle.set_horn(pulse_us)
 
     def begin_fault(self, fault: Fault) -> None:

@@ -1,9 +1,9 @@
 """Start and stop of a real PX4 (SITL) from the user's own build or installation, for one flight.
 
-PX4 runs in a new working folder, in a separate session, with the first free instance number, which defines
-its ports. Its parameters are set through PX4's own client while PX4 waits for its simulator. Every version
-since v1.14 waits after the airframe's defaults are applied and before estimator and controllers start. The
-user provides PX4; PX4's documentation explains how to build and install it (docs/px4.md).
+PX4 runs in a new working folder and in a separate session. Its instance number is the first free one and
+defines its ports. Its parameters are set through PX4's own client while PX4 waits for its simulator. Every
+version since v1.14 waits after the airframe's defaults are applied and before estimator and controllers
+start. The user provides PX4; PX4's documentation explains how to build and install it (docs/px4.md).
 """
 
 from __future__ import annotations
@@ -151,7 +151,9 @@ def values_of(parameters: Mapping[str, Parameter]) -> dict[str, Value]:
 
 
 def select_parameters(parameters: Mapping[str, Parameter], known: Mapping[str, float]) -> dict[str, Value]:
-    """Return the parameters to set in a PX4 that has the `known` parameters, under that PX4's names.
+    """Return the parameters to set in a PX4, under the names that this PX4 uses.
+
+    `known` contains the parameters that this PX4 has.
 
     Raises:
         Px4Error: PX4 lacks a parameter, and configs/px4 does not permit that.
@@ -518,7 +520,7 @@ def parse_version(answer: str) -> tuple[int, int, int] | None:
 
 
 def check_version(version: tuple[int, int, int] | None) -> str | None:
-    """Return a remark on a version, or None if docs/px4.md has flights with it.
+    """Return a remark on a version of PX4; None if docs/px4.md reports flights with this version.
 
     Raises:
         Px4Error: the version is too old.

@@ -1,8 +1,8 @@
 """The world of a real PX4: the plant in lockstep with PX4, in a process that starts PX4 and ends it.
 
-The pipe to the app is the same as for the embedded autopilot (`pipe`). The process ends PX4 in every case: on
-request of the app, if PX4 ends or hangs, on SIGTERM, and if the app has ended (after PX4's failsafe). If the
-process itself is killed, the kernel kills PX4.
+The pipe to the app is that of the embedded autopilot (`pipe`). The process ends PX4 in every case: on request
+of the app, if PX4 ends or hangs, on SIGTERM, and if the app has ended (after PX4's failsafe). If the process
+itself is killed, the kernel kills PX4.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Relay of every datagram between PX4 and the application, which keeps the counts for `sim.lockstep`.
+"""Relay of every datagram between PX4 and the application; it also keeps the counts for `sim.lockstep`.
 
 The relay listens on PX4's onboard port; the application listens on another port.
 """

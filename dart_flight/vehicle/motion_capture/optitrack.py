@@ -50,7 +50,7 @@ def decode_server_info(data: bytes) -> ServerInfo | None:
 
 
 def _query_server(address: PoseAddress) -> tuple[ServerInfo, str, str]:
-    """Return the server's announcement, its address and this computer's address towards it.
+    """Return the server's announcement and address, and the address that this computer uses towards it.
 
     Raises:
         InputError: the host has no address, or no server answers.
@@ -176,8 +176,8 @@ class OptiTrackSource:
     def _reconnect(self) -> None:
         """Query a silent server, and connect again if the server does not answer.
 
-        A new connection is needed after a damaged datagram, which ends the client's threads, and after a
-        restart of the server, which then does not know its clients.
+        A damaged datagram ends the client's threads, and a restarted server does not know its clients. In
+        both cases a new connection is needed.
         """
         while not self._stopped.wait(_SILENT_S):
             now_s = time.monotonic()

@@ -38,11 +38,13 @@ _NO_ATTITUDE: Final[Sequence[float | None]] = [None] * 4
 
 
 def odometry(t_us: int, position_ned: Vec3, q_frd_to_ned: Quaternion | None) -> MavlinkMessage:
-    """Return the ODOMETRY message of a pose; its null fields arrive as NaN, which PX4 does not fuse.
+    """Return the ODOMETRY message of a pose.
+
+    Null fields of the message arrive at PX4 as NaN, and PX4 does not fuse NaN.
 
     Without an attitude PX4 still fuses the position, and its heading then follows from the gyro alone.
 
-    The reset counter stays 0, because after a change PX4's estimate would follow a jump of the poses at once.
+    The reset counter stays 0. If it changed, PX4's estimate would at once follow a jump of the poses.
     """
     x, y, z = position_ned
     fields = {

@@ -54,7 +54,7 @@ class _Box(NamedTuple):
 def place_labels(
     axis: Any, labels: Sequence[Label], lines: Iterable[Array], taken: Iterable[Array], font_pt: float
 ) -> None:
-    """Write every label where it covers least, with a thin line to a distant point.
+    """Write every label where it covers the least; if its point is distant, a thin line leads to the point.
 
     Each label takes the best position of several rings around its point. The cost counts first the overlap
     with existing text, then the covered lines, then the distance. Set the limits and

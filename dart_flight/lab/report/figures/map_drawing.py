@@ -109,7 +109,10 @@ def _gap_behind_m(mission: Mission, wall: Wall) -> float:
 
 
 def _thickness_m(mission: Mission, wall: Wall) -> float:
-    """Return a wall's drawn thickness, at most half of the partition that it is a face of."""
+    """Return the thickness with which to draw a wall.
+
+    If the wall is one face of a partition, the thickness is at most half of the partition's.
+    """
     return min(THICKNESS_M, 0.5 * _gap_behind_m(mission, wall))
 
 
@@ -156,8 +159,8 @@ def set_view(axis: Any, view: Array) -> None:
 def view_of(mission: Mission, points: Array, margin_m: float = 0.45) -> Array:
     """Return [[low x, low y], [high x, high y]], the part of the room around points (n, 2) with a margin.
 
-    The view includes the nearest part of every wall within the bounds. It is limited to the room, which means
-    the bounds and the walls with their names.
+    The view includes the nearest part of every wall within the bounds. The view does not extend beyond the
+    room, which consists of the bounds and the walls with their names.
     """
     (x0, x1), (y0, y1) = mission.bounds.x, mission.bounds.y
     room = [np.array([[x0, y0], [x1, y1]])]

@@ -51,13 +51,14 @@ _EDGE_ON = 0.26  # sine of 15 degrees, the largest angle of a wall in side view
 
 @in_style
 def mission_figure(mission: Mission, planned: PredictedFlight | None, *, look: Look = SHEET) -> Any:
-    """Draw plan view and side view of a mission, with the flight model's prediction and the effect of
-    uncertain walls.
+    """Draw plan view and side view of a mission.
+
+    The figure shows the flight model's prediction and the effect of uncertain walls.
 
     Args:
         mission: the mission.
-        planned: prediction of the flight model; None if an approach cannot be flown, which draws only the
-            room.
+        planned: prediction of the flight model; None if an approach cannot be flown; the figure then shows
+            only the room.
         look: size of the figure.
     """
     # Trajectories end at their goal in every draw, but uncertain walls still move.
@@ -102,7 +103,7 @@ def mission_figure(mission: Mission, planned: PredictedFlight | None, *, look: L
 def prediction_lines(
     mission: Mission, planned: PredictedFlight | None, drawn: Sequence[PredictedFlight]
 ) -> list[str]:
-    """Return sentences on the predicted miss of the goal and on the effect of the draws."""
+    """Return sentences on the predicted miss of the goal and on the effect of uncertain walls."""
     if any(c.wall.sought for c in mission.collisions):
         return ["The path after a probe depends on the place where the probe hits its wall."]
     if planned is None:
@@ -191,7 +192,7 @@ def _from_rest(mission: Mission, planned: PredictedFlight) -> list[Array]:
 
 
 def _draw_draws(axis: Any, mission: Mission, drawn: Sequence[PredictedFlight]) -> None:
-    """Draw the paths after the hits and the wall surfaces for every draw of the walls."""
+    """Draw the wall surfaces and the paths after the hits for many random differences of the walls."""
     label = f"{len(drawn)} draws of the walls"
     for flight in drawn:
         surfaces = [np.array(mission.vehicle.airframe.wall_surface(wall).ends) for wall in flight.walls]

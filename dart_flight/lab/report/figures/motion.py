@@ -29,7 +29,7 @@ def mark_impacts(axis: Any, flight: RecordedFlight) -> None:
 
 
 def _plot(axis: Any, flight: RecordedFlight, time_s: Any, values: Any, **style: Any) -> None:
-    """Plot a line over the shown span, reduced to the extremes of intervals if it has too many points."""
+    """Plot a line over the shown span; a line of too many points is reduced to the extremes of intervals."""
     begin, end = flight.shown_span
     inside = (time_s >= begin) & (time_s <= end)
     t, v = time_s[inside], np.asarray(values)[inside]

@@ -1,4 +1,4 @@
-"""Figures of a campaign over the drawn quantities: success rates and flight figures."""
+"""Figures of a campaign over the drawn quantities (docs/draws.md): success rates and flight figures."""
 
 from __future__ import annotations
 
