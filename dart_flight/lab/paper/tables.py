@@ -305,11 +305,11 @@ Mean magnitude of the error: {"; ".join(means)}.
 
 ## Drop tests refitted
 
-The table has the stiffness k and the damping f that fit the published contact time and rebound speed best,
-for each height alone and for both together. Errors are relative to the published value. One height can be
+The stiffness k and the damping f in the table fit the published contact time and rebound speed best, for
+each height alone and for both together. Errors are relative to the published value. One height can be
 fitted exactly, but no pair of k and f fits both.
-The rigid mode fits worst: its published contact lasts longer from the greater height, but the law's contact
-is shorter.
+The rigid mode fits worst: from the greater height the published contact lasts longer, but the law predicts
+a shorter contact.
 
 | mode | onset | fitted to | k N/m | f N s/m | 0.05 m contact | rebound | 0.2 m contact | rebound |
 | --- | --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: |
@@ -319,7 +319,8 @@ is shorter.
 
 The vehicle hits acrylic at {normal:g} m/s along the normal and {
         tangential:g} m/s along the wall (Sec. V-A). The paper does not give the peak forces.
-The last column is the paper's agreement between predicted and measured peak acceleration over three trials.
+The last column is the agreement between predicted and measured peak acceleration over three trials, as the
+paper states it.
 
 | mode | onset | normal N | friction N | vertical N | normal m/s² | friction m/s² | agreement in the paper |
 | --- | --- | ---: | ---: | ---: | ---: | ---: | ---: |
@@ -327,9 +328,9 @@ The last column is the paper's agreement between predicted and measured peak acc
 
 ## Dual collision
 
-The table has the velocities at each impact, in the wall's frame. The model begins with the published first
+The velocities are those at each impact, in the wall's frame. The model begins with the published first
 impact and uses the published recovery gains (Sec. V-B). The paper does not give its controller gains, so the
-flight model uses PX4's defaults. Wood has the ground's coefficients.
+flight model uses PX4's defaults. The paper gives no coefficients of wood; the model uses those of the ground.
 
 | wall | mode | normal m/s, paper | along, paper | normal m/s, model | along, model | peak N, model |
 | --- | --- | ---: | ---: | ---: | ---: | ---: |
@@ -337,8 +338,8 @@ flight model uses PX4's defaults. Wood has the ground's coefficients.
 
 ## Stiffness ratio
 
-The ratio is rigid over flexible stiffness. The paper states {STIFFNESS_RATIO:g}
-(abstract), from the drop tests.
+The ratio is the rigid stiffness divided by the flexible stiffness. The paper's abstract states a ratio of
+{STIFFNESS_RATIO:g}, from the drop tests.
 
 | surface | source of the coefficients | k rigid / k flexible |
 | --- | --- | ---: |
