@@ -137,7 +137,7 @@ def test_a_day(laboratory: Laboratory) -> None:
     assert station.press(Button.FLY, 9) == NO
     laboratory.fly(3)
     station.wait_for("three: no-go", timeout_s=120.0)
-    station.wait_for("place: vehicle is 1.50 m from start")
+    station.wait_for("place: the vehicle is 1.50 m from start")
     laboratory.is_standing_by(3)
     # Two flights, and one whose process is killed between them.
     laboratory.fly(2)
