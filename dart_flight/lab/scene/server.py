@@ -57,6 +57,7 @@ class Broadcast:
         self._translation = SceneTranslator(mission, given, show.show_room, show.from_truth)
         self._channels, self._newcomers = Channels(), SubscriptionListener()
         self._clock_us = 0
+        self._lock = threading.Lock()  # the record's thread and that of the newcomers publish
         self._server = foxglove.start_server(
             name=f"dart-flight: {mission.name}",
             host=show.host,
@@ -67,16 +68,16 @@ class Broadcast:
             message_backlog_size=_BACKLOG,
         )
         self.port = self._server.port
+        threading.Thread(target=self._welcome, name="newcomers", daemon=True).start()
 
     def publish(self, line: bytes) -> None:
         """Publish one record."""
         topic, _, data = line.partition(b" ")
         record = decode(data, DECODERS[topic.decode()])
-        for message in self._translation.translate(record):
-            self._channels.publish(message)
-        if self._newcomers.waiting.is_set():
-            self._newcomers.waiting.clear()
-            self._channels.publish_again()
+        messages = self._translation.translate(record)
+        with self._lock:
+            for message in messages:
+                self._channels.publish(message)
         t_us = getattr(record, "t_us", 0)
         # Downsampled records are late, and viewers treat a step back in time as a jump.
         if t_us and not -_JUMP_US < t_us - self._clock_us < _CLOCK_US:
@@ -86,6 +87,13 @@ class Broadcast:
     def close(self) -> None:
         """Disconnect the viewers."""
         self._server.stop()
+
+    def _welcome(self) -> None:
+        """Publish the lasting messages again for each new viewer, also while no records arrive."""
+        while self._newcomers.waiting.wait():
+            self._newcomers.waiting.clear()
+            with self._lock:
+                self._channels.publish_again()
 
 
 def serve(records: BinaryIO, output: BinaryIO) -> int:

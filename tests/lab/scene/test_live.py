@@ -149,6 +149,17 @@ def test_a_viewer_that_comes_later_sees_the_room_and_the_way(log: Log, view: Liv
     assert "/scene/vehicle" in viewer.messages
 
 
+def test_a_viewer_sees_the_room_after_the_last_record(log: Log, view: LiveViewProcess) -> None:
+    """A flight that is no longer heard of, or a log that is no longer written."""
+    for entry in log.entries[: len(log.entries) // 2]:
+        view.feed(entry.record)
+    until(lambda: not view._waiting and not view._unsent)
+    time.sleep(1.0)  # the process has published what it has read
+    viewer, thread = watching(view.port, lambda m: "/scene/room" in m)
+    thread.join(PATIENCE_S)
+    assert "/scene/room" in viewer.messages
+
+
 def test_a_process_that_hangs_costs_records_and_no_time(
     log: Log, view: LiveViewProcess, said: list[str]
 ) -> None:
