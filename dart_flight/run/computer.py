@@ -7,13 +7,12 @@ since power-on. Other computers report at most a temperature.
 from __future__ import annotations
 
 import contextlib
-import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
-from types import TracebackType
 
 from dart_flight.base.records import ComputerSample, Record
+from dart_flight.base.thread_context import ThreadContext
 from dart_flight.vehicle.clock import host_us
 
 _PERIOD_S = 1.0
@@ -51,7 +50,7 @@ def _hottest_c(root: Path) -> float | None:
     return max(found, default=None)
 
 
-class ComputerWatch:
+class ComputerWatch(ThreadContext):
     """Context in which a thread samples the state of the computer once per second.
 
     Args:
@@ -59,19 +58,8 @@ class ComputerWatch:
     """
 
     def __init__(self, deliver: Callable[[Record], None]) -> None:
+        super().__init__()
         self._deliver = deliver
-        self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="computer", daemon=True)
-
-    def __enter__(self) -> ComputerWatch:
-        self._thread.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._stop.set()
-        self._thread.join(_PERIOD_S)
 
     def _run(self) -> None:
         due_s = time.monotonic()

@@ -29,10 +29,10 @@ from dart_flight.base.geometry import (
     rotate_back,
 )
 from dart_flight.base.records import FlightMode
+from dart_flight.base.thread_context import ThreadContext
 from dart_flight.config.mission import Mission
 from dart_flight.sim.embedded_autopilot import TICK_S, ImuReading, make_autopilot
 from dart_flight.sim.mavlink_endpoint import MavlinkEndpoint
-from tests.doubles.threaded import Threaded
 
 BAUD = 921600
 _NOISE_M_S2 = 0.05
@@ -46,7 +46,7 @@ YAW_RAD = math.radians(35.0)  # it stands as it happens to stand
 Motion = Callable[[float], tuple[Vec3, Quaternion]]
 
 
-class BenchVehicle(Threaded):
+class BenchVehicle(ThreadContext):
     """`with BenchVehicle(mission) as vehicle: bringup --connection vehicle.url`.
 
     Args:

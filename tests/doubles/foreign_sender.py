@@ -8,7 +8,7 @@ import time
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from tests.doubles.threaded import Threaded
+from dart_flight.base.thread_context import ThreadContext
 
 COMPONENT = 197  # visual-inertial odometry
 _PERIOD_S = 0.02
@@ -16,7 +16,7 @@ _FAR_AHEAD_US = 10**12
 _Q_TURNED = [math.cos(math.radians(30.0)), 0.0, 0.0, math.sin(math.radians(30.0))]
 
 
-class ForeignSender(Threaded):
+class ForeignSender(ThreadContext):
     """`with ForeignSender(port):` sends every message of `MESSAGES` to a UDP port, 50 times a second."""
 
     def __init__(self, port: int, component: int = COMPONENT) -> None:

@@ -8,11 +8,11 @@ from typing import Any
 
 from pymavlink.dialects.v20 import common as mavlink
 
+from dart_flight.base.thread_context import ThreadContext
 from dart_flight.config.mission import Mission
 from dart_flight.sim.embedded_autopilot import TICK_S, make_autopilot
 from dart_flight.sim.mavlink_endpoint import Link, MavlinkEndpoint
 from tests.doubles.ports import free_udp_port
-from tests.doubles.threaded import Threaded
 
 _CHUNK = 90  # bytes of a LOG_DATA
 _PER_TICK = 40  # messages
@@ -56,7 +56,7 @@ class _LogEndpoint(MavlinkEndpoint):
                 self._send(self.links[0], message)
 
 
-class LogVehicle(Threaded):
+class LogVehicle(ThreadContext):
     """`with LogVehicle(mission, logs) as vehicle: ...vehicle.url...`.
 
     Args:

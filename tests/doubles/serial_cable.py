@@ -12,7 +12,7 @@ import select
 import time
 import tty
 
-from tests.doubles.threaded import Threaded
+from dart_flight.base.thread_context import ThreadContext
 
 BUFFER_BYTES = 4096  # of the kernel's side of a serial port
 _CHUNK = 4096
@@ -55,7 +55,7 @@ class SerialWay:
         self._credit -= written
 
 
-class SerialCable(Threaded):
+class SerialCable(ThreadContext):
     """`with SerialCable(92_160) as cable: open(cable.ends[0]) ...`.
 
     Args:

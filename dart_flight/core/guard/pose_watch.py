@@ -65,9 +65,8 @@ class PoseWatch:
         self._now_us = 0  # host time
         self._newest: PoseSample | None = None
         self._tracked_us = 0  # host time of the newest tracked pose, or 0 if there is none
-        self._plausible: tuple[int, Vec3] | None = (
-            None  # receipt and position of the newest plausible pose, NED
-        )
+        # Receipt and position (NED) of the newest plausible pose.
+        self._plausible: tuple[int, Vec3] | None = None
         self._settling_us: int | None = None  # since a start or a gap, until two poses agree
         self._jumped_us: int | None = None  # host time since which poses have been a jump away from it
         self._jump = ""
@@ -241,7 +240,8 @@ class PoseWatch:
         if self._settling_us is not None and (now_us - self._settling_us) * 1e-6 < _JUMP_S:
             self._plausible = (now_us, position)
             return
-        self._jumped_us = self._jumped_us if self._jumped_us is not None else now_us
+        if self._jumped_us is None:
+            self._jumped_us = now_us
         if (now_us - self._jumped_us) * 1e-6 >= _JUMP_S:
             self._plausible, self._jumped_us = (now_us, position), None
             self._jump = f"body jumped by {away_m:.2f} m: another body or swapped markers"

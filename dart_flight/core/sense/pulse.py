@@ -78,16 +78,16 @@ def _terms(s: float, omega: float, sigma: float) -> tuple[float, float, float, f
     if s <= 0.0:
         return 0.0, 0.0, 0.0, 0.0
     w2 = omega * omega
-    wd = math.sqrt(w2 - sigma * sigma)
-    e = math.exp(-sigma * s)
-    c, sn = e * math.cos(wd * s), e * math.sin(wd * s) / wd
-    push_force = 1.0 - c - sigma * sn
-    return (
-        push_force,
-        s - (w2 * sn + 2.0 * sigma * push_force) / w2,
-        sn,
-        push_force / w2,
-    )
+    return _solution(s, math.exp(-sigma * s), w2, math.sqrt(w2 - sigma * sigma), sigma)
+
+
+def _solution(
+    s: float, decay: float, w2: float, wd: float, sigma: float
+) -> tuple[float, float, float, float]:
+    """Return `_terms` from the decay exp(-sigma s), w^2 and the damped frequency."""
+    sine = decay * math.sin(wd * s) / wd
+    force = 1.0 - decay * math.cos(wd * s) - sigma * sine
+    return force, s - (w2 * sine + 2.0 * sigma * force) / w2, sine, force / w2
 
 
 def fit_normal(
@@ -160,17 +160,12 @@ class _Ends:
         """Return these four quantities `s` seconds after the onset."""
         if s <= 0.0:
             return 0.0, 0.0, 0.0, 0.0
-        w2, wd, up2, upd = self._w2, self._wd, self._up2, self._upd
         sigma, push, slope = self._sigma, self._push, self._slope
         decay = math.exp(-sigma * s)
-        sine = decay * math.sin(wd * s) / wd
-        per_push = 1.0 - decay * math.cos(wd * s) - sigma * sine
-        per_slope = per_push / w2
-        impulse = push * (s - (w2 * sine + 2.0 * sigma * per_push) / w2) + slope * per_slope
-        up_sine = decay * math.sin(upd * s) / upd
-        up_push = 1.0 - decay * math.cos(upd * s) - sigma * up_sine
-        up_impulse = push * (s - (up2 * up_sine + 2.0 * sigma * up_push) / up2) + slope * (up_push / up2)
-        return push * per_push + slope * sine, per_slope, impulse, up_impulse - impulse
+        force, per_push, sine, per_slope = _solution(s, decay, self._w2, self._wd, sigma)
+        _, up_push, _, up_slope = _solution(s, decay, self._up2, self._upd, sigma)
+        impulse = push * per_push + slope * per_slope
+        return push * force + slope * sine, per_slope, impulse, push * up_push + slope * up_slope - impulse
 
 
 class _PulseFit:

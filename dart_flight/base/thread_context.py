@@ -1,14 +1,16 @@
-"""Base of the doubles that run in a thread of their own while their context is open."""
+"""Base of the objects that run in a thread of their own while their context is open."""
 
 from __future__ import annotations
 
 import threading
 from types import TracebackType
-from typing import Self
+from typing import Final, Self
+
+_JOIN_S: Final = 1.0
 
 
-class Threaded:
-    """Context with a thread.
+class ThreadContext:
+    """A context with a thread.
 
     A subclass loops in `_run` until `_stop` is set, and frees its resources in `_close`.
     """
@@ -21,7 +23,7 @@ class Threaded:
         raise NotImplementedError
 
     def _close(self) -> None:
-        """Free what the double has opened."""
+        """Free the resources, after the thread has ended."""
 
     def __enter__(self) -> Self:
         self._thread.start()
@@ -31,5 +33,5 @@ class Threaded:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._stop.set()
-        self._thread.join(1.0)
+        self._thread.join(_JOIN_S)
         self._close()
