@@ -21,6 +21,7 @@ from dart_flight.base.errors import FlightError
 
 _SILENT_S = 3.0  # timeout without progress
 _LOG_SILENT_S = 15.0  # same for a log, because a lossy link repeats every chunk
+_CANCELLED_S = 2.0  # timeout of the callback after a cancellation
 _RATED_S = 2.0  # time after the start of a download until its duration is estimated
 _CLOCK_SET = datetime(2020, 1, 1, tzinfo=UTC)  # earlier dates come from flight controllers without a clock
 _ULOG_MAGIC = b"ULog\x01\x12\x35"
@@ -62,6 +63,17 @@ def wait_for_end(
         if str(data) != before:
             moved_s, before = time.monotonic(), str(data)
         progress(data)
+
+
+def _wait_for_last(arrived: queue.SimpleQueue[tuple[Any, Any]]) -> None:
+    """Wait for the last callback of a cancelled download.
+
+    MAVSDK calls it on a thread of its own. After the plugin is destroyed, the call would end the process with
+    a segmentation fault.
+    """
+    with contextlib.suppress(queue.Empty):
+        while arrived.get(timeout=_CANCELLED_S)[0].name == "NEXT":
+            pass
 
 
 def download_file(system: Any, path: str) -> bytes:
@@ -179,6 +191,7 @@ class Px4Logs:
             except BaseException:
                 with contextlib.suppress(MavsdkError):
                     self._plugin.cancel_download_log_file()
+                    _wait_for_last(arrived)
                 raise
             with part.open("rb") as file:
                 if file.read(len(_ULOG_MAGIC)) != _ULOG_MAGIC:

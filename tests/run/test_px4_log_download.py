@@ -5,8 +5,11 @@ from __future__ import annotations
 import json
 import random
 import shutil
+import threading
+from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from hypothesis import given
@@ -27,6 +30,7 @@ from dart_flight.vehicle.downloads import (
     DownloadError,
     DownloadTime,
     Px4LogEntry,
+    Px4Logs,
     logs_of_flight,
     parse_entry,
 )
@@ -156,6 +160,35 @@ def test_a_download_that_stops_or_is_stopped_leaves_nothing(tmp_path: Path) -> N
     with vehicle([]) as v, pytest.raises(DownloadError, match="no log of this flight"):
         fetch_px4_log(v.url, 10.0, tmp_path, ARMED, choose=no_choice, print_line=lambda line: None)
     assert [p.name for p in tmp_path.iterdir()] == ["flight.mcap"]
+
+
+class SlowToCancel:
+    """A plugin that calls back a moment after its download is cancelled, as MAVSDK does on its own thread."""
+
+    def __init__(self) -> None:
+        self.called_back = False
+
+    def download_log_file_async(self, entry: Entry, path: str, callback: Callable[..., None]) -> None:
+        self._callback = callback
+        callback(SimpleNamespace(name="NEXT"), SimpleNamespace(progress=0.5), None)
+
+    def cancel_download_log_file(self) -> None:
+        threading.Timer(0.2, self._end).start()
+
+    def _end(self) -> None:
+        self.called_back = True
+        self._callback(SimpleNamespace(name="CANCELLED"), SimpleNamespace(progress=0.5), None)
+
+
+def test_a_cancelled_download_has_called_back_before_its_plugin_can_be_destroyed(tmp_path: Path) -> None:
+    def interrupt(share: float) -> None:
+        raise KeyboardInterrupt
+
+    logs = Px4Logs.__new__(Px4Logs)
+    logs._plugin = plugin = SlowToCancel()
+    with pytest.raises(KeyboardInterrupt):
+        logs.download(log(0, None), tmp_path / "px4.ulg", interrupt)
+    assert plugin.called_back
 
 
 @pytest.mark.mavlink
