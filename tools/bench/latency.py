@@ -51,12 +51,18 @@ _LATEST_NS = 100_000_000
 
 
 class RepeatingCore:
-    """A core that returns to its approach 0.2 s after every impact."""
+    """A core that returns to its approach 0.2 s after every impact.
 
-    def __init__(self, mission: Mission) -> None:
+    Args:
+        mission: mission of one collision.
+        impacts: number of impacts; after their recoveries the source falls silent, and the guard is ignored.
+    """
+
+    def __init__(self, mission: Mission, impacts: int) -> None:
         self._mission, self._core = mission, FlightCore(mission)  # a compiled class cannot be subclassed
         self.recoveries: list[Setpoint] = []
         self.overruled: list[str] = []  # reasons of the guard, such as a stall of the machine
+        self._impacts = impacts
         self._again_us = 0
         self._begun = False
 
@@ -72,7 +78,8 @@ class RepeatingCore:
             item = LockState(item.t_us, LockPhase.SETTLED, Mode.RIGID)
         progress, now = core._executive.progress, core.state.now_us
         if core.override is not Override.NONE:
-            self.overruled.append(core._guard.reason or "")
+            if len(self.recoveries) < self._impacts:
+                self.overruled.append(core._guard.reason or "")
             core._guard = Guard(self._mission)
             self._begun = False
         status = core.state.status
@@ -140,7 +147,7 @@ def measure(impacts: int = IMPACTS, mocap_url: str | None = None) -> Result:
     port = free_udp_port()
     command = [sys.executable, "-m", "tools.bench.impact_source", str(port), str(impacts), str(PERIOD_S)]
     with subprocess.Popen(command, stdout=subprocess.PIPE) as source, tempfile.TemporaryDirectory() as folder:
-        app = asyncio.run(_run_app(port, Path(folder), source, mocap_url))
+        app = asyncio.run(_run_app(port, Path(folder), source, impacts, mocap_url))
         assert source.stdout is not None
         record = msgspec.json.decode(source.stdout.readline(), type=Record)
     core = app.core
@@ -155,7 +162,7 @@ def measure(impacts: int = IMPACTS, mocap_url: str | None = None) -> Result:
 
 
 async def _run_app(
-    port: int, folder: Path, source: subprocess.Popen[bytes], mocap_url: str | None
+    port: int, folder: Path, source: subprocess.Popen[bytes], impacts: int, mocap_url: str | None
 ) -> _AppRun:
     mission = rigid_mission(mocap_url)
     record = FlightRecord(mission, World.EMBEDDED, None, folder)
@@ -166,7 +173,7 @@ async def _run_app(
             inside.append(record.latency_us * 1e-3)
 
     app = FlightApp(mission, f"udpin://127.0.0.1:{port}", record, None, progress)
-    core = RepeatingCore(mission)
+    core = RepeatingCore(mission, impacts)
     app._core = CoreThread(CoreRunner(core, app, app._observe_record, host_us))
     flying = asyncio.create_task(app.run())
     # The core is stepped on another thread, so poll it.

@@ -94,7 +94,7 @@ async def whole_app(mission: Mission, url: str, seconds: float) -> Shares:
     with tempfile.TemporaryDirectory() as folder:
         record = FlightRecord(mission, World.EMBEDDED, None, Path(folder))
         app = FlightApp(mission, url, record, deadman_note=Path(folder) / "deadman.txt")
-        core = RepeatingCore(mission)
+        core = RepeatingCore(mission, 1)
         app._core = CoreThread(CoreRunner(core, app, app._observe_record, host_us), lambda: app._feed(b"c"))
         flying = asyncio.create_task(app.run())
         await asyncio.sleep(_LEAD_S)
