@@ -46,6 +46,16 @@ YAW_RAD = math.radians(35.0)  # it stands as it happens to stand
 Motion = Callable[[float], tuple[Vec3, Quaternion]]
 
 
+def move_by_hand(motion: Motion, t: float) -> tuple[Vec3, Quaternion, Vec3, Vec3]:
+    """Return position, attitude, specific force and rate (FRD), the last two by central differences."""
+    h = 1e-3
+    (p0, q0), (p1, q1), (p2, q2) = (motion(t + k * h) for k in (-1.0, 0.0, 1.0))
+    ax, ay, az = ((a - 2.0 * b + c) / h**2 for a, b, c in zip(p0, p1, p2, strict=True))
+    force = rotate_back(q1, (ax, ay, az - GRAVITY_M_S2))
+    _, x, y, z = quaternion_multiply(quaternion_conjugate(q0), q2)
+    return p1, q1, force, (x / h, y / h, z / h)
+
+
 class BenchVehicle(ThreadContext):
     """`with BenchVehicle(mission) as vehicle: bringup --connection vehicle.url`.
 
@@ -150,7 +160,7 @@ class BenchVehicle(ThreadContext):
         if self._motion is not None:
             e.ok = True
             since_s = 0.0 if self._move_s is None else a.now_s - self._move_s
-            e.position, e.q, force, rate = self._by_hand(self._motion, since_s)
+            e.position, e.q, force, rate = move_by_hand(self._motion, since_s)
             a.imu = ImuReading(a.time_us, force, rate)
             if ticks % _POSE_EVERY == 0:
                 self._publish(a.time_us, e.position, e.q)
@@ -161,15 +171,6 @@ class BenchVehicle(ThreadContext):
         swapped = "frame" in self._wrong
         e.position = (east, n, 0.0) if swapped else (n, east, 0.0)
         e.velocity = (ve, vn, 0.0) if swapped else (vn, ve, 0.0)
-
-    def _by_hand(self, motion: Motion, t: float) -> tuple[Vec3, Quaternion, Vec3, Vec3]:
-        """Return position, attitude, specific force and rate, the last two by central differences."""
-        h = 1e-3
-        (p0, q0), (p1, q1), (p2, q2) = (motion(t + k * h) for k in (-1.0, 0.0, 1.0))
-        ax, ay, az = ((a - 2.0 * b + c) / h**2 for a, b, c in zip(p0, p1, p2, strict=True))
-        force = rotate_back(q1, (ax, ay, az - GRAVITY_M_S2))
-        _, x, y, z = quaternion_multiply(quaternion_conjugate(q0), q2)
-        return p1, q1, force, (x / h, y / h, z / h)
 
     def _pushed_m_s2(self) -> float:
         if self._push_s is None:
