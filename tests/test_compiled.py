@@ -22,12 +22,12 @@ def test_a_compiled_module_has_no_struct_and_no_arrays() -> None:
         assert not {alias.name for node in imports for alias in node.names} & {"numpy", "Number"}, module
 
 
-def test_no_compiled_module_stands_beside_its_source() -> None:
+def test_no_compiled_module_is_beside_its_source() -> None:
     """It would be imported instead of the source, and hide every change."""
     assert not [path for path in (ROOT / "dart_flight").rglob("*") if path.suffix in (".so", ".pyd")]
 
 
-def test_final_names_are_what_mypyc_reads_right() -> None:
+def test_final_names_have_values_that_mypyc_compiles_correctly() -> None:
     """Of a Final float, or tuple of floats, that is no literal, mypyc says at times that it was not set."""
     for module in MODULES:
         for node in ast.parse((ROOT / module).read_text(encoding="utf-8")).body:

@@ -51,7 +51,7 @@ LAB = (
 # Inside the core likewise: what is known, what is proposed, what is allowed.
 CORE_FLOORS = {"sense": 0, "mission": 1, "guard": 2, "flight_core": 3}
 # Where a package from outside may be imported.
-DOORS = {
+ALLOWED = {
     "mavsdk": ("vehicle/",),
     "natnet": ("vehicle/motion_capture/optitrack.py",),
     "qtm_rt": ("vehicle/motion_capture/qualisys.py",),
@@ -102,7 +102,7 @@ def files_imported_by(path: Path) -> set[str]:
     return found & module_names()
 
 
-def test_no_files_import_each_other() -> None:
+def test_imports_have_no_cycles() -> None:
     graph = {
         ".".join(("dart_flight", *path.relative_to(PACKAGE).with_suffix("").parts)): files_imported_by(path)
         for path in modules()
@@ -143,7 +143,7 @@ def test_the_lab_imports_point_down() -> None:
                 assert LAB.index(parts[2]) < LAB.index(own), f"{relative} imports {module}"
 
 
-def test_whatever_is_reached_in_the_lab_stands_in_one_table() -> None:
+def test_the_lab_is_named_outside_it_only_in_lab_entries() -> None:
     for path in modules():
         relative = path.relative_to(PACKAGE)
         if relative.parts[0] == "lab" or relative.name == "lab_entries.py":
@@ -153,12 +153,12 @@ def test_whatever_is_reached_in_the_lab_stands_in_one_table() -> None:
                 assert not str(node.value).startswith("dart_flight.lab."), relative
 
 
-def test_doors_to_the_outside() -> None:
+def test_external_packages_are_imported_only_where_allowed() -> None:
     elsewhere = []
     for path in modules():
         relative = str(path.relative_to(PACKAGE))
         for module in imports_of(path):
-            allowed = DOORS.get(module.split(".")[0])
+            allowed = ALLOWED.get(module.split(".")[0])
             if allowed is not None and not relative.startswith(allowed):
                 elsewhere.append(f"{relative} imports {module}")
     assert elsewhere == []
@@ -173,7 +173,7 @@ def test_the_core_reads_no_clock_and_does_no_io() -> None:
             )
 
 
-def test_tools_and_tests_import_nothing_of_one_another() -> None:
+def test_package_tests_and_tools_do_not_import_each_other() -> None:
     """A test runs a tool by its command; code of both belongs to the package."""
     root = PACKAGE.parent
     for folder, other in (("tests", "tools"), ("tools", "tests"), ("dart_flight", "tools")):

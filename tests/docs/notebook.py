@@ -21,7 +21,7 @@ def code_cells(path: Path) -> Iterator[str]:
             yield "".join(cell["source"])
 
 
-def printed_in(path: Path) -> list[str]:
+def stored_output(path: Path) -> list[str]:
     """What every code cell is stored as having printed."""
     cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
     return [

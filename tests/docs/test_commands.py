@@ -22,7 +22,7 @@ from tests.docs.snippets import PAGES, ROOT, Command, commands, name_of
 from tests.shared_flights import LiveFlights, SharedFlights
 from tests.shared_plans import limited_sight_plan
 
-# What is not run here, and why. What calls dart-flight is still parsed.
+# What is not run here, and reason. What calls dart-flight is still parsed.
 NOT_RUN: list[tuple[str, str]] = [
     (r"^(sudo|journalctl) |> /srv/", "needs root and systemd"),
     (r"^dart-flight standby", "waits for a ground station"),
@@ -50,14 +50,14 @@ NOT_RUN: list[tuple[str, str]] = [
 REAL_TIME = re.compile(r"^dart-flight (simulate|fly .*udpin://127\.0\.0\.1:14540|dry-run (?!.*--fast))")
 
 
-def why_not_run(command: Command) -> str | None:
+def reason_not_to_run(command: Command) -> str | None:
     if command.is_synopsis:
         return "says what may be typed"
-    return next((why for pattern, why in NOT_RUN if re.search(pattern, command.text)), None)
+    return next((reason for pattern, reason in NOT_RUN if re.search(pattern, command.text)), None)
 
 
 def is_real_time(command: Command) -> bool:
-    return why_not_run(command) is None and bool(REAL_TIME.match(command.text))
+    return reason_not_to_run(command) is None and bool(REAL_TIME.match(command.text))
 
 
 ALL = [command for page in PAGES for command in commands(page)]
@@ -72,7 +72,7 @@ def test_the_extraction_finds_the_commands() -> None:
 
 
 @pytest.mark.parametrize("command", ALL, ids=lambda c: f"{c.place}")
-def test_it_parses(command: Command) -> None:
+def test_a_documented_command_parses(command: Command) -> None:
     arguments = command.arguments()
     if arguments is not None:
         if command.is_synopsis:
@@ -91,9 +91,9 @@ def _options(parser: object, command: str) -> set[str]:
     return {option for action in choices[command]._actions for option in action.option_strings}
 
 
-@pytest.mark.parametrize(("pattern", "why"), NOT_RUN, ids=[why for _, why in NOT_RUN])
-def test_every_excuse_is_needed(pattern: str, why: str) -> None:
-    assert any(re.search(pattern, command.text) for command in ALL), f"nothing any more that {why}"
+@pytest.mark.parametrize(("pattern", "reason"), NOT_RUN, ids=[reason for _, reason in NOT_RUN])
+def test_every_reason_not_to_run_applies_to_a_command(pattern: str, reason: str) -> None:
+    assert any(re.search(pattern, command.text) for command in ALL), f"nothing any more that {reason}"
 
 
 # --- running ---------------------------------------------------------------------------------------------
@@ -102,10 +102,10 @@ def test_every_excuse_is_needed(pattern: str, why: str) -> None:
 @pytest.fixture(scope="module")
 def laboratory(flown: SharedFlights) -> Path:
     """What `init` gives, and the recordings that pages assume: a flight, trials, a list of hits."""
-    return flown.once("laboratory", lambda folder: furnish(folder / "lab")) / "lab"
+    return flown.once("laboratory", lambda folder: prepare_laboratory(folder / "lab")) / "lab"
 
 
-def furnish(folder: Path) -> None:
+def prepare_laboratory(folder: Path) -> None:
     tools = folder.parent / "bin"
     tools.mkdir()
     for name, start in (("dart-flight", "-m dart_flight"), ("python", "")):
@@ -139,11 +139,11 @@ def _run(words: list[str], folder: Path, root: Path) -> None:
 
 
 # Run on every page that has them they would teach nothing more: the same command on the same flight.
-ONCE = re.compile(
+RUN_ONCE = re.compile(
     r"^dart-flight (campaign|check|predict|replay|report|identify|calibrate|export|survey|dry-run .*--fast)\b"
 )
 # The laboratory's own flight, wherever a page keeps it.
-ITS_FLIGHT = re.compile(
+LABORATORY_FLIGHT = re.compile(
     r"^dart-flight dry-run missions/single_wall\.yaml --fast( --runs 1)? --log-dir (\S+)$"
 )
 
@@ -155,7 +155,7 @@ def as_run(command: Command) -> str:
     return text if flies or "--no-verify" in text else f"{text} --no-verify"
 
 
-def _essence(text: str) -> str:
+def _without_outputs(text: str) -> str:
     """A command without the names of what it writes, and of the folder whose flights it reads.
 
     Of a campaign also without its missions: what they are like is seen where each is flown.
@@ -164,30 +164,30 @@ def _essence(text: str) -> str:
     return re.sub(r" missions/\S+", " MISSION", text) if text.startswith("dart-flight campaign") else text
 
 
-def _repeated() -> set[tuple[str, str]]:
+def _find_repeated() -> set[tuple[str, str]]:
     """(page, command) of what another page has run already; the quickstart runs all that it has."""
     runs: dict[str, str] = {}
     repeated = set()
     for page in sorted(PAGES, key=lambda page: page.name != "quickstart.md"):
         for command in commands(page):
             text = as_run(command)
-            runs_here = why_not_run(command) is None and ONCE.match(text)
-            if runs_here and runs.setdefault(_essence(text), name_of(page)) != name_of(page):
+            runs_here = reason_not_to_run(command) is None and RUN_ONCE.match(text)
+            if runs_here and runs.setdefault(_without_outputs(text), name_of(page)) != name_of(page):
                 repeated.add((name_of(page), text))
     return repeated
 
 
-REPEATED = _repeated()
+REPEATED = _find_repeated()
 
 
-def to_run(page: Path, laboratory: Path) -> Iterator[tuple[Command, str]]:
+def lines_to_run(page: Path, laboratory: Path) -> Iterator[tuple[Command, str]]:
     """The page's commands, each with the line to run for it."""
     for command in commands(page):
-        if why_not_run(command) is not None or is_real_time(command):
+        if reason_not_to_run(command) is not None or is_real_time(command):
             continue
         text = as_run(command)
         if (name_of(page), text) in REPEATED:
-            flight = ITS_FLIGHT.match(text)
+            flight = LABORATORY_FLIGHT.match(text)
             if flight is None:
                 assert "--log-dir" not in text, "later commands want its flight"
                 continue
@@ -199,9 +199,9 @@ def to_run(page: Path, laboratory: Path) -> Iterator[tuple[Command, str]]:
 SHELL = re.compile(r"[|&;$`]|^[A-Z_]+=")
 
 
-def in_process(page: Path, laboratory: Path) -> None:
+def run_page(page: Path, laboratory: Path) -> None:
     """The page's commands, ours here: to start a process takes longer than most of them."""
-    for command, text in to_run(page, laboratory):
+    for command, text in lines_to_run(page, laboratory):
         if text.startswith("cd "):
             os.chdir(text[3:])
             status = 0
@@ -213,11 +213,11 @@ def in_process(page: Path, laboratory: Path) -> None:
 
 
 def _main(text: str) -> int:
-    text, _, into = text.partition(" > ")
+    text, _, target = text.partition(" > ")
     words = [name for word in shlex.split(text)[1:] for name in sorted(glob.glob(word)) or [word]]
     with contextlib.ExitStack() as stack:
-        if into:
-            file = stack.enter_context(open(into.strip(), "w", encoding="utf-8"))
+        if target:
+            file = stack.enter_context(open(target.strip(), "w", encoding="utf-8"))
             stack.enter_context(contextlib.redirect_stdout(file))
         try:
             return main(words)
@@ -225,32 +225,32 @@ def _main(text: str) -> int:
             return int(end.code or 0)
 
 
-def _has_something_to_run(page: Path) -> bool:
-    run = [c for c in commands(page) if why_not_run(c) is None and not is_real_time(c)]
+def _is_runnable(page: Path) -> bool:
+    run = [c for c in commands(page) if reason_not_to_run(c) is None and not is_real_time(c)]
     return any((name_of(page), as_run(command)) not in REPEATED for command in run)
 
 
-RUNNABLE = [page for page in PAGES if _has_something_to_run(page)]
+RUNNABLE = [page for page in PAGES if _is_runnable(page)]
 
 
-def test_what_is_run_once_is_run_somewhere() -> None:
+def test_every_repeated_command_runs_on_another_page() -> None:
     run = {
-        _essence(as_run(c)) for p in RUNNABLE for c in commands(p) if (name_of(p), as_run(c)) not in REPEATED
+        _without_outputs(as_run(c)) for p in RUNNABLE for c in commands(p) if (name_of(p), as_run(c)) not in REPEATED
     }
-    assert {_essence(text) for _, text in REPEATED} <= run
+    assert {_without_outputs(text) for _, text in REPEATED} <= run
 
 
 @pytest.fixture
-def planned_once(flown: SharedFlights, monkeypatch: pytest.MonkeyPatch) -> None:
+def shared_plan(flown: SharedFlights, monkeypatch: pytest.MonkeyPatch) -> None:
     """Plan a scenario with `sight` once for all tests that show it, because that takes seconds."""
     monkeypatch.setattr(
         plan_command, "plan_limited_sight", lambda scenario, progress: limited_sight_plan(flown, scenario)
     )
 
 
-@pytest.mark.usefixtures("planned_once")
+@pytest.mark.usefixtures("shared_plan")
 @pytest.mark.parametrize("page", RUNNABLE, ids=name_of)
-def test_what_is_quick_runs_as_it_stands(
+def test_the_commands_of_a_page_run_as_written(
     page: Path, laboratory: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A page's commands in order, in a folder made by `init`; each somewhere, if not here."""
@@ -261,10 +261,10 @@ def test_what_is_quick_runs_as_it_stands(
         monkeypatch.chdir(tmp_path / "lab")
     for name, value in _environment(laboratory.parent).items():
         monkeypatch.setenv(name, value)
-    in_process(page, laboratory)
+    run_page(page, laboratory)
 
 
-def test_the_error_in_the_quickstart_is_the_one_that_comes(laboratory: Path, tmp_path: Path) -> None:
+def test_the_error_shown_in_the_quickstart_is_the_actual_one(laboratory: Path, tmp_path: Path) -> None:
     folder = tmp_path / "lab"
     shutil.copytree(laboratory, folder)
     page = (ROOT / "docs" / "quickstart.md").read_text()
@@ -285,7 +285,7 @@ def test_the_error_in_the_quickstart_is_the_one_that_comes(laboratory: Path, tmp
 # --- through MAVSDK --------------------------------------------------------------------------------------
 
 
-def real_time() -> list[tuple[str, str | None]]:
+def real_time_flights() -> list[tuple[str, str | None]]:
     """Commands to run: dry-runs, and flights with the `simulate` before them on the page.
 
     Each once, whichever mission it flies: what the missions are like is seen where they are flown fast.
@@ -315,11 +315,11 @@ def _flights() -> list[object]:
                 *([pytest.mark.realtime] if simulate or "--realtime" in command else []),
             ],
         )
-        for command, simulate in real_time()
+        for command, simulate in real_time_flights()
     ]
 
 
 @pytest.mark.parametrize(("command", "simulate"), _flights())
-def test_through_mavsdk(command: str, simulate: str | None, commanded: LiveFlights) -> None:
+def test_a_documented_flight_through_mavsdk_succeeds(command: str, simulate: str | None, commanded: LiveFlights) -> None:
     done = commanded(command, simulate)
     assert done.status == 0, done.errors[-2000:]

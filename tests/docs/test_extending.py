@@ -78,7 +78,7 @@ def apply(change: Change, root: Path) -> None:
     path.write_text(text.replace("\n" + change.before, "\n" + change.after)[1:], encoding="utf-8")
 
 
-def test_the_page_has_the_six_recipes_and_counts_their_files() -> None:
+def test_the_page_lists_six_recipes_with_their_numbers_of_files() -> None:
     rows = re.findall(r"^\| \[(.+?)\]\(#.+?\) \| (\d+) \|$", PAGE, re.MULTILINE)
     assert [(r.title.lower(), str(len(r.package_files))) for r in RECIPES] == rows
     assert len(RECIPES) == 6
@@ -107,15 +107,15 @@ def test_a_recipe_works_as_written(recipe: Recipe, tmp_path: Path) -> None:
     copy_project(tmp_path)
     for change in recipe.changes:
         apply(change, tmp_path)
-    status, said = python(tmp_path, *recipe.check, "-q", "-p", "no:cacheprovider", "-p", "no:xdist")
-    assert status == 0, said
+    status, output = python(tmp_path, *recipe.check, "-q", "-p", "no:cacheprovider", "-p", "no:xdist")
+    assert status == 0, output
 
 
-def test_a_driver_without_its_entry_is_refused_on_import(tmp_path: Path) -> None:
+def test_a_lock_driver_without_an_entry_is_rejected_on_import(tmp_path: Path) -> None:
     copy_project(tmp_path)
     for change in next(r for r in RECIPES if r.title == "A lock driver").changes:
         if change.path != "dart_flight/lock/drivers/__init__.py":
             apply(change, tmp_path)
-    status, said = python(tmp_path, "-c", "import dart_flight.cli.options")
+    status, output = python(tmp_path, "-c", "import dart_flight.cli.options")
     assert status == 1
-    assert "lock drivers without an entry in DRIVERS" in said
+    assert "lock drivers without an entry in DRIVERS" in output

@@ -56,7 +56,7 @@ def words() -> frozenset[str]:
 
 
 @functools.cache
-def written() -> frozenset[str]:
+def written_names() -> frozenset[str]:
     """What the program writes: names that stand in quotation marks, without their endings."""
     return frozenset(re.findall(r"\"([\w-]+)(?:\.\w+)?\"", source()))
 
@@ -85,24 +85,24 @@ def exists(name: str) -> bool:
         path = name.strip("/").removeprefix("./")
         is_stored = any(stored.endswith(f"/{path}") for stored in paths())
         last = path if name.endswith("/") else path.rpartition("/")[2].partition(".")[0]
-        return is_stored or (not name.endswith((".py", ".md")) and last in written())
+        return is_stored or (not name.endswith((".py", ".md")) and last in written_names())
     if _NAME.fullmatch(name):
         return all(part in words() or part.isupper() for part in name.removesuffix("()").split("."))
     return True
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
-def test_whatever_is_named_exists(page: Path) -> None:
+def test_every_name_quoted_on_a_page_exists(page: Path) -> None:
     assert sorted({name for name in quoted(page) if not exists(name)}) == []
 
 
-def test_names_that_have_gone_are_seen() -> None:
-    gone = [
+def test_removed_names_are_detected() -> None:
+    removed = [
         "config/vehicle.py",
         "tests/flight/",
         "dart_flight.recording.read_log",
         "closed_loop.ATTITUDE_LAG_S",
     ]
-    assert [name for name in gone if exists(name)] == []
-    there = ["core/pace.py", "tests/core/", "dart_flight.read_log", "ImuSample", "guard.deadman_s"]
-    assert [name for name in there if not exists(name)] == []
+    assert [name for name in removed if exists(name)] == []
+    present = ["core/pace.py", "tests/core/", "dart_flight.read_log", "ImuSample", "guard.deadman_s"]
+    assert [name for name in present if not exists(name)] == []

@@ -41,7 +41,7 @@ _KINDS = {
     "loop": ["ZeroIterationForLoop", "ReplaceBreakWithContinue", "ReplaceContinueWithBreak"],
 }
 # The tests that detect most mutants in the shortest time come first.
-_TESTS = """tests/recording/test_recorded_flights.py::test_a_recorded_flight_is_decided_again tests/core
+_TESTS = """tests/recording/test_recorded_flights.py::test_a_replayed_flight_makes_the_recorded_decisions tests/core
     tests/run tests/flights/test_fast_flights.py tests/flights/test_lock_in_flight.py
     tests/flights/test_waypoints.py tests/flights/test_no_lock.py tests/flights/test_replanned_flights.py
     tests/faults/test_matrix.py"""
