@@ -1,4 +1,4 @@
-"""Every recipe of docs/extending.md as it is written: applied to a copy of the project, its check run."""
+"""Every recipe of docs/extending.md is applied to a copy of the project, where its check must pass."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ MAX_FILES = 6
 
 
 class Change(NamedTuple):
-    """A place in a file (lines that stand there), and what stands there afterwards; no place: a new file."""
+    """Lines of a file and their replacement; without `before`, a new file."""
 
     path: str
     before: str
@@ -69,12 +69,12 @@ RECIPES = recipes()
 def apply(change: Change, root: Path) -> None:
     path = root / change.path
     if not change.before:
-        assert not path.exists(), f"{change.path} is there already"
+        assert not path.exists(), f"{change.path} exists already"
         path.write_text(change.after, encoding="utf-8")
         return
     text = "\n" + path.read_text(encoding="utf-8")
     count = text.count("\n" + change.before)
-    assert count == 1, f"{change.path} has this {count} times, the recipe means one place:\n{change.before}"
+    assert count == 1, f"{change.path} has these lines {count} times, expected once:\n{change.before}"
     path.write_text(text.replace("\n" + change.before, "\n" + change.after)[1:], encoding="utf-8")
 
 
@@ -94,7 +94,7 @@ def copy_project(root: Path) -> None:
 
 
 def python(root: Path, *arguments: str) -> tuple[int, str]:
-    """Exit status and output."""
+    """Run Python in the copy and return exit status and output."""
     environment = {**os.environ, "PYTHONPATH": str(root)}
     done = subprocess.run(
         [sys.executable, *arguments], cwd=root, env=environment, capture_output=True, text=True, check=False

@@ -1,4 +1,4 @@
-"""The notebooks run, and print what is stored in them."""
+"""The notebooks run and print their stored output."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ NOTEBOOKS = sorted((ROOT / "docs" / "notebooks").glob("*.ipynb"))
 def test_a_notebook_prints_its_stored_output(
     path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """By `tests.docs.notebook`, which needs no Jupyter."""
+    """`tests.docs.notebook` runs the cells without Jupyter."""
     pytest.importorskip("matplotlib")
     monkeypatch.setenv("MPLBACKEND", "Agg")
     monkeypatch.chdir(tmp_path)
     printed = notebook.run(path)
-    assert printed == notebook.stored_output(path), "run it again in Jupyter and save it"
+    assert printed == notebook.stored_output(path), "run the notebook in Jupyter and save it"
     assert any(printed)
-    assert not list(tmp_path.iterdir()), "it leaves nothing"
+    assert not list(tmp_path.iterdir()), "the notebook leaves files behind"
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.name)

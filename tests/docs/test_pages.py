@@ -1,4 +1,4 @@
-"""Pages agree with the software: generated parts, snippets, links, and completeness."""
+"""Pages agree with the software: generated parts, snippets, links and completeness."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def test_every_code_block_has_a_checked_language() -> None:
 
 
 def test_the_generated_parts_are_up_to_date() -> None:
-    """Parts of pages, the JSON Schemas, and the comments of configs/dart.yaml."""
+    """These are parts of pages, the JSON Schemas, and the comments of configs/dart.yaml."""
     command = [sys.executable, "-m", "tools.docs.generated", "--check"]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout.strip()) == (0, ""), f"run make docs: {done.stdout}{done.stderr}"
@@ -73,7 +73,7 @@ def test_the_concept_figures_can_be_drawn(tmp_path: Path) -> None:
 
 
 def test_the_slow_pictures_exist_and_are_small() -> None:
-    """`make docs` draws them."""
+    """Drawing them takes minutes, so `make docs` does it."""
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     assert "(docs/img/dual_collision.gif)" in readme
     assert (ROOT / "docs" / "img" / "dual_collision.gif").stat().st_size < 1_500_000
@@ -97,7 +97,7 @@ def _merged(base: Any, change: Any) -> Any:
 def test_a_yaml_block_is_accepted_by_the_loader(block: Block, tmp_path: Path) -> None:
     document = Document(block.text, block.place)
     tree = document.tree
-    tree.pop(EXTENDS, None)  # dart.yaml, as below
+    tree.pop(EXTENDS, None)  # the block is merged into dart.yaml below
     if "collisions" in tree:
         parse_mission(document, load_vehicle(ROOT / "configs" / "dart.yaml"))
     elif "sequence" in tree:
@@ -122,25 +122,27 @@ def test_an_ini_block_parses_and_has_sections(block: Block) -> None:
 
 
 @pytest.mark.parametrize("block", blocks_in("python"), ids=lambda b: b.place)
-def test_a_python_block_runs_without_leaving_files(block: Block, recorded: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_python_block_runs_without_leaving_files(
+    block: Block, recorded: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("MPLBACKEND", "Agg")
     monkeypatch.chdir(recorded)
     before = set(recorded.rglob("*"))
     exec(compile(block.text, block.place, "exec"), {"__name__": "__main__"})
-    assert set(recorded.rglob("*")) == before, "it leaves nothing"
+    assert set(recorded.rglob("*")) == before, "the block leaves files behind"
 
 
-# Objects whose keys are data.
+# Objects whose keys are data, so that a page may show other ones.
 OPEN = {"refused", "reasons", "residuals", "coefficients", "figures"}
 _PRODUCED_BY = re.compile(r"<!-- json: (.*) -->")
 
 
 def _shape_differences(shown: Any, real: Any, place: str) -> Iterator[str]:
-    """What differs between an object on a page and the real one: keys and kinds, not values."""
+    """Yield the differences between an object on a page and the real one in keys and types, not values."""
     if isinstance(shown, dict) and isinstance(real, dict):
         missing = set(shown) - set(real)
         undocumented = set() if place.rpartition(".")[2] in OPEN else set(real) - set(shown)
-        yield from (f"{place}.{key} is not there" for key in sorted(missing))
+        yield from (f"{place}.{key} does not exist" for key in sorted(missing))
         yield from (f"{place}.{key} is not on the page" for key in sorted(undocumented))
         for key in set(shown) & set(real):
             yield from _shape_differences(shown[key], real[key], f"{place}.{key}")
@@ -163,16 +165,16 @@ def test_differences_of_shape_are_detected() -> None:
 
 @pytest.fixture(scope="module")
 def recorded(flown: SharedFlights, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder from `init` with one flight in it."""
+    """A folder made by `init`, with one flight."""
     return shutil.copytree(
         flown.once("recorded", record_flight) / "lab", tmp_path_factory.mktemp("recorded") / "lab"
     )
 
 
-def record_flight(there: Path) -> None:
-    assert main(["init", str(there / "lab")]) == 0
-    mission = str(there / "lab" / "missions" / "single_wall.yaml")
-    assert main(["dry-run", mission, "--fast", "--log-dir", str(there / "lab" / "demo")]) == 0
+def record_flight(folder: Path) -> None:
+    assert main(["init", str(folder / "lab")]) == 0
+    mission = str(folder / "lab" / "missions" / "single_wall.yaml")
+    assert main(["dry-run", mission, "--fast", "--log-dir", str(folder / "lab" / "demo")]) == 0
 
 
 @pytest.mark.parametrize("block", blocks_in("json"), ids=lambda b: b.place)
@@ -248,7 +250,7 @@ def test_every_page_is_linked_from_the_index() -> None:
 
 @pytest.mark.parametrize("page", RESULTS, ids=name_of)
 def test_every_results_page_states_its_date_and_command(page: Path) -> None:
-    """Below its title; a page that is computed and never measured says by what alone."""
+    """The line is below the title; a computed page states the command without a date."""
     beginning = page.read_text(encoding="utf-8").partition("\n\n")[2]
     assert re.match(r"(Measured on \d{4}-\d{2}-\d{2}|Computed) by\s`[^`]+`", beginning), (
         f"{name_of(page)}: {beginning[:80]}"
@@ -257,13 +259,15 @@ def test_every_results_page_states_its_date_and_command(page: Path) -> None:
 
 @pytest.mark.parametrize("page", RESULTS, ids=name_of)
 def test_every_results_page_is_short(page: Path) -> None:
-    """Date, command, table, what it means and what it cannot say: git has the rest."""
+    """Date, command, table, meaning and limits suffice; git has the rest."""
     assert len(page.read_text(encoding="utf-8").split()) <= 400
 
 
 def test_every_page_named_in_the_sources_exists() -> None:
     files = [path for folder in SOURCES for path in (ROOT / folder).rglob("*") if path.suffix in _TEXT]
-    files = [path for path in files if ROOT / "tests" / "data" not in path.parents]  # as they were flown
+    files = [
+        path for path in files if ROOT / "tests" / "data" not in path.parents
+    ]  # recorded flights keep the names of their time
     files += [ROOT / name for name in ("README.md", "Makefile", "pyproject.toml")]
     missing = {
         f"{path.relative_to(ROOT)}: {name}"
