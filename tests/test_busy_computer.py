@@ -1,4 +1,4 @@
-"""A computer that is too busy for a flight in real time: measured before it, and named after it."""
+"""A computer that is too busy for a real-time flight is reported before and after the flight."""
 
 from __future__ import annotations
 
@@ -29,7 +29,9 @@ def test_the_lateness_of_the_program_is_measured(monkeypatch: pytest.MonkeyPatch
 @pytest.mark.parametrize(
     ("late_s", "go", "remark"), [(0.003, True, False), (0.1, True, True), (0.3, False, False)]
 )
-def test_check_reports_the_lateness(late_s: float, go: bool, remark: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_check_reports_the_lateness(
+    late_s: float, go: bool, remark: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(lateness, "measure_lateness_s", lambda: late_s)
     found = lateness.check_lateness(MISSION)
     assert (found.item, found.go, found.remark) == ("lateness", go, remark)

@@ -1,4 +1,4 @@
-"""The field kit: unit, udev rules, mavlink-router configuration and installer hang together."""
+"""The files of the field kit agree: units, udev rules, mavlink-router configuration and installer."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ INSTALLER = DEPLOY / "install.sh"
 
 
 def ini(path: Path) -> configparser.ConfigParser:
-    parser = configparser.ConfigParser(strict=False, interpolation=None)  # some keys come several times
+    parser = configparser.ConfigParser(strict=False, interpolation=None)  # some keys occur several times
     parser.optionxform = str  # type: ignore[assignment, method-assign]
     parser.read_string(path.read_text())
     return parser
@@ -44,7 +44,7 @@ def ini(path: Path) -> configparser.ConfigParser:
     shutil.which("systemd-analyze") is None, reason="no systemd-analyze here: unit not verified"
 )
 def test_systemd_accepts_the_unit(tmp_path: Path) -> None:
-    # The program is not installed where the unit looks for it: another executable stands in.
+    # Another executable replaces the program, which is not installed here.
     text = re.sub(r"^ExecStart=\S+", f"ExecStart={sys.executable}", UNIT.read_text(), flags=re.M)
     unit = tmp_path / "dart-flight@single_wall.service"
     unit.write_text(text)
@@ -53,11 +53,11 @@ def test_systemd_accepts_the_unit(tmp_path: Path) -> None:
     assert (done.returncode, done.stderr) == (0, "")
     unit.write_text(text.replace("WatchdogSec=1", "WatchdogSek=1"))
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
-    assert "WatchdogSek" in done.stderr, "a wrong key is seen"
+    assert "WatchdogSek" in done.stderr, "a wrong key must be reported"
 
 
 @pytest.mark.skipif(
-    shutil.which("systemd-analyze") is None, reason="no systemd-analyze here: exposure not judged"
+    shutil.which("systemd-analyze") is None, reason="no systemd-analyze here: exposure not measured"
 )
 def test_the_unit_has_the_exposure_level_of_the_page() -> None:
     command = ["systemd-analyze", "security", "--offline=true", "--threshold=25", str(UNIT)]
@@ -69,7 +69,7 @@ def test_the_unit_has_the_exposure_level_of_the_page() -> None:
 
 
 def test_the_unit_permits_only_what_a_flight_needs() -> None:
-    """Serial ports and GPIO, the link, the folders: no capability, no other device."""
+    """A flight needs serial ports, GPIO, network and folders, but no capability and no other device."""
     text, service = UNIT.read_text(), dict(line.partition("=")[::2] for line in UNIT.read_text().splitlines())
     assert service["CapabilityBoundingSet"] == ""
     assert service["DevicePolicy"] == "closed"
@@ -101,9 +101,9 @@ def test_the_unit_never_starts_by_itself() -> None:
 def test_the_timeouts_of_the_unit_fit_the_configuration() -> None:
     service, vehicle = ini(UNIT)["Service"], load_vehicle(ROOT / "configs" / "dart.yaml")
     assert service["Type"] == "notify"
-    assert float(service["WatchdogSec"]) > 2.0 * vehicle.guard.deadman_s, "the deadman acts first"
+    assert float(service["WatchdogSec"]) > 2.0 * vehicle.guard.deadman_s, "the deadman must act first"
     assert float(service["TimeoutStartSec"]) > 2.0 * vehicle.connection.timeout_s
-    # `stop` lands: down from the altitude of the shipped missions, after half a minute of breaking off.
+    # `stop` aborts within half a minute, then lands from the altitude of the shipped missions.
     assert float(service["TimeoutStopSec"]) > 30.0 + 2.0 / vehicle.px4.mpc_land_speed
 
 
@@ -113,13 +113,13 @@ def test_the_standby_unit_starts_at_boot_and_otherwise_equals_the_flight_unit() 
     assert (program, command, missions) == (flight["ExecStart"].split()[0], "standby", "$MISSIONS")
     assert service["EnvironmentFile"] == f"-{service['WorkingDirectory']}/standby.env"
     assert ini(STANDBY)["Install"]["WantedBy"] == "multi-user.target"
-    # A flight must not die with standby, and must get the time to land.
+    # A flight must survive the end of standby, and must have the time to land.
     assert service["KillMode"] == "process"
     assert service["TimeoutStopSec"] == flight["TimeoutStopSec"]
-    own = {"ExecStart", "ExecReload", "EnvironmentFile", "TimeoutStartSec", "WatchdogSec", "KillMode"}
-    own |= {"Restart", "RestartSec", "RestartPreventExitStatus"}
-    same = {key: value for key, value in flight.items() if key not in own}
-    assert {key: value for key, value in service.items() if key not in own} == same
+    differing = {"ExecStart", "ExecReload", "EnvironmentFile", "TimeoutStartSec", "WatchdogSec", "KillMode"}
+    differing |= {"Restart", "RestartSec", "RestartPreventExitStatus"}
+    same = {key: value for key, value in flight.items() if key not in differing}
+    assert {key: value for key, value in service.items() if key not in differing} == same
 
 
 @pytest.mark.skipif(
@@ -137,7 +137,7 @@ def test_systemd_accepts_the_standby_unit(tmp_path: Path) -> None:
 
 
 def test_the_qgroundcontrol_actions_have_the_documented_form() -> None:
-    """docs.qgroundcontrol.com, custom MAVLink actions: keys, required ones, kinds."""
+    """docs.qgroundcontrol.com defines the keys of custom MAVLink actions, and their types."""
     found = json.loads(ACTIONS.read_text(encoding="utf-8"))
     assert (found["version"], found["fileType"], set(found)) == (
         1,
@@ -191,7 +191,7 @@ def test_the_udev_rules_create_the_documented_links() -> None:
     for name in links:
         assert f"/dev/{name}" in page
     for rule in rules():
-        # ATTRS of one rule must be of one parent device: vendor and product are.
+        # All ATTRS of a rule must belong to one parent device, as vendor and product do.
         assert not [key for key in rule if key.startswith("ATTRS") and "id" not in key]
 
 
@@ -258,7 +258,7 @@ def test_the_installer_without_root_ends_with_one_line(tmp_path: Path) -> None:
 
 
 def test_every_dependency_of_the_pi_is_pinned() -> None:
-    # That each pin has a wheel needs the network: `make wheels`.
+    # `make wheels` checks that each pin has a wheel, which needs the network.
     rows = (ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines()
     pinned = {row.partition("==")[0] for row in rows if row and not row.startswith("#")}
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]

@@ -1,4 +1,4 @@
-"""What flies loads nothing of the lab, and no failure of the lab ends a flight."""
+"""Flight commands load no module of the lab, and a failure of the lab does not end a flight."""
 
 import argparse
 import subprocess
@@ -41,9 +41,9 @@ def test_flight_commands_load_no_module_of_the_lab(arguments: list[str], tmp_pat
     answer = subprocess.run(
         [sys.executable, "-c", LOADED, *arguments], cwd=tmp_path, capture_output=True, text=True, check=False
     )
-    if "--help" not in arguments:  # which exits before the line is printed, having loaded its command only
+    if "--help" not in arguments:  # `--help` exits before it can print the line
         assert answer.stderr.splitlines()[-1] == "loaded:", answer.stderr
-    # The kept log is thinned, and replaying it says so; `check` measures whether the computer is busy.
+    # Replay reports the omitted records of the kept log; `check` measures whether the computer is busy.
     expected = {"replay": {1}, "check": {0, 1}}.get(arguments[0], {0}) if "--help" not in arguments else {0}
     assert answer.returncode in expected, answer.stderr
 
@@ -54,7 +54,7 @@ def test_every_lab_entry_can_be_loaded(name: str) -> None:
 
 
 class BrokenView:
-    """A view that opens, and fails with the first record."""
+    """A view that opens but fails at the first record."""
 
     port = 1
 

@@ -1,4 +1,4 @@
-"""One class name and one file name stand for one thing (docs/glossary.md)."""
+"""Names of classes and files are unique in the package (docs/glossary.md)."""
 
 import ast
 from collections import Counter

@@ -1,4 +1,4 @@
-"""`make test` itself: two kinds side by side, both of which count, and neither of which stays behind."""
+"""`make test` runs two groups of commands in parallel, counts both, and leaves no process behind."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def test_an_interrupted_run_leaves_no_process_behind(
         [sys.executable, "-c", code],
         cwd=ROOT,
         start_new_session=True,
-        # It is inherited whether Ctrl-C is ignored.
+        # A process inherits whether Ctrl-C is ignored.
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_IGN if ignored else signal.SIG_DFL),  # noqa: PLW1509
     )
     until = time.monotonic() + 60.0

@@ -114,7 +114,7 @@ class EmulatedMaestro:
         with self._lock:
             self._noise += bursts
 
-    def send_noise(self, noise: bytes) -> None:
+    def say(self, noise: bytes) -> None:
         """Send noise now."""
         if self._terminal is not None:
             os.write(self._terminal[0], noise)

@@ -163,7 +163,7 @@ class MaestroRig:
         elif fault == "noise":
             bursts = (chance.randbytes(chance.randrange(0, 9)) for _ in range(chance.randrange(1, 12)))
             self.controller.add_noise(*bursts)
-            self.controller.send_noise(chance.randbytes(chance.randrange(0, 64)))
+            self.controller.say(chance.randbytes(chance.randrange(0, 64)))
         elif fault == "errors":
             self.controller.set_errors(chance.randrange(1, 512))
 

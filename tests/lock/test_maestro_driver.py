@@ -163,7 +163,7 @@ def test_garbage_before_an_answer_is_seen_and_asked_again(make_rig: MakeRig, noi
 def test_garbage_lying_on_the_line_is_ignored(make_rig: MakeRig) -> None:
     rig = make_rig()
     rig.driver.set_pulse(1500.0)
-    rig.controller.send_noise(b"\x00\x10" * 40)
+    rig.controller.say(b"\x00\x10" * 40)
     time.sleep(0.01)
     assert rig.driver.read().pulse_us == 1500.0
 
