@@ -22,8 +22,8 @@ settings.register_profile("ci", derandomize=True, deadline=None, max_examples=10
 settings.load_profile("ci")
 
 _NAP_S = 0.005
-_LATE_S = 0.03  # a program that runs this much later than it asked for cannot fly in real time
-_IDLE_SHARE = 0.1  # of the processors; tests in real time mostly wait
+_LATE_S = 0.03  # a program that runs this much too late cannot fly in real time
+_IDLE_SHARE = 0.1  # required share of processor time, because real-time tests mostly wait
 
 
 class LoadWatch:

@@ -265,9 +265,8 @@ def test_every_results_page_is_short(page: Path) -> None:
 
 def test_every_page_named_in_the_sources_exists() -> None:
     files = [path for folder in SOURCES for path in (ROOT / folder).rglob("*") if path.suffix in _TEXT]
-    files = [
-        path for path in files if ROOT / "tests" / "data" not in path.parents
-    ]  # recorded flights keep the names of their time
+    # Recorded flights keep the names of their time.
+    files = [path for path in files if ROOT / "tests" / "data" not in path.parents]
     files += [ROOT / name for name in ("README.md", "Makefile", "pyproject.toml")]
     missing = {
         f"{path.relative_to(ROOT)}: {name}"

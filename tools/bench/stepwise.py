@@ -41,7 +41,7 @@ def shuttle_seconds(steps: int) -> float:
 
 
 def hover_seconds(steps: int) -> float:
-    """Return the processor seconds of steps of a hovering `Simulation`."""
+    """Return the processor seconds of steps of a hovering `SteppedSimulation`."""
     simulation = SteppedSimulation(packaged("missions", "shuttle.yaml"), period_s=_PERIOD_S)
     setpoint = FlightSetpoint(position_mission=(0.0, 0.0, 1.0), mode=Mode.RIGID)
     begin = time.process_time()

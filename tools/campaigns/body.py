@@ -46,7 +46,7 @@ class BodyFlight(msgspec.Struct, frozen=True):
 
 
 def fly(point: Point, seed: int) -> BodyFlight:
-    """Fly among turned walls until landing."""
+    """Fly among rotated walls until landing."""
     mission = point.mission
     turned = dict.fromkeys((w.name for w in mission.walls), float(point.case["yaw_deg"]))
     watched = WatchedFlight(mission, seed, place_walls(draw_world(mission, seed, point.spreads), {}, turned))
