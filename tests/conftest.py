@@ -1,4 +1,4 @@
-"""Shared test settings."""
+"""Settings, fixtures and hooks of all tests."""
 
 import gc
 import threading
@@ -15,20 +15,19 @@ from tests.shared_flights import commanded, flown
 
 __all__ = ["commanded", "flown"]
 
-# Deterministic examples: the same commit gives the same answer on every machine. Hypothesis also draws
-# constants from the sources of all imported modules. The examples would then depend on what else a worker has
-# imported, and reading the sources takes 7 s of each worker.
+# Examples must be the same on every machine. Hypothesis also draws constants from the sources of all imported
+# modules. They would depend on the other imports of a worker, and reading them takes 7 s per worker.
 providers._get_local_constants = lambda: providers._local_constants
 settings.register_profile("ci", derandomize=True, deadline=None, max_examples=100)
 settings.load_profile("ci")
 
 _NAP_S = 0.005
-_LATE_S = 0.03  # a program that runs this much later than it asked for cannot fly in real time
-_IDLE_SHARE = 0.1  # of the processors; tests in real time mostly wait
+_LATE_S = 0.03  # a program that runs this much too late cannot fly in real time
+_IDLE_SHARE = 0.1  # required share of processor time, because real-time tests mostly wait
 
 
 class LoadWatch:
-    """Measures how late this process runs, by short sleeps of a thread, and how idle the computer is.
+    """A measurement of this process's lateness, by short sleeps of a thread, and of the computer's idle time.
 
     Attributes:
         worst_s: largest delay so far, seconds.
@@ -47,7 +46,7 @@ class LoadWatch:
         self._thread.join()
 
     def problem(self) -> str:
-        """Return why nothing in real time can be judged, in words; empty if it can."""
+        """Return why real-time results are invalid, or an empty string if they are valid."""
         if self.worst_s > _LATE_S:
             return f"this computer ran {self.worst_s * 1e3:.0f} ms late, allowed {_LATE_S * 1e3:.0f}"
         (idle, total), (idle_then, total_then) = _processor_ticks(), self._began
@@ -86,20 +85,20 @@ def _skipped_if_busy(item: pytest.Item) -> Generator[None, None, None]:
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_setup(item: pytest.Item) -> Generator[None, None, None]:
-    """Skip a test in real time whose fixtures fail while the computer is busy."""
+    """Skip a real-time test if its fixtures fail while the computer is busy."""
     return (yield from _skipped_if_busy(item))
 
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_call(item: pytest.Item) -> Generator[None, None, None]:
-    """Skip a test in real time that fails while the computer does not keep up with real time.
+    """Skip a real-time test if it fails while the computer is too busy for real time.
 
-    The failure then measures the computer. A test that fails on an idle computer fails.
+    Such a failure says nothing about the program. On an idle computer, the failure counts.
     """
     return (yield from _skipped_if_busy(item))
 
 
 def pytest_collection_finish(session: pytest.Session) -> None:
-    """Modules and tests stay to the end: no garbage collection need look at them again and again."""
+    """Exempt modules and tests from garbage collection, because they exist until the end."""
     gc.collect()
     gc.freeze()

@@ -1,4 +1,4 @@
-"""What the checks of a mission alone find."""
+"""Findings of the checks that need only a mission, for several tests."""
 
 from dart_flight.check.checks import FlightContext, select_checks
 from dart_flight.check.findings import CheckFinding

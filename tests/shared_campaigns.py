@@ -1,4 +1,4 @@
-"""Campaigns of `tools/campaigns`, sampled by their command: tests import nothing of tools."""
+"""Samples of the campaigns in `tools/campaigns`, run as commands because tests must not import tools."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ ROOT = Path(__file__).parents[1]
 
 
 def campaign_rows(out: Path, name: str, *options: str) -> list[dict[str, Any]]:
-    """Run a campaign in a new folder and return the rows of its table, numbers and lists decoded."""
+    """Run a campaign in a new folder and return the rows of its table, with decoded numbers and lists."""
     command = [sys.executable, "-m", "tools.campaigns", name, "--jobs", "1", "--out", str(out), *options]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     with open(out / "flights.csv", encoding="utf-8", newline="") as file:

@@ -1,5 +1,4 @@
-"""Flights that several tests look at: flown once for the whole run of the tests, by whichever worker comes
-first."""
+"""Flights that several tests use; the first worker that needs a flight flies it for all workers."""
 
 from __future__ import annotations
 
@@ -27,16 +26,16 @@ from dart_flight.sim.faults.fault_table import parse_fault
 from tests.doubles.ports import free_udp_port
 
 ROOT = Path(__file__).parents[1]
-VERDICT, SAID = "verdict.json", "said.json"
+VERDICT, COMMANDED = "verdict.json", "said.json"
 PATIENCE_S = 0.5
-# For flights in real time that are not about silence: other tests run beside them.
+# Settings for real-time flights whose tests do not concern silence, because other tests run in parallel.
 PATIENT = tuple(
     f"guard.{key}={PATIENCE_S}" for key in ("imu_timeout_s", "stream_timeout_s", "telemetry_late_s")
 )
 
 
 class Flown(NamedTuple):
-    """What is left of a flight: its verdict and its log. The log is shared: copy it to change it."""
+    """The verdict and the log of a flight. Tests share the log, so copy it before a change."""
 
     verdict: Verdict
     log: Path
@@ -50,10 +49,10 @@ class SharedFlights:
         self._known: dict[str, Flown] = {}
 
     def __call__(self, mission: str, seed: int, fault: str | None = None) -> Flown:
-        """The flight of a mission (`single_wall`, `dual_collision`) with a seed and perhaps a fault."""
+        """Return the flight of a mission, such as `single_wall`, with a seed and an optional fault."""
         name = f"{mission}-{seed}-{fault or 'healthy'}"
         if name not in self._known:
-            folder = self.once(name, lambda there: self._fly(there, mission, seed, fault))
+            folder = self.once(name, lambda target: self._fly(target, mission, seed, fault))
             verdict = msgspec.json.decode((folder / VERDICT).read_bytes(), type=Verdict)
             self._known[name] = Flown(verdict, next(folder.glob("*/flight.mcap")).resolve())
         return self._known[name]
@@ -66,11 +65,11 @@ class SharedFlights:
         (folder / VERDICT).write_bytes(msgspec.json.encode(verdict))
 
     def once(self, name: str, fly: Callable[[Path], object]) -> Path:
-        """The folder `name`, into which `fly` has put what it leaves, in this worker or in another."""
+        """Return the folder `name`, which `fly` has filled once, in this worker or in another."""
         folder = self._folder / name
         folder.mkdir(parents=True, exist_ok=True)
         with open(folder / "lock", "w", encoding="utf-8") as lock:
-            fcntl.flock(lock, fcntl.LOCK_EX)  # another worker may be flying it at this moment
+            fcntl.flock(lock, fcntl.LOCK_EX)  # another worker may be filling it
             if not (folder / "done").exists():
                 fly(folder)
                 (folder / "done").touch()
@@ -78,7 +77,7 @@ class SharedFlights:
 
 
 class Commanded(msgspec.Struct):
-    """What a command in real time has left: what it said, and the folder that it ran in."""
+    """The result of a command through MAVSDK: its working folder, exit status and output."""
 
     folder: str
     status: int
@@ -87,12 +86,12 @@ class Commanded(msgspec.Struct):
 
     @property
     def log(self) -> Path:
-        """The log of its flight."""
+        """The log of the command's flight."""
         return next(Path(self.folder).glob("flights/*/flight.mcap"))
 
 
 def patient(config: str) -> str:
-    """Return a configuration with the settings of `PATIENT`."""
+    """Return the text of a configuration with the settings of `PATIENT`."""
     keys = "imu_timeout_s|stream_timeout_s|telemetry_late_s"
     text, count = re.subn(rf"({keys}): [0-9.]+", rf"\1: {PATIENCE_S}", config)
     assert count == 3
@@ -102,24 +101,24 @@ def patient(config: str) -> str:
 class LiveFlights:
     """Commands that fly through MAVSDK, each in a folder made by `init`.
 
-    In real time the guard is `patient`.
+    In real time the guard has the settings of `PATIENT`.
 
     Args:
-        shared: where their folders are.
+        shared: flights that hold the folders.
     """
 
     def __init__(self, shared: SharedFlights) -> None:
         self._shared = shared
 
     def __call__(self, command: str, simulate: str | None = None) -> Commanded:
-        """What a command has left; `simulate` is the vehicle that it flies, in a process beside it.
+        """Return the result of a command; `simulate` runs its vehicle in a parallel process.
 
-        A flight with a vehicle beside it gets a port of its own, the answer to the question that only a
-        terminal is asked, and `--json`.
+        A flight with such a vehicle gets a free port, `--yes` instead of the question on a terminal, and
+        `--json`.
         """
         name = "-".join(re.findall(r"[\w.]+", command))
         folder = self._shared.once(name, lambda folder: self._run(folder, command, simulate))
-        return msgspec.json.decode((folder / SAID).read_bytes(), type=Commanded)
+        return msgspec.json.decode((folder / COMMANDED).read_bytes(), type=Commanded)
 
     @staticmethod
     def _run(folder: Path, command: str, simulate: str | None) -> None:
@@ -145,7 +144,7 @@ class LiveFlights:
                 port = str(free_udp_port())
                 command = f"{command.replace('14540', port)} --yes --json"
                 simulate = f"{simulate.replace(' --port 14540', '')} --port {port}"
-                stack.enter_context(_beside(simulate, lab, environment))
+                stack.enter_context(_in_parallel(simulate, lab, environment))
             done = subprocess.run(
                 ["bash", "-c", command],
                 cwd=lab,
@@ -155,12 +154,12 @@ class LiveFlights:
                 timeout=120,
                 check=False,
             )
-        said = Commanded(str(lab), done.returncode, done.stdout, done.stderr)
-        (folder / SAID).write_bytes(msgspec.json.encode(said))
+        result = Commanded(str(lab), done.returncode, done.stdout, done.stderr)
+        (folder / COMMANDED).write_bytes(msgspec.json.encode(result))
 
 
 @contextlib.contextmanager
-def _beside(command: str, folder: Path, environment: dict[str, str]) -> Iterator[None]:
+def _in_parallel(command: str, folder: Path, environment: dict[str, str]) -> Iterator[None]:
     process = subprocess.Popen(
         ["bash", "-c", f"exec {command}"],
         cwd=folder,
@@ -170,7 +169,7 @@ def _beside(command: str, folder: Path, environment: dict[str, str]) -> Iterator
     )
     try:
         time.sleep(1.0)
-        assert process.poll() is None, "simulate ended"
+        assert process.poll() is None, "`simulate` has ended"
         yield
     finally:
         process.send_signal(signal.SIGINT)
@@ -183,12 +182,12 @@ def _beside(command: str, folder: Path, environment: dict[str, str]) -> Iterator
 
 @pytest.fixture(scope="session")
 def flown(tmp_path_factory: pytest.TempPathFactory) -> SharedFlights:
-    """Flights that are flown once."""
+    """Flights that are flown once for all tests."""
     own = tmp_path_factory.getbasetemp()
     return SharedFlights((own.parent if "PYTEST_XDIST_WORKER" in os.environ else own) / "flown")
 
 
 @pytest.fixture
 def commanded(flown: SharedFlights) -> LiveFlights:
-    """Commands that fly through MAVSDK, run once for all tests that look at them."""
+    """Commands that fly through MAVSDK, run once for all tests."""
     return LiveFlights(flown)

@@ -1,4 +1,4 @@
-"""Plans of scenarios with `sight`, which take seconds: made once for the whole run of the tests."""
+"""Plans of scenarios with `sight`, made once for all tests because they take seconds."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ PLAN = "plan.pickle"
 
 
 def limited_sight_plan(flown: SharedFlights, scenario: Scenario) -> QuickestResult:
-    """The plan of a scenario, wherever its file is."""
+    """Return the plan of a scenario; the place of its file does not matter."""
 
     def plan(folder: Path) -> None:
         (folder / PLAN).write_bytes(pickle.dumps(plan_limited_sight(scenario)))

@@ -1,4 +1,4 @@
-"""A computer that is too busy for a flight in real time: measured before it, and named after it."""
+"""A computer that is too busy for a real-time flight is reported before and after the flight."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from dart_flight.base.processes import measure_lateness_s
 from dart_flight.base.records import GuardEvent, MissionEnd, Outcome, Override, Tick, World
 from dart_flight.check import computer_load as lateness
 from dart_flight.cli import dry_run_command, main
+from dart_flight.cli.flight_output import TOO_BUSY
 from dart_flight.config.vehicle import packaged
 from dart_flight.recording.verdict import Verdict, VerdictBuilder
 from dart_flight.run.prepare import load_flyable
@@ -20,7 +21,7 @@ SINGLE = ROOT / "missions/single_wall.yaml"
 MISSION = load_flyable(packaged("missions", "single_wall.yaml"))
 
 
-def test_how_late_it_runs_is_measured(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_lateness_of_the_program_is_measured(monkeypatch: pytest.MonkeyPatch) -> None:
     real, naps = time.sleep, iter([0.12])
     monkeypatch.setattr(time, "sleep", lambda s: real(s + next(naps, 0.0)))
     assert 0.12 <= measure_lateness_s() < 5.0
@@ -29,7 +30,9 @@ def test_how_late_it_runs_is_measured(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize(
     ("late_s", "go", "remark"), [(0.003, True, False), (0.1, True, True), (0.3, False, False)]
 )
-def test_check_says_how_late(late_s: float, go: bool, remark: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_check_reports_the_lateness(
+    late_s: float, go: bool, remark: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(lateness, "measure_lateness_s", lambda: late_s)
     found = lateness.check_lateness(MISSION)
     assert (found.item, found.go, found.remark) == ("lateness", go, remark)
@@ -46,12 +49,12 @@ def late_flight(late_us: int, world: World) -> Verdict:
     return builder.build(world, 1)
 
 
-def test_the_verdict_knows_how_late_the_program_ran() -> None:
+def test_the_verdict_reports_the_lateness_of_the_program() -> None:
     assert late_flight(412_000, World.EMBEDDED).own_lateness_ms == 412.0
     assert late_flight(0, World.FAST).own_lateness_ms == 0.0
 
 
-def test_a_dry_run_in_real_time_says_so_before_and_after(
+def test_a_real_time_dry_run_reports_lateness_before_and_after_the_flight(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(dry_run_command, "measure_lateness_s", lambda: 0.1)
@@ -59,15 +62,16 @@ def test_a_dry_run_in_real_time_says_so_before_and_after(
         dry_run_command, "fly_embedded", lambda *_, **__: late_flight(412_000, World.EMBEDDED)
     )
     assert main(["dry-run", str(SINGLE), "--realtime"]) == 1
-    said = capsys.readouterr().err
+    printed = capsys.readouterr().err
     advice = "the computer is too slow for real time; omit --realtime or use --fast"
-    assert f"this program lags by up to 100 ms: {advice}" in said
-    assert f"this program lagged by up to 412 ms: {advice}" in said
+    assert advice == TOO_BUSY
+    assert f"this program lags by up to 100 ms: {advice}" in printed
+    assert f"this program lagged by up to 412 ms: {advice}" in printed
 
 
-def test_in_simulated_time_nothing_is_measured(
+def test_a_dry_run_in_simulated_time_does_not_report_lateness(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     monkeypatch.setattr(dry_run_command, "measure_lateness_s", lambda: 0.1)
     assert main(["dry-run", str(SINGLE), "--fast", "--log-dir", str(tmp_path)]) == 0
-    assert "too busy" not in capsys.readouterr().err
+    assert TOO_BUSY not in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""The modules that `make compiled` compiles: what mypyc would spoil without a word is not in them."""
+"""The modules that `make compiled` compiles contain nothing that mypyc compiles wrongly without an error."""
 
 from __future__ import annotations
 
@@ -12,23 +12,25 @@ MODULES: list[str] = PROJECT["tool"]["hatch"]["build"]["targets"]["wheel"]["hook
 
 
 def test_a_compiled_module_has_no_struct_and_no_arrays() -> None:
-    """mypyc drops a Struct's options (frozen, gc, dict), and refuses an array where a float is declared."""
+    """mypyc drops a Struct's options (frozen, gc, dict) and rejects an array for a declared float."""
     for module in MODULES:
         nodes = list(ast.walk(ast.parse((ROOT / module).read_text(encoding="utf-8"))))
         bases = {ast.unparse(base) for node in nodes if isinstance(node, ast.ClassDef) for base in node.bases}
         assert not {base for base in bases if base.endswith(("Struct", "Section", "Record"))}, module
         imports = [node for node in nodes if isinstance(node, ast.Import | ast.ImportFrom)]
-        # `Number` is that of a rule for numbers and for arrays.
-        assert not {alias.name for node in imports for alias in node.names} & {"numpy", "Number"}, module
+        # `Number` types a rule that accepts numbers and arrays.
+        sources = {node.module for node in imports if isinstance(node, ast.ImportFrom)}
+        names = {alias.name for node in imports for alias in node.names}
+        assert not (names | sources) & {"numpy", "numpy.typing", "Number"}, module
 
 
-def test_no_compiled_module_stands_beside_its_source() -> None:
-    """It would be imported instead of the source, and hide every change."""
+def test_no_compiled_module_is_beside_its_source() -> None:
+    """Python would import the compiled module instead of the source, and hide every change."""
     assert not [path for path in (ROOT / "dart_flight").rglob("*") if path.suffix in (".so", ".pyd")]
 
 
-def test_final_names_are_what_mypyc_reads_right() -> None:
-    """Of a Final float, or tuple of floats, that is no literal, mypyc says at times that it was not set."""
+def test_final_names_have_values_that_mypyc_compiles_correctly() -> None:
+    """mypyc may report a Final float, or tuple of floats, as unset if its value is not a literal."""
     for module in MODULES:
         for node in ast.parse((ROOT / module).read_text(encoding="utf-8")).body:
             if isinstance(node, ast.AnnAssign) and ast.unparse(node.annotation) == "Final":
@@ -37,7 +39,7 @@ def test_final_names_are_what_mypyc_reads_right() -> None:
 
 
 def _is_safe(value: ast.expr) -> bool:
-    """A literal, a name, a member of an enumeration, or what is no number for certain."""
+    """Return whether a value is a literal, a name, an enumeration member, or certainly no number."""
     if isinstance(value, ast.Tuple):
         return all(
             isinstance(e, ast.Name) or (isinstance(e, ast.Constant) and isinstance(e.value, str))

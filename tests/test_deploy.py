@@ -1,4 +1,4 @@
-"""The field kit: unit, udev rules, mavlink-router configuration and installer hang together."""
+"""The files of the field kit agree: units, udev rules, mavlink-router configuration and installer."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ INSTALLER = DEPLOY / "install.sh"
 
 
 def ini(path: Path) -> configparser.ConfigParser:
-    parser = configparser.ConfigParser(strict=False, interpolation=None)  # some keys come several times
+    parser = configparser.ConfigParser(strict=False, interpolation=None)  # some keys occur several times
     parser.optionxform = str  # type: ignore[assignment, method-assign]
     parser.read_string(path.read_text())
     return parser
@@ -43,8 +43,8 @@ def ini(path: Path) -> configparser.ConfigParser:
 @pytest.mark.skipif(
     shutil.which("systemd-analyze") is None, reason="no systemd-analyze here: unit not verified"
 )
-def test_systemd_takes_the_unit(tmp_path: Path) -> None:
-    # The program is not installed where the unit looks for it: another executable stands in.
+def test_systemd_accepts_the_unit(tmp_path: Path) -> None:
+    # Another executable replaces the program, which is not installed here.
     text = re.sub(r"^ExecStart=\S+", f"ExecStart={sys.executable}", UNIT.read_text(), flags=re.M)
     unit = tmp_path / "dart-flight@single_wall.service"
     unit.write_text(text)
@@ -53,13 +53,13 @@ def test_systemd_takes_the_unit(tmp_path: Path) -> None:
     assert (done.returncode, done.stderr) == (0, "")
     unit.write_text(text.replace("WatchdogSec=1", "WatchdogSek=1"))
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
-    assert "WatchdogSek" in done.stderr, "a wrong key is seen"
+    assert "WatchdogSek" in done.stderr, "a wrong key must be reported"
 
 
 @pytest.mark.skipif(
-    shutil.which("systemd-analyze") is None, reason="no systemd-analyze here: exposure not judged"
+    shutil.which("systemd-analyze") is None, reason="no systemd-analyze here: exposure not measured"
 )
-def test_the_unit_is_closed_as_far_as_the_page_says() -> None:
+def test_the_unit_has_the_exposure_level_of_the_page() -> None:
     command = ["systemd-analyze", "security", "--offline=true", "--threshold=25", str(UNIT)]
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
     assert done.returncode == 0, done.stdout[-400:]
@@ -68,8 +68,8 @@ def test_the_unit_is_closed_as_far_as_the_page_says() -> None:
     assert f"exposure level {found[1]}" in (ROOT / "docs" / "field.md").read_text()
 
 
-def test_the_unit_leaves_what_a_flight_needs() -> None:
-    """Serial ports and GPIO, the link, the folders: no capability, no other device."""
+def test_the_unit_permits_only_what_a_flight_needs() -> None:
+    """A flight needs serial ports, GPIO, network and folders, but no capability and no other device."""
     text, service = UNIT.read_text(), dict(line.partition("=")[::2] for line in UNIT.read_text().splitlines())
     assert service["CapabilityBoundingSet"] == ""
     assert service["DevicePolicy"] == "closed"
@@ -82,7 +82,7 @@ def test_the_unit_leaves_what_a_flight_needs() -> None:
     assert "ProtectKernelTunables" not in service, "the PWM driver's files are in /sys"
 
 
-def test_the_unit_flies_a_mission_that_exists_by_a_command_that_parses() -> None:
+def test_the_command_of_the_unit_parses_and_its_mission_exists() -> None:
     service = ini(UNIT)["Service"]
     program, *arguments = shlex.split(service["ExecStart"].replace("%i", "single_wall"))
     assert program.endswith("/bin/dart-flight")
@@ -91,41 +91,41 @@ def test_the_unit_flies_a_mission_that_exists_by_a_command_that_parses() -> None
     assert (ROOT / parsed.mission).exists()
 
 
-def test_the_unit_never_flies_by_itself() -> None:
+def test_the_unit_never_starts_by_itself() -> None:
     unit = ini(UNIT)
     assert not unit.has_section("Install")
     assert unit["Service"]["Restart"] == "no"
     assert not UNIT.read_text().count("WantedBy")
 
 
-def test_the_times_of_the_unit_fit_the_configuration() -> None:
+def test_the_timeouts_of_the_unit_fit_the_configuration() -> None:
     service, vehicle = ini(UNIT)["Service"], load_vehicle(ROOT / "configs" / "dart.yaml")
     assert service["Type"] == "notify"
-    assert float(service["WatchdogSec"]) > 2.0 * vehicle.guard.deadman_s, "the deadman acts first"
+    assert float(service["WatchdogSec"]) > 2.0 * vehicle.guard.deadman_s, "the deadman must act first"
     assert float(service["TimeoutStartSec"]) > 2.0 * vehicle.connection.timeout_s
-    # `stop` lands: down from the altitude of the shipped missions, after half a minute of breaking off.
+    # `stop` aborts within half a minute, then lands from the altitude of the shipped missions.
     assert float(service["TimeoutStopSec"]) > 30.0 + 2.0 / vehicle.px4.mpc_land_speed
 
 
-def test_standby_starts_with_the_computer_and_differs_from_the_flight_only_where_it_must() -> None:
+def test_the_standby_unit_starts_at_boot_and_otherwise_equals_the_flight_unit() -> None:
     service, flight = ini(STANDBY)["Service"], ini(UNIT)["Service"]
     program, command, missions = service["ExecStart"].split()
     assert (program, command, missions) == (flight["ExecStart"].split()[0], "standby", "$MISSIONS")
     assert service["EnvironmentFile"] == f"-{service['WorkingDirectory']}/standby.env"
     assert ini(STANDBY)["Install"]["WantedBy"] == "multi-user.target"
-    # A flight must not die with standby, and must get the time to land.
+    # A flight must survive the end of standby, and must have the time to land.
     assert service["KillMode"] == "process"
     assert service["TimeoutStopSec"] == flight["TimeoutStopSec"]
-    own = {"ExecStart", "ExecReload", "EnvironmentFile", "TimeoutStartSec", "WatchdogSec", "KillMode"}
-    own |= {"Restart", "RestartSec", "RestartPreventExitStatus"}
-    same = {key: value for key, value in flight.items() if key not in own}
-    assert {key: value for key, value in service.items() if key not in own} == same
+    differing = {"ExecStart", "ExecReload", "EnvironmentFile", "TimeoutStartSec", "WatchdogSec", "KillMode"}
+    differing |= {"Restart", "RestartSec", "RestartPreventExitStatus"}
+    same = {key: value for key, value in flight.items() if key not in differing}
+    assert {key: value for key, value in service.items() if key not in differing} == same
 
 
 @pytest.mark.skipif(
     shutil.which("systemd-analyze") is None, reason="no systemd-analyze here: unit not verified"
 )
-def test_systemd_takes_the_unit_of_standby(tmp_path: Path) -> None:
+def test_systemd_accepts_the_standby_unit(tmp_path: Path) -> None:
     unit = tmp_path / STANDBY.name
     unit.write_text(re.sub(r"^ExecStart=\S+", f"ExecStart={sys.executable}", STANDBY.read_text(), flags=re.M))
     command = ["systemd-analyze", "verify", "--man=no", str(unit)]
@@ -136,8 +136,8 @@ def test_systemd_takes_the_unit_of_standby(tmp_path: Path) -> None:
 # --- QGroundControl --------------------------------------------------------------------------------------
 
 
-def test_the_actions_have_the_documented_form() -> None:
-    """docs.qgroundcontrol.com, custom MAVLink actions: keys, required ones, kinds."""
+def test_the_qgroundcontrol_actions_have_the_documented_form() -> None:
+    """docs.qgroundcontrol.com defines the keys of custom MAVLink actions, and their types."""
     found = json.loads(ACTIONS.read_text(encoding="utf-8"))
     assert (found["version"], found["fileType"], set(found)) == (
         1,
@@ -182,7 +182,7 @@ def rules() -> list[dict[str, str]]:
     return found
 
 
-def test_the_rules_name_what_configuration_and_page_name() -> None:
+def test_the_udev_rules_create_the_documented_links() -> None:
     page = (ROOT / "docs" / "field.md").read_text()
     links = {rule["SYMLINK+="]: rule for rule in rules() if "SYMLINK+=" in rule}
     assert set(links) == {"dart-autopilot", "dart-servo"}
@@ -191,7 +191,7 @@ def test_the_rules_name_what_configuration_and_page_name() -> None:
     for name in links:
         assert f"/dev/{name}" in page
     for rule in rules():
-        # ATTRS of one rule must be of one parent device: vendor and product are.
+        # All ATTRS of a rule must belong to one parent device, as vendor and product do.
         assert not [key for key in rule if key.startswith("ATTRS") and "id" not in key]
 
 
@@ -203,14 +203,14 @@ def _udevadm_verifies() -> bool:
 
 
 @pytest.mark.skipif(not _udevadm_verifies(), reason="no `udevadm verify` here (systemd 254 or newer)")
-def test_udev_takes_the_rules() -> None:
+def test_udevadm_accepts_the_rules() -> None:
     subprocess.run(["udevadm", "verify", str(RULES)], check=True, timeout=60)
 
 
 # --- mavlink-router --------------------------------------------------------------------------------------
 
 
-def test_the_router_shares_the_link_of_the_configuration() -> None:
+def test_the_router_uses_the_configured_link() -> None:
     router = ini(DEPLOY / "mavlink-router" / "main.conf")
     uart = router["UartEndpoint autopilot"]
     url = load_vehicle(ROOT / "configs" / "dart.yaml").connection.url
@@ -225,7 +225,7 @@ def test_the_router_shares_the_link_of_the_configuration() -> None:
 # --- installer -------------------------------------------------------------------------------------------
 
 
-def test_the_installer_is_shell_and_its_files_are_there() -> None:
+def test_the_installer_is_valid_shell_and_its_files_exist() -> None:
     subprocess.run(["sh", "-n", str(INSTALLER)], check=True, timeout=60)
     text = INSTALLER.read_text()
     named = re.findall(r'"\$here/([\w@./-]+)"', text)
@@ -239,7 +239,7 @@ def test_the_installer_is_shell_and_its_files_are_there() -> None:
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="for Linux")
-def test_the_installer_refuses_without_root_in_one_line(tmp_path: Path) -> None:
+def test_the_installer_without_root_ends_with_one_line(tmp_path: Path) -> None:
     fake = tmp_path / "id"
     fake.write_text("#!/bin/sh\necho 1000\n")
     fake.chmod(0o755)
@@ -258,13 +258,13 @@ def test_the_installer_refuses_without_root_in_one_line(tmp_path: Path) -> None:
 
 
 def test_every_dependency_of_the_pi_is_pinned() -> None:
-    # That each pin has a wheel needs the network: `make wheels`.
+    # `make wheels` checks that each pin has a wheel, which needs the network.
     rows = (ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines()
     pinned = {row.partition("==")[0] for row in rows if row and not row.startswith("#")}
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    asked = list(project["dependencies"])
+    required = list(project["dependencies"])
     for extra in ("sim", "identify", "report", "live"):
-        asked += project["optional-dependencies"][extra]
-    wanted = {canonicalize_name(Requirement(item).name) for item in asked}
-    assert {"mavsdk", "msgspec", "pymavlink", "matplotlib"} <= wanted
-    assert wanted <= {canonicalize_name(name) for name in pinned}
+        required += project["optional-dependencies"][extra]
+    names = {canonicalize_name(Requirement(item).name) for item in required}
+    assert {"mavsdk", "msgspec", "pymavlink", "matplotlib"} <= names
+    assert names <= {canonicalize_name(name) for name in pinned}

@@ -1,4 +1,4 @@
-"""Imports point one way (docs/architecture.md), and each package from outside is imported in one place."""
+"""Imports point one way (docs/architecture.md), and each external package is imported in few places."""
 
 import ast
 import functools
@@ -8,7 +8,7 @@ from pathlib import Path
 
 PACKAGE = Path(__file__).parents[1] / "dart_flight"
 
-# Rooms from the ground up; a room may import those of its own and of lower floors. All but the lab fly.
+# Subpackages from the lowest floor up; each may import itself and lower floors. All except the lab fly.
 FLIGHT = (
     "base",
     "config",
@@ -23,12 +23,11 @@ FLIGHT = (
     "check",
 )
 FLOORS = {
-    room: floor for floor, room in enumerate(("lab_entries", *FLIGHT, "cli", "lab", "__main__", "__init__"))
+    name: floor for floor, name in enumerate(("lab_entries", *FLIGHT, "cli", "lab", "__main__", "__init__"))
 }
-# Inside the lab likewise.
+# Subpackages of the lab, from the lowest floor up.
 LAB = (
     "stepwise",
-    "holes",
     "ulog",
     "figure_style",
     "statistics",
@@ -48,10 +47,8 @@ LAB = (
     "gym_shuttle",
     "commands",
 )
-# Inside the core likewise: what is known, what is proposed, what is allowed.
-CORE_FLOORS = {"sense": 0, "mission": 1, "guard": 2, "flight_core": 3}
-# Where a package from outside may be imported.
-DOORS = {
+# Folders and files that may import an external package.
+ALLOWED = {
     "mavsdk": ("vehicle/",),
     "natnet": ("vehicle/motion_capture/optitrack.py",),
     "qtm_rt": ("vehicle/motion_capture/qualisys.py",),
@@ -71,7 +68,7 @@ def modules() -> list[Path]:
 
 @functools.cache
 def nodes_of(path: Path) -> list[ast.AST]:
-    """The imports and constants of a file, parsed once for all tests."""
+    """Return the imports and constants of a file, which is parsed once for all tests."""
     kinds = ast.Import | ast.ImportFrom | ast.Constant
     return [node for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, kinds)]
 
@@ -92,7 +89,7 @@ def imports_of(path: Path) -> Iterator[str]:
 
 
 def files_imported_by(path: Path) -> set[str]:
-    """The package's files that a file imports anywhere in it, for types only or late, too; no `__init__`."""
+    """Return the package's files, without `__init__`, that a file imports anywhere, even for types only."""
     found = set[str]()
     for node in nodes_of(path):
         if isinstance(node, ast.ImportFrom) and node.module:
@@ -102,16 +99,16 @@ def files_imported_by(path: Path) -> set[str]:
     return found & module_names()
 
 
-def test_no_files_import_each_other() -> None:
+def test_imports_have_no_cycles() -> None:
     graph = {
         ".".join(("dart_flight", *path.relative_to(PACKAGE).with_suffix("").parts)): files_imported_by(path)
         for path in modules()
         if path.name != "__init__.py"
     }
-    TopologicalSorter(graph).prepare()  # raises CycleError, which names the circle
+    TopologicalSorter(graph).prepare()  # raises CycleError, which names the cycle
 
 
-def room_of(module: str) -> str | None:
+def subpackage_of(module: str) -> str | None:
     parts = module.split(".")
     if parts[0] != "dart_flight":
         return None
@@ -123,12 +120,12 @@ def test_imports_point_down() -> None:
     for path in modules():
         relative = path.relative_to(PACKAGE)
         own = relative.parts[0].removesuffix(".py")
-        assert own in FLOORS, f"{own} is a new room: give it a floor"
+        assert own in FLOORS, f"{own} is a new subpackage: give it a floor"
         for module in imports_of(path):
-            room = room_of(module)
-            if room is None or room in (own, "__init__"):  # the package itself only says its version
+            imported = subpackage_of(module)
+            if imported is None or imported in (own, "__init__"):  # the package itself only has a version
                 continue
-            if FLOORS[room] >= FLOORS[own]:
+            if FLOORS[imported] >= FLOORS[own]:
                 upward.append(f"{relative} imports {module}")
     assert upward == []
 
@@ -143,7 +140,7 @@ def test_the_lab_imports_point_down() -> None:
                 assert LAB.index(parts[2]) < LAB.index(own), f"{relative} imports {module}"
 
 
-def test_whatever_is_reached_in_the_lab_stands_in_one_table() -> None:
+def test_the_lab_is_named_outside_it_only_in_lab_entries() -> None:
     for path in modules():
         relative = path.relative_to(PACKAGE)
         if relative.parts[0] == "lab" or relative.name == "lab_entries.py":
@@ -153,12 +150,12 @@ def test_whatever_is_reached_in_the_lab_stands_in_one_table() -> None:
                 assert not str(node.value).startswith("dart_flight.lab."), relative
 
 
-def test_doors_to_the_outside() -> None:
+def test_external_packages_are_imported_only_where_allowed() -> None:
     elsewhere = []
     for path in modules():
         relative = str(path.relative_to(PACKAGE))
         for module in imports_of(path):
-            allowed = DOORS.get(module.split(".")[0])
+            allowed = ALLOWED.get(module.split(".")[0])
             if allowed is not None and not relative.startswith(allowed):
                 elsewhere.append(f"{relative} imports {module}")
     assert elsewhere == []
@@ -173,8 +170,8 @@ def test_the_core_reads_no_clock_and_does_no_io() -> None:
             )
 
 
-def test_tools_and_tests_import_nothing_of_one_another() -> None:
-    """A test runs a tool by its command; code of both belongs to the package."""
+def test_package_tests_and_tools_do_not_import_each_other() -> None:
+    """Tests run tools as commands, and code that both need belongs to the package."""
     root = PACKAGE.parent
     for folder, other in (("tests", "tools"), ("tools", "tests"), ("dart_flight", "tools")):
         for path in (root / folder).rglob("*.py"):

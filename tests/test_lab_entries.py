@@ -1,4 +1,4 @@
-"""What flies loads nothing of the lab, and no failure of the lab ends a flight."""
+"""Flight commands load no module of the lab, and a failure of the lab does not end a flight."""
 
 import argparse
 import subprocess
@@ -37,24 +37,24 @@ sys.exit(status)
     ],
     ids=lambda arguments: " ".join(Path(word).name for word in arguments),
 )
-def test_a_flight_loads_no_lab(arguments: list[str], tmp_path: Path) -> None:
+def test_flight_commands_load_no_module_of_the_lab(arguments: list[str], tmp_path: Path) -> None:
     answer = subprocess.run(
         [sys.executable, "-c", LOADED, *arguments], cwd=tmp_path, capture_output=True, text=True, check=False
     )
-    if "--help" not in arguments:  # which exits before the line is printed, having loaded its command only
+    if "--help" not in arguments:  # `--help` exits before it can print the line
         assert answer.stderr.splitlines()[-1] == "loaded:", answer.stderr
-    # The kept log is thinned, and replaying it says so; `check` measures whether the computer is busy.
+    # Replay reports the omitted records of the kept log; `check` measures whether the computer is busy.
     expected = {"replay": {1}, "check": {0, 1}}.get(arguments[0], {0}) if "--help" not in arguments else {0}
     assert answer.returncode in expected, answer.stderr
 
 
 @pytest.mark.parametrize("name", [n for n in vars(lab_entries) if n.isupper() and n != "COMMANDS"])
-def test_every_entry_leads_somewhere(name: str) -> None:
+def test_every_lab_entry_can_be_loaded(name: str) -> None:
     assert lab_entries.load_entry(getattr(lab_entries, name)) is not None
 
 
 class BrokenView:
-    """A view that opens, and fails with the first record."""
+    """A view that opens but fails at the first record."""
 
     port = 1
 
@@ -66,7 +66,7 @@ class BrokenView:
 
 
 @pytest.mark.parametrize("failing", ["opens", "draws"])
-def test_a_live_view_that_fails_ends_no_flight(
+def test_a_failing_live_view_does_not_end_the_flight(
     failing: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def entry(_: str) -> object:
@@ -75,17 +75,17 @@ def test_a_live_view_that_fails_ends_no_flight(
         return lambda *_: BrokenView()
 
     monkeypatch.setattr("dart_flight.cli.live_options.load_entry", entry)
-    asked = argparse.Namespace(live=True, live_host=None, live_port=None)
-    with live_view(asked, load_mission(MISSION)) as view:
+    options = argparse.Namespace(live=True, live_host=None, live_port=None)
+    with live_view(options, load_mission(MISSION)) as view:
         assert (view is None) == (failing == "opens")
         for t_us in range(3):
             if view is not None:
                 view(StatusText(t_us, 0, "info", "a record"))
-    said = capsys.readouterr().err
-    assert said.count("the flight continues without it") == 1
+    printed = capsys.readouterr().err
+    assert printed.count("the flight continues without it") == 1
 
 
-def test_a_picture_that_fails_ends_no_check(
+def test_a_failing_picture_does_not_end_the_check(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     monkeypatch.setattr("dart_flight.cli.mission_picture.load_entry", lambda _: 1 / 0)
@@ -93,8 +93,8 @@ def test_a_picture_that_fails_ends_no_check(
     assert "no picture: ZeroDivisionError" in capsys.readouterr().err
 
 
-def test_the_old_name_of_a_command_goes_on_working(capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_old_command_name_still_works(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["feel", "missing.ulg"]) == 2
-    said = capsys.readouterr().err
-    assert "`feel` is now `inspect`" in said
-    assert "missing.ulg" in said
+    printed = capsys.readouterr().err
+    assert "`feel` is now `inspect`" in printed
+    assert "missing.ulg" in printed

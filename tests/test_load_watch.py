@@ -1,4 +1,4 @@
-"""Tests in real time: a failure on a busy computer is a skip with its reason, on an idle one a failure."""
+"""A failing real-time test is skipped on a busy computer, and fails on an idle one."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from tests import conftest
 
 @pytest.fixture
 def ticks(monkeypatch: pytest.MonkeyPatch) -> list[tuple[int, int]]:
-    """Idle ticks and all ticks, in the order in which they are asked for; the thread does not measure."""
+    """Idle and total ticks that the watch reads in turn; its thread does not measure."""
     given: list[tuple[int, int]] = []
     monkeypatch.setattr(conftest, "_processor_ticks", lambda: given.pop(0))
     monkeypatch.setattr(conftest.LoadWatch, "_run", lambda self: None)
@@ -20,7 +20,7 @@ def ticks(monkeypatch: pytest.MonkeyPatch) -> list[tuple[int, int]]:
 
 
 def run(error: BaseException | None, realtime: bool = True) -> None:
-    """A test that ends with `error`, under the hook."""
+    """Run a test that ends with `error` inside the hook."""
     item: Any = SimpleNamespace(get_closest_marker=lambda name: realtime or None)
     hook = conftest._skipped_if_busy(item)
     next(hook)
@@ -34,19 +34,21 @@ def run(error: BaseException | None, realtime: bool = True) -> None:
 
 
 @pytest.mark.parametrize("error", [AssertionError("late"), pytest.fail.Exception("ended before")])
-def test_a_failure_on_a_busy_computer_is_a_skip(ticks: list[tuple[int, int]], error: BaseException) -> None:
+def test_a_failure_on_a_busy_computer_becomes_a_skip(
+    ticks: list[tuple[int, int]], error: BaseException
+) -> None:
     ticks += [(1000, 5000), (1005, 5200)]
     with pytest.raises(pytest.skip.Exception, match="idle 2 % of the time, needed 10"):
         run(error)
 
 
-def test_a_failure_on_an_idle_computer_stays_one(ticks: list[tuple[int, int]]) -> None:
+def test_a_failure_on_an_idle_computer_stays_a_failure(ticks: list[tuple[int, int]]) -> None:
     ticks += [(1000, 5000), (1100, 5200)]
     with pytest.raises(AssertionError, match="wrong"):
         run(AssertionError("wrong"))
 
 
-def test_a_program_that_ran_late_cannot_be_judged(
+def test_a_failure_of_a_late_process_becomes_a_skip(
     ticks: list[tuple[int, int]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     ticks += [(1000, 5000), (1100, 5200)]
@@ -55,7 +57,7 @@ def test_a_program_that_ran_late_cannot_be_judged(
         run(AssertionError("wrong"))
 
 
-def test_a_good_test_is_good_on_a_busy_computer_and_one_in_simulated_time_is_never_skipped(
+def test_passing_tests_and_tests_in_simulated_time_are_never_skipped(
     ticks: list[tuple[int, int]],
 ) -> None:
     ticks += [(1000, 5000)]

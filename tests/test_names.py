@@ -1,4 +1,4 @@
-"""One class name and one file name stand for one thing (docs/glossary.md)."""
+"""Names of classes and files are unique in the package (docs/glossary.md)."""
 
 import ast
 from collections import Counter
@@ -8,7 +8,7 @@ PACKAGE = Path(__file__).parents[1] / "dart_flight"
 FILES = sorted(PACKAGE.rglob("*.py"))
 
 
-def test_a_class_name_stands_for_one_class() -> None:
+def test_every_class_name_is_unique() -> None:
     names = Counter(
         node.name.lstrip("_")
         for path in FILES
@@ -18,6 +18,6 @@ def test_a_class_name_stands_for_one_class() -> None:
     assert [name for name, count in names.items() if count > 1] == []
 
 
-def test_a_file_name_stands_for_one_file() -> None:
+def test_every_file_name_is_unique() -> None:
     names = Counter(path.stem for path in FILES if path.stem != "__init__")
     assert [name for name, count in names.items() if count > 1] == []

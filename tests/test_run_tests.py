@@ -1,4 +1,4 @@
-"""`make test` itself: two kinds side by side, both of which count, and neither of which stays behind."""
+"""`make test` runs two groups of commands in parallel, counts both, and leaves no process behind."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 GOOD, BAD = "timeit -n 1 -r 1 pass", "py_compile there-is-no-such-file.py"
-SAYS = "timeit -n 1 -r 1 'print(chr(123), 1, chr(125))'"
+PRINTS = "timeit -n 1 -r 1 'print(chr(123), 1, chr(125))'"
 
 
 def run_both(first: list[str], others: list[str]) -> subprocess.CompletedProcess[str]:
@@ -25,15 +25,15 @@ def run_both(first: list[str], others: list[str]) -> subprocess.CompletedProcess
     ("first", "others", "good"),
     [([GOOD], [GOOD], True), ([BAD, GOOD], [GOOD], False), ([GOOD], [BAD, GOOD], False)],
 )
-def test_both_kinds_count(first: list[str], others: list[str], good: bool) -> None:
+def test_a_failure_of_either_group_fails_the_run(first: list[str], others: list[str], good: bool) -> None:
     assert (run_both(first, others).returncode == 0) is good
 
 
-def test_the_others_are_shown_last() -> None:
-    done = run_both([GOOD], [SAYS, GOOD])
+def test_the_output_of_the_second_group_is_shown_last() -> None:
+    done = run_both([GOOD], [PRINTS, GOOD])
     assert done.returncode == 0
     shown = [line for line in done.stdout.splitlines() if line[0] in "+{"]
-    assert shown == [f"+ {GOOD}", f"+ {SAYS}", "{ 1 }", f"+ {GOOD}"]
+    assert shown == [f"+ {GOOD}", f"+ {PRINTS}", "{ 1 }", f"+ {GOOD}"]
 
 
 @pytest.mark.parametrize(
@@ -41,7 +41,7 @@ def test_the_others_are_shown_last() -> None:
     [(signal.SIGINT, False), (signal.SIGTERM, False), (signal.SIGTERM, True)],
     ids=["Ctrl-C", "SIGTERM", "SIGTERM to what a script has started behind it"],
 )
-def test_what_is_interrupted_leaves_nothing_behind(
+def test_an_interrupted_run_leaves_no_process_behind(
     number: signal.Signals, ignored: bool, tmp_path: Path
 ) -> None:
     sleeps = [
@@ -55,7 +55,7 @@ def test_what_is_interrupted_leaves_nothing_behind(
         [sys.executable, "-c", code],
         cwd=ROOT,
         start_new_session=True,
-        # It is inherited whether Ctrl-C is ignored.
+        # A process inherits whether Ctrl-C is ignored.
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_IGN if ignored else signal.SIG_DFL),  # noqa: PLW1509
     )
     until = time.monotonic() + 60.0

@@ -1,4 +1,4 @@
-"""Every specification of `tools/campaigns` can be loaded, and what it names is there."""
+"""Every specification in `tools/campaigns` can be loaded, and everything it names exists."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ SPECIFICATIONS = sorted((ROOT / "tools" / "campaigns").glob("*.yaml"))
 
 
 def functions_of(path: Path) -> set[str]:
-    """Functions of a module, or the names that it exports."""
+    """Return the functions of a module and the names that it imports."""
     tree = ast.parse(path.read_text("utf-8"))
     found = {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}
     imports = [node for node in tree.body if isinstance(node, ast.ImportFrom)]
@@ -22,13 +22,17 @@ def functions_of(path: Path) -> set[str]:
 
 
 @pytest.mark.parametrize("path", SPECIFICATIONS, ids=lambda path: path.stem)
-def test_what_a_specification_names_is_there(path: Path) -> None:
-    asked = load_specification(path)
-    assert asked.makes_row, "without a judge it is a campaign of the command"
-    assert all((ROOT / mission).exists() for mission in asked.missions)
-    named = [asked.fly, asked.judge, asked.cases if isinstance(asked.cases, str) else ""]
+def test_everything_named_in_a_specification_exists(path: Path) -> None:
+    specification = load_specification(path)
+    assert specification.makes_row, "the specification names no function that makes a row"
+    assert all((ROOT / mission).exists() for mission in specification.missions)
+    named = [
+        specification.fly,
+        specification.judge,
+        specification.cases if isinstance(specification.cases, str) else "",
+    ]
     for module, _, function in (name.partition(":") for name in named if name):
         assert function in functions_of(ROOT / f"{module.replace('.', '/')}.py"), (module, function)
     assert "page" in functions_of(path.with_suffix(".py"))
-    if asked.makes_row.startswith("dart_flight."):
-        assert row_type(asked.makes_row).__struct_fields__
+    if specification.makes_row.startswith("dart_flight."):
+        assert row_type(specification.makes_row).__struct_fields__

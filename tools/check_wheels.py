@@ -33,7 +33,7 @@ def pins() -> dict[str, str]:
     return {canonicalize_name(name): version for name, version in pairs}
 
 
-def direct() -> set[str]:
+def direct_dependencies() -> set[str]:
     """Return the canonical names of the direct dependencies of the package and its extras."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     extras = project["optional-dependencies"]
@@ -73,7 +73,7 @@ def download(name: str, version: str, python: str, folder: Path) -> Path | str:
 
 def check(python: str, folder: Path) -> int:
     """Follow the dependencies for one Python, print each, and return the number of missing wheels."""
-    versions, waiting, seen, missing = pins(), sorted(direct()), set[str](), 0
+    versions, waiting, seen, missing = pins(), sorted(direct_dependencies()), set[str](), 0
     while waiting:
         name = waiting.pop(0)
         if name in seen:

@@ -105,15 +105,15 @@ def main() -> int:
     parser.add_argument("--duplicate", type=float, default=0.0, help="per cent")
     parser.add_argument("--seed", type=int, default=random.randrange(2**31))
     parser.add_argument("--record", type=Path)
-    a = parser.parse_args()
+    options = parser.parse_args()
     impairment = Impairment(
-        loss=0.01 * a.loss,
-        delay_s=1e-3 * a.delay_ms,
-        reorder=0.01 * a.reorder,
-        duplicate=0.01 * a.duplicate,
+        loss=0.01 * options.loss,
+        delay_s=1e-3 * options.delay_ms,
+        reorder=0.01 * options.reorder,
+        duplicate=0.01 * options.duplicate,
     )
-    record = open(a.record, "w", buffering=1) if a.record else None  # noqa: SIM115
-    proxy = Proxy(a.listen, a.to, impairment, a.seed, record)
+    record = open(options.record, "w", buffering=1) if options.record else None  # noqa: SIM115
+    proxy = Proxy(options.listen, options.to, impairment, options.seed, record)
 
     def stop(_number: int, _frame: object) -> None:
         proxy.stopped = True

@@ -22,7 +22,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import IO
 
-BEHIND = "--behind"
+IN_BACKGROUND = "--behind"
 _PATIENCE_S = 20.0
 LINT = ("ruff format --check .", "ruff check .")
 _MARKED = [
@@ -63,9 +63,9 @@ def end(process: subprocess.Popen[bytes], send: Callable[[int], None]) -> None:
                 process.wait(_PATIENCE_S)
 
 
-def behind(commands: Sequence[str], output: IO[bytes]) -> subprocess.Popen[bytes]:
+def start_in_background(commands: Sequence[str], output: IO[bytes]) -> subprocess.Popen[bytes]:
     """Start commands in a separate process group, with their output in a file."""
-    words = [sys.executable, "-m", "tools.run_tests", BEHIND, *commands]
+    words = [sys.executable, "-m", "tools.run_tests", IN_BACKGROUND, *commands]
     return subprocess.Popen(
         words, stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT, process_group=0
     )
@@ -84,7 +84,7 @@ def show(output: IO[bytes], process: subprocess.Popen[bytes]) -> None:
 def run_both(first: Sequence[str], others: Sequence[str]) -> bool:
     """Run `first` and `others` in parallel, print the output of `others`, and return the overall success."""
     with tempfile.NamedTemporaryFile() as written, open(written.name, "rb") as output:
-        process = behind(others, written)
+        process = start_in_background(others, written)
         try:
             good = run(first)
             show(output, process)
@@ -97,7 +97,7 @@ def main(arguments: Sequence[str]) -> int:
     """Run everything and return 0 if all succeeded."""
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
     try:
-        if arguments[:1] == [BEHIND]:
+        if arguments[:1] == [IN_BACKGROUND]:
             good = run(arguments[1:])
         else:
             good = run(LINT) and run(REAL_TIME)

@@ -31,20 +31,20 @@ def main() -> None:
     parser.add_argument("--tangential", type=float, default=0.5, help="velocity along the wall, m/s")
     parser.add_argument("--plane", type=float, default=0.0, help="position of the plane in the recording, m")
     parser.add_argument("--seed", type=int, default=1)
-    given = parser.parse_args()
+    options = parser.parse_args()
     vehicle = load_vehicle(packaged("configs", "dart.yaml"))
-    c = vehicle.materials[given.surface].coefficients(Mode(given.mode))
-    random = np.random.default_rng(given.seed)
-    given.folder.mkdir(parents=True, exist_ok=True)
-    for i, size in enumerate(given.wall or given.drop, 1):
-        path = given.folder / f"{given.mode}_{i}.csv"
-        common = {"onset": Onset(given.onset), "plane_m": given.plane}
-        if given.wall:
+    c = vehicle.materials[options.surface].coefficients(Mode(options.mode))
+    rng = np.random.default_rng(options.seed)
+    options.folder.mkdir(parents=True, exist_ok=True)
+    for i, size in enumerate(options.wall or options.drop, 1):
+        path = options.folder / f"{options.mode}_{i}.csv"
+        common = {"onset": Onset(options.onset), "plane_m": options.plane}
+        if options.wall:
             trial = wall_trial(
-                c, -abs(size), random, tangential_m_s=given.tangential, with_vertical=True, **common
+                c, -abs(size), rng, tangential_m_s=options.tangential, with_vertical=True, **common
             )
         else:
-            trial = drop_trial(c, size, random, **common)
+            trial = drop_trial(c, size, rng, **common)
         write_csv(trial, path)
         print(path)
 

@@ -1,6 +1,6 @@
-"""Runs the code cells of a notebook in this process: in order, in one namespace, inside an event loop.
+"""Runner of a notebook's code cells in this process: in order, in one namespace, inside an event loop.
 
-Stands in for Jupyter where that is not installed.
+It replaces Jupyter if that is not installed.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ from typing import Any
 
 
 def code_cells(path: Path) -> Iterator[str]:
-    """The source of every code cell."""
+    """Yield the source of every code cell."""
     for cell in json.loads(path.read_text(encoding="utf-8"))["cells"]:
         if cell["cell_type"] == "code":
             yield "".join(cell["source"])
 
 
-def printed_in(path: Path) -> list[str]:
-    """What every code cell is stored as having printed."""
+def stored_output(path: Path) -> list[str]:
+    """Return the stored text output of every code cell."""
     cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
     return [
         "".join("".join(output["text"]) for output in cell["outputs"] if output["output_type"] == "stream")
@@ -32,10 +32,10 @@ def printed_in(path: Path) -> list[str]:
 
 
 def run(path: Path) -> list[str]:
-    """Run every code cell; returns what each printed.
+    """Run every code cell and return the text that each prints.
 
     Raises:
-        Exception: what a cell raises, with the cell's number in its notes.
+        Exception: the exception of a cell, with the cell's number in its notes.
     """
 
     async def cells() -> list[str]:

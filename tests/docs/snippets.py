@@ -1,4 +1,4 @@
-"""What README and docs show: commands, and fenced blocks, with their places."""
+"""The commands and fenced blocks in README and docs, with their places."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ PAGES = MANUAL + RESULTS
 
 
 def name_of(page: Path) -> str:
-    """A page as it is called in test ids and messages: its path below the repository."""
+    """Return the name of a page for test ids and messages: its path in the repository."""
     return page.relative_to(ROOT).as_posix()
 
 
 _FENCE = re.compile(r"^(?P<indent> *)```(?P<language>\w*)\s*$")
 _COMMENT = re.compile(r"\s+#\s(?P<text>.*)$")
 _STATUS = re.compile(r"\bends with (\d)\b")
-# In text, a command that is set off by indentation.
+# A command in the text is set off by indentation.
 _INDENTED = re.compile(r"^    (?P<command>(?:dart-flight|python -m) .*)$")
 
 
 class Block(NamedTuple):
-    """A fenced block: language, text, the line of its fence, and the line of text right before it."""
+    """A fenced block: language, text, number of the line with its fence, and the preceding line."""
 
     page: Path
     line: int
@@ -42,7 +42,7 @@ class Block(NamedTuple):
 
 
 class Command(NamedTuple):
-    """A command line: as typed, and the exit status that the page promises."""
+    """A command line, and the exit status that the page states."""
 
     page: Path
     line: int
@@ -56,11 +56,11 @@ class Command(NamedTuple):
 
     @property
     def is_synopsis(self) -> bool:
-        """Whether it shows what may be typed (`[--json]`, `LOG...`) and not something to type."""
+        """Whether the line shows the syntax (`[--json]`, `LOG...`) and not an actual command."""
         return bool(re.search(r"\[|\.\.\.(\s|$)|\s[A-Z]{3,}(\s|$)", self.text))
 
     def arguments(self) -> list[str] | None:
-        """The arguments of `dart-flight`; None where the line runs something else."""
+        """Return the arguments of `dart-flight`, or None if the line runs another program."""
         # Pipes and redirections end the command; NAME=value before it is the environment.
         text = re.sub(r"[\[\]]|\.\.\.", " ", self.text) if self.is_synopsis else self.text
         words = shlex.split(text)
@@ -73,7 +73,7 @@ class Command(NamedTuple):
 
 
 def blocks(page: Path) -> Iterator[Block]:
-    """Every fenced block of a page."""
+    """Yield every fenced block of a page."""
     rows = page.read_text(encoding="utf-8").splitlines()
     start: tuple[int, re.Match[str]] | None = None
     for i, row in enumerate(rows):
@@ -88,11 +88,11 @@ def blocks(page: Path) -> Iterator[Block]:
         text = "\n".join(line[indent:] for line in rows[begin + 1 : i])
         yield Block(page, begin + 1, opened["language"], text, rows[begin - 1] if begin else "")
         start = None
-    assert start is None, f"{page}: a block is not closed"
+    assert start is None, f"{page}: a fenced block is not closed"
 
 
 def commands(page: Path) -> list[Command]:
-    """Every command of a page: lines of `sh` blocks, and indented ones."""
+    """Return every command of a page: the lines of `sh` blocks, and indented commands."""
     found = []
     fenced: set[int] = set()
     for block in blocks(page):

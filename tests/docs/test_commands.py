@@ -1,4 +1,4 @@
-"""Every command in README and docs parses, and runs where it can."""
+"""Every command in README and docs parses, and runs unless `NOT_RUN` gives a reason."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from tests.docs.snippets import PAGES, ROOT, Command, commands, name_of
 from tests.shared_flights import LiveFlights, SharedFlights
 from tests.shared_plans import limited_sight_plan
 
-# What is not run here, and why. What calls dart-flight is still parsed.
+# Patterns of commands that are not run, with the reason. Those of dart-flight are still parsed.
 NOT_RUN: list[tuple[str, str]] = [
     (r"^(sudo|journalctl) |> /srv/", "needs root and systemd"),
     (r"^dart-flight standby", "waits for a ground station"),
@@ -46,18 +46,18 @@ NOT_RUN: list[tuple[str, str]] = [
     (r"> /srv/", "needs the installed service"),
     (r"missions/unknown_room\.yaml", "takes 12 s; tests/cli/test_survey.py flies it"),
 ]
-# In real time, together: test_in_real_time.
+# Commands that fly through MAVSDK, which test_a_documented_flight_through_mavsdk_succeeds runs.
 REAL_TIME = re.compile(r"^dart-flight (simulate|fly .*udpin://127\.0\.0\.1:14540|dry-run (?!.*--fast))")
 
 
-def why_not_run(command: Command) -> str | None:
+def reason_not_to_run(command: Command) -> str | None:
     if command.is_synopsis:
-        return "says what may be typed"
-    return next((why for pattern, why in NOT_RUN if re.search(pattern, command.text)), None)
+        return "shows the syntax"
+    return next((reason for pattern, reason in NOT_RUN if re.search(pattern, command.text)), None)
 
 
 def is_real_time(command: Command) -> bool:
-    return why_not_run(command) is None and bool(REAL_TIME.match(command.text))
+    return reason_not_to_run(command) is None and bool(REAL_TIME.match(command.text))
 
 
 ALL = [command for page in PAGES for command in commands(page)]
@@ -66,13 +66,13 @@ ALL = [command for page in PAGES for command in commands(page)]
 def test_the_extraction_finds_the_commands() -> None:
     texts = [command.text for command in ALL]
     assert "dart-flight dry-run missions/dual_collision.yaml --fast" in texts
-    assert "dart-flight lock calibrate --config configs/dart.yaml" in texts, "also in a list"
+    assert "dart-flight lock calibrate --config configs/dart.yaml" in texts, "commands in lists are found"
     assert any(command.status == 2 for command in ALL)
     assert {command.arguments()[0] for command in ALL if command.arguments()} == set(COMMANDS)  # type: ignore[index]
 
 
 @pytest.mark.parametrize("command", ALL, ids=lambda c: f"{c.place}")
-def test_it_parses(command: Command) -> None:
+def test_a_documented_command_parses(command: Command) -> None:
     arguments = command.arguments()
     if arguments is not None:
         if command.is_synopsis:
@@ -91,9 +91,9 @@ def _options(parser: object, command: str) -> set[str]:
     return {option for action in choices[command]._actions for option in action.option_strings}
 
 
-@pytest.mark.parametrize(("pattern", "why"), NOT_RUN, ids=[why for _, why in NOT_RUN])
-def test_every_excuse_is_needed(pattern: str, why: str) -> None:
-    assert any(re.search(pattern, command.text) for command in ALL), f"nothing any more that {why}"
+@pytest.mark.parametrize(("pattern", "reason"), NOT_RUN, ids=[reason for _, reason in NOT_RUN])
+def test_every_reason_not_to_run_applies_to_a_command(pattern: str, reason: str) -> None:
+    assert any(re.search(pattern, command.text) for command in ALL), f"no command is left that {reason}"
 
 
 # --- running ---------------------------------------------------------------------------------------------
@@ -101,11 +101,11 @@ def test_every_excuse_is_needed(pattern: str, why: str) -> None:
 
 @pytest.fixture(scope="module")
 def laboratory(flown: SharedFlights) -> Path:
-    """What `init` gives, and the recordings that pages assume: a flight, trials, a list of hits."""
-    return flown.once("laboratory", lambda folder: furnish(folder / "lab")) / "lab"
+    """A folder made by `init`, with the files that pages assume: a flight, trials, a list of hits."""
+    return flown.once("laboratory", lambda folder: prepare_laboratory(folder / "lab")) / "lab"
 
 
-def furnish(folder: Path) -> None:
+def prepare_laboratory(folder: Path) -> None:
     tools = folder.parent / "bin"
     tools.mkdir()
     for name, start in (("dart-flight", "-m dart_flight"), ("python", "")):
@@ -128,7 +128,7 @@ def _environment(root: Path) -> dict[str, str]:
     return os.environ | {
         "PATH": f"{root / 'bin'}:{os.environ['PATH']}",
         "PYTHONPATH": str(ROOT),
-        # Of this worker: pages run side by side, and their locks are not the same.
+        # A state per worker, because the pages run in parallel with different locks.
         "DART_FLIGHT_STATE_DIR": str(root / f"state-{os.environ.get('PYTEST_XDIST_WORKER', '')}"),
         "COLUMNS": "200",
     }
@@ -138,12 +138,12 @@ def _run(words: list[str], folder: Path, root: Path) -> None:
     subprocess.run(words, cwd=folder, env=_environment(root), check=True, capture_output=True, timeout=120)
 
 
-# Run on every page that has them they would teach nothing more: the same command on the same flight.
-ONCE = re.compile(
+# These commands run on one page only: the same command on the same flight gives the same result.
+RUN_ONCE = re.compile(
     r"^dart-flight (campaign|check|predict|replay|report|identify|calibrate|export|survey|dry-run .*--fast)\b"
 )
-# The laboratory's own flight, wherever a page keeps it.
-ITS_FLIGHT = re.compile(
+# The command that made the flight of `laboratory`, with any log folder.
+LABORATORY_FLIGHT = re.compile(
     r"^dart-flight dry-run missions/single_wall\.yaml --fast( --runs 1)? --log-dir (\S+)$"
 )
 
@@ -155,53 +155,53 @@ def as_run(command: Command) -> str:
     return text if flies or "--no-verify" in text else f"{text} --no-verify"
 
 
-def _essence(text: str) -> str:
-    """A command without the names of what it writes, and of the folder whose flights it reads.
+def _without_outputs(text: str) -> str:
+    """Return a command without the names of its outputs and of the folder of flights that it reads.
 
-    Of a campaign also without its missions: what they are like is seen where each is flown.
+    A campaign also loses its missions, because another test flies each of them.
     """
     text = re.sub(r"[\w.]+(?=/\*/flight\.mcap)", "", re.sub(r" (-o|--output|--log-dir|--out) \S+", "", text))
     return re.sub(r" missions/\S+", " MISSION", text) if text.startswith("dart-flight campaign") else text
 
 
-def _repeated() -> set[tuple[str, str]]:
-    """(page, command) of what another page has run already; the quickstart runs all that it has."""
+def _find_repeated() -> set[tuple[str, str]]:
+    """Return (page, command) of the commands that an earlier page runs; the quickstart comes first."""
     runs: dict[str, str] = {}
     repeated = set()
     for page in sorted(PAGES, key=lambda page: page.name != "quickstart.md"):
         for command in commands(page):
             text = as_run(command)
-            runs_here = why_not_run(command) is None and ONCE.match(text)
-            if runs_here and runs.setdefault(_essence(text), name_of(page)) != name_of(page):
+            runs_here = reason_not_to_run(command) is None and RUN_ONCE.match(text)
+            if runs_here and runs.setdefault(_without_outputs(text), name_of(page)) != name_of(page):
                 repeated.add((name_of(page), text))
     return repeated
 
 
-REPEATED = _repeated()
+REPEATED = _find_repeated()
 
 
-def to_run(page: Path, laboratory: Path) -> Iterator[tuple[Command, str]]:
-    """The page's commands, each with the line to run for it."""
+def lines_to_run(page: Path, laboratory: Path) -> Iterator[tuple[Command, str]]:
+    """Yield the page's commands, each with the line that is run for it."""
     for command in commands(page):
-        if why_not_run(command) is not None or is_real_time(command):
+        if reason_not_to_run(command) is not None or is_real_time(command):
             continue
         text = as_run(command)
         if (name_of(page), text) in REPEATED:
-            flight = ITS_FLIGHT.match(text)
+            flight = LABORATORY_FLIGHT.match(text)
             if flight is None:
-                assert "--log-dir" not in text, "later commands want its flight"
+                assert "--log-dir" not in text, "later commands need its flight"
                 continue
             text = f"cp -r {laboratory}/flights {flight[2]}"
         yield command, text
 
 
-# What a shell has to be asked for: pipes, variables, more than one command.
+# Pipes, variables and lists of commands need a shell.
 SHELL = re.compile(r"[|&;$`]|^[A-Z_]+=")
 
 
-def in_process(page: Path, laboratory: Path) -> None:
-    """The page's commands, ours here: to start a process takes longer than most of them."""
-    for command, text in to_run(page, laboratory):
+def run_page(page: Path, laboratory: Path) -> None:
+    """Run the page's commands, those of dart-flight in this process, which is faster."""
+    for command, text in lines_to_run(page, laboratory):
         if text.startswith("cd "):
             os.chdir(text[3:])
             status = 0
@@ -213,11 +213,11 @@ def in_process(page: Path, laboratory: Path) -> None:
 
 
 def _main(text: str) -> int:
-    text, _, into = text.partition(" > ")
+    text, _, target = text.partition(" > ")
     words = [name for word in shlex.split(text)[1:] for name in sorted(glob.glob(word)) or [word]]
     with contextlib.ExitStack() as stack:
-        if into:
-            file = stack.enter_context(open(into.strip(), "w", encoding="utf-8"))
+        if target:
+            file = stack.enter_context(open(target.strip(), "w", encoding="utf-8"))
             stack.enter_context(contextlib.redirect_stdout(file))
         try:
             return main(words)
@@ -225,46 +225,49 @@ def _main(text: str) -> int:
             return int(end.code or 0)
 
 
-def _has_something_to_run(page: Path) -> bool:
-    run = [c for c in commands(page) if why_not_run(c) is None and not is_real_time(c)]
+def _is_runnable(page: Path) -> bool:
+    run = [c for c in commands(page) if reason_not_to_run(c) is None and not is_real_time(c)]
     return any((name_of(page), as_run(command)) not in REPEATED for command in run)
 
 
-RUNNABLE = [page for page in PAGES if _has_something_to_run(page)]
+RUNNABLE = [page for page in PAGES if _is_runnable(page)]
 
 
-def test_what_is_run_once_is_run_somewhere() -> None:
+def test_every_repeated_command_runs_on_another_page() -> None:
     run = {
-        _essence(as_run(c)) for p in RUNNABLE for c in commands(p) if (name_of(p), as_run(c)) not in REPEATED
+        _without_outputs(as_run(c))
+        for p in RUNNABLE
+        for c in commands(p)
+        if (name_of(p), as_run(c)) not in REPEATED
     }
-    assert {_essence(text) for _, text in REPEATED} <= run
+    assert {_without_outputs(text) for _, text in REPEATED} <= run
 
 
 @pytest.fixture
-def planned_once(flown: SharedFlights, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Plan a scenario with `sight` once for all tests that show it, because that takes seconds."""
+def shared_plan(flown: SharedFlights, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Share the plan of a scenario with `sight` between tests, because planning takes seconds."""
     monkeypatch.setattr(
         plan_command, "plan_limited_sight", lambda scenario, progress: limited_sight_plan(flown, scenario)
     )
 
 
-@pytest.mark.usefixtures("planned_once")
+@pytest.mark.usefixtures("shared_plan")
 @pytest.mark.parametrize("page", RUNNABLE, ids=name_of)
-def test_what_is_quick_runs_as_it_stands(
+def test_the_commands_of_a_page_run_as_written(
     page: Path, laboratory: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A page's commands in order, in a folder made by `init`; each somewhere, if not here."""
-    if page.name == "quickstart.md":  # makes its own folder
+    """The commands run in order in a folder made by `init`; repeated ones run on another page."""
+    if page.name == "quickstart.md":  # the quickstart makes its own folder
         monkeypatch.chdir(tmp_path)
     else:
         shutil.copytree(laboratory, tmp_path / "lab")
         monkeypatch.chdir(tmp_path / "lab")
     for name, value in _environment(laboratory.parent).items():
         monkeypatch.setenv(name, value)
-    in_process(page, laboratory)
+    run_page(page, laboratory)
 
 
-def test_the_error_in_the_quickstart_is_the_one_that_comes(laboratory: Path, tmp_path: Path) -> None:
+def test_the_error_shown_in_the_quickstart_is_the_actual_one(laboratory: Path, tmp_path: Path) -> None:
     folder = tmp_path / "lab"
     shutil.copytree(laboratory, folder)
     page = (ROOT / "docs" / "quickstart.md").read_text()
@@ -285,10 +288,10 @@ def test_the_error_in_the_quickstart_is_the_one_that_comes(laboratory: Path, tmp
 # --- through MAVSDK --------------------------------------------------------------------------------------
 
 
-def real_time() -> list[tuple[str, str | None]]:
-    """Commands to run: dry-runs, and flights with the `simulate` before them on the page.
+def real_time_flights() -> list[tuple[str, str | None]]:
+    """Return the dry-runs, and the flights with the `simulate` that precedes them on the page.
 
-    Each once, whichever mission it flies: what the missions are like is seen where they are flown fast.
+    Commands that differ only in the mission are returned once, because other tests fly every mission.
     """
     found: dict[str, tuple[str, str | None]] = {}
     for page in PAGES:
@@ -304,7 +307,7 @@ def real_time() -> list[tuple[str, str | None]]:
 
 
 def _flights() -> list[object]:
-    """Dry-runs in lockstep, at full speed; in real time flights with a vehicle beside them."""
+    """Return test parameters: dry-runs at full speed, and real-time flights with their simulator."""
     return [
         pytest.param(
             command if simulate or re.search("--(speed|realtime)", command) else f"{command} --speed max",
@@ -315,11 +318,13 @@ def _flights() -> list[object]:
                 *([pytest.mark.realtime] if simulate or "--realtime" in command else []),
             ],
         )
-        for command, simulate in real_time()
+        for command, simulate in real_time_flights()
     ]
 
 
 @pytest.mark.parametrize(("command", "simulate"), _flights())
-def test_through_mavsdk(command: str, simulate: str | None, commanded: LiveFlights) -> None:
+def test_a_documented_flight_through_mavsdk_succeeds(
+    command: str, simulate: str | None, commanded: LiveFlights
+) -> None:
     done = commanded(command, simulate)
     assert done.status == 0, done.errors[-2000:]

@@ -1,4 +1,4 @@
-"""Every recipe of docs/extending.md as it is written: applied to a copy of the project, its check run."""
+"""Every recipe of docs/extending.md is applied to a copy of the project, where its check must pass."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ MAX_FILES = 6
 
 
 class Change(NamedTuple):
-    """A place in a file (lines that stand there), and what stands there afterwards; no place: a new file."""
+    """Lines of a file and their replacement; without `before`, a new file."""
 
     path: str
     before: str
@@ -69,16 +69,16 @@ RECIPES = recipes()
 def apply(change: Change, root: Path) -> None:
     path = root / change.path
     if not change.before:
-        assert not path.exists(), f"{change.path} is there already"
+        assert not path.exists(), f"{change.path} exists already"
         path.write_text(change.after, encoding="utf-8")
         return
     text = "\n" + path.read_text(encoding="utf-8")
     count = text.count("\n" + change.before)
-    assert count == 1, f"{change.path} has this {count} times, the recipe means one place:\n{change.before}"
+    assert count == 1, f"{change.path} has these lines {count} times, expected once:\n{change.before}"
     path.write_text(text.replace("\n" + change.before, "\n" + change.after)[1:], encoding="utf-8")
 
 
-def test_the_page_has_the_six_recipes_and_counts_their_files() -> None:
+def test_the_page_lists_six_recipes_with_their_numbers_of_files() -> None:
     rows = re.findall(r"^\| \[(.+?)\]\(#.+?\) \| (\d+) \|$", PAGE, re.MULTILINE)
     assert [(r.title.lower(), str(len(r.package_files))) for r in RECIPES] == rows
     assert len(RECIPES) == 6
@@ -94,7 +94,7 @@ def copy_project(root: Path) -> None:
 
 
 def python(root: Path, *arguments: str) -> tuple[int, str]:
-    """Exit status and output."""
+    """Run Python in the copy and return exit status and output."""
     environment = {**os.environ, "PYTHONPATH": str(root)}
     done = subprocess.run(
         [sys.executable, *arguments], cwd=root, env=environment, capture_output=True, text=True, check=False
@@ -107,15 +107,15 @@ def test_a_recipe_works_as_written(recipe: Recipe, tmp_path: Path) -> None:
     copy_project(tmp_path)
     for change in recipe.changes:
         apply(change, tmp_path)
-    status, said = python(tmp_path, *recipe.check, "-q", "-p", "no:cacheprovider", "-p", "no:xdist")
-    assert status == 0, said
+    status, output = python(tmp_path, *recipe.check, "-q", "-p", "no:cacheprovider", "-p", "no:xdist")
+    assert status == 0, output
 
 
-def test_a_driver_without_its_entry_is_refused_on_import(tmp_path: Path) -> None:
+def test_a_lock_driver_without_an_entry_is_rejected_on_import(tmp_path: Path) -> None:
     copy_project(tmp_path)
     for change in next(r for r in RECIPES if r.title == "A lock driver").changes:
         if change.path != "dart_flight/lock/drivers/__init__.py":
             apply(change, tmp_path)
-    status, said = python(tmp_path, "-c", "import dart_flight.cli.options")
+    status, output = python(tmp_path, "-c", "import dart_flight.cli.options")
     assert status == 1
-    assert "lock drivers without an entry in DRIVERS" in said
+    assert "lock drivers without an entry in DRIVERS" in output

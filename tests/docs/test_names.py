@@ -1,4 +1,4 @@
-"""What a page names between backticks exists: files and folders, modules, classes, functions, keys."""
+"""Names between backticks on a page exist: files, folders, modules, classes, functions, keys."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ _FILE = re.compile(
 _PYTHON = re.compile(r"(?:dart_flight|tools|tests)(?:\.\w+)+")
 _NAME = re.compile(r"[A-Za-z_]\w*(?:\.[A-Za-z_]\w*)*(?:\(\))?")
 _RECORDING = re.compile(r".*\.(?:ulg|mcap|bin|log)")
-_ITEM = re.compile(r"\w+_(?:N|NAME)|rate_\w+|\w+_clearance")  # of `check`, which puts these names together
+_ITEM = re.compile(r"\w+_(?:N|NAME)|rate_\w+|\w+_clearance")  # items of `check`, which composes these names
 
 
 def quoted(page: Path) -> Iterator[str]:
-    """What stands between backticks in the text of a page."""
+    """Yield the text between backticks on a page, outside of fenced blocks."""
     yield from _QUOTED.findall(_FENCED.sub("", page.read_text(encoding="utf-8")))
 
 
 @functools.cache
 def paths() -> tuple[str, ...]:
-    """Every file and folder of the repository, each below a slash."""
+    """Return every file and folder of the repository, each with a leading slash."""
     tops = [ROOT / name for name in (*SOURCES, "docs", "flights")]
     below = [path for top in tops for path in (top, *top.rglob("*")) if "__pycache__" not in path.parts]
     found = [path.relative_to(ROOT).as_posix() for path in (*below, *ROOT.glob("*"))]
@@ -41,7 +41,7 @@ def paths() -> tuple[str, ...]:
 
 @functools.cache
 def source() -> str:
-    """All sources."""
+    """Return the text of all sources."""
     files = [path for top in SOURCES for path in (ROOT / top).rglob("*") if path.suffix in _TEXT]
     files = [
         path for path in files if not {ROOT / "tests" / "docs", ROOT / "tests" / "data"} & {*path.parents}
@@ -51,18 +51,18 @@ def source() -> str:
 
 @functools.cache
 def words() -> frozenset[str]:
-    """Every word of the sources."""
+    """Return every word of the sources."""
     return frozenset(re.findall(r"[A-Za-z_]\w*", source()))
 
 
 @functools.cache
-def written() -> frozenset[str]:
-    """What the program writes: names that stand in quotation marks, without their endings."""
+def written_names() -> frozenset[str]:
+    """Return the quoted names in the sources, such as files that the program writes, without endings."""
     return frozenset(re.findall(r"\"([\w-]+)(?:\.\w+)?\"", source()))
 
 
 def is_python(name: str) -> bool:
-    """Whether a dotted name leads to a module, or to something in one."""
+    """Return whether a dotted name is that of a module or of something in a module."""
     parts = name.split(".")
     for end in range(len(parts), 0, -1):
         try:
@@ -76,7 +76,7 @@ def is_python(name: str) -> bool:
 
 
 def exists(name: str) -> bool:
-    """Whether what is named exists; true of what does not look like a name of ours."""
+    """Return whether a name exists; true for text that is no name of this project."""
     if name.startswith("/") or _RECORDING.fullmatch(name) or _ITEM.fullmatch(name):
         return True
     if _PYTHON.fullmatch(name):
@@ -85,24 +85,24 @@ def exists(name: str) -> bool:
         path = name.strip("/").removeprefix("./")
         is_stored = any(stored.endswith(f"/{path}") for stored in paths())
         last = path if name.endswith("/") else path.rpartition("/")[2].partition(".")[0]
-        return is_stored or (not name.endswith((".py", ".md")) and last in written())
+        return is_stored or (not name.endswith((".py", ".md")) and last in written_names())
     if _NAME.fullmatch(name):
         return all(part in words() or part.isupper() for part in name.removesuffix("()").split("."))
     return True
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
-def test_whatever_is_named_exists(page: Path) -> None:
+def test_every_name_quoted_on_a_page_exists(page: Path) -> None:
     assert sorted({name for name in quoted(page) if not exists(name)}) == []
 
 
-def test_names_that_have_gone_are_seen() -> None:
-    gone = [
+def test_removed_names_are_detected() -> None:
+    removed = [
         "config/vehicle.py",
         "tests/flight/",
         "dart_flight.recording.read_log",
         "closed_loop.ATTITUDE_LAG_S",
     ]
-    assert [name for name in gone if exists(name)] == []
-    there = ["core/pace.py", "tests/core/", "dart_flight.read_log", "ImuSample", "guard.deadman_s"]
-    assert [name for name in there if not exists(name)] == []
+    assert [name for name in removed if exists(name)] == []
+    present = ["core/pace.py", "tests/core/", "dart_flight.read_log", "ImuSample", "guard.deadman_s"]
+    assert [name for name in present if not exists(name)] == []

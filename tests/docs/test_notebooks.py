@@ -1,4 +1,4 @@
-"""The notebooks run, and print what is stored in them."""
+"""The notebooks run and print their stored output."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ NOTEBOOKS = sorted((ROOT / "docs" / "notebooks").glob("*.ipynb"))
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.name)
-def test_it_runs_and_prints_what_is_stored(
+def test_a_notebook_prints_its_stored_output(
     path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """By `tests.docs.notebook`, which needs no Jupyter."""
+    """`tests.docs.notebook` runs the cells without Jupyter."""
     pytest.importorskip("matplotlib")
     monkeypatch.setenv("MPLBACKEND", "Agg")
     monkeypatch.chdir(tmp_path)
     printed = notebook.run(path)
-    assert printed == notebook.printed_in(path), "run it again in Jupyter and save it"
+    assert printed == notebook.stored_output(path), "run the notebook in Jupyter and save it"
     assert any(printed)
-    assert not list(tmp_path.iterdir()), "it leaves nothing"
+    assert not list(tmp_path.iterdir()), "the notebook leaves files behind"
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.name)
-def test_jupyter_runs_it(path: Path, tmp_path: Path) -> None:
+def test_a_notebook_runs_in_jupyter(path: Path, tmp_path: Path) -> None:
     pytest.importorskip("ipykernel", reason="needs Jupyter: pip install nbclient ipykernel")
     client = pytest.importorskip("nbclient", reason="needs Jupyter: pip install nbclient ipykernel")
     nbformat = pytest.importorskip("nbformat")
@@ -38,7 +38,7 @@ def test_jupyter_runs_it(path: Path, tmp_path: Path) -> None:
     assert pictures
 
 
-def test_a_cell_that_fails_is_named(tmp_path: Path) -> None:
+def test_an_error_names_the_failing_cell(tmp_path: Path) -> None:
     path = tmp_path / "broken.ipynb"
     path.write_text('{"cells": [{"cell_type": "code", "source": ["1 / 0"], "outputs": []}]}')
     with pytest.raises(ZeroDivisionError) as caught:

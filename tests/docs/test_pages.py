@@ -1,4 +1,4 @@
-"""Pages agree with the software: generated parts, snippets, links, and completeness."""
+"""Pages agree with the software: generated parts, snippets, links and completeness."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ ALL = [block for page in PAGES for block in blocks(page)]
 LANGUAGES = {"", "sh", "yaml", "json", "ini", "mermaid", "python", "diff"}
 
 
-def of(language: str) -> list[Block]:
+def blocks_in(language: str) -> list[Block]:
     return [block for block in ALL if block.language == language]
 
 
-def test_every_block_is_of_a_kind_that_is_checked() -> None:
+def test_every_code_block_has_a_checked_language() -> None:
     assert {block.language for block in ALL} <= LANGUAGES
 
 
@@ -44,7 +44,7 @@ def test_every_block_is_of_a_kind_that_is_checked() -> None:
 
 
 def test_the_generated_parts_are_up_to_date() -> None:
-    """Parts of pages, the JSON Schemas, and the comments of configs/dart.yaml."""
+    """These are parts of pages, the JSON Schemas, and the comments of configs/dart.yaml."""
     command = [sys.executable, "-m", "tools.docs.generated", "--check"]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout.strip()) == (0, ""), f"run make docs: {done.stdout}{done.stderr}"
@@ -56,7 +56,7 @@ def test_every_phase_is_explained() -> None:
         assert f"| `{phase}` |" in page
 
 
-def test_every_key_is_in_the_tables() -> None:
+def test_every_configuration_key_is_in_the_table() -> None:
     page = (ROOT / "docs" / "configuration.md").read_text(encoding="utf-8")
     document = Document.load(ROOT / "configs" / "dart.yaml")
     for key in document.lines:
@@ -64,7 +64,7 @@ def test_every_key_is_in_the_tables() -> None:
             assert f"`{'.'.join(map(str, key))}`" in page
 
 
-def test_the_figures_of_the_concepts_can_be_drawn(tmp_path: Path) -> None:
+def test_the_concept_figures_can_be_drawn(tmp_path: Path) -> None:
     subprocess.run([sys.executable, "-m", "tools.docs.concept_figures", tmp_path], cwd=ROOT, check=True)
     drawn = {path.name for path in tmp_path.iterdir()}
     page = (ROOT / "docs" / "concepts.md").read_text(encoding="utf-8")
@@ -72,8 +72,8 @@ def test_the_figures_of_the_concepts_can_be_drawn(tmp_path: Path) -> None:
     assert drawn <= {path.name for path in (ROOT / "docs" / "img").iterdir()}
 
 
-def test_the_pictures_that_take_minutes_are_there() -> None:
-    """`make docs` draws them."""
+def test_the_slow_pictures_exist_and_are_small() -> None:
+    """Drawing them takes minutes, so `make docs` does it."""
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     assert "(docs/img/dual_collision.gif)" in readme
     assert (ROOT / "docs" / "img" / "dual_collision.gif").stat().st_size < 1_500_000
@@ -93,11 +93,11 @@ def _merged(base: Any, change: Any) -> Any:
     return change
 
 
-@pytest.mark.parametrize("block", of("yaml"), ids=lambda b: b.place)
-def test_yaml_is_what_the_loader_takes(block: Block, tmp_path: Path) -> None:
+@pytest.mark.parametrize("block", blocks_in("yaml"), ids=lambda b: b.place)
+def test_a_yaml_block_is_accepted_by_the_loader(block: Block, tmp_path: Path) -> None:
     document = Document(block.text, block.place)
     tree = document.tree
-    tree.pop(EXTENDS, None)  # dart.yaml, as below
+    tree.pop(EXTENDS, None)  # the block is merged into dart.yaml below
     if "collisions" in tree:
         parse_mission(document, load_vehicle(ROOT / "configs" / "dart.yaml"))
     elif "sequence" in tree:
@@ -114,39 +114,41 @@ def test_yaml_is_what_the_loader_takes(block: Block, tmp_path: Path) -> None:
         msgspec.convert(tree, dict[str, Material])
 
 
-@pytest.mark.parametrize("block", of("ini"), ids=lambda b: b.place)
-def test_ini_has_sections_and_keys(block: Block) -> None:
+@pytest.mark.parametrize("block", blocks_in("ini"), ids=lambda b: b.place)
+def test_an_ini_block_parses_and_has_sections(block: Block) -> None:
     parser = configparser.ConfigParser(strict=False, interpolation=None)
     parser.read_string(block.text)
     assert parser.sections()
 
 
-@pytest.mark.parametrize("block", of("python"), ids=lambda b: b.place)
-def test_python_runs(block: Block, recorded: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("block", blocks_in("python"), ids=lambda b: b.place)
+def test_a_python_block_runs_without_leaving_files(
+    block: Block, recorded: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("MPLBACKEND", "Agg")
     monkeypatch.chdir(recorded)
     before = set(recorded.rglob("*"))
     exec(compile(block.text, block.place, "exec"), {"__name__": "__main__"})
-    assert set(recorded.rglob("*")) == before, "it leaves nothing"
+    assert set(recorded.rglob("*")) == before, "the block leaves files behind"
 
 
-# Objects whose keys are data.
+# Objects whose keys are data, so that a page may show other ones.
 OPEN = {"refused", "reasons", "residuals", "coefficients", "figures"}
 _PRODUCED_BY = re.compile(r"<!-- json: (.*) -->")
 
 
-def _same_shape(shown: Any, real: Any, place: str) -> Iterator[str]:
-    """What differs between an object on a page and the real one: keys and kinds, not values."""
+def _shape_differences(shown: Any, real: Any, place: str) -> Iterator[str]:
+    """Yield the differences between an object on a page and the real one in keys and types, not values."""
     if isinstance(shown, dict) and isinstance(real, dict):
         missing = set(shown) - set(real)
-        unsaid = set() if place.rpartition(".")[2] in OPEN else set(real) - set(shown)
-        yield from (f"{place}.{key} is not there" for key in sorted(missing))
-        yield from (f"{place}.{key} is not on the page" for key in sorted(unsaid))
+        undocumented = set() if place.rpartition(".")[2] in OPEN else set(real) - set(shown)
+        yield from (f"{place}.{key} does not exist" for key in sorted(missing))
+        yield from (f"{place}.{key} is not on the page" for key in sorted(undocumented))
         for key in set(shown) & set(real):
-            yield from _same_shape(shown[key], real[key], f"{place}.{key}")
+            yield from _shape_differences(shown[key], real[key], f"{place}.{key}")
     elif isinstance(shown, list) and isinstance(real, list):
         if shown and real:
-            yield from _same_shape(shown[0], real[0], f"{place}[]")
+            yield from _shape_differences(shown[0], real[0], f"{place}[]")
     elif shown is not None and real is not None:
         kinds = [
             float if isinstance(v, int | float) and not isinstance(v, bool) else type(v)
@@ -156,27 +158,27 @@ def _same_shape(shown: Any, real: Any, place: str) -> Iterator[str]:
             yield f"{place} is {real!r}, on the page {shown!r}"
 
 
-def test_differences_of_shape_are_seen() -> None:
-    assert not list(_same_shape({"a": [1], "b": None}, {"a": [2.5, 3], "b": {"c": 1}}, ""))
-    assert len(list(_same_shape({"a": 1, "b": True}, {"a": "1", "c": 2, "b": 0.0}, ""))) == 3
+def test_differences_of_shape_are_detected() -> None:
+    assert not list(_shape_differences({"a": [1], "b": None}, {"a": [2.5, 3], "b": {"c": 1}}, ""))
+    assert len(list(_shape_differences({"a": 1, "b": True}, {"a": "1", "c": 2, "b": 0.0}, ""))) == 3
 
 
 @pytest.fixture(scope="module")
 def recorded(flown: SharedFlights, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder from `init` with one flight in it."""
+    """A folder made by `init`, with one flight."""
     return shutil.copytree(
-        flown.once("recorded", record) / "lab", tmp_path_factory.mktemp("recorded") / "lab"
+        flown.once("recorded", record_flight) / "lab", tmp_path_factory.mktemp("recorded") / "lab"
     )
 
 
-def record(there: Path) -> None:
-    assert main(["init", str(there / "lab")]) == 0
-    mission = str(there / "lab" / "missions" / "single_wall.yaml")
-    assert main(["dry-run", mission, "--fast", "--log-dir", str(there / "lab" / "demo")]) == 0
+def record_flight(folder: Path) -> None:
+    assert main(["init", str(folder / "lab")]) == 0
+    mission = str(folder / "lab" / "missions" / "single_wall.yaml")
+    assert main(["dry-run", mission, "--fast", "--log-dir", str(folder / "lab" / "demo")]) == 0
 
 
-@pytest.mark.parametrize("block", of("json"), ids=lambda b: b.place)
-def test_json_is_what_the_command_prints(
+@pytest.mark.parametrize("block", blocks_in("json"), ids=lambda b: b.place)
+def test_a_json_block_has_the_shape_of_the_commands_output(
     block: Block,
     recorded: Path,
     monkeypatch: pytest.MonkeyPatch,
@@ -194,21 +196,21 @@ def test_json_is_what_the_command_prints(
         words += [str(path) for path in recorded.glob(word)] if "*" in word else [word]
     assert main([*words, "--json"]) == 0
     real = json.loads(capsys.readouterr().out)
-    assert list(_same_shape(shown, real, "")) == []
+    assert list(_shape_differences(shown, real, "")) == []
 
 
 # --- completeness ----------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_every_command_has_its_row(command: str) -> None:
+def test_every_command_has_a_row_in_the_table(command: str) -> None:
     page = (ROOT / "docs" / "commands.md").read_text(encoding="utf-8")
     assert re.search(rf"^\| `{command}` \|", page, re.MULTILINE), (
         f"docs/commands.md needs a row for {command}"
     )
 
 
-def test_every_option_in_the_text_of_the_commands_exists() -> None:
+def test_every_option_named_in_commands_md_exists() -> None:
     page = (ROOT / "docs" / "commands.md").read_text(encoding="utf-8")
     parser = build_parser(list(COMMANDS))
     choices = parser._subparsers._group_actions[0].choices  # type: ignore[union-attr]
@@ -229,7 +231,7 @@ def _anchors(page: Path) -> set[str]:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
-def test_every_link_leads_somewhere(page: Path) -> None:
+def test_every_link_has_a_target(page: Path) -> None:
     for target in _LINK.findall(page.read_text(encoding="utf-8")):
         if re.match(r"https?:|mailto:", target):
             continue
@@ -239,7 +241,7 @@ def test_every_link_leads_somewhere(page: Path) -> None:
         assert not anchor or anchor in _anchors(path), f"{name_of(page)}: {target}"
 
 
-def test_every_page_is_reached_from_the_index() -> None:
+def test_every_page_is_linked_from_the_index() -> None:
     index = (ROOT / "docs" / "index.md").read_text(encoding="utf-8")
     linked = {target.partition("#")[0] for target in _LINK.findall(index)}
     pages = {page.relative_to(ROOT / "docs").as_posix() for page in [*MANUAL[1:], *RESULTS]}
@@ -247,23 +249,24 @@ def test_every_page_is_reached_from_the_index() -> None:
 
 
 @pytest.mark.parametrize("page", RESULTS, ids=name_of)
-def test_every_result_says_when_and_by_which_command(page: Path) -> None:
-    """Below its title; a page that is computed and never measured says by what alone."""
-    said = page.read_text(encoding="utf-8").partition("\n\n")[2]
-    assert re.match(r"(Measured on \d{4}-\d{2}-\d{2}|Computed) by\s`[^`]+`", said), (
-        f"{name_of(page)}: {said[:80]}"
+def test_every_results_page_states_its_date_and_command(page: Path) -> None:
+    """The line is below the title; a computed page states the command without a date."""
+    beginning = page.read_text(encoding="utf-8").partition("\n\n")[2]
+    assert re.match(r"(Measured on \d{4}-\d{2}-\d{2}|Computed) by\s`[^`]+`", beginning), (
+        f"{name_of(page)}: {beginning[:80]}"
     )
 
 
 @pytest.mark.parametrize("page", RESULTS, ids=name_of)
-def test_every_result_is_short(page: Path) -> None:
-    """Date, command, table, what it means and what it cannot say: git has the rest."""
+def test_every_results_page_is_short(page: Path) -> None:
+    """Date, command, table, meaning and limits suffice; git has the rest."""
     assert len(page.read_text(encoding="utf-8").split()) <= 400
 
 
-def test_every_page_that_is_named_exists() -> None:
+def test_every_page_named_in_the_sources_exists() -> None:
     files = [path for folder in SOURCES for path in (ROOT / folder).rglob("*") if path.suffix in _TEXT]
-    files = [path for path in files if ROOT / "tests" / "data" not in path.parents]  # as they were flown
+    # Recorded flights keep the names of their time.
+    files = [path for path in files if ROOT / "tests" / "data" not in path.parents]
     files += [ROOT / name for name in ("README.md", "Makefile", "pyproject.toml")]
     missing = {
         f"{path.relative_to(ROOT)}: {name}"

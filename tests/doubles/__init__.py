@@ -1,1 +1,1 @@
-"""Stand-ins for hardware and programs that are not there."""
+"""Stand-ins for hardware and programs that the tests do not have."""

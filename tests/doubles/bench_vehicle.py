@@ -1,7 +1,7 @@
-"""A vehicle on the bench, behind a serial port: hands tilt, push and carry it, and flip its switch.
+"""A vehicle on the bench behind a serial port, which a test tilts, pushes and carries as if by hand.
 
-The embedded autopilot's MAVLink on a real pseudo-terminal. The port has the baud rate that the program gave
-it: where that is not the flight controller's, what passes is noise. `wrong` names what is wrong with it.
+It speaks the embedded autopilot's MAVLink on a real pseudo-terminal. If the program sets another baud rate
+than the flight controller's, the port carries noise. `wrong` names the vehicle's defects.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ _PUSH_M_S2, _PUSH_S = 6.0, 0.15
 _CARRY_M, _CARRY_S = 0.6, 1.0
 _BUFFER = 65536
 _POSE_EVERY = 4  # ticks
-YAW_RAD = math.radians(35.0)  # it stands as it happens to stand
+YAW_RAD = math.radians(35.0)  # an arbitrary heading
 
 
 Motion = Callable[[float], tuple[Vec3, Quaternion]]
@@ -60,11 +60,11 @@ class BenchVehicle(ThreadContext):
     """`with BenchVehicle(mission) as vehicle: bringup --connection vehicle.url`.
 
     Args:
-        mission: whose vehicle it is.
-        wrong: `axes` (IMU turned by 90 degrees), `frame` (motion capture in east, north, up), `radio` (remote
-            control off).
-        motion: position (NED) and attitude at a time since `move`, for a motion by hand.
-        publish: takes time (microseconds), position and attitude of every fourth tick of a motion.
+        mission: mission with the vehicle.
+        wrong: defects: `axes` (IMU rotated by 90 degrees), `frame` (motion capture in east, north, up),
+            `radio` (remote control off).
+        motion: position (NED) and attitude as functions of the time since `move`, for a motion by hand.
+        publish: receives time (microseconds), position and attitude at every fourth tick of a motion.
     """
 
     def __init__(
@@ -99,7 +99,7 @@ class BenchVehicle(ThreadContext):
 
     @property
     def url(self) -> str:
-        """Its connection URL."""
+        """The connection URL of the vehicle."""
         return f"serial://{self._device}:{BAUD}"
 
     def _close(self) -> None:
@@ -107,32 +107,32 @@ class BenchVehicle(ThreadContext):
         self._socket.close()
         os.close(self._master)
 
-    # -- hands --
+    # -- handling --
 
     def tilt(self, *, roll_deg: float = 0.0, pitch_deg: float = 0.0) -> None:
-        """Hold it so from now on."""
+        """Hold the vehicle at this attitude from now on."""
         self._roll, self._pitch = math.radians(roll_deg), math.radians(pitch_deg)
 
     def push(self) -> None:
-        """Push it forward, and catch it."""
+        """Push the vehicle forward, and catch it."""
         self._push_s = self._autopilot.now_s
 
     def carry(self, direction_deg: float) -> None:
-        """Carry it that way, clockwise from its nose."""
+        """Carry the vehicle in a direction, clockwise from its nose."""
         heading = YAW_RAD + math.radians(direction_deg)
-        way = (_CARRY_M * math.cos(heading), _CARRY_M * math.sin(heading))
-        self._carry = (self._autopilot.now_s, (self._position[0], self._position[1]), way)
+        path = (_CARRY_M * math.cos(heading), _CARRY_M * math.sin(heading))
+        self._carry = (self._autopilot.now_s, (self._position[0], self._position[1]), path)
 
     def move(self) -> None:
-        """Turn and carry it by hand, as `motion` does, from now on."""
+        """Start the motion by hand, which `motion` defines."""
         self._move_s = self._autopilot.now_s
 
     def flip_switch(self) -> None:
-        """The mode switch of the remote control."""
+        """Toggle the mode switch of the remote control."""
         manual = self._autopilot.mode is FlightMode.MANUAL
         self._autopilot.mode = FlightMode.HOLD if manual else FlightMode.MANUAL
 
-    # -- what it is and sends --
+    # -- simulation --
 
     def _run(self) -> None:
         ticks, due_s = 0, time.monotonic()
@@ -148,7 +148,7 @@ class BenchVehicle(ThreadContext):
         a = self._autopilot
         a.plant.time_s = ticks * TICK_S
         q = quaternion_from_euler(self._roll, self._pitch, YAW_RAD)
-        velocity = self._move()
+        velocity = self._carry_on()
         up = rotate_back(q, (0.0, 0.0, -GRAVITY_M_S2))
         pushed = self._pushed_m_s2()
         force: Vec3 = (up[0] + pushed, up[1], up[2])
@@ -181,22 +181,23 @@ class BenchVehicle(ThreadContext):
             return 0.0
         return _PUSH_M_S2 if since_s < _PUSH_S else -_PUSH_M_S2
 
-    def _move(self) -> tuple[float, float]:
+    def _carry_on(self) -> tuple[float, float]:
+        """Update the carried position and return its velocity."""
         if self._carry is None:
             return (0.0, 0.0)
-        begun_s, start, way = self._carry
+        begun_s, start, path = self._carry
         share = min(1.0, (self._autopilot.now_s - begun_s) / _CARRY_S)
-        self._position = [start[0] + share * way[0], start[1] + share * way[1]]
+        self._position = [start[0] + share * path[0], start[1] + share * path[1]]
         if share >= 1.0:
             self._carry = None
             return (0.0, 0.0)
-        return (way[0] / _CARRY_S, way[1] / _CARRY_S)
+        return (path[0] / _CARRY_S, path[1] / _CARRY_S)
 
     def _exchange_bytes(self) -> None:
         with contextlib.suppress(BlockingIOError):
             while True:
                 self._write(self._socket.recv(65536))
-        with contextlib.suppress(OSError):  # nothing there, or nobody has the port open
+        with contextlib.suppress(OSError):  # no data, or no program has the port open
             data = os.read(self._master, 65536)
             if self._rate_is_right():
                 self._socket.sendto(data, self._endpoint.links[0].socket.getsockname())
@@ -208,7 +209,7 @@ class BenchVehicle(ThreadContext):
         with contextlib.suppress(OSError):
             del self._out[: os.write(self._master, self._out)]
         if len(self._out) > _BUFFER:
-            self._out.clear()  # nobody reads
+            self._out.clear()  # no program reads
 
     def _rate_is_right(self) -> bool:
         return bool(termios.tcgetattr(self._master)[5] == termios.B921600)

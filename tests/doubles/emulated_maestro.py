@@ -1,7 +1,7 @@
-"""A Pololu Maestro behind a real pseudo-terminal: it parses the real bytes and moves a modelled servo.
+"""A Pololu Maestro behind a real pseudo-terminal, which parses the driver's bytes and moves a modelled servo.
 
-Written from the controller's guide, not from the driver: bytes of 128 and above start a command, the others
-are its data, anything else is a protocol error; errors are remembered until they are asked for.
+It follows the controller's guide, not the driver. Bytes of 128 and above start a command, and smaller bytes
+are its data. Anything else is a protocol error, which the controller keeps until the driver reads it.
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ _TICK_US = 10_000  # the controller moves a limited pulse every 10 ms
 
 
 class EmulatedMaestro:
-    """The controller, one channel of which has the modelled servo; `link` is the path a driver opens."""
+    """The controller with the modelled servo on one channel; the driver opens the path `link`."""
 
     def __init__(
         self, servo: Servo, link: Path, clock_us: Callable[[], int], *, channel: int = 0, horn_us: float
     ) -> None:
         self.link = link
         self.channel = channel
-        self.received = bytearray()  # every byte that came in
-        self.limits_us = (500.0, 2500.0)  # the channel's own range: targets beyond it are clamped
+        self.received = bytearray()  # every received byte
+        self.limits_us = (500.0, 2500.0)  # range of the channel, to which targets are clamped
         self._servo = ServoModel(servo, horn_us)
         self._clock_us = clock_us
         self._lock = threading.Lock()
@@ -61,10 +61,10 @@ class EmulatedMaestro:
         for descriptor in self._wake:
             os.close(descriptor)
 
-    # -- what a test does to it --
+    # -- actions of a test --
 
     def plug(self) -> None:
-        """Put the cable in: the port appears."""
+        """Plug the cable in, so that the port appears."""
         master, slave = pty.openpty()
         tty.setraw(slave)
         self._terminal = (master, slave)
@@ -74,7 +74,7 @@ class EmulatedMaestro:
         self._thread.start()
 
     def unplug(self, *, power_too: bool = False) -> None:
-        """Pull the cable: the port vanishes; with `power_too` the pulses stop."""
+        """Pull the cable, so that the port vanishes; with `power_too` also stop the pulses."""
         if self._terminal is None:
             return
         self.link.unlink()
@@ -88,18 +88,18 @@ class EmulatedMaestro:
             self.restart()
 
     def restart(self) -> None:
-        """The controller starts anew, as after a brown-out: no pulses, no speed limit."""
+        """Restart the controller as after a brown-out: no pulses, no speed limit."""
         with self._lock:
             self._advance()
             self._restart(self._clock_us())
 
     def restart_at(self, t_us: int | None) -> None:
-        """It will start anew at a moment to come; None takes that back."""
+        """Schedule a restart at a future time; None cancels it."""
         with self._lock:
             self._reset_at_us = t_us
 
     def set_servo_faults(self, faults: ServoFaults = NO_FAULTS) -> None:
-        """The servo has these faults from now on."""
+        """Give the servo these faults from now on."""
         with self._lock:
             self._advance()
             self._servo.set_faults(self._clock_us(), faults)
@@ -110,28 +110,28 @@ class EmulatedMaestro:
             self._errors |= bits
 
     def add_noise(self, *bursts: bytes) -> None:
-        """Put garbage on the line before the next answers, one burst for each."""
+        """Send one burst of noise before each of the next answers."""
         with self._lock:
             self._noise += bursts
 
     def say(self, noise: bytes) -> None:
-        """Put garbage on the line now."""
+        """Send noise now."""
         if self._terminal is not None:
             os.write(self._terminal[0], noise)
 
     def mute(self, mute: bool = True) -> None:
-        """Answer nothing, as a controller that hangs."""
+        """Stop answering, as a controller that hangs."""
         with self._lock:
             self._mute = mute
 
     def horn_us(self) -> float:
-        """Where the modelled horn is now."""
+        """Return the present position of the modelled horn, as a pulse width."""
         with self._lock:
             self._advance()
             return self._servo.pulse_at(self._clock_us())
 
     def output_us(self) -> float | None:
-        """The pulse width it puts out now."""
+        """Return the pulse width of the output, or None without pulses."""
         with self._lock:
             self._advance()
             return self._output_us
@@ -148,12 +148,12 @@ class EmulatedMaestro:
                     os.read(self._wake[0], 1)
                     return
                 for byte in os.read(master, 256):
-                    answer = self._take(byte)
+                    answer = self._handle_byte(byte)
                     if answer:
                         with contextlib.suppress(OSError):
                             os.write(master, answer)
 
-    def _take(self, byte: int) -> bytes:
+    def _handle_byte(self, byte: int) -> bytes:
         with self._lock:
             self.received.append(byte)
             if byte >= 0x80:
@@ -215,7 +215,7 @@ class EmulatedMaestro:
         self._servo.command(t_us, pulse_us)
 
     def _advance(self) -> None:
-        """Ramp the pulse up to now, in the controller's ticks."""
+        """Advance the ramp of the pulse to the present time, in the controller's ticks."""
         now = self._clock_us()
         if self._reset_at_us is not None and now >= self._reset_at_us:
             at, self._reset_at_us = self._reset_at_us, None

@@ -1,7 +1,7 @@
-"""A stand-in for PX4 as the simulator sees it: TCP client, one answer for every HIL_SENSOR. Not a flight.
+"""A stand-in for PX4 on the simulator link: a TCP client that answers every HIL_SENSOR but cannot fly.
 
-Written into a folder as bin/px4 (`install`), it is what the launch and the world process are tested with
-where there is no PX4. `behaviour` says what it does wrong.
+`install` writes it into a folder as bin/px4. Tests of the launch and the world process use it if there is no
+PX4. `behaviour` selects its fault.
 """
 
 from __future__ import annotations
@@ -30,8 +30,9 @@ class FakePx4:
     """The client's end of the simulator link.
 
     Args:
-        port: the simulator's.
-        controls: what it answers with.
+        port: TCP port of the simulator.
+        controls: actuator controls in every answer.
+        armed: whether the answers report an armed vehicle.
     """
 
     def __init__(self, port: int, controls: tuple[float, ...] = (0.0,) * 16, armed: bool = False) -> None:
@@ -42,7 +43,7 @@ class FakePx4:
         self._pack = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
 
     def serve(self, sensors: int, answer: bool = True) -> None:
-        """Take messages until so many HIL_SENSOR have come, answering each."""
+        """Receive messages until this number of HIL_SENSOR has arrived, and answer each."""
         while sensors > 0:
             data = self.socket.recv(65536)
             if not data:
@@ -55,7 +56,7 @@ class FakePx4:
                         self.answer(message.time_usec)
 
     def answer(self, time_us: int) -> None:
-        """One HIL_ACTUATOR_CONTROLS."""
+        """Send one HIL_ACTUATOR_CONTROLS."""
         reply = mavlink.MAVLink_hil_actuator_controls_message(
             time_us, list(self.controls), 128 if self.armed else 0, 1
         )
@@ -94,16 +95,16 @@ def install(
     stuck: str = "",
     overwritten: str = "",
 ) -> Path:
-    """A PX4 install with this file as its program; returns its folder.
+    """Write a PX4 installation whose program is this file, and return its folder.
 
     Args:
-        folder: where.
-        behaviour: what it does wrong.
-        version: what it says of itself.
-        known: parameters that it has; those of a flight indoors are there in any case.
-        missing: names of parameters that it does not have, separated by spaces.
-        stuck: names of those that stay 0 whatever they are set to.
-        overwritten: one that its start-up script sets to 77.
+        folder: folder of the installation.
+        behaviour: `fly`, or the fault: `ends`, `stubborn`, `deaf` or `dies`.
+        version: version that the program reports.
+        known: additional parameters; those of an indoor flight always exist.
+        missing: names of parameters that do not exist, separated by spaces.
+        stuck: names of parameters that stay 0 when set.
+        overwritten: parameter that the start-up script sets to 77.
     """
     (folder / "bin").mkdir(parents=True)
     airframes = folder / "etc" / "init.d-posix" / "airframes"
@@ -116,9 +117,9 @@ def install(
         f'exec {sys.executable} -m tests.doubles.fake_px4 {behaviour} "$@"\n'
     )
     program.chmod(0o755)
-    told = folder / "bin" / "px4-ver"
-    told.write_text(f"#!/bin/sh\necho 'HW arch: PX4_SITL'\necho 'PX4 version: {version} (17825792)'\n")
-    told.chmod(0o755)
+    reporter = folder / "bin" / "px4-ver"
+    reporter.write_text(f"#!/bin/sh\necho 'HW arch: PX4_SITL'\necho 'PX4 version: {version} (17825792)'\n")
+    reporter.chmod(0o755)
     vehicle = load_mission(packaged("missions", "paper_dual_collision.yaml")).vehicle
     names = {*known, *flight_parameters(vehicle, PositionSource.MOCAP)} - set(missing.split())
     (folder / "known").write_text("".join(f"{name}\n" for name in sorted(names)))
@@ -130,7 +131,7 @@ def install(
 
 
 def _connect(port: int) -> FakePx4:
-    """As PX4 does: again and again, until its simulator listens."""
+    """Retry until the simulator listens, as PX4 does."""
     while True:
         try:
             return FakePx4(port)
@@ -139,9 +140,9 @@ def _connect(port: int) -> FakePx4:
 
 
 def main() -> None:
-    """Body of the program: px4 -i INSTANCE -d ETC."""
+    """Run the program: px4 -i INSTANCE -d ETC."""
     behaviour, instance = sys.argv[1], int(sys.argv[3])
-    # Lets a test see how it was started.
+    # A test reads from this file how the program was started.
     about = {"arguments": sys.argv[2:], "cwd": os.getcwd(), "environment": dict(os.environ)}
     Path("started.json").write_text(json.dumps(about))
     if behaviour == "ends":

@@ -1,4 +1,4 @@
-"""Another component of the vehicle's system on its link, as mavlink-router hands it on."""
+"""Another component of the vehicle's system, whose messages mavlink-router forwards on the link."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _Q_TURNED = [math.cos(math.radians(30.0)), 0.0, 0.0, math.sin(math.radians(30.0)
 
 
 class ForeignSender(ThreadContext):
-    """`with ForeignSender(port):` sends every message of `MESSAGES` to a UDP port, 50 times a second."""
+    """`with ForeignSender(port):` sends every message of `messages` to a UDP port, 50 times a second."""
 
     def __init__(self, port: int, component: int = COMPONENT) -> None:
         self._to = ("127.0.0.1", port)
@@ -36,7 +36,7 @@ class ForeignSender(ThreadContext):
 
 
 def messages() -> list[mavlink.MAVLink_message]:
-    """What each of the vehicle's messages must not be taken from."""
+    """Return messages of every kind that the program must not accept from another component."""
     zeros = [0.0] * 21
     far_ms = _FAR_AHEAD_US // 1000 % 2**32
     return [

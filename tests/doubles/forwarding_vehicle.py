@@ -1,4 +1,4 @@
-"""A simulated vehicle for a companion and a ground station, whose messages it forwards to each other.
+"""A simulated vehicle that forwards messages between the companion computer and a ground station.
 
 python -m tests.doubles.forwarding_vehicle MISSION CONFIG PORT GROUND_PORT
 """

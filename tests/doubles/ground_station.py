@@ -1,4 +1,4 @@
-"""A ground station on PX4's own link for one, where the simulated vehicle waits: arms it, and ends.
+"""A ground station on PX4's ground-station link, which arms the simulated vehicle and then ends.
 
 python -m tests.doubles.ground_station INSTANCE
 """
@@ -18,7 +18,7 @@ _WAIT_S = 30.0
 
 
 def arm(instance: int) -> bool:
-    """Ask PX4 to arm in its present mode until it does; False: it has not within half a minute."""
+    """Request arming in the present mode until PX4 accepts; return False after half a minute."""
     link = mavutil.mavlink_connection(
         f"udpout:127.0.0.1:{PORT + instance}", source_system=255, dialect="common"
     )
@@ -39,12 +39,12 @@ def arm(instance: int) -> bool:
 
 
 def switch_to_position(instance: int, begin: Event, sticks: bool) -> int | None:
-    """Ask for position mode once `begin` is set, until PX4 answers; returns its answer, None: there was none.
+    """Request position mode once `begin` is set, and return PX4's answer, or None without one.
 
     Args:
-        instance: of PX4.
-        begin: when to ask; sticks are sent before, too.
-        sticks: send centred sticks, without which PX4 has nobody to hand over to.
+        instance: number of the PX4 instance.
+        begin: event that starts the request; sticks are sent from the beginning.
+        sticks: whether to send centred sticks, without which PX4 has no pilot to hand over to.
     """
     link = mavutil.mavlink_connection(
         f"udpout:127.0.0.1:{PORT + instance}", source_system=255, dialect="common"

@@ -1,7 +1,7 @@
-"""Flights in hardware in the loop by the command, against a PX4 without lockstep on pseudo-terminals.
+"""Hardware-in-the-loop flights by the command, against a PX4 without lockstep on pseudo-terminals.
 
-The app's link is held to what 921600 baud carry, and the servo is behind an emulated Maestro. A flight is
-also uncontrolled if PX4 stays armed, no cause is given, or there is a traceback.
+The app's link is limited to the rate of 921600 baud, and the servo is behind an emulated Maestro. A flight is
+also uncontrolled if PX4 stays armed, if it reports no cause, or if it prints a traceback.
 """
 
 from __future__ import annotations
@@ -28,23 +28,23 @@ from tests.doubles.emulated_maestro import EmulatedMaestro
 from tests.doubles.hitl_px4 import ENVIRONMENT, HitlPx4
 
 ROOT = Path(__file__).parents[2]
-_NO_REMOTE = {"COM_RC_IN_MODE": 4, "NAV_DLL_ACT": 0}  # nobody at a stick or a ground station
+_NO_REMOTE = {"COM_RC_IN_MODE": 4, "NAV_DLL_ACT": 0}  # no sticks and no ground station
 _LIMIT_S = 240.0  # for a command; a flight takes 40 s
 
 
 class BenchFlight(msgspec.Struct):
-    """One flight in a few figures."""
+    """The figures of one flight."""
 
     outcome: str
     reason: str | None = None
-    tilt_deg: float | None = None  # true
+    tilt_deg: float | None = None  # largest true tilt
     ekf_m: float | None = None
     lost_bytes: list[int] = []  # USB and TELEM2, to PX4 and back
     problems: list[str] = []
 
 
 def fly_bench(name: str, seed: int, cut_usb_s: float = 0.0) -> BenchFlight:
-    """Fly in hardware in the loop; the USB cable may be cut for a while as the approach begins."""
+    """Fly in hardware in the loop, with the USB cable cut for `cut_usb_s` when the approach begins."""
     mission = load_flyable(ROOT / "missions" / f"{name}.yaml")
     lock = mission.vehicle.lock
     assert lock is not None
@@ -84,7 +84,7 @@ def fly_bench(name: str, seed: int, cut_usb_s: float = 0.0) -> BenchFlight:
         process.stdin.close()
         guard = threading.Timer(_LIMIT_S, process.kill)
         guard.start()
-        told = process.stdout.read()
+        output = process.stdout.read()
         status = process.wait()
         guard.cancel()
         follower.join()
@@ -92,11 +92,11 @@ def fly_bench(name: str, seed: int, cut_usb_s: float = 0.0) -> BenchFlight:
         flight = BenchFlight("no verdict", lost_bytes=lost)
         if px4.is_armed():
             flight.problems.append("left armed")
-        return _figures(flight, name, told, status, "".join(lines), folder / "logs")
+        return _figures(flight, name, output, status, "".join(lines), folder / "logs")
 
 
 def _follow(stream: Iterator[str], lines: list[str], px4: HitlPx4, cut_usb_s: float) -> None:
-    """Keep what the command says, and cut the cable at the first approach."""
+    """Keep the messages of the command, and cut the cable at the first approach."""
     for line in stream:
         lines.append(line)
         if cut_usb_s and "→ APPROACH" in line:
@@ -106,12 +106,14 @@ def _follow(stream: Iterator[str], lines: list[str], px4: HitlPx4, cut_usb_s: fl
             cut_usb_s = 0.0
 
 
-def _figures(flight: BenchFlight, name: str, told: str, status: int, said: str, logs: Path) -> BenchFlight:
-    if "Traceback" in said:
+def _figures(
+    flight: BenchFlight, name: str, output: str, status: int, messages: str, logs: Path
+) -> BenchFlight:
+    if "Traceback" in messages:
         flight.problems.append("traceback")
-    verdict = json.loads(told) if told.strip() else {}
+    verdict = json.loads(output) if output.strip() else {}
     flight.outcome = verdict.get("outcome", flight.outcome)
-    flight.reason = verdict.get("reason") or ("" if verdict else said.strip().splitlines()[-1])
+    flight.reason = verdict.get("reason") or ("" if verdict else messages.strip().splitlines()[-1])
     flight.ekf_m = verdict.get("ekf_error_m")
     if (status == 0) is not (flight.outcome == "completed"):
         flight.problems.append(f"exit status {status}")

@@ -1,7 +1,7 @@
 """A real PX4 without lockstep as a flight controller in hardware-in-the-loop mode, on two serial cables.
 
-PX4's POSIX build `px4_sitl_nolockstep` knows SYS_HITL only in its modules, not in its start-up script: the
-script is the build's own, with the lines changed that a board's script has under SYS_HITL 1.
+The modules of PX4's POSIX build `px4_sitl_nolockstep` support SYS_HITL, but its start-up script does not.
+This double changes the lines of the script that differ in a board's script under SYS_HITL 1.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from dart_flight.sim.px4.launch import claim_instance, environment, find_install
 from tests.doubles.serial_cable import SerialCable
 
 ENVIRONMENT = "DART_PX4_HITL_DIR"  # a build without lockstep
-TELEM2_BYTES_S = 92_160.0  # what 921600 baud carry with a start and a stop bit
+TELEM2_BYTES_S = 92_160.0  # 921600 baud with a start and a stop bit
 _BOOT_S = 40.0
 
 
@@ -31,14 +31,14 @@ class HitlPx4:
     """`with HitlPx4(directory, folder, mission) as px4: dry-run --hitl px4.usb_url --connection px4.url`.
 
     Args:
-        directory: of the build without lockstep.
-        folder: an empty one to work in.
-        mission: whose vehicle's parameters are set.
-        changes: parameters that are to have another value, None: left as PX4 has them.
-        hil: False: SYS_HITL stands in the parameters, and PX4 was not restarted since.
+        directory: folder of the build without lockstep.
+        folder: empty working folder.
+        mission: mission with the vehicle whose parameters are set.
+        changes: other values of parameters; None keeps PX4's default.
+        hil: whether PX4 was restarted after SYS_HITL was set.
 
     Attributes:
-        usb, telem2: the two cables; ours are their second ends.
+        usb, telem2: the two cables; the program uses their second ends.
     """
 
     def __init__(
@@ -61,12 +61,12 @@ class HitlPx4:
 
     @property
     def usb_url(self) -> str:
-        """For `--hitl`."""
+        """The URL for `--hitl`."""
         return f"serial://{self.usb.ends[1]}:921600"
 
     @property
     def url(self) -> str:
-        """For `--connection`."""
+        """The URL for `--connection`."""
         return f"serial://{self.telem2.ends[1]}:921600"
 
     def __enter__(self) -> HitlPx4:
@@ -110,13 +110,13 @@ class HitlPx4:
         self._instance.release()
 
     def is_armed(self) -> bool:
-        """PX4's own word."""
-        asked = [str(self._install.program.with_name("px4-commander")), "--instance"]
-        asked += [str(self._instance.number), "status"]
-        said = subprocess.run(asked, capture_output=True, text=True, timeout=10.0, check=False).stdout
-        found = re.search(r"\b(Armed|Disarmed)\b", said)
+        """Return whether PX4 reports itself armed."""
+        command = [str(self._install.program.with_name("px4-commander")), "--instance"]
+        command += [str(self._instance.number), "status"]
+        output = subprocess.run(command, capture_output=True, text=True, timeout=10.0, check=False).stdout
+        found = re.search(r"\b(Armed|Disarmed)\b", output)
         if found is None:
-            raise RuntimeError(f"commander says {said!r}")
+            raise RuntimeError(f"unexpected status of the commander: {output!r}")
         return found[1] == "Armed"
 
     def _script(self) -> str:
@@ -125,7 +125,7 @@ class HitlPx4:
         def replace(old: str, new: str) -> None:
             nonlocal text
             if text.count(old) != 1:
-                raise RuntimeError(f"this PX4's start-up script has {text.count(old)} times {old!r}")
+                raise RuntimeError(f"the start-up script has {old!r} {text.count(old)} times, expected once")
             text = text.replace(old, new)
 
         wanted = {**self._parameters, **self._changes}
@@ -136,7 +136,7 @@ class HitlPx4:
             replace("\nsensors start\n", "\nsensors start -h\n")
             replace("\ncommander start\n", "\ncommander start -h\n")
             replace("pwm_out_sim start -m sim", "pwm_out_sim start -m hil")
-        # On a board the USB port is started in mode config, and TELEM2 as docs/field.md says.
+        # A board starts the USB port in mode config, and TELEM2 as in docs/field.md.
         replace(
             ". px4-rc.mavlink\n",
             f"mavlink start -d {self.usb.ends[0]} -b 2000000 -m config -x -Z\n"

@@ -1,4 +1,4 @@
-"""A vehicle on the ground with logs on its card: the embedded autopilot with PX4's log protocol."""
+"""A vehicle on the ground with logs on its card: the embedded autopilot plus MAVLink's log protocol."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _PER_TICK = 40  # messages
 
 
 class _LogEndpoint(MavlinkEndpoint):
-    """Answers LOG_REQUEST_LIST and LOG_REQUEST_DATA; sends `sends_bytes` in all, then nothing more."""
+    """An endpoint that answers LOG_REQUEST_LIST and LOG_REQUEST_DATA, and stops after `sends_bytes`."""
 
     logs: list[tuple[int, bytes]]
     sends_bytes: float
@@ -48,7 +48,7 @@ class _LogEndpoint(MavlinkEndpoint):
             super()._handle_message(link, message)
 
     def send_logs(self) -> None:
-        """Send what is due of a log."""
+        """Send the messages of a log that are due."""
         for _ in range(min(_PER_TICK, len(self._queue))):
             message = self._queue.popleft()
             self.sends_bytes -= message.count
@@ -60,9 +60,9 @@ class LogVehicle(ThreadContext):
     """`with LogVehicle(mission, logs) as vehicle: ...vehicle.url...`.
 
     Args:
-        mission: whose vehicle it is.
-        logs: time of the last change, seconds UTC, and content, in the order of the card's folder.
-        sends_bytes: after which it sends nothing more of a log.
+        mission: mission with the vehicle.
+        logs: time of the last change (seconds UTC) and content, in the order of the card's folder.
+        sends_bytes: number of bytes after which it stops sending logs.
     """
 
     def __init__(

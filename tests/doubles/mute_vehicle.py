@@ -1,4 +1,4 @@
-"""A vehicle that sends as PX4 does and answers nothing that it is asked; falls silent after a while.
+"""A vehicle that sends as PX4 does but ignores every request, and falls silent after a while.
 
 python -m tests.doubles.mute_vehicle PORT SILENT_AFTER_S
 """
@@ -20,7 +20,7 @@ MISSION = Path(__file__).parents[2] / "missions" / "single_wall.yaml"
 
 
 class MuteEndpoint(MavlinkEndpoint):
-    """Takes nothing of what arrives."""
+    """An endpoint that ignores every message."""
 
     def _handle_message(self, link: Link, message: Any) -> None:
         pass

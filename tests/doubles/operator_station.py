@@ -19,15 +19,15 @@ class OperatorStation:
     """`with OperatorStation(port) as station: station.press(5)`.
 
     Args:
-        port: UDP port to which the vehicle's link sends; the answers go to whoever sends there.
-        system: its MAVLink system id.
-        vehicle_port: UDP port of a vehicle that waits to be spoken to.
+        port: UDP port to which the vehicle's link sends; the station answers the latest sender.
+        system: MAVLink system id of the station.
+        vehicle_port: UDP port of a vehicle that waits for the first message.
 
     Attributes:
-        texts: the program's STATUSTEXTs, whole.
+        texts: STATUSTEXTs of the program, joined from their parts.
         beats: number of the program's heartbeats.
-        poses: number of poses that the program sent to the vehicle.
-        armed: whether the vehicle's motors may turn.
+        poses: number of poses that the program has sent to the vehicle.
+        armed: whether the vehicle is armed.
     """
 
     def __init__(self, port: int, system: int = 255, vehicle_port: int | None = None) -> None:
@@ -64,7 +64,7 @@ class OperatorStation:
         self._socket.close()
 
     def press(self, button: int, value: int = 0, component: int = PROGRAM) -> int | None:
-        """Press a button; returns MAV_RESULT, None where nothing answers within 3 s."""
+        """Press a button and return the MAV_RESULT, or None without an answer within 3 s."""
         before = len(self._answers)
         self.send(
             mavlink.MAVLink_command_long_message(
@@ -76,27 +76,27 @@ class OperatorStation:
         return self._answers[before] if len(self._answers) > before else None
 
     def move_switch(self, channel: int, pulse_us: int) -> None:
-        """Send the transmitter's channels once, all in the middle but one."""
+        """Send the transmitter's channels once, with all but one at their centre."""
         pulses = [1500] * 8
         pulses[channel - 1] = pulse_us
         self.send(mavlink.MAVLink_rc_channels_override_message(self._vehicle_system, 1, *pulses))
 
     def hold_sticks(self) -> None:
-        """From now on send a joystick's centred sticks, which is a remote control to PX4."""
+        """Send centred joystick sticks from now on, which PX4 treats as a remote control."""
         self._transmits = True
 
     def wait_for(self, text: str, count: int = 1, timeout_s: float = _WAIT_S) -> str:
-        """Wait until `count` of the texts contain a text; returns the last of them."""
+        """Wait until `count` received texts contain a text, and return the last of them."""
 
         def found() -> list[str]:
-            return [one for one in self.texts if text in one]
+            return [received for received in self.texts if text in received]
 
         with self._news:
             assert self._news.wait_for(lambda: len(found()) >= count, timeout_s), (text, self.texts[-20:])
             return found()[count - 1]
 
     def wait_for_program(self, more: int = 1) -> None:
-        """Wait for heartbeats of the program: only then does the vehicle forward to it."""
+        """Wait for heartbeats of the program, because the vehicle forwards to it only after them."""
         wanted = self.beats + more
         with self._news:
             assert self._news.wait_for(lambda: self.beats >= wanted, _WAIT_S), "no heartbeat of the program"
@@ -128,15 +128,15 @@ class OperatorStation:
         while not self._stop.is_set():
             try:
                 data, self._vehicle = self._socket.recvfrom(4096)
-            except OSError:  # none, or of a vehicle that has gone
+            except OSError:  # timeout, or the vehicle has ended
                 time.sleep(0.01)
                 continue
             for message in parser.parse_buffer(data) or []:
                 with self._news:
-                    self._take(message)
+                    self._handle_message(message)
                     self._news.notify_all()
 
-    def _take(self, message: mavlink.MAVLink_message) -> None:
+    def _handle_message(self, message: mavlink.MAVLink_message) -> None:
         kind = message.get_type()
         if kind == "HEARTBEAT" and message.get_srcComponent() == 1:
             self._vehicle_system = message.get_srcSystem()

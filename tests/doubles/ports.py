@@ -1,4 +1,4 @@
-"""A UDP port for a test or a measurement."""
+"""Free UDP ports for tests and measurements."""
 
 from __future__ import annotations
 
@@ -6,14 +6,14 @@ import contextlib
 import secrets
 import socket
 
-_PORTS = range(20_000, 30_000)  # neither handed out by Linux nor PX4's
+_PORTS = range(20_000, 30_000)  # used neither by Linux for ephemeral ports nor by PX4
 
 
 def free_udp_port() -> int:
-    """A UDP port on the loopback that is free at the moment.
+    """Return a UDP port on the loopback interface that is currently free.
 
-    Not one of those that the system hands out by itself: between this answer and its use another
-    socket could get it. Flights that start at the same moment do not meet either.
+    The port is outside of the ephemeral range, because the system could give such a port to another socket
+    before its use. It is random, so that simultaneous flights do not collide.
     """
     while True:
         port = _PORTS.start + secrets.randbelow(len(_PORTS))

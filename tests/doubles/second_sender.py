@@ -1,8 +1,8 @@
-"""A second vehicle that stands disarmed and sends to a UDP port, whoever sends there already.
+"""A second, disarmed vehicle that sends to the UDP port of another vehicle.
 
 python -m tests.doubles.second_sender PORT SYSTEM AHEAD_S
 
-Its clock is AHEAD_S ahead of that of a `simulate` started at the same moment. It sends until it is stopped.
+Its clock is AHEAD_S ahead of that of a simultaneously started `simulate`. It sends until it is stopped.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""A serial cable between two programs: two pseudo-terminals, and what a wire does that these do not.
+"""A serial cable between two programs: two pseudo-terminals with the data rate and losses of a wire.
 
-A pseudo-terminal has no baud rate: the cable carries so many bytes a second each way, and what comes while
-its buffer is full is lost, byte by byte, as in a port without flow control. It can be cut and mended.
+A pseudo-terminal has no baud rate, so the cable limits the bytes per second in each direction. Bytes that
+arrive while its buffer is full are lost, as in a port without flow control. A test can cut and mend it.
 """
 
 from __future__ import annotations
@@ -14,19 +14,19 @@ import tty
 
 from dart_flight.base.thread_context import ThreadContext
 
-BUFFER_BYTES = 4096  # of the kernel's side of a serial port
+BUFFER_BYTES = 4096  # the kernel's buffer of a serial port
 _CHUNK = 4096
 _PERIOD_S = 0.001
 
 
 class SerialWay:
-    """Bytes on their way from one end to the other."""
+    """One direction of the cable, with the bytes in transit."""
 
     def __init__(self, rate_bytes_s: float | None) -> None:
         self._rate, self._credit, self._since_s = rate_bytes_s, 0.0, time.monotonic()
         self.waiting = bytearray()
         self.carried = self.dropped = 0
-        self._unread = False  # whoever has the other end open does not read
+        self._unread = False  # the program at the other end does not read
 
     def take(self, data: bytes, limit: int | None) -> None:
         room = len(data) if limit is None else max(0, limit - len(self.waiting))
@@ -39,7 +39,7 @@ class SerialWay:
         if self._rate is None:
             count = len(self.waiting)
         else:
-            # Never more at once than the wire carries in a few of its periods: credit is not saved up.
+            # An idle wire must not save up credit for a burst.
             self._credit = min(self._credit + self._rate * (now_s - self._since_s), self._rate * 0.005)
             count = min(len(self.waiting), int(self._credit))
         self._since_s = now_s
@@ -59,11 +59,11 @@ class SerialCable(ThreadContext):
     """`with SerialCable(92_160) as cable: open(cable.ends[0]) ...`.
 
     Args:
-        rate_bytes_s: each way; None: as fast as it goes.
+        rate_bytes_s: data rate in each direction; None: unlimited.
 
     Attributes:
         ends: the two devices.
-        cut: True: whatever is sent is lost.
+        cut: whether all sent bytes are lost.
     """
 
     def __init__(self, rate_bytes_s: float | None = None) -> None:
@@ -73,7 +73,7 @@ class SerialCable(ThreadContext):
         self.ends = (os.ttyname(slaves[0]), os.ttyname(slaves[1]))
         for end in slaves:
             tty.setraw(end)
-            os.close(end)  # a program that shares no port refuses one that somebody has open
+            os.close(end)  # a program that locks its port rejects one that is open
         for end in masters:
             os.set_blocking(end, False)
         self._masters = masters
@@ -82,12 +82,12 @@ class SerialCable(ThreadContext):
 
     @property
     def carried(self) -> tuple[int, int]:
-        """Bytes from the first end to the second, and back."""
+        """Numbers of bytes carried from the first end to the second, and back."""
         return self._ways[0].carried, self._ways[1].carried
 
     @property
     def dropped(self) -> tuple[int, int]:
-        """Bytes lost on the wire likewise; what nobody reads is not counted."""
+        """Numbers of bytes lost in both directions, without those that no program reads."""
         return self._ways[0].dropped, self._ways[1].dropped
 
     def _close(self) -> None:
@@ -99,22 +99,23 @@ class SerialCable(ThreadContext):
         while not self._stop.is_set():
             waits = any(way.waiting for way in self._ways)
             select.select([a, b], [], [], _PERIOD_S if waits else 0.01)
-            came = [_read(end) for end in self._masters]
-            there, back = self._ways
-            for way, data, heard, to in ((there, came[0], came[1], b), (back, came[1], came[0], a)):
-                if heard is None:
-                    way.waiting.clear()  # nobody has the other end open
+            received = [_read(end) for end in self._masters]
+            forward, back = self._ways
+            ends = ((forward, received[0], received[1], b), (back, received[1], received[0], a))
+            for way, data, opposite, to in ends:
+                if opposite is None:
+                    way.waiting.clear()  # no program has the other end open
                 elif self.cut:
                     way.dropped += len(data or b"")
                 else:
                     way.take(data or b"", self._limit)
                     way.pass_on(to)
-            if waits or None in came:
+            if waits or None in received:
                 time.sleep(_PERIOD_S / 4)
 
 
 def _read(end: int) -> bytes | None:
-    """What has come from one end; None: nobody has it open."""
+    """Return the bytes received from one end, or None if no program has it open."""
     try:
         return os.read(end, _CHUNK)
     except BlockingIOError:

@@ -1,4 +1,4 @@
-"""ULog files written by hand."""
+"""A writer of ULog files with given topics."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 
 _SIZES = {"float": "f", "uint8_t": "B", "uint32_t": "I", "bool": "?"}
 
-# (topic, instance) -> fields such as "float[3] gyro_rad;bool landed;", rows of (microseconds, values)
+# (topic, instance) -> fields such as "float[3] gyro_rad;bool landed;", and rows of (microseconds, values)
 Topics = Mapping[tuple[str, int], tuple[str, Sequence[tuple[float, Sequence[float]]]]]
 
 
@@ -28,7 +28,7 @@ def _format(fields: str) -> str:
 def write_ulog(
     path: Path, topics: Topics, parameters: Mapping[str, float] | None = None, release: int = 0
 ) -> Path:
-    """Write a log; rows of all topics are merged by their stamps."""
+    """Write a log whose rows of all topics are merged by their stamps, and return its path."""
     out = b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 0) + _message(b"B", bytes(40))
     if release:
         key = b"uint32_t ver_sw_release"

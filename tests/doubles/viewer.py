@@ -1,4 +1,4 @@
-"""A viewer of flights that is not the SDK's: decodes what is published by the schemas that come with it."""
+"""A viewer independent of Foxglove's SDK, which decodes messages by the schemas in their channels."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from websockets.typing import Subprotocol
 SUBPROTOCOL = "foxglove.sdk.v1"
 _MESSAGE, _TIME = 1, 2  # first byte of a binary frame
 _HEAD = struct.Struct("<IQ")  # subscription, time in ns
-_ASK_EVERY_S = 0.2  # whether there is enough: what it takes to answer grows with what has come
+_CHECK_EVERY_S = 0.2  # period of the check, whose cost grows with the number of messages
 
 
 class Decoder:
-    """Decodes the messages of one channel.
+    """A decoder of the messages of one channel.
 
     Args:
-        encoding: of the messages, protobuf or json.
-        schema_name: the message's type.
-        schema: as bytes; of protobuf a FileDescriptorSet.
+        encoding: encoding of the messages: protobuf or json.
+        schema_name: type of the messages.
+        schema: schema as bytes; for protobuf a FileDescriptorSet.
     """
 
     def __init__(self, encoding: str, schema_name: str, schema: bytes) -> None:
@@ -41,7 +41,7 @@ class Decoder:
             assert encoding == "json", encoding
 
     def __call__(self, data: bytes) -> dict[str, Any]:
-        """A message as a dictionary, with protobuf's own names and every field in it."""
+        """Return a message as a dictionary with protobuf's own names and all fields."""
         if self._kind is None:
             decoded: dict[str, Any] = json.loads(data)
             return decoded
@@ -51,8 +51,8 @@ class Decoder:
         )
 
 
-def advertised(channel: dict[str, Any]) -> Decoder:
-    """The decoder of a channel as foxglove.websocket.v1 advertises it."""
+def make_decoder(channel: dict[str, Any]) -> Decoder:
+    """Return the decoder of a channel that foxglove.websocket.v1 advertises."""
     text = channel["schema"]
     binary = channel.get("schemaEncoding") == "protobuf"
     schema = base64.b64decode(text) if binary else text.encode()
@@ -60,16 +60,17 @@ def advertised(channel: dict[str, Any]) -> Decoder:
 
 
 class Viewer:
-    """A client of foxglove.websocket.v1 by the `websockets` package: subscribes to everything and keeps it.
+    """A client of foxglove.websocket.v1, which subscribes to all channels and keeps their messages.
 
     Args:
         url: ws://...
-        wanted: says when enough has come.
+        wanted: returns whether the received messages suffice.
 
     Attributes:
-        capabilities: that the server offers.
-        messages: topic -> messages, in the order of their coming.
-        times_us: of the flight, as the server tells it.
+        capabilities: capabilities that the server offers.
+        messages: topic -> messages, in order of arrival.
+        times_us: times of the flight that the server sends.
+        refused: error messages of the server.
     """
 
     def __init__(self, url: str, wanted: Callable[[dict[str, list[dict[str, Any]]]], bool]) -> None:
@@ -81,25 +82,25 @@ class Viewer:
         self._channels: dict[int, tuple[str, Decoder]] = {}
 
     def watch(self, timeout_s: float) -> bool:
-        """Look until there is enough, the server goes, or time is up; whether there was enough."""
+        """Receive until the messages suffice, the server ends or the timeout; return whether they suffice."""
         ends = time.monotonic() + timeout_s
-        asked = 0.0
+        checked = 0.0
         with self._connect(ends) as socket:
             while time.monotonic() < ends:
                 try:
-                    self._take(socket, socket.recv(timeout=_ASK_EVERY_S))
+                    self._handle_frame(socket, socket.recv(timeout=_CHECK_EVERY_S))
                 except TimeoutError:
                     pass
                 except ConnectionClosed:
                     break
-                if time.monotonic() - asked > _ASK_EVERY_S:
+                if time.monotonic() - checked > _CHECK_EVERY_S:
                     if self._wanted(self.messages):
                         return True
-                    asked = time.monotonic()
+                    checked = time.monotonic()
         return self._wanted(self.messages)
 
     def _connect(self, ends: float) -> ClientConnection:
-        """Once there is a server."""
+        """Connect, and retry until the server listens."""
         while True:
             try:
                 return connect(self._url, subprotocols=[Subprotocol(SUBPROTOCOL)], max_size=None)
@@ -108,25 +109,25 @@ class Viewer:
                     raise
                 time.sleep(0.05)
 
-    def _take(self, socket: ClientConnection, frame: str | bytes) -> None:
+    def _handle_frame(self, socket: ClientConnection, frame: str | bytes) -> None:
         if isinstance(frame, bytes):
-            self._take_binary(frame)
+            self._handle_binary(frame)
             return
         message = json.loads(frame)
         if message["op"] == "serverInfo":
             self.capabilities = message["capabilities"]
-            # Nothing may be published: this one tries.
+            # The server must reject a client that publishes, so this client tries.
             offer = {"id": 1, "topic": "/mine", "encoding": "json", "schemaName": ""}
             socket.send(json.dumps({"op": "advertise", "channels": [offer]}))
         elif message["op"] == "advertise":
             for channel in message["channels"]:
-                self._channels[channel["id"]] = (channel["topic"], advertised(channel))
+                self._channels[channel["id"]] = (channel["topic"], make_decoder(channel))
             ids = [{"id": channel["id"], "channelId": channel["id"]} for channel in message["channels"]]
             socket.send(json.dumps({"op": "subscribe", "subscriptions": ids}))
         elif message["op"] == "status":
             self.refused.append(message["message"])
 
-    def _take_binary(self, frame: bytes) -> None:
+    def _handle_binary(self, frame: bytes) -> None:
         if frame[0] == _MESSAGE:
             subscription, _ = _HEAD.unpack_from(frame, 1)
             topic, decode = self._channels[subscription]

@@ -1,4 +1,4 @@
-"""What may come of each cell of the fault matrix (`expected.csv`)."""
+"""Expected outcomes of the cells of the fault matrix, read from `expected.csv`."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ import csv
 from pathlib import Path
 
 
-def expected() -> dict[tuple[str, str], frozenset[str]]:
-    """Return cell -> what may come of it: rules of the guard, `completed`, or `app gone`."""
+def expected_outcomes() -> dict[tuple[str, str], frozenset[str]]:
+    """Return the allowed outcomes of every cell: rules of the guard, `completed`, or `app gone`."""
     with open(Path(__file__).with_name("expected.csv"), newline="") as file:
         rows = list(csv.reader(file))
     return {

@@ -1,6 +1,6 @@
-"""A flight on a connection URL that breaks itself: sabotaged_flight.py MISSION URL LOG_DIR FAULT
+"""A flight whose own program fails on purpose: sabotaged_flight.py MISSION URL LOG_DIR FAULT
 
-Run by `test_deadman.py` in a process of its own, because that process does not survive.
+`test_deadman.py` runs it in a separate process, because that process does not survive.
 """
 
 import asyncio
@@ -20,7 +20,7 @@ from dart_flight.sim.faults.fault_table import parse_fault
 
 path, url, log_dir, fault = sys.argv[1:]
 mission = with_driver(load_flyable(path), LockDriver.PX4)
-# Not the guard is on trial: a shared machine that pauses must not make it land first.
+# Only the deadman is tested: a pause of a shared machine must not make the guard land first.
 guard = msgspec.structs.replace(
     mission.vehicle.guard, imu_timeout_s=0.5, stream_timeout_s=0.5, telemetry_late_s=0.5
 )

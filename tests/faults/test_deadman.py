@@ -1,4 +1,4 @@
-"""The deadman: kills a program that hangs, and no other. In flight: measured on the wire, from outside."""
+"""Tests of the deadman: it kills a hanging program and no other; flights are measured on the wire."""
 
 import contextlib
 import os
@@ -24,7 +24,7 @@ NEAR = str(ROOT / "tests/data/near_wall.yaml")
 STARVE_S = 0.3
 SET_POSITION_TARGET = 84  # MAVLink
 
-FED = """
+PROGRAM = """
 import sys, time
 from pathlib import Path
 from dart_flight.run.deadman import CORE, LOOP, Deadman
@@ -38,10 +38,10 @@ print(time.monotonic(), deadman.pid, flush=True)
 STARTED: list[subprocess.Popen[str]] = []
 
 
-def fed(body: str, note: Path) -> subprocess.Popen[str]:
-    """A process with a deadman that does `body`."""
+def start_program(body: str, note: Path) -> subprocess.Popen[str]:
+    """Start a process that arms a deadman and then executes `body`."""
     process = subprocess.Popen(
-        [sys.executable, "-c", FED.format(starve=STARVE_S, body=textwrap.dedent(body)), str(note)],
+        [sys.executable, "-c", PROGRAM.format(starve=STARVE_S, body=textwrap.dedent(body)), str(note)],
         cwd=ROOT,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
@@ -52,8 +52,8 @@ def fed(body: str, note: Path) -> subprocess.Popen[str]:
 
 
 @pytest.fixture(autouse=True)
-def _none_is_left() -> Iterator[None]:
-    """A program that hangs, and that its deadman does not end, would hang for ever."""
+def _end_all_programs() -> Iterator[None]:
+    """Kill every started program, because a hanging one that its deadman spares would never end."""
     yield
     while STARTED:
         process = STARTED.pop()
@@ -74,30 +74,30 @@ FEED_BOTH = "deadman.feed(CORE); deadman.feed(LOOP); time.sleep(0.02)"
     ],
     ids=["core", "loop", "interpreter lock", "SIGSTOP"],
 )
-def test_who_starves_is_killed_in_time(body: str, starving: str, tmp_path: Path) -> None:
+def test_a_starving_program_is_killed_in_time(body: str, starving: str, tmp_path: Path) -> None:
     note = tmp_path / "deadman.txt"
-    process = fed(body, note)
+    process = start_program(body, note)
     assert process.stdout is not None
     began = float(process.stdout.readline().split()[0])
     assert process.wait(10) == -signal.SIGKILL
     assert time.monotonic() - began > 0.9 * STARVE_S
-    told = re.search(f"deadman: {starving} silent for ([0-9.]+) s", note.read_text())
-    assert told is not None
-    # Generous, for a loaded machine; what counts is measured on the wire, below.
-    assert STARVE_S <= float(told[1]) < STARVE_S + 1.0
+    silence = re.search(f"deadman: {starving} silent for ([0-9.]+) s", note.read_text())
+    assert silence is not None
+    # Generous for a loaded machine; the precise limit is tested on the wire, below.
+    assert STARVE_S <= float(silence[1]) < STARVE_S + 1.0
     assert process.stderr is not None
-    assert note.read_text() in process.stderr.read()  # and on the terminal
+    assert note.read_text() in process.stderr.read(), "the terminal shows the note"
 
 
-def test_who_feeds_lives_and_ends_as_it_likes(tmp_path: Path) -> None:
+def test_a_feeding_program_ends_normally(tmp_path: Path) -> None:
     note = tmp_path / "deadman.txt"
-    process = fed(f"for _ in range(50): {FEED_BOTH}\ndeadman.disarm(); time.sleep(0.6)", note)
+    process = start_program(f"for _ in range(50): {FEED_BOTH}\ndeadman.disarm(); time.sleep(0.6)", note)
     assert process.wait(15) == 0
     assert not note.exists()
 
 
-def test_a_watcher_that_was_stopped_itself_harms_nobody(tmp_path: Path) -> None:
-    process = fed(f"for _ in range(100): {FEED_BOTH}\ndeadman.disarm()", tmp_path / "note")
+def test_a_paused_watcher_does_not_kill_a_feeding_program(tmp_path: Path) -> None:
+    process = start_program(f"for _ in range(100): {FEED_BOTH}\ndeadman.disarm()", tmp_path / "note")
     assert process.stdout is not None
     watcher = int(process.stdout.readline().split()[1])
     os.kill(watcher, signal.SIGSTOP)
@@ -107,7 +107,7 @@ def test_a_watcher_that_was_stopped_itself_harms_nobody(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("starve_s", "period_s"), [(0.3, 0.06), (0.5, 0.1), (5.0, 0.1)])
-def test_it_is_fed_often_enough_that_some_may_be_late_and_no_more_often(
+def test_the_feed_period_is_a_fifth_of_the_timeout_and_at_most_100_ms(
     starve_s: float, period_s: float
 ) -> None:
     deadman = Deadman(starve_s)
@@ -117,25 +117,24 @@ def test_it_is_fed_often_enough_that_some_may_be_late_and_no_more_often(
         deadman.disarm()
 
 
-def test_the_watcher_leaves_the_processor_to_the_flight(tmp_path: Path) -> None:
-    """By the processor's time that it has taken, of two seconds."""
+def test_the_watcher_uses_little_processor_time(tmp_path: Path) -> None:
     body = f"""
     import os
-    def took_s():
+    def processor_s():
         fields = Path(f"/proc/{{deadman.pid}}/stat").read_text().split()
         return (int(fields[13]) + int(fields[14])) / os.sysconf("SC_CLK_TCK")
     for _ in range(15): {FEED_BOTH}
-    before_s = took_s()
+    before_s = processor_s()
     for _ in range(100): {FEED_BOTH}
-    assert took_s() - before_s < 0.15
+    assert processor_s() - before_s < 0.15
     """
-    process = fed(body, tmp_path / "note")
+    process = start_program(body, tmp_path / "note")
     _, error = process.communicate(timeout=30)
     assert process.returncode == 0, error
 
 
-def test_what_ends_programs_does_not_end_the_watcher(tmp_path: Path) -> None:
-    """Ctrl-C and a dropped terminal are the program's business, which may hang over them."""
+def test_termination_signals_do_not_end_the_watcher(tmp_path: Path) -> None:
+    """The program handles Ctrl-C and a dropped terminal itself, and may hang while doing so."""
     body = f"""
     import os, re, signal
     SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
@@ -143,7 +142,7 @@ def test_what_ends_programs_does_not_end_the_watcher(tmp_path: Path) -> None:
         {FEED_BOTH}
         ignored = re.search("SigIgn:\\s*(\\w+)", Path(f"/proc/{{deadman.pid}}/status").read_text())[1]
         if all(int(ignored, 16) >> (number - 1) & 1 for number in SIGNALS):
-            break  # it is up
+            break  # the watcher has started
     for number in SIGNALS:
         os.kill(deadman.pid, number)
     for _ in range(20): {FEED_BOTH}
@@ -151,11 +150,11 @@ def test_what_ends_programs_does_not_end_the_watcher(tmp_path: Path) -> None:
     os.kill(os.getpid(), signal.SIGSTOP)
     """
     note = tmp_path / "note"
-    assert fed(body, note).wait(40) == -signal.SIGKILL
+    assert start_program(body, note).wait(40) == -signal.SIGKILL
     assert "silent" in note.read_text()
 
 
-def test_a_watcher_that_does_not_read_does_not_hold_the_program_up(tmp_path: Path) -> None:
+def test_a_watcher_that_does_not_read_does_not_block_the_program(tmp_path: Path) -> None:
     body = """
     import os, signal
     os.kill(deadman.pid, signal.SIGSTOP)
@@ -163,11 +162,11 @@ def test_a_watcher_that_does_not_read_does_not_hold_the_program_up(tmp_path: Pat
     for _ in range(50000): deadman.feed(CORE)
     os.kill(deadman.pid, signal.SIGKILL)
     """
-    assert fed(body, tmp_path / "note").wait(15) == 0
+    assert start_program(body, tmp_path / "note").wait(15) == 0
 
 
-def test_once_it_is_let_go_nothing_of_it_is_left(tmp_path: Path) -> None:
-    """A program may fly several missions."""
+def test_disarming_leaves_no_process_and_no_handle(tmp_path: Path) -> None:
+    """A program may fly several missions, each with a new deadman."""
     body = f"""
     import os
     {FEED_BOTH}
@@ -176,14 +175,14 @@ def test_once_it_is_let_go_nothing_of_it_is_left(tmp_path: Path) -> None:
     handles = [os.readlink(f"/proc/self/fd/{{n}}") for n in os.listdir("/proc/self/fd") if n.isdigit()
                and os.path.islink(f"/proc/self/fd/{{n}}")]
     assert not [handle for handle in handles if "pidfd" in handle]
-    deadman.feed(CORE); deadman.feed(LOOP)  # a thread that ends later may still do so
+    deadman.feed(CORE); deadman.feed(LOOP)  # a thread that ends later may still feed
     """
-    process = fed(body, tmp_path / "note")
+    process = start_program(body, tmp_path / "note")
     _, error = process.communicate(timeout=15)
     assert process.returncode == 0, error
 
 
-def test_a_watcher_that_dies_is_replaced(tmp_path: Path) -> None:
+def test_a_dead_watcher_is_replaced(tmp_path: Path) -> None:
     body = f"""
     import os, signal
     os.kill(deadman.pid, signal.SIGKILL)
@@ -194,11 +193,11 @@ def test_a_watcher_that_dies_is_replaced(tmp_path: Path) -> None:
     time.sleep(20)
     """
     note = tmp_path / "note"
-    assert fed(body, note).wait(15) == -signal.SIGKILL
+    assert start_program(body, note).wait(15) == -signal.SIGKILL
     assert "silent" in note.read_text()
 
 
-def test_systemd_is_told(tmp_path: Path) -> None:
+def test_systemd_is_notified(tmp_path: Path) -> None:
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as listener:
         listener.bind(str(tmp_path / "notify"))
         listener.settimeout(1.0)
@@ -210,62 +209,62 @@ def test_systemd_is_told(tmp_path: Path) -> None:
         assert listener.recv(100) == b"WATCHDOG=1"
         listener.setblocking(False)
         with pytest.raises(BlockingIOError):
-            listener.recv(100)  # at half the period, not at every call
+            listener.recv(100)  # the watchdog is fed at half its period, not at every call
         notice.stopping()
         assert listener.recv(100) == b"STOPPING=1"
-    SystemdNotice({}).alive()  # without systemd: nothing
+    SystemdNotice({}).alive()  # must not raise without systemd
 
 
 @pytest.mark.parametrize(
-    ("asks", "is_fed"),
+    ("variables", "is_fed"),
     [
         ({}, False),
         ({"WATCHDOG_USEC": "10000000"}, True),
         ({"WATCHDOG_USEC": "10000000", "WATCHDOG_PID": str(os.getpid())}, True),
-        ({"WATCHDOG_USEC": "10000000", "WATCHDOG_PID": "1"}, False),  # another process is to feed it
+        ({"WATCHDOG_USEC": "10000000", "WATCHDOG_PID": "1"}, False),  # another process feeds this watchdog
         ({"WATCHDOG_USEC": "soon"}, False),
     ],
 )
-def test_systemds_watchdog_is_fed_where_it_asks_this_process(
-    asks: dict[str, str], is_fed: bool, tmp_path: Path
+def test_the_systemd_watchdog_is_fed_if_it_expects_this_process(
+    variables: dict[str, str], is_fed: bool, tmp_path: Path
 ) -> None:
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as listener:
         listener.bind(str(tmp_path / "notify"))
         listener.setblocking(False)
-        notice = SystemdNotice({"NOTIFY_SOCKET": str(tmp_path / "notify"), **asks})
+        notice = SystemdNotice({"NOTIFY_SOCKET": str(tmp_path / "notify"), **variables})
         notice.alive()
         with contextlib.nullcontext() if is_fed else pytest.raises(BlockingIOError):
             assert listener.recv(100) == b"WATCHDOG=1"
 
 
-def test_a_systemd_that_does_not_read_holds_nothing_up(tmp_path: Path) -> None:
-    """The event loop tells it, and set points must not wait for that."""
+def test_a_full_systemd_socket_does_not_block_the_program(tmp_path: Path) -> None:
+    """The event loop sends the notices, and setpoints must not wait for them."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as listener:
         listener.bind(str(tmp_path / "notify"))
         notice = SystemdNotice({"NOTIFY_SOCKET": str(tmp_path / "notify")})
 
-        def tell() -> None:
+        def notify() -> None:
             for _ in range(2000):
                 notice.stopping()
 
-        teller = threading.Thread(target=tell, daemon=True)
-        teller.start()
-        teller.join(10.0)
-        assert not teller.is_alive()
+        notifier = threading.Thread(target=notify, daemon=True)
+        notifier.start()
+        notifier.join(10.0)
+        assert not notifier.is_alive()
 
 
-def test_systemd_may_listen_at_an_abstract_address() -> None:
+def test_systemd_is_notified_at_an_abstract_address() -> None:
     name = f"dart-flight-test-{os.getpid()}"
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as listener:
         listener.bind(f"\0{name}")
         listener.settimeout(1.0)
         SystemdNotice({"NOTIFY_SOCKET": f"@{name}"}).stopping()
         assert listener.recv(100) == b"STOPPING=1"
-    SystemdNotice({"NOTIFY_SOCKET": "vsock:2:1"}).stopping()  # none that it knows: nothing
+    SystemdNotice({"NOTIFY_SOCKET": "vsock:2:1"}).stopping()  # an unknown kind of address must not raise
 
 
-def test_nothing_that_flies_reads_the_time_of_day() -> None:
-    """Jumps of the host's clock cannot matter to what never looks at it."""
+def test_flight_code_never_reads_the_time_of_day() -> None:
+    """Jumps of the host's clock cannot affect code that never reads it."""
     package = ROOT / "dart_flight"
     for folder in (
         "core",
@@ -288,7 +287,7 @@ def test_nothing_that_flies_reads_the_time_of_day() -> None:
 
 @contextmanager
 def vehicle_behind_proxy(record: Path) -> Iterator[str]:
-    """A simulated vehicle and a recording proxy; yields the URL for the app."""
+    """Run a simulated vehicle and a recording proxy, and yield the URL for the app."""
     near, far = free_udp_port(), free_udp_port()
     proxy = subprocess.Popen(
         [
@@ -314,7 +313,7 @@ def vehicle_behind_proxy(record: Path) -> Iterator[str]:
 @pytest.mark.realtime
 @pytest.mark.mavlink
 @pytest.mark.parametrize("fault", ["hang-core", "hang-loop", "hang-lock", "sigstop", "sigkill"])
-def test_set_points_stop_on_the_wire_within_half_a_second(fault: str, tmp_path: Path) -> None:
+def test_setpoints_stop_on_the_wire_within_half_a_second(fault: str, tmp_path: Path) -> None:
     record = tmp_path / "wire.csv"
     with vehicle_behind_proxy(record) as url:
         flight = subprocess.run(
@@ -329,13 +328,15 @@ def test_set_points_stop_on_the_wire_within_half_a_second(fault: str, tmp_path: 
             timeout=60,
             check=False,
         )
-        time.sleep(1.0)  # what still sends is still recorded
+        time.sleep(1.0)  # record a sender that has survived
     assert flight.returncode == -signal.SIGKILL, flight.stderr
     at = re.search(r"at monotonic ([0-9.]+) s", flight.stderr)
     assert at is not None, flight.stderr
     passed = (line.split(",") for line in record.read_text().splitlines())
-    times = [float(t) for t, way, kind in passed if way == "up" and int(kind) == SET_POSITION_TARGET]
-    assert len(times) > 100  # it flew: 20 to 125 a second
+    times = [
+        float(t) for t, direction, kind in passed if direction == "up" and int(kind) == SET_POSITION_TARGET
+    ]
+    assert len(times) > 100, "the vehicle did not fly: a flight sends 20 to 125 setpoints a second"
     last = max(times) - float(at[1])
     print(f"{fault}: last setpoint {1e3 * last:.0f} ms after the fault")
     assert last < 0.5

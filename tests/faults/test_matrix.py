@@ -1,7 +1,7 @@
-"""Faults in the fast world: each cell of the matrix is what the table says, and none is uncontrolled.
+"""A sample of the fault matrix and of random faults, flown in the fast world without loss of control.
 
-`python -m tools.campaigns faults` flies all of it, `faults_random` thousands of random ones
-(`docs/results/fault_matrix.md`); here a sample.
+The campaign `faults` flies the whole matrix, and `faults_random` thousands of random faults
+(`docs/results/fault_matrix.md`).
 """
 
 import itertools
@@ -27,34 +27,34 @@ from dart_flight.run.fast import FastFlight, fly_fast
 from dart_flight.run.prepare import load_flyable
 from dart_flight.sim.faults.fault_table import KINDS, Fault, parse_fault
 from dart_flight.sim.faults.impairment import Impairment, LossyLink
-from tests.faults.expected import expected
+from tests.faults.expected import expected_outcomes
 
 ROOT = Path(__file__).parents[2]
 SINGLE = ROOT / "missions/paper_single_wall.yaml"
-# The cells that are flown here: each fault once, at its default value, the phases in turn.
+# Each fault is flown once, at its default value, with the phases in rotation.
 SAMPLE = [(kind.name, PHASES[i % len(PHASES)]) for i, kind in enumerate(KINDS)]
 DUAL = ROOT / "missions/paper_dual_collision.yaml"
 IN_AIR = [phase for phase in PHASES if phase != ON_GROUND]
 
 
-def cell(fault: str, phase: str) -> FaultFlight:
+def fly_cell(fault: str, phase: str) -> FaultFlight:
     return fly_fault(load_flyable(DUAL), cell_fault(fault, phase), 1)
 
 
-def test_the_table_has_every_cell() -> None:
-    assert set(expected()) == set(CELLS)
+def test_the_table_of_expected_outcomes_has_every_cell() -> None:
+    assert set(expected_outcomes()) == set(CELLS)
     assert {kind.name for kind in KINDS} <= set(ROWS)
 
 
 @pytest.mark.parametrize(("fault", "phase"), SAMPLE)
-def test_a_cell_is_what_the_table_says(fault: str, phase: str) -> None:
-    flown = cell(fault, phase)
+def test_a_cell_has_an_expected_outcome(fault: str, phase: str) -> None:
+    flown = fly_cell(fault, phase)
     assert not flown.problems
-    assert flown.came_of in expected()[fault, phase]
+    assert flown.came_of in expected_outcomes()[fault, phase]
 
 
 @pytest.mark.parametrize("delay_ms", [100, 300, 1000, 2000])
-def test_with_late_telemetry_nothing_leaves_the_ground(delay_ms: float) -> None:
+def test_late_telemetry_prevents_arming(delay_ms: float) -> None:
     flight = FastFlight(load_flyable(SINGLE), 1, fault=Fault("delay", delay_ms))
     while flight.core.end is None:
         flight.tick()
@@ -71,24 +71,24 @@ def test_with_late_telemetry_nothing_leaves_the_ground(delay_ms: float) -> None:
 
 
 @pytest.mark.parametrize("number", range(2))  # thousands: tools/campaigns/faults_random.yaml
-def test_random_faults_stay_controlled(number: int) -> None:
+def test_flights_with_random_faults_stay_controlled(number: int) -> None:
     flown = fly_fault(*random_fault(7 * number), 7 * number)
     assert not flown.problems, flown
 
 
-def test_imu_drop_out_is_decided_within_a_tenth_of_a_second() -> None:
+def test_an_imu_dropout_leads_to_a_decision_within_100_ms() -> None:
     for phase in ("approach", "recovery"):
-        flown = cell("imu-dropout", phase)
+        flown = fly_cell("imu-dropout", phase)
         assert flown.decision_ms is not None
         assert flown.decision_ms <= 100.0
 
 
-# Every phase, and every order of the clocks in more than one.
+# The clock of the second vehicle is ahead, behind and equal, each in several phases.
 @pytest.mark.parametrize(
     ("phase", "ahead_s"),
     list(zip([*IN_AIR, "transit", "landing"], itertools.cycle([238.0, -238.0, 0.0]), strict=False)),
 )
-def test_a_second_vehicle_on_the_link_is_named_at_once_in_every_phase(phase: str, ahead_s: float) -> None:
+def test_a_second_vehicle_on_the_link_is_reported_within_100_ms(phase: str, ahead_s: float) -> None:
     events: list[GuardEvent] = []
 
     def observe(record: Record, number: int) -> None:
@@ -110,8 +110,8 @@ def test_a_second_vehicle_on_the_link_is_named_at_once_in_every_phase(phase: str
 
 
 @pytest.mark.parametrize("ahead_s", [238.0, 0.0])
-def test_beside_a_second_vehicle_it_lands_and_waits_until_it_is_down_itself(ahead_s: float) -> None:
-    """The other one stands there disarmed all the while."""
+def test_a_flight_beside_a_second_vehicle_ends_only_after_its_own_landing(ahead_s: float) -> None:
+    """The second vehicle is disarmed throughout and must not end the landing."""
     flight = FastFlight(load_flyable(SINGLE), 1, fault=Fault("second-vehicle", ahead_s, "landing"))
     flight.run()
     assert not flight.autopilot.armed
@@ -121,19 +121,19 @@ def test_beside_a_second_vehicle_it_lands_and_waits_until_it_is_down_itself(ahea
 
 
 @pytest.mark.parametrize("ahead_s", [238.0, -238.0, 3.0, 0.0])
-def test_a_second_vehicle_on_the_link_is_refused_on_the_ground(ahead_s: float) -> None:
+def test_a_second_vehicle_on_the_link_prevents_takeoff(ahead_s: float) -> None:
     verdict = fly_fast(load_flyable(SINGLE), 1, None, fault=Fault("second-vehicle", ahead_s))
     assert (verdict.reason or "").startswith("second_vehicle_ground: ")
 
 
-def test_the_pilot_has_it_at_once() -> None:
-    """From the sample that shows the mode change to silence: the same step."""
+def test_a_pilot_takeover_silences_the_core_within_4_ms() -> None:
+    """Silence follows in the same step as the sample that shows the mode change."""
     records: list[Record] = []
     fly_fast(load_flyable(SINGLE), 1, None, records.append, fault=Fault("pilot", 0.0, "approach"))
-    seen = next(r.t_us for r in records if isinstance(r, StatusSample) and r.flight_mode == "manual")
-    said = next(r.t_us for r in records if isinstance(r, GuardEvent))
-    assert 0 <= said - seen <= 4000
-    after = [r.topic for r in records if getattr(r, "t_us", 0) > said]
+    shown_us = next(r.t_us for r in records if isinstance(r, StatusSample) and r.flight_mode == "manual")
+    silenced_us = next(r.t_us for r in records if isinstance(r, GuardEvent))
+    assert 0 <= silenced_us - shown_us <= 4000
+    after = [r.topic for r in records if getattr(r, "t_us", 0) > silenced_us]
     assert not [topic for topic in after if topic in ("/out/setpoint", "/out/command", "/out/lock")]
 
 
@@ -147,19 +147,19 @@ def test_the_pilot_has_it_at_once() -> None:
         ("pilot=3", "no value"),
     ],
 )
-def test_wrong_faults_are_named(text: str, words: str) -> None:
+def test_an_invalid_fault_is_rejected_with_its_cause(text: str, words: str) -> None:
     with pytest.raises(InputError, match=words):
         parse_fault(text)
     assert main(["dry-run", str(SINGLE), "--fast", "--fault", text]) == 2
 
 
-def test_a_fault_as_typed() -> None:
+def test_a_fault_is_parsed_with_its_value_and_phase() -> None:
     assert parse_fault("packet-loss=5@contact") == Fault("packet-loss", 5.0, "contact")
     assert parse_fault("gust") == Fault("gust", 5.0, None)
 
 
-def test_a_lossy_link_does_what_it_says() -> None:
-    def through(impairment: Impairment) -> tuple[list[int], list[int]]:
+def test_a_lossy_link_loses_delays_duplicates_and_reorders() -> None:
+    def send_through(impairment: Impairment) -> tuple[list[int], list[int]]:
         link: LossyLink[int] = LossyLink(1)
         link.impairment = impairment
         arrived = []
@@ -168,15 +168,15 @@ def test_a_lossy_link_does_what_it_says() -> None:
             arrived += link.pop(i * 0.004)
         return arrived, link.pop(1e9)
 
-    assert through(Impairment()) == (list(range(2000)), [])
-    lost, _ = through(Impairment(loss=0.1))
+    assert send_through(Impairment()) == (list(range(2000)), [])
+    lost, _ = send_through(Impairment(loss=0.1))
     assert 150 < 2000 - len(lost) < 250
-    late, rest = through(Impairment(delay_s=0.1))
+    late, rest = send_through(Impairment(delay_s=0.1))
     assert late + rest == list(range(2000))
     assert len(rest) == 25
-    twice, _ = through(Impairment(duplicate=0.5))
+    twice, _ = send_through(Impairment(duplicate=0.5))
     assert 900 < len(twice) - 2000 < 1100
-    mixed, rest = through(Impairment(reorder=0.1))
+    mixed, rest = send_through(Impairment(reorder=0.1))
     assert sorted(mixed + rest) == list(range(2000))
     assert mixed != sorted(mixed)
-    assert through(Impairment(down=True)) == ([], [])
+    assert send_through(Impairment(down=True)) == ([], [])

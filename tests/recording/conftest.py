@@ -1,4 +1,4 @@
-"""One recorded flight for all tests of this folder."""
+"""Fixtures of this folder: one recorded flight, shared by all tests."""
 
 from __future__ import annotations
 

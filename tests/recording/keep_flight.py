@@ -1,8 +1,8 @@
-"""Make a recorded flight small enough to keep as a regression: what the core took in and what it decided.
+"""Shrink a recorded flight to the core's inputs and decisions, so that it can be kept as a regression.
 
 python -m tests.recording.keep_flight flights/.../flight.mcap tests/data/flights/embedded.mcap
 
-Truth, force and torque estimates are left out, and what comes more than two seconds after the last contact.
+The copy omits truth, force and torque estimates, and everything later than 2 s after the last contact.
 """
 
 from __future__ import annotations
@@ -18,17 +18,17 @@ from dart_flight.recording.schema import INPUTS, OUTPUTS
 from dart_flight.recording.writer import LogPart
 
 _AFTER_US = 2_000_000
-LEFT_OUT = (ForceEstimate, TorqueEstimate)  # one for every IMU sample
+LEFT_OUT = (ForceEstimate, TorqueEstimate)  # one record per IMU sample
 
 
 def keep(source: Path, target: Path) -> int:
-    """Write the small log; returns its size in bytes."""
+    """Write the small log and return its size in bytes."""
     log = read_log(source)
     if not log.complete:
-        raise SystemExit(f"{source}: cut")
+        raise SystemExit(f"{source}: the log is cut")
     last = _last_number(log)
     target.unlink(missing_ok=True)
-    part = LogPart(target, _without_place(log.about), 1)
+    part = LogPart(target, _without_machine(log.about), 1)
     t_us = 0
     for entry in log.entries:
         t_us = getattr(entry.record, "t_us", 0) or t_us
@@ -40,8 +40,8 @@ def keep(source: Path, target: Path) -> int:
     return target.stat().st_size
 
 
-def _without_place(about: dict[str, str]) -> dict[str, str]:
-    """The description without the recording machine's name and folders."""
+def _without_machine(about: dict[str, str]) -> dict[str, str]:
+    """Return the description without the recording machine's name and folders."""
     flown = msgspec.json.decode(about["flown"])
     flown["source"] = Path(flown["source"]).name
     return {
@@ -53,7 +53,7 @@ def _without_place(about: dict[str, str]) -> dict[str, str]:
 
 
 def _last_number(log: Log) -> int:
-    """Number of the last input to keep."""
+    """Return the number of the last input to keep."""
     ends = [e.record.t_us for e in log.entries if isinstance(e.record, ContactEnd)]
     if not ends:
         raise SystemExit(f"{log.source}: no contact")

@@ -1,4 +1,4 @@
-"""A flight's impacts: each has the records of its own contact, whatever else was touched in between."""
+"""Impacts of a flight: each holds the records of its own contact, also after unplanned contacts."""
 
 from __future__ import annotations
 
@@ -36,8 +36,8 @@ M_S = st.floats(-3.0, 3.0).map(lambda v: round(v, 6))
 PEAK_N = st.none() | st.floats(1.0, 150.0)
 
 
-class Drawn(NamedTuple):
-    """One contact: of a planned collision, or with something else."""
+class DrawnContact(NamedTuple):
+    """One contact, of a planned collision or with something else."""
 
     is_planned: bool
     velocity: tuple[float, float]
@@ -46,12 +46,12 @@ class Drawn(NamedTuple):
     contact_ms: int
     out: tuple[float, float]
     is_recovered: bool
-    truth_after_ms: int | None  # start of the simulated contact before the detection, if there is one
+    truth_after_ms: int | None  # from the true onset to the detection; None: no true contact
 
 
 contacts = st.lists(
     st.builds(
-        Drawn,
+        DrawnContact,
         st.booleans(),
         st.tuples(M_S, M_S),
         PEAK_N,
@@ -69,38 +69,40 @@ def lock_phase(number: int) -> LockPhase:
     return LockPhase.SETTLED if number % 3 else LockPhase.TRAVELLING
 
 
-def records_of(drawn: list[Drawn]) -> list[Record]:
-    """The records of a flight with these contacts; planned ones are of the collisions in their order."""
+def records_of(drawn: list[DrawnContact]) -> list[Record]:
+    """Return the records of a flight whose planned contacts belong to the collisions in order."""
     still = OdometrySample(1000, 1000, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
     found: list[Record] = [still, PhaseChange(1000, Phase.READYING, Phase.OFFBOARD, "")]
     frame, planned = MISSION.frame_at(still.position_ned), 0
-    for number, one in enumerate(drawn, 1):
+    for number, contact in enumerate(drawn, 1):
         t_us, wall = number * APART_US, MISSION.collisions[min(planned, 1)].wall
-        velocity = wall.from_collision((*one.velocity, 0.0))
+        velocity = wall.from_collision((*contact.velocity, 0.0))
         mode = Mode.RIGID if number % 2 else Mode.FLEXIBLE
         found.append(LockState(t_us - 1000, lock_phase(number), mode))
         found.append(ImpactOnset(t_us, t_us - 4000, t_us, (0.0,) * 3, velocity, (0.1, 0.2, 1.0)))
-        if one.is_planned and planned < len(MISSION.collisions):
+        if contact.is_planned and planned < len(MISSION.collisions):
             planned += 1
             found.append(PhaseChange(t_us, Phase.APPROACH, Phase.CONTACT, "", planned))
-        if one.peak_n is not None:
+        if contact.peak_n is not None:
             at = (t_us + 2000, t_us + 3000, t_us + 3000)
-            found.append(ImpactPeak(*at, wall.normal, one.peak_n, 0.5 * one.peak_n, (0.1, 0.2, 1.0), True))
-        if one.incidence_deg is not None:
-            yaw = math.radians(one.incidence_deg)
+            found.append(
+                ImpactPeak(*at, wall.normal, contact.peak_n, 0.5 * contact.peak_n, (0.1, 0.2, 1.0), True)
+            )
+        if contact.incidence_deg is not None:
+            yaw = math.radians(contact.incidence_deg)
             found.append(
                 ImpactBody(t_us, t_us, True, ContactSide.LEFT, 0.0, yaw, 0.01, (0.0,) * 3, float(number))
             )
-        if one.is_recovered:
+        if contact.is_recovered:
             place = frame.point_to_ned((float(number), 0.5, 1.0))
             elsewhere = Setpoint(t_us + 5000, t_us, still.position_ned, 0.0, recovery=True)
             found += [Setpoint(t_us + 4000, t_us, place, 0.0, recovery=True), elsewhere]
-        end_us = t_us - 4000 + 1000 * one.contact_ms
+        end_us = t_us - 4000 + 1000 * contact.contact_ms
         found.append(ContactEnd(end_us, t_us - 4000))
-        out = frame.vector_to_ned(wall.from_collision((*one.out, 0.0)))
+        out = frame.vector_to_ned(wall.from_collision((*contact.out, 0.0)))
         found.append(OdometrySample(end_us + 100, end_us, still.position_ned, out))
-        if one.truth_after_ms is not None:
-            begin_us = t_us - 1000 * one.truth_after_ms
+        if contact.truth_after_ms is not None:
+            begin_us = t_us - 1000 * contact.truth_after_ms
             found.append(
                 TruthContact(
                     begin_us, t_us + 1000, wall.name, mode, -1.0, 0.2, 0.5, 0.1, 30.0, 5.0, (0.0,) * 3
@@ -111,41 +113,43 @@ def records_of(drawn: list[Drawn]) -> list[Record]:
 
 @settings(max_examples=200, deadline=None)
 @given(contacts)
-def test_each_impact_has_what_is_its_own(drawn: list[Drawn]) -> None:
+def test_each_impact_holds_the_records_of_its_own_contact(drawn: list[DrawnContact]) -> None:
     builder = VerdictBuilder(MISSION)
     for record in records_of(drawn):
         builder.add(record)
-    planned = [(n, one) for n, one in enumerate(drawn, 1) if one.is_planned][: len(MISSION.collisions)]
+    planned = [(n, contact) for n, contact in enumerate(drawn, 1) if contact.is_planned][
+        : len(MISSION.collisions)
+    ]
     impacts = builder.impacts()
     assert [impact.index for impact in impacts] == list(range(1, len(planned) + 1))
-    for impact, (number, one) in zip(impacts, planned, strict=True):
+    for impact, (number, contact) in zip(impacts, planned, strict=True):
         assert impact.t_us == impact.onset.t_us == number * APART_US
         measured = impact.measured
-        assert (measured.normal_m_s, measured.tangential_m_s) == pytest.approx(one.velocity, abs=1e-9)
-        assert (measured.normal_out_m_s, measured.tangential_out_m_s) == pytest.approx(one.out, abs=1e-9)
-        assert measured.peak_force_n == one.peak_n
-        assert impact.clipped is (one.peak_n is not None)
-        assert (measured.incidence_deg is None) is (one.incidence_deg is None)
-        assert measured.peak_torque_nm == (None if one.incidence_deg is None else number)
-        assert impact.contact_time_ms == pytest.approx(one.contact_ms)
+        assert (measured.normal_m_s, measured.tangential_m_s) == pytest.approx(contact.velocity, abs=1e-9)
+        assert (measured.normal_out_m_s, measured.tangential_out_m_s) == pytest.approx(contact.out, abs=1e-9)
+        assert measured.peak_force_n == contact.peak_n
+        assert impact.clipped is (contact.peak_n is not None)
+        assert (measured.incidence_deg is None) is (contact.incidence_deg is None)
+        assert measured.peak_torque_nm == (None if contact.incidence_deg is None else number)
+        assert impact.contact_time_ms == pytest.approx(contact.contact_ms)
         settled = Mode.RIGID if number % 2 else Mode.FLEXIBLE
         assert impact.lock_mode is (settled if lock_phase(number) is LockPhase.SETTLED else None)
-        assert (impact.recovery is not None) is one.is_recovered
+        assert (impact.recovery is not None) is contact.is_recovered
         assert impact.recovery is None or impact.recovery == pytest.approx((float(number), 0.5, 1.0))
         if impact.force is not None:
             along = sum(f * n for f, n in zip(impact.force, impact.collision.wall.normal, strict=True))
-            assert along == pytest.approx(one.peak_n)
-        if one.truth_after_ms is None:
+            assert along == pytest.approx(contact.peak_n)
+        if contact.truth_after_ms is None:
             assert (impact.truth, impact.contact, impact.detection_latency_ms) == (None, None, 4.0)
         else:
             assert impact.truth is not None
             assert impact.truth.normal_m_s == -1.0
-            assert impact.detection_latency_ms == pytest.approx(one.truth_after_ms)
+            assert impact.detection_latency_ms == pytest.approx(contact.truth_after_ms)
 
 
 @settings(max_examples=50, deadline=None)
 @given(contacts)
-def test_the_verdict_shows_the_same_impacts_however_often_it_is_asked(drawn: list[Drawn]) -> None:
+def test_building_the_verdict_twice_gives_the_same_impacts(drawn: list[DrawnContact]) -> None:
     builder = VerdictBuilder(MISSION)
     for record in records_of(drawn):
         builder.add(record)
@@ -157,9 +161,9 @@ def test_the_verdict_shows_the_same_impacts_however_often_it_is_asked(drawn: lis
         assert impact.planned != Velocities()
 
 
-def test_a_contact_at_another_wall_is_no_truth_of_this_one() -> None:
+def test_a_true_contact_with_another_wall_is_not_assigned_to_the_impact() -> None:
     builder = VerdictBuilder(MISSION)
-    hit = Drawn(True, (-1.0, 0.0), 20.0, None, 50, (0.5, 0.0), False, None)
+    hit = DrawnContact(True, (-1.0, 0.0), 20.0, None, 50, (0.5, 0.0), False, None)
     for record in records_of([hit]):
         builder.add(record)
     other = MISSION.collisions[1].wall.name

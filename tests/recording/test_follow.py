@@ -1,4 +1,4 @@
-"""A log read while it is written: nothing twice, nothing lost, over parts and up to the end."""
+"""A follower reads a log during the flight, over all parts, without losing or repeating a record."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def drain(follower: LogFollower, wanted: int, timeout_s: float = 10.0) -> list[i
 
 
 @pytest.mark.parametrize("part_bytes", [1, 1 << 26])
-def test_records_come_as_they_are_written(tmp_path: Path, part_bytes: int) -> None:
+def test_a_follower_returns_records_as_they_are_written(tmp_path: Path, part_bytes: int) -> None:
     log = FlightLog(tmp_path / "flight.mcap", {"mission": "m"}, part_bytes=part_bytes)
     follower = LogFollower(log.path)
     for begin in (0, 100, 200):
@@ -43,7 +43,7 @@ def test_records_come_as_they_are_written(tmp_path: Path, part_bytes: int) -> No
     assert len(read_log(log.path).entries) == 301
 
 
-def test_half_a_record_is_waited_for(tmp_path: Path) -> None:
+def test_a_follower_waits_for_the_rest_of_a_half_written_record(tmp_path: Path) -> None:
     log = FlightLog(tmp_path / "whole.mcap", {})
     for number in range(1000):
         log.put(Tick(number), number)
@@ -60,8 +60,8 @@ def test_half_a_record_is_waited_for(tmp_path: Path) -> None:
     assert follower.ended
 
 
-def test_a_damaged_log_is_refused_in_one_line(tmp_path: Path) -> None:
-    """A record that is no log's, a length of gigabytes, and a file that goes away."""
+def test_following_a_damaged_or_missing_log_raises_an_input_error(tmp_path: Path) -> None:
+    """The logs have a damaged chunk, a length of gigabytes, or no file."""
     log = FlightLog(tmp_path / "whole.mcap", {})
     for number in range(1000):
         log.put(Tick(number), number)
@@ -82,7 +82,9 @@ def test_a_damaged_log_is_refused_in_one_line(tmp_path: Path) -> None:
         follower.read()
 
 
-def test_a_fault_of_the_program_is_no_damage(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_program_error_is_not_reported_as_a_damaged_log(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     log = FlightLog(tmp_path / "whole.mcap", {})
     log.put(Tick(1), 1)
     log.close()

@@ -1,4 +1,4 @@
-"""A disk that is full: the flight goes on, and nothing about it is silent."""
+"""A full disk does not end the flight, and the incomplete log is reported."""
 
 from __future__ import annotations
 
@@ -27,24 +27,24 @@ SINGLE = ROOT / "missions/single_wall.yaml"
 MISSION = load_flyable(packaged("missions", "single_wall.yaml"))
 
 
-def test_it_is_told_once_in_flight_and_stands_in_the_verdict(tmp_path: Path) -> None:
+def test_a_full_disk_is_reported_once_in_flight_and_in_the_verdict(tmp_path: Path) -> None:
     record = FlightRecord(MISSION, World.EMBEDDED, 1, tmp_path)
-    told: list[Record] = []
-    record.notice = told.append
+    notices: list[Record] = []
+    record.notice = notices.append
     record(Tick(1), 0)
     fill_disk_of(record.path)
     record(Tick(2), 1)
-    record.close()  # what was queued has met the full disk
+    record.close()  # writes the queued records to the full disk
     for number in range(2, 10):
         record(Tick(number), number)
-    assert [type(one) for one in told] == [LogFailure]
-    event = EventFormatter().format_event(told[0])
+    assert [type(one) for one in notices] == [LogFailure]
+    event = EventFormatter().format_event(notices[0])
     assert event is not None
     assert event.head == "flight log incomplete: No space left on device"
     assert (record.build().log_failure or "").startswith("No space left on device, ")
 
 
-def test_a_flight_whose_log_is_cut_says_so_and_does_not_end_well(
+def test_a_flight_with_an_incomplete_log_reports_it_and_exits_with_1(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def full(part: LogPart) -> None:
@@ -56,18 +56,18 @@ def test_a_flight_whose_log_is_cut_says_so_and_does_not_end_well(
     monkeypatch.setattr(LogPart, "sync", full)
     capsys.readouterr()
     assert main(words) == 1
-    said = capsys.readouterr()
-    last = said.err.strip().splitlines()[-1]
+    printed = capsys.readouterr()
+    last = printed.err.strip().splitlines()[-1]
     assert last.startswith("log: ")
     assert "is incomplete: No space left on device, " in last
-    assert "dart-flight report" not in said.err, "nothing is offered that needs the log"
+    assert "dart-flight report" not in printed.err, "no command is suggested that needs the log"
     assert main([*words, "--json"]) == 1
     verdict = msgspec.json.decode(capsys.readouterr().out, type=Verdict)
     assert verdict.outcome == "completed"
     assert (verdict.log_failure or "").startswith("No space left on device")
 
 
-def test_check_compares_the_room_with_the_longest_flight(
+def test_check_compares_the_free_space_with_the_longest_flight(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert check_log_space(MISSION, tmp_path / "not" / "there").go
@@ -80,7 +80,7 @@ def test_check_compares_the_room_with_the_longest_flight(
     assert "NO-GO     log_space: 1.0 MB free" in capsys.readouterr().err
 
 
-def test_a_record_that_cannot_be_written_is_named_with_its_kind_of_error(
+def test_a_failed_write_is_reported_with_its_exception_type(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def refuse(*_: object) -> None:

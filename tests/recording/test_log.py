@@ -1,4 +1,4 @@
-"""The flight log: what is put in comes out, whatever happens to the file."""
+"""The flight log: records survive writing and reading, also from cut or damaged files."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def imu(i: int) -> ImuSample:
 
 
 @given(st.tuples(*[st.floats(allow_nan=True, allow_infinity=True)] * 3))
-def test_every_float_comes_back(v: tuple[float, float, float]) -> None:
+def test_every_float_survives_encoding_and_decoding(v: tuple[float, float, float]) -> None:
     record = msgspec.structs.replace(IMU, specific_force_frd=v)
     back = decode(encode(record), msgspec.json.Decoder(ImuSample))
     assert encode(back) == encode(record)
@@ -67,7 +67,7 @@ def test_every_float_comes_back(v: tuple[float, float, float]) -> None:
         assert (math.isnan(a) and math.isnan(b)) or (a == b and math.copysign(1, a) == math.copysign(1, b))
 
 
-def test_what_is_missing_stays_missing() -> None:
+def test_missing_and_non_finite_values_survive_encoding() -> None:
     for record in (
         Setpoint(t_us=1, trigger_received_us=1, position_ned=(1.0, math.inf, math.nan), yaw_ned_rad=0.0),
         LockState(t_us=1, phase=LockPhase.SETTLED, mode=None),
@@ -79,7 +79,7 @@ def test_what_is_missing_stays_missing() -> None:
     assert back.reason == "nan"
 
 
-# --- what is in it -------------------------------------------------------------------------------------
+# --- content -------------------------------------------------------------------------------------
 
 
 def test_the_log_describes_itself(flight: Log, single_wall: Mission) -> None:
@@ -96,7 +96,7 @@ def test_the_log_describes_itself(flight: Log, single_wall: Mission) -> None:
         assert about[key], key
 
 
-def test_a_log_of_another_version_is_refused_by_the_key(flight: Log) -> None:
+def test_a_log_of_another_version_is_rejected_with_the_missing_key(flight: Log) -> None:
     about = dict(flight.about)
     for name in ("flown", "vehicle"):
         other = msgspec.json.decode(about[name])
@@ -112,8 +112,7 @@ def test_a_log_of_another_version_is_refused_by_the_key(flight: Log) -> None:
         flown_mission({**about, "flown": "[]"}, "log")
 
 
-def test_nothing_is_read_from_the_disk_but_the_log(flight_path: Path, tmp_path: Path) -> None:
-    """The mission and configuration files may be gone."""
+def test_a_log_can_be_read_without_mission_and_configuration_files(flight_path: Path, tmp_path: Path) -> None:
     log = read_log(flight_path)
     log.about["mission_source"] = str(tmp_path / "gone.yaml")
     text = log.about["flown"].replace(str(Path("missions/paper_single_wall.yaml").resolve()), "/gone.yaml")
@@ -130,7 +129,7 @@ def test_every_number_has_a_unit_and_every_vector_a_frame(kind: type[Record]) ->
         if not numeric or name in without_unit:
             continue
         text = value.get("description", "")
-        assert text, f"{kind.__name__}.{name} says neither unit nor frame"
+        assert text, f"{kind.__name__}.{name} has neither unit nor frame"
         if name.endswith("_us"):
             assert "clock" in text or name in CLOCKS
         if value["type"] == "array" and name not in ("motors", "rpm", "pieces_s"):
@@ -139,8 +138,8 @@ def test_every_number_has_a_unit_and_every_vector_a_frame(kind: type[Record]) ->
             )
 
 
-def test_a_stranger_can_read_it(flight_path: Path) -> None:
-    """The library's own indexed reader, as Foxglove uses it: summary, schemas, messages in time order."""
+def test_the_mcap_library_reads_the_log_without_this_package(flight_path: Path) -> None:
+    """Foxglove reads summary, schemas and messages in time order with this indexed reader."""
     with open(flight_path, "rb") as stream:
         reader = make_reader(stream, validate_crcs=True)
         summary = reader.get_summary()
@@ -165,7 +164,7 @@ def wait_until(condition: Any, timeout_s: float = 5.0) -> None:
 
 
 def largest_chunk(whole: bytes) -> float:
-    """Share of the file from the end of one chunk, or its start, to the end of the next."""
+    """Return the largest chunk with its index, as a share of the file."""
     summary = make_reader(io.BytesIO(whole)).get_summary()
     assert summary is not None
     ends = sorted(
@@ -177,7 +176,7 @@ def largest_chunk(whole: bytes) -> float:
 
 @settings(max_examples=30)
 @given(data=st.data())
-def test_a_log_cut_at_any_byte_opens_up_to_there(
+def test_a_log_cut_at_any_byte_opens_up_to_the_cut(
     data: st.DataObject, flight: Log, flight_path: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
     whole = flight_path.read_bytes()
@@ -187,14 +186,14 @@ def test_a_log_cut_at_any_byte_opens_up_to_there(
     path.write_bytes(whole[:cut])
     log = read_log(path)
     assert log.entries == flight.entries[: len(log.entries)]
-    # At most one chunk is lost: in proportion to the bytes that are there.
+    # The cut loses at most one chunk of records.
     share = len(log.entries) / len(flight.entries)
     assert share >= cut / len(whole) - largest_chunk(whole) - 0.02 or cut > len(whole) - 20_000
     path.unlink()
 
 
 def small_log(path: Path) -> bytes:
-    """A finished log of a few records in several chunks; most of it are the schemas."""
+    """Write a finished log of a few records in several chunks; schemas make up most of it."""
     log = FlightLog(path, {"mission": "small"})
     for i in range(6):
         log.put(imu(i), i)
@@ -205,12 +204,12 @@ def small_log(path: Path) -> bytes:
 
 
 def places_to_cut(whole: bytes) -> list[int]:
-    """Every byte at the beginning and the end of a record of the file, every sixteenth inside of one.
+    """Return places at which to cut: all bytes near the ends of a record, and every sixteenth inside.
 
-    Of the first two and the last in a row of records of one kind, that is: the summary repeats some forty
-    schemas and channels, which differ in length alone. The others are cut at their edges and in the middle.
+    In a row of records of one kind, only the first two and the last are cut so densely. The others, such as
+    the forty schemas of the summary, are cut at their edges and in the middle.
     """
-    magic, head, near = 8, 9, 24  # bytes; a record is its kind, its length in eight bytes, and its content
+    magic, head, near = 8, 9, 24  # bytes; a record has its kind, its length in eight bytes, and its content
     records, begin = list[tuple[int, int, int]](), magic
     while begin < len(whole) - magic:
         end = begin + head + int.from_bytes(whole[begin + 1 : begin + head], "little")
@@ -232,7 +231,7 @@ def places_to_cut(whole: bytes) -> list[int]:
     return [*places, *range(begin, len(whole))]
 
 
-def test_a_log_cut_at_every_kind_of_place(tmp_path: Path) -> None:
+def test_a_log_cut_at_every_kind_of_record_opens_up_to_the_cut(tmp_path: Path) -> None:
     whole = small_log(tmp_path / "whole.mcap")
     entries = read_log(tmp_path / "whole.mcap").entries
     assert len(entries) == 12
@@ -241,10 +240,10 @@ def test_a_log_cut_at_every_kind_of_place(tmp_path: Path) -> None:
         path.write_bytes(whole[:cut])
         log = read_log(path)
         assert log.entries == entries[: len(log.entries)]
-        assert len(log.entries) >= known  # a longer file never says less
+        assert len(log.entries) >= known  # a longer file never yields fewer records
         known = len(log.entries)
         assert log.about.get("mission") in (None, "small")
-        # Complete is said only of what is: at most the magic number at the very end is missing.
+        # A complete log may lack at most the magic number at its end.
         assert not log.complete or (len(log.entries) == 12 and log.end)
 
 
@@ -261,7 +260,7 @@ def test_a_damaged_byte_never_gives_wrong_records(
     try:
         log = read_log(path)
     except InputError:
-        return  # the description itself was hit, and says so
+        return  # the damage is in the description, and is reported
     finally:
         path.unlink()
     assert log.entries == flight.entries[: len(log.entries)]
@@ -278,7 +277,7 @@ def write_mcap(path: Path, metadata: dict[str, str] | None) -> Path:
 
 
 @pytest.mark.parametrize("command", [["replay"], ["report", "-o", "x.html"], ["export", "-o", "x"]])
-def test_a_newer_log_is_refused_in_words(
+def test_a_newer_log_is_rejected_with_its_version(
     command: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     about = {"format_version": str(FORMAT_VERSION + 1), "software": "9.9"}
@@ -294,10 +293,12 @@ def test_a_newer_log_is_refused_in_words(
     ("content", "word"),
     [(b"not a log at all", "no MCAP"), (b"", None), (b"\x89MCAP", None)],
 )
-def test_foreign_files(content: bytes, word: str | None, tmp_path: Path) -> None:
+def test_a_foreign_file_is_rejected_but_a_log_cut_at_its_start_is_not(
+    content: bytes, word: str | None, tmp_path: Path
+) -> None:
     path = tmp_path / "flight.mcap"
     path.write_bytes(content)
-    if word is None:  # the beginning of a log, cut before it says anything
+    if word is None:  # the beginning of a log, cut before its description
         assert read_log(path).entries == []
         assert not read_log(path).complete
     else:
@@ -305,15 +306,15 @@ def test_foreign_files(content: bytes, word: str | None, tmp_path: Path) -> None
             read_log(path)
 
 
-def test_an_mcap_of_somebody_else(tmp_path: Path) -> None:
+def test_an_mcap_file_of_another_program_is_rejected(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="not a flight log of dart-flight"):
         read_log(write_mcap(tmp_path / "other.mcap", None))
 
 
-# --- rotation, full disk, killed ----------------------------------------------------------------------------
+# --- rotation, full disk, killed process ---------------------------------------------------------------
 
 
-def test_rotation_into_parts_and_back(tmp_path: Path) -> None:
+def test_a_rotated_log_is_read_back_from_its_parts(tmp_path: Path) -> None:
     log = FlightLog(tmp_path / "flight.mcap", {"mission": "m"}, part_bytes=1)
     for i in range(3):
         log.put(imu(i), i)
@@ -327,7 +328,7 @@ def test_rotation_into_parts_and_back(tmp_path: Path) -> None:
     assert [e.number for e in read_log(log.path).entries] == [0, 1]
 
 
-def test_at_the_bound_decisions_go_on(tmp_path: Path) -> None:
+def test_a_log_at_its_size_limit_still_records_decisions(tmp_path: Path) -> None:
     log = FlightLog(tmp_path / "flight.mcap", {}, part_bytes=1, most_parts=1)
     log.put(imu(0), 0)
     wait_until(lambda: part_path(log.path, 2).exists())
@@ -341,7 +342,7 @@ def test_at_the_bound_decisions_go_on(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
-def test_a_full_disk_stops_the_log_and_not_the_flight(tmp_path: Path) -> None:
+def test_a_full_disk_stops_the_log_without_an_exception(tmp_path: Path) -> None:
     log = FlightLog(tmp_path / "flight.mcap", {})
     with open("/dev/full", "wb") as full:
         os.dup2(full.fileno(), log._part._file.fileno())
@@ -353,7 +354,7 @@ def test_a_full_disk_stops_the_log_and_not_the_flight(tmp_path: Path) -> None:
     assert log.lost >= 1
 
 
-def test_a_disk_that_does_not_answer_leaves_a_log_that_is_cut(tmp_path: Path) -> None:
+def test_an_unresponsive_disk_leaves_a_readable_incomplete_log(tmp_path: Path) -> None:
     log = FlightLog(tmp_path / "flight.mcap", {"mission": "m"})
     log.put(imu(0), 0)
     wait_until(lambda: len(read_log(log.path).entries) == 1)
@@ -375,7 +376,9 @@ def test_a_disk_that_does_not_answer_leaves_a_log_that_is_cut(tmp_path: Path) ->
     assert [e.number for e in back.entries] == [0]
     answers.set()
     log._thread.join(10.0)
-    assert [e.number for e in read_log(log.path).entries] == [0, 1], "no index in the middle of it"
+    assert [e.number for e in read_log(log.path).entries] == [0, 1], (
+        "there is no index in the middle of the log"
+    )
 
 
 def test_a_killed_process_loses_at_most_200_ms(tmp_path: Path) -> None:
@@ -411,7 +414,7 @@ def test_a_killed_process_loses_at_most_200_ms(tmp_path: Path) -> None:
 # --- export ---------------------------------------------------------------------------------------------
 
 
-def test_export_keeps_every_number(flight: Log, flight_path: Path, tmp_path: Path) -> None:
+def test_export_preserves_every_number(flight: Log, flight_path: Path, tmp_path: Path) -> None:
     assert main(["export", str(flight_path), "-o", str(tmp_path / "csv")]) == 0
     with open(tmp_path / "csv" / "in_imu.csv", newline="") as file:
         rows = list(csv.DictReader(file))

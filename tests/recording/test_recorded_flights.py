@@ -1,4 +1,4 @@
-"""Flights of every world, recorded once and kept: the core still decides as it did (tests/data/README.md)."""
+"""The core still makes the decisions of kept flights from every world (tests/data/README.md)."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ FLIGHTS = sorted((Path(__file__).parents[1] / "data" / "flights").glob("*.mcap")
 
 
 def differences(result: Replay) -> list[Difference]:
-    """Without the records that a kept flight does not hold."""
+    """Return the differences, without the records that a kept flight omits."""
     return [d for d in result.differences if d.recorded is not None or not isinstance(d.replayed, LEFT_OUT)]
 
 
-def test_there_is_one_of_every_world_without_px4() -> None:
+def test_kept_flights_cover_every_world_without_px4() -> None:
     assert {path.stem for path in FLIGHTS} >= {"fast", "embedded"}
     assert sum(path.stat().st_size for path in FLIGHTS) < 2_600_000
 
 
 @pytest.mark.parametrize("path", FLIGHTS, ids=lambda p: p.stem)
-def test_a_recorded_flight_is_decided_again(path: Path) -> None:
+def test_a_replayed_flight_makes_the_recorded_decisions(path: Path) -> None:
     log = read_log(path)
     assert log.complete
     assert log.world == path.stem
@@ -38,22 +38,24 @@ def test_a_recorded_flight_is_decided_again(path: Path) -> None:
     assert result.missing == 0
     kinds = {type(r) for r in result.replayed}
     assert {ImpactOnset, ImpactPeak, Setpoint, LockCommand} <= kinds
-    assert result.recorded == result.replayed if result.exact else result.recorded
+    assert result.recorded
+    if result.exact:
+        assert result.recorded == result.replayed
 
 
 @pytest.mark.parametrize("path", FLIGHTS, ids=lambda p: p.stem)
-def test_a_kept_flight_would_notice(path: Path) -> None:
-    """What is left out of it does not blind it: another threshold is another flight."""
+def test_replaying_a_kept_flight_detects_a_changed_threshold(path: Path) -> None:
+    """The omitted records must not hide a changed decision."""
     result = replay(read_log(path), ["detection.force_threshold_n=15"])
     assert any(isinstance(d.recorded, ImpactOnset) for d in result.differences)
 
 
 @pytest.mark.parametrize("path", FLIGHTS, ids=lambda p: p.stem)
-def test_a_kept_flight_has_a_page(path: Path) -> None:
+def test_a_kept_flight_has_a_report_page(path: Path) -> None:
     assert "Predicted against measured" in flight_page(RecordedFlight.read(path))
 
 
-def test_a_kept_flight_lacks_the_estimates_alone(flight_path: Path, tmp_path: Path) -> None:
+def test_a_kept_flight_lacks_only_force_and_torque_estimates(flight_path: Path, tmp_path: Path) -> None:
     keep(flight_path, tmp_path / "small.mcap")
     small = read_log(tmp_path / "small.mcap")
     assert not any(isinstance(e.record, LEFT_OUT) for e in small.entries)
@@ -62,7 +64,7 @@ def test_a_kept_flight_lacks_the_estimates_alone(flight_path: Path, tmp_path: Pa
     assert len(result.differences) > 1000
 
 
-def test_a_sample_of_the_campaign(tmp_path: Path) -> None:
+def test_a_sample_of_the_replay_campaign_has_no_differences(tmp_path: Path) -> None:
     rows = campaign_rows(tmp_path / "out", "replay", "--runs", "1", "--seed", "11")
     assert len(rows) == 2
     for row in rows:
@@ -71,8 +73,8 @@ def test_a_sample_of_the_campaign(tmp_path: Path) -> None:
 
 
 @pytest.mark.mavlink
-def test_a_real_time_flight_replays_bit_for_bit(commanded: LiveFlights) -> None:
-    """Whatever becomes of the flight on a busy machine: what was decided is decided again."""
+def test_a_flight_through_mavsdk_replays_bit_for_bit(commanded: LiveFlights) -> None:
+    """The replay must agree whether or not a busy machine spoils the flight."""
     log = read_log(commanded("dart-flight dry-run missions/paper_dual_collision.yaml --speed max").log)
     result = replay(log)
     assert (result.exact, result.differences, result.missing) == (True, [], 0)

@@ -1,4 +1,4 @@
-"""Replay: the same inputs give the same decisions; changed settings show what would have been decided."""
+"""Replay: equal inputs give equal decisions, and changed settings show the decisions they would cause."""
 
 from __future__ import annotations
 
@@ -20,14 +20,15 @@ from dart_flight.run.replay import changed_mission, replay
 from tests.shared_flights import SharedFlights
 
 
-def changed(log: Log, index: int, record: object) -> Log:
+def with_record(log: Log, index: int, record: object) -> Log:
+    """Return a copy of a log with one record replaced."""
     entries = list(log.entries)
     entries[index] = LogEntry(entries[index].number, record)  # type: ignore[arg-type]
     return Log(log.source, log.about, log.end, entries, log.complete)
 
 
 def beginning(log: Log, inputs: int, about: dict[str, str] | None = None) -> Log:
-    """The first inputs of a log and what follows from them, as if that were the whole flight."""
+    """Return a complete log of the first inputs and their outputs."""
     entries = [entry for entry in log.entries if entry.number < inputs]
     return Log(log.source, about or log.about, log.end, entries, True)
 
@@ -42,15 +43,15 @@ def test_a_flight_replays_bit_for_bit(flight: Log) -> None:
     assert any(isinstance(r, Setpoint) and r.recovery for r in result.replayed)
 
 
-@pytest.mark.parametrize("seed", [2, 3])  # the bulk: tools.campaigns.replay
+@pytest.mark.parametrize("seed", [2, 3])  # tools.campaigns.replay flies more seeds
 def test_dual_collisions_replay_bit_for_bit(seed: int, flown: SharedFlights) -> None:
     result = replay(read_log(flown("paper_dual_collision", seed).log))
     assert result.equal, result.differences[0].text()
     assert sum(isinstance(r, ImpactPeak) for r in result.replayed) == 2
 
 
-def test_one_changed_bit_of_an_input_is_noticed(flight: Log) -> None:
-    """The comparison can fail: the least significant bit of one IMU sample during the contact."""
+def test_one_changed_bit_of_an_input_is_detected(flight: Log) -> None:
+    """The least significant bit of one IMU sample changes during the contact."""
     peak = next(e.record for e in flight.entries if isinstance(e.record, ImpactOnset))
     index, sample = next(
         (i, e.record)
@@ -60,15 +61,15 @@ def test_one_changed_bit_of_an_input_is_noticed(flight: Log) -> None:
     x, y, z = sample.specific_force_frd
     moved = msgspec.structs.replace(sample, specific_force_frd=(x + 4e-15 * max(1.0, abs(x)), y, z))
     assert moved != sample
-    log = changed(beginning(flight, flight.entries[index].number + 50), index, moved)
+    log = with_record(beginning(flight, flight.entries[index].number + 50), index, moved)
     result = replay(log)
     assert not result.equal
     assert "ForceEstimate: force_mission" in result.differences[0].text()
-    # On another kind of machine such a difference is none.
+    # The comparison between kinds of machines tolerates such a difference.
     assert replay(log, exact=False).equal
 
 
-def test_a_decision_that_was_not_taken_is_noticed(flight: Log) -> None:
+def test_a_missing_decision_is_detected(flight: Log) -> None:
     index = next(i for i, e in enumerate(flight.entries) if isinstance(e.record, ImpactPeak))
     flight = beginning(flight, flight.entries[index].number + 50)
     entries = flight.entries[:index] + flight.entries[index + 1 :]
@@ -76,7 +77,7 @@ def test_a_decision_that_was_not_taken_is_noticed(flight: Log) -> None:
     assert result.differences[0].text().startswith("ImpactPeak is not in the recording")
 
 
-def test_a_higher_threshold_detects_later(flight: Log) -> None:
+def test_a_higher_threshold_delays_the_detection(flight: Log) -> None:
     result = replay(flight, ["detection.force_threshold_n=25"])
     onsets = [
         [r.t_us for r in side if isinstance(r, ImpactOnset)] for side in (result.recorded, result.replayed)
@@ -85,7 +86,7 @@ def test_a_higher_threshold_detects_later(flight: Log) -> None:
     assert onsets[1][0] > onsets[0][0]
 
 
-def test_a_gain_changes_the_recovery_only(flight: Log) -> None:
+def test_a_changed_recovery_gain_changes_only_the_recovery(flight: Log) -> None:
     result = replay(flight, ["collisions[0].alpha_m_per_n=[0.05, 0.05]"])
     before, after = (
         next(r for r in side if isinstance(r, Setpoint)) for side in (result.recorded, result.replayed)
@@ -111,7 +112,7 @@ def test_a_gain_changes_the_recovery_only(flight: Log) -> None:
         ("airframe.mass_kg.kg=1", "no key below"),
     ],
 )
-def test_wrong_settings_are_refused_in_words(
+def test_invalid_settings_are_rejected_with_their_cause(
     setting: str, words: str, flight_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["replay", str(flight_path), "--set", setting]) == 2
@@ -120,8 +121,8 @@ def test_wrong_settings_are_refused_in_words(
     assert words in error
 
 
-def test_a_flight_that_was_changed_by_options_is_replayed_as_flown(single_wall: Mission) -> None:
-    """What the command line changed is in the log too; then only the vehicle's keys can be set."""
+def test_a_mission_changed_by_options_is_replayed_as_flown(single_wall: Mission) -> None:
+    """The log holds the mission as changed by the command line; replay can then set only vehicle keys."""
     flown = msgspec.structs.replace(single_wall, altitude_m=1.2)
     entries: list[LogEntry] = []
     FastFlight(flown, 1, observe=lambda r, n: entries.append(LogEntry(n, r))).run()
@@ -134,7 +135,7 @@ def test_a_flight_that_was_changed_by_options_is_replayed_as_flown(single_wall: 
         changed_mission(log, ["start.altitude_m=1.1"])
 
 
-def test_a_cut_log_replays_up_to_there(flight: Log) -> None:
+def test_a_cut_log_replays_up_to_the_cut(flight: Log) -> None:
     for cut in (0, 1, 500, 7001, 15_002):
         log = Log(flight.source, flight.about, {}, flight.entries[:cut], False)
         result = replay(log)
@@ -142,8 +143,8 @@ def test_a_cut_log_replays_up_to_there(flight: Log) -> None:
         assert result.note.startswith("the log is cut short")
 
 
-def with_retired(vehicle: dict[str, Any]) -> None:
-    """Put the keys that are constants now into a configuration, as an older log has it."""
+def add_retired_keys(vehicle: dict[str, Any]) -> None:
+    """Add the retired keys to a configuration, as in an older log."""
     for key, retired in RETIRED.items():
         *above, name = key.split(".")
         node = vehicle
@@ -152,11 +153,11 @@ def with_retired(vehicle: dict[str, Any]) -> None:
         node[name] = retired.value
 
 
-def test_a_key_that_is_a_constant_of_another_value_now_is_said(flight: Log) -> None:
+def test_replay_reports_a_retired_key_with_another_value(flight: Log) -> None:
     about = dict(flight.about)
     for name in ("flown", "vehicle"):
         tree = msgspec.json.decode(about[name])
-        with_retired(tree["vehicle"] if name == "flown" else tree)
+        add_retired_keys(tree["vehicle"] if name == "flown" else tree)
         about[name] = msgspec.json.encode(tree).decode()
     result = replay(beginning(flight, 1000, about))
     assert (result.equal, result.note) == (True, "")
@@ -168,14 +169,16 @@ def test_a_key_that_is_a_constant_of_another_value_now_is_said(flight: Log) -> N
     assert replay(old, ["detection.force_threshold_n=15"]).differences
 
 
-def test_lost_inputs_are_said(flight: Log) -> None:
+def test_replay_reports_lost_inputs(flight: Log) -> None:
     entries = [e for e in beginning(flight, 1000).entries if not 100 <= e.number < 110]
     result = replay(Log(flight.source, flight.about, flight.end, entries, True))
     assert result.missing == 10
     assert "lost 10 inputs" in result.note
 
 
-def test_the_command(flight_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_replay_command_reports_equality_and_differences(
+    flight_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["replay", str(flight_path), "--json"]) == 0
     answer = json.loads(capsys.readouterr().out)
     assert answer["equal"] is True

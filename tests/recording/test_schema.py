@@ -1,4 +1,4 @@
-"""Descriptions of the log's fields, from their names."""
+"""Descriptions of the log's fields are derived from their names."""
 
 import pytest
 
@@ -15,5 +15,5 @@ from dart_flight.recording.schema import describe
         ("force_mission", "N; mission frame"),
     ],
 )
-def test_a_unit_in_the_name_comes_before_the_quantity(name: str, description: str) -> None:
+def test_a_unit_suffix_takes_precedence_over_the_quantity(name: str, description: str) -> None:
     assert describe(name).startswith(description)

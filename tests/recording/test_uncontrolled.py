@@ -1,4 +1,4 @@
-"""The definition of an uncontrolled flight, cause by cause, and that the verdict has it."""
+"""The causes of an uncontrolled flight, as the verdict reports them."""
 
 from __future__ import annotations
 
@@ -51,16 +51,16 @@ HIGH = truth((0.0, 0.0, 1.0))
         (truth((0.0, 0.0, 0.01), down_m_s=1.6), "hit the ground at 1.60 m/s"),
     ],
 )
-def test_each_limit_is_a_cause_of_its_own(sample: TruthSample, word: str | None) -> None:
+def test_each_exceeded_limit_is_reported_as_its_own_cause(sample: TruthSample, word: str | None) -> None:
     found = verdict(HIGH, sample, HIGH).uncontrolled
     assert len(found) == (word is not None)
     assert word is None or word in found[0]
 
 
-def test_a_flight_that_ends_without_a_reason_is_uncontrolled() -> None:
+def test_an_aborted_flight_without_a_reason_is_uncontrolled() -> None:
     assert verdict(HIGH, outcome=Outcome.ABORTED).uncontrolled == ["not completed, without a reason"]
     assert verdict(HIGH, outcome=Outcome.ABORTED, reason="bounds: left them").uncontrolled == []
 
 
-def test_on_the_drone_nothing_is_known_of_it() -> None:
+def test_a_flight_without_truth_is_never_classified_as_uncontrolled() -> None:
     assert verdict(outcome=Outcome.ABORTED).uncontrolled == []

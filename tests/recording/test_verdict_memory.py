@@ -1,4 +1,4 @@
-"""A verdict is as large after an hour of hovering as after a minute, and tells of all of it."""
+"""The memory of a verdict does not depend on the flight's duration, and its figures cover all of it."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ MISSION = load_flyable(packaged("missions", "single_wall.yaml"))
 
 
 def hover(builder: VerdictBuilder, minutes: float, from_us: int) -> int:
-    """Odometry and truth at 125 Hz, as a simulated flight has them; returns the next stamp."""
+    """Add odometry and truth at 125 Hz, as in a simulated flight, and return the next stamp."""
     t_us = from_us
     for _ in range(round(minutes * 60 * 125)):
         builder.add(
@@ -30,7 +30,7 @@ def hover(builder: VerdictBuilder, minutes: float, from_us: int) -> int:
     return t_us
 
 
-def test_it_does_not_grow_with_the_flight() -> None:
+def test_the_verdict_builder_does_not_grow_with_the_flight() -> None:
     builder = VerdictBuilder(MISSION)
     builder.add(OdometrySample(1000, 1000, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)))
     builder.add(PhaseChange(1000, Phase.READYING, Phase.OFFBOARD, ""))
@@ -41,14 +41,14 @@ def test_it_does_not_grow_with_the_flight() -> None:
     hover(builder, 2.0, t_us)
     after, _ = tracemalloc.get_traced_memory()
     tracemalloc.stop()
-    assert after - before < 300_000  # of 3.6 MB, where all of it was kept
+    assert after - before < 300_000  # keeping all samples would take 3.6 MB
     error_m = builder.build(World.FAST, 1).ekf_error_m
     assert error_m is not None
     assert math.isclose(error_m, 0.01, abs_tol=1e-9)
 
 
-def test_the_largest_error_is_that_of_all_samples(flown: SharedFlights) -> None:
-    """As looked for afterwards, in the whole flight."""
+def test_the_largest_position_error_covers_all_samples(flown: SharedFlights) -> None:
+    """The reference searches all samples after the flight."""
     flight = flown("single_wall", 1)
     records = [e.record for e in read_log(Path(flight.log)).entries]
     true = sorted((r.t_us, r.position_mission) for r in records if isinstance(r, TruthSample))
@@ -58,7 +58,7 @@ def test_the_largest_error_is_that_of_all_samples(flown: SharedFlights) -> None:
     for (t_us, place), (t0, a), (t1, b) in zip(estimates, true, true[1:], strict=False):
         share = (t_us - t0) / (t1 - t0)
         worst = max(worst, math.dist(place, [p + share * (q - p) for p, q in zip(a, b, strict=True)]))
-    for lag in (0, 5, 200):  # truth comes so many samples later than the estimate, or earlier
+    for lag in (0, 5, 200):  # number of samples by which truth follows or precedes the estimate
         late, early = PositionError(), PositionError()
         feed(late, estimates, true, lag)
         feed(early, estimates, true, -lag)

@@ -14,7 +14,7 @@ from dart_flight.vehicle.messages import MessageEntry
 from dart_flight.vehicle.vehicle_session import connect
 
 
-async def stay(mission: Mission, url: str, ended: asyncio.Event) -> None:
+async def keep_connected(mission: Mission, url: str, ended: asyncio.Event) -> None:
     """Connect and subscribe as a flight does, but with empty callbacks, until `ended` is set.
 
     Args:

@@ -86,15 +86,15 @@ def measure() -> Figures:
     flown = {name: _flown_s(mission) for name, mission in missions.items()}
     return Figures(
         not str(sys.modules[FlightCore.__module__].__file__).endswith(".py"),
-        {name: _least(partial(_fly, mission)) for name, mission in missions.items()},
+        {name: _sum_of_shortest_s(partial(_fly, mission)) for name, mission in missions.items()},
         flown,
-        _least(partial(_step, dual, recorded.inputs)) / len(recorded.inputs),
+        _sum_of_shortest_s(partial(_step, dual, recorded.inputs)) / len(recorded.inputs),
         _imu_step_s(dual, recorded.inputs),
-        _least(partial(_drive, dual, recorded)),
+        _sum_of_shortest_s(partial(_drive, dual, recorded)),
     )
 
 
-def _least(times_of: Callable[[], list[float]]) -> float:
+def _sum_of_shortest_s(times_of: Callable[[], list[float]]) -> float:
     """Run the same work several times and return the sum of each piece's shortest time.
 
     Other load on the machine rarely delays the same piece in every run.
@@ -171,7 +171,7 @@ def _imu_step_s(mission: Mission, inputs: list[Input]) -> float:
                 step(item)
         return times
 
-    return _least(times_of) / sum(isinstance(item, ImuSample) for item in inputs)
+    return _sum_of_shortest_s(times_of) / sum(isinstance(item, ImuSample) for item in inputs)
 
 
 def _drive(mission: Mission, recorded: _Recorded) -> list[float]:
@@ -203,7 +203,7 @@ def _drive(mission: Mission, recorded: _Recorded) -> list[float]:
     return times
 
 
-def measured(package: Path) -> Figures:
+def measure_package(package: Path) -> Figures:
     """Return the figures of a process that imports the package from this folder."""
     environment = os.environ | {"PYTHONPATH": os.pathsep.join((str(package), str(ROOT)))}
     command = [sys.executable, "-P", "-c", "from tools.bench.core import print_figures; print_figures()"]
@@ -225,10 +225,10 @@ def rows() -> list[dict[str, Any]]:
     Its baseline is the simulated time, so the ratio is a multiple of real time. For the compiled package, the
     baseline of the parts is the interpreted package.
     """
-    pure = measured(ROOT)
+    pure = measure_package(ROOT)
     found = _rows_of(pure, None)
     if COMPILED.exists():
-        found += _rows_of(measured(COMPILED), pure)
+        found += _rows_of(measure_package(COMPILED), pure)
     return found
 
 
@@ -251,15 +251,15 @@ def _rows_of(figures: Figures, pure: Figures | None) -> list[dict[str, Any]]:
         }
         for name, value, per, unit, before in parts
     ]
-    for name, took_s in figures.flight_s.items():
+    for name, processor_s in figures.flight_s.items():
         flown_s = figures.flown_s[name]
         found.append(
             {
                 "name": f"fast flight {name}{suffix}",
-                "value": took_s,
+                "value": processor_s,
                 "unit": "s",
                 "baseline": flown_s,
-                "ratio": flown_s / took_s,
+                "ratio": flown_s / processor_s,
             }
         )
     return found

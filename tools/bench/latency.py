@@ -46,8 +46,8 @@ from tools.bench.impact_source import MISSION, Record, free_udp_port
 
 IMPACTS = 500
 PERIOD_S = 0.3  # a contact of 46 ms, its end, the refractory time
-_SAME_M = 1e-3  # tolerance between a setpoint on the wire and the core's
-_LATEST_NS = 100_000_000
+_MATCH_M = 1e-3  # tolerance between a setpoint on the wire and the core's
+_LONGEST_NS = 100_000_000
 
 
 class RepeatingCore:
@@ -63,7 +63,7 @@ class RepeatingCore:
         self.recoveries: list[Setpoint] = []
         self.overruled: list[str] = []  # reasons of the guard, such as a stall of the machine
         self._impacts = impacts
-        self._again_us = 0
+        self._restart_us = 0
         self._begun = False
 
     @property
@@ -84,7 +84,7 @@ class RepeatingCore:
             self._begun = False
         status = core.state.status
         ready = core.state.odometry is not None and status.armed and status.local_position_ok
-        rested = progress.phase is Phase.RECOVERY and now > self._again_us
+        rested = progress.phase is Phase.RECOVERY and now > self._restart_us
         if rested or (not self._begun and ready):
             self._begin(now)
         elif not self._begun:
@@ -96,7 +96,7 @@ class RepeatingCore:
         for output in outputs:
             if isinstance(output, Setpoint) and output.recovery:
                 self.recoveries.append(output)
-                self._again_us = output.t_us + 200_000
+                self._restart_us = output.t_us + 200_000
         # The guard is reset above, so drop its commands: the source stays in offboard mode.
         return [output for output in outputs if not isinstance(output, VehicleCommand)]
 
@@ -207,9 +207,9 @@ def _match(recoveries: list[Setpoint], record: Record) -> list[float]:
             continue
         n, e, d = output.position_ned
         for received, x, y, z in record.setpoints:
-            if not begin < received < begin + _LATEST_NS:
+            if not begin < received < begin + _LONGEST_NS:
                 continue
-            if abs(x - n) < _SAME_M and abs(y - e) < _SAME_M and abs(z - d) < _SAME_M:
+            if abs(x - n) < _MATCH_M and abs(y - e) < _MATCH_M and abs(z - d) < _MATCH_M:
                 latencies.append((received - begin) * 1e-6)
                 break
     return sorted(latencies)
@@ -241,7 +241,9 @@ def rows(impacts: int = IMPACTS) -> list[dict[str, Any]]:
     result = measure(impacts)
     found = result.wire_ms
     if not found:
-        raise RuntimeError(f"none of {impacts} impacts was answered; the guard: {result.overruled[:3]}")
+        raise RuntimeError(
+            f"none of {impacts} impacts was answered; the guard reported: {result.overruled[:3]}"
+        )
     print(f"{len(found)} of {result.expected} impacts answered, setpoint for IMU sample, both on the wire:")
     print(histogram(found))
     if result.overruled:

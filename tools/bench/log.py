@@ -24,7 +24,7 @@ _PACED_S = 10.0
 _WRITTEN_S = 0.5  # after the last record
 
 
-def recorded() -> list[list[tuple[Record, int]]]:
+def record_slots() -> list[list[tuple[Record, int]]]:
     """Return the records of a dual collision in slots of 4 ms, without the simulator's truth."""
     slots: list[list[tuple[Record, int]]] = [[]]
     begin: list[int] = []
@@ -80,7 +80,7 @@ def rows() -> list[dict[str, Any]]:
     `log put` is the part of that time on the core's thread. `log share` is the share of one core at 250 IMU
     samples a second, in per cent. `log size` is in megabytes per minute.
     """
-    paced = recorded()[: round(_PACED_S * 1e6 / _SLOT_US)]
+    paced = record_slots()[: round(_PACED_S * 1e6 / _SLOT_US)]
     about = describe_flight(load_mission(_MISSION), World.FAST, 1)
     with tempfile.TemporaryDirectory() as folder:
         costs = []

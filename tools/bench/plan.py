@@ -60,13 +60,13 @@ def _best(function: Callable[[], object], repeats: int) -> float:
     """Return the smallest processor time of several runs, s."""
     times = []
     for _ in range(repeats):
-        began = time.process_time()
+        begin_s = time.process_time()
         function()
-        times.append(time.process_time() - began)
+        times.append(time.process_time() - begin_s)
     return min(times)
 
 
-def enumeration() -> Row:
+def measure_enumeration() -> Row:
     """Measure the full enumeration against time stepping."""
     case = _Case()
     fast = _best(case.enumerate, 15)
@@ -76,7 +76,7 @@ def enumeration() -> Row:
     )
 
 
-def robust() -> Row:
+def measure_robust_plan() -> Row:
     """Measure a million trajectories: the grid with draws, and constraints checked in every draw."""
     scenario = load_scenario(SCENARIO)
     uncertainty = msgspec.structs.replace(scenario.uncertainty, samples=68)
@@ -98,13 +98,13 @@ def robust() -> Row:
             rollout.fly(stages, normal, tangential, grid, draw)
             count += normal.size * tangential.size * len(scenario.modes) ** 2
 
-    spent_s = _best(run, 2)
-    return Row(name="plan robust 1e6", value=spent_s * 1e6 / count, unit="s", baseline=None, ratio=None)
+    processor_s = _best(run, 2)
+    return Row(name="plan robust 1e6", value=processor_s * 1e6 / count, unit="s", baseline=None, ratio=None)
 
 
 def rows() -> list[Row]:
     """Return rows for `make bench`."""
-    return [enumeration(), robust()]
+    return [measure_enumeration(), measure_robust_plan()]
 
 
 if __name__ == "__main__":

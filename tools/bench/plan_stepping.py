@@ -37,7 +37,7 @@ class Flying(NamedTuple):
     goal: Array
     t: Array
 
-    def take(self, rows: Rows | NDArray[np.bool_]) -> Flying:
+    def select(self, rows: Rows | NDArray[np.bool_]) -> Flying:
         """Return the selected candidates."""
         return Flying(self.rows[rows], *(value[..., rows] for value in self[1:]))
 
@@ -60,19 +60,19 @@ def step_everything(
     shape = np.broadcast_shapes(normal.shape, tangential.shape)
     vn, vt = (np.broadcast_to(v, shape).ravel() for v in (normal, tangential))
     fronts: list[tuple[tuple[Mode, ...], Flying]] = [
-        ((mode,), _first(scenario, stages[walls[0].name, mode], walls[0], vn, vt, grid, h))
+        ((mode,), _fly_to_first_contact(scenario, stages[walls[0].name, mode], walls[0], vn, vt, grid, h))
         for mode in scenario.modes
     ]
     for wall in walls[1:]:
         fronts = [
-            ((*modes, mode), _later(scenario, stages[wall.name, mode], wall, front, h))
+            ((*modes, mode), _fly_to_next_contact(scenario, stages[wall.name, mode], wall, front, h))
             for modes, front in fronts
             for mode in scenario.modes
         ]
     ends = []
     for modes, front in fronts:
         stage = stages[walls[-1].name, modes[-1]]
-        ends.append(_to_goal(scenario, modes, front, stage.duration_s - stage.engaged_s, h))
+        ends.append(_fly_to_goal(scenario, modes, front, stage.duration_s - stage.engaged_s, h))
     return ends
 
 
@@ -80,7 +80,7 @@ def _axes(wall: Wall) -> tuple[Array, Array]:
     return np.array(wall.normal)[:, None], np.array(wall.tangent)[:, None]
 
 
-def _first(
+def _fly_to_first_contact(
     scenario: Scenario, stage: ContactStage, wall: Wall, vn: Array, vt: Array, grid: ApproachGrid, h: float
 ) -> Flying:
     n, t = _axes(wall)
@@ -96,10 +96,10 @@ def _first(
         impact - stage.lead_s * v,
         grid.impact_s.ravel() - stage.lead_s,
     )
-    return _contact(scenario, stage, wall, onset, h)
+    return _pass_contact(scenario, stage, wall, onset, h)
 
 
-def _contact(scenario: Scenario, stage: ContactStage, wall: Wall, on: Flying, h: float) -> Flying:
+def _pass_contact(scenario: Scenario, stage: ContactStage, wall: Wall, onset: Flying, h: float) -> Flying:
     """Return the states after a contact, which has the same duration for all candidates."""
     kp, kv, ki, kd, tau = PositionLoop.from_px4(scenario.vehicle.px4)
     c, m = stage.coefficients, stage.mass_kg
@@ -112,9 +112,9 @@ def _contact(scenario: Scenario, stage: ContactStage, wall: Wall, on: Flying, h:
         return (n * value).sum(axis=0), (t * value).sum(axis=0)
 
     point = np.array(wall.point)[:, None]
-    x, v = parts(on.p - point)[0], parts(on.v)[0]
-    u = parts(on.v)[1]
-    (an, at), (jn, jt) = parts(on.a), parts(on.i)
+    x, v = parts(onset.p - point)[0], parts(onset.v)[0]
+    u = parts(onset.v)[1]
+    (an, at), (jn, jt) = parts(onset.a), parts(onset.i)
     q, push = np.zeros_like(x), np.zeros_like(x)
     law_x, law_v, x0 = x.copy(), v.copy(), x.copy()
     peak = friction = np.zeros_like(x)
@@ -145,15 +145,15 @@ def _contact(scenario: Scenario, stage: ContactStage, wall: Wall, on: Flying, h:
         x, q = x + h * v, q + h * u
         law_v = law_v + h * law_force / m
         law_x = law_x + h * law_v
-    goal = on.p + n * (peak_x + stage.alphas[0] * peak - x0) + t * (peak_q + stage.alphas[1] * friction)
+    goal = onset.p + n * (peak_x + stage.alphas[0] * peak - x0) + t * (peak_q + stage.alphas[1] * friction)
     return Flying(
-        on.rows,
-        on.p + n * (x - x0) + t * q,
+        onset.rows,
+        onset.p + n * (x - x0) + t * q,
         n * v + t * (u + push),
         n * an + t * at,
         n * jn + t * jt,
         goal,
-        on.t + stage.duration_s,
+        onset.t + stage.duration_s,
     )
 
 
@@ -166,27 +166,31 @@ def _free_step(loop: PositionLoop, b: Array, f: Flying, h: float) -> Flying:
     return Flying(f.rows, f.p + h * v, v, a, f.i + h * ki * error, f.goal, f.t + h)
 
 
-def _later(scenario: Scenario, stage: ContactStage, wall: Wall, flying: Flying, h: float) -> Flying:
+def _fly_to_next_contact(
+    scenario: Scenario, stage: ContactStage, wall: Wall, flying: Flying, h: float
+) -> Flying:
     loop, n = PositionLoop.from_px4(scenario.vehicle.px4), _axes(wall)[0]
     b = np.array(scenario.vehicle.airframe.drag_per_s[:2])[:, None]
     point = np.array(wall.point)[:, None]
     reached: list[Flying] = []
-    flying = flying.take((n * (flying.p - point)).sum(axis=0) > 0.0)
+    flying = flying.select((n * (flying.p - point)).sum(axis=0) > 0.0)
     for _ in range(round(_HORIZON_S / h)):
         flying = _free_step(loop, b, flying, h)
         hits = (n * (flying.p - point + stage.lead_s * flying.v)).sum(axis=0) < 0.0
         if hits.any():
-            reached.append(flying.take(hits))
-            flying = flying.take(~hits)
+            reached.append(flying.select(hits))
+            flying = flying.select(~hits)
         if flying.rows.size == 0:
             break
     if not reached:
-        return _contact(scenario, stage, wall, flying.take(np.zeros(0, dtype=np.intp)), h)
+        return _pass_contact(scenario, stage, wall, flying.select(np.zeros(0, dtype=np.intp)), h)
     joined = Flying(*(np.concatenate(v, axis=-1) for v in zip(*reached, strict=True)))
-    return _contact(scenario, stage, wall, joined, h)
+    return _pass_contact(scenario, stage, wall, joined, h)
 
 
-def _to_goal(scenario: Scenario, modes: tuple[Mode, ...], flying: Flying, since: float, h: float) -> Ends:
+def _fly_to_goal(
+    scenario: Scenario, modes: tuple[Mode, ...], flying: Flying, elapsed_s: float, h: float
+) -> Ends:
     loop = PositionLoop.from_px4(scenario.vehicle.px4)
     b = np.array(scenario.vehicle.airframe.drag_per_s[:2])[:, None]
     goal = np.array(scenario.goal.position_m)[:, None]
@@ -199,11 +203,11 @@ def _to_goal(scenario: Scenario, modes: tuple[Mode, ...], flying: Flying, since:
         nearer = distance < best
         best = np.where(nearer, distance, best)
         place = np.where(nearer, flying.p, place)
-        if step * h + since >= PASSED_AFTER_S:
+        if step * h + elapsed_s >= PASSED_AFTER_S:
             passed = distance > best + PASSED_RISE_M
             if passed.any():
                 ended.append((flying.rows[passed], best[passed], place[:, passed]))
-                flying, best, place = flying.take(~passed), best[~passed], place[:, ~passed]
+                flying, best, place = flying.select(~passed), best[~passed], place[:, ~passed]
         if flying.rows.size == 0:
             break
     ended.append((flying.rows, best, place))

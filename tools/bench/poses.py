@@ -41,7 +41,9 @@ def rows(impacts: int = IMPACTS) -> list[dict[str, Any]]:
 def _figures(impacts: int, mocap_url: str | None) -> dict[str, float]:
     result = measure(impacts, mocap_url)
     if not result.wire_ms:
-        raise RuntimeError(f"none of {impacts} impacts was answered; the guard: {result.overruled[:3]}")
+        raise RuntimeError(
+            f"none of {impacts} impacts was answered; the guard reported: {result.overruled[:3]}"
+        )
     print(
         f"{mocap_url or 'no motion capture'}: {len(result.wire_ms)} of {impacts} impacts answered, "
         f"{result.poses_sent} poses forwarded; the guard took over {len(result.overruled)} times: "

@@ -1,4 +1,4 @@
-"""Processor time of threads and processes as counted by Linux, in nanoseconds."""
+"""Processor time of threads and processes, in seconds, as counted by Linux."""
 
 from __future__ import annotations
 

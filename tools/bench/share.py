@@ -68,7 +68,7 @@ async def _measure(seconds: float, extra: Callable[[], Shares] = dict) -> Shares
 async def mavsdk_alone(mission: Mission, url: str, seconds: float) -> Shares:
     """Measure MAVSDK with the same subscriptions and rates, but empty callbacks."""
     ended = asyncio.Event()
-    staying = asyncio.create_task(alone.stay(mission, url, ended))
+    staying = asyncio.create_task(alone.keep_connected(mission, url, ended))
     await asyncio.sleep(_LEAD_S)
     shares = await _measure(seconds)
     ended.set()

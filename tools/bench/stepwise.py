@@ -22,7 +22,7 @@ from dart_flight.lab.stepwise import FlightSetpoint, SteppedSimulation
 
 STEPS = 1500
 _PERIOD_S = 0.04
-_OF_SHUTTLE = 0.3  # share of the largest acceleration, so that episodes last
+_ACTION_SHARE = 0.3  # share of the largest acceleration, so that episodes last
 
 
 def shuttle_seconds(steps: int) -> float:
@@ -31,7 +31,7 @@ def shuttle_seconds(steps: int) -> float:
     environment.action_space.seed(1)
     environment.reset(seed=1)
     for _ in range(steps):
-        action = _OF_SHUTTLE * environment.action_space.sample()
+        action = _ACTION_SHARE * environment.action_space.sample()
         begin = time.process_time()
         _, _, terminated, truncated, _ = environment.step(action)
         spent_s += time.process_time() - begin
@@ -41,7 +41,7 @@ def shuttle_seconds(steps: int) -> float:
 
 
 def hover_seconds(steps: int) -> float:
-    """Return the processor seconds of steps of a hovering `Simulation`."""
+    """Return the processor seconds of steps of a hovering `SteppedSimulation`."""
     simulation = SteppedSimulation(packaged("missions", "shuttle.yaml"), period_s=_PERIOD_S)
     setpoint = FlightSetpoint(position_mission=(0.0, 0.0, 1.0), mode=Mode.RIGID)
     begin = time.process_time()
@@ -55,14 +55,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--rotorpy", metavar="PYTHON", help="interpreter that has rotorpy")
     parser.add_argument("--steps", type=int, default=STEPS)
-    given = parser.parse_args()
+    options = parser.parse_args()
     print(f"{'':32s} steps/s  flight s/s")
     for name, seconds in (("DartShuttle-v0", shuttle_seconds), ("Simulation, hovering", hover_seconds)):
-        per_s = given.steps / seconds(given.steps)
+        per_s = options.steps / seconds(options.steps)
         print(f"{name:32s} {per_s:7.0f} {per_s * _PERIOD_S:11.1f}")
-    if given.rotorpy is not None:
+    if options.rotorpy is not None:
         script = Path(__file__).with_name("rotorpy_steps.py")
-        command = [given.rotorpy, str(script), str(given.steps)]
+        command = [options.rotorpy, str(script), str(options.steps)]
         done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True)
         for line in done.stdout.splitlines():
             row = json.loads(line)

@@ -32,36 +32,38 @@ NAMES = sorted(path.stem for path in HERE.glob("*.yaml"))
 USUAL = [name for name in NAMES if not name.startswith(("px4", "mutants"))]
 
 
-def specification(given: argparse.Namespace, name: str) -> CampaignSpec:
+def load_campaign(options: argparse.Namespace, name: str) -> CampaignSpec:
     """Return the specification of a name, with the changes from the command line.
 
     Raises:
         InputError: the file is invalid, or no case is left.
     """
-    asked = load_specification(HERE / f"{name}.yaml")
-    changes = {key: value for key in ("runs", "seed") if (value := getattr(given, key)) is not None}
-    if given.only:
-        wanted = dict(pair.split("=", 1) for pair in given.only)
-        left = [case for case in cases_of(asked) if wanted.items() <= case.items()]
+    campaign = load_specification(HERE / f"{name}.yaml")
+    changes = {key: value for key in ("runs", "seed") if (value := getattr(options, key)) is not None}
+    if options.only:
+        wanted = dict(pair.split("=", 1) for pair in options.only)
+        left = [case for case in cases_of(campaign) if wanted.items() <= case.items()]
         if not left:
-            raise InputError(f"--only {' '.join(given.only)}: no such case in {name}.yaml")
+            raise InputError(f"--only {' '.join(options.only)}: no such case in {name}.yaml")
         changes["cases"] = tuple(left)
-    return msgspec.structs.replace(asked, **changes)
+    return msgspec.structs.replace(campaign, **changes)
 
 
-def measure(given: argparse.Namespace, name: str) -> int:
+def measure(options: argparse.Namespace, name: str) -> int:
     """Fly a campaign and write its page; return 1 if a row has a program error, 130 if interrupted.
 
     Raises:
         InputError, FlightError: as `campaigns.open_campaign` and `campaigns.fly`.
     """
-    asked = specification(given, name)
-    opened = campaigns.open_campaign(asked, given.out or ROOT / "build" / "campaigns" / name, given.resume)
-    engine = campaigns.fly_locally(given.jobs)
-    if given.scheduler is not None:
+    campaign = load_campaign(options, name)
+    opened = campaigns.open_campaign(
+        campaign, options.out or ROOT / "build" / "campaigns" / name, options.resume
+    )
+    engine = campaigns.fly_locally(options.jobs)
+    if options.scheduler is not None:
         from dart_flight.lab.campaign.cluster import on_cluster  # noqa: PLC0415
 
-        engine = on_cluster(given.scheduler)
+        engine = on_cluster(options.scheduler)
     console = Console(stderr=True)
 
     def show(rows: int, _: int) -> None:
@@ -69,9 +71,9 @@ def measure(given: argparse.Namespace, name: str) -> int:
             console.print(f"{name}: {rows} of {opened.flights}")
 
     with Interrupt() as interrupt:
-        landed = campaigns.fly(opened, engine, interrupt, show)
-    if landed < opened.flights:
-        console.print(f"interrupted: {landed} of {opened.flights}; continue with --resume")
+        completed = campaigns.fly(opened, engine, interrupt, show)
+    if completed < opened.flights:
+        console.print(f"interrupted: {completed} of {opened.flights}; continue with --resume")
         return 130
     rows = campaigns.read_rows(opened)
     text = importlib.import_module(f"tools.campaigns.{name}").page([r for r in rows if r.row is not None])
@@ -96,15 +98,15 @@ def main() -> int:
     parser.add_argument("--px4", metavar="DIR", help="build of PX4 SITL")
     parser.add_argument("--out", type=lambda text: Path(text).resolve(), metavar="DIR")
     parser.add_argument("--resume", action="store_true")
-    given = parser.parse_args()
-    if given.px4 is not None:
-        os.environ[ENVIRONMENT] = str(Path(given.px4).resolve())
-        given.jobs = 1  # PX4 needs the whole computer
+    options = parser.parse_args()
+    if options.px4 is not None:
+        os.environ[ENVIRONMENT] = str(Path(options.px4).resolve())
+        options.jobs = 1  # PX4 needs the whole computer
     os.chdir(ROOT)
     status = 0
     try:
-        for name in [given.name] if given.name else USUAL:
-            status = measure(given, name) or status
+        for name in [options.name] if options.name else USUAL:
+            status = measure(options, name) or status
     except (InputError, FlightError) as error:
         sys.stderr.write(f"{error.one_line() if isinstance(error, InputError) else error}\n")
         return 2

@@ -15,7 +15,7 @@ from dart_flight.lab.search.scenario import Scenario, load_scenario
 
 COLLIDING, FREE = "colliding", "free"
 USING_COLLISIONS = ("shuttle", "touch_and_return", "hairpin", "limited_sight")
-BESIDE_M = 0.03  # added to a place's tolerance, because a drawn wall moves the place with it
+WALL_SHIFT_M = 0.03  # added to a place's tolerance, because a drawn wall moves the place with it
 
 
 class BothWays(NamedTuple):
@@ -32,7 +32,7 @@ class BothWays(NamedTuple):
     @property
     def visits(self) -> list[tuple[Vec2, float]]:
         """The places that both flights must visit, each with its tolerance."""
-        return [(visit.position_m, visit.within_m + BESIDE_M) for visit in self.scenario.visits]
+        return [(visit.position_m, visit.within_m + WALL_SHIFT_M) for visit in self.scenario.visits]
 
     def planned_s(self, way: str) -> float:
         """Return the planned arrival time, by the rule of `arrival_of`."""

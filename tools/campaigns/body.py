@@ -25,7 +25,7 @@ from tools.campaigns.results import markdown
 _AFTER_US = 600_000  # interval for the effect of a hit on tilt and rate
 
 
-class TurnedHit(msgspec.Struct, frozen=True):
+class ObliqueHit(msgspec.Struct, frozen=True):
     """One true contact, and the largest tilt and rate from its onset for 0.6 s or until the next contact."""
 
     wall: str
@@ -42,11 +42,11 @@ class BodyFlight(msgspec.Struct, frozen=True):
     outcome: str
     rule: str
     problems: list[str]
-    hits: list[TurnedHit]
+    hits: list[ObliqueHit]
 
 
 def fly(point: Point, seed: int) -> BodyFlight:
-    """Fly among turned walls until landing."""
+    """Fly among rotated walls until landing."""
     mission = point.mission
     turned = dict.fromkeys((w.name for w in mission.walls), float(point.case["yaw_deg"]))
     watched = WatchedFlight(mission, seed, place_walls(draw_world(mission, seed, point.spreads), {}, turned))
@@ -73,7 +73,7 @@ def fly(point: Point, seed: int) -> BodyFlight:
             for series in (tilts, rates)
         )
         hits.append(
-            TurnedHit(
+            ObliqueHit(
                 contact.wall,
                 contact.normal_in_m_s,
                 contact.peak_normal_force_n,
@@ -85,7 +85,7 @@ def fly(point: Point, seed: int) -> BodyFlight:
     return BodyFlight(verdict.outcome.value, rule_of(verdict), watched.problems, hits)
 
 
-_HEADS = ("mission", "wall yaw", "completed", "broken off", "uncontrolled", "tilt after first hit, deg",
+_HEADS = ("mission", "wall yaw", "completed", "aborted by", "uncontrolled", "tilt after first hit, deg",
           "rate after it, deg/s", "second hit, m/s", "its force, N", "tilt after it, deg")  # fmt: skip
 
 
@@ -100,10 +100,10 @@ def page(rows: Sequence[JudgedRow]) -> str:
 def _cells(mine: Sequence[BodyFlight]) -> list[str]:
     first = [f.hits[0] for f in mine if f.hits]
     second = [hit for f in mine if (hit := next((h for h in f.hits if h.wall != f.hits[0].wall), None))]
-    broken = Counter(f.rule for f in mine if f.outcome != "completed" and not f.problems)
+    aborted = Counter(f.rule for f in mine if f.outcome != "completed" and not f.problems)
     return [
         f"{sum(f.outcome == 'completed' for f in mine)} of {len(mine)}",
-        ", ".join(f"`{rule}` {count}" for rule, count in broken.most_common()) or "-",
+        ", ".join(f"`{rule}` {count}" for rule, count in aborted.most_common()) or "-",
         str(sum(bool(f.problems) for f in mine)),
         _median_and_worst(h.tilt_deg for h in first),
         _median_and_worst(h.rate_deg_s for h in first),

@@ -49,7 +49,7 @@ from tools.campaigns.results import markdown
 _FRICTION_RATIO = 0.5  # friction over normal force up to which the law of friction is assumed valid
 _WALL_M, _BACK_M = 3.0, 2.0
 _MOTION = (5.0, 8.0, 30.0)  # acceleration m/s2, jerk m/s3, tilt degrees
-_JUDGED_US = 1_000_000  # interval after the hit for the tilt
+_TILT_US = 1_000_000  # interval after the hit for the tilt
 _NEAR_M, _STILL_M_S = 0.25, 0.3
 
 
@@ -68,7 +68,7 @@ class FastHit(msgspec.Struct, frozen=True):
 
 
 @functools.cache
-def parse_vehicle() -> VehicleConfig:
+def shipped_vehicle() -> VehicleConfig:
     """Return the vehicle of the shipped missions."""
     return load_vehicle(packaged("configs", "dart.yaml"))
 
@@ -80,12 +80,12 @@ def mission_of(mode: str, normal_m_s: float, tangential_m_s: float, touch_m_s: f
     Raises:
         ValueError: the planner finds no trajectory.
     """
-    vehicle = parse_vehicle()
+    vehicle = shipped_vehicle()
     wall = Wall("wall", (_WALL_M, 0.0), (-1.0, 0.0), 8.0, "acrylic", half_vehicle_m=0.2)
     room_m = 1.0 + 0.6 * normal_m_s + normal_m_s**2 / 8.0
     start, goal = (_WALL_M - room_m, -tangential_m_s), (_WALL_M - _BACK_M, 0.0)
     speed_m_s = math.hypot(normal_m_s, tangential_m_s) + 0.3
-    peak_n = parse_vehicle().detection.force_threshold_n
+    peak_n = shipped_vehicle().detection.force_threshold_n
     hits = HitLimits(1000.0, None, None, _FRICTION_RATIO, peak_n)
     along = math.copysign(tangential_m_s, wall.tangent[1])  # towards positive y
     hit = Hit(wall, Mode(mode), Visit(wall.point, 0.04), velocity_m_s=(-normal_m_s, along))
@@ -140,11 +140,11 @@ def _case_mission(case: Mapping[str, str]) -> Mission:
 
 def fly(point: Point, seed: int) -> FastHit:
     """Fly in the fast world until landing."""
-    mission, turned = _case_mission(point.case), point.case["incidence_deg"]
-    spreads = point.spreads if turned == "drawn" else {**point.spreads, "wall_yaw_deg": 0.0}
+    mission, incidence = _case_mission(point.case), point.case["incidence_deg"]
+    spreads = point.spreads if incidence == "drawn" else {**point.spreads, "wall_yaw_deg": 0.0}
     world = draw_world(mission, seed, spreads)
-    if turned != "drawn":
-        world = place_walls(world, {}, {"wall": float(turned)})
+    if incidence != "drawn":
+        world = place_walls(world, {}, {"wall": float(incidence)})
     watched = WatchedFlight(mission, seed, world)
     records: list[Record] = []
     watched.onlookers.append(lambda record, number: records.append(record))
@@ -185,7 +185,7 @@ def _summarise(mission: Mission, verdict: Verdict, records: Iterable[Any], probl
         (r.t_us for r in kept if isinstance(r, PhaseChange) and r.after is Phase.LANDING), -math.inf
     )
     samples = [r for r in kept if isinstance(r, TruthSample)]
-    tilts = [tilt_of(r.q_frd_to_ned) for r in samples if 0 <= r.t_us - hit_us <= _JUDGED_US]
+    tilts = [tilt_of(r.q_frd_to_ned) for r in samples if 0 <= r.t_us - hit_us <= _TILT_US]
     last = [r for r in samples if r.t_us <= landing_us][-1:]
     rests = any(
         distance2(r.position_mission, mission.goal.position_m) < _NEAR_M
@@ -207,8 +207,8 @@ def _summarise(mission: Mission, verdict: Verdict, records: Iterable[Any], probl
 
 _HEADS = (
     "mode", "closing m/s", "sliding m/s", "touch m/s", "incidence °", "recovered (95 %)", "uncontrolled",
-    "met at, m/s", "tilt ° (median, most)", "speed left (median, least)", "peak N (median, most)", "clipped",
-    "ended by",
+    "true speed, m/s (median)", "tilt ° (median, most)", "exit / closing speed (median, least)",
+    "peak N (median, most)", "clipped", "ended by",
 )  # fmt: skip
 
 
@@ -226,7 +226,7 @@ def _cells(mine: Sequence[FastHit]) -> list[str]:
     recovered = sum(f.recovered for f in mine)
     low, high = wilson(recovered, len(mine))
 
-    def most(
+    def median_and_worst(
         pick: Callable[[FastHit], float], digits: int, worst: Callable[[list[float]], float] = max
     ) -> str:
         values = [pick(f) for f in hit]
@@ -236,9 +236,9 @@ def _cells(mine: Sequence[FastHit]) -> list[str]:
         f"{recovered} of {len(mine)} ({100 * low:.0f} to {100 * high:.0f} %)",
         str(sum(bool(f.problems) for f in mine)),
         f"{statistics.median([f.closing_m_s or 0.0 for f in hit]):.2f}" if hit else "-",
-        most(lambda f: f.tilt_deg, 0),
-        most(lambda f: (f.exit_m_s or 0.0) / (f.closing_m_s or 1.0), 2, min),
-        most(lambda f: f.peak_n or 0.0, 0),
+        median_and_worst(lambda f: f.tilt_deg, 0),
+        median_and_worst(lambda f: (f.exit_m_s or 0.0) / (f.closing_m_s or 1.0), 2, min),
+        median_and_worst(lambda f: f.peak_n or 0.0, 0),
         str(sum(f.clipped for f in mine)),
         ", ".join(f"{rule} {count}" for rule, count in ended.most_common()) or "-",
     ]

@@ -14,7 +14,7 @@ _HEADS = (
     "fault",
     "flights",
     "completed",
-    "other ends",
+    "other outcomes",
     "median decision",
     "largest excursion m",
     "uncontrolled",

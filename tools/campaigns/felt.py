@@ -33,8 +33,8 @@ from tools.campaigns.results import markdown
 
 _LONGEST_S = 40.0
 _STUCK = MockFaults(servo=ServoFaults(stuck=True))
-_SURE = 1.959964
-_DEADLINE_MS = 150.0  # a plan that needs the answer waits so long
+_Z_95 = 1.959964
+_DEADLINE_MS = 150.0  # a plan that depends on the mode waits this long
 _CONTACT = {"contact": 0.3, "contact_scatter": 0.05}
 _OTHERS = _CONTACT | {
     "wall_yaw_deg": 4.0, "wall_offset_m": 0.03, "mass": 0.03, "wind_m_s": 0.5, "battery": 0.05,
@@ -45,7 +45,7 @@ _OTHER_ARMS = tuple(
 )
 
 
-class Set(NamedTuple):
+class FlightSet(NamedTuple):
     """The common properties of the flights of a set; `settings` apply to the simulated vehicle alone."""
 
     material: str
@@ -56,14 +56,14 @@ class Set(NamedTuple):
 
 _HALF = "simulation.contact.half_engaged=true"
 SETS = {
-    "wood": Set("wood", True, _CONTACT),
-    "sliding": Set("acrylic", True, _CONTACT),
-    "headon": Set("acrylic", False, _CONTACT),
-    "wood-all": Set("wood", True, _OTHERS),
-    "sliding-all": Set("acrylic", True, _OTHERS),
-    "wood-shaken": Set("wood", True, _OTHERS | {"imu": 0.02}),
-    "headon-arms": Set("acrylic", False, _CONTACT, _OTHER_ARMS),
-    "half": Set("acrylic", True, _CONTACT, (_HALF,)),
+    "wood": FlightSet("wood", True, _CONTACT),
+    "sliding": FlightSet("acrylic", True, _CONTACT),
+    "headon": FlightSet("acrylic", False, _CONTACT),
+    "wood-all": FlightSet("wood", True, _OTHERS),
+    "sliding-all": FlightSet("acrylic", True, _OTHERS),
+    "wood-shaken": FlightSet("wood", True, _OTHERS | {"imu": 0.02}),
+    "headon-arms": FlightSet("acrylic", False, _CONTACT, _OTHER_ARMS),
+    "half": FlightSet("acrylic", True, _CONTACT, (_HALF,)),
 }
 
 
@@ -95,7 +95,7 @@ def cases() -> list[dict[str, str]]:
     return [{"set": name, "body": body} for name in SETS for body in ("point", "guards")]
 
 
-def plan_of(case: dict[str, str], seed: int) -> tuple[Mission, bool]:
+def mission_of(case: dict[str, str], seed: int) -> tuple[Mission, bool]:
     """Return the single-wall mission with approach and mode of a seed, and whether the lock disobeys."""
     chosen, rng = SETS[case["set"]], random.Random(f"{case['set']} {seed}")
     half = _HALF in chosen.settings
@@ -123,7 +123,7 @@ def fly(point: Point, seed: int) -> EstimatedContact:
         ValueError: there was no contact.
     """
     case = dict(point.case)
-    mission, disobeys = plan_of(case, seed)
+    mission, disobeys = mission_of(case, seed)
     commanded = mission.collisions[0].mode
     world = draw_world(mission, seed, SETS[case["set"]].spreads)
     builder = VerdictBuilder(mission)
@@ -138,7 +138,7 @@ def fly(point: Point, seed: int) -> EstimatedContact:
             contacts.append(record)
         elif isinstance(record, PhaseChange) and record.after is Phase.PREPARE and sticks_rigid:
             assert flight.mock is not None
-            flight.mock.inject(_STUCK)  # the rods are in and stay there
+            flight.mock.inject(_STUCK)  # the rods stay inserted
 
     sticks_rigid = disobeys and commanded is Mode.FLEXIBLE
     faults = _STUCK if disobeys and commanded is Mode.RIGID else None
@@ -183,8 +183,9 @@ def _mode_by_time(material: str, mission: Mission, measured_ms: float | None) ->
 
 
 _HEADS = (
-    "set", "body", "contacts", "wrong (95 %)", "undecided (95 %)", "known after, median, latest",
-    "within 150 ms", "wrong by its duration", "k, f, mu in their intervals", "plane mm: mean, deviation",
+    "set", "body", "contacts", "wrong (95 %)", "undecided (95 %)", "evaluated after (median, latest)",
+    "within 150 ms", "wrong by contact duration (95 %)", "intervals of k, f, mu that hold the truth",
+    "plane mm: mean, deviation",
 )  # fmt: skip
 
 
@@ -197,25 +198,25 @@ def page(rows: Sequence[JudgedRow]) -> str:
 
 
 def _cells(mine: Sequence[EstimatedContact]) -> list[str]:
-    late, off = [c.after_ms for c in mine], [1e3 * c.plane_error_m for c in mine]
-    right = [c for c in mine if c.mode_felt in (None, c.true_mode)]
+    delays_ms, offsets_mm = [c.after_ms for c in mine], [1e3 * c.plane_error_m for c in mine]
+    correct = [c for c in mine if c.mode_felt in (None, c.true_mode)]
     covered = [
-        100 * sum(abs(true / value - 1.0) <= _SURE * sd for value, sd, true in found) / len(found)
+        100 * sum(abs(true / value - 1.0) <= _Z_95 * sd for value, sd, true in found) / len(found)
         for name in ("k", "f", "mu")
-        if (found := [c.coefficients[name] for c in right])
+        if (found := [c.coefficients[name] for c in correct])
     ]
     return [
         str(len(mine)),
         _rate(sum(c.is_wrong for c in mine), len(mine)),
         _rate(sum(c.mode_felt is None for c in mine), len(mine)),
-        f"{statistics.median(late):.0f}, {max(late):.0f} ms",
-        f"{sum(ms <= _DEADLINE_MS for ms in late)} of {len(mine)}",
+        f"{statistics.median(delays_ms):.0f}, {max(delays_ms):.0f} ms",
+        f"{sum(ms <= _DEADLINE_MS for ms in delays_ms)} of {len(mine)}",
         _rate(sum(c.by_time is not c.true_mode for c in mine), len(mine)),
         ", ".join(f"{share:.0f} %" for share in covered),
-        f"{statistics.fmean(off):+.1f}, {statistics.pstdev(off):.1f}",
+        f"{statistics.fmean(offsets_mm):+.1f}, {statistics.pstdev(offsets_mm):.1f}",
     ]
 
 
-def _rate(count: int, of: int) -> str:
-    low, high = wilson(count, of)
+def _rate(count: int, total: int) -> str:
+    low, high = wilson(count, total)
     return f"{count} ({100 * low:.1f} to {100 * high:.1f} %)"

@@ -72,11 +72,11 @@ def page(rows: Sequence[JudgedRow]) -> str:
     """Return a table with a row for every coefficient, in bold if its interval does not contain the truth."""
     table = []
     for r in rows:
-        for what, (value, low, high, true) in r.row.coefficients.items():
-            cells = [r.mission, *r.values.values(), what, f"{true:.4g}"]
+        for name, (value, low, high, true) in r.row.coefficients.items():
+            cells = [r.mission, *r.values.values(), name, f"{true:.4g}"]
             if value is None or low is None or high is None:
                 table.append([*cells, "unknown"])
             else:
                 shown = f"{value:.4g}, {100.0 * (value / true - 1.0):+.1f} %"
                 table.append([*cells, shown if low <= true <= high else f"**{shown}**"])
-    return markdown(("mission", "body", "walls", "coefficient", "truth", "found, error"), table)
+    return markdown(("mission", "body", "walls", "coefficient", "truth", "estimate, error"), table)

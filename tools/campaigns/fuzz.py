@@ -65,55 +65,55 @@ class Tally(msgspec.Struct, frozen=True):
     failures: list[str]
 
 
-def spoil_text(text: str, chance: random.Random) -> str:
+def spoil_text(text: str, rng: random.Random) -> str:
     """Return a damaged copy of a valid file."""
-    for _ in range(chance.randint(1, 4)):
-        i = chance.randrange(len(text) + 1)
-        j = min(len(text), i + chance.randint(1, 12))
-        how = chance.randrange(6)
-        if how == 0:
+    for _ in range(rng.randint(1, 4)):
+        i = rng.randrange(len(text) + 1)
+        j = min(len(text), i + rng.randint(1, 12))
+        damage = rng.randrange(6)
+        if damage == 0:
             text = text[:i] + text[j:]
-        elif how == 1:
+        elif damage == 1:
             text = text[:j] + text[i:]
-        elif how == 2:
-            text = text[:i] + chance.choice(_PIECES) + text[i:]
-        elif how == 3:
+        elif damage == 2:
+            text = text[:i] + rng.choice(_PIECES) + text[i:]
+        elif damage == 3:
             lines = text.splitlines()
-            k = chance.randrange(len(lines))
-            lines.insert(chance.randrange(len(lines)), lines.pop(k))
+            k = rng.randrange(len(lines))
+            lines.insert(rng.randrange(len(lines)), lines.pop(k))
             text = "\n".join(lines) + "\n"
-        elif how == 4:
-            text = text[:i] + chance.choice(_VALUES) + text[j:]
+        elif damage == 4:
+            text = text[:i] + rng.choice(_VALUES) + text[j:]
         else:
-            text = _exchange_value(text, chance)
+            text = _exchange_value(text, rng)
     return text
 
 
-def _exchange_value(text: str, chance: random.Random) -> str:
+def _exchange_value(text: str, rng: random.Random) -> str:
     """Return a copy of the text with the value of one key replaced."""
     lines = text.splitlines()
     keyed = [i for i, line in enumerate(lines) if ": " in line]
     if not keyed:
         return text
-    i = chance.choice(keyed)
+    i = rng.choice(keyed)
     head, _, _ = lines[i].partition(": ")
-    lines[i] = f"{head}: {chance.choice(_VALUES)}"
+    lines[i] = f"{head}: {rng.choice(_VALUES)}"
     return "\n".join(lines) + "\n"
 
 
-def spoil_bytes(data: bytes, chance: random.Random) -> bytes:
+def spoil_bytes(data: bytes, rng: random.Random) -> bytes:
     """Return a copy of the data with bytes flipped, removed, inserted or cut off."""
     body = bytearray(data)
-    for _ in range(chance.randint(1, 6)):
-        i = chance.randrange(len(body)) if body else 0
-        how = chance.randrange(4)
-        if how == 0 and body:
-            body[i] ^= 1 << chance.randrange(8)
-        elif how == 1:
-            del body[i : i + chance.randint(1, 40)]
-        elif how == 2:
-            body[i:i] = chance.randbytes(chance.randint(1, 20))
-        elif chance.random() < 0.3:
+    for _ in range(rng.randint(1, 6)):
+        i = rng.randrange(len(body)) if body else 0
+        damage = rng.randrange(4)
+        if damage == 0 and body:
+            body[i] ^= 1 << rng.randrange(8)
+        elif damage == 1:
+            del body[i : i + rng.randint(1, 40)]
+        elif damage == 2:
+            body[i:i] = rng.randbytes(rng.randint(1, 20))
+        elif rng.random() < 0.3:
             del body[i:]
     return bytes(body)
 
@@ -126,8 +126,8 @@ class _Mission:
         self._texts = [path.read_text() for path in sorted(packaged("missions").glob("*.yaml"))]
         self._vehicle: VehicleConfig = load_vehicle(packaged("configs", "dart.yaml"))
 
-    def __call__(self, chance: random.Random) -> None:
-        parse_mission(Document(spoil_text(chance.choice(self._texts), chance), "m.yaml"), self._vehicle)
+    def __call__(self, rng: random.Random) -> None:
+        parse_mission(Document(spoil_text(rng.choice(self._texts), rng), "m.yaml"), self._vehicle)
 
 
 class _Scenario:
@@ -135,9 +135,9 @@ class _Scenario:
         self._texts = [path.read_text() for path in sorted(packaged("missions", "scenarios").glob("*.yaml"))]
         self._folder = tempfile.TemporaryDirectory()
 
-    def __call__(self, chance: random.Random) -> None:
+    def __call__(self, rng: random.Random) -> None:
         path = Path(self._folder.name) / "scenario.yaml"
-        path.write_text(spoil_text(chance.choice(self._texts), chance))
+        path.write_text(spoil_text(rng.choice(self._texts), rng))
         load_scenario(path, packaged("configs", "dart.yaml"))
 
 
@@ -148,9 +148,9 @@ class _Configuration:
         self._text = yaml.safe_dump(yaml.safe_load(text), sort_keys=False)
         self._folder = tempfile.TemporaryDirectory()
 
-    def __call__(self, chance: random.Random) -> None:
+    def __call__(self, rng: random.Random) -> None:
         path = Path(self._folder.name) / "dart.yaml"
-        path.write_text(spoil_text(self._text, chance))
+        path.write_text(spoil_text(self._text, rng))
         load_vehicle(path)
 
 
@@ -165,9 +165,9 @@ class _Log:
         whole = next(folder.glob("*/flight.mcap")).read_bytes()
         self._good = whole[:60_000]
 
-    def __call__(self, chance: random.Random) -> None:
+    def __call__(self, rng: random.Random) -> None:
         path = Path(self._folder.name) / "log.mcap"
-        path.write_bytes(spoil_bytes(self._good, chance))
+        path.write_bytes(spoil_bytes(self._good, rng))
         read_log(path)
 
 
@@ -183,38 +183,36 @@ class _Frame:
         self._from = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._pack = mavlink.MAVLink(io.BytesIO(), srcSystem=245, srcComponent=190)
 
-    def __call__(self, chance: random.Random) -> None:
-        self._from.sendto(self._frame(chance), self._address)
+    def __call__(self, rng: random.Random) -> None:
+        self._from.sendto(self._frame(rng), self._address)
         self._vehicle.advance()
         self._endpoint.exchange()
 
-    def _frame(self, chance: random.Random) -> bytes:
+    def _frame(self, rng: random.Random) -> bytes:
         def number() -> float:
-            return chance.choice(
-                (0.0, 1.0, -1.0, float("nan"), float("inf"), 3e38, chance.uniform(-1e6, 1e6))
-            )
+            return rng.choice((0.0, 1.0, -1.0, float("nan"), float("inf"), 3e38, rng.uniform(-1e6, 1e6)))
 
-        kind = chance.randrange(5)
+        kind = rng.randrange(5)
         if kind == 0:
-            return chance.randbytes(chance.randrange(0, 300))
+            return rng.randbytes(rng.randrange(0, 300))
         if kind == 1:
-            ids = (400, 176, 22, 21, 20, 511, 512, 187, chance.randrange(65536))
+            ids = (400, 176, 22, 21, 20, 511, 512, 187, rng.randrange(65536))
             message: Any = mavlink.MAVLink_command_long_message(
-                1, 1, chance.choice(ids), 0, *(number() for _ in range(7))
+                1, 1, rng.choice(ids), 0, *(number() for _ in range(7))
             )
         elif kind == 2:
             parts = [number() for _ in range(11)]
-            mask = chance.randrange(65536)
+            mask = rng.randrange(65536)
             message = mavlink.MAVLink_set_position_target_local_ned_message(0, 1, 1, 1, mask, *parts)
         elif kind == 3:
-            name = chance.choice((b"MPC_XY_P", b"PWM_AUX_MIN1", chance.randbytes(8)))
-            message = mavlink.MAVLink_param_set_message(1, 1, name, number(), chance.choice((6, 9)))
+            name = rng.choice((b"MPC_XY_P", b"PWM_AUX_MIN1", rng.randbytes(8)))
+            message = mavlink.MAVLink_param_set_message(1, 1, name, number(), rng.choice((6, 9)))
         else:
             message = mavlink.MAVLink_param_request_read_message(
-                1, 1, chance.randbytes(8), chance.randrange(-1, 300)
+                1, 1, rng.randbytes(8), rng.randrange(-1, 300)
             )
         packed = bytes(message.pack(self._pack))
-        return packed if chance.random() < 0.5 else spoil_bytes(packed, chance)
+        return packed if rng.random() < 0.5 else spoil_bytes(packed, rng)
 
 
 _FEEDERS: dict[str, Callable[[], Callable[[random.Random], None]]] = {
@@ -234,7 +232,7 @@ def fly(point: Point, seed: int) -> Tally:
     kind, refused, taken, slowest_s = point.case["kind"], 0, 0, 0.0
     failures: list[str] = []
     for number in range(_BLOCK * (seed - 1), _BLOCK * seed):
-        began = time.process_time()
+        begin_s = time.process_time()
         try:
             _feeder(kind)(random.Random(f"{kind} {number}"))
             taken += 1
@@ -244,10 +242,10 @@ def fly(point: Point, seed: int) -> Tally:
                 failures.append(f"{kind} {number}: more than one line")
         except Exception as error:
             failures.append(f"{kind} {number}: {type(error).__name__}: {error}")
-        took_s = time.process_time() - began
-        slowest_s = max(slowest_s, took_s)
-        if took_s > _SLOW_S:
-            failures.append(f"{kind} {number}: took {took_s:.1f} s")
+        processor_s = time.process_time() - begin_s
+        slowest_s = max(slowest_s, processor_s)
+        if processor_s > _SLOW_S:
+            failures.append(f"{kind} {number}: took {processor_s:.1f} s")
     return Tally(refused, taken, slowest_s, failures)
 
 
@@ -268,5 +266,5 @@ def page(rows: Sequence[JudgedRow]) -> str:
         for kind, mine in kinds.items()
     ]
     failures = [f"- {failure}" for mine in kinds.values() for tally in mine for failure in tally.failures]
-    heads = ("kind", "inputs", "refused", "taken", "wrong", "slowest ms")
+    heads = ("kind", "inputs", "rejected", "accepted", "failures", "slowest ms")
     return "\n".join([markdown(heads, table), *failures])

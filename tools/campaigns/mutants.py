@@ -41,8 +41,8 @@ _KINDS = {
     "loop": ["ZeroIterationForLoop", "ReplaceBreakWithContinue", "ReplaceContinueWithBreak"],
 }
 # The tests that detect most mutants in the shortest time come first.
-_TESTS = """tests/recording/test_recorded_flights.py::test_a_recorded_flight_is_decided_again tests/core
-    tests/run tests/flights/test_fast_flights.py tests/flights/test_lock_in_flight.py
+_TESTS = """tests/recording/test_recorded_flights.py::test_a_replayed_flight_makes_the_recorded_decisions
+    tests/core tests/run tests/flights/test_fast_flights.py tests/flights/test_lock_in_flight.py
     tests/flights/test_waypoints.py tests/flights/test_no_lock.py tests/flights/test_replanned_flights.py
     tests/faults/test_matrix.py"""
 _COPIED = ("dart_flight", "tests", "tools", "configs", "missions", "docs", "pyproject.toml")
@@ -56,7 +56,7 @@ class Mutant(msgspec.Struct, frozen=True):
     kind: str
     before: str
     after: str
-    noticed_by: str
+    detected_by: str
 
 
 def mutations(file: Path) -> Iterator[tuple[str, str, int, int]]:
@@ -72,12 +72,12 @@ def mutations(file: Path) -> Iterator[tuple[str, str, int, int]]:
 
 def try_mutant(_: Point, seed: int) -> Mutant:
     """Draw the mutant of a seed and run the tests against it; seed 0 runs them against the original code."""
-    chance = random.Random(seed)
+    rng = random.Random(seed)
     files = sorted(file for pattern in _MUTATED for file in ROOT.glob(pattern) if file.name != "__init__.py")
-    file = chance.choices(files, [file.stat().st_size for file in files])[0]
+    file = rng.choices(files, [file.stat().st_size for file in files])[0]
     found = list(mutations(file))
-    kind = chance.choice(sorted({mutation[0] for mutation in found}))
-    drawn = chance.choice([mutation for mutation in found if mutation[0] == kind])
+    kind = rng.choice(sorted({mutation[0] for mutation in found}))
+    drawn = rng.choice([mutation for mutation in found if mutation[0] == kind])
     path, before = file.relative_to(ROOT), file.read_text("utf-8")
     after = mutate_code(before, get_operator(f"core/{drawn[1]}")(), drawn[2]) if seed else before
     with tempfile.TemporaryDirectory(prefix="mutant-") as tree:
@@ -91,32 +91,32 @@ def try_mutant(_: Point, seed: int) -> Mutant:
         command = f"env --chdir={tree} PYTHONPATH={tree} {sys.executable} -m pytest {options} {_TESTS}"
         outcome, output = run_tests(command, _LONGEST_S)
     failed = [text.split()[1] for text in output.splitlines() if text.startswith(("FAILED", "ERROR"))]
-    noticed_by = "" if outcome is TestOutcome.SURVIVED else (failed or [output.strip()[-80:]])[0]
+    detected_by = "" if outcome is TestOutcome.SURVIVED else (failed or [output.strip()[-80:]])[0]
     pairs = zip(before.splitlines(), after.splitlines(), strict=False)
-    was, now = next(((a.strip(), b.strip()) for a, b in pairs if a != b), ("", ""))
+    old_line, new_line = next(((a.strip(), b.strip()) for a, b in pairs if a != b), ("", ""))
     return (
-        Mutant(f"{path}:{drawn[3]}", kind, was, now, noticed_by)
+        Mutant(f"{path}:{drawn[3]}", kind, old_line, new_line, detected_by)
         if seed
-        else Mutant("", "", "", "", noticed_by)
+        else Mutant("", "", "", "", detected_by)
     )
 
 
 def page(rows: Sequence[JudgedRow]) -> str:
     """Return the number of detected mutants, the survivors, and the detecting tests."""
     mutants = [r.row for r in rows if r.row.kind]
-    alive = [m for m in mutants if not m.noticed_by]
-    broken = [
-        f"The tests fail without a mutant: {r.row.noticed_by}"
+    undetected = [m for m in mutants if not m.detected_by]
+    baseline_failures = [
+        f"The tests fail without a mutant: {r.row.detected_by}"
         for r in rows
-        if r.seed == 0 and r.row.noticed_by
+        if r.seed == 0 and r.row.detected_by
     ]
-    by = Counter(m.noticed_by.partition("[")[0] for m in mutants if m.noticed_by)
-    survivors = [(m.place, m.kind, f"`{m.before}`", f"`{m.after}`") for m in alive]
+    detections = Counter(m.detected_by.partition("[")[0] for m in mutants if m.detected_by)
+    survivors = [(m.place, m.kind, f"`{m.before}`", f"`{m.after}`") for m in undetected]
     return "\n".join(
         [
-            *broken,
-            f"{len(mutants) - len(alive)} of {len(mutants)} detected.\n",
+            *baseline_failures,
+            f"{len(mutants) - len(undetected)} of {len(mutants)} detected.\n",
             markdown(("survivor", "kind", "before", "after"), survivors),
-            markdown(("test", "mutants"), [(name, str(count)) for name, count in by.most_common()]),
+            markdown(("test", "mutants"), [(name, str(count)) for name, count in detections.most_common()]),
         ]
     )

@@ -74,7 +74,7 @@ def fly(point: Point, seed: int) -> Px4Flight:
 
 _FIGURES: dict[str, tuple[Callable[[Px4Flight], float | None], int]] = {
     "max. tilt °": (lambda f: f.tilt_deg, 1),
-    "estimate off by m": (lambda f: f.ekf_m, 3),
+    "estimate error m": (lambda f: f.ekf_m, 3),
     "goal miss m": (lambda f: f.miss_m, 2),
     "final error m": (lambda f: f.final_m, 3),
 }

@@ -47,7 +47,7 @@ _JUMP_M = 1.0
 _TRIES = 4  # on a busy computer a flight may end before the disturbance begins
 
 
-class Second:
+class SecondLink:
     """A second link to PX4, with the vehicle's pose for disturbances."""
 
     def __init__(self) -> None:
@@ -57,7 +57,7 @@ class Second:
         self.sticks_lost = threading.Event()
         self.instance: int | None = None
 
-    def find(self, folder: Path) -> None:
+    def find_instance(self, folder: Path) -> None:
         """Read PX4's instance number from the log of its world."""
         for log in folder.glob("*/autopilot.log"):
             found = _INSTANCE.search(log.read_text())
@@ -73,7 +73,7 @@ class Second:
         values = [parameters.get(f"p{i}", math.nan) for i in range(1, 8)]
         self.send(mavlink.MAVLink_command_long_message(1, 1, number, 0, *values))
 
-    def set(self, **parameters: float) -> None:
+    def set_parameters(self, **parameters: float) -> None:
         """Set PX4 parameters; an int is an INT32."""
         for name, value in parameters.items():
             kind, sent = mavlink.MAV_PARAM_TYPE_REAL32, float(value)
@@ -86,11 +86,11 @@ class Second:
         while not self.sticks_lost.wait(0.05):
             self.send(mavlink.MAVLink_manual_control_message(1, 0, 0, 500, 0, 0))
 
-    def turn(self, degrees: float) -> None:
+    def send_heading(self, degrees: float) -> None:
         """Send PX4 an external heading with this error, degrees."""
         self.command(620, p3=math.degrees(self.yaw_rad) + degrees, p7=0.5)
 
-    def move(self) -> None:
+    def send_position(self) -> None:
         """Send PX4 an external position one metre north of the vehicle's own."""
         north, east, down = self.position_ned
         place = [round(degrees * 1e7) for degrees in geodetic((north + _JUMP_M, east, down))]
@@ -98,27 +98,29 @@ class Second:
         self.send(mavlink.MAVLink_command_int_message(1, 1, 0, 43003, 0, 0, *values))
 
 
-class Row(NamedTuple):
-    """One disturbance; `falls`: whether PX4 stops the motors; `off_m`: allowed position error, m."""
+class Disturbance(NamedTuple):
+    """One disturbance; `stops_motors`: whether PX4 stops the motors; `off_m`: allowed position error, m."""
 
-    begin: Callable[[Second], None]
+    begin: Callable[[SecondLink], None]
     position_from: PositionSource = PositionSource.MOCAP
     parameters: str = ""  # set from the start
-    falls: bool = False
+    stops_motors: bool = False
     off_m: float = 0.0
 
 
 _MOTORS_OFF = (mavlink.MAV_CMD_COMPONENT_ARM_DISARM, mavlink.MAV_CMD_DO_FLIGHTTERMINATION)
-ROWS = {
-    "low battery": Row(lambda s: s.set(COM_LOW_BAT_ACT=2, BAT_CRIT_THR=1.5, BAT_LOW_THR=1.6)),
-    "RC loss": Row(lambda s: s.sticks_lost.set(), parameters="COM_RC_IN_MODE\t1\t6"),
-    "geofence": Row(lambda s: s.set(GF_ACTION=5, GF_MAX_VER_DIST=0.3), PositionSource.RTK),
-    "termination": Row(lambda s: s.command(_MOTORS_OFF[1], p1=1.0), falls=True),
-    "kill": Row(lambda s: s.command(_MOTORS_OFF[0], p1=0.0, p2=21196.0), falls=True),
-    "heading reset 30 deg": Row(lambda s: s.turn(30.0)),
-    "heading reset 90 deg": Row(lambda s: s.turn(90.0)),
-    "position reset 1 m": Row(Second.move, PositionSource.RTK, off_m=_JUMP_M),
-    "motion capture off": Row(lambda s: s.set(EKF2_EV_CTRL=0)),
+DISTURBANCES = {
+    "low battery": Disturbance(
+        lambda s: s.set_parameters(COM_LOW_BAT_ACT=2, BAT_CRIT_THR=1.5, BAT_LOW_THR=1.6)
+    ),
+    "RC loss": Disturbance(lambda s: s.sticks_lost.set(), parameters="COM_RC_IN_MODE\t1\t6"),
+    "geofence": Disturbance(lambda s: s.set_parameters(GF_ACTION=5, GF_MAX_VER_DIST=0.3), PositionSource.RTK),
+    "termination": Disturbance(lambda s: s.command(_MOTORS_OFF[1], p1=1.0), stops_motors=True),
+    "kill": Disturbance(lambda s: s.command(_MOTORS_OFF[0], p1=0.0, p2=21196.0), stops_motors=True),
+    "heading reset 30 deg": Disturbance(lambda s: s.send_heading(30.0)),
+    "heading reset 90 deg": Disturbance(lambda s: s.send_heading(90.0)),
+    "position reset 1 m": Disturbance(SecondLink.send_position, PositionSource.RTK, off_m=_JUMP_M),
+    "motion capture off": Disturbance(lambda s: s.set_parameters(EKF2_EV_CTRL=0)),
 }
 
 
@@ -138,7 +140,7 @@ class Disturbed(msgspec.Struct, frozen=True):
 
 def cases() -> list[dict[str, str]]:
     """Return the cases: every disturbance in every phase."""
-    return [{"disturbance": name, "phase": phase.value} for name in ROWS for phase in PHASES]
+    return [{"disturbance": name, "phase": phase.value} for name in DISTURBANCES for phase in PHASES]
 
 
 def fly(point: Point, seed: int) -> Disturbed:
@@ -151,8 +153,8 @@ def fly(point: Point, seed: int) -> Disturbed:
 
 
 def _fly_once(name: str, phase: Phase, seed: int) -> Disturbed:
-    row, second = ROWS[name], Second()
-    gps = row.position_from is not PositionSource.MOCAP
+    disturbance, link = DISTURBANCES[name], SecondLink()
+    gps = disturbance.position_from is not PositionSource.MOCAP
     mission = load_flyable(packaged("missions", f"paper_{'single_wall' if gps else 'dual_collision'}.yaml"))
     truth, begun_us = TruthExtremes(mission.bounds), [0]
     rules: list[tuple[str, float | None, str]] = []
@@ -160,32 +162,34 @@ def _fly_once(name: str, phase: Phase, seed: int) -> Disturbed:
     def observe(record: Record) -> None:
         if isinstance(record, TruthSample):
             truth.update(record)
-        if second.instance is None:
-            second.find(Path(folder))
+        if link.instance is None:
+            link.find_instance(Path(folder))
         if isinstance(record, AttitudeSample):
-            second.yaw_rad = yaw_ned_of(record.q_frd_to_ned)
+            link.yaw_rad = yaw_ned_of(record.q_frd_to_ned)
         elif isinstance(record, OdometrySample):
-            second.position_ned = record.position_ned
+            link.position_ned = record.position_ned
         elif isinstance(record, PhaseChange) and record.after is phase and not begun_us[0]:
             begun_us[0] = record.t_us + round(PHASES[phase] * 1e6)
-            threading.Timer(PHASES[phase], row.begin, (second,)).start()
+            threading.Timer(PHASES[phase], disturbance.begin, (link,)).start()
         elif isinstance(record, GuardEvent):
             after_s = (record.t_us - begun_us[0]) * 1e-6 if begun_us[0] else None
             rules.append((record.rule, after_s, record.detail))
 
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "row.params"
-        file.write_text(f"1\t1\t{row.parameters}\n" if row.parameters else "")
-        if row.parameters:
-            threading.Thread(target=second.hold_sticks, daemon=True).start()
-        source, files = row.position_from, (file,)
+        file.write_text(f"1\t1\t{disturbance.parameters}\n" if disturbance.parameters else "")
+        if disturbance.parameters:
+            threading.Thread(target=link.hold_sticks, daemon=True).start()
+        source, files = disturbance.position_from, (file,)
         flown = fly_px4(
             mission, None, seed, Path(folder), position_from=source, parameter_files=files, viewer=observe
         )
-    second.sticks_lost.set()
+    link.sticks_lost.set()
     completed = flown.outcome is Outcome.COMPLETED
-    problems = list(find_uncontrolled(truth, completed, bool(rules), 0.5 + row.off_m, row.falls))
-    down_m_s = None if row.falls else truth.landing_m_s
+    problems = list(
+        find_uncontrolled(truth, completed, bool(rules), 0.5 + disturbance.off_m, disturbance.stops_motors)
+    )
+    down_m_s = None if disturbance.stops_motors else truth.landing_m_s
     tilt_deg = math.degrees(truth.tilt_rad)
     return Disturbed(rules, flown.outcome.value, tilt_deg, truth.excursion_m, down_m_s, problems)
 
@@ -197,10 +201,10 @@ def page(rows: Sequence[JudgedRow]) -> str:
         groups.setdefault(r.values["disturbance"], []).append(r.row)
     heads = (
         "disturbance",
-        "rules, s after it",
+        "guard rules, s after it",
         "tilt up to °",
-        "outside up to m",
-        "down up to m/s",
+        "outside the bounds up to m",
+        "landing speed up to m/s",
         "uncontrolled",
     )
     return markdown(heads, [[name, *_cells(mine)] for name, mine in groups.items()])
@@ -211,11 +215,11 @@ def _cells(mine: Sequence[Disturbed]) -> list[str]:
     for flown in mine:
         for rule, after_s, _ in flown.rules:
             times.setdefault(rule, []).append("before" if after_s is None else f"{after_s:.2f}")
-    down = [flown.down_m_s for flown in mine if flown.down_m_s is not None]
+    landings_m_s = [flown.down_m_s for flown in mine if flown.down_m_s is not None]
     return [
         "<br>".join(f"`{rule}` {', '.join(seconds)}" for rule, seconds in times.items()) or "none",
         f"{max(flown.tilt_deg for flown in mine):.0f}",
         f"{max(flown.outside_m for flown in mine):.2f}",
-        f"{max(down):.2f}" if down else "-",
+        f"{max(landings_m_s):.2f}" if landings_m_s else "-",
         "; ".join(problem for flown in mine for problem in flown.problems) or "no",
     ]

@@ -29,7 +29,7 @@ from dart_flight.sim.px4.launch import ENVIRONMENT
 from tools.campaigns.px4 import spread
 from tools.campaigns.results import markdown
 
-_OWN = "simulator"  # the simulator itself sends the poses to PX4
+_SIMULATOR = "simulator"  # the simulator itself sends the poses to PX4
 _MISSIONS = ("dual_collision", "shuttle", "survey")
 _TOUCH_M_S = 0.5
 _FAULTS = (
@@ -62,7 +62,7 @@ class PoseFlight(msgspec.Struct, frozen=True):
 
 def cases() -> list[dict[str, str]]:
     """Return the cases of all parts: systems and missions, latencies, faults."""
-    systems = (_OWN, "optitrack", "qualisys", "vicon")
+    systems = (_SIMULATOR, "optitrack", "qualisys", "vicon")
     flown = [_case("systems", m, mocap=s) for m in _MISSIONS for s in systems]
     late = [_case("latency", "dual_collision", delay_ms=d) for d in ("5", "20", "50")]
     return flown + late + [_case("faults", "dual_collision", fault=f) for f in _FAULTS]
@@ -81,7 +81,7 @@ def _mission(flown: str, mocap: str, delay_ms: str) -> Mission:
     mission = load_flyable(packaged("missions", f"{name}.yaml"), None, delay)
     if flown == "survey":
         mission = plan_survey(mission, _TOUCH_M_S).mission
-    return with_simulated_mocap(mission, None if mocap == _OWN else mocap)
+    return with_simulated_mocap(mission, None if mocap == _SIMULATOR else mocap)
 
 
 def fly(point: Point, seed: int) -> PoseFlight:
@@ -128,8 +128,8 @@ def _table(part: str, rows: Sequence[JudgedRow]) -> str:
     groups: dict[tuple[str, ...], list[PoseFlight]] = {}
     for row in rows:
         groups.setdefault(tuple(row.values[key] for key in keys), []).append(row.row)
-    head = (*keys, "completed", "ended by", "failsafe", "uncontrolled", "max. tilt °", "estimate off by m")
-    head += ("moved m",) if part == "faults" else ("goal miss m",)
+    head = (*keys, "completed", "ended by", "failsafe", "uncontrolled", "max. tilt °", "estimate error m")
+    head += ("moved after reaction m",) if part == "faults" else ("goal miss m",)
     return markdown(head, [(*key, *_figures(part, mine)) for key, mine in groups.items()])
 
 

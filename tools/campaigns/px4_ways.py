@@ -22,7 +22,7 @@ from tools.campaigns.px4 import hit_of, spread
 from tools.campaigns.results import markdown
 
 
-class WayFlown(msgspec.Struct, frozen=True):
+class FlownVariant(msgspec.Struct, frozen=True):
     """One flight of a mission that uses collisions, or of its free flight, with the speeds of its hits."""
 
     outcome: str
@@ -45,7 +45,7 @@ def cases() -> list[dict[str, str]]:
     ]
 
 
-def fly(point: Point, seed: int) -> WayFlown:
+def fly(point: Point, seed: int) -> FlownVariant:
     """Fly one variant on the PX4 of `--px4`."""
     both, way = _both_ways(point.case["flown"]), point.case["way"]
     mission = both.missions[way]
@@ -54,7 +54,7 @@ def fly(point: Point, seed: int) -> WayFlown:
         arrival = None if v.log is None else arrival_of(read_log(v.log), mission, both.visits)
     there = arrival.there_s if arrival is not None and v.outcome == "completed" else None
     passed = 0 if arrival is None else len(arrival.visits_us)
-    return WayFlown(
+    return FlownVariant(
         v.outcome.value,
         v.plan_followed,
         f"{passed} of {len(both.visits)}",
@@ -66,19 +66,19 @@ def fly(point: Point, seed: int) -> WayFlown:
     )
 
 
-_HEADS = ("mission", "way", "completed", "plan followed", "places passed", "planned s", "flown s",
+_HEADS = ("mission", "variant", "completed", "plan followed", "places passed", "planned s", "flown s",
           "hits m/s (medians)", "max. tilt °", "final error m")  # fmt: skip
 
 
 def page(rows: Sequence[JudgedRow]) -> str:
     """Return a table with a row for every mission and variant."""
-    groups: dict[tuple[str, str], list[WayFlown]] = {}
+    groups: dict[tuple[str, str], list[FlownVariant]] = {}
     for r in rows:
         groups.setdefault((r.values["flown"], r.values["way"]), []).append(r.row)
     return markdown(_HEADS, [[*key, *_cells(mine)] for key, mine in groups.items()])
 
 
-def _cells(mine: Sequence[WayFlown]) -> list[str]:
+def _cells(mine: Sequence[FlownVariant]) -> list[str]:
     return [
         f"{sum(f.outcome == 'completed' for f in mine)} of {len(mine)}",
         f"{sum(bool(f.followed) for f in mine)} of {sum(f.followed is not None for f in mine)}",

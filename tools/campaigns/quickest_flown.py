@@ -68,7 +68,7 @@ class RoomFlown(msgspec.Struct, frozen=True):
 
     planned_saving_s: float | None
     offered: str
-    said: FlownRecord | None
+    by_plan: FlownRecord | None
     other: FlownRecord | None
 
 
@@ -79,23 +79,23 @@ def cases() -> list[dict[str, str]]:
 
 def fly(point: Point, _: int) -> RoomFlown:
     """Plan a room, fly the plan in the worlds that `plan` draws, and fly it in twenty other worlds."""
-    room, alone = ROOMS[int(point.case["room"]) - 1], flown_plan.fly_in_process
+    room, fly_here = ROOMS[int(point.case["room"]) - 1], flown_plan.fly_in_process
     result = plan_quickest(load_scenario(scenario_of(room)), 60.0)
-    offered = flown_plan.choose_flown(result, False, fly=alone)
+    offered = flown_plan.choose_flown(result, False, fly=fly_here)
     if offered.plan is None:
         return RoomFlown(result.saving_s, "none", None, None)
     name = next(name for name, flown in offered.flown.items() if flown == offered.record)
     first_seed, flown_plan.FIRST_SEED = flown_plan.FIRST_SEED, OTHER_SEED
-    other = flown_plan.fly_mission(planned_mission(offered.scenario, offered.plan), fly=alone)
+    other = flown_plan.fly_mission(planned_mission(offered.scenario, offered.plan), fly=fly_here)
     record = other.record
     if result.free is not None and name != "free":
-        free = flown_plan.fly_mission(planned_mission(result.scenario, result.free), fly=alone)
+        free = flown_plan.fly_mission(planned_mission(result.scenario, result.free), fly=fly_here)
         record = flown_plan.compare(other, free)
     flown_plan.FIRST_SEED = first_seed
     return RoomFlown(result.saving_s, name, offered.record, record)
 
 
-_HEADS = ("vehicle", "visits", "walls", "within m", "planned s", "offered", "completed", "uncontrolled",
+_HEADS = ("vehicle", "visits", "walls", "tolerance m", "planned s", "offered", "completed", "uncontrolled",
           "saving s", "tilt °")  # fmt: skip
 
 
@@ -105,8 +105,8 @@ def page(rows: Sequence[JudgedRow]) -> str:
     for r in rows:
         room, found = ROOMS[int(r.values["room"]) - 1], r.row
         planned = "-" if found.planned_saving_s is None else f"{found.planned_saving_s:+.2f}"
-        where = [room.vehicle, str(len(room.visits)), str(len(room.walls)), str(room.within_m), planned]
-        records = [record for record in (found.said, found.other) if record is not None]
+        cells = [room.vehicle, str(len(room.visits)), str(len(room.walls)), str(room.within_m), planned]
+        records = [record for record in (found.by_plan, found.other) if record is not None]
         drawn = [record.drawn for record in records if record.drawn is not None]
         columns = (
             [str(flights.completed) for flights in drawn],
@@ -114,5 +114,5 @@ def page(rows: Sequence[JudgedRow]) -> str:
             ["-" if record.saving_s is None else f"{record.saving_s:+.2f}" for record in records],
             [f"{flights.max_tilt_deg or 0.0:.0f}" for flights in drawn],
         )
-        table.append([*where, found.offered, *("/".join(column) or "-" for column in columns)])
+        table.append([*cells, found.offered, *("/".join(column) or "-" for column in columns)])
     return markdown(_HEADS, table)

@@ -81,16 +81,16 @@ def _goal_figures(
     return least, None
 
 
-_HEADS = ("after an impact", "completed (95 %)", "uncontrolled", "second impact off by, m/s (median, 95th)",
-          "within 0.1", "goal missed by, m (median, 95th)", "held after, s", "broken off by")  # fmt: skip
+_HEADS = ("after an impact", "completed (95 %)", "uncontrolled", "second impact error, m/s (median, 95th)",
+          "error within 0.1", "goal miss, m (median, 95th)", "goal held after, s", "aborted by")  # fmt: skip
 
 
 def page(rows: Sequence[JudgedRow]) -> str:
     """Return a table with a row for each setting of `after_impact`."""
-    ways: dict[str, list[Replanned]] = {}
+    groups: dict[str, list[Replanned]] = {}
     for r in rows:
-        ways.setdefault(r.values["after_impact"], []).append(r.row)
-    return markdown(_HEADS, [[way, *_cells(mine)] for way, mine in ways.items()])
+        groups.setdefault(r.values["after_impact"], []).append(r.row)
+    return markdown(_HEADS, [[setting, *_cells(mine)] for setting, mine in groups.items()])
 
 
 def _cells(mine: Sequence[Replanned]) -> list[str]:
@@ -99,7 +99,7 @@ def _cells(mine: Sequence[Replanned]) -> list[str]:
     errors = [math.inf if flight.off_m_s is None else flight.off_m_s for flight in mine]
     misses = [math.inf if flight.miss_m is None else flight.miss_m for flight in mine]
     captures = [flight.capture_s for flight in mine if flight.capture_s is not None]
-    broken = Counter(flight.rule for flight in mine if flight.outcome != "completed")
+    aborted = Counter(flight.rule for flight in mine if flight.outcome != "completed")
     return [
         f"{completed} of {len(mine)} ({100 * low:.0f} to {100 * high:.0f} %)",
         str(sum(bool(flight.problems) for flight in mine)),
@@ -107,5 +107,5 @@ def _cells(mine: Sequence[Replanned]) -> list[str]:
         f"{100 * np.mean([e <= 0.1 for e in errors]):.0f} %",
         f"{np.median(misses):.3f}, {np.quantile(misses, 0.95, method='lower'):.3f}",
         f"{np.median(captures):.1f}" if captures else "-",
-        ", ".join(f"`{rule}` {count}" for rule, count in broken.most_common()) or "-",
+        ", ".join(f"`{rule}` {count}" for rule, count in aborted.most_common()) or "-",
     ]

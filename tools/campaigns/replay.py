@@ -24,8 +24,8 @@ class Replayed(msgspec.Struct, frozen=True):
 
 def judge(flown: FlownFlight) -> Replayed:
     """Replay the log of a flight."""
-    again = replay(flown.log)
-    counts = again.inputs, again.outputs, len(again.recorded), len(again.differences), again.missing
+    result = replay(flown.log)
+    counts = result.inputs, result.outputs, len(result.recorded), len(result.differences), result.missing
     return Replayed(flown.verdict.outcome.value, *counts)
 
 

@@ -223,9 +223,9 @@ def page(rows: Sequence[JudgedRow]) -> str:
 
 _NAMES = (
     "hits", "force peak error, median, 95th", "peak read from the fitted pulse", "error over the bound, rms",
-    "friction peak over 3 N, median error", "torque peak right", "... the largest sample",
-    "side right, of those with a clear lead", "incidence error, rms",
-    "... by yaw and planned wall", "... over the deviation it says, rms",
+    "friction peak over 3 N, median error", "torque peak right", "torque by its largest sample right",
+    "side right, with a clear lead", "incidence error, rms",
+    "incidence error by yaw and planned wall, rms", "incidence error over its reported deviation, rms",
 )  # fmt: skip
 
 

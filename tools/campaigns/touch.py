@@ -33,7 +33,7 @@ from dart_flight.run.px4_flight import fly_px4
 from dart_flight.sim.px4.launch import ENVIRONMENT
 from tools.campaigns.results import markdown
 
-_YOUNG_S = 8.0  # largest age of a recent anchor
+_RECENT_S = 8.0  # largest age of a recent anchor
 _UNCONTROLLED_DEG = 60.0
 _MATERIALS = ("wood", "acrylic", "concrete")
 
@@ -317,8 +317,8 @@ def page(rows: Sequence[JudgedRow]) -> str:
 
 
 _FLIGHT_HEADS = (
-    "part", "flown", "completed", "uncontrolled", "place rms, largest m", "direction rms, largest deg",
-    "k within 2 deviations", "both walls within 8 s", "broken off by",
+    "part", "flown", "completed", "uncontrolled", "position rms, largest m", "direction rms, largest deg",
+    "k within 2 deviations", "both walls within 8 s", "aborted by",
 )  # fmt: skip
 
 
@@ -327,7 +327,7 @@ def _flight_figures(mine: Sequence[Touched]) -> list[str]:
     places = [abs(w.error_m) for w in walls if w.error_m is not None]
     turned = [abs(w.error_deg) for w in walls if w.error_deg is not None]
     known = [(abs(w.k_error), w.k_sd) for w in walls if w.k_error is not None and w.k_sd is not None]
-    young = [f for f in mine if len(f.hits) > 1 and all(h.age_s <= _YOUNG_S for h in f.hits)]
+    recent = [f for f in mine if len(f.hits) > 1 and all(h.age_s <= _RECENT_S for h in f.hits)]
     ended = Counter(f.reason.partition(":")[0] for f in mine if f.outcome != "completed")
     return [
         f"{sum(f.outcome == 'completed' for f in mine)} of {len(mine)}",
@@ -335,7 +335,7 @@ def _flight_figures(mine: Sequence[Touched]) -> list[str]:
         f"{rms(places):.4f}, {max(places):.3f}" if places else "-",
         f"{rms(turned):.2f}, {max(turned):.2f}" if turned else "-",
         f"{sum(error <= 2.0 * sd for error, sd in known)} of {len(known)}",
-        f"{sum(f.outcome == 'completed' for f in young)} of {len(young)}",
+        f"{sum(f.outcome == 'completed' for f in recent)} of {len(recent)}",
         ", ".join(f"`{rule}` {count}" for rule, count in sorted(ended.items())) or "-",
     ]
 
@@ -352,7 +352,15 @@ def _directions(walls: Sequence[EstimatedWall]) -> str:
             places = [w.error_m for w in here if w.error_m is not None]
             figures = [f"{rms(errors):.2f}", f"{max(map(abs, errors)):.1f}", f"{rms(ratios):.2f}"]
             rows.append([f"{low:.0f} to {high:.0f}", mode, str(len(here)), *figures, f"{rms(places):.4f}"])
-    heads = ("incidence deg", "mode felt", "contacts", "rms deg", "largest", "error/deviation", "place rms m")
+    heads = (
+        "incidence deg",
+        "estimated mode",
+        "contacts",
+        "rms deg",
+        "largest",
+        "error/deviation",
+        "position rms m",
+    )
     return markdown(heads, rows) if rows else ""
 
 

@@ -60,8 +60,8 @@ def fly(point: Point, seed: int) -> MovedWall:
     return MovedWall(verdict.outcome.value, rule, off[-1] if off else None, verdict.goal_miss_m)
 
 
-_HEADS = ("mission", "the wall really stands", "the mission says", "completed", "impact off by, m/s (median)",
-          "goal missed by, m (median)", "broken off by")  # fmt: skip
+_HEADS = ("mission", "true wall offset", "stated uncertainty", "completed", "impact error, m/s (median)",
+          "goal miss, m (median)", "aborted by")  # fmt: skip
 
 
 def page(rows: Sequence[JudgedRow]) -> str:
@@ -69,8 +69,8 @@ def page(rows: Sequence[JudgedRow]) -> str:
     groups: dict[tuple[str, ...], list[MovedWall]] = {}
     for r in rows:
         case = r.values
-        stands = f"{case['away_m']} m" if case["turned_deg"] == "0" else f"{case['turned_deg']} deg"
-        groups.setdefault((case["flown"], stands, case["known"] or "-"), []).append(r.row)
+        offset = f"{case['away_m']} m" if case["turned_deg"] == "0" else f"{case['turned_deg']} deg"
+        groups.setdefault((case["flown"], offset, case["known"] or "-"), []).append(r.row)
     return markdown(_HEADS, [[*key, *_cells(mine)] for key, mine in groups.items()])
 
 

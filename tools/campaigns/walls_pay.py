@@ -26,7 +26,7 @@ from dart_flight.lab.search.quickest import QuickestPlan, plan_quickest
 from dart_flight.lab.search.scenario import Scenario, load_scenario
 from dart_flight.run.fast import fly_fast
 from dart_flight.run.flight_record import FlightRecord
-from tools.campaigns.arrivals import BESIDE_M
+from tools.campaigns.arrivals import WALL_SHIFT_M
 from tools.campaigns.results import ROOT, markdown
 
 _FLOWN = "position"  # set of limits
@@ -64,7 +64,9 @@ class MapPlan(NamedTuple):
     @property
     def mission(self) -> Mission:
         """The mission of the plan."""
-        return parse_mission(Document(mission_text(self.scenario, self.plan, _WHERE), str(_WHERE)))
+        return parse_mission(
+            Document(mission_text(self.scenario, self.plan, _MISSION_PATH), str(_MISSION_PATH))
+        )
 
     @property
     def there_s(self) -> float:
@@ -72,7 +74,7 @@ class MapPlan(NamedTuple):
         return planned_there_s(self.plan.trajectory, self.scenario.goal.position_m)
 
 
-_WHERE = ROOT / "missions" / "generated.yaml"
+_MISSION_PATH = ROOT / "missions" / "generated.yaml"
 
 
 def flown_cases() -> list[dict[str, str]]:
@@ -84,8 +86,8 @@ def flown_cases() -> list[dict[str, str]]:
 def plan_map(kind: str, number: int, limits: str) -> dict[str, MapPlan]:
     """Plan a map free and with hits."""
     scenario = load_scenario(scenario_of(kind, number, limits))
-    late = scenario.sight is not None
-    result = plan_limited_sight(scenario) if late else plan_quickest(scenario, _PLAN_WITHIN_S)
+    is_sight_limited = scenario.sight is not None
+    result = plan_limited_sight(scenario) if is_sight_limited else plan_quickest(scenario, _PLAN_WITHIN_S)
     plans = {"free": result.free, "hit": result.colliding}
     return {way: MapPlan(scenario, p, p is result.best) for way, p in plans.items() if p is not None}
 
@@ -114,13 +116,13 @@ def _fly_plan(plan: MapPlan, seed: int, point: Point, problems: list[str]) -> fl
     kept: list[FlightRecord] = []
     verdict = fly_fast(mission, seed, None, spreads=point.spreads, keep_record=kept.append)
     problems += verdict.uncontrolled
-    visits = [(visit.position_m, visit.within_m + BESIDE_M) for visit in plan.scenario.visits]
+    visits = [(visit.position_m, visit.within_m + WALL_SHIFT_M) for visit in plan.scenario.visits]
     arrival = arrival_of(kept[0].log, mission, visits)
     if verdict.outcome != "completed":
         problems.append(verdict.reason or verdict.outcome.value)
         return None
     if arrival is None or len(arrival.visits_us) < len(visits):
-        problems.append("place not passed")
+        problems.append("missed a place")
         return None
     return arrival.there_s
 

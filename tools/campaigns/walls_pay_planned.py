@@ -57,5 +57,12 @@ def page(rows: Sequence[JudgedRow]) -> str:
         ratios = [planned.cruise_ratio for planned in mine if planned.cruise_ratio is not None]
         faster = f"{statistics.median(ratios):.2f}" if ratios else "-"
         table.append([*key, str(len(mine)), quicker, median, faster])
-    heads = ("kind", "limits", "maps", "hit quicker", "gain of the optimum: median (least to most)", "cruise")
+    heads = (
+        "kind",
+        "limits",
+        "maps",
+        "hit faster",
+        "gain of the optimum: median (least to most)",
+        "cruise ratio",
+    )
     return markdown(heads, table)

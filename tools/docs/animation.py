@@ -34,13 +34,15 @@ _ARROW_M_PER_N = 0.0075
 _WINDOW_S = 0.3
 
 
-def flown() -> RecordedFlight:
+def fly_dual_collision() -> RecordedFlight:
     """Fly the dual collision with the shipped configuration and return the flight."""
     mission = load_mission(ROOT / "missions" / "dual_collision.yaml", ROOT / "configs" / "dart.yaml")
     with tempfile.TemporaryDirectory() as logs:
         verdict = fly_fast(mission, 1, Path(logs))
         if verdict.log is None or verdict.outcome != "completed":
-            raise RuntimeError(f"the flight for the picture: {verdict.outcome}, {verdict.reason}")
+            raise RuntimeError(
+                f"the flight for the animation did not complete: {verdict.outcome}, {verdict.reason}"
+            )
         return RecordedFlight.read(verdict.log)
 
 
@@ -109,12 +111,10 @@ class Scene:
         near = np.abs(self._force_s - at_s) < _WINDOW_S
         axis.plot(self._force_s[near] - at_s, self._force_n[near], color=FORCE, linewidth=1.8)
         axis.axvline(0.0, color="#000000", linewidth=0.8)
-        axis.set(
-            xlim=(-_WINDOW_S, _WINDOW_S), ylim=(0.0, 80.0), xlabel="time about now, s", ylabel="force, N"
-        )
-        axis.set_title(self._words(at_s), fontsize=9.0, loc="left")
+        axis.set(xlim=(-_WINDOW_S, _WINDOW_S), ylim=(0.0, 80.0), xlabel="time from now, s", ylabel="force, N")
+        axis.set_title(self._title(at_s), fontsize=9.0, loc="left")
 
-    def _words(self, at_s: float) -> str:
+    def _title(self, at_s: float) -> str:
         mode = lock_mode(self.flight.course, self.flight.course.start_us + round(1e6 * at_s))
         lock = "arms switching" if mode is None else f"arms {mode.value}"
         hits = [hit for hit in self.flight.impacts if hit.at_s - 0.02 <= at_s < hit.at_s + 0.8]
@@ -152,6 +152,7 @@ def shrink(path: Path) -> None:
 
 
 if __name__ == "__main__":
-    drawn = flown()
-    when = moments(drawn)
-    write(Path(sys.argv[1]) if len(sys.argv) > 1 else FILE, drawn, when + [when[-1]] * _HOLD)
+    dual_collision = fly_dual_collision()
+    frames_s = moments(dual_collision)
+    target = Path(sys.argv[1]) if len(sys.argv) > 1 else FILE
+    write(target, dual_collision, frames_s + [frames_s[-1]] * _HOLD)

@@ -37,7 +37,7 @@ _BEFORE_S = 0.3
 _LINES = {COLLIDING: TRUE, FREE: ESTIMATED}
 
 
-class FlownWay:
+class FlownVariant:
     """One flight with its clock, which starts with the first trajectory."""
 
     def __init__(self, name: str, mission: Mission, visits: list[tuple[Vec2, float]]) -> None:
@@ -49,7 +49,7 @@ class FlownWay:
             self.flight = RecordedFlight.read(verdict.log)
         found = arrival_of(self.flight.log, mission, visits)
         if found is None or found.there_s is None or len(found.visits_us) < len(visits):
-            raise RuntimeError(f"{mission.name}, {name}: not all places passed")
+            raise RuntimeError(f"{mission.name}, {name}: the flight missed a place")
         course = self.flight.course
         self.begin_s, self.rest_s = course.time_of(round(found.begin_us)), found.there_s
         self.visits_s = [course.time_of(round(t)) - self.begin_s for t in found.visits_us]
@@ -62,7 +62,7 @@ class FlownWay:
         """A mask (n,) of the samples while the clock runs."""
         return np.asarray((self.time_s >= 0.0) & (self.time_s <= self.rest_s), dtype=np.bool_)
 
-    def place(self, at_s: float) -> Array:
+    def position_at(self, at_s: float) -> Array:
         """Return the position from above, mission frame."""
         position = self.flight.course.true.position
         return np.array([np.interp(at_s, self.time_s, position[:, i]) for i in (0, 1)])
@@ -72,7 +72,7 @@ class FlownWay:
         heading = angles(self.flight.course, true=True)
         yaw = float(np.interp(at_s + self.begin_s, heading.time_s, heading.yaw))
         stamp = self.flight.course.start_us + round(1e6 * (at_s + self.begin_s))
-        x, y = self.place(at_s)
+        x, y = self.position_at(at_s)
         mode = lock_mode(self.flight.course, stamp)
         draw_vehicle(axis, self.mission.vehicle.airframe, (float(x), float(y)), yaw, mode)
 
@@ -83,7 +83,7 @@ class FlownBothWays:
     def __init__(self, name: str) -> None:
         self.name, both = name, both_ways(name)
         self.scenario, self.planned_s = both.scenario, [both.planned_s(way) for way in (COLLIDING, FREE)]
-        self.ways = [FlownWay(way, both.missions[way], both.visits) for way in (COLLIDING, FREE)]
+        self.ways = [FlownVariant(way, both.missions[way], both.visits) for way in (COLLIDING, FREE)]
 
     @property
     def view(self) -> Array:
@@ -91,7 +91,7 @@ class FlownBothWays:
         tracks = [way.flight.course.true.position[way.flown, :2] for way in self.ways]
         return view_of(self.ways[0].mission, np.vstack(tracks))
 
-    def map(self, axis: Any, way: FlownWay, until_s: float) -> None:
+    def draw_map(self, axis: Any, way: FlownVariant, until_s: float) -> None:
         """Draw the room and the path flown so far."""
         draw_room(axis, way.mission)
         for visit in self.scenario.visits:
@@ -102,11 +102,11 @@ class FlownBothWays:
         axis.set_axis_off()
 
     @in_style
-    def picture(self, *, look: Look = _LOOK) -> Any:
+    def draw_picture(self, *, look: Look = _LOOK) -> Any:
         """Draw both flights from above, and their positions along x over elapsed time."""
         figure, axes = new_figure(look, 3.1, 2, 2, height_ratios=[1.0, 1.15])
         for axis, way in zip(axes[0], self.ways, strict=True):
-            self.map(axis, way, way.rest_s)
+            self.draw_map(axis, way, way.rest_s)
             for at_s in [0.0, *way.hits_s] if way.hits_s else [0.0, self.turn_s(way)]:
                 way.draw(axis, at_s)
             axis.set_title(f"{way.name}: at the goal after {way.rest_s:.2f} s", loc="left")
@@ -118,16 +118,16 @@ class FlownBothWays:
             below.plot(way.time_s[way.flown], x, label=way.name, **_LINES[way.name])
             below.plot(way.rest_s, x[-1], "*", color=_LINES[way.name]["color"], markersize=9)
             for t in way.hits_s:
-                below.plot(t, way.place(t)[0], "o", color="#c2261d", markersize=5, zorder=4)
+                below.plot(t, way.position_at(t)[0], "o", color="#c2261d", markersize=5, zorder=4)
         below.plot([], [], "o", color="#c2261d", markersize=5, label="hit")
         below.plot(
             [], [], "*", color=GREY, markersize=9, linestyle="none", label="at the goal, nearly at rest"
         )
-        below.set(xlabel="elapsed time, s", ylabel="place along x, m", xlim=(0.0, None))
+        below.set(xlabel="elapsed time, s", ylabel="position along x, m", xlim=(0.0, None))
         below.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=4, borderaxespad=0.2)
         return figure
 
-    def turn_s(self, way: FlownWay) -> float:
+    def turn_s(self, way: FlownVariant) -> float:
         """Return the time at which the free flight is farthest out."""
         x = np.where(way.flown, way.flight.course.true.position[:, 0], -np.inf)
         return float(way.time_s[int(np.argmax(x))])
@@ -139,7 +139,7 @@ class FlownBothWays:
         times = np.arange(-_BEFORE_S, last + 1.0 / _FRAMES_PER_S, 1.0 / _FRAMES_PER_S)
         return [*map(float, times), *[float(times[-1])] * _HOLD]
 
-    def animation(self, path: Path, moments: list[float]) -> None:
+    def write_animation(self, path: Path, moments: list[float]) -> None:
         """Write both flights with their clocks as a looping GIF."""
         from matplotlib.animation import PillowWriter  # noqa: PLC0415  (slow)
 
@@ -160,19 +160,19 @@ class FlownBothWays:
     def _frame(self, axes: Any, at_s: float, *, look: Look = _LOOK) -> None:
         for axis, way in zip(axes, self.ways, strict=True):
             axis.clear()
-            self.map(axis, way, at_s)
+            self.draw_map(axis, way, at_s)
             way.draw(axis, min(max(at_s, 0.0), way.rest_s))
             clock = min(max(at_s, 0.0), way.rest_s)
-            there = "  at the goal" if at_s >= way.rest_s else ""
-            axis.set_title(f"{way.name}   {clock:.2f} s{there}", loc="left", fontsize=look.font_pt + 1.5)
+            ending = "  at the goal" if at_s >= way.rest_s else ""
+            axis.set_title(f"{way.name}   {clock:.2f} s{ending}", loc="left", fontsize=look.font_pt + 1.5)
 
 
 @in_style
-def two_clocks(missions: list[FlownBothWays], *, look: Look = _LOOK) -> Any:
+def draw_two_clocks(missions: list[FlownBothWays], *, look: Look = _LOOK) -> Any:
     """Draw when both flights of every mission pass the same places: visits, the wall, the goal."""
     figure, axes = new_figure(look, 0.75 * len(missions) + 0.4, len(missions), 1, sharex=True)
     for axis, both in zip(axes, missions, strict=True):
-        moments = [_moments(both, way) for way in both.ways]
+        moments = [_named_moments(both, way) for way in both.ways]
         for y, way in zip((1.0, 0.0), both.ways, strict=True):
             axis.plot([0.0, way.rest_s], [y, y], **_LINES[way.name])
             for t in way.hits_s:
@@ -199,7 +199,7 @@ def two_clocks(missions: list[FlownBothWays], *, look: Look = _LOOK) -> Any:
     return figure
 
 
-def _moments(both: FlownBothWays, way: FlownWay) -> list[tuple[str, float]]:
+def _named_moments(both: FlownBothWays, way: FlownVariant) -> list[tuple[str, float]]:
     """Return the names of the places that both flights pass, with the times of one flight."""
     if both.scenario.visits:
         named = [(f"place {k}", t) for k, t in enumerate(way.visits_s, start=1)]
@@ -215,9 +215,9 @@ def main() -> None:
     for both in missions:
         figures = zip(both.planned_s, both.ways, strict=True)
         print(both.name, *(f"{way.name}: planned {s:.2f} s, flown {way.rest_s:.2f} s" for s, way in figures))
-        save_figure(both.picture(), folder / f"both_{both.name}.png")
-        both.animation(folder / f"both_{both.name}.gif", both.moments)
-    save_figure(two_clocks(missions), folder / "two_clocks.png")
+        save_figure(both.draw_picture(), folder / f"both_{both.name}.png")
+        both.write_animation(folder / f"both_{both.name}.gif", both.moments)
+    save_figure(draw_two_clocks(missions), folder / "two_clocks.png")
 
 
 if __name__ == "__main__":

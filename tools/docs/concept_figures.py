@@ -53,11 +53,11 @@ def _figure(width_in: float, height_in: float, columns: int = 1) -> tuple[Any, A
     return figure, axes if columns > 1 else axes[0]
 
 
-def _arrow(axis: Any, begin: Vec2, way: Vec2, text: str, colour: str, style: Any = SOLID) -> None:
-    end = (begin[0] + way[0], begin[1] + way[1])
+def _arrow(axis: Any, begin: Vec2, vector: Vec2, text: str, colour: str, style: Any = SOLID) -> None:
+    end = (begin[0] + vector[0], begin[1] + vector[1])
     draw_arrow(axis, begin, end, colour, linestyle=style)
-    length = math.hypot(*way)
-    place = (end[0] + 0.13 * way[0] / length, end[1] + 0.13 * way[1] / length)
+    length = math.hypot(*vector)
+    place = (end[0] + 0.13 * vector[0] / length, end[1] + 0.13 * vector[1] / length)
     axis.text(*place, text, color=colour, ha="center", va="center")
 
 
@@ -66,7 +66,7 @@ def _plain(axis: Any) -> None:
     axis.axis("off")
 
 
-def frames(folder: Path) -> None:
+def draw_frames(folder: Path) -> None:
     """Draw local NED, the mission frame, the collision frame of a wall, and the angle of incidence."""
     figure, (left, right) = _figure(8.2, 3.9, columns=2)
     frame = MissionFrame(north_m=0.9, east_m=0.7, heading_rad=math.radians(60.0))
@@ -99,10 +99,10 @@ def frames(folder: Path) -> None:
     right.text(-1.5, -0.42, "wall", ha="left", va="center")
     impact = (-0.5, 0.0)
     for name, axis_vector in (("X†", (1.0, 0.0, 0.0)), ("Y†", (0.0, 1.0, 0.0))):
-        way = wall.from_collision(axis_vector)
+        vector = wall.from_collision(axis_vector)
         lifted = (impact[0], impact[1] + 0.04)  # slightly off the line of the wall
-        _arrow(right, lifted, (0.65 * way[0], 0.65 * way[1]), "", DARK)
-        right.text(lifted[0] + 0.65 * way[0] + 0.06, lifted[1] + 0.65 * way[1] + 0.1, name)
+        _arrow(right, lifted, (0.65 * vector[0], 0.65 * vector[1]), "", DARK)
+        right.text(lifted[0] + 0.65 * vector[0] + 0.06, lifted[1] + 0.65 * vector[1] + 0.1, name)
     right.text(impact[0] - 0.1, -0.42, "Z† into the page", ha="left", va="center")
     velocity = wall.from_collision((-1.0, 0.5, 0.0))
     begin = (impact[0] - 0.95 * velocity[0], impact[1] - 0.95 * velocity[1])
@@ -120,7 +120,7 @@ def frames(folder: Path) -> None:
     figure.savefig(folder / "concept_frames.png", dpi=150)
 
 
-def vehicle_to_scale(folder: Path) -> None:
+def draw_vehicle_to_scale(folder: Path) -> None:
     """Draw the vehicle from above with its sizes, its arms in both modes, and the cam with its rods."""
     vehicle = _mission("paper_single_wall.yaml").vehicle
     figure, (left, right) = _figure(8.2, 3.9, columns=2)
@@ -171,7 +171,7 @@ def _size(axis: Any, begin: Vec2, end: Vec2, text: str) -> None:
 def _draw_cam(axis: Any, cam: Cam | None) -> None:
     """Draw the law l = R_cam - r cos theta at both ends, with the extension of each rod."""
     if cam is None:
-        raise ValueError("the shipped vehicle has a lock")
+        raise ValueError("the shipped vehicle has no lock")
     low, high = limits_deg(cam)
     for x, angle, name in ((-42.0, low, "flexible"), (42.0, high, "rigid")):
         reach = rod_mm(cam, angle)
@@ -196,7 +196,7 @@ def _draw_cam(axis: Any, cam: Cam | None) -> None:
     _plain(axis)
 
 
-def modes(folder: Path) -> None:
+def draw_modes(folder: Path) -> None:
     """Draw the cam's effect on the rods, and the same hit in both modes."""
     vehicle = _mission("paper_single_wall.yaml").vehicle
     figure, (left, right) = _figure(8.2, 3.2, columns=2)
@@ -227,7 +227,7 @@ def modes(folder: Path) -> None:
     figure.savefig(folder / "concept_modes.png", dpi=150)
 
 
-def contact(folder: Path) -> None:
+def draw_contact(folder: Path) -> None:
     """Draw one hit by both onset rules: depth, velocity and force."""
     vehicle = _mission("paper_single_wall.yaml").vehicle
     figure, axes = _figure(8.2, 2.9, columns=3)
@@ -251,13 +251,15 @@ def contact(folder: Path) -> None:
     figure.savefig(folder / "concept_contact.png", dpi=150)
 
 
-def recovery(folder: Path) -> None:
+def draw_recovery(folder: Path) -> None:
     """Draw a flown dual collision from above: path, peak forces and the resulting setpoints."""
     mission = _mission("paper_dual_collision.yaml")
     with tempfile.TemporaryDirectory() as logs:
         verdict = fly_fast(mission, 1, Path(logs))
         if verdict.log is None or verdict.outcome != "completed":
-            raise RuntimeError(f"the flight for the figure: {verdict.outcome}, {verdict.reason}")
+            raise RuntimeError(
+                f"the flight for the figure did not complete: {verdict.outcome}, {verdict.reason}"
+            )
         course = FlightArrays(read_log(verdict.log), mission)
     assert course.frame is not None
     figure, axis = _figure(6.8, 4.4)
@@ -295,7 +297,9 @@ def _mission(name: str) -> Mission:
     return load_mission(ROOT / "missions" / name, ROOT / "configs" / "dart.yaml")
 
 
-FIGURES: tuple[Callable[[Path], None], ...] = (frames, vehicle_to_scale, modes, contact, recovery)
+FIGURES: tuple[Callable[[Path], None], ...] = (
+    draw_frames, draw_vehicle_to_scale, draw_modes, draw_contact, draw_recovery,
+)  # fmt: skip
 
 
 if __name__ == "__main__":
