@@ -48,10 +48,7 @@ def flight_rows(failsafe: bool) -> list[tuple[int, bytes]]:
         (2, struct.pack("<Q3I", 3 * s, 7, 0, 0)),
         (0, struct.pack("<QBB", 10 * s, 2, 0)),
         (3, struct.pack("<QBB", 11 * s, 0, 0)),
-        (
-            1,
-            struct.pack("<QBBBB", 12 * s, 0, 3, 1, 0),
-        ),  # the 8-bit xy counter overflows: one xy reset, one vxy
+        (1, struct.pack("<QBBBB", 12 * s, 0, 3, 1, 0)),  # the 8-bit xy counter overflows: 1 reset, 1 of vxy
         (2, struct.pack("<Q3I", 13 * s, 12, 1, 0)),
         (0, struct.pack("<QBB", 15 * s, 2, int(failsafe))),
         (3, struct.pack("<QBB", 16 * s, 0, int(failsafe))),
