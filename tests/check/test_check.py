@@ -243,7 +243,7 @@ def test_a_dangerous_parameter_is_a_no_go(name: str, value: float) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "value", "words"),
+    ("name", "value", "message"),
     [
         ("COM_FAIL_ACT_T", 5.0, "COM_FAIL_ACT_T is 5, wanted 0: Land at once"),
         ("EKF2_GPS_CTRL", 7.0, "wanted 0: No GPS in the room"),
@@ -256,12 +256,14 @@ def test_a_dangerous_parameter_is_a_no_go(name: str, value: float) -> None:
         ("IMU_GYRO_RATEMAX", 400.0, "at up to 400 Hz; recommended 800"),
     ],
 )
-def test_a_harmless_difference_is_a_remark_with_the_files_reason(name: str, value: float, words: str) -> None:
+def test_a_harmless_difference_is_a_remark_with_the_files_reason(
+    name: str, value: float, message: str
+) -> None:
     findings = evaluate_parameters(mocap_mission(), {**GOOD, name: value}, PositionSource.MOCAP)
     assert not no_goes(findings)
     assert remarks(findings) == [name]
     says = next(f.says for f in findings if f.item == name)
-    assert words in says
+    assert message in says
     assert vehicle_parameters(PositionSource.MOCAP)[name].reason in says
 
 
@@ -283,12 +285,12 @@ def test_a_pose_delay_far_from_the_measured_one_is_a_no_go(actual_ms: float, mea
         assert f"set EKF2_EV_DELAY to {measured_ms:g}" in found.says
 
 
-@pytest.mark.parametrize(("actual_ms", "words"), [(10.0, "10 ms;"), (150.0, "wanted 10: Measure yours")])
-def test_an_unmeasured_pose_delay_is_a_remark(actual_ms: float, words: str) -> None:
+@pytest.mark.parametrize(("actual_ms", "message"), [(10.0, "10 ms;"), (150.0, "wanted 10: Measure yours")])
+def test_an_unmeasured_pose_delay_is_a_remark(actual_ms: float, message: str) -> None:
     found = _delay_finding(actual_ms, None)
     assert found.go
     assert found.remark
-    assert words in found.says
+    assert message in found.says
     assert "mocap.delay_ms is not set" in found.says
 
 
@@ -344,7 +346,7 @@ def test_the_position_source_follows_from_parameters_and_fix(
 
 
 @pytest.mark.parametrize(
-    ("found", "fix", "claimed", "go", "words"),
+    ("found", "fix", "claimed", "go", "message"),
     [
         (PositionSource.MOCAP, None, None, True, "motion capture"),
         (PositionSource.MOCAP, None, PositionSource.RTK, False, "--position-from is rtk, but"),
@@ -356,11 +358,11 @@ def test_the_position_source_follows_from_parameters_and_fix(
     ],
 )
 def test_the_position_must_be_accurate_enough_for_a_wall(
-    found: PositionSource | None, fix: str | None, claimed: PositionSource | None, go: bool, words: str
+    found: PositionSource | None, fix: str | None, claimed: PositionSource | None, go: bool, message: str
 ) -> None:
     (finding,) = evaluate_position(mission(), found, fix, claimed)
     assert (finding.item, finding.go) == ("position_source", go)
-    assert words in finding.says
+    assert message in finding.says
 
 
 def test_a_surveyed_frame_is_a_no_go_with_gps() -> None:
@@ -426,9 +428,9 @@ def source(
 
 def test_a_stream_without_usable_values_is_a_no_go_with_its_cause() -> None:
     echo = source("ODOMETRY", 1, 2, 125.0, False, "has a velocity")
-    seen = msgspec.structs.replace(OBSERVED, rates_hz={**RATES, "odometry": 0.0}, sources=(echo,))
-    assert telemetry_findings(seen)["rate_odometry"].says == "125 Hz arrive, none has a velocity"
-    says = telemetry_findings(seen, MAV_ODOM_LP=1.0)["rate_odometry"].says
+    observed = msgspec.structs.replace(OBSERVED, rates_hz={**RATES, "odometry": 0.0}, sources=(echo,))
+    assert telemetry_findings(observed)["rate_odometry"].says == "125 Hz arrive, none has a velocity"
+    says = telemetry_findings(observed, MAV_ODOM_LP=1.0)["rate_odometry"].says
     assert says == "125 Hz arrive, none has a velocity: MAV_ODOM_LP is 1, set it to 0"
 
 
@@ -446,11 +448,11 @@ def test_another_sender_of_a_stream_is_a_remark() -> None:
 def test_every_battery_is_named() -> None:
     low, full = BatteryReading(0, 9.0, 0.04, True), BatteryReading(1, 16.2, 0.95, True)
     rail = BatteryReading(2, 5.0, 0.4, True)
-    seen = msgspec.structs.replace(
+    observed = msgspec.structs.replace(
         OBSERVED, battery_id=0, battery_v=9.0, battery_remaining=0.04, batteries=(low, full),
         other_batteries=(rail,),
     )  # fmt: skip
-    found = telemetry_findings(seen)["battery"]
+    found = telemetry_findings(observed)["battery"]
     assert not found.go
     assert (
         found.says == "id 0: 4 %, 9.0 V; better: id 1: 16.2 V, 95 %; not a flight battery: id 2: 5.0 V, 40 %"
@@ -464,7 +466,7 @@ NO_MAIN = dict.fromkeys((f"PWM_MAIN_FUNC{k}" for k in range(1, 5)), 0.0)
 
 
 @pytest.mark.parametrize(
-    ("values", "seen", "go", "says"),
+    ("values", "observed", "go", "says"),
     [
         (MAIN, PWM, True, "PWM 1000 to 2000 us, on PWM_MAIN"),
         ({**MAIN, "PWM_MAIN_TIM0": -4.0}, None, True, "DShot 0 to 1999, on PWM_MAIN"),
@@ -483,9 +485,11 @@ NO_MAIN = dict.fromkeys((f"PWM_MAIN_FUNC{k}" for k in range(1, 5)), 0.0)
     ],
 )
 def test_motor_outputs_of_unknown_or_wrong_type_are_a_no_go(
-    values: dict[str, float], seen: OutputScale | None, go: bool, says: str
+    values: dict[str, float], observed: OutputScale | None, go: bool, says: str
 ) -> None:
-    found = telemetry_findings(msgspec.structs.replace(OBSERVED, motor_scale=seen), **values)["motor_outputs"]
+    found = telemetry_findings(msgspec.structs.replace(OBSERVED, motor_scale=observed), **values)[
+        "motor_outputs"
+    ]
     assert found.go is go
     assert says in found.says
 

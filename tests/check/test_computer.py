@@ -93,8 +93,8 @@ def test_every_kind_of_record_can_be_logged() -> None:
     def kinds(base: type[Record]) -> set[type[Record]]:
         return {base} | {kind for sub in base.__subclasses__() for kind in kinds(sub)}
 
-    ours = {kind for kind in kinds(Record) - {Record} if kind.__module__ == Record.__module__}
-    assert ours == {*get_args(Input), *get_args(Output), *get_args(Note)}
+    record_kinds = {kind for kind in kinds(Record) - {Record} if kind.__module__ == Record.__module__}
+    assert record_kinds == {*get_args(Input), *get_args(Output), *get_args(Note)}
 
 
 def test_a_computer_sample_is_logged(tmp_path: Path) -> None:

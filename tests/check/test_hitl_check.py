@@ -75,7 +75,7 @@ def test_a_board_without_simulated_outputs_needs_another_firmware(
 
 
 @pytest.mark.parametrize(
-    ("mode", "item", "words"),
+    ("mode", "item", "message"),
     [
         (HeartbeatMode(armed=True, hil=True), "disarmed", "is armed"),
         (HeartbeatMode(armed=False, hil=False), "hil_mode", "restart it"),
@@ -83,11 +83,11 @@ def test_a_board_without_simulated_outputs_needs_another_firmware(
     ],
 )
 def test_an_armed_unrestarted_or_silent_vehicle_is_refused(
-    mission: Mission, board: dict[str, float], mode: HeartbeatMode | None, item: str, words: str
+    mission: Mission, board: dict[str, float], mode: HeartbeatMode | None, item: str, message: str
 ) -> None:
     found = refusals(mission, board, mode)
     assert set(found) == {item}
-    assert words in found[item]
+    assert message in found[item]
 
 
 def test_motors_on_a_px4io_are_refused_only_if_the_board_has_one(

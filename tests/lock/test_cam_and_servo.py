@@ -161,8 +161,8 @@ def test_an_invalid_configuration_is_reported_in_one_line(
 ) -> None:
     text = packaged("configs", "dart.yaml").read_text()
     assert old in text
-    at = text.rindex(old) if key.startswith("lock.px4") else text.index(old)
-    text = text[:at] + new + text[at + len(old) :]
+    index = text.rindex(old) if key.startswith("lock.px4") else text.index(old)
+    text = text[:index] + new + text[index + len(old) :]
     with pytest.raises(InputError) as caught:
         Document(text, "dart.yaml").convert(VehicleConfig)
     line = caught.value.one_line()

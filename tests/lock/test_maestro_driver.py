@@ -188,10 +188,10 @@ def test_a_silent_controller_raises_a_driver_error_within_1_5_s(make_rig: MakeRi
     rig = make_rig()
     rig.driver.open()
     rig.controller.mute()
-    begun = time.monotonic()
+    started_s = time.monotonic()
     with pytest.raises(DriverError, match="no valid answer"):
         rig.driver.read()
-    assert time.monotonic() - begun < 1.5
+    assert time.monotonic() - started_s < 1.5
     rig.controller.mute(False)
     assert rig.driver.read().pulse_us is None
 
@@ -265,9 +265,9 @@ def test_a_restart_adopts_the_controllers_current_pulse(make_rig: MakeRig) -> No
     rig.session.command(Mode.RIGID)
     rig.run(0.4)
     rig.driver.close()  # like the end of the process
-    again = LockSession(rig.config, rig.driver, lambda: rig.t_us)
-    again.start()
-    assert (again.state.phase, again.state.mode) == (LockPhase.TRAVELLING, Mode.RIGID)
+    restarted = LockSession(rig.config, rig.driver, lambda: rig.t_us)
+    restarted.start()
+    assert (restarted.state.phase, restarted.state.mode) == (LockPhase.TRAVELLING, Mode.RIGID)
 
 
 def test_an_unusable_port_is_a_driver_error(vary: Vary, tmp_path: Path) -> None:

@@ -265,13 +265,13 @@ def test_messages_are_exchanged_over_udp(kind: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("url", "words"),
+    ("url", "problem"),
     [
         ("tcpout://127.0.0.1:5760", "allowed are serial"),
         ("serial:///dev/no-such-port:921600", "No such file"),
         ("rubbish", "allowed are serial"),
     ],
 )
-def test_an_unusable_port_is_refused_with_its_reason(url: str, words: str) -> None:
-    with pytest.raises(InputError, match=words):
+def test_an_unusable_port_is_refused_with_its_reason(url: str, problem: str) -> None:
+    with pytest.raises(InputError, match=problem):
         open_port(url)

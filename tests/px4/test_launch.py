@@ -134,8 +134,8 @@ def test_an_instance_with_an_occupied_simulator_port_is_skipped() -> None:
 def test_an_instance_with_an_occupied_mavlink_port_is_skipped() -> None:
     free = claim_instance()
     free.release()
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
-        taken.bind(("127.0.0.1", 14540 + free.number))
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as occupied:
+        occupied.bind(("127.0.0.1", 14540 + free.number))
         other = claim_instance()
         other.release()
         assert other.number != free.number
@@ -151,8 +151,8 @@ def test_an_instance_whose_lock_file_is_held_by_px4_is_skipped(
     lock = tmp_path / f"px4_lock-{free.number}"
     lock.touch()
     hold = f"import fcntl, sys; f = open({str(lock)!r}, 'r+b'); fcntl.lockf(f, fcntl.LOCK_EX)"
-    words = [sys.executable, "-c", f"{hold}; print('held', flush=True); sys.stdin.read()"]
-    with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as px4:
+    command = [sys.executable, "-c", f"{hold}; print('held', flush=True); sys.stdin.read()"]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as px4:
         assert px4.stdout is not None
         px4.stdout.readline()
         other = claim_instance()
@@ -171,8 +171,8 @@ def test_a_ground_station_arms_the_system_of_its_instance() -> None:
             with contextlib.suppress(OSError):
                 px4.bind(("127.0.0.1", ground_station.PORT + instance))
                 break
-        ours = threading.Thread(target=ground_station.arm, args=(instance,), daemon=True)
-        ours.start()
+        arming = threading.Thread(target=ground_station.arm, args=(instance,), daemon=True)
+        arming.start()
         parser = mavlink.MAVLink(None, srcSystem=instance + 1, srcComponent=1)
         commands: list[Any] = []
         while not commands:
@@ -181,8 +181,8 @@ def test_a_ground_station_arms_the_system_of_its_instance() -> None:
             commands = [message for message in found if message.get_type() == "COMMAND_LONG"]
         accepted = mavlink.MAVLink_command_ack_message(commands[0].command, mavlink.MAV_RESULT_ACCEPTED)
         px4.sendto(accepted.pack(parser), sender)
-        ours.join(5.0)
-        assert not ours.is_alive()
+        arming.join(5.0)
+        assert not arming.is_alive()
     assert commands[0].target_system == instance + 1
 
 
@@ -281,24 +281,24 @@ def test_a_stubborn_px4_is_killed(tmp_path: Path, launched: list[WatchedWorld]) 
 
 
 @pytest.mark.parametrize(
-    ("behaviour", "version", "words"),
+    ("behaviour", "version", "message"),
     [
         ("ends", "Release 1.16.0", "PX4 ended with status 3 before it connected: ERROR [init] something"),
         ("fly", "Release 1.13.2", "PX4 v1.13.2 is too old"),
     ],
 )
 def test_an_unusable_px4_is_reported_with_its_reason(
-    tmp_path: Path, launched: list[WatchedWorld], behaviour: str, version: str, words: str
+    tmp_path: Path, launched: list[WatchedWorld], behaviour: str, version: str, message: str
 ) -> None:
     watched = WatchedWorld(tmp_path / "flight", install(tmp_path / "px4", behaviour, version))
     launched.append(watched)
     with pytest.raises(SimulatorError) as caught:
         watched.world.wait_ready()
-    assert words in str(caught.value)
+    assert message in str(caught.value)
 
 
 @pytest.mark.parametrize(
-    ("faults", "words"),
+    ("faults", "message"),
     [
         ({"stuck": "MPC_XY_P"}, r"parameter not accepted: MPC_XY_P: set to 0\.95, PX4 has 0"),
         ({"missing": "FD_FAIL_R"}, r"no parameter FD_FAIL_R \(wanted 60\)"),
@@ -307,11 +307,11 @@ def test_an_unusable_px4_is_reported_with_its_reason(
     ],
 )
 def test_a_rejected_parameter_is_named_with_both_values(
-    tmp_path: Path, launched: list[WatchedWorld], faults: dict[str, str], words: str
+    tmp_path: Path, launched: list[WatchedWorld], faults: dict[str, str], message: str
 ) -> None:
     watched = WatchedWorld(tmp_path / "flight", install(tmp_path / "px4", **faults))
     launched.append(watched)
-    with pytest.raises(SimulatorError, match=words) as caught:
+    with pytest.raises(SimulatorError, match=message) as caught:
         watched.world.wait_ready()
     assert "\n" not in str(caught.value)
 
@@ -341,7 +341,7 @@ def test_a_wrong_number_of_rotors_is_reported_before_px4_starts(
     own.write_text(f"1 1 CA_ROTOR_COUNT {count} 6\n")
     logs = tmp_path / "logs"
     command = ["dry-run", MISSION, "--px4", str(px4), "--params", str(own), "--log-dir", str(logs)]
-    assert main([str(word) for word in command]) == 2
+    assert main([str(argument) for argument in command]) == 2
     assert problem in capsys.readouterr().err.splitlines()[-1]
     assert not logs.exists()
 
@@ -419,7 +419,7 @@ def test_two_simultaneous_worlds_have_separate_instances(
 
 
 @pytest.mark.parametrize(
-    ("options", "words"),
+    ("options", "message"),
     [
         (["--px4", "/nowhere"], "no PX4 SITL in this folder"),
         (["--outdoor"], "--outdoor needs --px4"),
@@ -429,11 +429,11 @@ def test_two_simultaneous_worlds_have_separate_instances(
     ],
 )
 def test_wrong_options_are_reported_in_one_line(
-    options: list[str], words: str, capsys: pytest.CaptureFixture[str]
+    options: list[str], message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["dry-run", str(MISSION), *options]) == 2
     error = capsys.readouterr().err
-    assert words in error
+    assert message in error
     assert error.count("\n") == 1
 
 

@@ -241,13 +241,13 @@ class Flight:
 
     def wait_all_gone(self, timeout_s: float = 30.0) -> float:
         """Wait until none of the processes lives; return the seconds since the kill."""
-        begun = self.killed_at or time.monotonic()
-        while time.monotonic() - begun < timeout_s:
+        started_s = self.killed_at or time.monotonic()
+        while time.monotonic() - started_s < timeout_s:
             self.app.poll()
             remaining = [pid for pid in (self.app.pid, self.world, self.px4) if _is_alive(pid)]
             if not remaining and not _session_members(self.px4):
-                print(f"nothing left after {time.monotonic() - begun:.1f} s")  # `pytest -rP` shows it
-                return time.monotonic() - begun
+                print(f"nothing left after {time.monotonic() - started_s:.1f} s")  # `pytest -rP` shows it
+                return time.monotonic() - started_s
             time.sleep(0.05)
         raise AssertionError(f"still there after {timeout_s:g} s: {remaining} {_session_members(self.px4)}")
 

@@ -41,7 +41,7 @@ class Refusal(NamedTuple):
 class DryRun:
     """A dry-run with a real PX4 and changed parameters, in its own process."""
 
-    def __init__(self, px4_dir: Path, folder: Path, changes: dict[str, int | float], *words: str) -> None:
+    def __init__(self, px4_dir: Path, folder: Path, changes: dict[str, int | float], *options: str) -> None:
         own = folder / "own.params"
         lines = [f"1\t1\t{name}\t{v}\t{6 if isinstance(v, int) else 9}\n" for name, v in changes.items()]
         own.write_text("# of this test\n" + "".join(lines))
@@ -49,7 +49,7 @@ class DryRun:
         self._process = subprocess.Popen(
             [
                 sys.executable, "-m", "dart_flight", "dry-run", str(MISSION), "--px4", str(px4_dir), "--json",
-                "--params", str(own), "--log-dir", str(self._folder), *words,
+                "--params", str(own), "--log-dir", str(self._folder), *options,
             ],
             stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
         )  # fmt: skip
@@ -76,11 +76,11 @@ class DryRun:
         return Refusal(json.loads(out)["reason"], " ".join(error.split()), guard, px4_texts)
 
 
-def assert_reason_is_quoted(refusal: Refusal, begins: str, words: str) -> None:
+def assert_reason_is_quoted(refusal: Refusal, start: str, expected: str) -> None:
     """Assert that verdict, terminal and log quote PX4's own reason."""
     reason, text = refusal.reason, refusal.reason.partition(": ")[2]
-    assert reason.startswith(begins), reason
-    assert any(word in reason for word in (words, *WITHOUT_TEXTS)), reason
+    assert reason.startswith(start), reason
+    assert any(word in reason for word in (expected, *WITHOUT_TEXTS)), reason
     assert text in refusal.terminal
     assert refusal.guard == [reason]
     quoted = re.split("PX4 reports: |, but reports: ", text)[-1].replace("; also ", ", ").split(", ")
@@ -88,7 +88,7 @@ def assert_reason_is_quoted(refusal: Refusal, begins: str, words: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("changes", "begins", "words"),
+    ("changes", "start", "expected"),
     [
         (FAILED_CHECK, "arming_refused: PX4 refused to arm; PX4 ", "istance"),
         (NO_POSITION, "not_ready: no local position; PX4 ", "No valid position estimate"),
@@ -96,10 +96,10 @@ def assert_reason_is_quoted(refusal: Refusal, begins: str, words: str) -> None:
     ids=["arming", "no local position"],
 )
 def test_a_refusal_is_explained_in_terminal_log_and_verdict(
-    changes: dict[str, int | float], begins: str, words: str, px4_dir: Path, tmp_path: Path
+    changes: dict[str, int | float], start: str, expected: str, px4_dir: Path, tmp_path: Path
 ) -> None:
     assert_reason_is_quoted(
-        DryRun(px4_dir, tmp_path, changes, "--speed", "2").wait_for_refusal(), begins, words
+        DryRun(px4_dir, tmp_path, changes, "--speed", "2").wait_for_refusal(), start, expected
     )
 
 

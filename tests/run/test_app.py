@@ -192,12 +192,12 @@ def test_lock_commands_go_to_the_lock_thread_only(monkeypatch: pytest.MonkeyPatc
 def test_planner_requests_go_to_the_planner_processes_if_any(monkeypatch: pytest.MonkeyPatch) -> None:
     session = Session()
     app, _ = make_app(monkeypatch, session)
-    here, still = (1.0, 0.0, 1.0), (0.0, 0.0, 0.0)
-    request = PlanRequest(0, 1, 100_000, 2, here, still, still, (2.0, 0.0, 1.0), 450_000)
+    position, rest = (1.0, 0.0, 1.0), (0.0, 0.0, 0.0)
+    request = PlanRequest(0, 1, 100_000, 2, position, rest, rest, (2.0, 0.0, 1.0), 450_000)
     coefficients, plane = (1.0,) * 8, (0.1, 0.1, 0.1, 0.1)
     estimate = WallEstimate(0, 0, "wood", None, None, 0.0, *coefficients, *plane)
-    onset = ImpactOnset(0, 0, 0, still, still, here)
-    contact = ContactRequest(0, 1, onset, None, (1.0, 0.0), None, 0.0, (0.0, 0.0), 0.1, still)
+    onset = ImpactOnset(0, 0, 0, rest, rest, position)
+    contact = ContactRequest(0, 1, onset, None, (1.0, 0.0), None, 0.0, (0.0, 0.0), 0.1, rest)
     execute_outputs(app, monkeypatch, request, estimate, contact)  # no planner process yet
     planner, fitter = Mock(), Mock()
     monkeypatch.setattr(app, "_planners", {PlanRequest: planner, ContactRequest: fitter})
@@ -230,7 +230,7 @@ def test_queued_records_are_shown_before_the_display_thread_ends(
     wanted = [LockPermission(i, True) for i in range(records)]
     for record in wanted[:2]:
         app.show(record)
-    for record in wanted[2:]:  # the core's
+    for record in wanted[2:]:  # records of the core
         app._observe_record(record, 7)
     thread = threading.Thread(target=app._show, daemon=True)
     thread.start()
@@ -444,18 +444,18 @@ def test_systemd_is_notified_of_start_and_end_and_no_task_survives_the_flight(
 
 
 def test_a_dead_simulator_ends_the_flight_with_its_cause(monkeypatch: pytest.MonkeyPatch) -> None:
-    seen: list[Record] = []
+    records: list[Record] = []
     world = World()
     world.died, world.cause = True, "PX4 has ended by SIGKILL"
     app = FlightApp(
         load_flyable(ROOT / "missions/square.yaml"),
         "udpin://nowhere:1",
-        lambda record, _: seen.append(record),
+        lambda record, _: records.append(record),
         world,
     )
     connect_to(Flight(lambda: None), monkeypatch)
     asyncio.run(asyncio.wait_for(app.run(), 30.0))
-    (end,) = [record for record in seen if isinstance(record, MissionEnd)]
+    (end,) = [record for record in records if isinstance(record, MissionEnd)]
     assert end.reason == "world_died: PX4 has ended by SIGKILL"
 
 
@@ -493,8 +493,8 @@ def test_each_planner_process_lives_as_long_as_the_flight(
 
     connect_to(Flight(end), monkeypatch)
     asyncio.run(app.run())
-    begun = [call(app._mission, kind, app._handle_answer, host_us) for kind in kinds]
-    assert created.mock_calls == begun + [call().stop()] * len(kinds)
+    expected_calls = [call(app._mission, kind, app._handle_answer, host_us) for kind in kinds]
+    assert created.mock_calls == expected_calls + [call().stop()] * len(kinds)
 
 
 @pytest.mark.parametrize(
@@ -553,11 +553,11 @@ def test_every_phase_is_sent_to_the_ground_station(monkeypatch: pytest.MonkeyPat
     assert session.calls == ["phase transit"]
 
 
-@pytest.mark.parametrize(("theirs", "expected"), [(0, False), (1, True)])
+@pytest.mark.parametrize(("offset", "expected"), [(0, False), (1, True)])
 def test_a_terminal_of_another_job_is_not_read(
-    monkeypatch: pytest.MonkeyPatch, theirs: int, expected: bool
+    monkeypatch: pytest.MonkeyPatch, offset: int, expected: bool
 ) -> None:
-    monkeypatch.setattr(os, "tcgetpgrp", lambda _: os.getpgrp() + theirs)
+    monkeypatch.setattr(os, "tcgetpgrp", lambda _: os.getpgrp() + offset)
     assert module._in_background(0) is expected
 
 

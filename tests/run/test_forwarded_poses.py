@@ -133,7 +133,7 @@ def test_pose_latency_is_in_simulated_time_and_the_flight_replays(tmp_path: Path
 
 
 @pytest.mark.parametrize(
-    ("options", "words"),
+    ("options", "message"),
     [
         (["--mocap", "optitrack://10.0.0.1/dart"], "emulated motion capture: give one of"),
         (["--mocap", "kinect"], "emulated motion capture: give one of"),
@@ -143,14 +143,14 @@ def test_pose_latency_is_in_simulated_time_and_the_flight_replays(tmp_path: Path
     ],
 )
 def test_an_unusable_mocap_option_is_rejected_with_its_reason(
-    options: list[str], words: str, capsys: pytest.CaptureFixture[str]
+    options: list[str], message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["dry-run", str(SQUARE), "--fast", *options]) == 2
-    said = capsys.readouterr().err.strip()
-    assert words in " ".join(said.split())
+    error = capsys.readouterr().err.strip()
+    assert message in " ".join(error.split())
 
 
-def test_simulation_ignores_the_configured_pose_source_without_the_option() -> None:
+def test_simulation_ignores_the_configured_pose_source_without_mocap_option() -> None:
     mission = with_mocap(load_flyable(SQUARE), "optitrack://10.0.0.1/dart")
     assert with_simulated_mocap(mission, None).vehicle.mocap.url is None
     with pytest.raises(InputError, match="give one of"):

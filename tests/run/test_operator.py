@@ -51,9 +51,9 @@ def test_sigusr1_requests_continue(app: FlightApp) -> None:
 @pytest.fixture
 def terminal(monkeypatch: pytest.MonkeyPatch) -> int:
     """Replace the program's terminal and return its other end."""
-    ours, its = os.openpty()
-    monkeypatch.setattr("sys.stdin", os.fdopen(its, closefd=False))
-    return ours
+    our_end, program_end = os.openpty()
+    monkeypatch.setattr("sys.stdin", os.fdopen(program_end, closefd=False))
+    return our_end
 
 
 def test_enter_requests_continue_and_other_keys_do_not(app: FlightApp, terminal: int) -> None:

@@ -73,7 +73,7 @@ def test_the_flights_log_is_selected_by_the_armed_time() -> None:
 def test_a_log_listed_before_the_flight_is_never_selected(
     logs: list[tuple[float | None, int]], data: st.DataObject
 ) -> None:
-    entries = [log(k, at, size) for k, (at, size) in enumerate(logs)]
+    entries = [log(k, ended_s, size) for k, (ended_s, size) in enumerate(logs)]
     before = data.draw(st.lists(st.sampled_from(entries))) if entries else []
     found = logs_of_flight(entries, ARMED, before)
     assert not {(e.ended, e.size_bytes) for e in found} & {(e.ended, e.size_bytes) for e in before}
@@ -208,7 +208,7 @@ def test_a_download_is_refused_while_the_vehicle_is_armed(tmp_path: Path) -> Non
 
 
 @pytest.mark.mavlink
-def test_the_command_lists_the_logs_if_none_matches_the_flight(
+def test_the_command_lists_the_logs_if_it_cannot_choose_one(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     flight = tmp_path / "one"

@@ -213,10 +213,10 @@ def test_each_errand_runs_its_commands_and_keeps_their_results() -> None:
 
 def test_a_missing_vehicle_is_reported_once_and_retried(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "_RETRY_S", 0.01)
-    away = VehicleError("no autopilot on udpin://127.0.0.1:1 within 5 s")
-    standby = ScriptedStandby([away, away, away, Errand(False, (1,))], [GO])
+    missing = VehicleError("no autopilot on udpin://127.0.0.1:1 within 5 s")
+    standby = ScriptedStandby([missing, missing, missing, Errand(False, (1,))], [GO])
     asyncio.run(standby.run())
-    assert [text for kind, text in standby.printed if kind == "problem"] == [f"{away}; retrying"]
+    assert [text for kind, text in standby.printed if kind == "problem"] == [f"{missing}; retrying"]
     assert standby.commands == [["check", "one.yaml"]]
 
 

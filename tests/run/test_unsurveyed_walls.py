@@ -111,7 +111,7 @@ def test_the_run_up_to_an_uncertain_wall_begins_three_sigma_earlier() -> None:
     other = single(near, room, (POINT, f"{POINT}, position_sd_m: 0.06"))
     approaches = [plan_approach(m, m.collisions[0]) for m in (one, other)]
     impacts = [m.collisions[0].impact_point or (0.0, 0.0) for m in (one, other)]
-    lengths = [distance2(a.begin[:2], there) for a, there in zip(approaches, impacts, strict=True)]
+    lengths = [distance2(a.begin[:2], impact) for a, impact in zip(approaches, impacts, strict=True)]
     assert lengths[1] - lengths[0] == pytest.approx(0.18 * math.hypot(1.0, 0.5))
 
 
@@ -242,14 +242,14 @@ def test_a_draws_displaced_wall_is_hit_like_a_wall_planned_there(away_m: float) 
     scenario = uncertain_scenario("one_wall")
     (sequence, *_) = scenario.sequences
     name = sequence[0]
-    there = msgspec.structs.replace(
+    displaced = msgspec.structs.replace(
         scenario, walls=scenario.walls | {name: scenario.walls[name].displaced(away_m)}
     )
     vn, vt = np.array([-0.8, -1.0]), np.array([0.2, 0.0])
-    flight, stages = new_flight(scenario), stages_for(there, [None])[0]
+    flight, stages = new_flight(scenario), stages_for(displaced, [None])[0]
     planned = Rollout(scenario, sequence, flight, Constraints(scenario)).approach(vn, vt)
-    drawn = Rollout(there, sequence, flight, Constraints(there), True, scenario.walls[name])
-    direct = Rollout(there, sequence, flight, Constraints(there), True)
+    drawn = Rollout(displaced, sequence, flight, Constraints(displaced), True, scenario.walls[name])
+    direct = Rollout(displaced, sequence, flight, Constraints(displaced), True)
     found = drawn.fly(stages, vn, vt, planned)
     wanted = direct.fly(stages, vn, vt, direct.approach(vn, vt))
     assert found

@@ -65,18 +65,18 @@ def test_every_item_is_flown_once() -> None:
 
 
 def test_items_are_consumed_only_as_workers_become_free() -> None:
-    taken: list[int] = []
+    drawn: list[int] = []
 
     def endless() -> Iterator[int]:
         while True:
-            taken.append(len(taken))
-            yield taken[-1]
+            drawn.append(len(drawn))
+            yield drawn[-1]
 
     results = work(square, endless(), 2, Interrupt())
     first = [next(results).result for _ in range(10)]
     results.close()
     assert len(first) == 10
-    assert len(taken) <= 12
+    assert len(drawn) <= 12
 
 
 def test_an_item_whose_process_dies_is_retried_once(tmp_path: Path) -> None:
@@ -95,10 +95,10 @@ def test_a_pool_that_breaks_while_it_starts_a_process_is_renewed(monkeypatch: py
     """The pool may have closed the new process's pipes, which raises EBADF instead of BrokenProcessPool."""
     submit, calls = ProcessPoolExecutor.submit, count()
 
-    def submit_once_broken(pool: ProcessPoolExecutor, *what: Any) -> Any:
+    def submit_once_broken(pool: ProcessPoolExecutor, *arguments: Any) -> Any:
         if next(calls) == 3:
             raise OSError(errno.EBADF, "Bad file descriptor")
-        return submit(pool, *what)
+        return submit(pool, *arguments)
 
     monkeypatch.setattr(ProcessPoolExecutor, "submit", submit_once_broken)
     assert results_by_item(work(square, range(10), 2, Interrupt())) == {n: n * n for n in range(10)}

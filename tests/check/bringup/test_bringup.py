@@ -139,7 +139,7 @@ def maestro(tmp_path: Path) -> Iterator[Mission]:
 
 # The pseudo-terminal and its timeouts are real, so a busy computer may be late.
 @pytest.mark.parametrize(
-    ("answer", "result", "words"),
+    ("answer", "result", "message"),
     [
         (lambda question: True, StepOutcome.PASS, "the lock reaches both ends"),
         (
@@ -152,11 +152,11 @@ def maestro(tmp_path: Path) -> Iterator[Mission]:
     ],
 )
 def test_the_operator_confirms_the_direction_of_the_servo(
-    maestro: Mission, answer: Callable[[str], bool], result: StepOutcome, words: str
+    maestro: Mission, answer: Callable[[str], bool], result: StepOutcome, message: str
 ) -> None:
     found = run_step(Bringup(maestro, "udpin://127.0.0.1:1", ScriptedOperator(answer=answer)), "servo")
     assert found.result is result
-    assert words in found.message
+    assert message in found.message
     if result is StepOutcome.PASS:
         assert 0.05 < float(found.measured["rigid_travel_s"] or 0.0) < 2.0
 

@@ -60,13 +60,13 @@ def test_mirrored_axes_are_not_reported_as_rotated(nose: float, side: float) -> 
 
 
 @pytest.mark.parametrize(
-    ("level", "words"),
+    ("level", "message"),
     [((0.0, 0.0, 9.8), "upside down"), (reading(0.0, 20.0), "off level"), ((0.0, 0.0, -8.9), "calibrate")],
 )
-def test_a_wrong_level_is_reported_with_its_cause(level: Vec3, words: str) -> None:
+def test_a_wrong_level_is_reported_with_its_cause(level: Vec3, message: str) -> None:
     found = evaluate_level(level)
     assert found is not None
-    assert words in found.message
+    assert message in found.message
 
 
 def samples(forces: list[Vec3], period_us: int = 4000) -> list[ImuSample]:

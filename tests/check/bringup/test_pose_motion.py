@@ -93,8 +93,8 @@ def samples(
     )
 
 
-def estimate(room: Room, hand: Hand | None = None, **how: float) -> MotionEstimate:
-    return estimate_motion(*samples(hand or Hand(), room, **how))
+def estimate(room: Room, hand: Hand | None = None, **options: float) -> MotionEstimate:
+    return estimate_motion(*samples(hand or Hand(), room, **options))
 
 
 @settings(max_examples=12, deadline=None)
