@@ -1,4 +1,4 @@
-"""`check`: what is wrong with a mission or a vehicle is a no-go with a name, which alone overrules it."""
+"""`check`: every defect of a mission or vehicle is a named no-go, which only its name overrules."""
 
 import json
 import math
@@ -61,7 +61,7 @@ def mission(old: str = "", new: str = "") -> Mission:
 
 
 def mocap_mission(delay_ms: float | None = 10.0) -> Mission:
-    """The mission of a vehicle whose motion capture has been measured."""
+    """Return the mission of a vehicle with a measured pose delay."""
     plain = mission()
     return msgspec.structs.replace(plain, vehicle=plain.vehicle.replace({"mocap.delay_ms": delay_ms}))
 
@@ -85,7 +85,7 @@ def test_the_missions_in_the_repository_are_go() -> None:
         ("alpha_m_per_n: [0.12, 0.025]", "alpha_m_per_n: [0.01, 0.025]", "recovery_1"),
     ],
 )
-def test_what_is_wrong_is_a_no_go(old: str, new: str, item: str) -> None:
+def test_a_mission_beyond_a_limit_is_a_no_go(old: str, new: str, item: str) -> None:
     assert item in no_goes(check_mission(mission(old, new)))
 
 
@@ -96,15 +96,15 @@ def test_a_run_up_without_room_is_a_no_go() -> None:
     assert "approach_1" in no_goes(check_mission(tight))
 
 
-def test_a_lock_that_cannot_be_in_time_is_a_no_go() -> None:
+def test_a_lock_without_time_to_switch_is_a_no_go() -> None:
     plain = mission()
     first, second = plain.collisions
     predicted = {"normal_m_s": -0.6, "tangential_m_s": 0.5, "peak_force_n": 20.0, "contact_time_s": 0.12}
-    one = {"t_s": 2.0, "position_m": (0.9, -1.1), **predicted}
-    two = {"t_s": 2.3, "position_m": (1.65, -0.8), **predicted}
+    first_prediction = {"t_s": 2.0, "position_m": (0.9, -1.1), **predicted}
+    second_prediction = {"t_s": 2.3, "position_m": (1.65, -0.8), **predicted}
     with_times = [
         msgspec.structs.replace(c, predicted=msgspec.convert(p, CollisionPrediction))
-        for c, p in ((first, one), (second, two))
+        for c, p in ((first, first_prediction), (second, second_prediction))
     ]
     rushed = msgspec.structs.replace(plain, collisions=tuple(with_times))
     assert "servo_2" in no_goes(check_mission(rushed))
@@ -119,7 +119,7 @@ def test_a_lock_that_cannot_be_in_time_is_a_no_go() -> None:
         (CheckFinding("battery", False, ""), False),
     ],
 )
-def test_a_parameter_that_differs_points_to_the_command(
+def test_a_wrong_parameter_prints_a_hint_to_the_command(
     finding: CheckFinding, points: bool, capsys: pytest.CaptureFixture[str]
 ) -> None:
     show(decide(mission(), [finding]), messages())
@@ -137,16 +137,18 @@ def test_only_a_no_go_can_be_overruled() -> None:
         decide(weak, findings, ["places"])
 
 
-def test_the_command_says_no_go_with_exit_1(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_no_go_exits_with_status_1_unless_it_is_overruled(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     path = tmp_path / "m.yaml"
     text = DUAL.replace("../configs", str(ROOT / "configs")).replace(
         "peak_force_n: 150.0", "peak_force_n: 12"
     )
     path.write_text(text)
     assert main(["check", str(path), "--json"]) == 1
-    told = json.loads(capsys.readouterr().out)
-    assert told["go"] is False
-    assert "force_1" in [f["item"] for f in told["findings"] if not f["go"]]
+    report = json.loads(capsys.readouterr().out)
+    assert report["go"] is False
+    assert "force_1" in [f["item"] for f in report["findings"] if not f["go"]]
     assert main(["check", str(path), "--overrule", "force_1"]) == 0
     assert main(["check", str(path), "--overrule", "force_9"]) == 2
 
@@ -155,7 +157,7 @@ V1_16, V1_18 = (1, 16), (1, 18)
 
 
 def shipped(version: tuple[int, int]) -> dict[str, float]:
-    """What our files set on a vehicle of a version."""
+    """Return the values that the packaged files set on a vehicle of this PX4 version."""
     wanted = vehicle_parameters(PositionSource.MOCAP).values()
     return {p.name: float(p.value) for p in wanted if not p.is_absent_in(version)}
 
@@ -169,7 +171,7 @@ GOOD = {
 }
 
 
-def test_a_vehicle_in_hardware_in_the_loop_is_refused_by_its_heartbeat_too() -> None:
+def test_the_heartbeat_of_a_vehicle_in_hitl_mode_is_a_no_go() -> None:
     assert evaluate_mode(HeartbeatMode(armed=False, hil=False)) == evaluate_mode(None) == []
     (found,) = evaluate_mode(HeartbeatMode(armed=False, hil=True))
     assert (found.go, found.item) == (False, "hil_mode")
@@ -179,7 +181,7 @@ def remarks(findings: list[CheckFinding]) -> list[str]:
     return [f.item for f in findings if f.remark]
 
 
-def test_a_vehicle_set_up_by_our_files_is_go_without_a_remark() -> None:
+def test_the_packaged_parameters_are_go_without_a_remark() -> None:
     findings = evaluate_parameters(mocap_mission(), GOOD, PositionSource.MOCAP)
     assert not no_goes(findings)
     assert not remarks(findings)
@@ -188,12 +190,12 @@ def test_a_vehicle_set_up_by_our_files_is_go_without_a_remark() -> None:
 
 
 NEWER = GOOD | shipped(V1_18)
-for went in ("COM_RC_OVERRIDE", "COM_IMB_PROP_ACT", "COM_LKDOWN_TKO"):
-    NEWER.pop(went)
+for dropped in ("COM_RC_OVERRIDE", "COM_IMB_PROP_ACT", "COM_LKDOWN_TKO"):
+    NEWER.pop(dropped)
 
 
 @pytest.mark.parametrize("version", [V1_18, None])
-def test_a_vehicle_of_a_version_that_has_renamed_and_dropped_parameters_is_go(
+def test_a_version_with_renamed_and_dropped_parameters_is_go(
     version: tuple[int, int] | None,
 ) -> None:
     """v1.18 has MAN_OVERRIDE_SPD instead of COM_RC_OVERRIDE, no COM_IMB_PROP_ACT, no COM_LKDOWN_TKO."""
@@ -209,7 +211,7 @@ def test_a_vehicle_of_a_version_that_has_renamed_and_dropped_parameters_is_go(
 
 
 @pytest.mark.parametrize("name", ["COM_RC_OVERRIDE", "COM_IMB_PROP_ACT"])
-def test_a_parameter_that_the_version_has_and_that_was_not_read_is_a_no_go(name: str) -> None:
+def test_an_unread_parameter_that_the_version_has_is_a_no_go(name: str) -> None:
     missing = {n: value for n, value in GOOD.items() if n != name}
     assert no_goes(evaluate_parameters(mission(), missing, PositionSource.MOCAP, V1_16)) == [name]
     without_both = {n: v for n, v in missing.items() if n not in ("COM_RC_OVERRIDE", "COM_IMB_PROP_ACT")}
@@ -241,7 +243,7 @@ def test_a_dangerous_parameter_is_a_no_go(name: str, value: float) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "value", "words"),
+    ("name", "value", "message"),
     [
         ("COM_FAIL_ACT_T", 5.0, "COM_FAIL_ACT_T is 5, wanted 0: Land at once"),
         ("EKF2_GPS_CTRL", 7.0, "wanted 0: No GPS in the room"),
@@ -254,12 +256,14 @@ def test_a_dangerous_parameter_is_a_no_go(name: str, value: float) -> None:
         ("IMU_GYRO_RATEMAX", 400.0, "at up to 400 Hz; recommended 800"),
     ],
 )
-def test_another_difference_is_a_remark_with_the_files_reason(name: str, value: float, words: str) -> None:
+def test_a_harmless_difference_is_a_remark_with_the_files_reason(
+    name: str, value: float, message: str
+) -> None:
     findings = evaluate_parameters(mocap_mission(), {**GOOD, name: value}, PositionSource.MOCAP)
     assert not no_goes(findings)
     assert remarks(findings) == [name]
     says = next(f.says for f in findings if f.item == name)
-    assert words in says
+    assert message in says
     assert vehicle_parameters(PositionSource.MOCAP)[name].reason in says
 
 
@@ -281,23 +285,23 @@ def test_a_pose_delay_far_from_the_measured_one_is_a_no_go(actual_ms: float, mea
         assert f"set EKF2_EV_DELAY to {measured_ms:g}" in found.says
 
 
-@pytest.mark.parametrize(("actual_ms", "words"), [(10.0, "10 ms;"), (150.0, "wanted 10: Measure yours")])
-def test_a_pose_delay_that_nobody_has_measured_is_a_remark(actual_ms: float, words: str) -> None:
+@pytest.mark.parametrize(("actual_ms", "message"), [(10.0, "10 ms;"), (150.0, "wanted 10: Measure yours")])
+def test_an_unmeasured_pose_delay_is_a_remark(actual_ms: float, message: str) -> None:
     found = _delay_finding(actual_ms, None)
     assert found.go
     assert found.remark
-    assert words in found.says
+    assert message in found.says
     assert "mocap.delay_ms is not set" in found.says
 
 
 @pytest.mark.parametrize("source", [PositionSource.RTK, PositionSource.PLAIN, None])
-def test_the_pose_delay_does_not_matter_without_motion_capture(source: PositionSource | None) -> None:
+def test_the_pose_delay_is_ignored_without_motion_capture(source: PositionSource | None) -> None:
     findings = evaluate_parameters(mocap_mission(), {**GOOD, "EKF2_EV_DELAY": 300.0}, source)
     assert "EKF2_EV_DELAY" not in {f.item for f in findings}
 
 
-def test_the_imus_place_is_compared_with_the_configuration() -> None:
-    """PX4's own and `imu.position_m` mean the same three metres; a difference is a remark, and names both."""
+def test_the_imu_position_is_compared_with_the_configuration() -> None:
+    """A difference between PX4's parameters and `imu.position_m` is a remark that names both values."""
     names = dict.fromkeys(IMU_POSITION, 0.0)
     assert set(IMU_POSITION) <= set(parameter_names())
     as_configured = evaluate_parameters(mission(), {**GOOD, **names}, PositionSource.MOCAP)
@@ -310,7 +314,7 @@ def test_the_imus_place_is_compared_with_the_configuration() -> None:
     assert not no_goes(moved)
 
 
-def test_what_cannot_be_read_is_no_go_where_it_can_hurt_and_a_remark_elsewhere() -> None:
+def test_an_unread_parameter_is_a_no_go_if_dangerous_and_a_remark_otherwise() -> None:
     silent = evaluate_parameters(mission(), {}, PositionSource.RTK)
     assert set(no_goes(silent)) == set(PARAMETERS)
     assert set(remarks(silent)) == set(vehicle_parameters(PositionSource.RTK)) - set(no_goes(silent))
@@ -335,14 +339,14 @@ def test_every_compared_parameter_is_read() -> None:
         ({}, None, None),
     ],
 )
-def test_where_the_position_comes_from(
+def test_the_position_source_follows_from_parameters_and_fix(
     values: dict[str, float], fix: str | None, source: PositionSource | None
 ) -> None:
     assert position_source(values, fix) is source
 
 
 @pytest.mark.parametrize(
-    ("found", "fix", "claimed", "go", "words"),
+    ("found", "fix", "claimed", "go", "message"),
     [
         (PositionSource.MOCAP, None, None, True, "motion capture"),
         (PositionSource.MOCAP, None, PositionSource.RTK, False, "--position-from is rtk, but"),
@@ -353,21 +357,21 @@ def test_where_the_position_comes_from(
         (None, None, None, False, "neither motion capture"),
     ],
 )
-def test_the_position_must_be_good_enough_for_a_wall(
-    found: PositionSource | None, fix: str | None, claimed: PositionSource | None, go: bool, words: str
+def test_the_position_must_be_accurate_enough_for_a_wall(
+    found: PositionSource | None, fix: str | None, claimed: PositionSource | None, go: bool, message: str
 ) -> None:
     (finding,) = evaluate_position(mission(), found, fix, claimed)
     assert (finding.item, finding.go) == ("position_source", go)
-    assert words in finding.says
+    assert message in finding.says
 
 
-def test_a_surveyed_room_means_nothing_to_gps() -> None:
+def test_a_surveyed_frame_is_a_no_go_with_gps() -> None:
     moved = msgspec.structs.replace(mission(), start=(0.5, 0.0))
     assert no_goes(evaluate_claim(moved, PositionSource.RTK)) == ["frame"]
     assert no_goes(evaluate_claim(moved, PositionSource.MOCAP)) == []
 
 
-def test_plain_gps_is_refused_without_a_vehicle_too(capsys: pytest.CaptureFixture[str]) -> None:
+def test_plain_gps_is_a_no_go_without_a_vehicle(capsys: pytest.CaptureFixture[str]) -> None:
     path = str(ROOT / "missions/paper_single_wall.yaml")
     assert main(["check", path, "--position-from", "plain"]) == 1
     assert "needs RTK, motion capture or" in capsys.readouterr().err
@@ -379,7 +383,7 @@ RATES = {"imu": 240.0, "attitude": 120.0, "odometry": 120.0, "actuator": 120.0}
 OBSERVED = Observation("1.16.0", RATES, 15.6, 0.9, True)
 
 
-def judged(observed: Observation, **values: float) -> dict[str, CheckFinding]:
+def telemetry_findings(observed: Observation, **values: float) -> dict[str, CheckFinding]:
     findings = [
         *evaluate_observation(observed),
         *evaluate_rates(observed, values),
@@ -391,17 +395,20 @@ def judged(observed: Observation, **values: float) -> dict[str, CheckFinding]:
     return {finding.item: finding for finding in findings}
 
 
-def test_what_this_program_finds_is_not_put_into_px4s_mouth() -> None:
-    here = "ODOMETRY arrives, none has a velocity"
-    observed = msgspec.structs.replace(OBSERVED, local_position_ok=False, own_findings=[here])
-    assert judged(observed)["estimator"].says == f"no valid local position; {here}"
-    assert "px4_checks" not in judged(observed)
+def test_the_programs_own_findings_are_not_attributed_to_px4() -> None:
+    own_finding = "ODOMETRY arrives, none has a velocity"
+    observed = msgspec.structs.replace(OBSERVED, local_position_ok=False, own_findings=[own_finding])
+    assert telemetry_findings(observed)["estimator"].says == f"no valid local position; {own_finding}"
+    assert "px4_checks" not in telemetry_findings(observed)
     both = msgspec.structs.replace(observed, texts=["no heading"])
-    assert judged(both)["estimator"].says == f"no valid local position; {here}; PX4 reports: no heading"
+    assert (
+        telemetry_findings(both)["estimator"].says
+        == f"no valid local position; {own_finding}; PX4 reports: no heading"
+    )
 
 
-def test_what_is_observed_is_judged() -> None:
-    assert not no_goes(judged(OBSERVED).values())
+def test_an_observation_beyond_a_limit_is_a_no_go() -> None:
+    assert not no_goes(telemetry_findings(OBSERVED).values())
     for changes, item in (
         ({"rates_hz": {**RATES, "imu": 49.0}}, "rate_imu"),
         ({"battery_v": 12.5}, "battery"),
@@ -409,7 +416,7 @@ def test_what_is_observed_is_judged() -> None:
         ({"local_position_ok": False}, "estimator"),
         ({"specific_force_m_s2": 1.0}, "imu_scale"),  # in g
     ):
-        assert no_goes(judged(msgspec.structs.replace(OBSERVED, **changes)).values()) == [item]
+        assert no_goes(telemetry_findings(msgspec.structs.replace(OBSERVED, **changes)).values()) == [item]
 
 
 def source(
@@ -419,21 +426,21 @@ def source(
     return Source(sender, rate_hz, rate_hz if usable else 0.0, component == 1, reason)
 
 
-def test_a_stream_that_arrives_without_values_is_a_no_go_with_the_cause() -> None:
+def test_a_stream_without_usable_values_is_a_no_go_with_its_cause() -> None:
     echo = source("ODOMETRY", 1, 2, 125.0, False, "has a velocity")
-    seen = msgspec.structs.replace(OBSERVED, rates_hz={**RATES, "odometry": 0.0}, sources=(echo,))
-    assert judged(seen)["rate_odometry"].says == "125 Hz arrive, none has a velocity"
-    says = judged(seen, MAV_ODOM_LP=1.0)["rate_odometry"].says
+    observed = msgspec.structs.replace(OBSERVED, rates_hz={**RATES, "odometry": 0.0}, sources=(echo,))
+    assert telemetry_findings(observed)["rate_odometry"].says == "125 Hz arrive, none has a velocity"
+    says = telemetry_findings(observed, MAV_ODOM_LP=1.0)["rate_odometry"].says
     assert says == "125 Hz arrive, none has a velocity: MAV_ODOM_LP is 1, set it to 0"
 
 
 def test_another_sender_of_a_stream_is_a_remark() -> None:
     own = (source("ODOMETRY", 1, 8, 125.0), source("HIGHRES_IMU", 1, 0, 250.0))
-    alone = judged(msgspec.structs.replace(OBSERVED, sources=own))["sources"]
+    alone = telemetry_findings(msgspec.structs.replace(OBSERVED, sources=own))["sources"]
     assert (alone.go, alone.remark) == (True, False)
     assert alone.says == "system 1 component 1: ODOMETRY, HIGHRES_IMU"
     vio = source("ODOMETRY", 197, 2, 30.0, False)
-    found = judged(msgspec.structs.replace(OBSERVED, sources=(*own, vio)))["sources"]
+    found = telemetry_findings(msgspec.structs.replace(OBSERVED, sources=(*own, vio)))["sources"]
     assert (found.go, found.remark) == (True, True)
     assert found.says.endswith("not used: ODOMETRY of system 1 component 197, instance 2, 30 Hz")
 
@@ -441,11 +448,11 @@ def test_another_sender_of_a_stream_is_a_remark() -> None:
 def test_every_battery_is_named() -> None:
     low, full = BatteryReading(0, 9.0, 0.04, True), BatteryReading(1, 16.2, 0.95, True)
     rail = BatteryReading(2, 5.0, 0.4, True)
-    seen = msgspec.structs.replace(
+    observed = msgspec.structs.replace(
         OBSERVED, battery_id=0, battery_v=9.0, battery_remaining=0.04, batteries=(low, full),
         other_batteries=(rail,),
     )  # fmt: skip
-    found = judged(seen)["battery"]
+    found = telemetry_findings(observed)["battery"]
     assert not found.go
     assert (
         found.says == "id 0: 4 %, 9.0 V; better: id 1: 16.2 V, 95 %; not a flight battery: id 2: 5.0 V, 40 %"
@@ -459,7 +466,7 @@ NO_MAIN = dict.fromkeys((f"PWM_MAIN_FUNC{k}" for k in range(1, 5)), 0.0)
 
 
 @pytest.mark.parametrize(
-    ("values", "seen", "go", "says"),
+    ("values", "observed", "go", "says"),
     [
         (MAIN, PWM, True, "PWM 1000 to 2000 us, on PWM_MAIN"),
         ({**MAIN, "PWM_MAIN_TIM0": -4.0}, None, True, "DShot 0 to 1999, on PWM_MAIN"),
@@ -477,31 +484,33 @@ NO_MAIN = dict.fromkeys((f"PWM_MAIN_FUNC{k}" for k in range(1, 5)), 0.0)
         (NO_MAIN, PWM, False, "thrust is unknown"),
     ],
 )
-def test_the_motor_outputs_have_a_type_or_are_a_no_go(
-    values: dict[str, float], seen: OutputScale | None, go: bool, says: str
+def test_motor_outputs_of_unknown_or_wrong_type_are_a_no_go(
+    values: dict[str, float], observed: OutputScale | None, go: bool, says: str
 ) -> None:
-    found = judged(msgspec.structs.replace(OBSERVED, motor_scale=seen), **values)["motor_outputs"]
+    found = telemetry_findings(msgspec.structs.replace(OBSERVED, motor_scale=observed), **values)[
+        "motor_outputs"
+    ]
     assert found.go is go
     assert says in found.says
 
 
 @pytest.mark.parametrize(
-    ("has", "asked"), [(MAIN, 13), ({**NO_MAIN, **AUX}, 17), ({**NO_MAIN, **CAN}, 9), ({}, 3)]
+    ("available", "reads"), [(MAIN, 13), ({**NO_MAIN, **AUX}, 17), ({**NO_MAIN, **CAN}, 9), ({}, 3)]
 )
-def test_what_the_motors_are_connected_to_is_read_bank_by_bank(has: dict[str, float], asked: int) -> None:
-    """An absent parameter costs seconds: at most the first one of a bank is asked for in vain."""
+def test_motor_output_parameters_are_read_bank_by_bank(available: dict[str, float], reads: int) -> None:
+    """Reading an absent parameter takes seconds, so only the first one of a bank may be absent."""
     values: dict[str, float] = {}
     while names := motor_output_names(values, 4):
         assert not values.keys() & set(names)
-        values |= {name: has.get(name, math.nan) for name in names}
-    assert len(values) == asked
-    vain = [name for name in values if name not in has and not name[:-1].endswith(("MIN", "MAX"))]
-    assert all(name.endswith("FUNC1") for name in vain)
+        values |= {name: available.get(name, math.nan) for name in names}
+    assert len(values) == reads
+    absent = [name for name in values if name not in available and not name[:-1].endswith(("MIN", "MAX"))]
+    assert all(name.endswith("FUNC1") for name in absent)
 
 
 def test_a_lock_that_would_not_move_is_a_no_go() -> None:
     plain = mission()
-    assert no_goes(evaluate_lock(plain, {})) == ["lock_driver"]  # mock: nothing real moves
+    assert no_goes(evaluate_lock(plain, {})) == ["lock_driver"]  # the mock moves no servo
     by_px4 = with_driver(plain, LockDriver.PX4)
     assert no_goes(evaluate_lock(by_px4, {})) == ["lock_driver"]
     assert by_px4.vehicle.lock is not None
@@ -511,8 +520,7 @@ def test_a_lock_that_would_not_move_is_a_no_go() -> None:
 
 @pytest.mark.realtime
 @pytest.mark.mavlink
-def test_check_and_fly_with_a_vehicle(tmp_path: Path) -> None:
-    """`check` reads a vehicle; `fly` refuses on the same no-go."""
+def test_check_reads_a_vehicle_and_fly_refuses_its_no_go(tmp_path: Path) -> None:
     with simulated_vehicle("missions/single_wall.yaml") as url:
 
         def command(*arguments: str) -> subprocess.CompletedProcess[str]:
@@ -531,7 +539,7 @@ def test_check_and_fly_with_a_vehicle(tmp_path: Path) -> None:
         findings = json.loads(good.stdout)["findings"]
         items = {f["item"]: f["says"] for f in findings}
         assert items["position_source"] == "motion capture"
-        # The embedded autopilot holds before it lands, and has no sticks: told, with our files' reasons.
+        # The embedded autopilot holds before it lands and has no sticks; both are remarks.
         assert {f["item"] for f in findings if f["remark"]} == {
             "COM_OBL_RC_ACT",
             "COM_FAIL_ACT_T",
@@ -541,13 +549,13 @@ def test_check_and_fly_with_a_vehicle(tmp_path: Path) -> None:
         }
         assert items["version"] == "PX4 1.16.0"
         assert float(items["rate_imu"].split()[0]) > 150.0
-        elsewhere = command("check", "--connection", url, "--driver", "px4", "--position-from", "rtk")
-        assert elsewhere.returncode == 1
-        assert "position_source: --position-from is rtk, but" in elsewhere.stderr
+        wrong_source = command("check", "--connection", url, "--driver", "px4", "--position-from", "rtk")
+        assert wrong_source.returncode == 1
+        assert "position_source: --position-from is rtk, but" in wrong_source.stderr
         refused = command("fly", "--yes", "--connection", url, "--log-dir", str(tmp_path / "none"))
         assert refused.returncode == 1
         assert "lock_driver" in refused.stderr
-        assert not (tmp_path / "none").exists()  # nothing flew
+        assert not (tmp_path / "none").exists()  # no flight began
 
 
 # --- the rehearsal ---
@@ -570,5 +578,5 @@ def test_a_rehearsal_stops_before_every_wall(name: str, standoff: float) -> None
         assert standoff - 0.1 < nearest < standoff + 0.1
 
 
-def test_a_standoff_of_nothing_is_refused() -> None:
+def test_a_standoff_of_zero_is_refused() -> None:
     assert main(["dry-run", str(ROOT / "missions/paper_single_wall.yaml"), "--fast", "--standoff", "0"]) == 2

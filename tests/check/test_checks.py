@@ -1,4 +1,4 @@
-"""The one list of checks: what is in it, and how it is walked."""
+"""The list of checks: its contents, and the order in which checks run."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from dart_flight.check.stages import Check, CheckContext, EndOfStageError, Stage
 
 
 class NotThereError(Exception):
-    """What a check of these tests fails with."""
+    """The error of a failing check."""
 
 
 @dataclass
 class Bench(CheckContext[str]):
-    """A context whose findings are words."""
+    """A context whose findings are strings."""
 
     found: list[str] = field(default_factory=list)
     own_errors = (NotThereError,)
@@ -32,7 +32,7 @@ class Bench(CheckContext[str]):
 OUTCOMES = ("nothing", "one", "two", "fails", "ends")
 
 
-def check_that(outcome: str, name: str, stage: Stage) -> Check[Bench, str]:
+def make_check(outcome: str, name: str, stage: Stage) -> Check[Bench, str]:
     def run(_: Bench) -> list[str]:
         if outcome == "fails":
             raise NotThereError(name)
@@ -45,23 +45,23 @@ def check_that(outcome: str, name: str, stage: Stage) -> Check[Bench, str]:
 
 @given(st.lists(st.tuples(st.sampled_from(OUTCOMES), st.sampled_from([Stage.FILE, Stage.VEHICLE]))))
 def test_findings_come_in_order_until_their_stage_ends(kinds: list[tuple[str, Stage]]) -> None:
-    checks = [check_that(outcome, str(i), stage) for i, (outcome, stage) in enumerate(kinds)]
+    checks = [make_check(outcome, str(i), stage) for i, (outcome, stage) in enumerate(kinds)]
     bench = Bench(found=["earlier"])
     found = run_checks(checks, bench)
     expected: list[str] = []
-    over = set()
+    ended_stages = set()
     for i, (outcome, stage) in enumerate(kinds):
-        if stage in over:
+        if stage in ended_stages:
             continue
         if outcome == "ends":
-            over.add(stage)
-        told = {"fails": [f"failed: {i}"], "ends": [f"{i} ends it"], "one": [f"{i}"], "two": [f"{i}"] * 2}
-        expected += told.get(outcome, [])
+            ended_stages.add(stage)
+        texts = {"fails": [f"failed: {i}"], "ends": [f"{i} ends it"], "one": [f"{i}"], "two": [f"{i}"] * 2}
+        expected += texts.get(outcome, [])
     assert found == expected
     assert bench.found == ["earlier", *expected]
 
 
-def test_another_error_is_not_hidden() -> None:
+def test_an_unexpected_error_is_not_hidden() -> None:
     def run(_: Bench) -> list[str]:
         raise ZeroDivisionError
 
@@ -69,14 +69,14 @@ def test_another_error_is_not_hidden() -> None:
         run_checks([Check("broken", Stage.FILE, run)], Bench())
 
 
-def test_a_check_is_told_by_stage_and_name() -> None:
+def test_stage_and_name_identify_a_check() -> None:
     names = Counter([*((check.stage, check.name) for check in CHECKS), *((s.stage, s.name) for s in STEPS)])
     assert max(names.values()) == 1
     assert {check.stage for check in CHECKS} | {Stage.BENCH} == set(Stage)
     assert {step.stage for step in STEPS} == {Stage.BENCH}
 
 
-def test_stages_are_chosen_in_the_order_of_the_list() -> None:
+def test_selected_checks_keep_the_order_of_the_list() -> None:
     chosen = select_checks(Stage.VEHICLE, Stage.FILE)
     assert [check.stage for check in chosen] == sorted(
         (check.stage for check in chosen), key=[Stage.FILE, Stage.VEHICLE].index

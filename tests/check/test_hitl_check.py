@@ -1,4 +1,4 @@
-"""What a flight controller must have before it is fed simulated sensors: each refusal has its name."""
+"""Requirements on a flight controller before it receives simulated sensors; every refusal is named."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ def mission() -> Mission:
 
 @pytest.fixture(scope="module")
 def board(mission: Mission) -> dict[str, float]:
-    """A board with a PX4IO that is set up."""
+    """Return the parameters of a correctly configured board with a PX4IO."""
     motors = rotor_parameters(mission.vehicle.airframe.motors)
     io = {"SYS_USB_AUTO": 2.0, "PWM_AUX_FUNC1": 101.0, "PWM_MAIN_FUNC1": 0.0}
     return {**GOOD, **motors, **{p.name: float(p.value) for p in hitl_parameters().values()}, **io}
 
 
-def found_of(
+def hitl_findings(
     mission: Mission, values: Mapping[str, float], mode: HeartbeatMode | None = READY
 ) -> list[CheckFinding]:
     reading = VehicleReading(mode, values)
@@ -46,16 +46,16 @@ def found_of(
 def refusals(
     mission: Mission, values: Mapping[str, float], mode: HeartbeatMode | None = READY
 ) -> dict[str, str]:
-    return {f.item: f.says for f in found_of(mission, values, mode) if not f.go}
+    return {f.item: f.says for f in hitl_findings(mission, values, mode) if not f.go}
 
 
-def test_all_well_on_a_board_and_in_a_build_without_boards(mission: Mission, board: dict[str, float]) -> None:
-    ready = found_of(mission, board)
+def test_a_configured_board_and_a_posix_build_are_go(mission: Mission, board: dict[str, float]) -> None:
+    ready = hitl_findings(mission, board)
     assert [f.item for f in ready if not f.go] == []
     motors = VehicleReading(READY, board).motors
     assert motors is not None
     assert len(motors) == 4
-    assert "COM_OF_LOSS_T" in {f.item for f in ready}  # the vehicle's own are judged as ever
+    assert "COM_OF_LOSS_T" in {f.item for f in ready}  # the usual checks are included
     posix = {n: v for n, v in board.items() if not n.startswith(("HIL_", "SYS_USB_AUTO", "PWM_AUX"))}
     assert refusals(mission, {**posix, "PWM_MAIN_FUNC1": 101.0}) == {}
 
@@ -75,22 +75,22 @@ def test_a_board_without_simulated_outputs_needs_another_firmware(
 
 
 @pytest.mark.parametrize(
-    ("mode", "item", "words"),
+    ("mode", "item", "message"),
     [
         (HeartbeatMode(armed=True, hil=True), "disarmed", "is armed"),
         (HeartbeatMode(armed=False, hil=False), "hil_mode", "restart it"),
         (None, "heartbeat", "no heartbeat"),
     ],
 )
-def test_the_heartbeat_tells_of_arming_and_of_the_restart(
-    mission: Mission, board: dict[str, float], mode: HeartbeatMode | None, item: str, words: str
+def test_an_armed_unrestarted_or_silent_vehicle_is_refused(
+    mission: Mission, board: dict[str, float], mode: HeartbeatMode | None, item: str, message: str
 ) -> None:
     found = refusals(mission, board, mode)
     assert set(found) == {item}
-    assert words in found[item]
+    assert message in found[item]
 
 
-def test_motors_on_a_px4io_are_refused_only_where_there_is_one(
+def test_motors_on_a_px4io_are_refused_only_if_the_board_has_one(
     mission: Mission, board: dict[str, float]
 ) -> None:
     turning = {**board, "PWM_MAIN_FUNC1": 101.0, "PWM_MAIN_FUNC4": 104.0}
@@ -101,13 +101,11 @@ def test_motors_on_a_px4io_are_refused_only_where_there_is_one(
     assert refusals(mission, without) == {}
 
 
-def test_a_servo_on_px4s_own_output_would_not_move(mission: Mission, board: dict[str, float]) -> None:
+def test_a_lock_servo_on_px4s_own_output_is_refused(mission: Mission, board: dict[str, float]) -> None:
     found = refusals(with_driver(mission, LockDriver.PX4), board)
     assert set(found) == {"lock_driver"}
     assert "choose maestro, pwm or mock (--driver)" in found["lock_driver"]
 
 
-def test_dangerous_parameters_of_the_vehicle_are_refused_as_in_check(
-    mission: Mission, board: dict[str, float]
-) -> None:
+def test_dangerous_parameters_are_refused_as_in_check(mission: Mission, board: dict[str, float]) -> None:
     assert set(refusals(mission, {**board, "COM_OF_LOSS_T": 10.0})) == {"COM_OF_LOSS_T"}

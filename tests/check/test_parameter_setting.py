@@ -1,4 +1,4 @@
-"""`parameters`: the wanted values, their types and reasons; written, read back, and written back again."""
+"""The command `parameters`: wanted values with types and reasons; writing, reading back, restoring."""
 
 import json
 import lzma
@@ -49,7 +49,7 @@ def mission(**changes: object) -> Mission:
 
 
 class FakeLink(GroundLink):
-    """A vehicle of some parameters; what is in `stubborn` keeps its value."""
+    """A vehicle that ignores writes of `stubborn` parameters and rejects those of `refusing` ones."""
 
     def __init__(self, values: dict[str, Value], *, armed: bool = False, metadata: bytes = b"") -> None:
         self.values, self.armed, self.metadata = values, armed, metadata
@@ -83,7 +83,7 @@ class FakeLink(GroundLink):
 
 
 def default_vehicle() -> dict[str, Value]:
-    """Every wanted parameter, at another value, with the type that PX4 has."""
+    """Return every wanted parameter with a different value of PX4's type."""
     return {
         name: p.value + (7 if isinstance(p.value, int) else 7.5)
         for name, p in wanted_parameters(mission(), MOCAP).items()
@@ -91,52 +91,52 @@ def default_vehicle() -> dict[str, Value]:
     }
 
 
-def read(
-    link: GroundLink, of: Mission | None = None, restored: Path | None = None
+def read_vehicle(
+    link: GroundLink, configured: Mission | None = None, restored: Path | None = None
 ) -> setting.ParameterReading:
-    return setting.read_differences(link, of or mission(), MOCAP, restored)
+    return setting.read_differences(link, configured or mission(), MOCAP, restored)
 
 
-def test_measured_values_win_over_the_files() -> None:
+def test_measured_values_override_the_files() -> None:
     measured = mission(mocap__delay_ms=23.5, imu__position_m=[0.02, 0.0, -0.01])
     wanted = wanted_parameters(measured, MOCAP)
     assert wanted["EKF2_EV_DELAY"].value == 23.5
     assert "mocap.delay_ms" in wanted["EKF2_EV_DELAY"].reason
     assert [wanted[f"EKF2_IMU_POS_{axis}"].value for axis in "XYZ"] == [0.02, 0.0, -0.01]
-    # A vehicle that has no motion capture has no delay of its poses either.
+    # Without motion capture there is no pose delay.
     assert "EKF2_EV_DELAY" not in wanted_parameters(measured, PositionSource.RTK)
     assert wanted_parameters(mission(), MOCAP)["EKF2_EV_DELAY"].reason.startswith("Measure yours")
 
 
-def test_px4_does_not_stop_a_flight_before_the_guard() -> None:
+def test_px4s_tilt_limit_is_never_below_the_guards() -> None:
     assert wanted_parameters(mission(guard__tilt_deg=70.0), None)["FD_FAIL_R"].value == 70
     assert wanted_parameters(mission(guard__tilt_deg=40.0), None)["FD_FAIL_R"].value == 60
 
 
 @pytest.mark.parametrize("source", list(PositionSource))
-def test_a_vehicle_as_wanted_is_go(source: PositionSource) -> None:
-    of = mission(mocap__delay_ms=20.0)
+def test_a_vehicle_with_the_wanted_values_is_go(source: PositionSource) -> None:
+    configured = mission(mocap__delay_ms=20.0)
     values = {
         p.renamed or p.name: p.value
-        for p in wanted_parameters(of, source).values()
+        for p in wanted_parameters(configured, source).values()
         if p.renamed is not None or not p.is_absent_in((1, 18))
     }
     values |= {"COM_LKDOWN_TKO": 5.0, "COM_DISARM_LAND": 2.0}
-    found = evaluate_parameters(of, values, source, (1, 18))
+    found = evaluate_parameters(configured, values, source, (1, 18))
     assert [f for f in found if not f.go or f.remark] == []
-    assert list_differences(wanted_parameters(of, source), values, ()) == []
+    assert list_differences(wanted_parameters(configured, source), values, ()) == []
 
 
-def test_the_lock_s_output_keeps_the_bits_of_other_pins() -> None:
-    of = mission(lock__driver="px4")
-    bank, pin = of.vehicle.lock.px4.bank, of.vehicle.lock.px4.pin  # type: ignore[union-attr]
+def test_the_locks_output_keeps_the_bits_of_other_pins() -> None:
+    configured = mission(lock__driver="px4")
+    bank, pin = configured.vehicle.lock.px4.bank, configured.vehicle.lock.px4.pin  # type: ignore[union-attr]
     name, bit = f"PWM_{bank}_REV", 1 << (pin - 1)
-    wanted = with_lock_output(of, {}, {name: 0b11111})
+    wanted = with_lock_output(configured, {}, {name: 0b11111})
     assert wanted[name].value == 0b11111 & ~bit
     assert with_lock_output(mission(), {}, {}) == {}  # the lock has another driver
 
 
-def test_rows_have_the_vehicle_s_type_and_its_reason() -> None:
+def test_rows_have_the_vehicles_type_and_the_files_reason() -> None:
     wanted = {
         "A": Parameter("A", 4, "why a"),
         "B": Parameter("B", 2.0, "why b"),
@@ -152,67 +152,67 @@ def test_rows_have_the_vehicle_s_type_and_its_reason() -> None:
     assert [type(row.wanted) for row in rows] == [float, int, int]
 
 
-def test_restart_by_px4_s_own_metadata_or_by_a_list_that_is_named() -> None:
+def test_restarts_follow_px4s_metadata_or_the_packaged_list() -> None:
     tree = {"parameters": [{"name": "NAV_RCL_ACT", "rebootRequired": True}, {"name": "SYS_HAS_GPS"}]}
     metadata = lzma.compress(json.dumps(tree).encode())
     assert restart_names(metadata) == {"NAV_RCL_ACT"}
-    own = read(FakeLink(default_vehicle(), metadata=metadata))
+    own = read_vehicle(FakeLink(default_vehicle(), metadata=metadata))
     assert {row.name for row in own.rows if row.restart} == {"NAV_RCL_ACT"}
     assert own.restart_source == "the parameter metadata of this PX4"
     for broken in (b"", b"xyz", lzma.compress(b"[]"), lzma.compress(b'{"parameters": [{}, 1]}')):
-        listed = read(FakeLink(default_vehicle(), metadata=broken))
+        listed = read_vehicle(FakeLink(default_vehicle(), metadata=broken))
         assert {row.name for row in listed.rows if row.restart} == RESTART & set(default_vehicle())
         assert str(listed.restart_source).startswith("@reboot_required")
     with pytest.raises(MetadataError):
         restart_names(b"xyz")
 
 
-def test_written_read_back_and_written_back(tmp_path: Path) -> None:
+def test_written_parameters_are_read_back_and_can_be_restored(tmp_path: Path) -> None:
     before = default_vehicle()
     link = FakeLink(dict(before))
-    found = read(link)
+    found = read_vehicle(link)
     assert {row.name for row in found.writable} == set(before)
     saved = setting.save_previous(found.writable, tmp_path, "a vehicle", NOW)
     assert saved.name == "px4_before_2026-11-26_050000.params"
     assert setting.write_rows(link, found.writable) == {}
-    assert read(link).writable == []
-    back = read(link, restored=saved)
-    assert {row.why for row in back.rows} == {f"as in {saved.name}"}
-    assert setting.write_rows(link, back.writable) == {}
+    assert read_vehicle(link).writable == []
+    restoring = read_vehicle(link, restored=saved)
+    assert {row.why for row in restoring.rows} == {f"as in {saved.name}"}
+    assert setting.write_rows(link, restoring.writable) == {}
     assert link.values == pytest.approx(before, rel=1e-8)
     with pytest.raises(InputError, match="exists"):
-        setting.save_previous(found.writable, tmp_path, "a vehicle", NOW)  # never over another's values
+        setting.save_previous(found.writable, tmp_path, "a vehicle", NOW)  # a saved file is never overwritten
 
 
-def test_what_the_vehicle_does_not_take_is_named() -> None:
+def test_a_parameter_that_the_vehicle_rejects_is_named() -> None:
     link = FakeLink(default_vehicle())
     link.stubborn, link.refusing = {"NAV_RCL_ACT"}, {"FD_FAIL_P"}
-    refused = setting.write_rows(link, read(link).writable)
+    refused = setting.write_rows(link, read_vehicle(link).writable)
     assert refused == {
         "FD_FAIL_P": "FD_FAIL_P was not set",
         "NAV_RCL_ACT": "NAV_RCL_ACT is 10 after writing 3",
     }
 
 
-def test_an_armed_vehicle_is_not_written_to() -> None:
+def test_writing_to_an_armed_vehicle_is_refused() -> None:
     FakeLink({}).require_disarmed()
     with pytest.raises(VehicleError, match="armed"):
         FakeLink({}, armed=True).require_disarmed()
 
 
-def test_a_parameter_of_another_version_is_left_out_or_read_by_its_other_name() -> None:
+def test_a_parameter_of_another_version_is_skipped_or_read_by_its_new_name() -> None:
     values: dict[str, Value] = {"EKF2_EV_CTRL": 0, "EKF2_GPS_CTRL": 7, "SENS_GPS0_DELAY": 80.0}
     found = setting.read_differences(FakeLink(values), mission(), None, None)
-    assert found.position_from is PositionSource.RTK  # as its receiver reports
+    assert found.position_from is PositionSource.RTK  # reported by its receiver
     names = {row.name for row in found.rows}
     assert "SENS_GPS0_DELAY" in names
     assert not {"EKF2_GPS_DELAY", "COM_RC_OVERRIDE", "COM_IMB_PROP_ACT"} & names
 
 
-def test_configured_motion_capture_is_where_the_position_is_to_come_from() -> None:
-    of = mission(mocap__url="optitrack://127.0.0.1/dart")
+def test_configured_motion_capture_determines_the_position_source() -> None:
+    configured = mission(mocap__url="optitrack://127.0.0.1/dart")
     values: dict[str, Value] = {"EKF2_EV_CTRL": 0, "EKF2_GPS_CTRL": 7}
-    assert setting.read_differences(FakeLink(values), of, None, None).position_from is MOCAP
+    assert setting.read_differences(FakeLink(values), configured, None, None).position_from is MOCAP
 
 
 NAMES = st.from_regex(r"[A-Z][A-Z0-9_]{0,15}", fullmatch=True)
@@ -221,7 +221,7 @@ INTS = st.integers(-(2**31), 2**31 - 1)
 
 
 @given(st.dictionaries(NAMES, st.one_of(INTS, FLOATS), min_size=1))
-def test_a_file_gives_back_what_was_written_to_it(
+def test_a_written_parameter_file_is_read_back_unchanged(
     tmp_path_factory: pytest.TempPathFactory, values: dict[str, Value]
 ) -> None:
     path = tmp_path_factory.mktemp("params") / "some.params"

@@ -1,4 +1,4 @@
-"""Where a connected vehicle stands: what a wrong origin, heading or normal looks like on the ground."""
+"""The place of a connected vehicle: signs of a wrong origin, heading or normal on the ground."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ from tests.mission_findings import check_mission
 DUAL = load_mission(packaged("missions", "dual_collision.yaml"))
 
 
-def place(
+def place_findings(
     mission: Mission, x: float = 0.0, y: float = 0.0, heading_deg: float = 0.0
 ) -> dict[str, CheckFinding]:
-    """Findings for a vehicle that stands at a place of the mission's frame."""
+    """Return the findings for a vehicle at a position in the mission's frame."""
     frame = mission.frame_at((0.0, 0.0, 0.0))
     q = quaternion_from_euler(0.0, 0.0, math.radians(heading_deg))
     return {f.item: f for f in evaluate_place(mission, frame.point_to_ned((x, y, 0.0)), q)}
 
 
-def test_at_the_start_place_heading_and_walls_are_stated() -> None:
-    found = place(DUAL, *DUAL.start)["place"]
+def test_the_heading_and_the_walls_are_reported_at_the_start() -> None:
+    found = place_findings(DUAL, *DUAL.start)["place"]
     assert found.go
     assert not found.remark
     wall = next(w for w in DUAL.walls if w.name == "acrylic")
@@ -49,12 +49,12 @@ def test_distances_do_not_depend_on_the_frame(
     heading: float, north: float, east: float, yaw: float, x: float, y: float
 ) -> None:
     moved = DUAL.replace({"frame": {"heading_deg": heading, "north_m": north, "east_m": east}})
-    a = place(DUAL, x, y, math.degrees(yaw))["place"].figures
-    b = place(moved, x, y, math.degrees(yaw) + heading)["place"].figures
+    a = place_findings(DUAL, x, y, math.degrees(yaw))["place"].figures
+    b = place_findings(moved, x, y, math.degrees(yaw) + heading)["place"].figures
     for key, value in a.items():
         if "heading" in key or "bearing" in key:
-            apart = (b[key] - value - heading + 180.0) % 360.0 - 180.0
-            assert apart == pytest.approx(0.0, abs=1e-6)
+            difference = (b[key] - value - heading + 180.0) % 360.0 - 180.0
+            assert difference == pytest.approx(0.0, abs=1e-6)
         else:
             assert b[key] == pytest.approx(value, abs=1e-9)
 
@@ -68,15 +68,15 @@ def test_distances_do_not_depend_on_the_frame(
         (0.3, -1.05, "wall wood is too near the vehicle or between the vehicle and start"),
     ],
 )
-def test_a_start_that_the_mission_does_not_tolerate_is_a_no_go(x: float, y: float, says: str) -> None:
-    found = place(DUAL, x, y)["place"]
+def test_a_place_that_the_mission_does_not_tolerate_is_a_no_go(x: float, y: float, says: str) -> None:
+    found = place_findings(DUAL, x, y)["place"]
     assert not found.go
     assert says in found.says
 
 
 @pytest.mark.parametrize(("off_m", "remark"), [(0.2, False), (0.5, True)])
-def test_a_little_beside_the_start_is_a_remark(off_m: float, remark: bool) -> None:
-    found = place(DUAL, DUAL.start[0], DUAL.start[1] + off_m)["place"]
+def test_a_place_half_a_metre_from_the_start_is_a_remark(off_m: float, remark: bool) -> None:
+    found = place_findings(DUAL, DUAL.start[0], DUAL.start[1] + off_m)["place"]
     assert (found.go, found.remark) == (True, remark)
 
 
@@ -89,15 +89,17 @@ def with_frame(heading_deg: float) -> Mission:
     [
         (1.57, 92.0, False),
         (-0.785, 315.0, False),
-        (2.1, 118.0, False),  # 120 degrees, and none of the usual angles
-        (1.57, 2.0, True),  # it may well be a degree and a half
+        (2.1, 118.0, False),  # 120 degrees, not one of the usual angles
+        (1.57, 2.0, True),  # may really mean 1.57 degrees
         (90.0, 92.0, True),
-        (90.0, 0.0, True),  # the vehicle may stand turned: it turns in the air
+        (90.0, 0.0, True),  # the vehicle may start with another heading and turn in the air
         (0.0, 90.0, True),
     ],
 )
-def test_a_heading_in_radians_is_told_by_the_vehicles(given_deg: float, vehicle_deg: float, go: bool) -> None:
-    found = place(with_frame(given_deg), heading_deg=vehicle_deg)
+def test_a_heading_in_radians_is_detected_from_the_vehicles_heading(
+    given_deg: float, vehicle_deg: float, go: bool
+) -> None:
+    found = place_findings(with_frame(given_deg), heading_deg=vehicle_deg)
     assert ("heading" not in found) == go
     assert go or "looks like radians" in found["heading"].says
 
@@ -109,8 +111,8 @@ def test_a_usual_angle_in_radians_is_a_remark_without_a_vehicle(given_deg: float
     assert any(f.item == "heading" and f.remark for f in check_mission(with_frame(given_deg))) == remark
 
 
-def own(**changes: Any) -> Mission:
-    """A mission with one wall that is hit and one that only stands there."""
+def with_door(**changes: Any) -> Mission:
+    """Return the mission with an additional wall that is not hit."""
     tree = DUAL.to_dict()
     tree["walls"]["door"] = {
         "point_m": [-1.5, 0.0], "normal": [1.0, 0.0], "length_m": 2.0, "material": "wood", **changes,
@@ -118,17 +120,17 @@ def own(**changes: Any) -> Mission:
     return load_mission(tree)
 
 
-def test_a_normal_turned_round_shows_as_a_wall_that_the_vehicle_is_behind() -> None:
-    assert not place(own())["place"].remark
-    found = place(own(normal=[-1.0, 0.0]))["place"]
+def test_a_reversed_normal_is_reported_as_a_vehicle_behind_the_wall() -> None:
+    assert not place_findings(with_door())["place"].remark
+    found = place_findings(with_door(normal=[-1.0, 0.0]))["place"]
     assert found.remark
     assert "behind the face of wall door: check the sign of its normal" in found.says
 
 
-def test_a_forgotten_given_at_shows_in_the_distance_to_the_surface() -> None:
+def test_given_at_changes_the_reported_distance_to_the_surface() -> None:
     contact_m = DUAL.vehicle.airframe.contact_distance_m
-    centre = place(own())["place"].figures["wall door_distance_m"]
-    surface = place(own(given_at="surface"))["place"].figures["wall door_distance_m"]
+    centre = place_findings(with_door())["place"].figures["wall door_distance_m"]
+    surface = place_findings(with_door(given_at="surface"))["place"].figures["wall door_distance_m"]
     assert centre == pytest.approx(1.5 + contact_m)
     assert surface == pytest.approx(1.5)
 
@@ -138,8 +140,8 @@ def test_a_forgotten_given_at_shows_in_the_distance_to_the_surface() -> None:
 )
 def test_shipped_missions_are_go_at_their_start(name: str) -> None:
     mission = load_mission(packaged("missions", f"{name}.yaml"))
-    assert place(mission, *mission.start)["place"].go
+    assert place_findings(mission, *mission.start)["place"].go
 
 
-def test_without_a_position_nothing_is_said() -> None:
+def test_a_vehicle_without_a_position_has_no_findings() -> None:
     assert evaluate_place(DUAL, None, None) == []

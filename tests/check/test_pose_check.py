@@ -1,4 +1,4 @@
-"""What `check` says of the motion capture before a flight."""
+"""Findings of `check` about motion capture before a flight."""
 
 import msgspec
 import pytest
@@ -21,14 +21,14 @@ GOOD = PoseFigures(
 )
 
 
-def test_good_poses_are_one_go() -> None:
+def test_good_poses_give_a_single_go_finding() -> None:
     (finding,) = evaluate_poses(CONFIG, Observation(poses=GOOD))
     assert finding.go
     assert finding.item == "pose_source"
     assert finding.says == "100 poses/s, 12 ms old; PX4's estimate is 0.01 m and 0.5 deg off"
 
 
-def test_without_forwarded_poses_nothing_is_judged() -> None:
+def test_a_vehicle_without_motion_capture_has_no_pose_findings() -> None:
     assert evaluate_poses(MotionCapture(), Observation()) == []
 
 
@@ -46,23 +46,23 @@ def test_without_forwarded_poses_nothing_is_judged() -> None:
         ({"angle_to_px4_deg": 90.0}, "0.01 m and 90 deg off the poses"),
     ],
 )
-def test_a_defect_is_a_no_go_that_names_it(changes: dict[str, object], says: str) -> None:
+def test_a_defect_of_the_poses_is_a_no_go_with_its_cause(changes: dict[str, object], says: str) -> None:
     (finding,) = evaluate_poses(CONFIG, Observation(poses=msgspec.structs.replace(GOOD, **changes)))
     assert not finding.go
     assert says in finding.says
 
 
-def test_every_defect_has_a_line_of_its_own() -> None:
+def test_every_defect_has_its_own_finding() -> None:
     poses = msgspec.structs.replace(GOOD, rate_hz=30.0, gaps=1, senders=("a:1", "b:2"), age_growth_ms=50.0)
     assert [finding.go for finding in evaluate_poses(CONFIG, Observation(poses=poses))] == [False] * 4
 
 
-def test_the_sources_own_reason_is_told() -> None:
+def test_the_sources_own_reason_is_reported() -> None:
     observed = Observation(poses=PoseFigures(), pose_problem="no object dart, only wand")
     assert "no object dart, only wand" in evaluate_poses(CONFIG, observed)[0].says
 
 
-def test_another_program_with_timesync_is_named() -> None:
+def test_another_sender_of_timesync_is_a_remark() -> None:
     sources = tuple(
         Source(Sender("TIMESYNC", 1, component, 0), 10.0, 10.0, component == 1, "") for component in (1, 191)
     )

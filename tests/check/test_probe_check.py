@@ -1,4 +1,4 @@
-"""What `check` says of probes, of walls that they find, and of anchors."""
+"""Findings of `check` about probes, the walls that they find, and anchors."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def findings(name: str, changes: Mapping[str, Any] | None = None) -> dict[str, C
     return {finding.item: finding for finding in check_mission(mission)}
 
 
-def test_a_wall_that_nobody_knows_is_judged_in_flight() -> None:
+def test_an_unknown_wall_is_left_to_the_check_in_flight() -> None:
     found = findings("find_a_wall")
     assert all(finding.go for finding in found.values())
     assert "at most 37 N on the stiffest known material" in found["probe_1"].says
@@ -36,21 +36,21 @@ def test_a_wall_that_nobody_knows_is_judged_in_flight() -> None:
         ({"collisions[0].probe.speed_m_s": 2.5}, "limits.peak_force_n is 150 N"),
     ],
 )
-def test_a_probe_that_is_not_felt_or_not_borne_is_a_no_go(changes: Mapping[str, Any], says: str) -> None:
+def test_a_probe_too_slow_to_detect_or_too_fast_is_a_no_go(changes: Mapping[str, Any], says: str) -> None:
     probe = findings("find_a_wall", changes)["probe_1"]
     assert not probe.go
     assert says in probe.says
 
 
-def test_a_probe_that_may_end_before_its_wall_is_remarked() -> None:
+def test_a_probe_that_may_end_before_its_wall_is_a_remark() -> None:
     uncertain = {"walls.wood.position_sd_m": 0.6}
     probe = findings("dual_collision_gps", uncertain)["probe_1"]
     assert (probe.go, probe.remark) == (True, True)
     assert "may be 1.80 m further away" in probe.says
 
 
-def test_how_old_an_anchor_will_be_is_told_with_what_is_left_of_it() -> None:
-    """Flown are about 7 s each (docs/results/touch.md)."""
+def test_the_age_and_uncertainty_of_an_anchor_are_reported() -> None:
+    """In flight both ages are about 7 s (docs/results/touch.md)."""
     found = findings("dual_collision_gps")
     assert found["anchor_3"].figures is not None
     assert found["anchor_4"].figures is not None
@@ -59,7 +59,7 @@ def test_how_old_an_anchor_will_be_is_told_with_what_is_left_of_it() -> None:
     assert found["anchor_4"].figures["sd_m"] == pytest.approx(0.04 * found["anchor_4"].figures["age_s"])
 
 
-def test_a_wall_without_a_touch_before_is_a_no_go_where_the_frame_drifts() -> None:
+def test_a_wall_without_an_earlier_touch_is_a_no_go_in_a_drifting_frame() -> None:
     mission = load_mission(packaged("missions", "dual_collision.yaml"))
     drifting = mission.replace({"frame.origin": "takeoff", "frame.anchored_by": "touch"})
     found = {finding.item: finding for finding in check_mission(drifting)}

@@ -1,4 +1,4 @@
-"""Missions that the core refuses to fly: `check` is a no-go with the line that ends a `dry-run`."""
+"""Missions that the core refuses to fly: `check` reports the line that ends a `dry-run` as a no-go."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from dart_flight.cli import main
 from dart_flight.config.mission import load_mission
 from dart_flight.config.vehicle import packaged
 
-# What is changed in the single-wall mission, and what is wrong then.
+# For each case, the replacement in the single-wall mission and the expected problem.
 UNFLYABLE = {
     "impact outside the bounds": (
         ("x: [-1.5, 2.2]", "x: [-1.5, 1.0]"),
@@ -43,12 +43,12 @@ UNFLYABLE = {
 
 @pytest.fixture(params=UNFLYABLE)
 def unflyable(request: pytest.FixtureRequest, tmp_path: Path) -> tuple[str, str]:
-    """The mission's path, and words of what is wrong with it."""
+    """Return the mission's path and a part of the expected message."""
     (before, after), problem = UNFLYABLE[request.param]
     text = packaged("missions", "single_wall.yaml").read_text(encoding="utf-8")
     assert before in text
     if "run-up to" in problem:
-        text = text.replace("[1.65, 0.5]", "[1.0, 0.5]")  # a wall so near that the run-up begins behind start
+        text = text.replace("[1.65, 0.5]", "[1.0, 0.5]")  # the near wall moves the run-up behind the start
     text = text.replace(before, after, 1).replace(
         "../configs/dart.yaml", str(packaged("configs", "dart.yaml"))
     )
@@ -57,7 +57,9 @@ def unflyable(request: pytest.FixtureRequest, tmp_path: Path) -> tuple[str, str]
     return str(path), problem
 
 
-def test_check_is_a_no_go(unflyable: tuple[str, str], capsys: pytest.CaptureFixture[str]) -> None:
+def test_check_reports_a_no_go_once_and_skips_the_core_speed(
+    unflyable: tuple[str, str], capsys: pytest.CaptureFixture[str]
+) -> None:
     path, problem = unflyable
     assert main(["check", path, "--json"]) == 1
     report = msgspec.json.decode(capsys.readouterr().out)
@@ -70,7 +72,7 @@ def test_check_is_a_no_go(unflyable: tuple[str, str], capsys: pytest.CaptureFixt
     assert speed.rpartition(" ")[2] in {finding["item"] for finding in report["findings"]}
 
 
-def test_the_cores_reason_is_given_where_no_finding_has_it(unflyable: tuple[str, str]) -> None:
+def test_the_core_speed_check_reports_the_cores_reason(unflyable: tuple[str, str]) -> None:
     path, problem = unflyable
     assert problem in check_core_speed(load_mission(path)).says
 
@@ -82,6 +84,6 @@ def test_a_flight_is_refused_in_one_line(
     path, problem = unflyable
     options = ["-o", str(tmp_path / "out.yaml")] if command == "survey" else []
     assert main([command, path, "--fast", "--log-dir", str(tmp_path / "logs"), *options]) == 2
-    said = capsys.readouterr()
-    assert len(said.err.strip().splitlines()) == 1
-    assert problem in said.err
+    captured = capsys.readouterr()
+    assert len(captured.err.strip().splitlines()) == 1
+    assert problem in captured.err

@@ -1,4 +1,4 @@
-"""`check --watch`: a save checks again, an error is told and leaves the last picture, Ctrl-C ends it."""
+"""`check --watch`: every save repeats the check, an error keeps the last picture, Ctrl-C ends it."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ ROOT = Path(__file__).parents[2]
 
 
 class Sleeper:
-    """A clock without time: every sleep carries out the next action; after the last comes Ctrl-C."""
+    """A sleep function that runs the next action at every call, and raises Ctrl-C after the last."""
 
     def __init__(self, *actions: Callable[[], object]) -> None:
         self._actions: Iterator[Callable[[], object]] = iter(actions)
@@ -30,11 +30,11 @@ class Sleeper:
 
 
 def idle() -> None:
-    """Nothing is saved."""
+    """Save nothing."""
 
 
 def replace(path: Path, text: str) -> None:
-    """Save as editors do that write a new file."""
+    """Save like an editor that writes a new file."""
     new = path.with_suffix(".new")
     new.write_text(text)
     os.replace(new, path)
@@ -59,26 +59,26 @@ def _watch(folder: Path) -> int:
     return main(["check", mission, "--watch", "--plot", str(folder / "a.png")])
 
 
-def test_every_save_checks_again_and_an_error_keeps_the_picture(
+def test_every_save_repeats_the_check_and_an_error_keeps_the_picture(
     folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     mission, vehicle = folder / "missions" / "paper_single_wall.yaml", folder / "configs" / "dart.yaml"
     picture, good = folder / "a.png", mission.read_text()
     pictures: list[bytes] = []
 
-    def keep() -> None:
+    def keep_picture() -> None:
         pictures.append(picture.read_bytes())
 
     def type_half() -> None:
-        keep()
+        keep_picture()
         mission.write_text("version: 1\nname: [")
 
-    def mend() -> None:
-        keep()
+    def restore_mission() -> None:
+        keep_picture()
         replace(mission, good)
 
     def touch_vehicle() -> None:
-        keep()
+        keep_picture()
         replace(vehicle, vehicle.read_text().replace("mass_kg: 1.3", "mass_kg: 1.5"))
 
     status = watch(
@@ -86,21 +86,21 @@ def test_every_save_checks_again_and_an_error_keeps_the_picture(
         folder,
         idle,
         type_half,
-        idle,  # looked at once more: saved, and nothing changes any more
+        idle,  # one more look, to confirm that the file no longer changes
         touch_vehicle,  # another file is saved while the mission is wrong
         idle,
-        mend,
+        restore_mission,
         idle,
-        keep,
+        keep_picture,
     )
-    said = capsys.readouterr().err
+    output = capsys.readouterr().err
     assert status == 0
-    assert said.count("watching ") == 4
-    assert said.count("not valid YAML") == 2
-    assert said.count("picture: ") == 2
-    assert pictures[0] == pictures[1] == pictures[2]  # the last good one stays
+    assert output.count("watching ") == 4
+    assert output.count("not valid YAML") == 2
+    assert output.count("picture: ") == 2
+    assert pictures[0] == pictures[1] == pictures[2]  # an error keeps the last valid picture
     assert pictures[3] != pictures[2]
-    assert "dart.yaml, paper_single_wall.yaml" in said
+    assert "dart.yaml, paper_single_wall.yaml" in output
 
 
 def test_ctrl_c_ends_with_the_last_status(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -110,7 +110,7 @@ def test_ctrl_c_ends_with_the_last_status(folder: Path, monkeypatch: pytest.Monk
     assert watch(monkeypatch, folder) == 2
 
 
-def test_a_file_that_is_missing_is_waited_for(tmp_path: Path) -> None:
+def test_a_missing_file_is_awaited(tmp_path: Path) -> None:
     path, runs = tmp_path / "a.yaml", []
 
     def check() -> int:
@@ -122,7 +122,7 @@ def test_a_file_that_is_missing_is_waited_for(tmp_path: Path) -> None:
     assert runs == [False, True]
 
 
-def test_files_are_noted_as_they_were_before_they_were_read(tmp_path: Path) -> None:
+def test_files_are_noted_with_their_stamp_from_before_the_read(tmp_path: Path) -> None:
     path = tmp_path / "a.yaml"
     path.write_text("a")
     before = stamp_of(path)
@@ -135,6 +135,8 @@ def test_files_are_noted_as_they_were_before_they_were_read(tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize("option", [["--json"], ["--connection", "udpin://127.0.0.1:14999"]])
-def test_only_for_files(option: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+def test_watch_is_refused_with_json_and_with_a_connection(
+    option: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["check", str(ROOT / "missions" / "paper_single_wall.yaml"), "--watch", *option]) == 2
     assert "--watch" in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""The packaged lock configuration, and ways to vary it."""
+"""Fixtures for the packaged lock configuration and its variations."""
 
 from __future__ import annotations
 

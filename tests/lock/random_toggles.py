@@ -1,12 +1,12 @@
-"""Random toggles of the lock with random faults: does it ever claim what is not so?
+"""Random toggles of the lock with random faults: does it ever report a wrong state?
 
-Two controllers: the mock, in process, and the serial driver against the emulated Maestro behind a
-pseudo-terminal, where every byte is real. Time is simulated in both. After every reading the reported state
-is compared with the modelled horn:
+There are two controllers: the mock in this process, and the serial driver against the emulated Maestro
+behind a pseudo-terminal, where every byte is real. Time is simulated in both. After every reading the
+reported state is compared with the modelled horn:
 
 * `settled` with feedback and the horn elsewhere: a violation;
-* `settled` without feedback and the horn elsewhere: allowed only while the servo itself has a fault (the
-  controller then reports what it was told), and counted;
+* `settled` without feedback and the horn elsewhere: counted, and a violation unless the servo itself has a
+  fault, because the controller then reports the commanded position;
 * an exception that escapes: a violation.
 """
 
@@ -55,7 +55,7 @@ FAULTS = (
 
 
 class Tally(msgspec.Struct):
-    """What happened in a campaign."""
+    """Counts and violations of a campaign."""
 
     controller: str
     toggles: int = 0
@@ -69,48 +69,48 @@ class Tally(msgspec.Struct):
 
 
 class Rig(Protocol):
-    """A driver and the world behind it."""
+    """A driver and the modelled hardware behind it."""
 
     @property
     def driver(self) -> Driver:
         """The driver under test."""
 
     def horn_us(self) -> float:
-        """Where the modelled horn is."""
+        """Return the position of the modelled horn."""
 
-    def break_it(self, fault: str, chance: random.Random) -> None:
-        """Bring a fault about, now or during the coming travel."""
+    def inject_fault(self, fault: str, rng: random.Random) -> None:
+        """Inject a fault that acts now or during the next travel."""
 
     def repair(self) -> None:
-        """Take every fault away."""
+        """Clear every fault."""
 
 
-def _servo_faults(fault: str, chance: random.Random) -> ServoFaults:
+def _servo_faults(fault: str, rng: random.Random) -> ServoFaults:
     if fault == "stuck":
         return ServoFaults(stuck=True)
     if fault == "slow":
-        return ServoFaults(slow=chance.uniform(1.2, 12.0))
+        return ServoFaults(slow=rng.uniform(1.2, 12.0))
     if fault == "stalled":
-        return ServoFaults(stall_fraction=chance.uniform(0.05, 0.95))
+        return ServoFaults(stall_fraction=rng.uniform(0.05, 0.95))
     return NO_FAULTS
 
 
 class MockRig:
-    """The mock on a simulated clock."""
+    """The mock driver on a simulated clock."""
 
     def __init__(self, config: LockConfig, clock: list[int]) -> None:
         self.driver = MockDriver(config, lambda: clock[0])
         self._clock = clock
 
     def horn_us(self) -> float:
-        """Where the modelled horn is."""
+        """Return the position of the modelled horn."""
         return self.driver.horn_pulse_us(self._clock[0])
 
-    def break_it(self, fault: str, chance: random.Random) -> None:
-        """Bring a fault about."""
+    def inject_fault(self, fault: str, rng: random.Random) -> None:
+        """Inject a fault."""
         self.driver.inject(
             MockFaults(
-                servo=_servo_faults(fault, chance),
+                servo=_servo_faults(fault, rng),
                 unplugged=fault == "unplugged",
                 brown_out=fault == "brown-out",
                 switch_silent=fault == "silent switch",
@@ -118,7 +118,7 @@ class MockRig:
         )
 
     def repair(self) -> None:
-        """Take every fault away."""
+        """Clear every fault."""
         self.driver.inject(MockFaults())
 
 
@@ -138,37 +138,37 @@ class MaestroRig:
         self.driver: Driver = DriverWithLimitSwitch(serial, self)
 
     def horn_us(self) -> float:
-        """Where the modelled horn is."""
+        """Return the position of the modelled horn."""
         return self.controller.horn_us()
 
     def read(self) -> tuple[bool | None, bool | None]:
-        """The modelled limit switches."""
-        at, fitted = mode_of(self._config.servo, self.horn_us()), self._config.limit_switch
-        rigid = None if fitted is None or fitted.rigid_line is None else at is Mode.RIGID
-        flexible = None if fitted is None or fitted.flexible_line is None else at is Mode.FLEXIBLE
+        """Return the states of the modelled limit switches."""
+        mode, switch = mode_of(self._config.servo, self.horn_us()), self._config.limit_switch
+        rigid = None if switch is None or switch.rigid_line is None else mode is Mode.RIGID
+        flexible = None if switch is None or switch.flexible_line is None else mode is Mode.FLEXIBLE
         return (rigid and not self._silent), (flexible and not self._silent)
 
     def close(self) -> None:
-        """Nothing to let go of."""
+        """Do nothing: modelled switches hold no resources."""
 
-    def break_it(self, fault: str, chance: random.Random) -> None:
-        """Bring a fault about."""
-        self.controller.set_servo_faults(_servo_faults(fault, chance))
+    def inject_fault(self, fault: str, rng: random.Random) -> None:
+        """Inject a fault."""
+        self.controller.set_servo_faults(_servo_faults(fault, rng))
         self._silent = fault == "silent switch"
         if fault == "unplugged":
             self._plugged = False
-            self.controller.unplug(power_too=chance.random() < 0.5)
+            self.controller.unplug(power_too=rng.random() < 0.5)
         elif fault == "brown-out":
-            self.controller.restart_at(self._clock[0] + round(chance.uniform(0.0, 0.3) * 1e6))
+            self.controller.restart_at(self._clock[0] + round(rng.uniform(0.0, 0.3) * 1e6))
         elif fault == "noise":
-            bursts = (chance.randbytes(chance.randrange(0, 9)) for _ in range(chance.randrange(1, 12)))
+            bursts = (rng.randbytes(rng.randrange(0, 9)) for _ in range(rng.randrange(1, 12)))
             self.controller.add_noise(*bursts)
-            self.controller.say(chance.randbytes(chance.randrange(0, 64)))
+            self.controller.say(rng.randbytes(rng.randrange(0, 64)))
         elif fault == "errors":
-            self.controller.set_errors(chance.randrange(1, 512))
+            self.controller.set_errors(rng.randrange(1, 512))
 
     def repair(self) -> None:
-        """Take every fault away."""
+        """Clear every fault."""
         self.controller.set_servo_faults()
         self.controller.restart_at(None)
         self._silent = False
@@ -192,7 +192,7 @@ def _rig(controller: str, config: LockConfig, clock: list[int]) -> Iterator[Rig]
 
 
 class _Watch:
-    """Steps a session and compares what it says with the horn."""
+    """Steps a session and compares its reported state with the horn."""
 
     def __init__(self, session: LockSession, rig: Rig, clock: list[int], tally: Tally) -> None:
         self.session, self.rig, self._clock, self._tally = session, rig, clock, tally
@@ -205,39 +205,39 @@ class _Watch:
             self._clock[0] += POLL_US
             state = self.session.poll()
             self._tally.polls += 1
-            self._judge(newly=state is not before)
+            self._compare_with_horn(newly=state is not before)
 
-    def _judge(self, *, newly: bool) -> None:
+    def _compare_with_horn(self, *, newly: bool) -> None:
         state, tally = self.session.state, self._tally
         if newly and state.phase is LockPhase.FAULT:
             tally.faults_reported += 1
         if state.phase is not LockPhase.SETTLED:
             return
-        there = mode_of(self.session.machine.config.servo, self.rig.horn_us()) is state.mode
+        arrived = mode_of(self.session.machine.config.servo, self.rig.horn_us()) is state.mode
         if newly:
             tally.settled_with_feedback += state.feedback
             tally.settled_without_feedback += not state.feedback
-            tally.wrong_without_feedback += not there and not state.feedback
-        if not there and (state.feedback or not self.servo_may_be_faulty):
+            tally.wrong_without_feedback += not arrived and not state.feedback
+        if not arrived and (state.feedback or not self.servo_may_be_faulty):
             tally.violations.append(f"{self.label}: {state} but the horn is at {self.rig.horn_us():.0f} us")
 
 
-def campaign(controller: str, toggles: int, seed: int) -> Tally:
-    """Random toggles with faults; `controller` is `mock` or `maestro`. The same seed gives the same run."""
+def run_campaign(controller: str, toggles: int, seed: int) -> Tally:
+    """Run random toggles with faults; `controller` is `mock` or `maestro`; `seed` fixes the run."""
     tally = Tally(controller)
-    chance = random.Random(f"{controller} {seed}")
+    rng = random.Random(f"{controller} {seed}")
     packaged_lock = load_vehicle(packaged("configs", "dart.yaml")).lock
     assert packaged_lock is not None
     while tally.toggles < toggles:
         config = msgspec.structs.replace(
             packaged_lock,
             driver=LockDriver(controller),
-            limit_switch=chance.choice(SWITCHES),
+            limit_switch=rng.choice(SWITCHES),
             maestro=msgspec.structs.replace(
-                packaged_lock.maestro, reply_timeout_s=0.2, speed_limit_us_s=chance.choice((0.0, 0.0, 2500.0))
+                packaged_lock.maestro, reply_timeout_s=0.2, speed_limit_us_s=rng.choice((0.0, 0.0, 2500.0))
             ),
         )
-        clock = [chance.randrange(1, 10**12)]
+        clock = [rng.randrange(1, 10**12)]
         with _rig(controller, config, clock) as rig:
             session = LockSession(config, rig.driver, lambda clock=clock: clock[0])  # type: ignore[misc]
             watch = _Watch(session, rig, clock, tally)
@@ -245,36 +245,36 @@ def campaign(controller: str, toggles: int, seed: int) -> Tally:
             watch.run(30)
             session.permit(True)
             for _ in range(min(TOGGLES_PER_RIG, toggles - tally.toggles)):
-                _toggle(watch, tally, chance)
+                _toggle(watch, tally, rng)
     return tally
 
 
-def _toggle(watch: _Watch, tally: Tally, chance: random.Random) -> None:
-    fault = chance.choice(FAULTS)
+def _toggle(watch: _Watch, tally: Tally, rng: random.Random) -> None:
+    fault = rng.choice(FAULTS)
     tally.toggles += 1
     watch.label = f"{tally.controller} toggle {tally.toggles} ({fault})"
     session = watch.session
     try:
         watch.servo_may_be_faulty |= fault in ("stuck", "slow", "stalled")
-        late = chance.random() < 0.5
-        if not late:
-            watch.rig.break_it(fault, chance)
-        session.permit(chance.random() < 0.9)
-        tally.refused += session.command(chance.choice(tuple(Mode))) is not None
-        watch.run(chance.randrange(0, 14))
-        if late:
-            watch.rig.break_it(fault, chance)
-        if chance.random() < 0.2:
+        fault_during_travel = rng.random() < 0.5
+        if not fault_during_travel:
+            watch.rig.inject_fault(fault, rng)
+        session.permit(rng.random() < 0.9)
+        tally.refused += session.command(rng.choice(tuple(Mode))) is not None
+        watch.run(rng.randrange(0, 14))
+        if fault_during_travel:
+            watch.rig.inject_fault(fault, rng)
+        if rng.random() < 0.2:
             session.permit(False)
-        if chance.random() < 0.2:
-            tally.refused += session.command(chance.choice(tuple(Mode))) is not None
-        if chance.random() < 0.1:
+        if rng.random() < 0.2:
+            tally.refused += session.command(rng.choice(tuple(Mode))) is not None
+        if rng.random() < 0.1:
             session.release()
-        watch.run(chance.randrange(0, 90))
+        watch.run(rng.randrange(0, 90))
         watch.rig.repair()
         session.permit(True)
         if session.state.phase is LockPhase.FAULT or watch.servo_may_be_faulty:
-            # A servo that has been at fault is where it was told to be only after a healthy travel both ways.
+            # A faulty servo reaches its commanded position only after a healthy travel in both directions.
             watch.run(80)
             for mode in (Mode.FLEXIBLE, Mode.RIGID, Mode.FLEXIBLE):
                 session.command(mode)

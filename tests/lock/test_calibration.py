@@ -1,4 +1,4 @@
-"""Calibration in small steps, and the file it is written to: only the values change."""
+"""Calibration in small steps, and writing its result to the configuration file."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from dart_flight.lock.state_machine import DriverReading
 Vary = Callable[..., LockConfig]
 
 
-def test_both_ends_in_small_steps(vary: Vary) -> None:
+def test_both_ends_are_reached_in_small_steps_and_confirmed(vary: Vary) -> None:
     moved = [1500.0]
     steps = Calibration(vary(), 1500.0, moved.append)
     for line in ("-", "-100", "1064.5", "ok\n"):
@@ -40,7 +40,7 @@ def test_both_ends_in_small_steps(vary: Vary) -> None:
     }
 
 
-def test_a_mirrored_cam(vary: Vary) -> None:
+def test_a_mirrored_cam_has_a_negative_direction(vary: Vary) -> None:
     steps = Calibration(vary(), 1950.0, lambda pulse: None)
     for line in ("ok", "1050", "ok"):
         steps.execute(line)
@@ -49,7 +49,7 @@ def test_a_mirrored_cam(vary: Vary) -> None:
 
 
 @pytest.mark.parametrize("line", ["", "up", "+-3", "nan", "inf", "899", "2100.5", "-700", "1e9"])
-def test_what_is_not_a_step_moves_nothing(vary: Vary, line: str) -> None:
+def test_an_invalid_step_does_not_move_the_servo(vary: Vary, line: str) -> None:
     moved: list[float] = []
     steps = Calibration(vary(), 1500.0, moved.append)
     with pytest.raises(CalibrationError):
@@ -57,7 +57,7 @@ def test_what_is_not_a_step_moves_nothing(vary: Vary, line: str) -> None:
     assert moved == []
 
 
-def test_two_ends_at_one_place_are_no_calibration(vary: Vary) -> None:
+def test_two_ends_at_the_same_pulse_are_refused(vary: Vary) -> None:
     steps = Calibration(vary(), 1500.0, lambda pulse: None)
     steps.execute("ok")
     with pytest.raises(CalibrationError, match="must differ"):
@@ -70,7 +70,7 @@ def test_two_ends_at_one_place_are_no_calibration(vary: Vary) -> None:
 
 
 @pytest.mark.parametrize(("rigid_us", "apart"), [("1940", 440), ("1100", 400), ("1540", 40)])
-def test_ends_nearer_than_a_cam_can_need_are_refused(vary: Vary, rigid_us: str, apart: int) -> None:
+def test_ends_too_close_for_any_cam_are_refused(vary: Vary, rigid_us: str, apart: int) -> None:
     steps = Calibration(vary(), 1500.0, lambda pulse: None)
     steps.execute("ok")
     steps.execute(rigid_us)
@@ -82,12 +82,12 @@ def test_ends_nearer_than_a_cam_can_need_are_refused(vary: Vary, rigid_us: str, 
     assert steps.result().servo.us_per_deg == pytest.approx(460.0 / 90.0)
 
 
-def test_a_failing_step_leaves_the_position_known(vary: Vary) -> None:
-    def fails(pulse_us: float) -> None:
+def test_a_failed_step_keeps_the_last_reached_position(vary: Vary) -> None:
+    def fail_above_1520(pulse_us: float) -> None:
         if pulse_us > 1520.0:
             raise TimeoutError
 
-    steps = Calibration(vary(), 1500.0, fails)
+    steps = Calibration(vary(), 1500.0, fail_above_1520)
     with pytest.raises(TimeoutError):
         steps.execute("+100")
     assert steps.pulse_us == 1520.0
@@ -96,7 +96,7 @@ def test_a_failing_step_leaves_the_position_known(vary: Vary) -> None:
 # --- the file ----------------------------------------------------------------------------------------
 
 
-def test_only_the_values_change(tmp_path: Path) -> None:
+def test_writing_values_changes_nothing_else_in_the_file(tmp_path: Path) -> None:
     before = packaged("configs", "dart.yaml").read_text()
     path = tmp_path / "dart.yaml"
     path.write_text(before)
@@ -136,17 +136,19 @@ def test_only_the_values_change(tmp_path: Path) -> None:
         ("é: 1\na: 'x'\n", ("a",), -3.0, "é: 1\na: -3.0\n"),
     ],
 )
-def test_edit(text: str, key: tuple[str, ...], value: float, expected: str) -> None:
+def test_an_edit_replaces_the_value_and_keeps_the_layout(
+    text: str, key: tuple[str, ...], value: float, expected: str
+) -> None:
     assert edit_values(text, {key: value}) == expected
 
 
 @pytest.mark.parametrize(("text", "key"), [("a: 1", ("b",)), ("a: {b: 1}", ("a",)), ("a:\nb: 1", ("a",))])
-def test_edit_needs_a_value_to_replace(text: str, key: tuple[str, ...]) -> None:
+def test_an_edit_without_a_value_to_replace_is_refused(text: str, key: tuple[str, ...]) -> None:
     with pytest.raises(InputError, match="needs a value at this key"):
         edit_values(text, {key: 1.0}, "f.yaml")
 
 
-def test_a_link_to_the_file_stays_a_link(tmp_path: Path) -> None:
+def test_a_symbolic_link_to_the_file_is_kept(tmp_path: Path) -> None:
     (tmp_path / "real.yaml").write_text("a: 1\n")
     (tmp_path / "link.yaml").symlink_to(tmp_path / "real.yaml")
     write_values(tmp_path / "link.yaml", {("a",): 2.0})
@@ -154,7 +156,7 @@ def test_a_link_to_the_file_stays_a_link(tmp_path: Path) -> None:
     assert (tmp_path / "real.yaml").read_text() == "a: 2.0\n"
 
 
-def test_a_file_that_cannot_be_written(tmp_path: Path) -> None:
+def test_a_missing_file_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="cannot read: No such file"):
         write_values(tmp_path / "none.yaml", {("a",): 2.0})
 
@@ -162,15 +164,15 @@ def test_a_file_that_cannot_be_written(tmp_path: Path) -> None:
 # --- on the ground -----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("held_us", "begins_us"), [(1400.0, 1400.0), (None, 1500.0)])
-def test_it_begins_where_the_servo_is_held_and_moves_it(
-    vary: Vary, monkeypatch: pytest.MonkeyPatch, held_us: float | None, begins_us: float
+@pytest.mark.parametrize(("held_us", "start_us"), [(1400.0, 1400.0), (None, 1500.0)])
+def test_calibration_starts_at_the_current_pulse_or_the_middle(
+    vary: Vary, monkeypatch: pytest.MonkeyPatch, held_us: float | None, start_us: float
 ) -> None:
     monkeypatch.setattr("dart_flight.lock.ground.time.sleep", lambda seconds: None)
     driver, moved = Mock(), list[float]()
     driver.read.return_value = DriverReading(pulse_us=held_us)
     driver.set_pulse.side_effect = moved.append
     steps = ground.calibration(vary(servo={"min_pulse_us": 900.0, "max_pulse_us": 2100.0}), driver)
-    assert (steps.pulse_us, moved) == (begins_us, [])
+    assert (steps.pulse_us, moved) == (start_us, [])
     steps.execute("+15")
-    assert moved[-1] == steps.pulse_us == begins_us + 15.0
+    assert moved[-1] == steps.pulse_us == start_us + 15.0

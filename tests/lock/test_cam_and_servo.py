@@ -1,4 +1,4 @@
-"""Calibration, travel time, and the horn's model: all pure."""
+"""Calibration values, travel time, the horn's model, and refused configurations."""
 
 from __future__ import annotations
 
@@ -19,42 +19,42 @@ Vary = Callable[..., LockConfig]
 
 @pytest.mark.parametrize(
     ("supply_v", "seconds"), [(4.8, 0.285), (6.0, 0.225), (5.4, 0.255)]
-)  # the catalogue's 0.19 and 0.15 s/60 degrees times 1.5, and the middle
-def test_travel_time_by_voltage(vary: Vary, supply_v: float, seconds: float) -> None:
+)  # 1.5 times the catalogue's 0.19 and 0.15 s per 60 degrees, and the mean of the two
+def test_travel_time_depends_on_the_supply_voltage(vary: Vary, supply_v: float, seconds: float) -> None:
     servo = vary(servo={"supply_v": supply_v}).servo
     assert servo.full_travel_s == pytest.approx(seconds)
 
 
-def test_measured_travel_time_overrides_the_catalogue(vary: Vary) -> None:
+def test_a_measured_travel_time_overrides_the_catalogue(vary: Vary) -> None:
     servo = vary(servo={"supply_v": 6.0, "travel_s": 0.4}).servo
     assert servo.full_travel_s == pytest.approx(0.4)
 
 
-def test_speed_limit_of_the_controller_counts(vary: Vary) -> None:
+def test_the_controllers_speed_limit_lengthens_the_switch_time(vary: Vary) -> None:
     limited = vary(driver=LockDriver.MAESTRO, maestro={"speed_limit_us_s": 1600.0})
     assert limited.switch_time_s == pytest.approx(0.6 + 0.03)
 
 
-def test_modes_of_the_horn(vary: Vary) -> None:
+def test_a_horn_position_has_a_mode_only_near_an_end(vary: Vary) -> None:
     servo = vary().servo
     assert calibration.mode_of(servo, 1975.0) is Mode.RIGID
     assert calibration.mode_of(servo, 1027.9) is Mode.FLEXIBLE
     assert calibration.mode_of(servo, 1030.0) is None
 
 
-# --- the horn as it really moves ---------------------------------------------------------------------
+# --- the model of the horn -----------------------------------------------------------------------------
 
 
-def test_horn_takes_the_travel_time(vary: Vary) -> None:
+def test_the_horn_arrives_after_the_travel_time(vary: Vary) -> None:
     model = ServoModel(vary().servo, 1020.0)
     model.command(1_000_000, 1980.0)
     assert model.pulse_at(1_142_500) == pytest.approx(1500.0)
     assert model.pulse_at(1_284_000) < 1980.0
     assert model.pulse_at(1_285_000) == pytest.approx(1980.0)
-    assert model.pulse_at(1_000_000) == pytest.approx(1980.0)  # time does not run backwards
+    assert model.pulse_at(1_000_000) == pytest.approx(1980.0)  # an earlier timestamp is ignored
 
 
-def test_horn_stays_without_pulses_and_at_its_stops(vary: Vary) -> None:
+def test_the_horn_stops_without_pulses_and_at_its_end_stops(vary: Vary) -> None:
     model = ServoModel(vary().servo, 1020.0)
     model.command(0, 5000.0)
     model.command(142_500, None)
@@ -71,14 +71,16 @@ def test_horn_stays_without_pulses_and_at_its_stops(vary: Vary) -> None:
         (ServoFaults(stall_fraction=0.5), 1500.0, 1500.0),
     ],
 )
-def test_faults_of_the_horn(vary: Vary, faults: ServoFaults, at_285_ms: float, at_last: float) -> None:
+def test_faults_stop_or_slow_the_horn(
+    vary: Vary, faults: ServoFaults, at_285_ms: float, at_last: float
+) -> None:
     model = ServoModel(vary().servo, 1020.0, faults)
     model.command(0, 1980.0)
     assert model.pulse_at(285_000) == pytest.approx(at_285_ms)
     assert model.pulse_at(3_000_000) == pytest.approx(at_last)
 
 
-def test_a_stall_holds_from_both_sides_and_can_be_cleared(vary: Vary) -> None:
+def test_a_stall_acts_in_both_directions_and_can_be_cleared(vary: Vary) -> None:
     model = ServoModel(vary().servo, 1980.0, ServoFaults(stall_fraction=0.5))
     model.command(0, 1020.0)
     assert model.pulse_at(1_000_000) == pytest.approx(1500.0)
@@ -93,7 +95,7 @@ def test_a_stall_holds_from_both_sides_and_can_be_cleared(vary: Vary) -> None:
     ),
     slow=st.floats(0.2, 10.0),
 )
-def test_horn_never_leaves_its_stops_nor_outruns_the_motor(
+def test_the_horn_never_leaves_its_end_stops_or_exceeds_the_motor_speed(
     lock_config: LockConfig, steps: list[tuple[int, float | None]], slow: float
 ) -> None:
     servo = lock_config.servo
@@ -108,7 +110,7 @@ def test_horn_never_leaves_its_stops_nor_outruns_the_motor(
         before = now
 
 
-# --- configuration that cannot be --------------------------------------------------------------------
+# --- refused configurations --------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -154,11 +156,13 @@ def test_horn_never_leaves_its_stops_nor_outruns_the_motor(
         ("startup: home", "startup: guess", "lock.startup", "only: home, adopt"),
     ],
 )
-def test_absurd_configuration_is_one_line(old: str, new: str, key: str, expected: str) -> None:
+def test_an_invalid_configuration_is_reported_in_one_line(
+    old: str, new: str, key: str, expected: str
+) -> None:
     text = packaged("configs", "dart.yaml").read_text()
     assert old in text
-    at = text.rindex(old) if key.startswith("lock.px4") else text.index(old)
-    text = text[:at] + new + text[at + len(old) :]
+    index = text.rindex(old) if key.startswith("lock.px4") else text.index(old)
+    text = text[:index] + new + text[index + len(old) :]
     with pytest.raises(InputError) as caught:
         Document(text, "dart.yaml").convert(VehicleConfig)
     line = caught.value.one_line()

@@ -1,19 +1,19 @@
-"""Random toggles with faults, and that a lock that settles too early is noticed."""
+"""A short campaign of random toggles with faults, and proof that it detects a wrong report."""
 
 from __future__ import annotations
 
 import pytest
 
 from dart_flight.config.vehicle import LockConfig
-from tests.lock.random_toggles import campaign
+from tests.lock.random_toggles import run_campaign
 
 
 @pytest.mark.parametrize(("controller", "toggles"), [("mock", 400), ("maestro", 100)])
-def test_random_toggles_with_faults(controller: str, toggles: int) -> None:
-    tally = campaign(controller, toggles, seed=7)
+def test_random_toggles_with_faults_find_no_violation(controller: str, toggles: int) -> None:
+    tally = run_campaign(controller, toggles, seed=7)
     assert tally.violations == []
     assert tally.toggles == toggles
-    # Everything it is about has happened.
+    # The campaign has covered every kind of outcome.
     assert tally.settled_with_feedback > 0.3 * toggles
     assert tally.settled_without_feedback > 0.3 * toggles
     assert tally.faults_reported > 0.05 * toggles
@@ -21,6 +21,6 @@ def test_random_toggles_with_faults(controller: str, toggles: int) -> None:
     assert tally.refused > 0
 
 
-def test_the_campaign_notices_a_lock_that_settles_too_early(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_campaign_detects_a_lock_that_settles_too_early(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(LockConfig, "switch_time_s", property(lambda self: 0.1))
-    assert any("but the horn is at" in line for line in campaign("mock", 50, seed=7).violations)
+    assert any("but the horn is at" in line for line in run_campaign("mock", 50, seed=7).violations)

@@ -1,4 +1,4 @@
-"""What the page about the lock says can be typed."""
+"""The lock's manual page names existing keys, parameters and drivers."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def test_the_keys_on_the_page_exist() -> None:
                 value = getattr(value, part)
 
 
-def test_the_parameters_on_the_page_are_those_that_are_checked(lock_config: LockConfig) -> None:
+def test_the_page_names_every_required_parameter(lock_config: LockConfig) -> None:
     page = PAGE.read_text()
     for required in required_parameters(lock_config):
         assert f"`{required.name}`" in page

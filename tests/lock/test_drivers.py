@@ -1,4 +1,4 @@
-"""The table of lock drivers: every kind has an entry, and every entry makes its driver."""
+"""The table of lock drivers: every kind has an entry that creates its driver."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Vary = Callable[..., LockConfig]
 
 
 @pytest.mark.parametrize("kind", list(LockDriver))
-def test_every_kind_makes_a_driver_of_its_own(kind: LockDriver, lock_config: LockConfig) -> None:
+def test_every_kind_creates_its_own_driver(kind: LockDriver, lock_config: LockConfig) -> None:
     module, _, name = DRIVERS[kind].path.partition(":")
     driver = make_driver(lock_config, kind, clock_us=lambda: 0, set_actuator=lambda index, value: None)
     assert isinstance(driver, Driver)
@@ -23,12 +23,12 @@ def test_every_kind_makes_a_driver_of_its_own(kind: LockDriver, lock_config: Loc
 
 
 @pytest.mark.parametrize("kind", [kind for kind, entry in DRIVERS.items() if entry.needs])
-def test_it_says_what_it_misses(kind: LockDriver, lock_config: LockConfig) -> None:
+def test_a_missing_argument_of_a_driver_is_reported(kind: LockDriver, lock_config: LockConfig) -> None:
     with pytest.raises(ValueError, match=f"the {kind.value} driver needs {DRIVERS[kind].needs[0]}"):
         make_driver(lock_config, kind)
 
 
-def test_names_are_told_in_words() -> None:
+def test_driver_names_are_joined_into_a_phrase() -> None:
     assert driver_names(lambda entry: not entry.moves) == "mock"
     reads = driver_names(lambda entry: entry.reads_switches)
     assert "mock" in reads
@@ -39,6 +39,6 @@ def test_names_are_told_in_words() -> None:
     assert driver_names(lambda entry: True) == f"{', '.join(first)} or {last}"
 
 
-def test_a_modelled_controller_that_is_unplugged_shows_when_it_is_opened(lock_config: LockConfig) -> None:
+def test_opening_an_unplugged_mock_raises_a_driver_error(lock_config: LockConfig) -> None:
     with pytest.raises(DriverError, match="unplugged"):
         MockDriver(lock_config, lambda: 0, faults=MockFaults(unplugged=True)).open()

@@ -1,4 +1,4 @@
-"""Limit switches through a stand-in for libgpiod's package with its names (compared with gpiod 2.5)."""
+"""Limit switches on a double of the gpiod package (compared with gpiod 2.5)."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Request:
 
 @pytest.fixture
 def gpiod(monkeypatch: pytest.MonkeyPatch) -> Any:
-    """Electrical level per line: pulled up, so open switches are high."""
+    """A double of gpiod; `levels` holds the electrical level of each line, high for an open switch."""
     module: Any = ModuleType("gpiod")
     module.levels = {23: True, 24: True}
     module.requests = []
@@ -63,7 +63,7 @@ def gpiod(monkeypatch: pytest.MonkeyPatch) -> Any:
     return module
 
 
-def test_reads_both_lines(gpiod: Any) -> None:
+def test_both_lines_are_read(gpiod: Any) -> None:
     switches = GpioLimitSwitch(LimitSwitch("/dev/gpiochip0", rigid_line=23, flexible_line=24))
     assert switches.read() == (False, False)
     gpiod.levels[23] = False  # closed to ground
@@ -74,13 +74,13 @@ def test_reads_both_lines(gpiod: Any) -> None:
     assert request[2].direction.name == "INPUT"
 
 
-def test_one_line_active_high(gpiod: Any) -> None:
+def test_a_single_active_high_line_is_read(gpiod: Any) -> None:
     switches = GpioLimitSwitch(LimitSwitch("/dev/gpiochip0", flexible_line=24, active_low=False))
     assert switches.read() == (None, True)
     assert gpiod.requests[0][2].bias.name == "PULL_DOWN"
 
 
-def test_failures_are_driver_errors_and_are_tried_again(gpiod: Any) -> None:
+def test_a_failed_line_raises_a_driver_error_and_is_requested_again(gpiod: Any) -> None:
     with pytest.raises(DriverError, match="limit switch on /dev/gpiochip7") as caught:
         GpioLimitSwitch(LimitSwitch("/dev/gpiochip7", rigid_line=23)).read()
     assert caught.value.key == ("limit_switch", "chip")
@@ -94,7 +94,7 @@ def test_failures_are_driver_errors_and_are_tried_again(gpiod: Any) -> None:
 
 
 @pytest.mark.usefixtures("gpiod")
-def test_readings_carry_the_switches(vary: Vary) -> None:
+def test_a_drivers_reading_includes_the_switches(vary: Vary) -> None:
     config = vary(limit_switch=LimitSwitch("/dev/gpiochip0", rigid_line=23))
     driver = make_driver(config, LockDriver.PX4, set_actuator=lambda index, value: None)
     assert isinstance(driver, DriverWithLimitSwitch)
@@ -107,8 +107,8 @@ def test_readings_carry_the_switches(vary: Vary) -> None:
     driver.close()
 
 
-def test_a_chip_that_is_not_there_shows_when_the_lock_is_opened(gpiod: Any, vary: Vary) -> None:
-    """And not at the first reading, in flight."""
+def test_a_missing_chip_is_reported_when_the_driver_is_opened(gpiod: Any, vary: Vary) -> None:
+    """The error must not wait for the first reading in flight."""
     config = vary(limit_switch=LimitSwitch("/dev/gpiochip7", rigid_line=23))
     driver = make_driver(config, LockDriver.PX4, set_actuator=lambda index, value: None)
     with pytest.raises(DriverError, match="limit switch on /dev/gpiochip7"):
@@ -117,8 +117,8 @@ def test_a_chip_that_is_not_there_shows_when_the_lock_is_opened(gpiod: Any, vary
 
 
 @pytest.mark.usefixtures("gpiod")
-def test_closed_and_failed_lines_are_given_back(vary: Vary) -> None:
-    """Else the next process that wants them is told that they are in use."""
+def test_closing_the_driver_releases_the_lines(vary: Vary) -> None:
+    """Otherwise the next process finds the lines in use."""
     switches = GpioLimitSwitch(LimitSwitch("/dev/gpiochip0", rigid_line=23))
     switches.read()
     request = switches._request
@@ -130,22 +130,26 @@ def test_closed_and_failed_lines_are_given_back(vary: Vary) -> None:
     driver.close()
     assert request.released
     assert real.mock_calls == [call.open(), call.set_pulse(1500.0), call.release(), call.close()]
-    assert driver._switches.read() == (False, None)  # and can be had again
+    assert driver._switches.read() == (False, None)  # the line can be requested again
 
 
-def test_without_the_package_it_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_gpiod_package_is_reported_with_the_install_command(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setitem(sys.modules, "gpiod", None)
     with pytest.raises(DriverError, match="pip install gpiod"):
         GpioLimitSwitch(LimitSwitch("/dev/gpiochip0", rigid_line=23))
 
 
-def test_version_1_of_the_package_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_version_1_of_the_gpiod_package_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "gpiod", ModuleType("gpiod"))
     with pytest.raises(DriverError, match="version 2 of the gpiod package"):
         GpioLimitSwitch(LimitSwitch("/dev/gpiochip0", rigid_line=23))
 
 
-def test_a_package_that_does_not_load_is_not_called_missing(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_gpiod_package_that_fails_to_load_is_not_reported_as_missing(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     def broken(name: str) -> None:
         raise ImportError("libgpiod.so.3: cannot open shared object file")
 

@@ -1,4 +1,4 @@
-"""`dart-flight lock` as it is typed: real processes, real time, the emulated Maestro for what is moved."""
+"""The command `dart-flight lock` in real time, with real processes and the emulated Maestro."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ from tests.doubles.emulated_maestro import EmulatedMaestro
 
 
 class World:
-    """A configuration and a state folder of its own."""
+    """A folder with its own configuration and state."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.config = folder / "dart.yaml"
         self.config.write_text(packaged("configs", "dart.yaml").read_text())
         self.set("port: /dev/ttyACM0", f"port: {folder / 'maestro'}")
-        # of a busy test machine; an unloaded controller answers within 1 ms
+        # A busy test computer delays the answer, which a real controller sends within 1 ms.
         self.set("reply_timeout_s: 0.05", "reply_timeout_s: 0.2")
-        self.set("travel_s: null", "travel_s: 0.05")  # tests do not wait for a real travel
+        self.set("travel_s: null", "travel_s: 0.05")  # shortens the tests
 
     def set(self, old: str, new: str) -> None:
         text = self.config.read_text()
@@ -80,25 +80,25 @@ def report(world: World, capsys: pytest.CaptureFixture[str], *arguments: str) ->
     return status, json.loads(capsys.readouterr().out)
 
 
-def test_moves_and_returns_when_settled(
+def test_the_command_moves_the_lock_and_returns_when_it_has_settled(
     world: World, maestro: EmulatedMaestro, capsys: pytest.CaptureFixture[str]
 ) -> None:
     servo = servo_of(world)
-    status, told = report(world, capsys, "rigid")
+    status, result = report(world, capsys, "rigid")
     assert status == 0
-    assert told["ok"] is True
-    assert told["text"] == "rigid: settled (no feedback)"
-    assert told["state"]["feedback"] is False
-    assert 0.08 <= told["travel_s"] <= 1.0
+    assert result["ok"] is True
+    assert result["text"] == "rigid: settled (no feedback)"
+    assert result["state"]["feedback"] is False
+    assert 0.08 <= result["travel_s"] <= 1.0
     assert mode_of(servo, maestro.horn_us()) is Mode.RIGID
     assert maestro.output_us() == 1980.0  # the pulses stay on
     for expected in (Mode.FLEXIBLE, Mode.RIGID):
-        status, told = report(world, capsys, "toggle")
-        assert (status, told["state"]["mode"]) == (0, expected)
+        status, result = report(world, capsys, "toggle")
+        assert (status, result["state"]["mode"]) == (0, expected)
         assert mode_of(servo, maestro.horn_us()) is expected
 
 
-def test_release_switches_the_pulses_off(
+def test_the_release_option_switches_the_pulses_off(
     world: World, maestro: EmulatedMaestro, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(world.command("rigid", "--release")) == 0
@@ -106,11 +106,11 @@ def test_release_switches_the_pulses_off(
     assert maestro.output_us() is None
 
 
-def test_status_moves_nothing_and_is_honest(
+def test_status_moves_nothing_and_reports_an_unknown_position(
     world: World, maestro: EmulatedMaestro, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    status, told = report(world, capsys, "status")
-    assert (status, told["state"]["phase"]) == (0, "unknown")
+    status, result = report(world, capsys, "status")
+    assert (status, result["state"]["phase"]) == (0, "unknown")
     assert 0x84 not in maestro.received
     assert main(world.command("rigid", "--release")) == 0
     capsys.readouterr()
@@ -121,30 +121,32 @@ def test_status_moves_nothing_and_is_honest(
     assert last.endswith(", settled (no feedback)")
     assert main(world.command("rigid")) == 0
     capsys.readouterr()
-    status, told = report(world, capsys, "status")
-    assert (status, told["text"]) == (0, "rigid: settled (no feedback)")
+    status, result = report(world, capsys, "status")
+    assert (status, result["text"]) == (0, "rigid: settled (no feedback)")
 
 
-def test_toggle_needs_to_know_something(world: World, capsys: pytest.CaptureFixture[str]) -> None:
+def test_toggle_needs_a_known_position_or_a_last_command(
+    world: World, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(world.command("toggle")) == 2
     assert "specify rigid or flexible" in capsys.readouterr().err
     assert main(world.command("flexible")) == 0
     capsys.readouterr()
-    status, told = report(world, capsys, "toggle")
-    assert (status, told["state"]["mode"]) == (0, "rigid")
+    status, result = report(world, capsys, "toggle")
+    assert (status, result["state"]["mode"]) == (0, "rigid")
 
 
-def test_a_servo_that_does_not_get_there_is_status_1(
+def test_a_servo_that_does_not_arrive_exits_with_status_1(
     world: World, maestro: EmulatedMaestro, capsys: pytest.CaptureFixture[str]
 ) -> None:
     world.set("timeout_s: 1.5", "timeout_s: 0.3")
     maestro.limits_us = (992.0, 1900.0)
-    status, told = report(world, capsys, "rigid")
-    assert (status, told["ok"]) == (1, False)
-    assert told["text"] == "fault; the controller outputs 1900 us instead of 1980 us"
+    status, result = report(world, capsys, "rigid")
+    assert (status, result["ok"]) == (1, False)
+    assert result["text"] == "fault; the controller outputs 1900 us instead of 1980 us"
 
 
-def test_a_controller_that_does_not_answer_is_status_1(
+def test_a_silent_controller_exits_with_status_1(
     world: World, maestro: EmulatedMaestro, capsys: pytest.CaptureFixture[str]
 ) -> None:
     maestro.mute()
@@ -171,7 +173,7 @@ def test_a_controller_that_does_not_answer_is_status_1(
         ("version: 1", "version: 1", ("--driver", "hand"), "unknown --driver 'hand'"),
     ],
 )
-def test_wrong_input_is_one_line_and_status_2(
+def test_wrong_input_is_reported_in_one_line_with_status_2(
     world: World, old: str, new: str, arguments: tuple[str, ...], expected: str
 ) -> None:
     world.set(old, new)
@@ -183,7 +185,7 @@ def test_wrong_input_is_one_line_and_status_2(
     assert expected in error
 
 
-def test_port_is_a_file(world: World, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_regular_file_as_port_is_refused(world: World, capsys: pytest.CaptureFixture[str]) -> None:
     (world.folder / "maestro").write_text("")
     assert main(world.command("rigid", "--driver", "maestro")) == 2
     error = capsys.readouterr().err
@@ -195,8 +197,8 @@ def test_port_is_a_file(world: World, capsys: pytest.CaptureFixture[str]) -> Non
 
 
 def wait_for_travel() -> int:
-    give_up = time.monotonic() + 10.0
-    while time.monotonic() < give_up:
+    deadline = time.monotonic() + 10.0
+    while time.monotonic() < deadline:
         last = load_last()
         if last is not None and last.phase is LockPhase.TRAVELLING:
             return last.pid
@@ -204,20 +206,22 @@ def wait_for_travel() -> int:
     raise AssertionError("no travel was begun")
 
 
-def test_two_processes_and_the_death_of_the_first(world: World, capsys: pytest.CaptureFixture[str]) -> None:
-    world.set("travel_s: 0.05", "travel_s: 1.4")  # long enough to be met on the way
+def test_a_second_process_is_refused_until_the_first_one_dies(
+    world: World, capsys: pytest.CaptureFixture[str]
+) -> None:
+    world.set("travel_s: 0.05", "travel_s: 1.4")  # long enough to kill the process during the travel
     first = world.start("rigid")
     try:
         assert wait_for_travel() == first.pid
         assert main(world.command("flexible")) == 1
         assert capsys.readouterr().err == f"lock: the lock's servo is in use by process {first.pid}\n"
-        status, told = report(world, capsys, "status")
-        assert (status, told["owner_pid"], told["state"]) == (0, first.pid, None)
-        assert told["last_command"]["phase"] == "travelling"
+        status, result = report(world, capsys, "status")
+        assert (status, result["owner_pid"], result["state"]) == (0, first.pid, None)
+        assert result["last_command"]["phase"] == "travelling"
     finally:
         first.send_signal(signal.SIGKILL)
         first.communicate(timeout=10)
-    # Dead in the middle of the travel: no process owns the servo, and where it is is not known.
+    # The process died during the travel: nobody owns the servo, and its position is unknown.
     assert main(world.command("status")) == 0
     unknown, last = capsys.readouterr().out.splitlines()
     assert unknown.startswith("mock: unknown")
@@ -246,7 +250,7 @@ def test_calibrate_writes_the_two_ends(world: World, maestro: EmulatedMaestro) -
 
 
 @pytest.mark.parametrize(
-    ("lines", "said"),
+    ("lines", "message"),
     [
         ("n\n", "the servo was not moved"),
         ("y\n1480\nquit\n", "nothing written"),
@@ -254,12 +258,14 @@ def test_calibrate_writes_the_two_ends(world: World, maestro: EmulatedMaestro) -
         ("y\n1450\nok\n1520\nok\nno\n", "nothing written"),
     ],
 )
-def test_calibrate_can_be_left(world: World, maestro: EmulatedMaestro, lines: str, said: str) -> None:
+def test_an_abandoned_calibration_writes_nothing(
+    world: World, maestro: EmulatedMaestro, lines: str, message: str
+) -> None:
     before = world.config.read_text()
     process = world.start("calibrate", "--json")
     out, error = process.communicate(lines, timeout=30)
     assert process.returncode == 1
-    assert said in error
+    assert message in error
     assert json.loads(out)["ok"] is False
     assert world.config.read_text() == before
 
@@ -276,7 +282,7 @@ def test_calibrate_does_not_write_the_packaged_default(
 
 
 @pytest.mark.parametrize("action", ["rigid", "flexible", "toggle"])
-def test_the_mock_says_first_that_no_servo_moves(
+def test_the_mock_warns_first_that_no_real_servo_moves(
     world: World, capsys: pytest.CaptureFixture[str], action: str
 ) -> None:
     assert main(world.command("flexible")) == 0
@@ -285,5 +291,5 @@ def test_the_mock_says_first_that_no_servo_moves(
     first = capsys.readouterr().err.splitlines()[0]
     assert re.fullmatch(r"lock.driver is mock: no real servo moves; choose .+ or \w+ \(--driver\)", first)
     assert all(kind.value in first for kind in LockDriver)
-    status, told = report(world, capsys, "rigid")
-    assert (status, told["moves"]) == (0, False)
+    status, result = report(world, capsys, "rigid")
+    assert (status, result["moves"]) == (0, False)

@@ -1,4 +1,4 @@
-"""The serial driver against an emulated Maestro behind a pseudo-terminal: real pyserial, real bytes."""
+"""The serial driver and an emulated Maestro behind a pseudo-terminal: real pyserial, real bytes."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Vary = Callable[..., LockConfig]
 
 
 class Rig:
-    """Emulated controller and driver on one simulated clock; the bytes travel in real time."""
+    """An emulated controller and its driver on a simulated clock; bytes are exchanged in real time."""
 
     def __init__(self, config: LockConfig, controller: EmulatedMaestro, clock: list[int]) -> None:
         self.config, self.controller, self._clock = config, controller, clock
@@ -55,7 +55,7 @@ def make_rig(vary: Vary, tmp_path: Path) -> Iterator[MakeRig]:
             "port": str(link),
             "channel": channel,
             "speed_limit_us_s": speed_limit_us_s,
-            "reply_timeout_s": 0.2,  # of a busy test machine; an unloaded one answers within 1 ms
+            "reply_timeout_s": 0.2,  # allows for a busy test computer; a real controller answers within 1 ms
         }
         config = vary(driver=LockDriver.MAESTRO, maestro=maestro, **changes)
         clock = [1_000_000]
@@ -71,7 +71,7 @@ def make_rig(vary: Vary, tmp_path: Path) -> Iterator[MakeRig]:
         rig.controller.unplug()
 
 
-def test_bytes_on_the_wire(make_rig: MakeRig) -> None:
+def test_the_bytes_on_the_wire_match_the_maestros_protocol(make_rig: MakeRig) -> None:
     rig = make_rig(speed_limit_us_s=1000.0, channel=5)
     rig.driver.open()
     rig.driver.set_pulse(1500.0)  # 6000 quarters: low seven bits 0x70, high seven 0x2E
@@ -80,7 +80,7 @@ def test_bytes_on_the_wire(make_rig: MakeRig) -> None:
     assert rig.driver.read().pulse_us is None
     # fmt: off
     assert bytes(rig.controller.received) == bytes((
-        0xA1, 0xA1,                    # errors of the time before
+        0xA1, 0xA1,                    # clear earlier errors
         0x87, 5, 40, 0, 0xA1, 0xA1,    # 1000 us/s are 40 steps of 25 us/s
         0x84, 5, 0x70, 0x2E, 0xA1, 0xA1,
         0x90, 5, 0x90, 5, 0xA1, 0xA1,
@@ -90,7 +90,7 @@ def test_bytes_on_the_wire(make_rig: MakeRig) -> None:
     # fmt: on
 
 
-def test_toggles_move_the_modelled_servo(make_rig: MakeRig) -> None:
+def test_toggles_move_the_modelled_servo_within_the_travel_time(make_rig: MakeRig) -> None:
     rig = make_rig()
     assert isinstance(make_driver(rig.config), Driver)
     rig.session.start()
@@ -106,7 +106,7 @@ def test_toggles_move_the_modelled_servo(make_rig: MakeRig) -> None:
         assert 315_000 <= state.settled_us - started_us <= 335_000
 
 
-def test_speed_limit_is_waited_for(make_rig: MakeRig) -> None:
+def test_the_lock_settles_only_after_the_speed_limited_travel(make_rig: MakeRig) -> None:
     rig = make_rig(speed_limit_us_s=1000.0)
     rig.session.start()
     rig.session.permit(True)
@@ -143,7 +143,7 @@ def test_errors_are_reported_once_in_words(make_rig: MakeRig) -> None:
     assert error_names(0) == ()
 
 
-def test_a_channel_the_controller_does_not_have(make_rig: MakeRig) -> None:
+def test_a_channel_that_the_controller_lacks_is_a_driver_error(make_rig: MakeRig) -> None:
     rig = make_rig()
     rig.controller.channel = 4
     with pytest.raises(DriverError, match="the controller reports serial protocol error"):
@@ -153,14 +153,16 @@ def test_a_channel_the_controller_does_not_have(make_rig: MakeRig) -> None:
 @pytest.mark.parametrize(
     "noise", [b"\x70", b"\x17\x70", b"\x00", b"\x00\x00", b"\xff\xff\xff", b"\x70\x17\x70\x17", bytes(200)]
 )
-def test_garbage_before_an_answer_is_seen_and_asked_again(make_rig: MakeRig, noise: bytes) -> None:
+def test_garbage_before_an_answer_is_detected_and_the_request_repeated(
+    make_rig: MakeRig, noise: bytes
+) -> None:
     rig = make_rig()
     rig.driver.set_pulse(1500.0)
     rig.controller.add_noise(noise)
     assert rig.driver.read().pulse_us == 1500.0
 
 
-def test_garbage_lying_on_the_line_is_ignored(make_rig: MakeRig) -> None:
+def test_garbage_already_on_the_line_is_ignored(make_rig: MakeRig) -> None:
     rig = make_rig()
     rig.driver.set_pulse(1500.0)
     rig.controller.say(b"\x00\x10" * 40)
@@ -168,7 +170,7 @@ def test_garbage_lying_on_the_line_is_ignored(make_rig: MakeRig) -> None:
     assert rig.driver.read().pulse_us == 1500.0
 
 
-def test_endless_garbage_is_a_fault_and_the_next_command_works(make_rig: MakeRig) -> None:
+def test_persistent_garbage_is_a_fault_that_the_next_command_clears(make_rig: MakeRig) -> None:
     rig = make_rig()
     rig.session.start()
     rig.run(0.4)
@@ -182,20 +184,22 @@ def test_endless_garbage_is_a_fault_and_the_next_command_works(make_rig: MakeRig
     assert rig.run(0.4).phase is LockPhase.SETTLED
 
 
-def test_a_silent_controller_is_a_fault_in_bounded_time(make_rig: MakeRig) -> None:
+def test_a_silent_controller_raises_a_driver_error_within_1_5_s(make_rig: MakeRig) -> None:
     rig = make_rig()
     rig.driver.open()
     rig.controller.mute()
-    begun = time.monotonic()
+    started_s = time.monotonic()
     with pytest.raises(DriverError, match="no valid answer"):
         rig.driver.read()
-    assert time.monotonic() - begun < 1.5
+    assert time.monotonic() - started_s < 1.5
     rig.controller.mute(False)
     assert rig.driver.read().pulse_us is None
 
 
 @pytest.mark.parametrize("power_too", [False, True])
-def test_unplug_and_replug(make_rig: MakeRig, power_too: bool) -> None:
+def test_an_unplugged_controller_is_a_fault_and_works_when_replugged(
+    make_rig: MakeRig, power_too: bool
+) -> None:
     rig = make_rig(startup=LockStartup.ADOPT)
     rig.session.start()
     rig.session.permit(True)
@@ -215,7 +219,7 @@ def test_unplug_and_replug(make_rig: MakeRig, power_too: bool) -> None:
     assert rig.horn() is Mode.FLEXIBLE
 
 
-def test_a_brown_out_is_seen(make_rig: MakeRig) -> None:
+def test_a_brown_out_is_detected_as_a_lost_pulse(make_rig: MakeRig) -> None:
     rig = make_rig()
     rig.session.start()
     rig.session.permit(True)
@@ -239,7 +243,7 @@ def test_a_stalled_servo_is_invisible_to_the_controller(make_rig: MakeRig) -> No
     assert rig.horn() is None
 
 
-def test_a_channel_range_that_clamps_is_a_fault(make_rig: MakeRig) -> None:
+def test_a_clamped_channel_range_is_a_fault(make_rig: MakeRig) -> None:
     rig = make_rig()
     rig.controller.limits_us = (992.0, 1900.0)
     rig.session.start()
@@ -253,20 +257,20 @@ def test_a_channel_range_that_clamps_is_a_fault(make_rig: MakeRig) -> None:
     )
 
 
-def test_restart_adopts_what_the_controller_still_puts_out(make_rig: MakeRig) -> None:
+def test_a_restart_adopts_the_controllers_current_pulse(make_rig: MakeRig) -> None:
     rig = make_rig(startup=LockStartup.ADOPT)
     rig.session.start()
     assert rig.session.state.reason == "no position found: pulses are off"
     rig.session.permit(True)
     rig.session.command(Mode.RIGID)
     rig.run(0.4)
-    rig.driver.close()  # as the end of the process does
-    again = LockSession(rig.config, rig.driver, lambda: rig.t_us)
-    again.start()
-    assert (again.state.phase, again.state.mode) == (LockPhase.TRAVELLING, Mode.RIGID)
+    rig.driver.close()  # like the end of the process
+    restarted = LockSession(rig.config, rig.driver, lambda: rig.t_us)
+    restarted.start()
+    assert (restarted.state.phase, restarted.state.mode) == (LockPhase.TRAVELLING, Mode.RIGID)
 
 
-def test_ports_that_cannot_be(vary: Vary, tmp_path: Path) -> None:
+def test_an_unusable_port_is_a_driver_error(vary: Vary, tmp_path: Path) -> None:
     file = tmp_path / "file"
     file.write_text("")
     for port, expected in (
@@ -281,8 +285,10 @@ def test_ports_that_cannot_be(vary: Vary, tmp_path: Path) -> None:
         assert "\n" not in str(caught.value)
 
 
-def test_a_port_without_permission(vary: Vary, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    # Everything is writable for root, so the system's answer is given for it.
+def test_a_port_without_write_permission_is_a_driver_error(
+    vary: Vary, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # Tests may run as root, for whom every file is writable.
     monkeypatch.setattr("os.access", lambda path, mode: False)
     (tmp_path / "port").write_text("")
     with pytest.raises(DriverError, match="is not writable; add the user to the group") as caught:
@@ -290,7 +296,7 @@ def test_a_port_without_permission(vary: Vary, tmp_path: Path, monkeypatch: pyte
     assert caught.value.key == ("maestro", "port")
 
 
-def test_a_port_in_use(make_rig: MakeRig) -> None:
+def test_a_port_in_use_is_a_driver_error(make_rig: MakeRig) -> None:
     rig = make_rig()
     rig.driver.open()
     second = MaestroDriver(rig.config)

@@ -1,4 +1,4 @@
-"""What outlives the process: last command, owner; honest after a crash."""
+"""The stored last command and the ownership of the servo, also after a crash."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def state(phase: LockPhase, mode: Mode | None, feedback: bool = False) -> LockSt
     return LockState(t_us=5, phase=phase, mode=mode, commanded_us=1, feedback=feedback)
 
 
-def test_state_folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_the_state_folder_follows_the_environment(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     assert state_dir() == tmp_path / "state"
     monkeypatch.delenv("DART_FLIGHT_STATE_DIR")
     monkeypatch.setenv("XDG_STATE_HOME", "/x")
@@ -76,13 +76,13 @@ def test_state_folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
         ([(LockPhase.TRAVELLING, Mode.FLEXIBLE), (LockPhase.FAULT, None)], Mode.FLEXIBLE, "ended in a fault"),
     ],
 )
-def test_last_command_is_what_was_commanded(
+def test_the_last_command_is_stored_with_its_end(
     folder: Path, states: list[tuple[LockPhase, Mode | None]], mode: Mode, text: str
 ) -> None:
     assert load_last() is None
     store = CommandStore(LockDriver.PWM)
-    for phase, of in states:
-        store.store(state(phase, of))
+    for phase, state_mode in states:
+        store.store(state(phase, state_mode))
     last = load_last()
     assert last is not None
     assert (last.driver, last.mode, last.pid) == (LockDriver.PWM, mode, os.getpid())
@@ -93,26 +93,28 @@ def test_last_command_is_what_was_commanded(
     assert load_last() is None
 
 
-def test_states_without_a_command_are_not_written() -> None:
+def test_a_state_without_a_command_is_not_stored() -> None:
     store = CommandStore(LockDriver.PWM)
     store.store(LockState(t_us=1, phase=LockPhase.SETTLED, mode=Mode.RIGID))
     assert load_last() is None
 
 
 @pytest.mark.parametrize("content", [b"", b"{", b'{"mode": "soft"}', b"\xff\xfe", b"[]"])
-def test_a_damaged_record_is_no_record(folder: Path, content: bytes) -> None:
+def test_a_damaged_record_is_ignored(folder: Path, content: bytes) -> None:
     folder.mkdir()
     (folder / "last_command.json").write_bytes(content)
     assert load_last() is None
 
 
-def test_a_record_that_cannot_be_read_is_not_taken_for_none(folder: Path) -> None:
+def test_an_unreadable_record_is_an_error(folder: Path) -> None:
     (folder / "last_command.json").mkdir(parents=True)
     with pytest.raises(InputError, match="cannot read: Is a directory"):
         load_last()
 
 
-def test_a_disk_that_is_full_is_said_and_stops_nothing(monkeypatch: pytest.MonkeyPatch, folder: Path) -> None:
+def test_a_full_disk_is_reported_without_stopping_the_lock(
+    monkeypatch: pytest.MonkeyPatch, folder: Path
+) -> None:
     def full(source: str, target: Path) -> None:
         raise OSError(28, "No space left on device")
 
@@ -127,20 +129,20 @@ def test_a_disk_that_is_full_is_said_and_stops_nothing(monkeypatch: pytest.Monke
     assert store.problem is None
 
 
-def test_a_second_process_is_told_the_owners_pid(holder: subprocess.Popen[str]) -> None:
+def test_a_second_process_is_refused_with_the_owners_pid(holder: subprocess.Popen[str]) -> None:
     with pytest.raises(ServoInUseError, match=f"in use by process {holder.pid}") as caught:
         ServoOwnership().acquire()
     assert caught.value.pid == holder.pid
 
 
-def test_a_crash_gives_the_servo_back_even_with_a_child_alive(holder: subprocess.Popen[str]) -> None:
+def test_a_crash_frees_the_servo_even_if_a_child_process_survives(holder: subprocess.Popen[str]) -> None:
     holder.send_signal(signal.SIGKILL)
     holder.wait()
     with ServoOwnership():
         pass
 
 
-def test_one_owner_within_a_process_too() -> None:
+def test_only_one_owner_is_allowed_within_a_process() -> None:
     with ServoOwnership():
         with pytest.raises(ServoInUseError) as caught:
             ServoOwnership().acquire()
@@ -149,9 +151,9 @@ def test_one_owner_within_a_process_too() -> None:
         pass
 
 
-def test_a_state_folder_that_cannot_be(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_an_unusable_state_folder_is_an_input_error(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("DART_FLIGHT_STATE_DIR", str(tmp_path / "file" / "below"))
-    for use in (lambda: ServoOwnership().acquire(), lambda: CommandStore(LockDriver.PWM)):
+    for call in (lambda: ServoOwnership().acquire(), lambda: CommandStore(LockDriver.PWM)):
         with pytest.raises(InputError, match="DART_FLIGHT_STATE_DIR"):
-            use()
+            call()

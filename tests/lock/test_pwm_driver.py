@@ -1,4 +1,4 @@
-"""The sysfs driver against a directory tree that imitates the kernel's, byte for byte."""
+"""The sysfs driver on a directory tree that imitates the kernel's, byte for byte."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ DATA = Path(__file__).parents[1] / "data"
 
 
 class Sysfs:
-    """`/sys/class/pwm` with the kernel's rules for what may be written when, and a record of every write.
+    """An imitation of `/sys/class/pwm` that enforces the kernel's rules and records every write.
 
-    The rules are those of the older kernels, which judge the whole state at every write.
+    The rules are those of older kernels, which validate the whole state at every write.
     """
 
     def __init__(self, root: Path, monkeypatch: pytest.MonkeyPatch, *, exported: bool = True) -> None:
@@ -37,11 +37,11 @@ class Sysfs:
         for name, content in (("npwm", "2\n"), ("export", ""), ("unexport", "")):
             (self.chip / name).write_text(content)
         if exported:
-            self.appear()
+            self.export_channel()
         self._real = pwm.write_attribute
         monkeypatch.setattr(pwm, "write_attribute", self._write)
 
-    def appear(self) -> None:
+    def export_channel(self) -> None:
         self.channel.mkdir()
         for name, content in (("period", "0\n"), ("duty_cycle", "0\n"), ("polarity", "normal\n")):
             (self.channel / name).write_text(content)
@@ -53,16 +53,16 @@ class Sysfs:
     def _write(self, path: Path, text: str) -> None:
         name = str(path.relative_to(self.chip))
         before = path.read_bytes()
-        self._real(path, text)  # the real system calls, on the imitation's file
+        self._real(path, text)  # real system calls on the imitated file
         self.writes.append((name, path.read_bytes()))
         if path.parent == self.channel:
-            path.write_text(text + "\n")  # sysfs shows every value with a line end
-            problem = self._refused(path.name, before)
+            path.write_text(text + "\n")  # sysfs appends a newline to every value
+            problem = self._error_number(path.name, before)
             if problem:
                 path.write_bytes(before)
                 raise OSError(problem, os.strerror(problem))
 
-    def _refused(self, name: str, before: bytes) -> int:
+    def _error_number(self, name: str, before: bytes) -> int:
         period, duty = int(self.value("period")), int(self.value("duty_cycle"))
         if name == "polarity" and self.value("enable") == "1\n":
             return errno.EBUSY
@@ -74,7 +74,9 @@ def config(vary: Vary, tmp_path: Path) -> LockConfig:
     return vary(driver=LockDriver.PWM, pwm={"sysfs_dir": str(tmp_path), "chip": 0, "channel": 1})
 
 
-def test_byte_for_byte(config: LockConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_driver_writes_the_expected_bytes(
+    config: LockConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     sysfs = Sysfs(tmp_path, monkeypatch)
     driver = PwmDriver(config)
     assert isinstance(make_driver(config), Driver)
@@ -99,15 +101,17 @@ def test_byte_for_byte(config: LockConfig, tmp_path: Path, monkeypatch: pytest.M
     assert (sysfs.chip / "unexport").read_bytes() == b""
 
 
-def test_export_is_waited_for(config: LockConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_driver_waits_for_the_exported_channel(
+    config: LockConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     sysfs = Sysfs(tmp_path, monkeypatch, exported=False)
 
-    def kernel() -> None:
+    def export_after_first_write() -> None:
         while not sysfs.writes:
             time.sleep(0.001)
-        sysfs.appear()
+        sysfs.export_channel()
 
-    thread = threading.Thread(target=kernel, daemon=True)
+    thread = threading.Thread(target=export_after_first_write, daemon=True)
     thread.start()
     PwmDriver(config).set_pulse(1500.0)
     thread.join()
@@ -125,13 +129,13 @@ def test_a_running_channel_is_adopted_without_a_glitch(
     sysfs = Sysfs(tmp_path, monkeypatch)
     PwmDriver(config).set_pulse(1980.0)
     sysfs.writes.clear()
-    again = PwmDriver(config)
-    again.open()
-    assert again.read().pulse_us == 1980.0
+    second = PwmDriver(config)
+    second.open()
+    assert second.read().pulse_us == 1980.0
     assert sysfs.writes == []
 
 
-def test_another_frame_and_polarity_are_put_right(
+def test_a_wrong_period_and_polarity_are_corrected(
     config: LockConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     sysfs = Sysfs(tmp_path, monkeypatch)
@@ -147,7 +151,7 @@ def test_another_frame_and_polarity_are_put_right(
     ]
 
 
-def test_an_inverted_channel_that_runs_is_stopped_before_it_is_turned_round(
+def test_a_running_inverted_channel_is_stopped_before_its_polarity_is_changed(
     config: LockConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The kernel refuses the polarity of a running channel."""
@@ -159,7 +163,9 @@ def test_an_inverted_channel_that_runs_is_stopped_before_it_is_turned_round(
     assert sysfs.writes == [("pwm1/enable", b"0"), ("pwm1/polarity", b"normal")]
 
 
-def test_a_whole_toggle(config: LockConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_toggle_settles_and_a_stopped_pulse_is_a_fault(
+    config: LockConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     Sysfs(tmp_path, monkeypatch)
     clock = [0]
     session = LockSession(config, PwmDriver(config), lambda: clock[0])
@@ -171,23 +177,23 @@ def test_a_whole_toggle(config: LockConfig, tmp_path: Path, monkeypatch: pytest.
             clock[0] += 20_000
             session.poll()
         assert (session.state.phase, session.state.mode) == (LockPhase.SETTLED, mode)
-    (tmp_path / "pwmchip0" / "pwm1" / "enable").write_text("0\n")  # something else stops the pulses
+    (tmp_path / "pwmchip0" / "pwm1" / "enable").write_text("0\n")  # another program stops the pulses
     for _ in range(3):
         clock[0] += 20_000
         session.poll()
     assert (session.state.phase, session.state.reason) == (LockPhase.FAULT, "the controller lost the pulse")
 
 
-def test_what_is_missing_is_said(
+def test_missing_or_damaged_sysfs_entries_are_reported(
     vary: Vary, config: LockConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with pytest.raises(DriverError, match=r"pwmchip0 does not exist; check dtoverlay=pwm-2chan") as caught:
         PwmDriver(config).open()
     assert caught.value.key == ("pwm", "chip")
     unopened = PwmDriver(config)
-    for use in (unopened.read, unopened.release, lambda: unopened.set_pulse(1500.0)):
+    for call in (unopened.read, unopened.release, lambda: unopened.set_pulse(1500.0)):
         with pytest.raises(DriverError, match="check dtoverlay=pwm-2chan"):
-            use()
+            call()
     sysfs = Sysfs(tmp_path, monkeypatch, exported=False)
     with pytest.raises(DriverError, match="pwmchip0 has 2 channels, numbered from 0") as caught:
         PwmDriver(vary(pwm={"sysfs_dir": str(tmp_path), "chip": 0, "channel": 2})).open()
@@ -195,7 +201,7 @@ def test_what_is_missing_is_said(
     monkeypatch.setattr(pwm, "_APPEAR_S", 0.02)
     with pytest.raises(DriverError, match="pwm1 did not appear"):
         PwmDriver(config).open()
-    sysfs.appear()
+    sysfs.export_channel()
     (sysfs.channel / "period").write_text("garbage\n")
     with pytest.raises(DriverError, match="period contains 'garbage', not a number"):
         PwmDriver(config).open()
@@ -204,17 +210,19 @@ def test_what_is_missing_is_said(
         PwmDriver(config).open()
 
 
-def test_a_channel_without_permission(
+def test_a_channel_without_write_permission_is_a_driver_error(
     config: LockConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     Sysfs(tmp_path, monkeypatch)
     monkeypatch.setattr(pwm, "_APPEAR_S", 0.02)
-    monkeypatch.setattr("os.access", lambda path, mode: False)  # as for a user that is not root
+    monkeypatch.setattr("os.access", lambda path, mode: False)  # as for any user but root
     with pytest.raises(DriverError, match="pwm1 is not writable; add the user to the group gpio"):
         PwmDriver(config).open()
 
 
-def test_the_kernel_refuses(config: LockConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_write_refused_by_the_kernel_is_a_driver_error(
+    config: LockConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     Sysfs(tmp_path, monkeypatch)
     driver = PwmDriver(config)
     driver.open()
@@ -222,23 +230,23 @@ def test_the_kernel_refuses(config: LockConfig, tmp_path: Path, monkeypatch: pyt
         driver.set_pulse(30_000.0)
 
 
-# --- which chip and which channel ----------------------------------------------------------------------
+# --- choice of chip and channel ------------------------------------------------------------------------
 
 
 @pytest.fixture
 def pi5(tmp_path: Path) -> Path:
-    """The tree of a Raspberry Pi 5 with kernel 6.12: four channels, GPIO 18 is the third."""
+    """The sysfs tree of a Raspberry Pi 5 with kernel 6.12, where GPIO 18 is the third of four channels."""
     return shutil.copytree(DATA / "pi5_pwm", tmp_path / "sysfs", symlinks=True)
 
 
-def opened(sysfs: Path, vary: Vary, **keys: int | None) -> PwmDriver:
+def start_pulses(sysfs: Path, vary: Vary, **keys: int | None) -> PwmDriver:
     driver = PwmDriver(vary(driver=LockDriver.PWM, pwm={"sysfs_dir": str(sysfs), **keys}))
     driver.set_pulse(1500.0)
     return driver
 
 
-def board(sysfs: Path, device: str, number: int, channels: int) -> None:
-    """Make the chip of another board, or another kernel."""
+def convert_to_board(sysfs: Path, device: str, number: int, channels: int) -> None:
+    """Turn the tree into that of another board or kernel."""
     chip = (sysfs / "pwmchip0").rename(sysfs / f"pwmchip{number}")
     (chip / "device").unlink()
     (chip / "device").symlink_to(f"../../platform/{device}")
@@ -246,8 +254,8 @@ def board(sysfs: Path, device: str, number: int, channels: int) -> None:
 
 
 @pytest.mark.parametrize("keys", [{}, {"channel": 2}, {"chip": 0}, {"chip": 0, "channel": 2}])
-def test_gpio_18_of_a_pi_5_is_its_third_channel(pi5: Path, vary: Vary, keys: dict[str, int]) -> None:
-    opened(pi5, vary, **keys)
+def test_gpio_18_is_the_third_channel_of_a_pi_5(pi5: Path, vary: Vary, keys: dict[str, int]) -> None:
+    start_pulses(pi5, vary, **keys)
     assert (pi5 / "pwmchip0" / "pwm2" / "duty_cycle").read_text() == "1500000"
     assert (pi5 / "pwmchip0" / "pwm0" / "duty_cycle").read_text() == "0\n"
 
@@ -255,34 +263,34 @@ def test_gpio_18_of_a_pi_5_is_its_third_channel(pi5: Path, vary: Vary, keys: dic
 @pytest.mark.parametrize("channel", [0, 1])
 def test_the_channels_of_other_pins_are_refused_on_a_pi_5(pi5: Path, vary: Vary, channel: int) -> None:
     with pytest.raises(DriverError, match="GPIO 18 is channel 2 on a Raspberry Pi 5, not") as caught:
-        opened(pi5, vary, chip=0, channel=channel)
+        start_pulses(pi5, vary, chip=0, channel=channel)
     assert caught.value.key == ("pwm", "channel")
     assert (pi5 / "pwmchip0" / "pwm0" / "enable").read_text() == "0\n"
 
 
 def test_the_chip_is_found_under_any_number(pi5: Path, vary: Vary) -> None:
-    """Kernel 6.6 calls it pwmchip2, and the fan has a chip as well."""
-    board(pi5, "1f00098000.pwm", 2, 4)
+    """Kernel 6.6 numbers the chip 2, and the fan has a chip as well."""
+    convert_to_board(pi5, "1f00098000.pwm", 2, 4)
     fan = pi5 / "pwmchip0"
     fan.mkdir()
     (fan / "device").symlink_to("../../platform/1f0009c000.pwm")
     (fan / "npwm").write_text("4\n")
-    opened(pi5, vary)
+    start_pulses(pi5, vary)
     assert (pi5 / "pwmchip2" / "pwm2" / "duty_cycle").read_text() == "1500000"
 
 
 @pytest.mark.parametrize("device", ["fe20c000.pwm", "3f20c000.pwm"])
-def test_gpio_18_of_an_older_pi_is_its_first_channel(pi5: Path, vary: Vary, device: str) -> None:
-    board(pi5, device, 0, 2)
-    opened(pi5, vary)
+def test_gpio_18_is_the_first_channel_of_an_older_pi(pi5: Path, vary: Vary, device: str) -> None:
+    convert_to_board(pi5, device, 0, 2)
+    start_pulses(pi5, vary)
     assert (pi5 / "pwmchip0" / "pwm0" / "duty_cycle").read_text() == "1500000"
 
 
-def test_another_boards_chip_has_to_be_named(pi5: Path, vary: Vary) -> None:
-    board(pi5, "2000000.pwm", 0, 2)
+def test_the_chip_and_channel_of_another_board_must_be_configured(pi5: Path, vary: Vary) -> None:
+    convert_to_board(pi5, "2000000.pwm", 0, 2)
     with pytest.raises(DriverError, match=r"no PWM chip of a Raspberry Pi in .*, found pwmchip0"):
-        opened(pi5, vary)
+        start_pulses(pi5, vary)
     with pytest.raises(DriverError, match="set the servo's channel"):
-        opened(pi5, vary, chip=0)
-    opened(pi5, vary, chip=0, channel=0)
+        start_pulses(pi5, vary, chip=0)
+    start_pulses(pi5, vary, chip=0, channel=0)
     assert (pi5 / "pwmchip0" / "pwm0" / "enable").read_text() == "1"

@@ -1,4 +1,4 @@
-"""The driver for PX4's own output: values, parameters, and a shell's callable that fails."""
+"""The driver for PX4's own output: actuator values, parameters, and commands that fail to be sent."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from dart_flight.lock.drivers.px4_output import (
 Vary = Callable[..., LockConfig]
 
 
-def test_pulse_becomes_an_actuator_value(vary: Vary) -> None:
+def test_a_pulse_is_sent_as_an_actuator_value(vary: Vary) -> None:
     sent: list[tuple[int, float]] = []
     config = vary(px4={"actuator_index": 3})
     driver = make_driver(config, LockDriver.PX4, set_actuator=lambda i, v: sent.append((i, v)))
@@ -42,13 +42,13 @@ def test_pulse_becomes_an_actuator_value(vary: Vary) -> None:
 
 
 @given(pulse=st.floats(900.0, 2100.0))
-def test_actuator_value_inverse(lock_config: LockConfig, pulse: float) -> None:
+def test_the_actuator_value_is_invertible(lock_config: LockConfig, pulse: float) -> None:
     value = actuator_value(lock_config, pulse)
     assert -1.0 <= value <= 1.0
     assert actuator_pulse_us(lock_config, value) == pytest.approx(pulse, abs=1e-9)
 
 
-def test_failures_are_driver_errors(vary: Vary) -> None:
+def test_a_failed_or_impossible_command_is_a_driver_error(vary: Vary) -> None:
     def no_link(index: int, value: float) -> None:
         raise TimeoutError("no answer")
 
@@ -62,7 +62,7 @@ def test_failures_are_driver_errors(vary: Vary) -> None:
         driver.release()
 
 
-RIGHT = {
+CORRECT = {
     "PWM_AUX_FUNC1": 301.0,
     "COM_PREARM_MODE": 2.0,
     "PWM_AUX_MIN1": 900.0,
@@ -73,8 +73,8 @@ RIGHT = {
 }
 
 
-def test_required_parameters(vary: Vary) -> None:
-    assert {p.name: float(p.value) for p in required_parameters(vary())} == RIGHT
+def test_the_required_parameters_follow_the_configured_output(vary: Vary) -> None:
+    assert {p.name: float(p.value) for p in required_parameters(vary())} == CORRECT
     other = vary(px4={"bank": "MAIN", "pin": 5, "timer": 1, "actuator_index": 6})
     assert required_parameters(other)[0].name == "PWM_MAIN_FUNC5"
     assert required_parameters(other)[0].value == 306
@@ -89,14 +89,14 @@ def test_required_parameters(vary: Vary) -> None:
         ("PWM_AUX_TIM0", 400.0, "PWM_AUX_TIM0 is 400, must be 50"),
     ],
 )
-def test_parameter_problems(vary: Vary, name: str, value: float, expected: str) -> None:
-    assert parameter_problems(vary(), RIGHT) == []
-    problems = parameter_problems(vary(), {**RIGHT, name: value})
+def test_a_wrong_or_missing_parameter_is_reported(vary: Vary, name: str, value: float, expected: str) -> None:
+    assert parameter_problems(vary(), CORRECT) == []
+    problems = parameter_problems(vary(), {**CORRECT, name: value})
     assert len(problems) == 1
     assert problems[0].startswith(expected)
-    missing = {k: v for k, v in RIGHT.items() if k != name}
+    missing = {k: v for k, v in CORRECT.items() if k != name}
     assert parameter_problems(vary(), missing)[0].startswith(f"{name} is not on this vehicle")
 
 
 def test_the_output_of_another_pin_may_be_reversed(vary: Vary) -> None:
-    assert parameter_problems(vary(), {**RIGHT, "PWM_AUX_REV": 6.0}) == []
+    assert parameter_problems(vary(), {**CORRECT, "PWM_AUX_REV": 6.0}) == []

@@ -1,4 +1,4 @@
-"""The state machine with a modelled servo, in simulated time: every rule, every fault, and properties."""
+"""The state machine with a modelled servo in simulated time: its rules, its faults, its properties."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ RIGID_SWITCH = LimitSwitch(chip="/dev/gpiochip0", rigid_line=23)
 
 
 class Bench:
-    """A session with the mock on simulated time, polled every 10 ms."""
+    """A session with the mock driver in simulated time, polled every 10 ms."""
 
     def __init__(
         self, config: LockConfig, faults: MockFaults | None = None, pulse_us: float | None = None
@@ -60,7 +60,7 @@ def phase_and_reason(state: LockState) -> tuple[LockPhase, str | None]:
 
 
 def homed(config: LockConfig, faults: MockFaults | None = None) -> Bench:
-    """A bench that has homed to flexible without faults, with locking permitted."""
+    """Return a bench that has homed to flexible, with locking permitted and `faults` injected."""
     bench = Bench(config)
     bench.session.start()
     assert bench.run(1.0).phase is LockPhase.SETTLED
@@ -69,7 +69,7 @@ def homed(config: LockConfig, faults: MockFaults | None = None) -> Bench:
     return bench
 
 
-def test_a_travel_takes_the_catalogues_time_and_says_no_feedback(vary: Vary) -> None:
+def test_a_travel_without_switches_settles_after_the_catalogues_time(vary: Vary) -> None:
     bench = homed(vary())
     started_us = bench.t_us
     assert bench.session.command(Mode.RIGID) is None
@@ -78,14 +78,14 @@ def test_a_travel_takes_the_catalogues_time_and_says_no_feedback(vary: Vary) -> 
     state = bench.run(1.0)
     assert (state.phase, state.mode, state.feedback) == (LockPhase.SETTLED, Mode.RIGID, False)
     assert state.settled_us is not None
-    # 0.285 s of the catalogue and 0.03 s of margin, at the next poll.
+    # The catalogue's 0.285 s and a margin of 0.03 s, at the next poll.
     assert 0.315e6 <= state.settled_us - started_us <= 0.325e6
     assert bench.horn() is Mode.RIGID
     assert describe(state) == "rigid: settled (no feedback)"
     assert status_text(state) == "lock rigid: settled (no feedback)"
 
 
-def test_a_switch_confirms_and_is_faster_than_the_margin(vary: Vary) -> None:
+def test_a_switch_confirms_the_arrival_without_the_margin(vary: Vary) -> None:
     bench = homed(vary(limit_switch=BOTH_SWITCHES))
     started_us = bench.t_us
     bench.session.command(Mode.RIGID)
@@ -133,7 +133,7 @@ def test_unlocking_needs_no_permission(vary: Vary) -> None:
     assert bench.run(1.0).mode is Mode.FLEXIBLE
 
 
-def test_the_other_way_is_refused_during_a_travel_and_the_same_way_is_nothing_new(vary: Vary) -> None:
+def test_a_reversal_is_refused_during_a_travel_and_a_repetition_is_ignored(vary: Vary) -> None:
     bench = homed(vary())
     bench.session.command(Mode.RIGID)
     bench.run(0.1)
@@ -146,7 +146,7 @@ def test_the_other_way_is_refused_during_a_travel_and_the_same_way_is_nothing_ne
     assert bench.run(0.5).mode is Mode.RIGID
 
 
-def test_contact_while_locking_draws_the_rods_back(vary: Vary) -> None:
+def test_a_contact_during_locking_retracts_the_rods(vary: Vary) -> None:
     bench = homed(vary())
     bench.session.command(Mode.RIGID)
     bench.run(0.15)
@@ -158,7 +158,7 @@ def test_contact_while_locking_draws_the_rods_back(vary: Vary) -> None:
     assert bench.horn() is Mode.FLEXIBLE
 
 
-def test_contact_with_the_arms_locked_or_unlocking_changes_nothing(vary: Vary) -> None:
+def test_a_contact_does_not_affect_locked_or_unlocking_arms(vary: Vary) -> None:
     bench = homed(vary())
     bench.session.command(Mode.RIGID)
     bench.run(0.5)
@@ -189,7 +189,7 @@ def test_contact_with_the_arms_locked_or_unlocking_changes_nothing(vary: Vary) -
         (MockFaults(unplugged=True), "the controller does not answer (unplugged)"),
     ],
 )
-def test_with_switches_every_fault_is_seen(vary: Vary, faults: MockFaults, reason: str) -> None:
+def test_every_fault_is_detected_with_switches(vary: Vary, faults: MockFaults, reason: str) -> None:
     bench = homed(vary(limit_switch=BOTH_SWITCHES), faults)
     bench.session.command(Mode.RIGID)
     state = bench.run(2.0)
@@ -201,9 +201,7 @@ def test_with_switches_every_fault_is_seen(vary: Vary, faults: MockFaults, reaso
 @pytest.mark.parametrize(
     "servo", [ServoFaults(stuck=True), ServoFaults(stall_fraction=0.4), ServoFaults(slow=6.0)]
 )
-def test_without_switches_a_servo_fault_cannot_be_seen_and_is_not_denied(
-    vary: Vary, servo: ServoFaults
-) -> None:
+def test_a_servo_fault_without_switches_settles_without_feedback(vary: Vary, servo: ServoFaults) -> None:
     bench = homed(vary(), MockFaults(servo=servo))
     bench.session.command(Mode.RIGID)
     state = bench.run(0.4)
@@ -212,13 +210,13 @@ def test_without_switches_a_servo_fault_cannot_be_seen_and_is_not_denied(
 
 
 @pytest.mark.parametrize("faults", [MockFaults(brown_out=True), MockFaults(unplugged=True)])
-def test_without_switches_a_fault_of_the_controller_is_seen(vary: Vary, faults: MockFaults) -> None:
+def test_a_controller_fault_is_detected_without_switches(vary: Vary, faults: MockFaults) -> None:
     bench = homed(vary(), faults)
     bench.session.command(Mode.RIGID)
     assert bench.run(0.4).phase is LockPhase.FAULT
 
 
-def test_the_mock_says_that_it_has_restarted_until_it_is_told_again(vary: Vary) -> None:
+def test_the_mock_reports_its_restart_until_the_next_command(vary: Vary) -> None:
     bench = homed(vary(), MockFaults(brown_out=True))
     bench.session.command(Mode.RIGID)
     bench.run(0.4)
@@ -229,7 +227,7 @@ def test_the_mock_says_that_it_has_restarted_until_it_is_told_again(vary: Vary) 
     assert bench.run(1.0).phase is LockPhase.SETTLED
 
 
-def test_a_fault_is_left_by_a_command(vary: Vary) -> None:
+def test_a_command_clears_a_fault(vary: Vary) -> None:
     bench = homed(vary(limit_switch=BOTH_SWITCHES), MockFaults(servo=ServoFaults(stuck=True)))
     bench.session.command(Mode.RIGID)
     assert bench.run(2.0).phase is LockPhase.FAULT
@@ -261,7 +259,7 @@ def test_a_switch_that_opens_at_rest_is_a_fault(vary: Vary) -> None:
     assert phase_and_reason(bench.state) == (LockPhase.FAULT, "the rigid limit switch has opened")
 
 
-def test_a_bouncing_switch_neither_confirms_nor_faults(vary: Vary) -> None:
+def test_a_bouncing_switch_neither_confirms_nor_causes_a_fault(vary: Vary) -> None:
     machine = LockStateMachine(vary(limit_switch=BOTH_SWITCHES))
     machine.permit(0, True)
     machine.command(0, Mode.RIGID)
@@ -272,7 +270,7 @@ def test_a_bouncing_switch_neither_confirms_nor_faults(vary: Vary) -> None:
         assert machine.state.phase is LockPhase.TRAVELLING
 
 
-def test_a_controller_that_clamps_is_a_fault(vary: Vary) -> None:
+def test_a_clamped_pulse_is_a_fault(vary: Vary) -> None:
     machine = LockStateMachine(vary())
     machine.permit(0, True)
     machine.command(0, Mode.RIGID)
@@ -294,7 +292,7 @@ def test_a_controller_that_clamps_is_a_fault(vary: Vary) -> None:
         (10_000, 200_000, "no reading arrived after the travel time within 1.5 s"),
     ],
 )
-def test_a_command_alone_never_settles(
+def test_a_command_without_a_timely_reading_is_a_fault(
     vary: Vary, sent_us: int | None, reading_us: int | None, reason: str
 ) -> None:
     machine = LockStateMachine(vary())
@@ -310,9 +308,9 @@ def test_a_command_alone_never_settles(
     assert (machine.state.phase, machine.state.reason) == (LockPhase.FAULT, reason)
 
 
-def test_the_travel_time_runs_from_when_the_driver_first_had_this_travels_pulse(vary: Vary) -> None:
+def test_the_travel_time_starts_when_the_driver_first_accepts_the_travels_pulse(vary: Vary) -> None:
     machine = LockStateMachine(vary())
-    machine.confirm_sent(0, 1020.0)  # nothing travels
+    machine.confirm_sent(0, 1020.0)  # before any travel
     machine.command(0, Mode.FLEXIBLE)
     assert machine.due_us is None
     machine.confirm_sent(5_000, 1980.0)  # another pulse
@@ -328,18 +326,16 @@ def test_the_travel_time_runs_from_when_the_driver_first_had_this_travels_pulse(
     assert machine.due_us is None
 
 
-def test_of_a_driver_that_takes_too_long_every_state_is_told(
-    vary: Vary, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """It confirms the arrival, and answers so late that nothing is known any more."""
+def test_both_states_of_a_slow_reading_are_reported(vary: Vary, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The driver confirms the arrival, but so late that the state is no longer valid."""
     quick = homed(vary(limit_switch=BOTH_SWITCHES))
     quick.session.command(Mode.RIGID)
-    began_us = quick.t_us
+    started_us = quick.t_us
     settled_us = quick.run(1.0).settled_us
     assert settled_us is not None
     bench = homed(vary(limit_switch=BOTH_SWITCHES))
     bench.session.command(Mode.RIGID)
-    bench.run((settled_us - began_us) * 1e-6 - 0.01)
+    bench.run((settled_us - started_us) * 1e-6 - 0.01)
     read = bench.mock.read
 
     def slow() -> DriverReading:
@@ -353,11 +349,11 @@ def test_of_a_driver_that_takes_too_long_every_state_is_told(
     assert [state.phase for state in bench.states] == [LockPhase.SETTLED, LockPhase.FAULT]
 
 
-def test_a_reading_from_before_the_driver_had_the_command_counts_for_nothing(vary: Vary) -> None:
+def test_a_reading_from_before_the_command_is_ignored(vary: Vary) -> None:
     machine = LockStateMachine(vary())
     machine.command(0, Mode.FLEXIBLE)
     machine.confirm_sent(15_000, 1020.0)
-    machine.reading(0, DriverReading(None))  # taken first, delivered late
+    machine.reading(0, DriverReading(None))  # measured before the command, delivered after it
     phases = []
     for t_us in (20_000, 40_000):
         machine.reading(t_us, DriverReading(None))
@@ -377,14 +373,14 @@ def test_a_confirmed_state_needs_readings_to_stay_confirmed(vary: Vary) -> None:
     )
 
 
-def test_without_a_switch_there_is_nothing_that_readings_must_keep_confirming(vary: Vary) -> None:
+def test_a_state_without_a_switch_needs_no_further_readings(vary: Vary) -> None:
     bench = homed(vary())
     bench.session.machine.step(bench.t_us + 60_000_000)
     assert bench.state.phase is LockPhase.SETTLED
 
 
-def test_a_fault_does_not_make_the_next_travels_first_reading_one(vary: Vary) -> None:
-    """What was wrong before says nothing of the new travel: it has the debounce time again."""
+def test_a_fault_does_not_shorten_the_next_travels_debounce_time(vary: Vary) -> None:
+    """The debounce time starts again with the new travel."""
     machine = LockStateMachine(vary())
     machine.command(0, Mode.FLEXIBLE)
     for t_us in (0, 20_000, 40_000):
@@ -401,8 +397,8 @@ def test_a_fault_does_not_make_the_next_travels_first_reading_one(vary: Vary) ->
     assert phases == [LockPhase.TRAVELLING, LockPhase.SETTLED]
 
 
-def test_every_travel_has_its_switch_confirm_it_for_the_debounce_time(vary: Vary) -> None:
-    """Also one to where the horn is already, as after the pulses were off."""
+def test_a_switch_must_confirm_every_travel_for_the_debounce_time(vary: Vary) -> None:
+    """This holds even if the horn is already there, as after the pulses were off."""
     bench = homed(vary(limit_switch=BOTH_SWITCHES))
     bench.session.release()
     bench.run(0.5)
@@ -427,40 +423,40 @@ def test_release_keeps_the_state_and_the_next_command_travels_again(vary: Vary) 
     assert bench.mock.read().pulse_us == 1020.0
 
 
-def test_after_a_release_a_command_has_the_pulse_watched_again(vary: Vary) -> None:
+def test_the_pulse_is_monitored_again_after_a_release_and_a_command(vary: Vary) -> None:
     bench = homed(vary())
     bench.session.release()
     bench.session.command(Mode.FLEXIBLE)
     settled = bench.run(0.5)
     assert settled.phase is LockPhase.SETTLED
     assert bench.session.command(Mode.FLEXIBLE) is None
-    assert bench.state is settled  # it is there: nothing new is begun
-    bench.mock.release()  # behind its back
+    assert bench.state is settled  # already at the end, so no new travel begins
+    bench.mock.release()  # without the session's knowledge
     assert phase_and_reason(bench.run(0.1)) == (LockPhase.FAULT, "the controller lost the pulse")
 
 
-def test_the_mock_loses_its_pulse_on_the_way_and_a_release_before_that_prevents_it(vary: Vary) -> None:
+def test_the_mock_loses_its_pulse_during_the_travel_unless_it_was_released(vary: Vary) -> None:
     bench = homed(vary(), MockFaults(brown_out=True))
     bench.session.command(Mode.RIGID)
-    began_us = bench.t_us
-    far_us = bench.mock.horn_pulse_us(began_us + 10_000_000)  # nobody has asked it meanwhile
+    started_us = bench.t_us
+    far_us = bench.mock.horn_pulse_us(started_us + 10_000_000)  # not read in between
     assert far_us == pytest.approx(1020.0 + 960.0 * 0.06 / 0.285)
-    again = homed(vary(), MockFaults(brown_out=True))
-    again.mock.set_pulse(1980.0)
-    again.t_us += 10_000
-    again.mock.release()
-    again.t_us += 1_000_000
-    assert again.mock.read().errors == ()
+    other = homed(vary(), MockFaults(brown_out=True))
+    other.mock.set_pulse(1980.0)
+    other.t_us += 10_000
+    other.mock.release()
+    other.t_us += 1_000_000
+    assert other.mock.read().errors == ()
 
 
-def test_home_moves_to_the_home_mode(vary: Vary) -> None:
+def test_homing_moves_the_lock_to_the_home_mode(vary: Vary) -> None:
     bench = Bench(vary(), pulse_us=1700.0)
     assert bench.session.start() is None
     assert bench.run(1.0).mode is Mode.FLEXIBLE
     assert bench.horn() is Mode.FLEXIBLE
 
 
-def test_home_to_rigid_waits_for_permission(vary: Vary) -> None:
+def test_homing_to_rigid_needs_permission(vary: Vary) -> None:
     bench = Bench(vary(home_mode=Mode.RIGID))
     assert bench.session.start() == CommandRefused("rigid", NOT_PERMITTED)
     assert bench.state.phase is LockPhase.UNKNOWN
@@ -489,7 +485,7 @@ def test_home_to_rigid_waits_for_permission(vary: Vary) -> None:
         ),
     ],
 )
-def test_adopt_believes_only_what_can_be_seen(
+def test_adoption_requires_a_consistent_reading(
     vary: Vary, reading: DriverReading | None, mode: Mode | None, feedback: bool, reason: str | None
 ) -> None:
     machine = LockStateMachine(vary(startup=LockStartup.ADOPT))
@@ -498,7 +494,7 @@ def test_adopt_believes_only_what_can_be_seen(
         assert (machine.state.phase, machine.state.mode) == (LockPhase.UNKNOWN, None)
         assert machine.state.reason == reason
         return
-    # The last process may have died in the middle of the travel: it is waited for.
+    # The last process may have died during the travel, so the machine waits for its end.
     assert machine.state.phase is LockPhase.TRAVELLING
     for t_us in range(10_000, 400_000, 10_000):
         machine.reading(t_us, reading)
@@ -506,14 +502,14 @@ def test_adopt_believes_only_what_can_be_seen(
     assert machine.state.feedback is feedback
 
 
-def test_adopted_rigid_is_not_drawn_back_by_a_contact(vary: Vary) -> None:
+def test_a_contact_does_not_retract_adopted_rigid_rods(vary: Vary) -> None:
     machine = LockStateMachine(vary(startup=LockStartup.ADOPT))
     machine.start(0, DriverReading(1980.0))
     assert machine.permit(10_000, False) == []
     assert machine.state.mode is Mode.RIGID
 
 
-def test_driver_that_cannot_be_opened_is_a_fault(vary: Vary) -> None:
+def test_a_driver_that_cannot_be_opened_is_a_fault(vary: Vary) -> None:
     bench = Bench(vary(), MockFaults(unplugged=True))
     bench.session.start()
     assert (bench.state.phase, bench.state.reason) == (
@@ -522,7 +518,7 @@ def test_driver_that_cannot_be_opened_is_a_fault(vary: Vary) -> None:
     )
 
 
-# --- the table, properties ---------------------------------------------------------------------------
+# --- transition table, properties ---------------------------------------------------------------------
 
 
 def test_every_phase_is_reached_and_left() -> None:
@@ -532,7 +528,7 @@ def test_every_phase_is_reached_and_left() -> None:
     assert all(TRANSITIONS.values())
 
 
-def test_status_text_fits_and_is_ascii(vary: Vary) -> None:
+def test_the_status_text_fits_into_50_ascii_bytes(vary: Vary) -> None:
     bench = homed(vary(limit_switch=BOTH_SWITCHES), MockFaults(servo=ServoFaults(stuck=True)))
     bench.session.command(Mode.RIGID)
     text = status_text(bench.run(2.0))
@@ -552,7 +548,7 @@ faults = st.builds(
     brown_out=st.booleans(),
     switch_silent=st.booleans(),
 )
-moves = st.one_of(
+script_steps = st.one_of(
     st.tuples(st.just("command"), st.sampled_from(Mode)),
     st.tuples(st.just("permit"), st.booleans()),
     st.tuples(st.just("inject"), faults),
@@ -562,12 +558,12 @@ moves = st.one_of(
 
 
 @given(
-    script=st.lists(moves, max_size=25),
+    script=st.lists(script_steps, max_size=25),
     switches=st.sampled_from([None, BOTH_SWITCHES, RIGID_SWITCH]),
     adopt=st.booleans(),
     horn_us=st.floats(1020.0, 1980.0),
 )
-def test_whatever_happens_it_claims_only_what_is_true(
+def test_the_reported_state_is_true_after_any_script(
     *,
     lock_config: LockConfig,
     vary: Vary,
@@ -580,20 +576,20 @@ def test_whatever_happens_it_claims_only_what_is_true(
     bench = Bench(vary(limit_switch=switches, startup=startup), pulse_us=horn_us)
     bench.session.start()
     permitted = False
-    for what, value in script:
+    for action, value in script:
         before = bench.state
-        if what == "command":
+        if action == "command":
             assert isinstance(value, Mode)
             refused = bench.session.command(value)
             if value is Mode.RIGID and not permitted and refused is None:
-                assert bench.state is before  # nothing new was begun
-        elif what == "permit":
+                assert bench.state is before  # no new travel has begun
+        elif action == "permit":
             permitted = bool(value)
             bench.session.permit(permitted)
-        elif what == "inject":
+        elif action == "inject":
             assert isinstance(value, MockFaults)
             bench.mock.inject(value)
-        elif what == "release":
+        elif action == "release":
             bench.session.release()
         else:
             assert isinstance(value, float)
@@ -614,7 +610,7 @@ def test_whatever_happens_it_claims_only_what_is_true(
 @given(
     events=st.lists(st.tuples(st.sampled_from(["rigid", "flexible", "on", "off"]), st.integers(0, 400_000)))
 )
-def test_never_a_rigid_pulse_without_permission(
+def test_a_rigid_pulse_is_never_sent_without_permission(
     lock_config: LockConfig, events: list[tuple[str, int]]
 ) -> None:
     machine = LockStateMachine(lock_config)

@@ -1,4 +1,4 @@
-"""What the tests with a real PX4 share; without one they are skipped with a word about it."""
+"""The PX4 SITL build of the tests; tests are skipped with a message if there is none."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from dart_flight.sim.px4.launch import ENVIRONMENT, find_install
 
 @pytest.fixture(scope="session")
 def px4_dir() -> Path:
-    """The user's PX4."""
+    """Return the folder of the user's PX4."""
     named = os.environ.get(ENVIRONMENT)
     if not named:
         pytest.skip(f"{ENVIRONMENT} is not set: no PX4 SITL to test with (docs/px4.md)")

@@ -1,4 +1,4 @@
-"""The simulator's side of PX4's TCP link: lockstep, message contents, saturation, what a lost PX4 is."""
+"""The simulator's side of PX4's TCP link: lockstep, message contents, saturation, loss of PX4."""
 
 from __future__ import annotations
 
@@ -53,14 +53,14 @@ def pair() -> Iterator[tuple[HilLink, FakePx4]]:
     fake.close()
 
 
-def served(fake: FakePx4, sensors: int, answer: bool = True) -> threading.Thread:
-    """The stand-in at work on a thread of its own."""
+def serve_in_background(fake: FakePx4, sensors: int, answer: bool = True) -> threading.Thread:
+    """Run the fake PX4 on its own thread."""
     thread = threading.Thread(target=fake.serve, args=(sensors, answer), daemon=True)
     thread.start()
     return thread
 
 
-def of_type(fake: FakePx4, name: str) -> list[Any]:
+def received_messages(fake: FakePx4, name: str) -> list[Any]:
     return [m for m in fake.received if m.get_type() == name]
 
 
@@ -68,18 +68,18 @@ def mode_of(vehicle: Px4Vehicle) -> str:
     return vehicle.plant.mode.value
 
 
-def test_one_answer_per_tick_with_px4s_clock_from_ours(
+def test_px4_answers_every_tick_on_the_simulators_clock(
     mission: Mission, pair: tuple[HilLink, FakePx4]
 ) -> None:
     link, fake = pair
     vehicle = Px4Vehicle(mission, 1, link)
-    thread = served(fake, 250)
+    thread = serve_in_background(fake, 250)
     for i in range(250):
         vehicle.step()
         assert link.controls.time_us == vehicle.time_us == (i + 1) * 4000
     thread.join(5.0)
     assert link.locked
-    sensors = of_type(fake, "HIL_SENSOR")
+    sensors = received_messages(fake, "HIL_SENSOR")
     assert [m.time_usec for m in sensors] == [4000 * (i + 1) for i in range(250)]
     assert {m.id for m in sensors} == {0}
     # At rest: gravity upwards on the accelerometer, pressure of the home altitude, the earth's field.
@@ -91,33 +91,33 @@ def test_one_answer_per_tick_with_px4s_clock_from_ours(
     assert sum(m.pressure_alt for m in slow) / 50 == pytest.approx(488.0, abs=0.5)
 
 
-def test_indoors_poses_and_no_gps(mission: Mission, pair: tuple[HilLink, FakePx4]) -> None:
+def test_px4_receives_poses_and_no_gps_indoors(mission: Mission, pair: tuple[HilLink, FakePx4]) -> None:
     link, fake = pair
     vehicle = Px4Vehicle(mission, 1, link)
-    thread = served(fake, 250)
+    thread = serve_in_background(fake, 250)
     for _ in range(250):
         vehicle.step()
     thread.join(5.0)
-    poses = of_type(fake, "ODOMETRY")
+    poses = received_messages(fake, "ODOMETRY")
     assert 95 <= len(poses) <= 100
-    assert not of_type(fake, "HIL_GPS")
+    assert not received_messages(fake, "HIL_GPS")
     assert math.isnan(poses[-1].vx)
     assert math.hypot(poses[-1].x, poses[-1].y, poses[-1].z) < 0.01
-    # Each comes before the HIL_SENSOR of its tick: PX4 stamps it with the clock that one advances.
+    # A pose precedes the HIL_SENSOR of its tick, which advances the clock that PX4 stamps the pose with.
     kinds = [m.get_type() for m in fake.received]
     assert kinds[-1] == "HIL_SENSOR"
 
 
-def test_outdoors_gps_and_no_poses(mission: Mission, pair: tuple[HilLink, FakePx4]) -> None:
+def test_px4_receives_gps_and_no_poses_outdoors(mission: Mission, pair: tuple[HilLink, FakePx4]) -> None:
     link, fake = pair
     vehicle = Px4Vehicle(mission, 1, link, position_from=PositionSource.RTK)
-    thread = served(fake, 500)
+    thread = serve_in_background(fake, 500)
     for _ in range(500):
         vehicle.step()
     thread.join(5.0)
-    fixes = of_type(fake, "HIL_GPS")
+    fixes = received_messages(fake, "HIL_GPS")
     assert 18 <= len(fixes) <= 20
-    assert not of_type(fake, "ODOMETRY")
+    assert not received_messages(fake, "ODOMETRY")
     for fix in fixes:
         assert fix.fix_type == 6
         assert abs(fix.lat - HOME_LAT_DEG * 1e7) < 12  # 0.13 m
@@ -129,7 +129,7 @@ def test_motor_commands_reach_the_plant_and_lift_it(mission: Mission, pair: tupl
     link, fake = pair
     vehicle = Px4Vehicle(mission, 1, link)
     fake.controls, fake.armed = (0.8,) * 4 + (0.0,) * 12, True
-    thread = served(fake, 250)
+    thread = serve_in_background(fake, 250)
     for _ in range(250):
         vehicle.step()
     thread.join(5.0)
@@ -149,10 +149,10 @@ def test_the_servo_follows_its_channel_only_while_armed(
     controls = [0.0] * 16
     controls[servo_channel(mission.vehicle)] = actuator_value(lock, lock.servo.rigid_pulse_us)
     fake.controls = tuple(controls)
-    thread = served(fake, 200)
+    thread = serve_in_background(fake, 200)
     for _ in range(100):
         vehicle.step()
-    assert mode_of(vehicle) == "flexible"  # zeros and whatever else of a disarmed PX4 are no command
+    assert mode_of(vehicle) == "flexible"  # outputs of a disarmed PX4 do not move the servo
     fake.armed = True
     for _ in range(60):
         vehicle.step()
@@ -164,21 +164,21 @@ def test_the_servo_follows_its_channel_only_while_armed(
 
 
 @pytest.mark.parametrize("value", [160.0, -160.0, 300.0, -300.0, 156.9, -156.9])
-def test_full_scale_is_the_count_that_px4_takes_for_clipped(value: float) -> None:
+def test_a_saturated_reading_is_sent_as_px4s_clipping_count(value: float) -> None:
     sent = accelerometer_output(value, 156.9)
-    # As PX4 converts: single precision, fraction cut off, 16 bits.
+    # PX4 converts to single precision, truncates the fraction, and keeps 16 bits.
     (single,) = struct.unpack("f", struct.pack("f", sent))
     assert int(single * COUNTS_PER_M_S2) == int(math.copysign(32767, value))
 
 
-def test_below_full_scale_nothing_is_changed() -> None:
+def test_a_reading_below_full_scale_is_unchanged() -> None:
     for value in (0.0, -9.81, 100.0, -156.0):
         assert accelerometer_output(value, 156.9) == value
     assert accelerometer_output(-100.0, 78.4) == -78.4  # an 8 g sensor
-    assert accelerometer_output(400.0, 313.8) == ACCELEROMETER_LIMIT_M_S2  # PX4 cannot hold more
+    assert accelerometer_output(400.0, 313.8) == ACCELEROMETER_LIMIT_M_S2  # PX4's upper limit
 
 
-def test_a_hit_beyond_full_scale_is_sent_saturated_and_counted(
+def test_an_impact_beyond_full_scale_is_sent_saturated_and_counted(
     mission: Mission, pair: tuple[HilLink, FakePx4]
 ) -> None:
     link, fake = pair
@@ -189,16 +189,16 @@ def test_a_hit_beyond_full_scale_is_sent_saturated_and_counted(
     # 4 m/s into the wall at x = 1.65 m: 254 N, 20 g.
     plant.position = (acrylic.point[0] - 0.05, 0.0, -1.0)
     plant.velocity = (4.0, 0.0, 0.0)
-    thread = served(fake, 25)
+    thread = serve_in_background(fake, 25)
     for _ in range(25):
         vehicle.step()
     thread.join(5.0)
-    least = min(m.xacc for m in of_type(fake, "HIL_SENSOR"))
-    assert least == pytest.approx(-ACCELEROMETER_LIMIT_M_S2, abs=1e-3)
+    lowest = min(m.xacc for m in received_messages(fake, "HIL_SENSOR"))
+    assert lowest == pytest.approx(-ACCELEROMETER_LIMIT_M_S2, abs=1e-3)
     assert vehicle.clipped >= 3
 
 
-def test_without_answers_the_plant_goes_on_only_while_px4_boots(
+def test_the_plant_runs_without_answers_only_while_px4_boots(
     mission: Mission, pair: tuple[HilLink, FakePx4], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(px4_bridge, "_ANSWER_WAIT_S", 2.0)
@@ -207,7 +207,7 @@ def test_without_answers_the_plant_goes_on_only_while_px4_boots(
     for _ in range(3):
         vehicle.step()
     assert not link.locked
-    served(fake, 4).join(0.2)
+    serve_in_background(fake, 4).join(0.2)
     vehicle.step()
     assert link.locked
     with pytest.raises(Px4LostError, match="has not answered"):
@@ -219,19 +219,19 @@ def test_a_closed_connection_is_a_lost_px4(mission: Mission, pair: tuple[HilLink
     vehicle = Px4Vehicle(mission, 1, link)
     fake.close()
 
-    def fly_on() -> None:
+    def step_five_times() -> None:
         for _ in range(5):
             vehicle.step()
 
     with pytest.raises(Px4LostError, match="closed"):
-        fly_on()
+        step_five_times()
 
 
-def test_bytes_that_are_no_mavlink_are_passed_over(mission: Mission, pair: tuple[HilLink, FakePx4]) -> None:
+def test_bytes_that_are_not_mavlink_are_skipped(mission: Mission, pair: tuple[HilLink, FakePx4]) -> None:
     link, fake = pair
     vehicle = Px4Vehicle(mission, 1, link)
     fake.socket.sendall(b"\xfd\x09garbage" * 20)
-    thread = served(fake, 50)
+    thread = serve_in_background(fake, 50)
     for _ in range(50):
         vehicle.step()
     thread.join(5.0)
@@ -239,7 +239,7 @@ def test_bytes_that_are_no_mavlink_are_passed_over(mission: Mission, pair: tuple
 
 
 def test_geodetic_is_the_inverse_of_px4s_projection() -> None:
-    # Azimuthal equidistant on a sphere, as PX4 projects; at this range a plane is good to a millimetre.
+    # PX4's projection is azimuthal equidistant on a sphere; at this range a plane is accurate to 1 mm.
     for north, east in ((0.0, 0.0), (10.0, -20.0), (-100.0, 50.0)):
         latitude, longitude = geodetic((north, east, 0.0))
         a, b = math.radians(latitude), math.radians(HOME_LAT_DEG)
@@ -261,7 +261,7 @@ def test_wind_reaches_the_plant_and_still_air_does_not(
     windy = msgspec.structs.replace(
         mission, vehicle=msgspec.structs.replace(mission.vehicle, simulation=simulation)
     )
-    thread = served(fake, 100)
+    thread = serve_in_background(fake, 100)
     vehicle = Px4Vehicle(windy, 1, link)
     with contextlib.suppress(Px4LostError):
         for _ in range(100):

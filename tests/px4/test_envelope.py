@@ -1,4 +1,4 @@
-"""Impacts that a mission may plan, and what is said of those beyond the sensor."""
+"""Limits of planned impacts, and warnings about impacts beyond the sensor's range."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ def limit_to(path: Path, force_n: float) -> Path:
 
 
 @pytest.mark.parametrize("name", ["paper_single_wall.yaml", "paper_dual_collision.yaml"])
-def test_the_shipped_missions_are_well_inside(name: str) -> None:
+def test_the_shipped_missions_cause_no_warnings(name: str) -> None:
     mission = load_flyable(packaged("missions", name))
     assert impact_warnings(mission) == []
 
 
-def test_force_is_the_contact_laws(tmp_path: Path) -> None:
+def test_the_expected_force_follows_the_contact_law(tmp_path: Path) -> None:
     mission = load_flyable(sweep(tmp_path, 2.0))
     assert expected_force_n(mission, mission.collisions[0]) == pytest.approx(2.0 * 63.6, rel=0.01)
     dual = load_flyable(packaged("missions", "paper_dual_collision.yaml"))
@@ -58,39 +58,43 @@ def test_an_impact_over_the_missions_own_limit_is_refused(tmp_path: Path) -> Non
         (4.0, "acrylic", "flexible", False),
     ],
 )
-def test_clipping_is_announced(tmp_path: Path, speed: float, material: str, mode: str, clips: bool) -> None:
+def test_a_warning_announces_clipping(
+    tmp_path: Path, speed: float, material: str, mode: str, clips: bool
+) -> None:
     warnings = impact_warnings(load_flyable(sweep(tmp_path, speed, mode, material)))
     assert any("full scale" in line for line in warnings) is clips
 
 
-def test_a_hit_after_which_px4_is_lost_is_announced(tmp_path: Path) -> None:
+def test_a_warning_announces_that_px4_will_lose_its_position(tmp_path: Path) -> None:
     clipping, _ = impact_warnings(load_flyable(sweep(tmp_path, 4.0, "rigid", "wood")))
     assert "loses its position" in clipping
     clipping, _ = impact_warnings(load_flyable(sweep(tmp_path, 4.0, "rigid", "acrylic")))
     assert "lower bound" in clipping
 
 
-def test_faster_than_anything_flown_is_announced(tmp_path: Path) -> None:
+def test_a_warning_announces_an_impact_faster_than_any_flown(tmp_path: Path) -> None:
     assert impact_warnings(load_flyable(sweep(tmp_path, 3.0, "flexible"))) == []
     assert "faster than anything flown" in impact_warnings(load_flyable(sweep(tmp_path, 3.4, "flexible")))[0]
 
 
-def judged(folder: Path, speed: float, mode: str, material: str = "acrylic") -> dict[str, CheckFinding]:
+def check_findings(
+    folder: Path, speed: float, mode: str, material: str = "acrylic"
+) -> dict[str, CheckFinding]:
     return {f.item: f for f in check_mission(load_flyable(sweep(folder, speed, mode, material)))}
 
 
-def test_check_refuses_what_px4_has_not_survived(tmp_path: Path) -> None:
-    assert "speed_1" not in judged(tmp_path, 3.0, "flexible")
-    assert not judged(tmp_path, 3.4, "flexible")["speed_1"].go
-    lost = judged(tmp_path, 4.0, "rigid", "wood")["force_1"]
+def test_check_refuses_impacts_that_px4_has_not_survived(tmp_path: Path) -> None:
+    assert "speed_1" not in check_findings(tmp_path, 3.0, "flexible")
+    assert not check_findings(tmp_path, 3.4, "flexible")["speed_1"].go
+    lost = check_findings(tmp_path, 4.0, "rigid", "wood")["force_1"]
     assert not lost.go
     assert "PX4 loses its position" in lost.says
 
 
-def test_check_tells_of_an_impact_close_to_full_scale(tmp_path: Path) -> None:
-    close = judged(tmp_path, 3.15, "rigid")["force_1"]
+def test_check_remarks_on_an_impact_close_to_full_scale(tmp_path: Path) -> None:
+    close = check_findings(tmp_path, 3.15, "rigid")["force_1"]
     assert (close.go, close.remark) == (True, True)
-    beyond = judged(tmp_path, 3.5, "rigid")["force_1"]
+    beyond = check_findings(tmp_path, 3.5, "rigid")["force_1"]
     assert (beyond.go, beyond.remark) == (False, False)
     assert "lower bound" in beyond.says
-    assert not judged(tmp_path, 2.5, "rigid")["force_1"].remark
+    assert not check_findings(tmp_path, 2.5, "rigid")["force_1"].remark

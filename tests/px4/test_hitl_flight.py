@@ -1,4 +1,4 @@
-"""Hardware in the loop with a real PX4 without lockstep on two pseudo-terminals, by the command."""
+"""Hardware in the loop by command, with a real PX4 without lockstep on two pseudo-terminals."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def hitl_dir() -> str:
     return named
 
 
-def test_the_single_wall_is_flown_and_the_flight_controller_left_disarmed(hitl_dir: str) -> None:
+def test_a_flight_completes_and_leaves_the_flight_controller_disarmed(hitl_dir: str) -> None:
     flight = fly_bench("single_wall", 1)
     assert flight.outcome == "completed", flight.reason
     assert flight.problems == []
@@ -50,19 +50,19 @@ def test_a_cut_port_ends_the_flight_with_its_cause(hitl_dir: str) -> None:
     assert flight.problems == []
 
 
-def test_check_and_fly_refuse_a_vehicle_in_this_mode(hitl_dir: str, tmp_path: Path) -> None:
+def test_check_and_fly_refuse_a_vehicle_in_hitl_mode(hitl_dir: str, tmp_path: Path) -> None:
     with HitlPx4(hitl_dir, tmp_path, load_flyable(MISSION)) as px4:
         for command in ("check", "fly"):
-            words = [command, str(MISSION), "--connection", px4.url]
-            done = subprocess.run(
-                [sys.executable, "-m", "dart_flight", *words],
+            arguments = [command, str(MISSION), "--connection", px4.url]
+            result = subprocess.run(
+                [sys.executable, "-m", "dart_flight", *arguments],
                 stdin=subprocess.DEVNULL,
                 capture_output=True,
                 text=True,
                 check=False,
                 timeout=180.0,
             )
-            assert done.returncode != 0
-            assert "SYS_HITL" in done.stdout + done.stderr
-            assert "Traceback" not in done.stderr
+            assert result.returncode != 0
+            assert "SYS_HITL" in result.stdout + result.stderr
+            assert "Traceback" not in result.stderr
         assert not px4.is_armed()

@@ -1,4 +1,4 @@
-"""The plant that is late: what it missed goes out as one message, with the mean; after a stall it pauses."""
+"""A late plant: it merges missed ticks into one message with their mean, and pauses after a stall."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from dart_flight.sim.px4.hitl_simulator import HitlSimulator
 AXES = ("xacc", "yacc", "zacc", "xgyro", "ygyro", "zgyro")
 
 
-class KeptMessages:
-    """A link that keeps what is sent; the motors turn unevenly, so that no two ticks are alike."""
+class RecordingLink:
+    """A link that records sent messages; uneven motor outputs make every tick different."""
 
     def __init__(self) -> None:
         self.controls = Controls(0, True, (0.6, 0.5, 0.55, 0.5, *[0.0] * 12))
@@ -40,35 +40,35 @@ def imu(sensor: Any) -> list[float]:
     return [getattr(sensor, axis) for axis in AXES]
 
 
-def test_ticks_not_reported_are_in_the_next_mean(mission: Mission) -> None:
-    each, merged = KeptMessages(), KeptMessages()
-    one, other = Px4Vehicle(mission, 1, each), Px4Vehicle(mission, 1, merged)
+def test_unreported_ticks_are_averaged_into_the_next_message(mission: Mission) -> None:
+    every_tick, merged = RecordingLink(), RecordingLink()
+    vehicle, late_vehicle = Px4Vehicle(mission, 1, every_tick), Px4Vehicle(mission, 1, merged)
     for tick in range(1, 4):
-        one.step()
-        other.step(report=tick == 3)
+        vehicle.step()
+        late_vehicle.step(report=tick == 3)
     (sent,) = merged.sensors
-    means = [sum(axis) / 3.0 for axis in zip(*map(imu, each.sensors), strict=True)]
+    means = [sum(axis) / 3.0 for axis in zip(*map(imu, every_tick.sensors), strict=True)]
     assert imu(sent) == pytest.approx(means, abs=1e-5)
-    assert sent.time_usec == each.sensors[-1].time_usec
-    other.step()
-    assert len(merged.sensors) == 2  # the next one is by itself again
+    assert sent.time_usec == every_tick.sensors[-1].time_usec
+    late_vehicle.step()
+    assert len(merged.sensors) == 2  # the next message covers a single tick
     assert imu(merged.sensors[1]) != pytest.approx(means, abs=1e-5)
 
 
-def test_no_pose_is_lost_to_a_tick_not_reported(mission: Mission) -> None:
-    each, merged = KeptMessages(), KeptMessages()
-    one, other = Px4Vehicle(mission, 1, each), Px4Vehicle(mission, 1, merged)
+def test_no_pose_is_lost_in_unreported_ticks(mission: Mission) -> None:
+    every_tick, merged = RecordingLink(), RecordingLink()
+    vehicle, late_vehicle = Px4Vehicle(mission, 1, every_tick), Px4Vehicle(mission, 1, merged)
     for tick in range(1, 51):
-        one.step()
-        other.step(report=tick % 25 == 0)
+        vehicle.step()
+        late_vehicle.step(report=tick % 25 == 0)
     assert len(merged.sensors) == 2
-    assert len(each.others) > 10
-    assert [m.time_usec for m in merged.others] == [m.time_usec for m in each.others]
+    assert len(every_tick.others) > 10
+    assert [m.time_usec for m in merged.others] == [m.time_usec for m in every_tick.others]
 
 
-def test_the_barometer_is_not_lost_to_a_tick_not_reported(mission: Mission) -> None:
-    """PX4 does not arm without it, and reports of a busy host may miss every fifth tick."""
-    kept = KeptMessages()
+def test_the_barometer_is_not_lost_in_unreported_ticks(mission: Mission) -> None:
+    """PX4 does not arm without the barometer, whose ticks a busy host may never report."""
+    kept = RecordingLink()
     vehicle = Px4Vehicle(mission, 1, kept)
     for tick in range(100):
         vehicle.step(report=tick % 5 == 2)
@@ -85,7 +85,7 @@ class Host:
         )
         hitl = HitlSpec("serial:///dev/none:921600")
         self.simulator = HitlSimulator(SimulatorSpec(mission, 1, [], None, hitl=hitl), hitl)
-        self.link = KeptMessages()
+        self.link = RecordingLink()
         self.simulator._vehicle = Px4Vehicle(mission, 1, self.link)
         self.simulator._start_s = self.now_s
 
@@ -93,7 +93,7 @@ class Host:
         self.now_s += seconds
 
     def run(self, after_s: float, ticks: int) -> list[int]:
-        """Advance, so long after the last; returns the stamps of what went out, in ticks."""
+        """Advance by `ticks`, `after_s` after the last call; return the sent timestamps in ticks."""
         self.link.sensors.clear()
         self.now_s += after_s
         for _ in range(ticks):
@@ -101,7 +101,7 @@ class Host:
         return [m.time_usec // 4000 for m in self.link.sensors]
 
 
-def test_late_ticks_go_out_as_one_message(mission: Mission, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_late_ticks_are_sent_as_one_message(mission: Mission, monkeypatch: pytest.MonkeyPatch) -> None:
     host = Host(mission, monkeypatch)
     assert host.run(0.0041, 1) == [1]
     assert host.run(0.004, 1) == [2]
@@ -119,7 +119,7 @@ def test_a_late_plant_catches_up_and_then_reports_every_tick(
     assert host.simulator._merged == 24
 
 
-def test_after_a_stall_the_plant_pauses(mission: Mission, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_plant_pauses_after_a_stall(mission: Mission, monkeypatch: pytest.MonkeyPatch) -> None:
     host = Host(mission, monkeypatch)
     host.run(0.0041, 1)
     offset_us = host.simulator._vehicle.plant.time_offset_us
@@ -129,16 +129,16 @@ def test_after_a_stall_the_plant_pauses(mission: Mission, monkeypatch: pytest.Mo
     assert host.simulator._merged == 0
 
 
-class SilentLink(KeptMessages):
-    """A link whose flight controller has been silent for so long."""
+class SilentLink(RecordingLink):
+    """A link whose flight controller has been silent for `silent_s`."""
 
     silent_s = 0.0
 
 
-def test_the_plant_stands_still_while_an_armed_flight_controller_is_silent(
+def test_the_plant_freezes_while_an_armed_flight_controller_is_silent(
     mission: Mission, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """It would tumble on the last outputs; the samples go on, and so does the clock of the truth."""
+    """The last outputs would make the plant tumble; samples and the truth's clock continue."""
     host, link = Host(mission, monkeypatch), SilentLink()
     host.link = link
     host.simulator._vehicle = Px4Vehicle(mission, 1, link)
@@ -149,10 +149,10 @@ def test_the_plant_stands_still_while_an_armed_flight_controller_is_silent(
     before, at_us = plant.truth(), plant.truth().t_us
     link.silent_s = 0.2
     host.run(0.004, 100)
-    still = plant.truth()
-    assert still.q_frd_to_ned == before.q_frd_to_ned
-    assert still.position_mission == before.position_mission
-    assert still.t_us - at_us == 100 * 4000
+    frozen = plant.truth()
+    assert frozen.q_frd_to_ned == before.q_frd_to_ned
+    assert frozen.position_mission == before.position_mission
+    assert frozen.t_us - at_us == 100 * 4000
     assert len(link.sensors) == 100
     assert len({tuple(imu(sensor)) for sensor in link.sensors}) == 1
     link.silent_s = 0.0
@@ -160,7 +160,7 @@ def test_the_plant_stands_still_while_an_armed_flight_controller_is_silent(
     assert plant.truth().q_frd_to_ned != before.q_frd_to_ned
 
 
-def test_a_disarmed_flight_controller_may_be_silent(
+def test_the_plant_runs_while_a_disarmed_flight_controller_is_silent(
     mission: Mission, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     host, link = Host(mission, monkeypatch), SilentLink()

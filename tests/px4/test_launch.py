@@ -1,4 +1,4 @@
-"""Finding, starting, judging and stopping PX4, with a stand-in for it."""
+"""Finding, starting, checking and stopping PX4, with a double of it."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def test_an_install_and_a_build_folder_are_found(tmp_path: Path, monkeypatch: py
     assert find_install(None).etc == folder / "etc"
 
 
-def test_what_is_missing_of_an_install_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_part_of_an_install_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv(ENVIRONMENT, raising=False)
     with pytest.raises(InputError, match=ENVIRONMENT):
         find_install(None)
@@ -74,7 +74,9 @@ def test_what_is_missing_of_an_install_is_named(tmp_path: Path, monkeypatch: pyt
         find_install(folder)
 
 
-def test_command_line_and_environment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_callers_environment_does_not_configure_px4(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("PX4_PARAM_MPC_XY_P", "9")
     monkeypatch.setenv("PX4_SIM_SPEED_FACTOR", "5")
     found = find_install(install(tmp_path / "px4"))
@@ -82,12 +84,12 @@ def test_command_line_and_environment(tmp_path: Path, monkeypatch: pytest.Monkey
     assert "/" in arguments(found, 0)[0]
     env = environment()
     assert env["PX4_SIM_MODEL"] == "none_iris"
-    # Parameters go through PX4's client, which every version has; the caller's environment steers nothing.
+    # Parameters are set through PX4's client, which every version has, never by the environment.
     assert not [name for name in env if name.startswith("PX4_PARAM_")]
     assert "PX4_SIM_SPEED_FACTOR" not in env
 
 
-def test_a_refused_port_or_lock_is_not_called_a_running_px4(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_refused_port_or_lock_is_not_reported_as_a_running_px4(monkeypatch: pytest.MonkeyPatch) -> None:
     def no_locks(*_: object) -> None:
         raise OSError(errno.ENOLCK, "No locks available")
 
@@ -108,19 +110,19 @@ def test_a_refused_port_or_lock_is_not_called_a_running_px4(monkeypatch: pytest.
         launch._free_simulator_port(0)
 
 
-def test_an_instance_belongs_to_whoever_claims_it() -> None:
+def test_a_claimed_instance_is_exclusive_until_its_release() -> None:
     first = claim_instance()
     second = claim_instance()
     assert second.number > first.number
     assert second.listen().getsockname()[1] == SIMULATOR_PORT + second.number
     first.release()
-    again = claim_instance()
-    assert again.number == first.number
-    again.release()
+    third = claim_instance()
+    assert third.number == first.number
+    third.release()
     second.release()
 
 
-def test_an_instance_whose_simulator_port_is_taken_is_passed_over() -> None:
+def test_an_instance_with_an_occupied_simulator_port_is_skipped() -> None:
     free = claim_instance()
     free.release()
     with socket.create_server(("127.0.0.1", SIMULATOR_PORT + free.number)):
@@ -129,37 +131,37 @@ def test_an_instance_whose_simulator_port_is_taken_is_passed_over() -> None:
     assert other.number != free.number
 
 
-def test_an_instance_whose_mavlink_port_is_taken_is_passed_over() -> None:
+def test_an_instance_with_an_occupied_mavlink_port_is_skipped() -> None:
     free = claim_instance()
     free.release()
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
-        taken.bind(("127.0.0.1", 14540 + free.number))
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as occupied:
+        occupied.bind(("127.0.0.1", 14540 + free.number))
         other = claim_instance()
         other.release()
         assert other.number != free.number
 
 
-def test_an_instance_whose_lock_file_a_px4_holds_is_passed_over(
+def test_an_instance_whose_lock_file_is_held_by_px4_is_skipped(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """As where it runs in another network namespace, whose ports do not show."""
+    """The ports of a PX4 in another network namespace are invisible."""
     monkeypatch.setattr(launch, "_LOCK_FILES", str(tmp_path / "px4_lock"))
     free = claim_instance()
     free.release()
     lock = tmp_path / f"px4_lock-{free.number}"
     lock.touch()
     hold = f"import fcntl, sys; f = open({str(lock)!r}, 'r+b'); fcntl.lockf(f, fcntl.LOCK_EX)"
-    words = [sys.executable, "-c", f"{hold}; print('held', flush=True); sys.stdin.read()"]
-    with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as px4:
+    command = [sys.executable, "-c", f"{hold}; print('held', flush=True); sys.stdin.read()"]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as px4:
         assert px4.stdout is not None
         px4.stdout.readline()
         other = claim_instance()
         other.release()
         px4.communicate()
     assert other.number != free.number
-    again = claim_instance()  # a file that is left over locks nothing
-    again.release()
-    assert again.number == free.number
+    third = claim_instance()  # a leftover file holds no lock
+    third.release()
+    assert third.number == free.number
 
 
 def test_a_ground_station_arms_the_system_of_its_instance() -> None:
@@ -169,19 +171,19 @@ def test_a_ground_station_arms_the_system_of_its_instance() -> None:
             with contextlib.suppress(OSError):
                 px4.bind(("127.0.0.1", ground_station.PORT + instance))
                 break
-        ours = threading.Thread(target=ground_station.arm, args=(instance,), daemon=True)
-        ours.start()
+        arming = threading.Thread(target=ground_station.arm, args=(instance,), daemon=True)
+        arming.start()
         parser = mavlink.MAVLink(None, srcSystem=instance + 1, srcComponent=1)
-        orders: list[Any] = []
-        while not orders:
+        commands: list[Any] = []
+        while not commands:
             data, sender = px4.recvfrom(2048)
             found = parser.parse_buffer(data) or []
-            orders = [message for message in found if message.get_type() == "COMMAND_LONG"]
-        accepted = mavlink.MAVLink_command_ack_message(orders[0].command, mavlink.MAV_RESULT_ACCEPTED)
+            commands = [message for message in found if message.get_type() == "COMMAND_LONG"]
+        accepted = mavlink.MAVLink_command_ack_message(commands[0].command, mavlink.MAV_RESULT_ACCEPTED)
         px4.sendto(accepted.pack(parser), sender)
-        ours.join(5.0)
-        assert not ours.is_alive()
-    assert orders[0].target_system == instance + 1
+        arming.join(5.0)
+        assert not arming.is_alive()
+    assert commands[0].target_system == instance + 1
 
 
 @pytest.mark.parametrize(
@@ -192,11 +194,11 @@ def test_a_ground_station_arms_the_system_of_its_instance() -> None:
         ("nothing of the sort", None),
     ],
 )
-def test_version_out_of_what_px4_says(answer: str, version: tuple[int, int, int] | None) -> None:
+def test_the_version_is_parsed_from_px4s_output(answer: str, version: tuple[int, int, int] | None) -> None:
     assert parse_version(answer) == version
 
 
-def test_an_old_version_is_refused_and_another_one_noted() -> None:
+def test_an_old_version_is_refused_and_an_untested_one_is_noted() -> None:
     assert check_version((1, 16, 2)) is None
     assert check_version((1, 14, 4)) is None
     assert check_version((1, 18, 0)) is None
@@ -206,11 +208,11 @@ def test_an_old_version_is_refused_and_another_one_noted() -> None:
         check_version((1, 13, 3))
 
 
-# --- the world process with the stand-in ---------------------------------------------------------
+# --- the world process with the double -----------------------------------------------------------
 
 
-class Watched:
-    """A world and what it reports."""
+class WatchedWorld:
+    """A world process and its reports."""
 
     def __init__(self, folder: Path, px4: Path, speed: float = 10.0) -> None:
         mission = load_mission(MISSION)
@@ -235,15 +237,17 @@ class Watched:
 
 
 @pytest.fixture
-def launched() -> Iterator[list[Watched]]:
-    worlds: list[Watched] = []
+def launched() -> Iterator[list[WatchedWorld]]:
+    worlds: list[WatchedWorld] = []
     yield worlds
-    for one in worlds:
-        one.world.close(5.0)
+    for watched in worlds:
+        watched.world.close(5.0)
 
 
-def test_world_starts_px4_in_a_fresh_folder_and_ends_it(tmp_path: Path, launched: list[Watched]) -> None:
-    watched = Watched(tmp_path / "flight", install(tmp_path / "px4"))
+def test_the_world_starts_px4_in_a_fresh_folder_and_ends_it(
+    tmp_path: Path, launched: list[WatchedWorld]
+) -> None:
+    watched = WatchedWorld(tmp_path / "flight", install(tmp_path / "px4"))
     launched.append(watched)
     watched.world.wait_ready()
     ready = watched.world.ready
@@ -251,10 +255,10 @@ def test_world_starts_px4_in_a_fresh_folder_and_ends_it(tmp_path: Path, launched
     assert ready.version == "1.16.0"
     about = json.loads((watched.folder / "px4" / "started.json").read_text())
     assert Path(about["cwd"]) == watched.folder / "px4"
-    set_there = (tmp_path / "px4" / f"parameters-{about['arguments'][1]}").read_text()
-    assert "EKF2_EV_CTRL [1,2] : 11\n" in set_there
-    said = watched.log.read_text()
-    assert "parameters set and read back" in said
+    parameters = (tmp_path / "px4" / f"parameters-{about['arguments'][1]}").read_text()
+    assert "EKF2_EV_CTRL [1,2] : 11\n" in parameters
+    log_text = watched.log.read_text()
+    assert "parameters set and read back" in log_text
     assert watched.world.port == 14540 + int(about["arguments"][1])
     deadline = time.monotonic() + 5.0
     while not watched.truths and time.monotonic() < deadline:
@@ -267,8 +271,8 @@ def test_world_starts_px4_in_a_fresh_folder_and_ends_it(tmp_path: Path, launched
     assert not (watched.folder / "px4").exists()
 
 
-def test_a_stubborn_px4_is_killed(tmp_path: Path, launched: list[Watched]) -> None:
-    watched = Watched(tmp_path / "flight", install(tmp_path / "px4", "stubborn"))
+def test_a_stubborn_px4_is_killed(tmp_path: Path, launched: list[WatchedWorld]) -> None:
+    watched = WatchedWorld(tmp_path / "flight", install(tmp_path / "px4", "stubborn"))
     launched.append(watched)
     watched.world.wait_ready()
     assert watched.world.ready is not None
@@ -277,42 +281,42 @@ def test_a_stubborn_px4_is_killed(tmp_path: Path, launched: list[Watched]) -> No
 
 
 @pytest.mark.parametrize(
-    ("behaviour", "version", "words"),
+    ("behaviour", "version", "message"),
     [
         ("ends", "Release 1.16.0", "PX4 ended with status 3 before it connected: ERROR [init] something"),
         ("fly", "Release 1.13.2", "PX4 v1.13.2 is too old"),
     ],
 )
-def test_a_px4_that_cannot_fly_is_a_clear_word(
-    tmp_path: Path, launched: list[Watched], behaviour: str, version: str, words: str
+def test_an_unusable_px4_is_reported_with_its_reason(
+    tmp_path: Path, launched: list[WatchedWorld], behaviour: str, version: str, message: str
 ) -> None:
-    watched = Watched(tmp_path / "flight", install(tmp_path / "px4", behaviour, version))
+    watched = WatchedWorld(tmp_path / "flight", install(tmp_path / "px4", behaviour, version))
     launched.append(watched)
     with pytest.raises(SimulatorError) as caught:
         watched.world.wait_ready()
-    assert words in str(caught.value)
+    assert message in str(caught.value)
 
 
 @pytest.mark.parametrize(
-    ("faults", "words"),
+    ("faults", "message"),
     [
         ({"stuck": "MPC_XY_P"}, r"parameter not accepted: MPC_XY_P: set to 0\.95, PX4 has 0"),
         ({"missing": "FD_FAIL_R"}, r"no parameter FD_FAIL_R \(wanted 60\)"),
-        # What a start-up script sets after the parameters were delivered wins: that must be seen, too.
+        # A start-up script may overwrite a parameter that was set before.
         ({"overwritten": "EKF2_HGT_REF"}, r"parameter not accepted: EKF2_HGT_REF: set to 3, PX4 has 77"),
     ],
 )
-def test_a_parameter_that_does_not_take_is_named_with_both_values(
-    tmp_path: Path, launched: list[Watched], faults: dict[str, str], words: str
+def test_a_rejected_parameter_is_named_with_both_values(
+    tmp_path: Path, launched: list[WatchedWorld], faults: dict[str, str], message: str
 ) -> None:
-    watched = Watched(tmp_path / "flight", install(tmp_path / "px4", **faults))
+    watched = WatchedWorld(tmp_path / "flight", install(tmp_path / "px4", **faults))
     launched.append(watched)
-    with pytest.raises(SimulatorError, match=words) as caught:
+    with pytest.raises(SimulatorError, match=message) as caught:
         watched.world.wait_ready()
     assert "\n" not in str(caught.value)
 
 
-def test_the_command_says_which_parameter_did_not_take_in_one_line(
+def test_the_command_reports_a_rejected_parameter_in_one_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     px4 = install(tmp_path / "px4", stuck="EKF2_EV_CTRL")
@@ -330,26 +334,28 @@ def test_the_command_says_which_parameter_did_not_take_in_one_line(
         (0, "is 0, but the configuration"),
     ],
 )
-def test_a_wrong_number_of_rotors_is_one_line_before_px4_starts(
+def test_a_wrong_number_of_rotors_is_reported_before_px4_starts(
     count: int, problem: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     px4, own = install(tmp_path / "px4"), tmp_path / "own.params"
     own.write_text(f"1 1 CA_ROTOR_COUNT {count} 6\n")
     logs = tmp_path / "logs"
     command = ["dry-run", MISSION, "--px4", str(px4), "--params", str(own), "--log-dir", str(logs)]
-    assert main([str(word) for word in command]) == 2
+    assert main([str(argument) for argument in command]) == 2
     assert problem in capsys.readouterr().err.splitlines()[-1]
     assert not logs.exists()
 
 
-def test_what_a_version_goes_without_is_left_out_and_said(tmp_path: Path, launched: list[Watched]) -> None:
-    watched = Watched(tmp_path / "flight", install(tmp_path / "px4", missing="COM_RAM_MAX"))
+def test_a_parameter_that_the_version_lacks_is_skipped_and_logged(
+    tmp_path: Path, launched: list[WatchedWorld]
+) -> None:
+    watched = WatchedWorld(tmp_path / "flight", install(tmp_path / "px4", missing="COM_RAM_MAX"))
     launched.append(watched)
     watched.world.wait_ready()
     assert "this version has no COM_RAM_MAX" in watched.log.read_text()
 
 
-def test_a_renamed_parameter_goes_by_its_name_there() -> None:
+def test_a_renamed_parameter_is_set_by_its_new_name() -> None:
     wanted = flight_parameters(load_mission(MISSION).vehicle, PositionSource.RTK)
     before = dict.fromkeys(wanted, 0.0)
     assert select_parameters(wanted, before)["EKF2_GPS_DELAY"] == 100.0
@@ -358,13 +364,15 @@ def test_a_renamed_parameter_goes_by_its_name_there() -> None:
     chosen = select_parameters(wanted, after)
     assert chosen["SENS_GPS0_DELAY"] == 100.0
     assert "EKF2_GPS_DELAY" not in chosen
-    del after["SENS_GPS0_DELAY"]  # a delay that nobody can set is not gone without
+    del after["SENS_GPS0_DELAY"]  # this delay is required under one of its names
     with pytest.raises(Px4Error, match="EKF2_GPS_DELAY"):
         select_parameters(wanted, after)
 
 
-def test_px4_dying_in_flight_is_told_to_the_app(tmp_path: Path, launched: list[Watched]) -> None:
-    watched = Watched(tmp_path / "flight", install(tmp_path / "px4", "dies"))
+def test_the_death_of_px4_in_flight_is_reported_to_the_app(
+    tmp_path: Path, launched: list[WatchedWorld]
+) -> None:
+    watched = WatchedWorld(tmp_path / "flight", install(tmp_path / "px4", "dies"))
     launched.append(watched)
     watched.world.wait_ready()
     deadline = time.monotonic() + 15.0
@@ -373,30 +381,32 @@ def test_px4_dying_in_flight_is_told_to_the_app(tmp_path: Path, launched: list[W
     assert watched.world.cause == "PX4 was killed by SIGKILL"
 
 
-def test_killing_the_world_kills_px4(tmp_path: Path, launched: list[Watched]) -> None:
-    watched = Watched(tmp_path / "flight", install(tmp_path / "px4"))
+def test_killing_the_world_kills_px4(tmp_path: Path, launched: list[WatchedWorld]) -> None:
+    watched = WatchedWorld(tmp_path / "flight", install(tmp_path / "px4"))
     launched.append(watched)
     watched.world.wait_ready()
     assert watched.world.ready is not None
     os.kill(watched.world.process.pid, 9)
     deadline = time.monotonic() + 5.0
-    while (_lives(watched.world.ready.pid) or not watched.world.died) and time.monotonic() < deadline:
+    while (_is_alive(watched.world.ready.pid) or not watched.world.died) and time.monotonic() < deadline:
         time.sleep(0.02)
-    assert not _lives(watched.world.ready.pid)
+    assert not _is_alive(watched.world.ready.pid)
     assert watched.world.cause == "the process of the plant under PX4 was killed by SIGKILL"
 
 
-def _lives(pid: int | None) -> bool:
+def _is_alive(pid: int | None) -> bool:
     try:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] not in "ZX"
     except OSError:
         return False
 
 
-def test_two_worlds_at_once_have_instances_of_their_own(tmp_path: Path, launched: list[Watched]) -> None:
+def test_two_simultaneous_worlds_have_separate_instances(
+    tmp_path: Path, launched: list[WatchedWorld]
+) -> None:
     px4 = install(tmp_path / "px4")
     for name in ("one", "two"):
-        launched.append(Watched(tmp_path / name, px4))
+        launched.append(WatchedWorld(tmp_path / name, px4))
     waits = [threading.Thread(target=w.world.wait_ready) for w in launched]
     for wait in waits:
         wait.start()
@@ -409,7 +419,7 @@ def test_two_worlds_at_once_have_instances_of_their_own(tmp_path: Path, launched
 
 
 @pytest.mark.parametrize(
-    ("options", "words"),
+    ("options", "message"),
     [
         (["--px4", "/nowhere"], "no PX4 SITL in this folder"),
         (["--outdoor"], "--outdoor needs --px4"),
@@ -418,16 +428,16 @@ def test_two_worlds_at_once_have_instances_of_their_own(tmp_path: Path, launched
         (["--px4", "/nowhere", "--fast"], "exclude each other"),
     ],
 )
-def test_wrong_options_are_one_line(
-    options: list[str], words: str, capsys: pytest.CaptureFixture[str]
+def test_wrong_options_are_reported_in_one_line(
+    options: list[str], message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["dry-run", str(MISSION), *options]) == 2
     error = capsys.readouterr().err
-    assert words in error
+    assert message in error
     assert error.count("\n") == 1
 
 
-def test_plain_gps_is_advised_against() -> None:
+def test_plain_gps_causes_a_warning() -> None:
     assert "needs RTK, motion capture or" in position_warnings(PositionSource.PLAIN)[0]
     assert position_warnings(PositionSource.RTK) == position_warnings(PositionSource.MOCAP) == []
 

@@ -1,4 +1,4 @@
-"""The parameter files: their format, that each line has a reason, and how a vehicle differs from them."""
+"""The parameter files: their format, the reason of every line, and the differences to a vehicle."""
 
 from __future__ import annotations
 
@@ -39,23 +39,23 @@ def test_every_packaged_parameter_has_its_reason(path: Path) -> None:
 def test_all_packaged_files_are_used() -> None:
     used = {path.name for source in PositionSource for path in parameter_files(source)}
     assert hitl_parameters() == load_parameters(packaged("configs", "px4", "hitl.params"))
-    # What `parameters --restore` writes beside those: of the link, and for the table.
+    # The command `parameters` uses these two files, which no simulation loads.
     assert used | {"hitl.params", "link.params"} == {path.name for path in FILES}
 
 
-def test_a_vehicle_gets_nothing_of_the_simulations() -> None:
+def test_a_vehicle_gets_no_parameters_of_the_simulation() -> None:
     for position_from in PositionSource:
         assert "simulation.params" not in {path.name for path in vehicle_files(position_from)}
 
 
-def test_files_do_not_contradict_the_vehicle_configuration() -> None:
-    # The flight model reads these from dart.yaml; a file that changed them would fly another vehicle.
+def test_parameter_files_do_not_override_the_vehicle_configuration() -> None:
+    # The flight model reads these from dart.yaml; a file with other values would fly a different vehicle.
     configured = {field.encode_name for field in msgspec.structs.fields(Px4Parameters)}
     for path in FILES:
         assert not configured & set(load_parameters(path)), path.name
 
 
-def test_round_trip_of_values_types_and_reasons(tmp_path: Path) -> None:
+def test_values_types_and_reasons_are_read_from_a_file(tmp_path: Path) -> None:
     path = tmp_path / "some.params"
     path.write_text(
         "# a head line\n\n# first\n# and second\n1\t1\tCOM_OBL_RC_ACT\t4\t6\n"
@@ -83,7 +83,7 @@ def test_round_trip_of_values_types_and_reasons(tmp_path: Path) -> None:
         ("1\t1\tEKF2_EV_DELAY\tnan\t9", "out of range"),
     ],
 )
-def test_a_wrong_line_is_named(tmp_path: Path, line: str, message: str) -> None:
+def test_a_wrong_line_is_reported_with_its_number(tmp_path: Path, line: str, message: str) -> None:
     path = tmp_path / "bad.params"
     path.write_text(f"# head\n{line}\n")
     with pytest.raises(InputError) as caught:
@@ -92,7 +92,7 @@ def test_a_wrong_line_is_named(tmp_path: Path, line: str, message: str) -> None:
     assert caught.value.line == 2
 
 
-def test_a_duplicate_and_a_missing_file_are_refused(tmp_path: Path) -> None:
+def test_a_duplicate_parameter_and_a_missing_file_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "twice.params"
     path.write_text("1\t1\tA\t4\t6\n1\t1\tA\t5\t6\n")
     with pytest.raises(InputError, match="appears twice"):
@@ -101,7 +101,7 @@ def test_a_duplicate_and_a_missing_file_are_refused(tmp_path: Path) -> None:
         load_parameters(tmp_path / "none.params")
 
 
-def test_differences_between_a_vehicle_and_a_file(tmp_path: Path) -> None:
+def test_differences_list_changed_and_missing_parameters(tmp_path: Path) -> None:
     path = tmp_path / "some.params"
     path.write_text("# why\n1\t1\tA\t4\t6\n# so\n1\t1\tB\t0.3\t9\n# it\n1\t1\tC\t1\t6\n")
     wanted = load_parameters(path)
@@ -111,7 +111,7 @@ def test_differences_between_a_vehicle_and_a_file(tmp_path: Path) -> None:
     assert "not on this vehicle" in found[1].line()
 
 
-def test_a_parameter_that_some_versions_lack_is_no_difference_there(tmp_path: Path) -> None:
+def test_a_parameter_that_the_version_lacks_or_renames_is_no_difference(tmp_path: Path) -> None:
     path = tmp_path / "some.params"
     path.write_text(
         "# why\n#? absent before v1.16\n1\t1\tA\t4\t6\n# so\n#? renamed NEW_B after v1.17\n1\t1\tB\t2\t9\n"
@@ -122,13 +122,13 @@ def test_a_parameter_that_some_versions_lack_is_no_difference_there(tmp_path: Pa
     assert wanted["C"].absent == ""
     assert differences(wanted, {"NEW_B": 2.0, "C": 1.0}) == []
     assert [d.name for d in differences(wanted, {"A": 3.0, "NEW_B": 1.0})] == ["A", "NEW_B", "C"]
-    assert [d.name for d in differences(wanted, {"A": 4.0, "C": 1.0})] == ["B"]  # under neither name
+    assert [d.name for d in differences(wanted, {"A": 4.0, "C": 1.0})] == ["B"]  # B exists under neither name
     path.write_text("#? gone\n1\t1\tA\t4\t6\n")
     with pytest.raises(InputError, match="absent before"):
         load_parameters(path)
 
 
-def test_flight_parameters_indoors_outdoors_and_the_users_own(tmp_path: Path) -> None:
+def test_flight_parameters_follow_the_position_source_and_the_users_file(tmp_path: Path) -> None:
     vehicle = load_vehicle()
     indoors = values_of(flight_parameters(vehicle, PositionSource.MOCAP))
     outdoors = values_of(flight_parameters(vehicle, PositionSource.RTK))
@@ -141,11 +141,11 @@ def test_flight_parameters_indoors_outdoors_and_the_users_own(tmp_path: Path) ->
     assert flight_parameters(vehicle, PositionSource.MOCAP, [own])["EKF2_EV_DELAY"].value == 30.0
 
 
-def test_px4_is_told_where_its_imu_is() -> None:
+def test_the_imu_position_is_among_px4s_parameters() -> None:
     vehicle = load_vehicle()
-    at = msgspec.structs.replace(vehicle.imu, position_m=(0.02, -0.01, 0.005))
-    told = airframe_parameters(msgspec.structs.replace(vehicle, imu=at))
-    assert [told[f"EKF2_IMU_POS_{axis}"] for axis in "XYZ"] == [0.02, -0.01, 0.005]
+    imu = msgspec.structs.replace(vehicle.imu, position_m=(0.02, -0.01, 0.005))
+    parameters = airframe_parameters(msgspec.structs.replace(vehicle, imu=imu))
+    assert [parameters[f"EKF2_IMU_POS_{axis}"] for axis in "XYZ"] == [0.02, -0.01, 0.005]
 
 
 @pytest.mark.parametrize(("name", "cells"), [("dart", 4), ("rigid_cage", 4), ("ring_guard_250g", 3)])
@@ -153,16 +153,16 @@ def test_px4s_simulated_battery_has_the_vehicles_cells(name: str, cells: int) ->
     assert airframe_parameters(load_vehicle(packaged("configs", f"{name}.yaml")))["BAT1_N_CELLS"] == cells
 
 
-def test_motors_of_the_plant_are_those_px4_is_told(tmp_path: Path) -> None:
+def test_the_plants_motors_match_px4s_parameters(tmp_path: Path) -> None:
     vehicle = load_vehicle()
-    told = airframe_parameters(vehicle)
-    assert [(m.x_m, m.y_m) for m in motors_from(told, vehicle)] == [
+    parameters = airframe_parameters(vehicle)
+    assert [(m.x_m, m.y_m) for m in motors_from(parameters, vehicle)] == [
         (0.13, 0.13),
         (-0.13, -0.13),
         (0.13, -0.13),
         (-0.13, 0.13),
     ]
-    # The airframe of PX4's iris, wider than long: the plant follows.
+    # The plant must follow PX4's iris, which is wider than long.
     own = tmp_path / "iris.params"
     own.write_text(
         "1\t1\tCA_ROTOR0_PX\t0.1515\t9\n1\t1\tCA_ROTOR0_PY\t0.245\t9\n1\t1\tCA_ROTOR0_KM\t0.05\t9\n"
@@ -171,8 +171,8 @@ def test_motors_of_the_plant_are_those_px4_is_told(tmp_path: Path) -> None:
     assert (first.x_m, first.y_m, first.yaw_torque_per_thrust_m) == (0.1515, 0.245, 0.05)
 
 
-def test_a_listing_is_read_with_and_without_a_column_for_locked_ones() -> None:
-    """v1.18 marks locked parameters in a column of its own; the flags, not the names, moved."""
+def test_a_listing_is_parsed_with_and_without_the_lock_column() -> None:
+    """PX4 v1.18 marks locked parameters in an extra column."""
     older = "x   CA_ROTOR_COUNT [24,355] : 4\n    ADSB_EMERGC [-1,2] : 0\nx * SYS_AUTOSTART [1,2] : 10016\n"
     newer = (
         "x     CA_ROTOR_COUNT [24,355] : 4\n      ADSB_EMERGC [-1,2] : 0\nx *   SYS_AUTOSTART [1,2] : 10016\n"

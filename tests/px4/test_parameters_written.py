@@ -1,4 +1,4 @@
-"""`parameters` with a real PX4: from its defaults to a vehicle that is go, and back."""
+"""The command `parameters` with a real PX4: from the defaults to a go, and back."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ MOCAP = PositionSource.MOCAP
 
 @contextmanager
 def px4_with_defaults(mission: Mission, px4_dir: Path, folder: Path) -> Iterator[tuple[str, Path]]:
-    """A PX4 on the ground with its defaults, less what a simulation lacks; URL and work folder."""
+    """Start PX4 on the ground with its defaults and `simulation.params`; yield its URL and work folder."""
     parameters = load_parameters(packaged("configs", "px4", "simulation.params"))
     spec = SimulatorSpec(mission, 1, [], None, Px4SimulatorSpec(str(px4_dir), str(folder), parameters, MOCAP))
     folder.mkdir(exist_ok=True)
@@ -53,8 +53,8 @@ def keep_saved(work: Path, kept: Path) -> None:
         shutil.copy(saved, kept)
 
 
-def restarting(px4_dir: Path, kept: Path, folder: Path) -> Path:
-    """An install that starts PX4 with kept parameters, as a restart does."""
+def install_with_parameters(px4_dir: Path, kept: Path, folder: Path) -> Path:
+    """Create an install that starts PX4 with the kept parameters, like a restart."""
     install = find_install(px4_dir)
     (folder / "bin").mkdir(parents=True)
     for program in install.program.parent.iterdir():
@@ -67,7 +67,7 @@ def restarting(px4_dir: Path, kept: Path, folder: Path) -> Path:
     return folder
 
 
-def test_defaults_become_a_vehicle_that_is_go_and_come_back(px4_dir: Path, tmp_path: Path) -> None:
+def test_written_parameters_make_the_vehicle_go_and_can_be_restored(px4_dir: Path, tmp_path: Path) -> None:
     plain = load_flyable(MISSION)
     measured = {"mocap.delay_ms": 12.5, "imu.position_m": [0.02, 0.0, -0.01]}
     mission = msgspec.structs.replace(plain, vehicle=plain.vehicle.replace(measured))
@@ -85,19 +85,19 @@ def test_defaults_become_a_vehicle_that_is_go_and_come_back(px4_dir: Path, tmp_p
         keep_saved(work, kept)
     assert {row.name for row in found.rows if row.restart} >= {"EKF2_EV_DELAY", "EKF2_HGT_REF"}
     assert found.restart_source == "the parameter metadata of this PX4"
-    # The list for a PX4 whose metadata cannot be read is that of the newest version known.
+    # The fallback list for unreadable metadata is that of the newest known version.
     if found.version.startswith("1.18"):
         assert RESTART & set(wanted_parameters(mission, MOCAP)) == named & set(
             wanted_parameters(mission, MOCAP)
         )
 
-    restarted = restarting(px4_dir, kept, tmp_path / "install")
+    restarted = install_with_parameters(px4_dir, kept, tmp_path / "install")
     with px4_with_defaults(mission, restarted, tmp_path / "second") as (url, _):
         context = FlightContext(mission, url=url)
         findings = run_checks(select_checks(Stage.VEHICLE), context)
         assert {f.item for f in findings if not f.go} == {"lock_driver"}  # the mission's lock is the mock
         with GroundLink(url, 30.0) as link:
             assert read_differences(link, mission, None, None).writable == []
-            back = read_differences(link, mission, None, saved)
-            assert write_rows(link, back.writable) == {}
+            restoring = read_differences(link, mission, None, saved)
+            assert write_rows(link, restoring.writable) == {}
             assert {name: link.read_parameters([name])[name] for name in former} == former

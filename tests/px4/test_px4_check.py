@@ -27,7 +27,7 @@ MISSION = Path(__file__).parents[2] / "missions" / "paper_single_wall.yaml"
 def waiting_px4(
     mission: Mission, px4_dir: Path, folder: Path, source: PositionSource, changes: dict[str, int | float]
 ) -> Iterator[str]:
-    """A PX4 on the ground, set up as for `dry-run` but for `changes`; yields its URL."""
+    """Start PX4 on the ground, set up as for `dry-run` except for `changes`, and yield its URL."""
     own = {name: Parameter(name, value, "") for name, value in changes.items()}
     parameters = {**flight_parameters(mission.vehicle, source), **own}
     spec = SimulatorSpec(
@@ -45,37 +45,37 @@ def waiting_px4(
         world.close()
 
 
-def by_item(findings: list[CheckFinding]) -> dict[str, CheckFinding]:
+def findings_by_item(findings: list[CheckFinding]) -> dict[str, CheckFinding]:
     items = {f.item: f for f in findings}
-    assert len(items) == len(findings)  # nothing is judged twice
+    assert len(items) == len(findings)  # every item has one finding
     return items
 
 
-def test_our_own_setup_is_go_and_each_change_is_told(px4_dir: Path, tmp_path: Path) -> None:
+def test_the_shipped_setup_is_go_and_every_change_is_reported(px4_dir: Path, tmp_path: Path) -> None:
     mission = load_flyable(MISSION)
     changes = {"NAV_RCL_ACT": 2, "COM_FAIL_ACT_T": 5.0}
     with waiting_px4(mission, px4_dir, tmp_path, PositionSource.MOCAP, changes) as url:
-        found = by_item(run_checks(select_checks(Stage.VEHICLE), FlightContext(mission, url=url)))
+        found = findings_by_item(run_checks(select_checks(Stage.VEHICLE), FlightContext(mission, url=url)))
     assert found["position_source"].says == "motion capture"
     assert found["version"].says.startswith("PX4 1.")
-    # The lock's driver of this mission is the mock.
+    # The lock's driver of this mission is the mock, which is a no-go.
     assert {item for item, f in found.items() if not f.go} == {"NAV_RCL_ACT", "lock_driver"}
     # Without a global position PX4 would not arm in Hold, the mode that it waits in.
     # Not every version's answer to TIMESYNC reaches MAVSDK (docs/px4.md).
     remarks = {item for item, f in found.items() if f.remark} - {"round_trip"}
-    assert remarks == {"COM_FAIL_ACT_T", "EKF2_EV_DELAY", "px4_checks"}  # mocap.delay_ms is not measured
+    assert remarks == {"COM_FAIL_ACT_T", "EKF2_EV_DELAY", "px4_checks"}  # mocap.delay_ms is unmeasured
     assert "Land at once" in found["COM_FAIL_ACT_T"].says
     assert found["motor_outputs"].says == "PWM 1000 to 2000 us, on PWM_MAIN"
     assert " component 1: ACTUATOR_OUTPUT_STATUS, ATTITUDE" in found["sources"].says
 
 
 @pytest.mark.parametrize(("source", "go"), [(PositionSource.RTK, True), (PositionSource.PLAIN, False)])
-def test_a_receiver_is_known_by_its_fix(
+def test_only_an_rtk_fix_is_accepted_as_gps_position(
     px4_dir: Path, tmp_path: Path, source: PositionSource, go: bool
 ) -> None:
     mission = load_flyable(MISSION)
     with waiting_px4(mission, px4_dir, tmp_path, source, {}) as url:
-        found = by_item(run_checks(select_checks(Stage.VEHICLE), FlightContext(mission, url=url)))
+        found = findings_by_item(run_checks(select_checks(Stage.VEHICLE), FlightContext(mission, url=url)))
     position = found["position_source"]
     assert position.go is go
     assert ("rtk fixed" if go else "needs RTK, motion capture or") in position.says
@@ -89,7 +89,7 @@ def test_a_vehicle_without_a_lock_is_go_without_an_overrule(
 ) -> None:
     mission = load_flyable(MISSION.parent / vehicle / "single_wall.yaml")
     with waiting_px4(mission, px4_dir, tmp_path, PositionSource.MOCAP, {}) as url:
-        found = by_item(run_checks(select_checks(Stage.VEHICLE), FlightContext(mission, url=url)))
+        found = findings_by_item(run_checks(select_checks(Stage.VEHICLE), FlightContext(mission, url=url)))
     assert [f"{item}: {f.says}" for item, f in found.items() if not f.go] == []
     assert not any("lock" in item for item in found)
     assert found["airframe"].go

@@ -1,4 +1,4 @@
-"""Flights with a real PX4, in lockstep: they complete; whatever dies in flight, nothing is left behind."""
+"""Flights with a real PX4 in lockstep: completed missions, and the cleanup after a process dies."""
 
 from __future__ import annotations
 
@@ -43,11 +43,10 @@ pytestmark = pytest.mark.px4
 
 MISSIONS = Path(__file__).parents[2] / "missions"
 SWEEP = Path(__file__).with_name("sweep_mission.yaml")
-# Times real time: what lockstep sustains on two idle cores with room to spare; a busy machine wants 1.
 
 
-def accept(verdict: Verdict) -> None:
-    """What issue and docs ask of a flight with mocap or RTK."""
+def assert_requirements(verdict: Verdict) -> None:
+    """Assert the requirements on a flight with motion capture or RTK."""
     assert verdict.outcome == "completed", verdict.reason
     assert verdict.px4 is not None
     assert verdict.px4.failsafe is False
@@ -59,9 +58,9 @@ def accept(verdict: Verdict) -> None:
     assert verdict.ekf_error_m < 0.2
 
 
-def test_dual_collision_indoors_in_real_time(px4_dir: Path, tmp_path: Path) -> None:
+def test_the_dual_collision_completes_indoors_in_real_time(px4_dir: Path, tmp_path: Path) -> None:
     verdict = fly_px4(load_flyable(MISSIONS / "paper_dual_collision.yaml"), px4_dir, 1, tmp_path)
-    accept(verdict)
+    assert_requirements(verdict)
     assert [c.wall for c in verdict.collisions] == ["wood", "acrylic"]
     for collision in verdict.collisions:
         assert collision.truth is not None
@@ -73,10 +72,10 @@ def test_dual_collision_indoors_in_real_time(px4_dir: Path, tmp_path: Path) -> N
     assert Path(verdict.px4_log).stat().st_size > 100_000
 
 
-def test_a_flight_planned_again_after_every_hit(px4_dir: Path, tmp_path: Path) -> None:
-    # In real time: the planner has 0.1 s of PX4's time to answer.
+def test_a_flight_replanned_after_every_collision_reaches_its_goal(px4_dir: Path, tmp_path: Path) -> None:
+    # In real time, because the planner must answer within 0.1 s of PX4's time.
     verdict = fly_px4(load_flyable(MISSIONS / "dual_collision_replan.yaml"), px4_dir, 1, tmp_path)
-    accept(verdict)
+    assert_requirements(verdict)
     assert verdict.log is not None
     taken = [e.record for e in read_log(verdict.log).entries if isinstance(e.record, PlanTaken)]
     assert [(one.taken, one.reason) for one in taken] == [(True, ""), (True, "")]
@@ -87,21 +86,23 @@ def test_a_flight_planned_again_after_every_hit(px4_dir: Path, tmp_path: Path) -
     )
 
 
-def test_the_paper_s_second_impact_with_stiffer_gains(px4_dir: Path, tmp_path: Path) -> None:
+def test_stiffer_gains_reach_the_papers_second_impact_speed(px4_dir: Path, tmp_path: Path) -> None:
     verdict = fly_px4(
         load_flyable(MISSIONS / "dual_collision_stiff.yaml"), px4_dir, 1, tmp_path, speed=FULL_SPEED
     )
-    accept(verdict)
+    assert_requirements(verdict)
     assert verdict.collisions[1].measured.normal_m_s is not None
     assert verdict.collisions[1].measured.normal_m_s < -1.3
 
 
-def test_single_wall_outdoors_with_rtk(px4_dir: Path, tmp_path: Path) -> None:
+def test_the_single_wall_completes_outdoors_with_rtk(px4_dir: Path, tmp_path: Path) -> None:
     mission = load_flyable(MISSIONS / "paper_single_wall.yaml")
-    accept(fly_px4(mission, px4_dir, 1, tmp_path, position_from=PositionSource.RTK, speed=FULL_SPEED))
+    assert_requirements(
+        fly_px4(mission, px4_dir, 1, tmp_path, position_from=PositionSource.RTK, speed=FULL_SPEED)
+    )
 
 
-def test_plain_gps_does_not_fly_at_a_wall(px4_dir: Path, tmp_path: Path) -> None:
+def test_a_flight_with_plain_gps_does_not_take_off(px4_dir: Path, tmp_path: Path) -> None:
     mission = load_flyable(MISSIONS / "paper_single_wall.yaml")
     verdict = fly_px4(mission, px4_dir, 1, tmp_path, position_from=PositionSource.PLAIN, speed=FULL_SPEED)
     assert verdict.reason is not None
@@ -109,21 +110,21 @@ def test_plain_gps_does_not_fly_at_a_wall(px4_dir: Path, tmp_path: Path) -> None
     assert verdict.flight_time_s is None
 
 
-def test_lock_servo_on_px4s_own_output(px4_dir: Path, tmp_path: Path) -> None:
+def test_the_lock_servo_works_on_px4s_own_output(px4_dir: Path, tmp_path: Path) -> None:
     from dart_flight.config.vehicle import LockDriver
     from dart_flight.run.prepare import with_driver
 
     mission = with_driver(load_flyable(MISSIONS / "paper_dual_collision.yaml"), LockDriver.PX4)
-    accept(fly_px4(mission, px4_dir, 1, tmp_path, speed=FULL_SPEED))
+    assert_requirements(fly_px4(mission, px4_dir, 1, tmp_path, speed=FULL_SPEED))
 
 
-def test_a_hexarotor_with_the_lock_s_servo_after_its_motors(px4_dir: Path, tmp_path: Path) -> None:
+def test_a_hexarotor_completes_with_the_lock_servo_after_its_motors(px4_dir: Path, tmp_path: Path) -> None:
     from dart_flight.config.vehicle import LockDriver
     from dart_flight.run.prepare import with_driver
 
     mission = load_flyable(MISSIONS / "paper_single_wall.yaml", packaged("configs", "hexarotor.yaml"))
     verdict = fly_px4(with_driver(mission, LockDriver.PX4), px4_dir, 1, tmp_path, speed=FULL_SPEED)
-    accept(verdict)
+    assert_requirements(verdict)
     (hit,) = verdict.collisions
     assert hit.truth is not None
     assert hit.truth.normal_m_s == pytest.approx(-1.0, abs=0.1)
@@ -133,11 +134,11 @@ def test_a_hexarotor_with_the_lock_s_servo_after_its_motors(px4_dir: Path, tmp_p
     assert rotor_differences(mission.vehicle.airframe.motors, motors) == ([], [])
 
 
-def test_a_hit_beyond_full_scale_is_marked_as_clipped(px4_dir: Path, tmp_path: Path) -> None:
+def test_an_impact_beyond_full_scale_is_marked_as_clipped(px4_dir: Path, tmp_path: Path) -> None:
     text = SWEEP.read_text().replace("MODE", "rigid").replace("MATERIAL", "acrylic").replace("SPEED", "4.0")
     mission = tmp_path / "sweep.yaml"
     mission.write_text(text)
-    # Met by one guard first it would turn over 60 degrees: here the sensor is the matter, not the body.
+    # Contacts of the guards would tilt the body over 60 degrees; a point body isolates the saturation.
     loaded = load_flyable(mission, settings=["simulation.contact.body=point"])
     verdict = fly_px4(loaded, px4_dir, 1, tmp_path, speed=FULL_SPEED)
     assert verdict.outcome == "completed", verdict.reason
@@ -157,13 +158,15 @@ def test_a_hit_beyond_full_scale_is_marked_as_clipped(px4_dir: Path, tmp_path: P
 
 
 @pytest.mark.parametrize("sticks", [True, False])
-def test_a_switch_to_position_mode_in_the_approach(px4_dir: Path, tmp_path: Path, sticks: bool) -> None:
-    """With sticks the pilot has it; without PX4 refuses, stays in offboard, and the flight goes on."""
-    taken = tmp_path / "sticks.params"
-    taken.write_text("# sticks over MAVLink\n1\t1\tCOM_RC_IN_MODE\t1\t6\n")
+def test_a_switch_to_position_mode_releases_the_flight_only_with_sticks(
+    px4_dir: Path, tmp_path: Path, sticks: bool
+) -> None:
+    """Without sticks PX4 refuses the mode and stays in offboard, and the flight continues."""
+    stick_parameters = tmp_path / "sticks.params"
+    stick_parameters.write_text("# sticks over MAVLink\n1\t1\tCOM_RC_IN_MODE\t1\t6\n")
     begin, answers = Event(), list[int | None]()
 
-    def ask(record: Record) -> None:
+    def observe(record: Record) -> None:
         if isinstance(record, PhaseChange) and record.after is Phase.OFFBOARD:
             found = re.search(r"PX4 instance (\d+)", next(tmp_path.glob("*/autopilot.log")).read_text())
             assert found is not None
@@ -174,22 +177,22 @@ def test_a_switch_to_position_mode_in_the_approach(px4_dir: Path, tmp_path: Path
             begin.set()
 
     station: list[Thread] = []
-    mission, files = load_flyable(MISSIONS / "single_wall.yaml"), (taken,) if sticks else ()
-    verdict = fly_px4(mission, px4_dir, 1, tmp_path, ask, parameter_files=files)
+    mission, files = load_flyable(MISSIONS / "single_wall.yaml"), (stick_parameters,) if sticks else ()
+    verdict = fly_px4(mission, px4_dir, 1, tmp_path, observe, parameter_files=files)
     station[0].join()
     if sticks:
         assert answers == [MAV_RESULT_ACCEPTED]
         assert (verdict.outcome, verdict.reason) == ("released", "pilot: PX4 is in manual")
     else:
         assert answers == [MAV_RESULT_TEMPORARILY_REJECTED]
-        accept(verdict)
+        assert_requirements(verdict)
 
 
-# --- what dies -----------------------------------------------------------------------------------
+# --- process deaths ------------------------------------------------------------------------------
 
 
 class Flight:
-    """A dry-run in a process of its own, and the pids that belong to it."""
+    """A dry-run in its own process, with the pids of app, plant and PX4."""
 
     def __init__(self, px4_dir: Path, folder: Path) -> None:
         self.folder = folder
@@ -207,11 +210,11 @@ class Flight:
         self.world = _parent_of(self.px4)
 
     def text(self) -> str:
-        """The world's log so far."""
+        """Return the world's log so far."""
         return "".join(path.read_text() for path in self.folder.glob("*/autopilot.log"))
 
     def wait_for(self, pattern: str, timeout_s: float = 40.0) -> str:
-        """Wait for a line of the world's log; returns its first group."""
+        """Wait for a match in the world's log and return its first group."""
         deadline = time.monotonic() + timeout_s
         while time.monotonic() < deadline:
             found = re.search(pattern, self.text())
@@ -220,43 +223,43 @@ class Flight:
             time.sleep(0.05)
         raise AssertionError(f"no {pattern!r} within {timeout_s:g} s in: {self.text()}")
 
-    def into_the_air(self) -> None:
-        """Wait until it flies."""
+    def wait_until_airborne(self) -> None:
+        """Wait until the vehicle flies."""
         self.wait_for("PX4 armed")
         time.sleep(2.5)  # at twice real time: in the climb or beyond
 
     def verdict(self) -> dict[str, Any]:
-        """The verdict that the app prints."""
+        """Return the verdict that the app prints at its end."""
         out, _ = self.app.communicate(timeout=40.0)
         result: dict[str, Any] = json.loads(out)
         return result
 
     def kill(self, pid: int) -> None:
-        """SIGKILL to one of the three."""
+        """Send SIGKILL to one of the three processes."""
         self.killed_at = time.monotonic()
         os.kill(pid, signal.SIGKILL)
 
     def wait_all_gone(self, timeout_s: float = 30.0) -> float:
-        """Wait until none of the processes lives; returns seconds since the kill."""
-        begun = self.killed_at or time.monotonic()
-        while time.monotonic() - begun < timeout_s:
+        """Wait until none of the processes lives; return the seconds since the kill."""
+        started_s = self.killed_at or time.monotonic()
+        while time.monotonic() - started_s < timeout_s:
             self.app.poll()
-            left = [pid for pid in (self.app.pid, self.world, self.px4) if _lives(pid)]
-            if not left and not _session_members(self.px4):
-                print(f"nothing left after {time.monotonic() - begun:.1f} s")  # `pytest -rP` shows it
-                return time.monotonic() - begun
+            remaining = [pid for pid in (self.app.pid, self.world, self.px4) if _is_alive(pid)]
+            if not remaining and not _session_members(self.px4):
+                print(f"nothing left after {time.monotonic() - started_s:.1f} s")  # `pytest -rP` shows it
+                return time.monotonic() - started_s
             time.sleep(0.05)
-        raise AssertionError(f"still there after {timeout_s:g} s: {left} {_session_members(self.px4)}")
+        raise AssertionError(f"still there after {timeout_s:g} s: {remaining} {_session_members(self.px4)}")
 
 
 @pytest.fixture
 def flight(px4_dir: Path, tmp_path: Path) -> Iterator[Flight]:
-    one = Flight(px4_dir, tmp_path)
-    yield one
-    for pid in (one.app.pid, one.world, one.px4):
+    started = Flight(px4_dir, tmp_path)
+    yield started
+    for pid in (started.app.pid, started.world, started.px4):
         with contextlib.suppress(ProcessLookupError):
             os.kill(pid, signal.SIGKILL)
-    one.app.communicate()
+    started.app.communicate()
 
 
 def _stat(pid: int) -> list[str]:
@@ -267,7 +270,7 @@ def _parent_of(pid: int) -> int:
     return int(_stat(pid)[1])
 
 
-def _lives(pid: int) -> bool:
+def _is_alive(pid: int) -> bool:
     try:
         return _stat(pid)[0] not in "ZX"
     except (FileNotFoundError, ProcessLookupError):
@@ -279,61 +282,61 @@ def _session_members(session: int) -> list[int]:
     for entry in Path("/proc").iterdir():
         if entry.name.isdigit():
             with contextlib.suppress(OSError, IndexError):
-                if int(_stat(int(entry.name))[3]) == session and _lives(int(entry.name)):
+                if int(_stat(int(entry.name))[3]) == session and _is_alive(int(entry.name)):
                     members.append(int(entry.name))
     return members
 
 
-def _events(folder: Path) -> list[Any]:
+def _log_records(folder: Path) -> list[Any]:
     (log,) = folder.glob("*/flight.mcap")
     return [entry.record for entry in read_log(log).entries]
 
 
-def test_killing_px4_in_flight_says_so(flight: Flight) -> None:
-    flight.into_the_air()
+def test_killing_px4_in_flight_aborts_with_its_cause(flight: Flight) -> None:
+    flight.wait_until_airborne()
     flight.kill(flight.px4)
     verdict = flight.verdict()
     assert verdict["outcome"] == "aborted"
     assert "PX4 was killed by SIGKILL" in verdict["reason"]
     assert flight.wait_all_gone() < 30.0
-    ends = [r for r in _events(flight.folder) if isinstance(r, MissionEnd)]
+    ends = [r for r in _log_records(flight.folder) if isinstance(r, MissionEnd)]
     assert "PX4 was killed" in (ends[-1].reason or "")
-    assert "Fatal" not in flight.text(), "the plant's process ends in good order, too"
+    assert "Fatal" not in flight.text(), "the plant's process must end cleanly"
 
 
-def test_killing_the_plant_in_flight_says_so_and_takes_px4_along(flight: Flight) -> None:
-    flight.into_the_air()
+def test_killing_the_plant_in_flight_aborts_and_ends_px4(flight: Flight) -> None:
+    flight.wait_until_airborne()
     flight.kill(flight.world)
     verdict = flight.verdict()
     assert verdict["outcome"] == "aborted"
     assert "the plant under PX4 was killed by SIGKILL" in verdict["reason"]
     assert flight.wait_all_gone() < 30.0
-    assert any(isinstance(r, GuardEvent) for r in _events(flight.folder))
+    assert any(isinstance(r, GuardEvent) for r in _log_records(flight.folder))
 
 
-def test_killing_the_app_in_flight_px4_lands_by_its_failsafe(flight: Flight) -> None:
-    flight.into_the_air()
+def test_px4_lands_by_its_failsafe_after_the_app_is_killed(flight: Flight) -> None:
+    flight.wait_until_airborne()
     flight.kill(flight.app.pid)
     assert flight.wait_all_gone() < 30.0
-    said = flight.text()
-    assert "app disconnected; PX4 continues until its failsafe acts" in said
-    height = re.search(r"PX4 disarmed at \(.*, .*, (.*)\)", said)
-    assert height, said
+    log_text = flight.text()
+    assert "app disconnected; PX4 continues until its failsafe acts" in log_text
+    height = re.search(r"PX4 disarmed at \(.*, .*, (.*)\)", log_text)
+    assert height, log_text
     assert abs(float(height[1])) < 0.1
     console = "".join(path.read_text(errors="replace") for path in flight.folder.glob("*/px4.log"))
     assert "Failsafe" in console
     assert list(flight.folder.glob("*/px4.ulg"))
 
 
-def test_killing_the_app_while_px4_boots_leaves_nothing(px4_dir: Path, tmp_path: Path) -> None:
+def test_killing_the_app_while_px4_boots_leaves_no_process(px4_dir: Path, tmp_path: Path) -> None:
     flight = Flight(px4_dir, tmp_path)
     flight.kill(flight.app.pid)
     assert flight.wait_all_gone() < 30.0
     flight.app.communicate()
 
 
-def test_ctrl_c_leaves_the_air_and_lands(flight: Flight) -> None:
-    flight.into_the_air()
+def test_ctrl_c_lands_the_vehicle_and_ends_every_process(flight: Flight) -> None:
+    flight.wait_until_airborne()
     flight.app.send_signal(signal.SIGINT)
     verdict = flight.verdict()
     assert verdict["outcome"] == "aborted"

@@ -1,4 +1,4 @@
-"""PX4's own log: a handmade ULog with what a hit leaves in it."""
+"""Figures from PX4's own log, read from a synthetic ULog of a flight with an impact."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def message(kind: bytes, body: bytes) -> bytes:
 
 
 def ulog(path: Path, rows: list[tuple[int, bytes]]) -> Path:
-    """A ULog file; a row is (message id, its packed fields)."""
+    """Write a ULog file; a row is (message id, its packed fields)."""
     data = b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 0)
     data += message(b"B", bytes(40))
     for text in FORMATS:
@@ -39,8 +39,8 @@ def ulog(path: Path, rows: list[tuple[int, bytes]]) -> Path:
     return path
 
 
-def flown(failsafe: bool) -> list[tuple[int, bytes]]:
-    """Armed from 10 to 20 s; a reset and clipping before arming do not count."""
+def flight_rows(failsafe: bool) -> list[tuple[int, bytes]]:
+    """Return rows of a flight armed from 10 to 20 s; resets and clipping outside do not count."""
     s = 1_000_000
     return [
         (0, struct.pack("<QBB", 1 * s, 1, 0)),
@@ -48,25 +48,25 @@ def flown(failsafe: bool) -> list[tuple[int, bytes]]:
         (2, struct.pack("<Q3I", 3 * s, 7, 0, 0)),
         (0, struct.pack("<QBB", 10 * s, 2, 0)),
         (3, struct.pack("<QBB", 11 * s, 0, 0)),
-        (1, struct.pack("<QBBBB", 12 * s, 0, 3, 1, 0)),  # the 8-bit counter goes round: one reset, and vxy
+        (1, struct.pack("<QBBBB", 12 * s, 0, 3, 1, 0)),  # the 8-bit xy counter overflows: 1 reset, 1 of vxy
         (2, struct.pack("<Q3I", 13 * s, 12, 1, 0)),
         (0, struct.pack("<QBB", 15 * s, 2, int(failsafe))),
         (3, struct.pack("<QBB", 16 * s, 0, int(failsafe))),
         (0, struct.pack("<QBB", 20 * s, 2, 0)),
         (0, struct.pack("<QBB", 21 * s, 1, 0)),
-        (2, struct.pack("<Q3I", 25 * s, 99, 0, 0)),  # carried away by hand
+        (2, struct.pack("<Q3I", 25 * s, 99, 0, 0)),  # carried by hand after the flight
     ]
 
 
 @pytest.mark.parametrize("failsafe", [False, True])
-def test_figures_of_the_time_in_which_it_was_armed(tmp_path: Path, failsafe: bool) -> None:
-    figures = read_px4_log(ulog(tmp_path / "one.ulg", flown(failsafe)), "1.16.0")
+def test_figures_cover_only_the_armed_time(tmp_path: Path, failsafe: bool) -> None:
+    figures = read_px4_log(ulog(tmp_path / "one.ulg", flight_rows(failsafe)), "1.16.0")
     assert figures == Px4Figures("1.16.0", 2, 6, failsafe, failsafe)
 
 
-def test_what_cannot_be_read_is_unknown(tmp_path: Path) -> None:
+def test_an_unreadable_log_has_no_figures(tmp_path: Path) -> None:
     assert read_px4_log(tmp_path / "none.ulg", "1.16.0") == Px4Figures("1.16.0")
     bad = tmp_path / "bad.ulg"
     bad.write_bytes(b"not a log")
     assert read_px4_log(bad) == Px4Figures()
-    assert read_px4_log(ulog(tmp_path / "ground.ulg", flown(False)[:3])) == Px4Figures()
+    assert read_px4_log(ulog(tmp_path / "ground.ulg", flight_rows(False)[:3])) == Px4Figures()

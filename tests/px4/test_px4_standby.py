@@ -1,4 +1,4 @@
-"""Standby on a real PX4: a ground station on another link of it, which forwards, presses every button."""
+"""Standby on a real PX4, which forwards the commands of a ground station on another link."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def standing_by(folder: Path, url: str, *arguments: str) -> Iterator[subprocess.
             process.wait(90.0)
 
 
-def test_every_button_in_standby_and_in_a_flight(px4_dir: Path, tmp_path: Path) -> None:
+def test_every_button_is_answered_in_standby_and_in_flight(px4_dir: Path, tmp_path: Path) -> None:
     config = patient((ROOT / "configs" / "dart.yaml").read_text())
     (tmp_path / "dart.yaml").write_text(config)
     (tmp_path / "none.yaml").write_text(config.replace("driver: mock", "driver: none"))
@@ -57,7 +57,7 @@ def test_every_button_in_standby_and_in_a_flight(px4_dir: Path, tmp_path: Path) 
         with standing_by(tmp_path, url, "one.yaml", "--driver", "px4"):
             station.wait_for("standby", timeout_s=120.0)
             station.wait_for_program()
-            time.sleep(2.0)  # until standby has heard PX4's heartbeat
+            time.sleep(2.0)  # until standby has received PX4's heartbeat
             assert station.press(Button.FLY, 1) == NO
             station.wait_for("denied: PX4 receives no remote control")
             assert [station.press(b) for b in (Button.CONTINUE, Button.LAND)] == [NO, NO]
@@ -68,7 +68,7 @@ def test_every_button_in_standby_and_in_a_flight(px4_dir: Path, tmp_path: Path) 
             assert station.press(Button.CHECK) == OK
             station.wait_for("one: no-go", timeout_s=120.0)
             station.wait_for("lock_driver: PWM_AUX_FUNC1 is not on this vehicle")  # SITL has no pins
-        # A vehicle without a lock is go; sticks are there.
+        # A vehicle without a lock is go, and the sticks are present.
         with standing_by(tmp_path, url, "two.yaml") as process:
             station.wait_for("standby", 3, timeout_s=60.0)
             station.hold_sticks()
@@ -89,7 +89,7 @@ def test_every_button_in_standby_and_in_a_flight(px4_dir: Path, tmp_path: Path) 
             station.wait_for("two: completed", timeout_s=180.0)
             station.wait_for("standby", 5, timeout_s=60.0)
             assert process.poll() is None
-            # The next flight is ended by the button.
+            # The land button ends the next flight.
             time.sleep(2.0)
             assert [station.press(Button.FLY, 1) for _ in range(2)] == [OK, OK]
             station.wait_for("phase pause", 2, timeout_s=180.0)

@@ -1,4 +1,4 @@
-"""The relay between PX4 and the application: it forwards everything, and counts what lockstep asks about."""
+"""The relay between PX4 and the application: it forwards everything and tracks messages for lockstep."""
 
 from __future__ import annotations
 
@@ -42,9 +42,9 @@ class Ends:
 
 @pytest.fixture
 def ends() -> Iterator[Ends]:
-    found = Ends()
-    yield found
-    found.close()
+    opened = Ends()
+    yield opened
+    opened.close()
 
 
 def packed(message: mavlink.MAVLink_message, component: int = 1) -> bytes:
@@ -59,14 +59,14 @@ def imu(t_us: int) -> mavlink.MAVLink_message:
     return mavlink.MAVLink_highres_imu_message(t_us, *ORIGIN, *ORIGIN, *ORIGIN, 0.0, 0.0, 0.0, 0.0, 63)
 
 
-def until(there: Callable[[], bool]) -> None:
-    ends = time.monotonic() + 10.0
-    while not there():
-        assert time.monotonic() < ends
+def wait_until(condition: Callable[[], bool]) -> None:
+    deadline_s = time.monotonic() + 10.0
+    while not condition():
+        assert time.monotonic() < deadline_s
         time.sleep(0.01)
 
 
-def test_both_directions_pass_unchanged(ends: Ends) -> None:
+def test_data_is_forwarded_unchanged_in_both_directions(ends: Ends) -> None:
     ends.px4.send(b"noise that is no MAVLink")
     data, relay = ends.app.recvfrom(4096)
     assert data == b"noise that is no MAVLink"
@@ -74,18 +74,18 @@ def test_both_directions_pass_unchanged(ends: Ends) -> None:
     assert ends.px4.recv(4096) == b"back"
 
 
-def test_the_newest_stamp_of_every_stream_of_the_autopilot_counts(ends: Ends) -> None:
+def test_the_newest_timestamp_of_every_autopilot_stream_is_tracked(ends: Ends) -> None:
     ends.px4.send(packed(imu(8_000)) + packed(attitude(12)))
     ends.px4.send(packed(imu(4_000)))
     ends.px4.send(packed(imu(99_000), component=197))
     for _ in range(3):
         ends.app.recv(4096)
-    until(lambda: bool(ends.relay.sent_us))
+    wait_until(lambda: bool(ends.relay.sent_us))
     assert ends.relay.sent_us == {"imu": 8_000, "attitude": 12_000}
 
 
-def test_a_stamp_whose_zeros_were_cut_off_is_read(ends: Ends) -> None:
-    """MAVLink 2 leaves out the zeros at the end of a payload, here all of it but two bytes of the stamp."""
+def test_a_truncated_timestamp_is_read(ends: Ends) -> None:
+    """MAVLink 2 truncates trailing zeros of a payload, here all but two bytes of the timestamp."""
     message = mavlink.MAVLink_attitude_quaternion_message(0x0102, *(0.0,) * 7)
     data = packed(message)
     assert data[1] == 2
@@ -94,7 +94,7 @@ def test_a_stamp_whose_zeros_were_cut_off_is_read(ends: Ends) -> None:
     assert ends.relay.sent_us == {"attitude": 0x0102 * 1000}
 
 
-def test_a_setpoint_is_seen_once_it_has_been_forwarded(ends: Ends) -> None:
+def test_a_forwarded_setpoint_is_tracked(ends: Ends) -> None:
     ends.px4.send(packed(imu(4_000)))
     _, relay = ends.app.recvfrom(4096)
     message = mavlink.MAVLink_set_position_target_local_ned_message(
@@ -102,13 +102,13 @@ def test_a_setpoint_is_seen_once_it_has_been_forwarded(ends: Ends) -> None:
     )
     ends.app.sendto(packed(message, component=191), relay)
     assert ends.px4.recv(4096) == packed(message, component=191)
-    until(lambda: ends.relay.arrived.get("setpoint", (0.0,))[0] == 1.0)
+    wait_until(lambda: ends.relay.arrived.get("setpoint", (0.0,))[0] == 1.0)
     assert ends.relay.arrived["setpoint"] == pytest.approx(
         (1.0, 2.0, -1.0, 0.5, math.nan, 0.0, 0.0, 0.0, 0.25), nan_ok=True
     )
 
 
-def test_a_forwarded_pose_is_seen_by_its_position(ends: Ends) -> None:
+def test_a_forwarded_pose_is_tracked_by_its_position(ends: Ends) -> None:
     ends.px4.send(packed(imu(4_000)))
     _, relay = ends.app.recvfrom(4096)
     unknown = [math.nan] * 21
@@ -116,12 +116,12 @@ def test_a_forwarded_pose_is_seen_by_its_position(ends: Ends) -> None:
         1_000_000, 1, 12, 1.5, -2.0, -1.0, [1.0, 0.0, 0.0, 0.0], *(math.nan,) * 6, unknown, unknown, 0, 2
     )
     ends.app.sendto(packed(message, component=195), relay)
-    until(lambda: "pose" in ends.relay.arrived)
+    wait_until(lambda: "pose" in ends.relay.arrived)
     assert ends.relay.arrived["pose"] == (1.5, -2.0, -1.0)
     assert "odometry" not in ends.relay.sent_us
 
 
-def test_px4s_heartbeat_is_repeated_while_simulated_time_stands_still(
+def test_px4s_heartbeat_is_repeated_while_simulated_time_stops(
     ends: Ends, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     beat = packed(mavlink.MAVLink_heartbeat_message(2, 12, 0, 0, 3, 3))
@@ -132,16 +132,16 @@ def test_px4s_heartbeat_is_repeated_while_simulated_time_stands_still(
     assert ends.app.recv(4096) == beat
     ends.relay.answer_requests()
     ends.px4.send(b"next")
-    assert ends.app.recv(4096) == b"next", "not more than once a second"
+    assert ends.app.recv(4096) == b"next", "the heartbeat may repeat only once per second"
 
 
 @pytest.mark.parametrize("data", [b"", b"\xfd", b"\xfd\xff" + bytes(7), bytes(300), b"\xfe" + bytes(30)])
-def test_frames_of_noise_end_without_an_error(data: bytes) -> None:
+def test_noise_is_split_into_frames_without_an_error(data: bytes) -> None:
     assert all(number >= 0 for number, _, _, _ in frames(data))
 
 
-def test_a_network_that_fails_ends_the_wait_with_its_own_text(ends: Ends) -> None:
-    """Nothing is forwarded any more; without a word the simulation would wait for the application."""
+def test_a_network_error_ends_the_wait_with_its_message(ends: Ends) -> None:
+    """Nothing is forwarded any more, and without the error the simulation would wait forever."""
     ends.relay._app_address = ("127.0.0.1", 0)
     ends.px4.send(packed(attitude(1)))
     ends.relay._thread.join(timeout=5.0)

@@ -1,4 +1,4 @@
-"""Statistics of the sensors that PX4 is given."""
+"""Statistics of the simulated sensors that PX4 receives."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def fixes_of(receiver: GpsReceiver, plant: Plant, seconds: float) -> list[tuple[
 
 
 @pytest.mark.parametrize(("name", "sigma"), [("rtk", 0.02), ("plain", 1.0)])
-def test_gps_error_has_the_stated_size(name: str, sigma: float, plant: Plant) -> None:
+def test_the_gps_error_has_the_specified_size(name: str, sigma: float, plant: Plant) -> None:
     north: list[float] = []
     for seed in range(60):
         receiver = GpsReceiver(GPS_QUALITIES[name], GaussianNoise(random.Random(seed)))
@@ -51,14 +51,14 @@ def test_gps_error_has_the_stated_size(name: str, sigma: float, plant: Plant) ->
     assert statistics.pstdev(north) == pytest.approx(sigma, rel=0.2)
 
 
-def test_gps_error_wanders_rather_than_jumps(plant: Plant) -> None:
+def test_the_gps_error_drifts_without_jumps(plant: Plant) -> None:
     fixes = fixes_of(GpsReceiver(GPS_QUALITIES["plain"], GaussianNoise(random.Random(3))), plant, 60.0)
     steps = [abs(b[0] - a[0]) for a, b in itertools.pairwise(fixes)]
     assert statistics.mean(steps) < 0.15
     assert max(f[0] for f in fixes) - min(f[0] for f in fixes) > 0.3
 
 
-def test_gps_reports_the_past(plant: Plant) -> None:
+def test_a_gps_fix_is_delayed_by_0_1_s(plant: Plant) -> None:
     receiver = GpsReceiver(GPS_QUALITIES["rtk"], GaussianNoise(random.Random(1)))
     north = []
     for i in range(250):
@@ -70,7 +70,7 @@ def test_gps_reports_the_past(plant: Plant) -> None:
     assert statistics.mean(t - n / 5.0 for t, n in north) == pytest.approx(0.1, abs=0.02)
 
 
-def test_barometer_and_the_atmosphere(plant: Plant) -> None:
+def test_the_barometer_follows_the_standard_atmosphere(plant: Plant) -> None:
     assert pressure_hpa(0.0) == pytest.approx(1013.25)
     assert pressure_hpa(1000.0) == pytest.approx(898.75, abs=0.2)  # standard atmosphere
     assert altitude_m(pressure_hpa(488.0)) == pytest.approx(488.0, abs=1e-6)
@@ -81,7 +81,7 @@ def test_barometer_and_the_atmosphere(plant: Plant) -> None:
     assert 0.04 < statistics.pstdev(heights) < 0.15
 
 
-def test_magnetometer_turns_with_the_vehicle(plant: Plant) -> None:
+def test_the_measured_magnetic_field_rotates_with_the_vehicle(plant: Plant) -> None:
     magnetometer = Magnetometer(GaussianNoise(random.Random(1)), (0.2, 0.0, 0.4))
     plant.q = quaternion_from_euler(0.0, 0.0, math.radians(90.0))  # nose to the east: north is to the left
     fields = [magnetometer.measure(plant) for _ in range(200)]
@@ -99,13 +99,13 @@ def test_noise_does_not_lift_a_saturated_reading_off_full_scale() -> None:
         assert abs(f[2]) < 2.0
 
 
-def test_motors_that_stand_still_shake_nothing() -> None:
+def test_stopped_motors_cause_no_vibration() -> None:
     import msgspec
 
     vehicle = load_vehicle()
     ringing = ImuRinging(white_m_s2=3.0, tone_m_s2=3.0)
-    rings = msgspec.structs.replace(vehicle.simulation, imu_ringing=ringing)
-    imu = ImuSensor(msgspec.structs.replace(vehicle, simulation=rings), GaussianNoise(random.Random(1)))
+    simulation = msgspec.structs.replace(vehicle.simulation, imu_ringing=ringing)
+    imu = ImuSensor(msgspec.structs.replace(vehicle, simulation=simulation), GaussianNoise(random.Random(1)))
     spread = {
         turn: statistics.pstdev(
             imu.measure((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), turn)[0][0] for _ in range(2000)
@@ -116,7 +116,9 @@ def test_motors_that_stand_still_shake_nothing() -> None:
     assert spread[True] == pytest.approx(math.hypot(3.0, 3.0), rel=0.1)
 
 
-def test_gusts_have_the_configured_size_and_time(plant: Plant, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_gusts_have_the_configured_size_and_correlation_time(
+    plant: Plant, monkeypatch: pytest.MonkeyPatch
+) -> None:
     import msgspec
 
     monkeypatch.setattr(wind_module, "GUST_TIME_S", 0.5)

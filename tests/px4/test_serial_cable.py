@@ -1,4 +1,4 @@
-"""The cable that stands in for a serial line: its rate, what it loses, and what it does while it is cut."""
+"""The double of a serial cable: its rate, its losses, and its behaviour while it is cut."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> list[float]:
 
 @pytest.fixture
 def sink() -> Iterator[int]:
-    """The writing end of a pipe that has room for every test."""
+    """Yield the writing end of a pipe that is large enough for every test."""
     reading, writing = os.pipe()
     yield writing
     os.close(reading)
     os.close(writing)
 
 
-def test_a_way_carries_its_rate_and_no_more(clock: list[float], sink: int) -> None:
+def test_one_direction_carries_no_more_than_its_rate(clock: list[float], sink: int) -> None:
     way = SerialWay(RATE)
     for _ in range(200):
-        way.take(bytes(200), BUFFER_BYTES)  # twice as much as it carries
+        way.take(bytes(200), BUFFER_BYTES)  # twice the rate
         clock[0] += 0.001
         way.pass_on(sink)
     assert way.carried == pytest.approx(RATE * 0.2, rel=0.01)
@@ -41,7 +41,7 @@ def test_a_way_carries_its_rate_and_no_more(clock: list[float], sink: int) -> No
     assert len(way.waiting) <= BUFFER_BYTES
 
 
-def test_credit_is_not_saved_up(clock: list[float], sink: int) -> None:
+def test_unused_capacity_is_not_saved_up(clock: list[float], sink: int) -> None:
     way = SerialWay(RATE)
     clock[0] += 10.0
     way.take(bytes(4000), BUFFER_BYTES)
@@ -49,14 +49,14 @@ def test_credit_is_not_saved_up(clock: list[float], sink: int) -> None:
     assert way.carried <= RATE * 0.005
 
 
-def test_without_a_rate_everything_passes_at_once(clock: list[float], sink: int) -> None:
+def test_a_cable_without_a_rate_passes_everything_at_once(clock: list[float], sink: int) -> None:
     way = SerialWay(None)
     way.take(bytes(20_000), None)
     way.pass_on(sink)
     assert (way.carried, way.dropped) == (20_000, 0)
 
 
-def test_a_cut_cable_loses_and_counts_what_is_sent() -> None:
+def test_a_cut_cable_drops_and_counts_sent_bytes() -> None:
     with SerialCable() as cable:
         ends = [os.open(end, os.O_RDWR | os.O_NOCTTY) for end in cable.ends]
         os.write(ends[0], b"whole")
@@ -69,7 +69,7 @@ def test_a_cut_cable_loses_and_counts_what_is_sent() -> None:
         os.write(ends[0], b"again")
         assert os.read(ends[1], 100) == b"again"
         while cable.carried[0] < len(b"whole" + b"again"):
-            pass  # counted after it is written: the reader may be ahead of the count
+            pass  # bytes are counted after they are written, so the reader may be ahead
         assert (cable.carried, cable.dropped) == ((10, 0), (4, 0))
         for end in ends:
             os.close(end)

@@ -1,4 +1,4 @@
-"""The core thread with inputs queued by hand: what it steps, in which order, and what it may leave out."""
+"""The core thread with inputs queued by hand: which inputs it steps, in which order, and which it skips."""
 
 from __future__ import annotations
 
@@ -36,45 +36,45 @@ LEVEL = (1.0, 0.0, 0.0, 0.0)
 
 
 class SteppedCore(FlightCore):
-    """In place of the core: notes what it is given and answers what the test wants."""
+    """A double of the core that records its inputs and returns scripted outputs."""
 
     def __init__(self, answer: Callable[[Input], list[Output]] = lambda item: []) -> None:
-        self.taken: list[Input] = []
-        self.wanted = Pace.BATCHED
+        self.stepped: list[Input] = []
+        self.current_pace = Pace.BATCHED
         self._answer = answer
 
     def step(self, item: Input) -> list[Output]:
-        self.taken.append(item)
+        self.stepped.append(item)
         return [] if isinstance(item, Tick) else self._answer(item)
 
     @property
     def pace(self) -> Pace:
-        return self.wanted
+        return self.current_pace
 
     @property
     def samples(self) -> list[Input]:
-        """What it was given, without the ticks."""
-        return [item for item in self.taken if not isinstance(item, Tick)]
+        """Inputs without the ticks."""
+        return [item for item in self.stepped if not isinstance(item, Tick)]
 
 
 C = TypeVar("C", bound=SteppedCore)
 
 
 class Harness(Generic[C]):
-    """A core thread with ears: what is sent, carried out and observed, in order."""
+    """A core thread whose sent setpoints, executed outputs and observed records are kept in order."""
 
     def __init__(self, core: C) -> None:
         self.core = core
         self.turns = 0
-        self.did: list[tuple[str, Record]] = []
+        self.actions: list[tuple[str, Record]] = []
         self.observed: list[tuple[Record, int]] = []
         self.thread = CoreThread(CoreRunner(core, self, self._observe, host_us), self._alive)
 
     def send(self, setpoint: Setpoint) -> None:
-        self.did.append(("send", setpoint))
+        self.actions.append(("send", setpoint))
 
     def execute(self, output: Output) -> None:
-        self.did.append(("carry out", output))
+        self.actions.append(("execute", output))
 
     def _observe(self, record: Record, number: int) -> None:
         self.observed.append((record, number))
@@ -83,13 +83,13 @@ class Harness(Generic[C]):
         self.turns += 1
 
     def run(self, items: list[Input], seconds: float = 0.0) -> None:
-        """What was queued before the thread began is there at once, as after a stall of the machine."""
+        """Queue all items before the thread starts, as after a stall of the computer."""
         for item in items:
             self.thread.put(item)
         self.thread.thread.start()
         deadline = time.monotonic() + 10.0
         last = items[-1] if items else None
-        while last is not None and last not in self.core.taken and time.monotonic() < deadline:
+        while last is not None and last not in self.core.stepped and time.monotonic() < deadline:
             time.sleep(0.002)
         time.sleep(seconds)
         self.thread.stop()
@@ -97,7 +97,7 @@ class Harness(Generic[C]):
 
 
 def backlog(rounds: int) -> list[Input]:
-    """`rounds` times attitude, odometry, motor commands, IMU; one status in between."""
+    """Return `rounds` times attitude, odometry, motor commands and IMU, with one status in the middle."""
     items: list[Input] = []
     for t in range(4000, 4000 * (rounds + 1), 4000):
         items.append(AttitudeSample(t, t, LEVEL))
@@ -109,7 +109,7 @@ def backlog(rounds: int) -> list[Input]:
     return items
 
 
-def test_of_a_backlog_only_the_newest_of_each_state_stream_is_stepped() -> None:
+def test_only_the_newest_sample_of_each_state_stream_in_a_backlog_is_stepped() -> None:
     harness = Harness(SteppedCore())
     items = backlog(40)
     harness.run(items)
@@ -120,12 +120,12 @@ def test_of_a_backlog_only_the_newest_of_each_state_stream_is_stepped() -> None:
         if not isinstance(item, AttitudeSample | OdometrySample | ActuatorSample)
         or item is newest[type(item)]
     ]
-    # Every IMU sample and the status are there, and the order is that of arrival.
+    # Every IMU sample and the status remain, in the order of arrival.
     assert harness.core.samples == kept
     assert len(kept) == 40 + 1 + 3
 
 
-def test_a_short_queue_is_stepped_as_it_came() -> None:
+def test_a_short_queue_is_stepped_in_full() -> None:
     harness = Harness(SteppedCore())
     items = backlog(15)
     assert len(items) == 61
@@ -133,18 +133,18 @@ def test_a_short_queue_is_stepped_as_it_came() -> None:
     assert harness.core.samples == items
 
 
-def test_inputs_are_numbered_as_they_are_consumed_with_what_follows_from_them() -> None:
+def test_inputs_are_numbered_in_order_and_outputs_carry_their_inputs_number() -> None:
     permission = LockPermission(5, True)
     harness = Harness(SteppedCore(lambda item: [permission] if isinstance(item, StatusSample) else []))
     harness.run(backlog(40))
     inputs = [(record, number) for record, number in harness.observed if record is not permission]
     assert [number for _, number in inputs] == list(range(len(inputs)))
-    assert [record for record, _ in inputs] == harness.core.taken
+    assert [record for record, _ in inputs] == harness.core.stepped
     status = next(number for record, number in inputs if isinstance(record, StatusSample))
     assert [number for record, number in harness.observed if record is permission] == [status]
 
 
-def test_set_points_are_sent_before_anything_else_is_done() -> None:
+def test_setpoints_are_sent_before_other_outputs_are_executed() -> None:
     setpoint = Setpoint(4000, 4000, (0.0, 0.0, -1.0), 0.0)
     permission = LockPermission(4000, True)
 
@@ -153,11 +153,11 @@ def test_set_points_are_sent_before_anything_else_is_done() -> None:
 
     harness = Harness(SteppedCore(answer))
     harness.run([AttitudeSample(4000, 4000, LEVEL)])
-    assert harness.did == [("send", setpoint), ("carry out", permission)]
+    assert harness.actions == [("send", setpoint), ("execute", permission)]
     assert not [r for r, _ in harness.observed if isinstance(r, SetpointSent)]
 
 
-def test_the_latency_of_a_recovery_set_point_is_observed() -> None:
+def test_the_latency_of_a_recovery_setpoint_is_recorded() -> None:
     received_us = host_us()
     setpoint = Setpoint(4000, received_us, (0.0, 0.0, -1.0), 0.0, recovery=True)
     harness = Harness(SteppedCore(lambda item: [setpoint]))
@@ -167,19 +167,19 @@ def test_the_latency_of_a_recovery_set_point_is_observed() -> None:
     assert 0 <= sent.latency_us < 5_000_000
 
 
-def test_without_inputs_it_ticks_every_20_ms_and_says_that_it_lives() -> None:
+def test_an_idle_core_thread_ticks_every_20_ms_and_reports_that_it_is_alive() -> None:
     harness = Harness(SteppedCore())
     assert harness.thread.age_s() < 1.0
     harness.run([], 0.5)
-    ticks = [item.host_us for item in harness.core.taken if isinstance(item, Tick)]
+    ticks = [item.host_us for item in harness.core.stepped if isinstance(item, Tick)]
     gaps = sorted(b - a for a, b in itertools.pairwise(ticks))
-    assert 5 <= len(ticks) <= 26  # a shared machine may hold it up; it never goes faster
+    assert 5 <= len(ticks) <= 26  # a shared computer may delay ticks but never adds any
     assert gaps[0] >= 20_000
     assert gaps[len(gaps) // 2] < 60_000
     assert harness.turns >= len(ticks)
     assert harness.core.samples == []
     time.sleep(0.1)
-    assert 0.1 <= harness.thread.age_s() < 10.0  # it does not come round any more
+    assert 0.1 <= harness.thread.age_s() < 10.0  # the thread has ended and no longer reports
 
 
 # --- the core's pace: which thread steps, and when ---------------------------------------------------------
@@ -190,23 +190,23 @@ def attitude(t_us: int) -> AttitudeSample:
 
 
 class WatchedCore(SteppedCore):
-    """Notes on which thread it was stepped, and that no two were in it at once."""
+    """Records which thread stepped it, and counts steps that overlap."""
 
     def __init__(self) -> None:
         super().__init__()
         self.threads: list[str] = []
-        self.inside = self.collided = 0
-        self.held = threading.Event()  # a step waits for it
-        self.held.set()
-        self.broken = False
+        self.inside = self.overlaps = 0
+        self.may_step = threading.Event()  # a step waits for it
+        self.may_step.set()
+        self.raises = False
 
     def step(self, item: Input) -> list[Output]:
         self.inside += 1
-        self.collided += self.inside > 1
+        self.overlaps += self.inside > 1
         if not isinstance(item, Tick):
             self.threads.append(threading.current_thread().name)
-            assert self.held.wait(10.0)
-            if self.broken:
+            assert self.may_step.wait(10.0)
+            if self.raises:
                 raise RuntimeError("the core must not raise")
         out = super().step(item)
         self.inside -= 1
@@ -224,26 +224,26 @@ def wait_for(condition: Callable[[], bool]) -> None:
 def watched() -> Iterator[Harness[WatchedCore]]:
     harness = Harness(WatchedCore())
     yield harness
-    harness.core.held.set()
+    harness.core.may_step.set()
     harness.thread.stop()
 
 
-def begin(harness: Harness[WatchedCore], pace: Pace) -> None:
-    """Start the thread and let the core have said how soon it wants its inputs."""
-    harness.core.wanted = pace
+def start(harness: Harness[WatchedCore], pace: Pace) -> None:
+    """Start the thread and wait until it has read the core's pace."""
+    harness.core.current_pace = pace
     harness.thread.thread.start()
-    wait_for(lambda: bool(harness.core.taken))
+    wait_for(lambda: bool(harness.core.stepped))
 
 
-def test_in_haste_an_input_is_stepped_on_the_thread_that_brings_it(watched: Harness[WatchedCore]) -> None:
-    begin(watched, Pace.IMMEDIATE)
+def test_immediate_pace_steps_an_input_on_the_delivering_thread(watched: Harness[WatchedCore]) -> None:
+    start(watched, Pace.IMMEDIATE)
     watched.thread.arrive(attitude(4000))
-    assert watched.core.samples == [attitude(4000)]  # when `arrive` returns, not some time later
+    assert watched.core.samples == [attitude(4000)]  # already stepped when `arrive` returns
     assert watched.core.threads == [threading.current_thread().name]
 
 
-def test_otherwise_the_cores_own_thread_steps(watched: Harness[WatchedCore]) -> None:
-    begin(watched, Pace.BATCHED)
+def test_batched_pace_steps_inputs_on_the_core_thread(watched: Harness[WatchedCore]) -> None:
+    start(watched, Pace.BATCHED)
     for t_us in range(4000, 24000, 4000):
         watched.thread.arrive(attitude(t_us))
     wait_for(lambda: len(watched.core.samples) == 5)
@@ -251,9 +251,9 @@ def test_otherwise_the_cores_own_thread_steps(watched: Harness[WatchedCore]) -> 
     assert set(watched.core.threads) == {"core"}
 
 
-def test_with_patience_inputs_do_not_wake_the_thread(watched: Harness[WatchedCore]) -> None:
-    """Ten inputs, each before the next turn is due: several share a turn, however slow the machine."""
-    begin(watched, Pace.BATCHED)
+def test_batched_pace_does_not_wake_the_core_thread_for_every_input(watched: Harness[WatchedCore]) -> None:
+    """Ten inputs arrive faster than turns are due, so several share a turn on any computer."""
+    start(watched, Pace.BATCHED)
     turns = watched.turns
     began = time.monotonic()
     for i in range(1, 11):
@@ -263,76 +263,76 @@ def test_with_patience_inputs_do_not_wake_the_thread(watched: Harness[WatchedCor
     assert watched.turns - turns <= took_s / 0.02 + 1
 
 
-def test_what_other_threads_put_is_stepped_with_the_next_turn(watched: Harness[WatchedCore]) -> None:
-    begin(watched, Pace.IMMEDIATE)
+def test_an_input_put_by_another_thread_is_stepped_in_the_next_turn(watched: Harness[WatchedCore]) -> None:
+    start(watched, Pace.IMMEDIATE)
     watched.thread.put(attitude(4000))
     wait_for(lambda: bool(watched.core.samples))
     assert watched.core.threads == ["core"]
 
 
-def test_two_threads_never_step_at_once_and_nothing_is_left_lying(watched: Harness[WatchedCore]) -> None:
-    begin(watched, Pace.IMMEDIATE)
-    watched.core.held.clear()
+def test_two_threads_never_step_at_once_and_leave_no_input_behind(watched: Harness[WatchedCore]) -> None:
+    start(watched, Pace.IMMEDIATE)
+    watched.core.may_step.clear()
     first = threading.Thread(target=watched.thread.arrive, args=(attitude(4000),), name="first")
     first.start()
-    wait_for(lambda: watched.core.threads == ["first"])  # in the step, and held there
+    wait_for(lambda: watched.core.threads == ["first"])  # held inside the step
     watched.thread.arrive(attitude(8000))  # returns at once
     assert watched.core.samples == []
-    watched.core.held.set()
+    watched.core.may_step.set()
     first.join(10.0)
     assert watched.core.samples == [attitude(4000), attitude(8000)]
     assert watched.core.threads == ["first", "first"]
-    assert not watched.core.collided
+    assert not watched.core.overlaps
 
 
-def test_at_the_end_of_haste_the_cores_own_thread_takes_over(watched: Harness[WatchedCore]) -> None:
-    begin(watched, Pace.IMMEDIATE)
-    watched.core.wanted = Pace.BATCHED
+def test_the_core_thread_resumes_stepping_when_the_immediate_pace_ends(watched: Harness[WatchedCore]) -> None:
+    start(watched, Pace.IMMEDIATE)
+    watched.core.current_pace = Pace.BATCHED
     watched.thread.arrive(attitude(4000))
     watched.thread.arrive(attitude(8000))
     wait_for(lambda: len(watched.core.samples) == 2)
     assert watched.core.threads == [threading.current_thread().name, "core"]
 
 
-def test_at_the_end_of_haste_the_cores_own_thread_is_called_once_and_then_has_its_patience(
+def test_the_core_thread_is_woken_once_when_the_immediate_pace_ends(
     watched: Harness[WatchedCore], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """However long a turn would be waited for."""
-    begin(watched, Pace.IMMEDIATE)
+    """With a batch interval of 60 s, only the wake-up can start a turn."""
+    start(watched, Pace.IMMEDIATE)
     monkeypatch.setattr(module, "BATCH_S", 60.0)
-    time.sleep(0.1)  # the turn under way ends
+    time.sleep(0.1)  # until the current turn ends
     turns = watched.turns
     time.sleep(0.1)
     assert watched.turns == turns
-    watched.core.wanted = Pace.BATCHED
+    watched.core.current_pace = Pace.BATCHED
     watched.thread.arrive(attitude(4000))
     wait_for(lambda: watched.turns > turns)
     time.sleep(0.1)
     turns = watched.turns
     time.sleep(0.1)
-    assert watched.turns <= turns + 1  # it waits, and does not go round and round
+    assert watched.turns <= turns + 1  # the thread waits and does not spin
 
 
 def test_a_step_that_hangs_on_another_thread_starves_the_deadman(watched: Harness[WatchedCore]) -> None:
-    begin(watched, Pace.IMMEDIATE)
-    watched.core.held.clear()
+    start(watched, Pace.IMMEDIATE)
+    watched.core.may_step.clear()
     hanging = threading.Thread(target=watched.thread.arrive, args=(attitude(4000),), name="hanging")
     hanging.start()
     wait_for(lambda: bool(watched.core.threads))
-    time.sleep(0.1)  # the turn under way ends
+    time.sleep(0.1)  # until the current turn ends
     turns = watched.turns
     time.sleep(0.2)
     assert watched.turns == turns
-    watched.core.held.set()
+    watched.core.may_step.set()
     hanging.join(10.0)
     wait_for(lambda: watched.turns > turns)
 
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
-def test_a_fault_on_another_thread_ends_the_cores_own(watched: Harness[WatchedCore]) -> None:
-    """MAVSDK's thread would swallow it and go on; so the deadman sees it as it sees any other."""
-    begin(watched, Pace.IMMEDIATE)
-    watched.core.broken = True
+def test_an_exception_on_the_delivering_thread_ends_the_core_thread(watched: Harness[WatchedCore]) -> None:
+    """MAVSDK's thread would swallow the exception, so the core thread must end for the deadman to react."""
+    start(watched, Pace.IMMEDIATE)
+    watched.core.raises = True
     watched.thread.arrive(attitude(4000))
     watched.thread.thread.join(10.0)
     assert not watched.thread.thread.is_alive()
@@ -342,55 +342,55 @@ def setpoint_at(t_us: int) -> Setpoint:
     return Setpoint(t_us, t_us, (0.0, 0.0, -1e-6 * t_us), 0.0)
 
 
-def at_one_go(answer: Callable[[Input], list[Output]], times_us: list[int]) -> Harness[SteppedCore]:
-    """Attitudes that are all there when the thread begins."""
+def run_in_one_turn(answer: Callable[[Input], list[Output]], times_us: list[int]) -> Harness[SteppedCore]:
+    """Run a core thread whose attitudes are all queued before it starts."""
     harness = Harness(SteppedCore(answer))
     harness.run([attitude(t_us) for t_us in times_us])
     return harness
 
 
-def test_of_set_points_decided_at_one_go_the_newest_leaves_and_all_are_logged() -> None:
-    harness = at_one_go(
+def test_only_the_newest_setpoint_of_a_turn_is_sent_and_all_are_logged() -> None:
+    harness = run_in_one_turn(
         lambda item: [setpoint_at(item.t_us)] if isinstance(item, AttitudeSample) else [], [4, 8, 12]
     )
-    assert harness.did == [("send", setpoint_at(12))]
+    assert harness.actions == [("send", setpoint_at(12))]
     assert [r for r, _ in harness.observed if isinstance(r, Setpoint)] == [setpoint_at(t) for t in (4, 8, 12)]
 
 
-def test_a_set_point_leaves_before_what_is_carried_out_after_it() -> None:
+def test_a_setpoint_is_sent_before_a_later_output_is_executed() -> None:
     permission = LockPermission(8, True)
     answers: dict[int, list[Output]] = {4: [setpoint_at(4)], 8: [permission], 12: []}
-    harness = at_one_go(lambda item: answers.get(getattr(item, "t_us", 0), []), [4, 8, 12])
-    assert harness.did == [("send", setpoint_at(4)), ("carry out", permission)]
+    harness = run_in_one_turn(lambda item: answers.get(getattr(item, "t_us", 0), []), [4, 8, 12])
+    assert harness.actions == [("send", setpoint_at(4)), ("execute", permission)]
 
 
 @pytest.mark.parametrize("times_us", [[4, 8], [4, 8, 12]], ids=["last of its go", "more follows"])
-def test_once_silence_is_decided_no_set_point_leaves(times_us: list[int]) -> None:
+def test_no_setpoint_is_sent_once_silence_is_decided(times_us: list[int]) -> None:
     silence = Silence(8, "a pilot flies")
     answers: dict[int, list[Output]] = {4: [setpoint_at(4)], 8: [silence], 12: []}
-    harness = at_one_go(lambda item: answers.get(getattr(item, "t_us", 0), []), times_us)
-    assert harness.did == [("carry out", silence)]
+    harness = run_in_one_turn(lambda item: answers.get(getattr(item, "t_us", 0), []), times_us)
+    assert harness.actions == [("execute", silence)]
 
 
-def test_a_set_point_of_the_recovery_never_waits_and_replaces_what_does() -> None:
+def test_a_recovery_setpoint_is_sent_at_once_and_replaces_a_waiting_one() -> None:
     recovery = Setpoint(8, 8, (0.0, 0.0, -1.0), 0.0, recovery=True)
     answers: dict[int, list[Output]] = {4: [setpoint_at(4)], 8: [recovery], 12: []}
-    harness = at_one_go(lambda item: answers.get(getattr(item, "t_us", 0), []), [4, 8, 12])
-    assert harness.did == [("send", recovery)]
+    harness = run_in_one_turn(lambda item: answers.get(getattr(item, "t_us", 0), []), [4, 8, 12])
+    assert harness.actions == [("send", recovery)]
 
 
-def test_after_the_stop_nothing_is_stepped(watched: Harness[WatchedCore]) -> None:
-    begin(watched, Pace.IMMEDIATE)
+def test_a_stopped_core_thread_steps_no_inputs(watched: Harness[WatchedCore]) -> None:
+    start(watched, Pace.IMMEDIATE)
     watched.thread.stop()
     watched.thread.arrive(attitude(4000))
     assert watched.core.samples == []
 
 
-def test_a_stop_is_heard_however_long_the_next_turn_would_be_waited_for(
+def test_a_stop_does_not_wait_for_the_next_turn(
     watched: Harness[WatchedCore], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    begin(watched, Pace.BATCHED)
+    start(watched, Pace.BATCHED)
     monkeypatch.setattr(module, "BATCH_S", 60.0)
-    time.sleep(0.1)  # the turn under way ends
+    time.sleep(0.1)  # until the current turn ends
     watched.thread.stop()
     assert not watched.thread.thread.is_alive()

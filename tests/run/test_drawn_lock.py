@@ -1,4 +1,4 @@
-"""The lock of a drawn world: it moves in every world, and one that does not is noticed."""
+"""The lock in worlds with drawn parameters: the arms follow it, and arms that do not are reported."""
 
 from pathlib import Path
 
@@ -18,8 +18,8 @@ ROOT = Path(__file__).parents[2]
 
 
 @pytest.mark.mavlink
-def test_a_drawn_servo_locks_the_arms_before_the_second_hit(tmp_path: Path) -> None:
-    """Its faults used to be set before the autopilot's clock was known, which froze its model's time."""
+def test_a_drawn_servo_locks_the_arms_before_the_second_collision(tmp_path: Path) -> None:
+    """Faults set before the autopilot's clock is known would freeze the time of the servo's model."""
     mission = load_flyable(ROOT / "missions/paper_dual_collision.yaml")
     spreads = parse_vary(["servo"], mission.vehicle)
     embedded = fly_embedded(mission, 4, tmp_path, spreads=spreads, speed=FULL_SPEED)
@@ -30,7 +30,7 @@ def test_a_drawn_servo_locks_the_arms_before_the_second_hit(tmp_path: Path) -> N
     assert peaks == pytest.approx([69.0, 69.0], rel=0.1)
 
 
-def test_arms_that_never_follow_the_lock_are_named_where_no_fault_was_drawn() -> None:
+def test_arms_that_do_not_follow_the_lock_are_reported_unless_a_fault_was_drawn() -> None:
     mission = load_flyable(ROOT / "missions/paper_dual_collision.yaml")
     verdict = fly_fast(mission, 4, None, lock_faults=MockFaults(servo=ServoFaults(stuck=True)))
     assert unexplained_modes(verdict) == [
@@ -44,8 +44,8 @@ def test_arms_that_never_follow_the_lock_are_named_where_no_fault_was_drawn() ->
     assert unexplained_modes(fly_fast(mission, 4, None)) == []
 
 
-def test_what_is_felt_of_an_unplanned_hit_is_not_taken_for_the_planned_one_before_it() -> None:
-    """The acrylic wall is met behind its place, after the approach to it was broken off."""
+def test_the_mode_of_an_unplanned_contact_is_not_assigned_to_a_planned_collision() -> None:
+    """The vehicle hits the acrylic wall behind its planned place, after aborting the approach."""
     mission = load_flyable(ROOT / "missions/paper_dual_collision.yaml")
     verdict = fly_fast(mission, 7238, None, spreads=parse_vary(["all"], mission.vehicle))
     assert [(c.wall, c.mode_felt) for c in verdict.collisions] == [("wood", "flexible")]

@@ -32,7 +32,7 @@ POSE = RawPose("dart", True, (1.0, 2.0, 3.0), (1.0, 0.0, 0.0, 0.0), 1, 1_000, "1
 
 
 class ScriptedSource:
-    """A pose source that delivers what a test says."""
+    """A pose source that delivers the poses of a test."""
 
     problem: str | None = None
 
@@ -48,25 +48,26 @@ class ScriptedSource:
 
 
 class ArmedFlight(Flight):
-    """A vehicle that a pilot keeps in the air for some looks after the mission's end."""
+    """A vehicle that stays armed for some checks after the mission's end, because a pilot flies it."""
 
-    def __init__(self, end: Callable[[], None], looks: int = 0) -> None:
+    def __init__(self, end: Callable[[], None], armed_checks: int = 0) -> None:
         super().__init__(end)
         self.sent: list[Any] = []
-        self._looks = looks
+        self._armed_checks = armed_checks
 
     @property
     def armed(self) -> bool:
-        self._looks -= 1
-        return self._looks >= 0
+        self._armed_checks -= 1
+        return self._armed_checks >= 0
 
     def send_message(self, message: Any) -> None:
         self.sent.append(message)
 
 
-def flown(
-    monkeypatch: pytest.MonkeyPatch, looks: int, at_end: Callable[[FlightApp, ScriptedSource], None]
+def run_app(
+    monkeypatch: pytest.MonkeyPatch, armed_checks: int, at_end: Callable[[FlightApp, ScriptedSource], None]
 ) -> tuple[ArmedFlight, ScriptedSource, list[Any]]:
+    """Run the app and return its session, its pose source and its records."""
     source, records = ScriptedSource(), list[Any]()
     monkeypatch.setattr(module, "open_source", lambda url: source)
     monkeypatch.setattr(module, "_LOOK_PERIOD_S", 0.01)
@@ -77,14 +78,14 @@ def flown(
         at_end(app, source)
         app.execute(MissionEnd(1, Outcome.RELEASED, None, None))
 
-    session = ArmedFlight(end, looks)
+    session = ArmedFlight(end, armed_checks)
     connect_to(session, monkeypatch)
     monkeypatch.setattr(app, "show", records.append)
     asyncio.run(app.run())
     return session, source, records
 
 
-def test_a_pose_goes_to_px4_and_to_the_core_until_the_core_withholds_it(
+def test_poses_go_to_px4_until_the_core_withholds_them(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     def at_end(app: FlightApp, source: ScriptedSource) -> None:
@@ -95,23 +96,23 @@ def test_a_pose_goes_to_px4_and_to_the_core_until_the_core_withholds_it(
         app.execute(PosesWithheld(1, "another body"))
         source.deliver(POSE._replace(source_us=1_000_000))
 
-    session, source, records = flown(monkeypatch, 0, at_end)
-    whole, positioned = map(forwarded_pose, session.sent)
-    assert (whole.attitude is None, positioned.attitude is None) == (False, True)
+    session, source, records = run_app(monkeypatch, 0, at_end)
+    with_attitude, without_attitude = map(forwarded_pose, session.sent)
+    assert (with_attitude.attitude is None, without_attitude.attitude is None) == (False, True)
     assert {r.source_us for r in records if isinstance(r, PoseSample)} == {1_000, 500_000, 1_000_000}
     assert source.stops == 1
     assert not [r for r in records if isinstance(r, StatusText)]
 
 
-def test_a_pilot_who_takes_over_keeps_his_position_until_he_disarms(monkeypatch: pytest.MonkeyPatch) -> None:
-    _, source, records = flown(monkeypatch, 5, lambda app, source: None)
+def test_poses_are_forwarded_until_a_pilot_who_took_over_disarms(monkeypatch: pytest.MonkeyPatch) -> None:
+    _, source, records = run_app(monkeypatch, 5, lambda app, source: None)
     (text,) = (r.text for r in records if isinstance(r, StatusText))
     assert text == "forwarding poses until the vehicle is disarmed; Ctrl-C ends the forwarding"
     assert source.stops == 1
 
 
 @pytest.mark.mavlink
-def test_a_latency_is_one_of_simulated_time_and_the_flight_replays(tmp_path: Path) -> None:
+def test_pose_latency_is_in_simulated_time_and_the_flight_replays(tmp_path: Path) -> None:
     settings = ["simulation.pose_delay_s=0.02", "mocap.delay_ms=20", "mocap.up=y"]
     mission = with_simulated_mocap(load_flyable(NEAR, None, settings), "udp")
     verdict = fly_embedded(mission, 1, tmp_path, speed=FULL_SPEED)
@@ -122,17 +123,17 @@ def test_a_latency_is_one_of_simulated_time_and_the_flight_replays(tmp_path: Pat
     poses = [e.record for e in log.entries if isinstance(e.record, PoseSample)]
     frames = [p.frame_number for p in poses if p.frame_number is not None]
     assert {b - a for a, b in pairwise(frames)} == {1}
-    # Until the world goes on without the program.
+    # Compare only until the mission's end, because the world then runs without the program.
     (end_us,) = (e.record.t_us for e in log.entries if isinstance(e.record, MissionEnd))
     ages_us = [p.t_us - p.source_us for p in poses[1:] if p.source_us and p.t_us < end_us]
     assert set(ages_us) == {7_020_000}  # the autopilot's clock began at 7 s
-    course = FlightArrays(log, flown_mission(log.about, log.source))
-    assert course.posed.time_s.size > 400
+    arrays = FlightArrays(log, flown_mission(log.about, log.source))
+    assert arrays.posed.time_s.size > 400
     assert replay(log).equal
 
 
 @pytest.mark.parametrize(
-    ("options", "words"),
+    ("options", "message"),
     [
         (["--mocap", "optitrack://10.0.0.1/dart"], "emulated motion capture: give one of"),
         (["--mocap", "kinect"], "emulated motion capture: give one of"),
@@ -141,15 +142,15 @@ def test_a_latency_is_one_of_simulated_time_and_the_flight_replays(tmp_path: Pat
         (["--mocap", "udp", "--fault", "mocap-slow=0"], "takes 1 to 50 Hz"),
     ],
 )
-def test_what_cannot_be_flown_is_one_line(
-    options: list[str], words: str, capsys: pytest.CaptureFixture[str]
+def test_an_unusable_mocap_option_is_rejected_with_its_reason(
+    options: list[str], message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["dry-run", str(SQUARE), "--fast", *options]) == 2
-    said = capsys.readouterr().err.strip()
-    assert words in " ".join(said.split())
+    error = capsys.readouterr().err.strip()
+    assert message in " ".join(error.split())
 
 
-def test_without_the_option_a_simulated_vehicle_has_its_own_position() -> None:
+def test_simulation_ignores_the_configured_pose_source_without_mocap_option() -> None:
     mission = with_mocap(load_flyable(SQUARE), "optitrack://10.0.0.1/dart")
     assert with_simulated_mocap(mission, None).vehicle.mocap.url is None
     with pytest.raises(InputError, match="give one of"):

@@ -1,6 +1,6 @@
-"""A ground station on a link that the autopilot forwards to: every button in every phase of a flight.
+"""A ground station behind the autopilot's forwarding: every button in every phase of a flight.
 
-Simulated time stands still while the operator presses, so that each phase is met on any computer.
+Simulated time stops while the operator presses, so that the test reaches each phase on any computer.
 """
 
 from __future__ import annotations
@@ -58,11 +58,11 @@ FLOWN = set(Phase) - {Phase.OVERRULED}
 
 
 class PressedFlight:
-    """A flight in lockstep that stops in every phase until the operator has pressed what he wants.
+    """A flight in lockstep that stops in every phase until the operator has pressed his buttons.
 
     Args:
         folder: for the mission file.
-        press: what the operator does in a phase.
+        press: the operator's presses in a phase.
     """
 
     def __init__(self, folder: Path, press: Callable[[OperatorStation, Phase], None]) -> None:
@@ -94,24 +94,24 @@ class PressedFlight:
         if self.errors:
             raise self.errors[0]
 
-    def of(self, kind: type[Record]) -> list[Record]:
+    def records_of(self, kind: type[Record]) -> list[Record]:
         return [record for record in self.records if isinstance(record, kind)]
 
     def _observe(self, record: Record, number: int) -> None:
         self.records.append(record)
         if isinstance(record, PhaseChange):
             assert self._app._lockstep is not None
-            self._app._lockstep.open()  # time stands still until the operator is done
+            self._app._lockstep.open()  # time stops until the operator is done
             self._phases.put(record.after)
 
     def _operate(self, station: OperatorStation) -> None:
-        met = False
+        connected = False
         while (phase := self._phases.get()) is not None:
             with self._resumed():
                 try:
-                    if not met:
+                    if not connected:
                         station.wait_for_program()
-                        met = True
+                        connected = True
                     if phase is not Phase.DONE:  # the connection is closing
                         self._press(station, phase)
                 except BaseException as error:
@@ -127,7 +127,7 @@ class PressedFlight:
             self._app._lockstep.close()
 
 
-def test_every_button_in_every_phase_but_landing(tmp_path: Path) -> None:
+def test_every_button_except_land_is_answered_in_every_phase(tmp_path: Path) -> None:
     answers: dict[tuple[Phase, Button], int | None] = {}
 
     def press(station: OperatorStation, phase: Phase) -> None:
@@ -136,11 +136,11 @@ def test_every_button_in_every_phase_but_landing(tmp_path: Path) -> None:
 
     flight = PressedFlight(tmp_path, press)
     flight.fly()
-    (end,) = flight.of(MissionEnd)
+    (end,) = flight.records_of(MissionEnd)
     assert isinstance(end, MissionEnd)
     assert end.outcome is Outcome.COMPLETED, end
-    met = {phase for phase, _ in answers}
-    assert met >= FLOWN - {Phase.READYING, Phase.DONE}
+    phases = {phase for phase, _ in answers}
+    assert phases >= FLOWN - {Phase.READYING, Phase.DONE}
     for (phase, button), answer in answers.items():
         rest = Phase.CONTACT is phase and button is not Button.FLY
         expected = Result.TEMPORARILY_REJECTED if rest else Result.DENIED
@@ -148,35 +148,35 @@ def test_every_button_in_every_phase_but_landing(tmp_path: Path) -> None:
             expected = Result.ACCEPTED
         assert answer == expected, (phase, button)
     requests = [
-        record.request for record in flight.of(OperatorRequest) if isinstance(record, OperatorRequest)
+        record.request for record in flight.records_of(OperatorRequest) if isinstance(record, OperatorRequest)
     ]
     assert requests == [Request.CONTINUE]
     assert "denied: the mission moves the lock during its flight" in flight.texts
     assert any(text.startswith("in flight: approach; lock rigid") for text in flight.texts)
-    noted = [r.text for r in flight.of(StatusText) if isinstance(r, StatusText) and r.found_here]
+    noted = [r.text for r in flight.records_of(StatusText) if isinstance(r, StatusText) and r.found_here]
     assert "ground station: denied: a mission is flying" in noted
 
 
-@pytest.mark.parametrize("where", [Phase.ARMING, Phase.TRANSIT, Phase.CONTACT, Phase.PAUSE])
-def test_leave_the_wall_and_land(tmp_path: Path, where: Phase) -> None:
+@pytest.mark.parametrize("land_in", [Phase.ARMING, Phase.TRANSIT, Phase.CONTACT, Phase.PAUSE])
+def test_the_land_button_lands_and_does_not_release_the_vehicle(tmp_path: Path, land_in: Phase) -> None:
     answers: list[int | None] = []
 
     def press(station: OperatorStation, phase: Phase) -> None:
-        if phase is Phase.PAUSE and where is not Phase.PAUSE:
+        if phase is Phase.PAUSE and land_in is not Phase.PAUSE:
             station.press(Button.CONTINUE)
-        if phase is where and not answers:
+        if phase is land_in and not answers:
             answers.extend((station.press(Button.LAND), station.press(Button.LAND)))
 
     flight = PressedFlight(tmp_path, press)
     flight.fly()
-    (end,) = flight.of(MissionEnd)
+    (end,) = flight.records_of(MissionEnd)
     assert isinstance(end, MissionEnd)
-    assert end.outcome is Outcome.ABORTED, "landed, not released: twice is no Ctrl-C pressed twice"
+    assert end.outcome is Outcome.ABORTED, "two presses of the land button released the vehicle"
     assert answers == [Result.ACCEPTED, Result.ACCEPTED]
-    assert "landing requested" in str(end.reason) or where is Phase.ARMING
+    assert "landing requested" in str(end.reason) or land_in is Phase.ARMING
 
 
-def test_another_system_is_denied_and_does_nothing(tmp_path: Path) -> None:
+def test_commands_from_another_system_are_denied_and_have_no_effect(tmp_path: Path) -> None:
     answers: list[int | None] = []
 
     def press(station: OperatorStation, phase: Phase) -> None:
@@ -189,9 +189,11 @@ def test_another_system_is_denied_and_does_nothing(tmp_path: Path) -> None:
 
     flight = PressedFlight(tmp_path, press)
     flight.fly()
-    (end,) = flight.of(MissionEnd)
+    (end,) = flight.records_of(MissionEnd)
     assert isinstance(end, MissionEnd)
     assert end.outcome is Outcome.COMPLETED
     assert set(answers) == {Result.DENIED}
-    noted = [r.text for r in flight.of(StatusText) if isinstance(r, StatusText) and "system 42" in r.text]
-    assert len(noted) == 1, "said once"
+    noted = [
+        r.text for r in flight.records_of(StatusText) if isinstance(r, StatusText) and "system 42" in r.text
+    ]
+    assert len(noted) == 1, "the denial is not reported exactly once"

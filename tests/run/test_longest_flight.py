@@ -1,4 +1,4 @@
-"""A simulated flight that does not end by itself is ended, with the reason in the verdict."""
+"""The time limit of a simulated flight."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from dart_flight.run import fast
 HOVER = load_mission(packaged("missions", "hover.yaml"))
 
 
-def test_a_flight_that_does_not_end_is_ended_with_a_reason(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_endless_simulated_flight_is_aborted_with_a_reason(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(fast, "_LONGEST_S", 3.0)
     verdict, limit_s = fast.fly_fast(HOVER, 1, None), fast.time_limit_s(HOVER)
     assert verdict.outcome is Outcome.ABORTED
@@ -22,7 +22,7 @@ def test_a_flight_that_does_not_end_is_ended_with_a_reason(monkeypatch: pytest.M
     )
 
 
-def test_a_mission_that_holds_longer_may_last_longer() -> None:
+def test_the_time_limit_includes_the_hold_time_of_the_goal() -> None:
     goal = structs.replace(HOVER.goal, hold_s=HOVER.goal.hold_s + 400.0)
     assert fast.time_limit_s(structs.replace(HOVER, goal=goal)) == pytest.approx(
         fast.time_limit_s(HOVER) + 400.0

@@ -1,4 +1,4 @@
-"""The operator's word that ends a pause, as the app takes it: Enter on its terminal, or SIGUSR1."""
+"""The operator's request to end a pause: Enter on the app's terminal, or SIGUSR1."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ def app() -> FlightApp:
     return FlightApp(mission, "udpin://127.0.0.1:1", lambda record, number: None)
 
 
-def heard(app: FlightApp, act: Callable[[], object], wanted: int) -> list[Input]:
-    """What the core's queue holds once so many inputs have come, or half a second has gone by."""
+def inputs_after(app: FlightApp, trigger: Callable[[], object], wanted: int) -> list[Input]:
+    """Return the core's queued inputs once `wanted` have arrived or half a second has passed."""
     inputs: queue.SimpleQueue[Input] = app._core._queue
 
     async def listen() -> None:
         app.loop = asyncio.get_running_loop()
         app._listen_for_signals()
-        act()
+        trigger()
         for _ in range(50):
             if inputs.qsize() >= max(wanted, 1):
                 break
@@ -42,44 +42,44 @@ def heard(app: FlightApp, act: Callable[[], object], wanted: int) -> list[Input]
     return [inputs.get() for _ in range(inputs.qsize())]
 
 
-def test_the_signal_is_the_word(app: FlightApp) -> None:
-    (word,) = heard(app, lambda: os.kill(os.getpid(), signal.SIGUSR1), 1)
-    assert isinstance(word, OperatorRequest)
-    assert word.request is Request.CONTINUE
+def test_sigusr1_requests_continue(app: FlightApp) -> None:
+    (item,) = inputs_after(app, lambda: os.kill(os.getpid(), signal.SIGUSR1), 1)
+    assert isinstance(item, OperatorRequest)
+    assert item.request is Request.CONTINUE
 
 
 @pytest.fixture
 def terminal(monkeypatch: pytest.MonkeyPatch) -> int:
-    """The other end of a terminal that stands in for the program's own."""
-    ours, its = os.openpty()
-    monkeypatch.setattr("sys.stdin", os.fdopen(its, closefd=False))
-    return ours
+    """Replace the program's terminal and return its other end."""
+    our_end, program_end = os.openpty()
+    monkeypatch.setattr("sys.stdin", os.fdopen(program_end, closefd=False))
+    return our_end
 
 
-def test_enter_is_the_word_and_no_other_key(app: FlightApp, terminal: int) -> None:
-    (word,) = heard(app, lambda: os.write(terminal, b"\n"), 1)
-    assert isinstance(word, OperatorRequest)
-    assert word.request is Request.CONTINUE
-    # A terminal hands over whole lines: keys without Enter never come.
-    assert heard(app, lambda: os.write(terminal, b"xyz"), 0) == []
+def test_enter_requests_continue_and_other_keys_do_not(app: FlightApp, terminal: int) -> None:
+    (item,) = inputs_after(app, lambda: os.write(terminal, b"\n"), 1)
+    assert isinstance(item, OperatorRequest)
+    assert item.request is Request.CONTINUE
+    # A terminal delivers whole lines, so keys without Enter never arrive.
+    assert inputs_after(app, lambda: os.write(terminal, b"xyz"), 0) == []
 
 
-def test_in_the_background_the_terminal_is_left_alone(
+def test_a_background_process_does_not_read_its_terminal(
     app: FlightApp, terminal: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Reading it there would stop the program in flight (SIGTTIN)."""
+    """A read from the background would stop the program in flight (SIGTTIN)."""
     monkeypatch.setattr(app_module, "_in_background", lambda fd: True)
     monkeypatch.setattr(app_module, "_KEY_PAUSE_S", 0.02)
-    assert heard(app, lambda: os.write(terminal, b"\n"), 0) == []
-    # Brought to the front it hears what was typed in the meantime.
+    assert inputs_after(app, lambda: os.write(terminal, b"\n"), 0) == []
+    # In the foreground again, the app reads the key that was typed meanwhile.
     monkeypatch.setattr(app_module, "_in_background", lambda fd: False)
-    assert len(heard(app, lambda: None, 1)) == 1
+    assert len(inputs_after(app, lambda: None, 1)) == 1
 
 
-def test_a_terminal_that_has_gone_is_not_looked_at_again(
+def test_a_closed_terminal_is_read_only_once(
     app: FlightApp, terminal: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """It would be ready to be read for ever."""
+    """A closed terminal stays readable forever, so the loop would spin."""
     reads: list[int] = []
     read = os.read
 

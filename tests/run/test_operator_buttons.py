@@ -1,4 +1,4 @@
-"""The table of the ground station's buttons: every button in every state; the transmitter's switch."""
+"""Replies to the ground station's buttons in every state, and the transmitter's switch."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ READY = StandbyState(MISSIONS, armed=False, remote_control=True)
 
 
 @pytest.mark.parametrize("phase", Phase)
-def test_every_button_in_every_phase(phase: Phase) -> None:
+def test_the_reply_in_flight_depends_on_button_and_phase(phase: Phase) -> None:
     replies = {button: reply_in_flight(Press(button, 1), phase, "lock rigid: settled") for button in Button}
     results = {button: reply.result for button, reply in replies.items()}
     contact = phase is Phase.CONTACT
@@ -42,7 +42,7 @@ def test_every_button_in_every_phase(phase: Phase) -> None:
         Button.FLY: NO,
     }
     assert replies[Button.CHECK].text == f"in flight: {phase}; lock rigid: settled"
-    # The effects: landing until the vehicle lands, continuing in a pause, nothing else.
+    # The only effects are landing, until the vehicle lands, and continuing, in a pause.
     effects = {button: reply.effect for button, reply in replies.items() if reply.effect is not None}
     wanted: dict[Button, Request] = {}
     if phase not in (Phase.LANDING, Phase.DONE):
@@ -82,7 +82,7 @@ def test_no_button_ever_releases_the_vehicle(button: int, value: int, phase: Pha
         (Press(5), READY._replace(armed=True), NO, None),
         (Press(6, 1), READY._replace(armed=None), NO, None),
         (Press(5), StandbyState(()), NO, None),
-        (Press(6, 1), READY, OK, None),  # the first press asks
+        (Press(6, 1), READY, OK, None),  # the first press only asks for confirmation
         (Press(6, 0), READY, NO, None),
         (Press(6, 4), READY, NO, None),
         (Press(6, 1), READY._replace(remote_control=False), NO, None),
@@ -92,7 +92,7 @@ def test_no_button_ever_releases_the_vehicle(button: int, value: int, phase: Pha
         (Press(7), READY, NO, None),
     ],
 )
-def test_every_button_in_standby(
+def test_the_reply_in_standby_depends_on_button_and_state(
     press: Press, state: StandbyState, result: Result, effect: object | None
 ) -> None:
     reply = StandbyButtons().reply(press, state, 100.0)
@@ -104,7 +104,7 @@ def test_fly_needs_two_presses() -> None:
     first = buttons.reply(Press(6, 2), READY, 100.0)
     assert first.text == "fly square? press again within 10 s"
     assert buttons.reply(Press(6, 2), READY, 102.0).effect == Errand(True, (2,))
-    assert buttons.reply(Press(6, 2), READY, 103.0).effect is None, "the pair is used up"
+    assert buttons.reply(Press(6, 2), READY, 103.0).effect is None, "the third press must start a new pair"
 
 
 @pytest.mark.parametrize(
@@ -116,7 +116,7 @@ def test_fly_needs_two_presses() -> None:
         [(Press(1), 101.0)],
     ],
 )
-def test_two_presses_that_are_no_pair_fly_nothing(between: list[tuple[Press, float]]) -> None:
+def test_two_presses_that_do_not_match_start_no_flight(between: list[tuple[Press, float]]) -> None:
     buttons = StandbyButtons()
     buttons.reply(Press(6, 2), READY, 100.0)
     for press, now_s in between:
@@ -126,14 +126,16 @@ def test_two_presses_that_are_no_pair_fly_nothing(between: list[tuple[Press, flo
 
 
 @given(st.lists(st.floats(3.0, 3.5), min_size=1, max_size=3), st.booleans())
-def test_a_ground_station_that_repeats_itself_flies_nothing(intervals_s: list[float], marked: bool) -> None:
-    """An answer that was lost: QGroundControl sends the press again, up to three times, unmarked."""
+def test_a_repeated_command_does_not_count_as_a_second_press(intervals_s: list[float], marked: bool) -> None:
+    """If an answer is lost, QGroundControl repeats the command up to three times, without marking it."""
     buttons, now_s = StandbyButtons(), 100.0
     assert buttons.reply(Press(6, 1), READY, now_s).effect is None
     for interval_s in intervals_s:
         now_s += interval_s
         assert buttons.reply(Press(6, 1, repeated=marked), READY, now_s).effect is None
-    assert buttons.reply(Press(6, 1), READY, now_s + 1.0).effect == Errand(True, (1,)), "now it is pressed"
+    assert buttons.reply(Press(6, 1), READY, now_s + 1.0).effect == Errand(True, (1,)), (
+        "the second real press must fly"
+    )
 
 
 @given(
@@ -142,7 +144,7 @@ def test_a_ground_station_that_repeats_itself_flies_nothing(intervals_s: list[fl
     ),
     st.sampled_from([READY, READY._replace(armed=True), READY._replace(remote_control=False)]),
 )
-def test_nothing_flies_but_by_two_presses_of_one_button(
+def test_a_flight_starts_only_after_two_presses_of_one_button(
     presses: list[tuple[int, int, bool, float]], state: StandbyState
 ) -> None:
     buttons, now_s = StandbyButtons(), 0.0
@@ -164,7 +166,7 @@ def test_nothing_flies_but_by_two_presses_of_one_button(
 # --- the transmitter's switch ------------------------------------------------------------------------------
 
 
-def moves(*pulses: tuple[float, int]) -> list[tuple[float, Mode]]:
+def lock_moves(*pulses: tuple[float, int]) -> list[tuple[float, Mode]]:
     switch = RcSwitch()
     found = [(at_s, switch.update(pulse_us, at_s)) for at_s, pulse_us in pulses]
     return [(at_s, mode) for at_s, mode in found if mode is not None]
@@ -174,35 +176,35 @@ def steady(start_s: float, end_s: float, pulse_us: int) -> list[tuple[float, int
     return [(start_s + 0.1 * i, pulse_us) for i in range(round(10 * (end_s - start_s)))]
 
 
-def test_a_switch_that_is_moved_moves_the_lock_once() -> None:
+def test_each_switch_movement_moves_the_lock_once() -> None:
     pulses = steady(0, 2, 1000) + steady(2, 4, 2000) + steady(4, 6, 1000)
-    assert [mode for _, mode in moves(*pulses)] == [Mode.RIGID, Mode.FLEXIBLE]
+    assert [mode for _, mode in lock_moves(*pulses)] == [Mode.RIGID, Mode.FLEXIBLE]
 
 
 @pytest.mark.parametrize("pulse_us", [1000, 1500, 2000])
-def test_the_position_at_the_start_moves_nothing(pulse_us: int) -> None:
-    assert moves(*steady(0, 5, pulse_us)) == []
+def test_the_initial_switch_position_does_not_move_the_lock(pulse_us: int) -> None:
+    assert lock_moves(*steady(0, 5, pulse_us)) == []
 
 
-def test_the_middle_and_a_short_blow_move_nothing() -> None:
-    assert moves(*steady(0, 1, 1000), *steady(1, 3, 1500), *steady(3, 4, 1000)) == []
-    assert moves(*steady(0, 1, 1000), *steady(1.0, 1.3, 2000), *steady(1.3, 3, 1000)) == []
-    # From the middle on to the other end it counts; noise around one threshold never does.
-    assert [m for _, m in moves(*steady(0, 1, 1000), *steady(1, 2, 1500), *steady(2, 3, 2000))] == [
+def test_the_middle_position_and_short_pulses_do_not_move_the_lock() -> None:
+    assert lock_moves(*steady(0, 1, 1000), *steady(1, 3, 1500), *steady(3, 4, 1000)) == []
+    assert lock_moves(*steady(0, 1, 1000), *steady(1.0, 1.3, 2000), *steady(1.3, 3, 1000)) == []
+    # A move through the middle to the other end counts; noise around one threshold does not.
+    assert [m for _, m in lock_moves(*steady(0, 1, 1000), *steady(1, 2, 1500), *steady(2, 3, 2000))] == [
         Mode.RIGID
     ]
     noisy = [(0.1 * i, 1680 + 40 * (i % 2)) for i in range(50)]
-    assert moves(*steady(-2, 0, 1000), *noisy) == []
+    assert lock_moves(*steady(-2, 0, 1000), *noisy) == []
 
 
-def test_after_a_loss_the_position_found_moves_nothing() -> None:
-    assert moves(*steady(0, 1, 1000), *steady(4, 6, 2000)) == []
-    assert moves(*steady(0, 1, 1000), *steady(1, 4, 0), *steady(4, 6, 2000)) == []
-    lost = moves(*steady(0, 1, 1000), *steady(4, 5, 2000), *steady(5, 6, 1000))
+def test_the_switch_position_after_a_signal_loss_does_not_move_the_lock() -> None:
+    assert lock_moves(*steady(0, 1, 1000), *steady(4, 6, 2000)) == []
+    assert lock_moves(*steady(0, 1, 1000), *steady(1, 4, 0), *steady(4, 6, 2000)) == []
+    lost = lock_moves(*steady(0, 1, 1000), *steady(4, 5, 2000), *steady(5, 6, 1000))
     assert [mode for _, mode in lost] == [Mode.FLEXIBLE]
 
 
 @given(st.lists(st.integers(0, 3000), max_size=60))
-def test_a_mode_never_follows_itself(pulses: list[int]) -> None:
-    found = [mode for _, mode in moves(*((0.3 * i, pulse) for i, pulse in enumerate(pulses)))]
+def test_the_switch_never_requests_the_same_mode_twice_in_a_row(pulses: list[int]) -> None:
+    found = [mode for _, mode in lock_moves(*((0.3 * i, pulse) for i, pulse in enumerate(pulses)))]
     assert all(a is not b for a, b in pairwise(found))

@@ -1,4 +1,4 @@
-"""The planners' processes: they answer as planner and fitter do, and their death is an answer, too."""
+"""The planner processes answer like planner and fitter, and report their own death."""
 
 import queue
 
@@ -19,15 +19,15 @@ REQUEST = PlanRequest(
 CONTACT = request_of([0.0] * 3 + [4.0, 12.0, 18.0, 21.0, 21.0, 18.0, 12.0, 4.0, 0.0])
 
 
-def test_the_process_answers_as_the_planner_and_its_death_is_told() -> None:
+def test_the_planner_process_answers_like_the_planner_and_reports_its_death() -> None:
     answers: queue.SimpleQueue[PlanAnswer | ContactAnswer] = queue.SimpleQueue()
     planner = PlannerProcess(MISSION, PlanRequest, answers.put)
     try:
         planner.send(REQUEST)
         answer = answers.get(timeout=60.0)
-        there = answer.received_us
-        assert answer == Replanner(MISSION).answer(REQUEST, there)
-        assert there > 0
+        received_us = answer.received_us
+        assert answer == Replanner(MISSION).answer(REQUEST, received_us)
+        assert received_us > 0
         planner.process.kill()
         planner.process.wait()
         planner.send(msgspec.structs.replace(REQUEST, number=2))
@@ -39,16 +39,16 @@ def test_the_process_answers_as_the_planner_and_its_death_is_told() -> None:
     assert planner.process.returncode is not None
 
 
-def test_contacts_are_fitted_in_a_process_of_their_own_and_its_death_is_told() -> None:
-    """The second contact with a wall is fitted from what the first one has taught."""
+def test_the_contact_process_answers_like_the_fitter_and_reports_its_death() -> None:
+    """The second fit of a wall starts from the result of the first one."""
     answers: queue.SimpleQueue[PlanAnswer | ContactAnswer] = queue.SimpleQueue()
-    fits, here = PlannerProcess(MISSION, ContactRequest, answers.put), ContactFitter(MISSION.vehicle)
+    fits, fitter = PlannerProcess(MISSION, ContactRequest, answers.put), ContactFitter(MISSION.vehicle)
     try:
         for number in (1, 2):
             request = msgspec.structs.replace(CONTACT, number=number)
             fits.send(request)
             answer = answers.get(timeout=60.0)
-            assert answer == here.answer(request, answer.received_us)
+            assert answer == fitter.answer(request, answer.received_us)
             assert isinstance(answer, ContactAnswer)
             assert answer.wall is not None
             assert (answer.wall.wall, answer.received_us > 0) == (AT_WALL.name, True)
@@ -63,8 +63,8 @@ def test_contacts_are_fitted_in_a_process_of_their_own_and_its_death_is_told() -
         fits.stop()
 
 
-def test_the_longest_contact_fits_into_the_pipe_twice() -> None:
-    """A write that would block is a planner that does not answer."""
+def test_two_contacts_of_maximum_length_fit_into_the_pipe() -> None:
+    """A write that would block is reported as a planner that does not answer."""
     answers: queue.SimpleQueue[PlanAnswer | ContactAnswer] = queue.SimpleQueue()
     fits = PlannerProcess(MISSION, ContactRequest, answers.put)
     long = request_of([0.0] * 4 + [10.0 + 1.0 / (3.0 + i) for i in range(160)])
@@ -78,7 +78,7 @@ def test_the_longest_contact_fits_into_the_pipe_twice() -> None:
         fits.stop()
 
 
-def test_it_ends_with_its_flight() -> None:
+def test_the_planner_process_ends_with_its_flight() -> None:
     answers: queue.SimpleQueue[PlanAnswer | ContactAnswer] = queue.SimpleQueue()
     planner = PlannerProcess(MISSION, PlanRequest, answers.put)
     planner.send(REQUEST)

@@ -1,4 +1,4 @@
-"""What a mission becomes before it is flown."""
+"""Completion of a mission before its flight."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from dart_flight.run.prepare import with_px4_delays
 MISSION = load_mission(packaged("missions", "paper_single_wall.yaml"))
 
 
-def test_px4s_delays_are_taken_unless_the_configuration_says_others() -> None:
+def test_px4_delays_are_the_default_unless_the_configuration_specifies_others() -> None:
     flying = MISSION.vehicle.flying
     assert (flying.setpoint_delay_s, flying.attitude_delay_s) == (None, None)
-    taken = with_px4_delays(MISSION).vehicle.flying
-    assert (taken.setpoint_delay_s, taken.attitude_delay_s) == (0.024, 0.05)
+    completed = with_px4_delays(MISSION).vehicle.flying
+    assert (completed.setpoint_delay_s, completed.attitude_delay_s) == (0.024, 0.05)
     own = structs.replace(flying, setpoint_delay_s=0.0, attitude_delay_s=0.1)
     mission = structs.replace(MISSION, vehicle=structs.replace(MISSION.vehicle, flying=own))
     assert with_px4_delays(mission) == mission

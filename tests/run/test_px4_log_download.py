@@ -1,4 +1,4 @@
-"""PX4's own log into the flight's folder: which one it is, how long it takes, and never a part of it."""
+"""Download of PX4's log into the flight's folder: choice of the log, remaining time, failures."""
 
 from __future__ import annotations
 
@@ -52,33 +52,35 @@ def ulog(size: int, seed: int) -> bytes:
 # --- which log ------------------------------------------------------------------------------------------
 
 
-def test_by_what_was_not_there_before() -> None:
+def test_the_flights_log_is_the_one_that_was_not_listed_before() -> None:
     old, new = [log(0, None, 10), log(1, None, 20)], log(1, None, 30)
     moved = log(2, None, 20)  # numbers change with the list
     assert logs_of_flight([old[0], new, moved], None, old) == [new]
     assert logs_of_flight(old, ARMED, old) == []
-    assert logs_of_flight([log(0, None, 0), new], None, None) == [new]  # an empty one is none
+    assert logs_of_flight([log(0, None, 0), new], None, None) == [new]  # an empty log is skipped
 
 
-def test_by_the_flight_s_time() -> None:
+def test_the_flights_log_is_selected_by_the_armed_time() -> None:
     before, own, later = log(0, -300.0), log(1, 42.0), log(2, 400.0)
     assert logs_of_flight([later, own, before], ARMED, None) == [own]
-    # Without a clock on the flight controller it cannot be told.
+    # Without a clock on the flight controller every log remains a candidate.
     undated = [log(0, None, 1), log(1, None, 2)]
     assert logs_of_flight(undated, ARMED, None) == undated
     assert logs_of_flight(undated[:1], ARMED, None) == undated[:1]
 
 
 @given(st.lists(st.tuples(st.one_of(st.none(), st.floats(-1e6, 1e6)), st.integers(0, 10**7))), st.data())
-def test_never_one_that_was_there_before(logs: list[tuple[float | None, int]], data: st.DataObject) -> None:
-    entries = [log(k, at, size) for k, (at, size) in enumerate(logs)]
+def test_a_log_listed_before_the_flight_is_never_selected(
+    logs: list[tuple[float | None, int]], data: st.DataObject
+) -> None:
+    entries = [log(k, ended_s, size) for k, (ended_s, size) in enumerate(logs)]
     before = data.draw(st.lists(st.sampled_from(entries))) if entries else []
     found = logs_of_flight(entries, ARMED, before)
     assert not {(e.ended, e.size_bytes) for e in found} & {(e.ended, e.size_bytes) for e in before}
     assert set(found) <= set(entries)
 
 
-def test_a_date_before_the_clock_was_set_is_none() -> None:
+def test_a_log_date_from_an_unset_clock_is_none() -> None:
     assert parse_entry(Entry(3, "1970-01-01T00:12:00Z", 5)) == Px4LogEntry(3, None, 5)
     assert parse_entry(Entry(3, "nonsense", 5)).ended is None
     assert parse_entry(Entry(3, "2026-11-26T05:00:00Z", 5)).ended == BEGAN
@@ -87,15 +89,15 @@ def test_a_date_before_the_clock_was_set_is_none() -> None:
     )
 
 
-def test_the_expected_duration_is_told_once_and_from_the_measured_rate() -> None:
+def test_the_remaining_time_is_reported_once_from_the_measured_rate() -> None:
     expected = DownloadTime(12_000_000, 100.0)
     assert expected.line(0.01, 101.0) is None
-    assert expected.line(0.0, 103.0) is None  # nothing has come
+    assert expected.line(0.0, 103.0) is None  # no data received yet
     assert expected.line(0.01, 104.0) == "6.6 min left at 30 kB/s"
     assert expected.line(0.02, 105.0) is None
 
 
-def test_when_a_recorded_flight_was_armed() -> None:
+def test_the_armed_span_is_read_from_a_recorded_flight() -> None:
     span = armed_span(read_log(FLIGHT))
     assert span is not None
     assert timedelta(seconds=3) < span[1] - span[0] < timedelta(minutes=3)
@@ -105,7 +107,7 @@ def test_when_a_recorded_flight_was_armed() -> None:
 
 
 @pytest.fixture(autouse=True)
-def quick(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def short_timeouts(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("DART_FLIGHT_STATE_DIR", str(tmp_path / "state"))
     monkeypatch.setattr("dart_flight.run.px4_log_download._WRITTEN_S", 0.0)
     monkeypatch.setattr(downloads, "_LOG_SILENT_S", 1.0)
@@ -120,26 +122,26 @@ def no_choice(found: list[Px4LogEntry]) -> Px4LogEntry:
 
 
 @pytest.mark.mavlink
-def test_downloaded_whole_and_byte_for_byte(tmp_path: Path) -> None:
+def test_a_log_is_downloaded_byte_for_byte(tmp_path: Path) -> None:
     end_s = int(ARMED[1].timestamp())
     logs = [(end_s - 900, ulog(40_000, 1)), (end_s + 2, ulog(123_457, 2))]
-    said: list[str] = []
+    lines: list[str] = []
     with vehicle(logs) as v:
-        path = fetch_px4_log(v.url, 10.0, tmp_path, ARMED, choose=no_choice, print_line=said.append)
+        path = fetch_px4_log(v.url, 10.0, tmp_path, ARMED, choose=no_choice, print_line=lines.append)
         assert path.read_bytes() == logs[1][1]
         assert sorted(p.name for p in tmp_path.iterdir()) == ["px4.ulg"]
-        assert "0.1 MB" in said[0]
+        assert "0.1 MB" in lines[0]
         before = list_px4_logs(v.url, 10.0)
         assert [entry.size_bytes for entry in before] == [40_000, 123_457]
         logs.insert(0, (0, ulog(5_000, 3)))  # the flight controller has lost its clock
         path = fetch_px4_log(
-            v.url, 10.0, tmp_path, None, before=before, choose=no_choice, print_line=said.append
+            v.url, 10.0, tmp_path, None, before=before, choose=no_choice, print_line=lines.append
         )
         assert path.read_bytes() == logs[0][1]
 
 
 @pytest.mark.mavlink
-def test_a_download_that_stops_or_is_stopped_leaves_nothing(tmp_path: Path) -> None:
+def test_a_failed_or_interrupted_download_leaves_no_file(tmp_path: Path) -> None:
     (tmp_path / "flight.mcap").write_bytes(b"the flight")
 
     def interrupt(share: float) -> None:
@@ -153,7 +155,13 @@ def test_a_download_that_stops_or_is_stopped_leaves_nothing(tmp_path: Path) -> N
         fetch_px4_log(v.url, 10.0, tmp_path, ARMED, choose=no_choice, print_line=lambda line: None)
     with vehicle([(end_s, ulog(2_000_000, 1))]) as v, pytest.raises(KeyboardInterrupt):
         fetch_px4_log(
-            v.url, 10.0, tmp_path, ARMED, choose=no_choice, print_line=lambda line: None, progress=interrupt
+            v.url,
+            10.0,
+            tmp_path,
+            ARMED,
+            choose=no_choice,
+            print_line=lambda line: None,
+            progress=interrupt,
         )
     with vehicle([(end_s, b"not a ULog at all")]) as v, pytest.raises(DownloadError, match="not a ULog"):
         fetch_px4_log(v.url, 10.0, tmp_path, ARMED, choose=no_choice, print_line=lambda line: None)
@@ -192,7 +200,7 @@ def test_a_cancelled_download_has_called_back_before_its_plugin_can_be_destroyed
 
 
 @pytest.mark.mavlink
-def test_not_while_armed(tmp_path: Path) -> None:
+def test_a_download_is_refused_while_the_vehicle_is_armed(tmp_path: Path) -> None:
     with vehicle([(0, ulog(1000, 1))]) as v:
         v.autopilot.armed = True
         with pytest.raises(FlightError, match="armed"):
@@ -200,7 +208,9 @@ def test_not_while_armed(tmp_path: Path) -> None:
 
 
 @pytest.mark.mavlink
-def test_the_command_asks_which_if_it_cannot_tell(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_lists_the_logs_if_it_cannot_choose_one(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     flight = tmp_path / "one"
     flight.mkdir()
     shutil.copy(FLIGHT, flight / "flight.mcap")
@@ -208,9 +218,9 @@ def test_the_command_asks_which_if_it_cannot_tell(tmp_path: Path, capsys: pytest
     with vehicle(logs) as v:
         command = ["px4-log", str(flight), "--connection", v.url]
         assert main(command) == 2
-        said = capsys.readouterr().err
-        assert "--log-id" in said
-        assert "  1: no date, 0.0 MB" in said
+        output = capsys.readouterr().err
+        assert "--log-id" in output
+        assert "  1: no date, 0.0 MB" in output
         assert main([*command, "--log-id", "7"]) == 2
         assert main([*command, "--log-id", "1", "--json"]) == 0
         assert Path(json.loads(capsys.readouterr().out)["px4_log"]).name == "px4.ulg"
@@ -220,7 +230,7 @@ def test_the_command_asks_which_if_it_cannot_tell(tmp_path: Path, capsys: pytest
     assert px4_logs_in([tmp_path]) == px4_logs_in([flight / "flight.mcap"]) == [flight / "px4.ulg"]
 
 
-def test_logs_beside_flights(tmp_path: Path) -> None:
+def test_a_log_file_is_found_by_its_path_and_a_folder_without_logs_is_refused(tmp_path: Path) -> None:
     other = tmp_path / "log_3.ulg"
     assert px4_logs_in([other]) == [other]
     with pytest.raises(InputError, match="px4-log"):
@@ -234,7 +244,7 @@ def test_logs_beside_flights(tmp_path: Path) -> None:
     "error",
     [KeyboardInterrupt(), DownloadError("no data for 15 s"), InputError("in use", source="udpin://x")],
 )
-def test_a_failed_download_costs_two_lines_and_not_the_flight(
+def test_a_failed_download_prints_two_lines_and_keeps_the_flight(
     error: BaseException,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
@@ -247,18 +257,18 @@ def test_a_failed_download_costs_two_lines_and_not_the_flight(
     shutil.copy(FLIGHT, tmp_path / "flight.mcap")
     mission = load_mission(packaged("missions", "paper_single_wall.yaml"))
     assert fly_command._downloaded(mission, "udpin://x", tmp_path / "flight.mcap", None) is None
-    said = capsys.readouterr().err.splitlines()
-    assert len(said) == 2
-    assert said[1] == f"later: dart-flight px4-log {tmp_path}"
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 2
+    assert lines[1] == f"later: dart-flight px4-log {tmp_path}"
 
 
-def test_what_was_downloaded_is_in_the_verdict_s_form(
+def test_the_downloaded_path_is_returned_as_the_verdict_stores_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    asked: list[object] = []
+    arguments: list[object] = []
 
     def fetch(url: str, timeout_s: float, folder: Path, armed: object, *, before: object) -> Path:
-        asked.extend((folder, armed, before))
+        arguments.extend((folder, armed, before))
         return folder / "px4.ulg"
 
     monkeypatch.setattr(fly_command, "download_px4_log", fetch)
@@ -268,4 +278,4 @@ def test_what_was_downloaded_is_in_the_verdict_s_form(
     mission = load_mission(packaged("missions", "paper_single_wall.yaml"))
     before = [log(0, None)]
     assert fly_command._downloaded(mission, "udpin://x", Path("one/flight.mcap"), before) == "one/px4.ulg"
-    assert asked == [Path("one"), armed_span(read_log(FLIGHT)), before]
+    assert arguments == [Path("one"), armed_span(read_log(FLIGHT)), before]

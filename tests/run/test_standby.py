@@ -1,4 +1,4 @@
-"""Standby's decisions and its handing over of the link, without a link."""
+"""Standby without a link: its decisions, and the handover of the link to child processes."""
 
 from __future__ import annotations
 
@@ -37,18 +37,18 @@ def desk(channel: int | None = 7) -> StandbyDesk:
 # --- the desk ----------------------------------------------------------------------------------------------
 
 
-def test_fly_needs_a_remote_control_that_is_there_now() -> None:
+def test_fly_needs_a_current_remote_control_signal() -> None:
     standby = desk()
     assert standby.press(FLY, 10.0).text == "PX4 receives no remote control"
     standby.update_sensors(RECEIVER | 1, 11.0)
     assert standby.press(FLY, 12.0).result == OK
-    assert standby.press(FLY, 14.5).result == NO, "PX4 is silent since 3.5 s"
+    assert standby.press(FLY, 14.5).result == NO, "PX4 has been silent for 3.5 s"
     standby.update_sensors(RECEIVER, 15.0)
     standby.update_sensors(1, 15.2)  # the transmitter is off
     assert standby.press(FLY, 15.3).result == NO
 
 
-def test_a_loss_between_the_two_presses_cancels_the_first() -> None:
+def test_a_remote_control_loss_between_two_presses_cancels_the_first() -> None:
     standby = desk()
     standby.update_sensors(RECEIVER, 10.0)
     assert standby.press(FLY, 10.1).result == OK
@@ -58,7 +58,7 @@ def test_a_loss_between_the_two_presses_cancels_the_first() -> None:
     assert standby.press(FLY, 11.2).effect is None
 
 
-def test_the_link_back_in_hand_everything_begins_afresh() -> None:
+def test_a_reset_discards_the_vehicle_state_and_pending_presses() -> None:
     standby = desk()
     standby.update_sensors(RECEIVER, 10.0)
     standby.press(FLY, 10.1)
@@ -67,10 +67,10 @@ def test_the_link_back_in_hand_everything_begins_afresh() -> None:
     standby.update_armed(False)
     assert standby.press(FLY, 10.4).text == "PX4 receives no remote control"
     standby.update_sensors(RECEIVER, 10.5)
-    assert standby.press(FLY, 10.6).effect is None, "a press before it counts no more"
+    assert standby.press(FLY, 10.6).effect is None, "a press from before the reset must not count"
 
 
-def test_armed_and_travelling_decide() -> None:
+def test_an_armed_vehicle_and_a_travelling_lock_block_the_buttons() -> None:
     standby = desk()
     standby.update_sensors(RECEIVER, 10.0)
     standby.update_armed(True)
@@ -81,7 +81,7 @@ def test_armed_and_travelling_decide() -> None:
     assert standby.press(Press(Button.LOCK_FLEXIBLE), 10.3).effect is Mode.FLEXIBLE
 
 
-def switched(standby: StandbyDesk, *pulses_us: int, present: int = RECEIVER) -> list[Mode]:
+def lock_moves(standby: StandbyDesk, *pulses_us: int, present: int = RECEIVER) -> list[Mode]:
     found, now_s = [], 0.0
     for pulse_us in pulses_us:
         for _ in range(10):
@@ -92,12 +92,12 @@ def switched(standby: StandbyDesk, *pulses_us: int, present: int = RECEIVER) -> 
     return found
 
 
-def test_the_configured_channel_moves_the_lock() -> None:
-    assert switched(desk(), 1000, 2000, 1000) == [Mode.RIGID, Mode.FLEXIBLE]
-    assert switched(desk(None), 1000, 2000) == []
-    assert switched(desk(8), 1000, 2000) == []
-    assert switched(desk(18), 1000, 2000) == [], "a channel that the receiver lacks"
-    assert switched(desk(), 1000, 2000, present=1) == [], "a receiver without its transmitter"
+def test_only_the_configured_channel_moves_the_lock() -> None:
+    assert lock_moves(desk(), 1000, 2000, 1000) == [Mode.RIGID, Mode.FLEXIBLE]
+    assert lock_moves(desk(None), 1000, 2000) == []
+    assert lock_moves(desk(8), 1000, 2000) == []
+    assert lock_moves(desk(18), 1000, 2000) == [], "the receiver lacks this channel"
+    assert lock_moves(desk(), 1000, 2000, present=1) == [], "the receiver has lost its transmitter"
 
 
 # --- the end of a process ----------------------------------------------------------------------------------
@@ -135,14 +135,14 @@ def test_the_configured_channel_moves_the_lock() -> None:
         (False, -15, None, "", ["wall: the process was killed by SIGTERM"]),
     ],
 )
-def test_the_end_of_a_process_in_lines(
+def test_the_end_of_a_process_is_described_in_lines(
     fly: bool, status: int, report: object, last_line: str, lines: list[str]
 ) -> None:
     output = b"" if report is None else json.dumps(report).encode()
     assert describe_end("wall", fly, Ended(status, output, last_line)) == lines
 
 
-def test_of_many_no_goes_three_are_told() -> None:
+def test_only_three_of_many_no_goes_are_listed() -> None:
     findings = [{"item": f"item{i}", "says": "bad", "go": i == 0} for i in range(7)]
     findings.append({"item": "own", "says": "bad", "go": False, "overruled": True})
     output = json.dumps({"go": False, "findings": findings}).encode()
@@ -150,33 +150,39 @@ def test_of_many_no_goes_three_are_told() -> None:
     assert lines == ["wall: no-go and 3 more", "item1: bad", "item2: bad", "item3: bad"]
 
 
-# --- handing over ------------------------------------------------------------------------------------------
+# --- handover ----------------------------------------------------------------------------------------------
 
 
-class Hands(Standby):
-    """Standby whose link and processes are played.
+class ScriptedStandby(Standby):
+    """Standby with a scripted operator and scripted processes.
 
     Args:
-        errands: what the operator wants each time that standby has the link; SIGTERM after the last.
-        ends: how processes end, in their order.
+        errands: the operator's requests, one each time that standby has the link; SIGTERM after the last.
+        ends: the ends of the processes, in order.
     """
 
     def __init__(self, errands: list[Errand | Exception], ends: list[Ended]) -> None:
-        self.said: list[tuple[str, str]] = []
+        self.printed: list[tuple[str, str]] = []
         self.commands: list[Sequence[str]] = []
         self._errands, self._ends = errands, ends
         missions = [("one", "one.yaml"), ("two", "two.yaml")]
-        super().__init__(missions, VEHICLE, "udpin://127.0.0.1:1", [], lambda *what: self.said.append(what))
+        super().__init__(
+            missions,
+            VEHICLE,
+            "udpin://127.0.0.1:1",
+            [],
+            lambda *kind_and_text: self.printed.append(kind_and_text),
+        )
 
     async def _hold(self) -> None:
         if not self._errands:
             os.kill(os.getpid(), signal.SIGTERM)
             await self._wake.wait()
             return
-        wanted = self._errands.pop(0)
-        if isinstance(wanted, Exception):
-            raise wanted
-        self._errand = wanted
+        errand = self._errands.pop(0)
+        if isinstance(errand, Exception):
+            raise errand
+        self._errand = errand
 
     async def _run_child(self, command: Sequence[str]) -> Ended:
         self.commands.append(command)
@@ -187,9 +193,9 @@ COMPLETED = Ended(0, b'{"outcome": "completed", "reason": null}', "")
 GO = Ended(0, b'{"go": true, "findings": []}', "")
 
 
-def test_an_errand_hands_the_link_over_and_keeps_what_it_came_to() -> None:
+def test_each_errand_runs_its_commands_and_keeps_their_results() -> None:
     errands: list[Errand | Exception] = [Errand(False, (1, 2)), Errand(True, (2,)), Errand(True, (1,))]
-    standby = Hands(errands, [GO, GO, Ended(-9, b"", ""), COMPLETED])
+    standby = ScriptedStandby(errands, [GO, GO, Ended(-9, b"", ""), COMPLETED])
     asyncio.run(standby.run())
     assert standby.commands == [
         ["check", "one.yaml"],
@@ -205,30 +211,34 @@ def test_an_errand_hands_the_link_over_and_keeps_what_it_came_to() -> None:
     ]
 
 
-def test_a_vehicle_that_is_away_is_said_once_and_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_vehicle_is_reported_once_and_retried(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "_RETRY_S", 0.01)
-    away = VehicleError("no autopilot on udpin://127.0.0.1:1 within 5 s")
-    standby = Hands([away, away, away, Errand(False, (1,))], [GO])
+    missing = VehicleError("no autopilot on udpin://127.0.0.1:1 within 5 s")
+    standby = ScriptedStandby([missing, missing, missing, Errand(False, (1,))], [GO])
     asyncio.run(standby.run())
-    assert [text for kind, text in standby.said if kind == "problem"] == [f"{away}; retrying"]
+    assert [text for kind, text in standby.printed if kind == "problem"] == [f"{missing}; retrying"]
     assert standby.commands == [["check", "one.yaml"]]
 
 
-def test_a_real_process_says_why_it_cannot_fly(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_real_process_reports_why_it_cannot_fly(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "systemd"))
-    said: list[tuple[str, str]] = []
+    printed: list[tuple[str, str]] = []
     missing = str(tmp_path / "none.yaml")
     standby = Standby(
-        [("none", missing)], VEHICLE, "udpin://127.0.0.1:1", [], lambda *what: said.append(what)
+        [("none", missing)],
+        VEHICLE,
+        "udpin://127.0.0.1:1",
+        [],
+        lambda *kind_and_text: printed.append(kind_and_text),
     )
     asyncio.run(standby._run_errand(Errand(True, (1,))))
     (line,) = standby._news
     assert line.startswith(f"none: {missing}: ")
-    assert ("child", line.removeprefix("none: ")) in said
+    assert ("child", line.removeprefix("none: ")) in printed
 
 
 def test_a_signal_lands_the_flight_and_ends_standby() -> None:
-    standby, flight = Hands([], []), Mock(returncode=None)
+    standby, flight = ScriptedStandby([], []), Mock(returncode=None)
     standby._child = flight
     standby._stop()
     flight.send_signal.assert_called_once_with(signal.SIGTERM)
@@ -236,8 +246,8 @@ def test_a_signal_lands_the_flight_and_ends_standby() -> None:
     assert standby.commands == []
 
 
-def test_buttons_wait_while_the_link_is_handed_over() -> None:
-    standby = Hands([], [])
+def test_buttons_are_rejected_while_the_link_is_handed_over() -> None:
+    standby = ScriptedStandby([], [])
     standby._errand = Errand(False, (1,))
     assert standby._answer(Press(Button.LOCK_RIGID))[0] is LATER
 
@@ -245,7 +255,7 @@ def test_buttons_wait_while_the_link_is_handed_over() -> None:
 # --- command -----------------------------------------------------------------------------------------------
 
 
-def test_wrong_input_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_wrong_input_is_reported_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["standby", str(tmp_path / "none.yaml"), "--connection", "udpin://127.0.0.1:1"]) == 2
     assert "none.yaml" in capsys.readouterr().err
     assert main(["standby", "--connection", "nonsense"]) == 2

@@ -39,7 +39,7 @@ pytestmark = [pytest.mark.mavlink, pytest.mark.realtime]
 
 
 class Laboratory:
-    """A folder with three missions, the third one for another place; a vehicle; standby; a ground station."""
+    """A vehicle, standby, a ground station, and three missions, the third with a start elsewhere."""
 
     def __init__(self, folder: Path, station: OperatorStation, port: int) -> None:
         self.station, self._folder, self._port = station, folder, port
@@ -68,7 +68,7 @@ class Laboratory:
             self._standby.terminate()
             self._standby.wait(60.0)
 
-    def said(self) -> list[str]:
+    def printed_lines(self) -> list[str]:
         lines = (self._folder / "standby.jsonl").read_text().splitlines()
         return [json.loads(line)["text"] for line in lines]
 
@@ -77,17 +77,17 @@ class Laboratory:
         assert self.station.press(Button.FLY, number) == OK
 
     def flight_process(self) -> int:
-        """The process of `fly`, once it has taken off."""
+        """Return the process id of `fly`, which must be running."""
         children = Path(f"/proc/{self._standby.pid}/task/{self._standby.pid}/children")
         (pid,) = children.read_text().split()
         return int(pid)
 
-    def is_standing_by(self, times: int) -> None:
-        """Standby has the link for the nth time, and answers."""
+    def wait_for_standby(self, times: int) -> None:
+        """Wait until standby holds the link for the nth time, and check that it answers."""
         self.station.wait_for("standby", times, timeout_s=120.0)
         assert self.standby.poll() is None
         assert self.station.press(Button.LAND) == NO
-        time.sleep(1.0)  # until standby has heard the transmitter
+        time.sleep(1.0)  # until standby has received the transmitter's state
 
 
 @pytest.fixture
@@ -117,9 +117,9 @@ def laboratory(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Labor
             vehicle.terminate()
 
 
-def test_a_day(laboratory: Laboratory) -> None:
+def test_a_day_of_checks_and_flights_completes_from_standby(laboratory: Laboratory) -> None:
     station = laboratory.station
-    laboratory.is_standing_by(1)
+    laboratory.wait_for_standby(1)
     # The lock, by button and by switch.
     assert [station.press(b) for b in (Button.LOCK_RIGID, Button.CONTINUE, Button.LAND)] == [OK, NO, NO]
     station.wait_for("lock rigid: settled")
@@ -130,49 +130,49 @@ def test_a_day(laboratory: Laboratory) -> None:
             station.move_switch(CHANNEL, pulse_us)
             time.sleep(0.2)
     station.wait_for("lock rigid: settled", 2)
-    # A check, and what a check finds.
+    # A check, and a flight that its check refuses.
     assert station.press(Button.CHECK, 1) == OK
     station.wait_for("one: go", timeout_s=120.0)
-    laboratory.is_standing_by(2)
+    laboratory.wait_for_standby(2)
     assert station.press(Button.FLY, 9) == NO
     laboratory.fly(3)
     station.wait_for("three: no-go", timeout_s=120.0)
     station.wait_for("place: the vehicle is 1.50 m from start")
-    laboratory.is_standing_by(3)
-    # Two flights, and one whose process is killed between them.
+    laboratory.wait_for_standby(3)
+    # Two flights, and between them one whose process is killed.
     laboratory.fly(2)
     station.wait_for("phase waypoint", timeout_s=120.0)
-    assert station.press(Button.LOCK_RIGID) == NO, "the mission moves the lock"
+    assert station.press(Button.LOCK_RIGID) == NO, "in flight only the mission moves the lock"
     station.wait_for("two: completed", timeout_s=120.0)
-    laboratory.is_standing_by(4)
+    laboratory.wait_for_standby(4)
     laboratory.fly(1)
     station.wait_for("phase waypoint", 2, timeout_s=120.0)
     os.kill(laboratory.flight_process(), signal.SIGKILL)
     station.wait_for("one: the process was killed by SIGKILL: PX4's failsafe flies the vehicle")
-    laboratory.is_standing_by(5)
+    laboratory.wait_for_standby(5)
     assert station.press(Button.FLY, 1) == NO, "the vehicle is still in the air"
     station.wait_for("denied: the vehicle is armed")
     station.wait_disarmed()
-    time.sleep(1.5)  # until standby has heard it as well
+    time.sleep(1.5)  # until standby has received it as well
     assert station.press(Button.LOCK_FLEXIBLE) == OK
     laboratory.fly(1)
     station.wait_for("one: completed", timeout_s=120.0)
-    laboratory.is_standing_by(6)
+    laboratory.wait_for_standby(6)
 
 
-def test_to_end_standby_lands_its_flight(laboratory: Laboratory) -> None:
-    laboratory.is_standing_by(1)
+def test_ending_standby_lands_its_flight(laboratory: Laboratory) -> None:
+    laboratory.wait_for_standby(1)
     laboratory.fly(2)
     laboratory.station.wait_for("phase waypoint", timeout_s=120.0)
     laboratory.standby.send_signal(signal.SIGTERM)
     assert laboratory.standby.wait(60.0) == 0
-    (end,) = (line for line in laboratory.said() if line.startswith("two: aborted"))
+    (end,) = (line for line in laboratory.printed_lines() if line.startswith("two: aborted"))
     assert "landing requested" in end
 
 
 @pytest.mark.parametrize("laboratory", ["poses"], indirect=True)
 def test_standby_forwards_motion_capture(laboratory: Laboratory) -> None:
-    laboratory.is_standing_by(1)
+    laboratory.wait_for_standby(1)
     pose = json.dumps({"position_m": [0.0, 0.0, 0.0], "quaternion_wxyz": [1.0, 0.0, 0.0, 0.0]}).encode()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as camera:
         for _ in range(100):
@@ -180,4 +180,4 @@ def test_standby_forwards_motion_capture(laboratory: Laboratory) -> None:
             time.sleep(0.02)
             if laboratory.station.poses:
                 break
-    assert laboratory.station.poses, "the vehicle passes them on: so it has them"
+    assert laboratory.station.poses, "no pose came back through the vehicle"

@@ -1,4 +1,4 @@
-"""Walls that stand elsewhere than the mission says: met where their standard deviations allow for it."""
+"""Walls displaced from the mission's survey, with and without standard deviations in the mission."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ POINT = "point_m: [1.65, 0.5]"
 BESIDE = "point_m: [1.65, -0.5], normal: [-1.0, 0.0], length_m: 4.0"
 
 
-def known(place_m: float | None = None, yaw_deg: float | None = None) -> Wall:
+def uncertain_wall(place_m: float | None = None, yaw_deg: float | None = None) -> Wall:
     yaw = None if yaw_deg is None else math.radians(yaw_deg)
     return msgspec.structs.replace(WALL, position_sd_m=place_m, yaw_sd_rad=yaw)
 
@@ -60,10 +60,10 @@ def single(*changes: tuple[str, str]) -> Mission:
     return parse_mission(Document(text, str(ROOT / "missions/x.yaml")))
 
 
-# --- one rule ---------------------------------------------------------------------------------------------
+# --- tolerances -------------------------------------------------------------------------------------------
 
 
-def test_a_wall_without_figures_keeps_the_guard_s_tolerances() -> None:
+def test_a_wall_without_standard_deviations_keeps_the_guards_tolerances() -> None:
     guard = load_vehicle(ROOT / "configs/dart.yaml").guard
     assert position_margin_m(WALL, (0.0, 1.5)) == 0.0
     assert overrun_m(guard, WALL, (0.0, 1.5)) == guard.wall_overrun_m
@@ -71,47 +71,47 @@ def test_a_wall_without_figures_keeps_the_guard_s_tolerances() -> None:
     assert late_s(guard, WALL, (0.0, 1.5), 0.5) == guard.wall_late_s
 
 
-def test_three_standard_deviations_come_on_top_the_more_the_further_from_the_middle() -> None:
+def test_tolerances_grow_by_three_standard_deviations_at_the_contact_point() -> None:
     guard = load_vehicle(ROOT / "configs/dart.yaml").guard
-    assert position_margin_m(known(0.06), (0.0, 1.5)) == pytest.approx(0.18)
-    assert position_margin_m(known(None, 4.0), (0.0, 0.0)) == 0.0
-    assert position_margin_m(known(None, 4.0), (0.0, 1.5)) == pytest.approx(
+    assert position_margin_m(uncertain_wall(0.06), (0.0, 1.5)) == pytest.approx(0.18)
+    assert position_margin_m(uncertain_wall(None, 4.0), (0.0, 0.0)) == 0.0
+    assert position_margin_m(uncertain_wall(None, 4.0), (0.0, 1.5)) == pytest.approx(
         3.0 * 1.5 * math.tan(math.radians(4.0))
     )
-    assert position_margin_m(known(0.03, 4.0), (0.0, -1.0)) == pytest.approx(
+    assert position_margin_m(uncertain_wall(0.03, 4.0), (0.0, -1.0)) == pytest.approx(
         3.0 * math.hypot(0.03, 0.0699), rel=1e-3
     )
-    both = position_margin_m(known(0.03, 4.0), (np.zeros(2), np.array([0.0, -1.0])))
-    assert both == pytest.approx([0.09, position_margin_m(known(0.03, 4.0), (0.0, -1.0))])
-    assert overrun_m(guard, known(0.06), (0.0, 0.0)) == pytest.approx(guard.wall_overrun_m + 0.18)
-    assert late_s(guard, known(0.06), (0.0, 0.0), 0.6) == pytest.approx(guard.wall_late_s + 0.3)
+    both = position_margin_m(uncertain_wall(0.03, 4.0), (np.zeros(2), np.array([0.0, -1.0])))
+    assert both == pytest.approx([0.09, position_margin_m(uncertain_wall(0.03, 4.0), (0.0, -1.0))])
+    assert overrun_m(guard, uncertain_wall(0.06), (0.0, 0.0)) == pytest.approx(guard.wall_overrun_m + 0.18)
+    assert late_s(guard, uncertain_wall(0.06), (0.0, 0.0), 0.6) == pytest.approx(guard.wall_late_s + 0.3)
 
 
-def test_a_contact_tells_where_the_plane_is_and_how_surely() -> None:
+def test_a_contact_updates_the_walls_position_and_standard_deviation() -> None:
     survey = EstimatedWalls()
-    assert survey.known_wall(known(0.1)) == known(0.1)
-    felt = WallEstimate(0, 0, "board", Mode.RIGID, None, 0.0, *(1.0,) * 8, 0.0, 0.1, 0.07, 0.02)
-    survey.add_estimate(felt, known(0.1))
-    seen = survey.known_wall(known(0.1))
-    assert seen.point == pytest.approx((0.93, 0.0))
-    assert seen.position_sd_m == 0.02
-    surer = EstimatedWalls()
-    surer.add_estimate(felt, known(0.01))
-    assert surer.known_wall(known(0.01)).position_sd_m == 0.01
-    unsaid = EstimatedWalls()
-    unsaid.add_estimate(felt, WALL)
-    assert unsaid.known_wall(WALL).position_sd_m is None
+    assert survey.known_wall(uncertain_wall(0.1)) == uncertain_wall(0.1)
+    estimate = WallEstimate(0, 0, "board", Mode.RIGID, None, 0.0, *(1.0,) * 8, 0.0, 0.1, 0.07, 0.02)
+    survey.add_estimate(estimate, uncertain_wall(0.1))
+    updated = survey.known_wall(uncertain_wall(0.1))
+    assert updated.point == pytest.approx((0.93, 0.0))
+    assert updated.position_sd_m == 0.02
+    well_known = EstimatedWalls()
+    well_known.add_estimate(estimate, uncertain_wall(0.01))
+    assert well_known.known_wall(uncertain_wall(0.01)).position_sd_m == 0.01
+    without_sd = EstimatedWalls()
+    without_sd.add_estimate(estimate, WALL)
+    assert without_sd.known_wall(WALL).position_sd_m is None
 
 
-def test_the_run_up_is_steady_before_where_the_wall_may_stand_nearest() -> None:
-    # From a start that is too near the run-up begins further back.
+def test_the_run_up_to_an_uncertain_wall_begins_three_sigma_earlier() -> None:
+    # The start is too near the wall, so the run-up begins farther back.
     near = ("start: {position_m: [0.0, 0.0]", "start: {position_m: [0.8, 0.4]")
     room = ("bounds_m: {x: [-1.5", "bounds_m: {x: [-3.5")
     one = single(near, room)
     other = single(near, room, (POINT, f"{POINT}, position_sd_m: 0.06"))
     approaches = [plan_approach(m, m.collisions[0]) for m in (one, other)]
     impacts = [m.collisions[0].impact_point or (0.0, 0.0) for m in (one, other)]
-    lengths = [distance2(a.begin[:2], there) for a, there in zip(approaches, impacts, strict=True)]
+    lengths = [distance2(a.begin[:2], impact) for a, impact in zip(approaches, impacts, strict=True)]
     assert lengths[1] - lengths[0] == pytest.approx(0.18 * math.hypot(1.0, 0.5))
 
 
@@ -119,16 +119,22 @@ def test_the_run_up_is_steady_before_where_the_wall_may_stand_nearest() -> None:
 
 
 def fly(
-    name: str, known: str, away_m: float = 0.0, turned_deg: float = 0.0, onlooker: Onlooker | None = None
+    name: str,
+    wall_figures: str,
+    away_m: float = 0.0,
+    rotated_deg: float = 0.0,
+    onlooker: Onlooker | None = None,
 ) -> Verdict:
-    """A flight among walls of which the acrylic one stands elsewhere than the mission says."""
+    """Fly a mission whose acrylic wall is displaced or rotated from its place in the mission."""
     path = ROOT / f"missions/{name}.yaml"
     text = path.read_text()
-    if turned_deg:  # about its middle: the hit is 1.3 m beside it
+    if rotated_deg:  # rotate about the wall's middle, 1.3 m beside the impact point
         text = text.replace("point_m: [1.65, 0.5], normal: [-1.0, 0.0], length_m: 3.0", BESIDE)
     end = text.index("}", text.index("  acrylic: {"))
-    mission = parse_mission(Document(f"{text[:end]}, {known}{text[end:]}" if known else text, str(path)))
-    world = place_walls(DrawnWorld(mission, None, {}), {"acrylic": away_m}, {"acrylic": turned_deg})
+    mission = parse_mission(
+        Document(f"{text[:end]}, {wall_figures}{text[end:]}" if wall_figures else text, str(path))
+    )
+    world = place_walls(DrawnWorld(mission, None, {}), {"acrylic": away_m}, {"acrylic": rotated_deg})
     record = FlightRecord(mission, World.FAST, 5, None)
     if onlooker is not None:
         record.onlookers.append(onlooker)
@@ -138,7 +144,7 @@ def fly(
 
 
 @pytest.mark.parametrize("away_m", [-0.12, 0.12, -0.27, 0.27])
-def test_a_wall_nearer_or_further_away_is_met_where_it_stands(away_m: float) -> None:
+def test_a_displaced_wall_with_a_standard_deviation_is_hit_as_planned(away_m: float) -> None:
     sd = 0.06 if abs(away_m) < 0.2 else 0.1
     verdict = fly("paper_single_wall", f"position_sd_m: {sd}", away_m)
     assert verdict.outcome == "completed", verdict.reason
@@ -151,20 +157,22 @@ def test_a_wall_nearer_or_further_away_is_met_where_it_stands(away_m: float) -> 
     ("away_m", "yaw_deg", "rule"),
     [(-0.27, 0.0, "wall_not_met"), (0.27, 0.0, "wall_met_early"), (0.0, -8.0, "wall_not_met")],
 )
-def test_without_its_figures_it_is_broken_off_as_ever(away_m: float, yaw_deg: float, rule: str) -> None:
+def test_an_approach_to_a_displaced_wall_without_standard_deviations_is_aborted(
+    away_m: float, yaw_deg: float, rule: str
+) -> None:
     verdict = fly("paper_single_wall", "", away_m, yaw_deg)
     assert verdict.outcome == "aborted"
     assert (verdict.reason or "").startswith(rule)
 
 
 @pytest.mark.parametrize("yaw_deg", [-8.0, 8.0, 12.0])
-def test_a_wall_turned_about_its_middle_is_met_beside_it(yaw_deg: float) -> None:
+def test_a_rotated_wall_is_hit_away_from_its_middle(yaw_deg: float) -> None:
     verdict = fly("paper_single_wall", "yaw_sd_deg: 4.0", 0.0, yaw_deg)
     assert verdict.outcome == "completed", verdict.reason
 
 
 @pytest.mark.parametrize("away_m", [-0.25, 0.27])
-def test_a_way_planned_in_flight_leads_to_an_uncertain_wall(away_m: float) -> None:
+def test_a_replanned_trajectory_reaches_a_displaced_wall(away_m: float) -> None:
     verdict = fly("dual_collision_replan", "position_sd_m: 0.1", away_m)
     assert verdict.outcome == "completed", verdict.reason
     second = verdict.collisions[1]
@@ -173,15 +181,17 @@ def test_a_way_planned_in_flight_leads_to_an_uncertain_wall(away_m: float) -> No
 
 
 @pytest.mark.parametrize("away_m", [-0.27, 0.27])
-def test_where_the_plane_is_is_felt(away_m: float) -> None:
+def test_the_wall_offset_is_estimated_from_the_contact(away_m: float) -> None:
     records: list[Record] = []
     fly("paper_single_wall", "position_sd_m: 0.1", away_m, onlooker=records.append)
-    (felt,) = [r for r in records if isinstance(r, WallEstimate)]
-    assert felt.plane_offset_m == pytest.approx(away_m, abs=max(0.03, 3.0 * felt.plane_offset_sigma_m))
-    assert felt.plane_offset_sigma_m < 0.05
+    (estimate,) = [r for r in records if isinstance(r, WallEstimate)]
+    assert estimate.plane_offset_m == pytest.approx(
+        away_m, abs=max(0.03, 3.0 * estimate.plane_offset_sigma_m)
+    )
+    assert estimate.plane_offset_sigma_m < 0.05
 
 
-def test_a_rehearsal_stops_before_where_the_wall_may_stand_nearest() -> None:
+def test_a_rehearsal_keeps_its_standoff_from_the_nearest_possible_wall() -> None:
     for figures, wanted in (("length_m: 3.0", 0.5), ("length_m: 3.0, position_sd_m: 0.06", 0.68)):
         mission = as_rehearsal(single(("length_m: 3.0", figures)), 0.5)
         (collision,) = mission.collisions
@@ -194,17 +204,17 @@ def test_a_rehearsal_stops_before_where_the_wall_may_stand_nearest() -> None:
 # --- draws ------------------------------------------------------------------------------------------------
 
 
-def test_a_wall_s_own_figures_win_over_the_general_ones() -> None:
+def test_a_walls_own_standard_deviations_override_the_general_ones() -> None:
     own = single((POINT, f"{POINT}, position_sd_m: 0.2, yaw_sd_deg: 1.0"))
     spreads = {"wall_offset_m": 0.05, "wall_yaw_deg": 4.0}
     for seed in range(3):
         general, drawn = (draw_world(m, seed, spreads).drawn for m in (single(), own))
         for name, factor in (("wall_offset_m.acrylic", 4.0), ("wall_yaw_deg.acrylic", 0.25)):
             assert drawn[name] == pytest.approx(factor * float(general[name]))
-    assert draw_world(own, 1, {"mass": 0.1}).mission.walls == own.walls  # what is not varied stays
+    assert draw_world(own, 1, {"mass": 0.1}).mission.walls == own.walls  # walls are varied only on request
 
 
-def uncertain(name: str, **figures: float) -> Scenario:
+def uncertain_scenario(name: str, **figures: float) -> Scenario:
     scenario = with_objective(load_scenario(ROOT / f"missions/scenarios/{name}.yaml"), Objective.ROBUST)
     walls = {n: msgspec.structs.replace(w, **figures) for n, w in scenario.walls.items()}
     return msgspec.structs.replace(
@@ -215,30 +225,31 @@ def uncertain(name: str, **figures: float) -> Scenario:
     )
 
 
-def test_robust_reckons_with_where_walls_may_stand() -> None:
-    sure, unsure = (
-        search(uncertain("one_wall", **f), top=1, seed=3).plans[0] for f in ({}, {"position_sd_m": 0.1})
+def test_the_robust_objective_includes_the_walls_uncertainty() -> None:
+    without_sd, with_sd = (
+        search(uncertain_scenario("one_wall", **f), top=1, seed=3).plans[0]
+        for f in ({}, {"position_sd_m": 0.1})
     )
-    assert sure.worst_miss_m is not None
-    assert unsure.worst_miss_m is not None
-    assert unsure.worst_miss_m > sure.worst_miss_m + 0.05
-    assert all(draw.walls for draw in draws_of(uncertain("one_wall", yaw_sd_rad=0.05), 1))
-    assert not any(draw.walls for draw in draws_of(uncertain("one_wall"), 1))
+    assert without_sd.worst_miss_m is not None
+    assert with_sd.worst_miss_m is not None
+    assert with_sd.worst_miss_m > without_sd.worst_miss_m + 0.05
+    assert all(draw.walls for draw in draws_of(uncertain_scenario("one_wall", yaw_sd_rad=0.05), 1))
+    assert not any(draw.walls for draw in draws_of(uncertain_scenario("one_wall"), 1))
 
 
 @pytest.mark.parametrize("away_m", [-0.1, 0.1])
-def test_a_moved_wall_of_a_draw_is_met_like_one_planned_there(away_m: float) -> None:
-    scenario = uncertain("one_wall")
+def test_a_draws_displaced_wall_is_hit_like_a_wall_planned_there(away_m: float) -> None:
+    scenario = uncertain_scenario("one_wall")
     (sequence, *_) = scenario.sequences
     name = sequence[0]
-    there = msgspec.structs.replace(
+    displaced = msgspec.structs.replace(
         scenario, walls=scenario.walls | {name: scenario.walls[name].displaced(away_m)}
     )
     vn, vt = np.array([-0.8, -1.0]), np.array([0.2, 0.0])
-    flight, stages = new_flight(scenario), stages_for(there, [None])[0]
+    flight, stages = new_flight(scenario), stages_for(displaced, [None])[0]
     planned = Rollout(scenario, sequence, flight, Constraints(scenario)).approach(vn, vt)
-    drawn = Rollout(there, sequence, flight, Constraints(there), True, scenario.walls[name])
-    direct = Rollout(there, sequence, flight, Constraints(there), True)
+    drawn = Rollout(displaced, sequence, flight, Constraints(displaced), True, scenario.walls[name])
+    direct = Rollout(displaced, sequence, flight, Constraints(displaced), True)
     found = drawn.fly(stages, vn, vt, planned)
     wanted = direct.fly(stages, vn, vt, direct.approach(vn, vt))
     assert found
@@ -249,7 +260,7 @@ def test_a_moved_wall_of_a_draw_is_met_like_one_planned_there(away_m: float) -> 
         assert a.hits[0].normal_m_s == pytest.approx(b.hits[0].normal_m_s)
 
 
-def test_a_plan_hands_the_figures_on(tmp_path: Path) -> None:
+def test_a_written_plan_keeps_the_walls_standard_deviations(tmp_path: Path) -> None:
     path = ROOT / "missions/scenarios/one_wall.yaml"
     scenario = load_scenario(path)
     name = scenario.sequences[0][0]
@@ -281,12 +292,12 @@ def no_goes(findings: list[CheckFinding]) -> dict[str, str]:
         ("yaw_sd_deg: 8.0", "incidence_1", "16 degrees off parallel (2 sd)"),
     ],
 )
-def test_check_says_what_the_figures_leave_open(figures: str, item: str, says: str) -> None:
+def test_check_reports_standard_deviations_that_are_too_large(figures: str, item: str, says: str) -> None:
     findings = no_goes(check_mission(single((POINT, f"{POINT}, {figures}"))))
     assert says in findings[item]
 
 
-def test_check_says_where_another_wall_may_be_in_the_way() -> None:
+def test_check_reports_another_wall_that_may_block_the_approach() -> None:
     wide = ("bounds_m: {x: [-1.5, 2.2], y: [-1.5, 2.5]", "bounds_m: {x: [-3.5, 4.2], y: [-3.5, 3.5]")
     behind = (
         "  screen: {point_m: [1.9, 0.5], normal: [-1.0, 0.0], length_m: 3.0, material: wood}\ncollisions:"
@@ -300,8 +311,8 @@ def test_check_says_where_another_wall_may_be_in_the_way() -> None:
 
 
 @pytest.mark.parametrize(("north_sd_m", "go"), [(0.01, True), (0.1, False)])
-def test_along_a_trajectory_walls_are_passed_where_it_leads(north_sd_m: float, go: bool) -> None:
-    """Round a partition's end nothing is straight; three standard deviations are in the way or not."""
+def test_check_reports_a_wall_that_may_block_a_planned_trajectory(north_sd_m: float, go: bool) -> None:
+    """The trajectory bends round a partition's end, so a straight run-up would not describe it."""
     tree = load_mission(ROOT / "missions/hairpin.yaml").to_dict()
     tree["collisions"] = [hit for hit in tree["collisions"] if hit.get("trajectory")]
     tree["waypoints"] = []
@@ -311,22 +322,22 @@ def test_along_a_trajectory_walls_are_passed_where_it_leads(north_sd_m: float, g
     assert go or "wall north may block the trajectory to wall end" in found["survey_1"]
 
 
-def test_figures_that_are_borne_are_a_go() -> None:
+def test_small_standard_deviations_are_a_go() -> None:
     findings = check_mission(single((POINT, f"{POINT}, position_sd_m: 0.05, yaw_sd_deg: 2.0")))
     assert not no_goes(findings)
     assert any("within 0.15 m (3 sd)" in f.says or "3 sd" in f.says for f in findings)
 
 
-# --- what there was before --------------------------------------------------------------------------------
+# --- missions without figures -----------------------------------------------------------------------------
 
 
-WITHOUT = [
+WITHOUT_FIGURES = [
     path for path in sorted((ROOT / "missions").glob("*.yaml")) if "_sd_" not in path.read_text("utf-8")
 ]
 
 
-@pytest.mark.parametrize("path", WITHOUT, ids=lambda p: p.stem)
-def test_a_mission_of_before_says_no_more_than_it_did(path: Path) -> None:
+@pytest.mark.parametrize("path", WITHOUT_FIGURES, ids=lambda p: p.stem)
+def test_a_mission_without_standard_deviations_has_no_survey_findings(path: Path) -> None:
     mission = load_mission(path)
     assert all(not w.is_uncertain and w.position_sd_m is None for w in mission.walls)
     assert len(mission.vehicle.airframe.motors) == 4

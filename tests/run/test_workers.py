@@ -1,4 +1,4 @@
-"""Processes that fly: one that dies, one that raises, Ctrl-C, many items."""
+"""Worker processes: deaths, exceptions, interrupts, many items."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ def square(number: int) -> int:
     return number * number
 
 
-def moody(folder: Path, number: int) -> int:
-    """Dies of 3 the first time, of 5 always; raises at 7."""
+def square_or_fail(folder: Path, number: int) -> int:
+    """Return the square; die at 3 the first time, at 5 always, and raise at 7."""
     if number == 5 or (number == 3 and not (folder / "died").exists()):
         (folder / "died").touch()
         os.kill(os.getpid(), signal.SIGKILL)
@@ -38,12 +38,12 @@ class AwkwardError(Exception):
         super().__init__(f"{one} and\n{two}")
 
 
-def awkward(number: int) -> int:
+def raise_awkward_error(number: int) -> int:
     raise AwkwardError(number, 2)
 
 
-class Dead:
-    """Cannot be made in another process."""
+class DiesOnUnpickling:
+    """A callable that ends the worker process in which it is unpickled."""
 
     def __reduce__(self) -> tuple[object, tuple[int]]:
         return os._exit, (3,)
@@ -52,7 +52,7 @@ class Dead:
         return number
 
 
-def flown(results: Iterator[FinishedItem[int, int]]) -> dict[int, int | Failure]:
+def results_by_item(results: Iterator[FinishedItem[int, int]]) -> dict[int, int | Failure]:
     found: dict[int, int | Failure] = {}
     for item, result in results:
         assert item not in found
@@ -61,26 +61,26 @@ def flown(results: Iterator[FinishedItem[int, int]]) -> dict[int, int | Failure]
 
 
 def test_every_item_is_flown_once() -> None:
-    assert flown(work(square, range(50), 3, Interrupt())) == {n: n * n for n in range(50)}
+    assert results_by_item(work(square, range(50), 3, Interrupt())) == {n: n * n for n in range(50)}
 
 
-def test_items_are_taken_as_they_are_flown() -> None:
-    taken: list[int] = []
+def test_items_are_consumed_only_as_workers_become_free() -> None:
+    drawn: list[int] = []
 
     def endless() -> Iterator[int]:
         while True:
-            taken.append(len(taken))
-            yield taken[-1]
+            drawn.append(len(drawn))
+            yield drawn[-1]
 
     results = work(square, endless(), 2, Interrupt())
     first = [next(results).result for _ in range(10)]
     results.close()
     assert len(first) == 10
-    assert len(taken) <= 12
+    assert len(drawn) <= 12
 
 
-def test_a_process_that_dies_costs_its_own_flight_a_retry(tmp_path: Path) -> None:
-    found = flown(work(partial(moody, tmp_path), range(10), 2, Interrupt()))
+def test_an_item_whose_process_dies_is_retried_once(tmp_path: Path) -> None:
+    found = results_by_item(work(partial(square_or_fail, tmp_path), range(10), 2, Interrupt()))
     assert found[5] == Failure("its process died 2 times")
     seven = found[7]
     assert isinstance(seven, Failure)
@@ -92,31 +92,31 @@ def test_a_process_that_dies_costs_its_own_flight_a_retry(tmp_path: Path) -> Non
 
 
 def test_a_pool_that_breaks_while_it_starts_a_process_is_renewed(monkeypatch: pytest.MonkeyPatch) -> None:
-    """It may have closed the pipes that the new process is to get: EBADF instead of a broken pool."""
+    """The pool may have closed the new process's pipes, which raises EBADF instead of BrokenProcessPool."""
     submit, calls = ProcessPoolExecutor.submit, count()
 
-    def torn(pool: ProcessPoolExecutor, *what: Any) -> Any:
+    def submit_once_broken(pool: ProcessPoolExecutor, *arguments: Any) -> Any:
         if next(calls) == 3:
             raise OSError(errno.EBADF, "Bad file descriptor")
-        return submit(pool, *what)
+        return submit(pool, *arguments)
 
-    monkeypatch.setattr(ProcessPoolExecutor, "submit", torn)
-    assert flown(work(square, range(10), 2, Interrupt())) == {n: n * n for n in range(10)}
+    monkeypatch.setattr(ProcessPoolExecutor, "submit", submit_once_broken)
+    assert results_by_item(work(square, range(10), 2, Interrupt())) == {n: n * n for n in range(10)}
 
 
-def test_an_exception_that_cannot_travel_is_told_in_words() -> None:
-    (result,) = flown(work(awkward, [1], 1, Interrupt())).values()
+def test_an_exception_that_cannot_be_pickled_is_reported_as_text() -> None:
+    (result,) = results_by_item(work(raise_awkward_error, [1], 1, Interrupt())).values()
     assert isinstance(result, Failure)
     assert result.error is None
     assert result.what.startswith("AwkwardError: 1 and 2 (test_workers.py:")
 
 
-def test_processes_that_cannot_begin_end_it() -> None:
+def test_processes_that_cannot_start_raise_a_flight_error() -> None:
     with pytest.raises(FlightError, match=r"exited before its first flight"):
-        list(work(Dead(), range(5), 2, Interrupt()))
+        list(work(DiesOnUnpickling(), range(5), 2, Interrupt()))
 
 
-def test_an_interrupt_lets_those_under_way_land() -> None:
+def test_an_interrupt_lets_running_items_finish() -> None:
     with Interrupt() as interrupt:
         results = work(square, range(1000), 2, interrupt)
         found = [next(results)]
@@ -127,12 +127,12 @@ def test_an_interrupt_lets_those_under_way_land() -> None:
     assert all(done.result == done.item**2 for done in found)
 
 
-def test_a_second_interrupt_gives_them_up() -> None:
+def test_a_second_interrupt_abandons_running_items() -> None:
     with Interrupt() as interrupt:
         results = work(square, range(1000), 2, interrupt)
         next(results)
         os.kill(os.getpid(), signal.SIGTERM)
         os.kill(os.getpid(), signal.SIGHUP)
         assert not list(results)
-    with pytest.raises(KeyboardInterrupt):  # afterwards it is as before
+    with pytest.raises(KeyboardInterrupt):  # the previous handler is restored
         os.kill(os.getpid(), signal.SIGINT)

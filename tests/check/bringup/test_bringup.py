@@ -1,4 +1,4 @@
-"""Bring-up walked against a vehicle on a real pseudo-terminal, well and with each thing that may be wrong."""
+"""Bring-up of a vehicle on a real pseudo-terminal, without faults and with each possible fault."""
 
 from __future__ import annotations
 
@@ -32,16 +32,16 @@ MISSION = load_mission(packaged("missions", "single_wall.yaml"))
 WAIT_S = 6.0
 
 
-class Hands:
-    """An operator who does what he is told, and sees the lock move."""
+class ScriptedOperator:
+    """An operator who follows instructions and answers questions about the lock's motion."""
 
     def __init__(
-        self, vehicle: BenchVehicle | None = None, sees: Callable[[str], bool] = lambda _: True
+        self, vehicle: BenchVehicle | None = None, answer: Callable[[str], bool] = lambda _: True
     ) -> None:
-        self.sees, self.told = sees, list[str]()
-        self._acts: dict[str, Callable[[], None]] = {}
+        self.answer, self.instructions = answer, list[str]()
+        self._actions: dict[str, Callable[[], None]] = {}
         if vehicle is not None:
-            self._acts = {
+            self._actions = {
                 "nose down": lambda: vehicle.tilt(pitch_deg=-30.0),
                 "right side down": lambda: vehicle.tilt(roll_deg=30.0),
                 "Push": vehicle.push,
@@ -53,14 +53,14 @@ class Hands:
             }
 
     def instruct(self, text: str) -> None:
-        self.told.append(text)
-        for word, act in self._acts.items():
+        self.instructions.append(text)
+        for word, action in self._actions.items():
             if word in text:
-                act()
+                action()
                 return
 
     def confirm(self, question: str) -> bool:
-        return self.sees(question)
+        return self.answer(question)
 
 
 @pytest.fixture(autouse=True)
@@ -68,15 +68,15 @@ def state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("DART_FLIGHT_STATE_DIR", str(tmp_path / "state"))
 
 
-def carry_out(bringup: Bringup, name: str) -> StepFinding:
+def run_step(bringup: Bringup, name: str) -> StepFinding:
     (found,) = run_checks([step for step in STEPS if step.name == name], bringup)
     return found
 
 
-def walk(vehicle: BenchVehicle, *names: str) -> dict[str, StepFinding]:
-    bringup = Bringup(MISSION, vehicle.url, Hands(vehicle), WAIT_S)
+def run_steps(vehicle: BenchVehicle, *names: str) -> dict[str, StepFinding]:
+    bringup = Bringup(MISSION, vehicle.url, ScriptedOperator(vehicle), WAIT_S)
     try:
-        return {name: carry_out(bringup, name) for name in names}
+        return {name: run_step(bringup, name) for name in names}
     finally:
         bringup.close()
 
@@ -88,21 +88,21 @@ TELEMETRY_STEPS = ("link", "imu_axes", "force_sign", "position", "remote_control
 @pytest.mark.mavlink
 def test_every_step_of_a_good_vehicle_passes() -> None:
     with BenchVehicle(MISSION) as vehicle:
-        found = walk(vehicle, *TELEMETRY_STEPS)
+        found = run_steps(vehicle, *TELEMETRY_STEPS)
     assert {
         name: (f.result, f.message) for name, f in found.items() if f.result is not StepOutcome.PASS
     } == {}
     assert float(found["link"].measured["imu_hz"] or 0.0) > 150.0
     direction_deg = found["force_sign"].measured["force_direction_deg"]
-    assert isinstance(direction_deg, float)  # and may be 0
+    assert isinstance(direction_deg, float)  # 0 is a valid direction
     assert abs(direction_deg) < 10.0
 
 
 @pytest.mark.realtime
 @pytest.mark.mavlink
-def test_each_thing_that_is_wrong_is_named() -> None:
+def test_each_fault_of_the_vehicle_is_named() -> None:
     with BenchVehicle(MISSION, wrong=("axes", "frame", "radio")) as vehicle:
-        found = walk(vehicle, "imu_axes", "position", "remote_control")
+        found = run_steps(vehicle, "imu_axes", "position", "remote_control")
     assert {f.result for f in found.values()} == {StepOutcome.FAIL}
     assert "rotated by 90 degrees: set SENS_BOARD_ROT" in found["imu_axes"].message
     assert "left and right are exchanged" in found["position"].message
@@ -114,8 +114,8 @@ def test_each_thing_that_is_wrong_is_named() -> None:
 def test_a_wrong_baud_rate_is_recognised() -> None:
     with BenchVehicle(MISSION) as vehicle:
         url = vehicle.url.replace("921600", "57600")
-        bringup = Bringup(MISSION, url, Hands(vehicle), 3.0)
-        found = carry_out(bringup, "link")
+        bringup = Bringup(MISSION, url, ScriptedOperator(vehicle), 3.0)
+        found = run_step(bringup, "link")
         bringup.close()
     assert found.result is StepOutcome.FAIL
     assert found.message == "wrong baud rate: MAVLink arrives at 921600, not at 57600 (SER_TEL2_BAUD)"
@@ -123,7 +123,7 @@ def test_a_wrong_baud_rate_is_recognised() -> None:
 
 @pytest.fixture
 def maestro(tmp_path: Path) -> Iterator[Mission]:
-    """The mission of a vehicle whose lock is moved by an emulated Maestro."""
+    """Yield the mission of a vehicle whose lock is moved by an emulated Maestro."""
     lock = MISSION.vehicle.lock
     assert lock is not None
     port = tmp_path / "maestro"
@@ -137,9 +137,9 @@ def maestro(tmp_path: Path) -> Iterator[Mission]:
         yield msgspec.structs.replace(MISSION, vehicle=vehicle)
 
 
-# A real pseudo-terminal with real time-outs: on a machine that is busy with other tests it may be late.
+# The pseudo-terminal and its timeouts are real, so a busy computer may be late.
 @pytest.mark.parametrize(
-    ("sees", "result", "words"),
+    ("answer", "result", "message"),
     [
         (lambda question: True, StepOutcome.PASS, "the lock reaches both ends"),
         (
@@ -151,50 +151,50 @@ def maestro(tmp_path: Path) -> Iterator[Mission]:
         (lambda question: False, StepOutcome.NEEDS_OPERATOR, "was not moved"),
     ],
 )
-def test_the_servo_moves_the_right_way_by_the_operators_word(
-    maestro: Mission, sees: Callable[[str], bool], result: StepOutcome, words: str
+def test_the_operator_confirms_the_direction_of_the_servo(
+    maestro: Mission, answer: Callable[[str], bool], result: StepOutcome, message: str
 ) -> None:
-    found = carry_out(Bringup(maestro, "udpin://127.0.0.1:1", Hands(sees=sees)), "servo")
+    found = run_step(Bringup(maestro, "udpin://127.0.0.1:1", ScriptedOperator(answer=answer)), "servo")
     assert found.result is result
-    assert words in found.message
+    assert message in found.message
     if result is StepOutcome.PASS:
         assert 0.05 < float(found.measured["rigid_travel_s"] or 0.0) < 2.0
 
 
-def test_an_unplugged_servo_is_named() -> None:
+def test_an_unplugged_servo_controller_is_named() -> None:
     lock = MISSION.vehicle.lock
     assert lock is not None
     lock = msgspec.structs.replace(lock, driver=LockDriver.MAESTRO)
     mission = msgspec.structs.replace(MISSION, vehicle=msgspec.structs.replace(MISSION.vehicle, lock=lock))
-    found = carry_out(Bringup(mission, "udpin://127.0.0.1:1", Hands()), "servo")
+    found = run_step(Bringup(mission, "udpin://127.0.0.1:1", ScriptedOperator()), "servo")
     assert found.result is StepOutcome.FAIL
     assert lock.maestro.port in found.message
 
 
 @pytest.mark.realtime
 @pytest.mark.mavlink
-def test_it_is_remembered_and_filed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_passed_steps_are_stored_and_not_repeated(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = tmp_path / "bench"
     with BenchVehicle(MISSION) as vehicle:
         command = ["bringup", "--connection", vehicle.url, "--state", str(folder), "--yes", "--json"]
         assert main(command) == 0
-        told = json.loads(capsys.readouterr().out)
+        first = json.loads(capsys.readouterr().out)
         assert main(command) == 0
-        again = json.loads(capsys.readouterr().out)
-    assert [step["result"] for step in told["steps"]] == ["pass", *["needs operator"] * 5]
-    dated, page = (Path(name) for name in told["files"])
-    assert json.loads(dated.read_text())["steps"] == again["steps"]
+        second = json.loads(capsys.readouterr().out)
+    assert [step["result"] for step in first["steps"]] == ["pass", *["needs operator"] * 5]
+    dated, page = (Path(name) for name in first["files"])
+    assert json.loads(dated.read_text())["steps"] == second["steps"]
     assert "needs an operator at the vehicle" in page.read_text()
-    assert again["steps"][0] == told["steps"][0]  # it has passed, and is not looked at again
+    assert second["steps"][0] == first["steps"][0]  # a passed step is not repeated
 
 
-def test_a_file_that_is_none_of_ours_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_foreign_state_file_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "bringup.json").write_text("{}")
     assert main(["bringup", "--connection", "udpin://127.0.0.1:1", "--state", str(tmp_path), "--yes"]) == 2
     assert "not a bring-up record of dart-flight" in capsys.readouterr().err
 
 
-def test_a_file_that_cannot_be_read_is_not_called_foreign(
+def test_an_unreadable_state_file_is_not_reported_as_foreign(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "bringup.json").mkdir()
@@ -202,20 +202,20 @@ def test_a_file_that_cannot_be_read_is_not_called_foreign(
     assert capsys.readouterr().err.strip().endswith("bringup.json: cannot read: Is a directory")
 
 
-def test_a_vehicle_that_answers_nothing_is_a_failed_step(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_vehicle_that_answers_no_requests_fails_the_link_step(monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(_: Bringup) -> None:
         raise NoAnswerError("sends telemetry but does not answer requests: TIMESYNC")
 
     monkeypatch.setattr(Bringup, "_connect", refuse)
-    found = carry_out(Bringup(MISSION, "udpin://127.0.0.1:1", Hands()), "link")
+    found = run_step(Bringup(MISSION, "udpin://127.0.0.1:1", ScriptedOperator()), "link")
     assert found.result is StepOutcome.FAIL
     assert "does not answer requests: TIMESYNC" in found.message
 
 
 @pytest.mark.realtime
 @pytest.mark.mavlink
-def test_the_age_of_poses_is_measured_over_the_real_path() -> None:
-    late_s = 0.04
+def test_the_age_of_poses_is_measured_over_the_real_link() -> None:
+    delay_s = 0.04
     room = MotionCapture(up="y", heading_deg=40.0, body_yaw_deg=15.0)
     hand, server, ages_s = Hand(), make_server("optitrack", "dart"), list[float]()
     waiting: queue.SimpleQueue[tuple[float, int, Vec3, Quaternion] | None] = queue.SimpleQueue()
@@ -226,8 +226,8 @@ def test_the_age_of_poses_is_measured_over_the_real_path() -> None:
     def deliver() -> None:
         while (frame := waiting.get()) is not None:
             began_s, t_us, position, q = frame
-            time.sleep(max(0.0, began_s + late_s - time.monotonic()))
-            ages_s.append(time.monotonic() - began_s)  # a busy computer is later than it was asked to be
+            time.sleep(max(0.0, began_s + delay_s - time.monotonic()))
+            ages_s.append(time.monotonic() - began_s)  # a busy computer may oversleep
             server.publish(t_us, position, q)
 
     delivering = threading.Thread(target=deliver)
@@ -240,7 +240,7 @@ def test_the_age_of_poses_is_measured_over_the_real_path() -> None:
     with BenchVehicle(
         MISSION, motion=lambda t: (hand.position(t), hand.attitude(t)), publish=publish
     ) as vehicle:
-        bringup = Bringup(mission, vehicle.url, Hands(vehicle), 30.0)
+        bringup = Bringup(mission, vehicle.url, ScriptedOperator(vehicle), 30.0)
         try:
             found = bringup._measure_poses(bringup._connect())
         finally:
@@ -249,7 +249,7 @@ def test_the_age_of_poses_is_measured_over_the_real_path() -> None:
     delivering.join()
     server.close()
     assert found.result is StepOutcome.PASS, found.message
-    # On top of it come the serial line's round trip and the threads that read.
+    # The serial line's round trip and the reading threads add to the age.
     age_ms = 1e3 * statistics.median(ages_s)
     assert age_ms - 5.0 < float(found.measured["delay_ms"] or 0.0) < age_ms + 45.0
     assert found.measured["scale"] == pytest.approx(1.0, abs=0.05)

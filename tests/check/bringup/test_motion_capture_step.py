@@ -1,4 +1,4 @@
-"""The position step with motion capture: what it finds in a motion by hand, and what it writes."""
+"""The position step with motion capture: findings from a motion by hand, and the delay that it writes."""
 
 import argparse
 import math
@@ -38,18 +38,18 @@ class Link:
         return 0.004
 
 
-class Hands:
-    """An operator who moves the vehicle when told to: the samples of the motion arrive at once."""
+class ScriptedOperator:
+    """An operator who moves the vehicle on instruction; the samples of the motion arrive at once."""
 
     def __init__(self) -> None:
-        self.told: list[str] = []
-        self.acts: dict[str, Any] = {}
+        self.instructions: list[str] = []
+        self.actions: dict[str, Any] = {}
 
     def instruct(self, text: str) -> None:
-        self.told.append(text)
-        for word, act in self.acts.items():
+        self.instructions.append(text)
+        for word, action in self.actions.items():
             if word in text:
-                act()
+                action()
 
     def confirm(self, question: str) -> bool:
         return True
@@ -59,21 +59,21 @@ class FedBringup(Bringup):
     """The bring-up of a vehicle whose motion is computed.
 
     Args:
-        true: the room as it is.
-        believed: the room as it is configured.
+        true: the actual room.
+        configured: the room in the configuration.
         hand: the vehicle's motion.
-        other: the motion of the body that the cameras see.
+        other: the motion of the tracked body, if it differs from the vehicle's.
     """
 
     def __init__(
         self,
         true: MotionCapture,
-        believed: MotionCapture,
+        configured: MotionCapture,
         hand: Hand | None = None,
         other: Hand | None = None,
     ) -> None:
-        self.hands = Hands()
-        vehicle = msgspec.structs.replace(MISSION.vehicle, mocap=believed)
+        self.hands = ScriptedOperator()
+        vehicle = msgspec.structs.replace(MISSION.vehicle, mocap=configured)
         mission: Mission = msgspec.structs.replace(MISSION, vehicle=vehicle)
         super().__init__(mission, "serial:///dev/none:921600", self.hands, 1.0)
         imu_s, rates, forces = samples(hand or Hand(), Room())[3:]
@@ -84,13 +84,13 @@ class FedBringup(Bringup):
             t.store(make_pose(0.0, *room.pose_from_ned((0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))))
 
         def move() -> None:
-            for at, rate, force in zip(imu_s, rates.tolist(), forces.tolist(), strict=True):
-                t.store(ImuSample(round(1e6 * at), round(1e6 * at), tuple(force), tuple(rate)))
-            for at, position, q in zip(shown_s, positions.tolist(), attitudes.tolist(), strict=True):
-                t.store(make_pose(at, *room.pose_from_ned(tuple(position), tuple(q))))
-                t.store(AttitudeSample(round(1e6 * at) - 30_000, round(1e6 * at), tuple(q)))
+            for sample_s, rate, force in zip(imu_s, rates.tolist(), forces.tolist(), strict=True):
+                t.store(ImuSample(round(1e6 * sample_s), round(1e6 * sample_s), tuple(force), tuple(rate)))
+            for sample_s, position, q in zip(shown_s, positions.tolist(), attitudes.tolist(), strict=True):
+                t.store(make_pose(sample_s, *room.pose_from_ned(tuple(position), tuple(q))))
+                t.store(AttitudeSample(round(1e6 * sample_s) - 30_000, round(1e6 * sample_s), tuple(q)))
 
-        self.hands.acts = {"Waiting": begin, "turn it left": move}
+        self.hands.actions = {"Waiting": begin, "turn it left": move}
 
     def measure(self) -> StepFinding:
         return self._measure_poses(Link())  # type: ignore[arg-type]
@@ -108,7 +108,7 @@ ROOMS = [
 
 
 @pytest.mark.parametrize("room", ROOMS)
-def test_a_room_that_is_configured_as_it_is_passes(room: MotionCapture) -> None:
+def test_a_correctly_configured_room_passes(room: MotionCapture) -> None:
     found = FedBringup(room, room).measure()
     assert found.result is StepOutcome.PASS, found.message
     assert found.measured["delay_ms"] == pytest.approx(34.0, abs=2.0)
@@ -116,17 +116,17 @@ def test_a_room_that_is_configured_as_it_is_passes(room: MotionCapture) -> None:
     assert "34 ms old when they reach PX4" in found.message
 
 
-def test_the_body_yaw_that_it_asks_for_is_the_right_one() -> None:
+def test_the_proposed_body_yaw_is_correct() -> None:
     true = MotionCapture(url=URL, up="y", body_yaw_deg=50.0)
     found = FedBringup(true, MotionCapture(url=URL, up="y", body_yaw_deg=10.0)).measure()
     assert found.message.startswith("the body's yaw is wrong: set mocap.body_yaw_deg to ")
     assert float(found.message.split()[-1]) == pytest.approx(50.0, abs=1.0)
 
 
-@pytest.mark.parametrize(("true", "believed", "axis"), [("y", "z", "y"), ("z", "y", "z")])
-def test_a_wrong_axis_is_named(true: Any, believed: Any, axis: str) -> None:
-    found = FedBringup(MotionCapture(url=URL, up=true), MotionCapture(url=URL, up=believed)).measure()
-    assert found.message == f"wrong axis: the room's {axis} axis points up, but mocap.up is {believed}"
+@pytest.mark.parametrize(("true", "configured", "axis"), [("y", "z", "y"), ("z", "y", "z")])
+def test_a_wrong_axis_is_named(true: Any, configured: Any, axis: str) -> None:
+    found = FedBringup(MotionCapture(url=URL, up=true), MotionCapture(url=URL, up=configured)).measure()
+    assert found.message == f"wrong axis: the room's {axis} axis points up, but mocap.up is {configured}"
 
 
 def test_another_vehicles_body_is_named() -> None:
@@ -134,9 +134,9 @@ def test_another_vehicles_body_is_named() -> None:
     assert f"the body {URL} does not rotate with this vehicle" in found.message
 
 
-def test_without_poses_the_sources_reason_is_told() -> None:
+def test_missing_poses_are_reported_with_the_sources_reason() -> None:
     bringup = FedBringup(ROOMS[0], ROOMS[0])
-    bringup.hands.acts = {}
+    bringup.hands.actions = {}
     assert bringup.measure().message == f"no poses from {URL}: no object dart, only wand"
 
 
@@ -159,7 +159,7 @@ def test_each_defect_is_named(changes: dict[str, Any], says: str) -> None:
     assert says in found.message
 
 
-def test_a_heading_that_px4_does_not_use_is_named() -> None:
+def test_a_heading_difference_to_px4_is_named() -> None:
     found = evaluate_motion(GOOD, MotionCapture(url=URL), None, -45.0)
     assert "PX4's heading is -45 degrees off the poses" in found.message
     assert math.isclose(float(found.measured["delay_ms"] or 0.0), 30.0)
@@ -179,7 +179,7 @@ def test_the_measured_age_is_written_into_the_configuration(
 
 
 @pytest.mark.parametrize("text", ["airframe: {mass_kg: 1.0}\n", ""])
-def test_a_configuration_without_the_key_is_left_alone(
+def test_a_configuration_without_the_key_is_not_changed(
     text: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "vehicle.yaml"
@@ -201,8 +201,8 @@ def test_the_packaged_configuration_is_never_written(capsys: pytest.CaptureFixtu
 
 
 @pytest.mark.parametrize("delay_s", [0.005, 0.05])
-def test_the_age_of_a_simulated_flights_poses_is_found(delay_s: float) -> None:
-    """Contacts included; the poses leave at the next tick of 4 ms."""
+def test_the_age_of_poses_is_estimated_from_a_simulated_flight(delay_s: float) -> None:
+    """The flight includes a contact, and each pose is sent at the next 4 ms tick."""
     settings = [
         f"simulation.pose_delay_s={delay_s}",
         "mocap.up=y",
@@ -214,11 +214,11 @@ def test_the_age_of_a_simulated_flights_poses_is_found(delay_s: float) -> None:
     inputs: list[Any] = []
     step = flight.core.step
 
-    def both(item: Any) -> Any:
+    def record_and_step(item: Any) -> Any:
         inputs.append(item)
         return step(item)
 
-    flight.core.step = both  # type: ignore[method-assign]
+    flight.core.step = record_and_step  # type: ignore[method-assign]
     flight.run()
     imu = [item for item in inputs if isinstance(item, ImuSample)]
     poses = [item for item in inputs if isinstance(item, PoseSample)]

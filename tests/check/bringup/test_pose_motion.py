@@ -1,4 +1,4 @@
-"""Estimates from a vehicle moved by hand, on synthetic motions of known age, axes, scale and handedness."""
+"""Estimates from synthetic motions by hand, with known latency, axes, scale and handedness."""
 
 import math
 from typing import NamedTuple
@@ -43,7 +43,7 @@ class Hand(NamedTuple):
 
 
 class Room(NamedTuple):
-    """What the poses show of a motion."""
+    """Latency, scale, axes and noise of the poses of a motion."""
 
     latency_s: float = 0.03
     scale: float = 1.0
@@ -93,8 +93,8 @@ def samples(
     )
 
 
-def estimate(room: Room, hand: Hand | None = None, **how: float) -> MotionEstimate:
-    return estimate_motion(*samples(hand or Hand(), room, **how))
+def estimate(room: Room, hand: Hand | None = None, **options: float) -> MotionEstimate:
+    return estimate_motion(*samples(hand or Hand(), room, **options))
 
 
 @settings(max_examples=12, deadline=None)
@@ -105,7 +105,7 @@ def estimate(room: Room, hand: Hand | None = None, **how: float) -> MotionEstima
     heading=st.floats(-math.pi, math.pi),
     seed=st.integers(1, 20),
 )
-def test_latency_yaw_and_scale_are_found(
+def test_latency_yaw_and_scale_are_estimated(
     latency_s: float, scale: float, body_yaw: float, heading: float, seed: int
 ) -> None:
     found = estimate(Room(latency_s, scale, body_yaw, heading), Hand(seed))
@@ -123,7 +123,7 @@ def test_latency_yaw_and_scale_are_found(
     mirror=st.sampled_from([(-1.0, 1.0, 1.0), (1.0, -1.0, 1.0), (1.0, 1.0, -1.0), (-1.0, -1.0, -1.0)]),
     heading=st.floats(-math.pi, math.pi),
 )
-def test_a_mirrored_room_has_accelerations_of_the_other_sign(
+def test_a_mirrored_room_has_a_negative_force_correlation(
     mirror: tuple[float, float, float], heading: float
 ) -> None:
     found = estimate(Room(mirror=mirror, heading=heading))
@@ -139,16 +139,16 @@ def test_another_vehicles_body_does_not_correlate() -> None:
 
 
 @pytest.mark.parametrize("pose_hz", [30.0, 240.0])
-def test_the_rate_of_the_cameras_does_not_matter(pose_hz: float) -> None:
+def test_the_estimate_does_not_depend_on_the_camera_rate(pose_hz: float) -> None:
     found = estimate(Room(latency_s=0.047), pose_hz=pose_hz)
     assert found.latency_s == pytest.approx(0.047, abs=0.003)
     assert found.scale == pytest.approx(1.0, abs=0.04)
 
 
-def test_gaps_are_left_out() -> None:
+def test_gaps_in_the_poses_do_not_affect_the_estimate() -> None:
     pose_s, position, attitude, *imu = samples(Hand(), Room())
-    seen = (np.abs(pose_s - 4.0) > 0.4) & (np.abs(pose_s - 9.0) > 0.2)
-    found = estimate_motion(pose_s[seen], position[seen], attitude[seen], *imu)
+    kept = (np.abs(pose_s - 4.0) > 0.4) & (np.abs(pose_s - 9.0) > 0.2)
+    found = estimate_motion(pose_s[kept], position[kept], attitude[kept], *imu)
     assert found.latency_s == pytest.approx(0.03, abs=0.002)
     assert found.force_correlation > 0.97
 
