@@ -73,7 +73,7 @@ def test_two_contacts_of_maximum_length_fit_into_the_pipe() -> None:
             fits.send(msgspec.structs.replace(long, number=number))
         for number in (1, 2):
             answer = answers.get(timeout=60.0)
-            assert (answer.number, "died" in answer.problem) == (number, False)
+            assert (answer.number, "ended" in answer.problem) == (number, False)
     finally:
         fits.stop()
 

@@ -137,7 +137,6 @@ def maestro(tmp_path: Path) -> Iterator[Mission]:
         yield msgspec.structs.replace(MISSION, vehicle=vehicle)
 
 
-# The pseudo-terminal and its timeouts are real, so a busy computer may be late.
 @pytest.mark.parametrize(
     ("answer", "result", "message"),
     [
