@@ -101,7 +101,7 @@ CASES: dict[str, tuple[list[str], object]] = {
         b"",
     ),
 }
-_MAX_S = 20.0  # on a loaded machine; two on an idle one
+_MAX_S = 20.0  # on a loaded machine; 2 s on an idle one
 
 
 @pytest.fixture(autouse=True)

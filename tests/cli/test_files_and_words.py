@@ -141,7 +141,10 @@ def test_the_install_advice_covers_every_extra_with_pinned_versions(tmp_path: Pa
 
 def test_the_install_advice_is_written_in_one_place() -> None:
     advised = [path for path in (ROOT / "dart_flight").rglob("*.py") if "pip install" in path.read_text()]
-    assert {path.name for path in advised} == {"packages.py", "limit_switch.py"}  # gpiod is no extra of ours
+    assert {path.name for path in advised} == {
+        "packages.py",
+        "limit_switch.py",
+    }  # gpiod is not an extra of this project
 
 
 def test_a_plan_without_ruckig_prints_the_complete_install_advice(

@@ -35,11 +35,11 @@ def test_the_live_line_shows_phase_position_speed_force_lock_and_battery(log: Lo
         line(entry.record)
     shown = terminal.getvalue().split("\r\x1b[K")[1:]
     pattern = r"\w+  \(-?[\d.]+, -?[\d.]+, -?[\d.]+\) m  [\d.]+ m/s  force [\d.]+ N  lock .*  [\d.]+ V"
-    assert all(re.match(pattern, one) or len(one) == 79 for one in shown)
+    assert all(re.match(pattern, text) or len(text) == 79 for text in shown)
     assert 50 < len(shown) <= 5.0 * now_s
-    assert {one.split()[0] for one in shown} >= {"climb", "approach", "goal", "landing"}
+    assert {text.split()[0] for text in shown} >= {"climb", "approach", "goal", "landing"}
     # A contact of 0.1 s is shorter than a refresh; its peak must be shown all the same.
-    assert max(float(re.findall(r"force ([\d.]+)", one)[0]) for one in shown) > 25.0
+    assert max(float(re.findall(r"force ([\d.]+)", text)[0]) for text in shown) > 25.0
 
 
 def test_the_live_line_is_cleared_before_other_lines_and_at_the_end(log: Log) -> None:

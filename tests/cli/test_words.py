@@ -115,7 +115,7 @@ def test_an_invalid_link_is_refused_with_the_allowed_forms(
     output = capsys.readouterr().err.splitlines()
     assert status == 2
     assert output[-1].startswith("--connection: ")
-    assert "serial:///dev/ttyAMA0:921600" in output[-1], "the allowed forms"
+    assert "serial:///dev/ttyAMA0:921600" in output[-1], "lists the allowed forms"
     assert "Traceback" not in "".join(output)
 
 
@@ -170,10 +170,10 @@ def test_batch_refuses_the_same_velocities_as_the_velocity_option(
     batch = refusal_of(capsys, "predict", "--surface", "acrylic", "--batch", str(path))
     assert f"hits.csv:3: {key}" in batch
     _, normal, tangential = row.split(",")
-    one = refusal_of(
+    single = refusal_of(
         capsys, "predict", "--surface", "acrylic", "--mode", "rigid", "--velocity", normal, tangential
     )
-    assert batch.split(f"{key}: ")[-1].strip() in one, "for the same reason"
+    assert batch.split(f"{key}: ")[-1].strip() in single, "for the same reason"
 
 
 def test_monitor_ends_when_no_telemetry_arrives(capsys: pytest.CaptureFixture[str]) -> None:

@@ -30,8 +30,8 @@ AGAIN = {
 }
 
 
-def with_keys(one: dict[str, Any], **keys: Any) -> dict[str, Any]:
-    return one | {"probe": one["probe"] | keys}
+def with_keys(collision: dict[str, Any], **keys: Any) -> dict[str, Any]:
+    return collision | {"probe": collision["probe"] | keys}
 
 
 def mission(*collisions: dict[str, Any], **changes: Any) -> Mission:
@@ -47,13 +47,13 @@ def mission(*collisions: dict[str, Any], **changes: Any) -> Mission:
 
 
 def test_an_unknown_wall_is_assumed_across_the_end_of_its_probe() -> None:
-    one = mission(EAST, AGAIN)
-    assert one.walls == ()
-    probing, hit = one.collisions
+    loaded = mission(EAST, AGAIN)
+    assert loaded.walls == ()
+    probing, hit = loaded.collisions
     wall = probing.wall
     assert (wall.name, wall.point, wall.normal) == ("east", (1.8, 0.0), (-1.0, 0.0))
     assert (wall.sought, wall.material_known) == (True, False)
-    vehicle = one.vehicle
+    vehicle = loaded.vehicle
     stiffest = max(m.coefficients(Mode.RIGID).k for m in vehicle.materials.values())
     assert vehicle.materials[wall.material].coefficients(Mode.RIGID).k == stiffest, (
         "an unknown wall is assumed to be the stiffest one"
@@ -64,13 +64,13 @@ def test_an_unknown_wall_is_assumed_across_the_end_of_its_probe() -> None:
     assert probing.impact_point == pytest.approx((1.8, 0.0))
     assert hit.wall == wall
     assert hit.impact_point == pytest.approx((1.8, 0.0))
-    assert [c.is_conditional for c in one.collisions] == [True, True]
+    assert [c.is_conditional for c in loaded.collisions] == [True, True]
 
 
 def test_a_probe_for_a_known_wall_leads_along_its_normal_and_reaches_it() -> None:
-    one = mission(AT_BOARD, walls={"board": BOARD})
-    (collision,) = one.collisions
-    assert collision.wall == one.walls[0]
+    loaded = mission(AT_BOARD, walls={"board": BOARD})
+    (collision,) = loaded.collisions
+    assert collision.wall == loaded.walls[0]
     assert collision.probe is not None
     assert collision.probe.end == pytest.approx((1.8, 0.0))
     assert collision.impact_point == pytest.approx((1.5, 0.0))
@@ -79,7 +79,7 @@ def test_a_probe_for_a_known_wall_leads_along_its_normal_and_reaches_it() -> Non
     )
     assert askew.collisions[0].impact_point == pytest.approx((1.5, 1.5))
     assert askew.collisions[0].approach_m_s == pytest.approx((-0.5 / math.sqrt(2), 0.5 / math.sqrt(2)))
-    assert not one.recovers_to_goal, "the vehicle rests after a probe"
+    assert not loaded.recovers_to_goal, "the vehicle rests after a probe"
 
 
 @pytest.mark.parametrize("known", ["wood", None])
@@ -91,12 +91,12 @@ def test_a_probe_may_give_the_material_of_its_wall(known: str | None) -> None:
 
 def test_a_waypoint_at_a_wall_assumes_the_wall_at_the_end_of_its_probe() -> None:
     at = {"wall": "east", "away_m": 1.0, "along_m": 0.25}
-    one = mission(EAST, waypoints=[{"after": 1, "at_wall": at, "if_met": "east"}])
-    (waypoint,) = one.waypoints
+    loaded = mission(EAST, waypoints=[{"after": 1, "at_wall": at, "if_met": "east"}])
+    (waypoint,) = loaded.waypoints
     # Along the normal, which points to -x, the right is +y.
     assert waypoint.position == pytest.approx((0.8, 0.25, 1.0))
-    assert waypoint.wall_at == one.collisions[0].wall
-    assert load_mission(one.to_dict()).waypoints == one.waypoints
+    assert waypoint.wall_at == loaded.collisions[0].wall
+    assert load_mission(loaded.to_dict()).waypoints == loaded.waypoints
 
 
 @given(
@@ -121,10 +121,10 @@ def test_a_mission_with_probes_can_be_written_and_read_back(
         from_here=material is None,
     )
     second = with_keys(EAST, direction=[-1.0, 0.5], length_m=0.9) | {"wall": "west", condition: "east"}
-    one = mission(first, second, simulated_walls={"board": BOARD})
-    again = load_mission(one.to_dict())
-    assert again.simulated_walls == one.simulated_walls
-    for a, b in zip(one.collisions, again.collisions, strict=True):
+    loaded = mission(first, second, simulated_walls={"board": BOARD})
+    again = load_mission(loaded.to_dict())
+    assert again.simulated_walls == loaded.simulated_walls
+    for a, b in zip(loaded.collisions, again.collisions, strict=True):
         assert a.probe is not None
         assert b.probe is not None
         assert b.probe.end == pytest.approx(a.probe.end, abs=1e-12)
@@ -236,8 +236,8 @@ def test_contradictory_probe_keys_are_refused(
 
 def test_the_shipped_missions_with_probes_can_be_written_and_read_back() -> None:
     for name in ("find_a_wall.yaml", "dual_collision_gps.yaml"):
-        one = load_mission(packaged("missions", name))
-        assert load_mission(one.to_dict()).collisions == one.collisions
+        loaded = load_mission(packaged("missions", name))
+        assert load_mission(loaded.to_dict()).collisions == loaded.collisions
     gps = load_mission(packaged("missions", "dual_collision_gps.yaml"))
     assert gps.is_anchored
     assert [c.probe is not None and c.probe.from_here for c in gps.collisions] == [False, True, False, False]

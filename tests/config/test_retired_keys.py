@@ -46,8 +46,8 @@ def load_with_warnings(path: Path, *settings: str) -> tuple[VehicleConfig, list[
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         vehicle = load_vehicle(path, settings)
-    assert all(one.category is RetiredKeyWarning for one in caught)
-    return vehicle, [str(one.message) for one in caught]
+    assert all(warning.category is RetiredKeyWarning for warning in caught)
+    return vehicle, [str(warning.message) for warning in caught]
 
 
 def test_the_constants_have_the_values_of_the_table() -> None:

@@ -34,7 +34,7 @@ LOADERS: dict[str, Callable[[Path], object]] = {
 
 
 def schema_of(path: Path) -> Path:
-    """The schema that the first line of a YAML file names for the editor."""
+    """Return the schema that the first line of a YAML file names for the editor."""
     first = path.read_text().splitlines()[0]
     match = re.fullmatch(r"# yaml-language-server: \$schema=(\S+)", first)
     assert match, f"{path}: {first}"

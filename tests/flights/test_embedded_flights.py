@@ -72,7 +72,7 @@ def wait_for_text(path: Path, text: str, timeout_s: float) -> str:
 
 @contextmanager
 def simulated_vehicle(mission: str) -> Iterator[str]:
-    """`dart-flight simulate` in a process; yields the URL that reaches it."""
+    """Run `dart-flight simulate` in a process; yield the URL of its link."""
     port = free_udp_port()
     vehicle = start_command("simulate", mission, "--port", str(port))
     try:

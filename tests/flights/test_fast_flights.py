@@ -47,7 +47,7 @@ def test_the_dual_collision_completes_as_in_the_paper(flown: SharedFlights) -> N
     assert not verdict.guard
 
 
-def test_equal_seeds_give_equal_setpoints_and_other_seeds_others(flown: SharedFlights) -> None:
+def test_setpoints_depend_only_on_the_seed(flown: SharedFlights) -> None:
     def setpoints(records: Iterable[Record]) -> bytes:
         return msgspec.json.encode([r for r in records if isinstance(r, Setpoint)])
 

@@ -57,7 +57,7 @@ def mission(folder: Path) -> Mission:
     return load_flyable(write_without_modes(SINGLE))
 
 
-def test_driver_none_and_a_missing_lock_section_are_the_same_vehicle(folder: Path) -> None:
+def test_driver_none_and_a_missing_lock_section_describe_the_same_vehicle(folder: Path) -> None:
     whole = load_vehicle(DART)
     none = load_vehicle("cage.yaml")
     assert none == msgspec.structs.replace(whole, lock=None)
@@ -80,7 +80,7 @@ def test_driver_none_and_a_missing_lock_section_are_the_same_vehicle(folder: Pat
 
 def test_a_vehicle_with_a_lock_needs_flexible_coefficients(folder: Path) -> None:
     text = DART.read_text("utf-8")
-    line = next(one for one in text.splitlines() if one.startswith("    flexible:"))
+    line = next(line for line in text.splitlines() if line.startswith("    flexible:"))
     Path("lacks.yaml").write_text(text.replace(line + "\n", "", 1))
     with pytest.raises(InputError) as error:
         load_vehicle("lacks.yaml")
@@ -161,7 +161,7 @@ def test_check_has_no_finding_about_a_lock(mission: Mission) -> None:
     assert not [item for item in items if "lock" in item or "servo" in item]
 
 
-def test_the_lock_is_neither_prepared_nor_driven_without_a_lock(mission: Mission) -> None:
+def test_a_vehicle_without_a_lock_skips_preparation_and_refuses_a_driver(mission: Mission) -> None:
     assert [after for (_, cue), after in TRANSITIONS.items() if cue is PhaseTrigger.NO_LOCK] == ["approach"]
     with pytest.raises(InputError, match="no lock"):
         with_driver(mission, LockDriver.MOCK)

@@ -61,9 +61,9 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def fly_mission(one: Mission, **options: object) -> Log:
+def fly_mission(loaded: Mission, **options: object) -> Log:
     """Fly a mission, require an exact replay, and return the log."""
-    verdict = fly_fast(one, 1, Path("flights"), **options)  # type: ignore[arg-type]
+    verdict = fly_fast(loaded, 1, Path("flights"), **options)  # type: ignore[arg-type]
     log = read_log(str(verdict.log))
     again = replay(log)
     assert again.exact
@@ -84,9 +84,9 @@ DOWN = ["goal", "landing", "done"]
 
 
 def test_a_mission_without_a_collision_completes_at_the_goal() -> None:
-    one = mission()
-    assert mission("collisions: []", "walls: {}", "waypoints: []") == one
-    verdict = fly_fast(one, 1, None)
+    loaded = mission()
+    assert mission("collisions: []", "walls: {}", "waypoints: []") == loaded
+    verdict = fly_fast(loaded, 1, None)
     assert verdict.outcome is Outcome.COMPLETED
     assert (verdict.collisions, verdict.guard, verdict.deviations) == ([], [], [])
     assert (verdict.goal_miss_m, verdict.plan_followed) == (None, None)
@@ -95,14 +95,14 @@ def test_a_mission_without_a_collision_completes_at_the_goal() -> None:
 
 
 def test_waypoints_are_flown_in_order_with_hold_times_and_altitudes() -> None:
-    one = mission(
+    loaded = mission(
         "waypoints:",
         "  - {position_m: [0.6, -0.6], altitude_m: 1.5, hold_s: 1.0}",
         "  - {pause: operator}",
         "  - {position_m: [-0.6, -0.6], speed_m_s: 1.0}",
     )
-    assert [one.altitude_at(0), one.place_before(0)] == [1.5, (-0.6, -0.6)]
-    log = fly_mission(one)
+    assert [loaded.altitude_at(0), loaded.place_before(0)] == [1.5, (-0.6, -0.6)]
+    log = fly_mission(loaded)
     assert phases(log) == [*AIR, "waypoint", "pause", "waypoint", *DOWN]
     # The simulated operator ends the pause with a recorded input.
     (operator_request,) = all_of(log, OperatorRequest)
@@ -119,7 +119,7 @@ def test_waypoints_are_flown_in_order_with_hold_times_and_altitudes() -> None:
     for end_us in (second, third):
         assert at(end_us) == pytest.approx((0.6, -0.6, 1.5), abs=0.12)
     assert third - second == pytest.approx(2e6, abs=0.1e6)  # simulation.operator_s
-    transit = plan_transit(one, transit_segments(one)[0], (0.0, 0.0, 1.0))
+    transit = plan_transit(loaded, transit_segments(loaded)[0], (0.0, 0.0, 1.0))
     assert second - first >= (transit.duration_s + 1.0) * 1e6  # transit and hold time
     # The last requested altitude holds until the landing.
     setpoints = [s for s in all_of(log, Setpoint) if isinstance(s, Setpoint) and s.t_us > third]
@@ -131,14 +131,14 @@ def test_waypoints_are_flown_in_order_with_hold_times_and_altitudes() -> None:
 
 
 def test_waypoints_between_collisions_set_the_altitude_of_later_collisions() -> None:
-    one = mission(
+    loaded = mission(
         WALL + "collisions:", f"  - {HIT}", f"  - {HIT}", "after_impact: replan", "waypoints:",
         "  - {position_m: [0.2, 0.5], altitude_m: 1.3, after: 1}",
         "  - {position_m: [0.0, -0.5], altitude_m: 0.8, after: 2}",
     )  # fmt: skip
-    assert [one.altitude_at(n) for n in (0, 1, 2)] == [1.0, 1.3, 0.8]
-    assert [one.place_before(n) for n in (0, 1, 2)] == [(0.0, 0.0), (0.2, 0.5), (0.0, -0.5)]
-    log = fly_mission(one)
+    assert [loaded.altitude_at(n) for n in (0, 1, 2)] == [1.0, 1.3, 0.8]
+    assert [loaded.place_before(n) for n in (0, 1, 2)] == [(0.0, 0.0), (0.2, 0.5), (0.0, -0.5)]
+    log = fly_mission(loaded)
     hit = ["transit", "prepare", "approach", "contact", "recovery", "waypoint"]
     assert phases(log) == [*AIR, *hit, *hit, *DOWN]
     heights = [p.position_mission[2] for p in all_of(log, ImpactPeak) if isinstance(p, ImpactPeak)]
@@ -154,11 +154,11 @@ def test_waypoints_between_collisions_set_the_altitude_of_later_collisions() -> 
 
 
 def test_a_rehearsal_includes_the_waypoints() -> None:
-    one = mission(
+    loaded = mission(
         WALL + "collisions:", f"  - {HIT}", "waypoints:", "  - {position_m: [0.3, 0.3]}",
         "  - {position_m: [0.2, 0.5], after: 1}",
     )  # fmt: skip
-    log = fly_mission(msgspec.structs.replace(one, standoff_m=0.5))
+    log = fly_mission(msgspec.structs.replace(loaded, standoff_m=0.5))
     hit = ["transit", "prepare", "approach", "recovery", "waypoint"]
     assert phases(log) == [*AIR, "waypoint", *hit, *DOWN]
 
@@ -166,10 +166,10 @@ def test_a_rehearsal_includes_the_waypoints() -> None:
 class OperatedFlight:
     """A flight whose operator sends one request in a phase."""
 
-    def __init__(self, one: Mission, phase: str, request: Request) -> None:
-        self.builder, self._phase, self._request = VerdictBuilder(one), phase, request
+    def __init__(self, loaded: Mission, phase: str, request: Request) -> None:
+        self.builder, self._phase, self._request = VerdictBuilder(loaded), phase, request
         self.changes: list[PhaseChange] = []
-        self.flight = FastFlight(one, 1, observe=self._observe)
+        self.flight = FastFlight(loaded, 1, observe=self._observe)
 
     def _observe(self, record: Record, _: int) -> None:
         self.builder.add(record)
@@ -188,9 +188,11 @@ class OperatedFlight:
                 self.flight.step(request)
 
 
-def with_silent_operator(one: Mission) -> Mission:
-    simulation = msgspec.structs.replace(one.vehicle.simulation, operator_s=None)
-    return msgspec.structs.replace(one, vehicle=msgspec.structs.replace(one.vehicle, simulation=simulation))
+def with_silent_operator(loaded: Mission) -> Mission:
+    simulation = msgspec.structs.replace(loaded.vehicle.simulation, operator_s=None)
+    return msgspec.structs.replace(
+        loaded, vehicle=msgspec.structs.replace(loaded.vehicle, simulation=simulation)
+    )
 
 
 PAUSE = "waypoints: [{pause: operator, timeout_s: 3.0}]"
@@ -204,7 +206,7 @@ def test_a_pause_without_a_request_ends_with_a_landing() -> None:
     assert verdict.flight_time_s is not None
 
 
-def test_a_continue_request_counts_only_during_a_pause() -> None:
+def test_a_continue_request_takes_effect_only_during_a_pause() -> None:
     in_pause = OperatedFlight(with_silent_operator(mission(PAUSE)), "pause", Request.CONTINUE)
     in_pause.fly()
     assert in_pause.builder.build(None, None).outcome is Outcome.COMPLETED
@@ -225,8 +227,8 @@ def test_a_land_request_ends_a_pause() -> None:
     ("fault", "rule"), [("low-battery@pause", "battery"), ("imu-dropout@waypoint", "imu_silent")]
 )
 def test_the_guard_monitors_waypoints_and_pauses(fault: str, rule: str) -> None:
-    one = mission("waypoints:", "  - {position_m: [1.0, 0.0]}", "  - {pause: operator}")
-    verdict = fly_fast(one, 1, None, fault=parse_fault(fault))
+    loaded = mission("waypoints:", "  - {position_m: [1.0, 0.0]}", "  - {pause: operator}")
+    verdict = fly_fast(loaded, 1, None, fault=parse_fault(fault))
     assert verdict.guard[0].rule == rule
 
 
@@ -274,18 +276,18 @@ def test_wrong_waypoints_are_refused_with_their_line(lines: str, problem: str) -
 BOARD = "  board: {{point_m: {}, normal: [0.0, -1.0], length_m: {}, material: wood}}\n"
 
 
-def findings(one: Mission) -> dict[str, CheckFinding]:
-    return {finding.item: finding for finding in check_mission(one)}
+def findings(loaded: Mission) -> dict[str, CheckFinding]:
+    return {finding.item: finding for finding in check_mission(loaded)}
 
 
 def test_a_wall_between_waypoints_is_reported_before_the_flight() -> None:
     walls = WALL + BOARD.format([1.0, 0.6], 0.8)
     with pytest.raises(InputError, match="wall board blocks the path to waypoint 2"):
         mission(f"{walls}waypoints: [{{position_m: [1.0, 0.0]}}, {{position_m: [1.0, 1.2]}}]")
-    one = load_mission("mission.yaml")
+    loaded = load_mission("mission.yaml")
     with pytest.raises(NoApproachError):
-        FlightCore(one)
-    found = findings(one)["waypoints"]
+        FlightCore(loaded)
+    found = findings(loaded)["waypoints"]
     assert (found.go, found.says) == (False, "wall board blocks the path to waypoint 2")
     # A detour around the wall, and back the same way.
     left = "{position_m: [0.0, 1.2]}"
@@ -294,13 +296,13 @@ def test_a_wall_between_waypoints_is_reported_before_the_flight() -> None:
 
 
 def test_check_reports_blocked_legs_after_a_recovery_and_unreachable_speeds() -> None:
-    one = mission(
+    loaded = mission(
         f"{WALL}{BOARD.format([1.2, 1.6], 1.0)}collisions: [{HIT}]",
         "waypoints:",
         "  - {position_m: [1.2, 2.2], after: 1}",
         "  - {position_m: [0.0, 2.2], speed_m_s: 2.5, after: 1}",
     )
-    found = findings(one)
+    found = findings(loaded)
     assert not found["recovery_1"].go
     assert "wall board blocks the path to waypoint 1" in found["recovery_1"].says
     assert found["waypoint_speed"].remark
@@ -308,23 +310,23 @@ def test_check_reports_blocked_legs_after_a_recovery_and_unreachable_speeds() ->
 
 def test_check_and_guard_agree_on_a_fast_leg_near_the_bounds() -> None:
     """Both compare the bounds with the point at which the vehicle could stop."""
-    one = mission(
+    loaded = mission(
         "waypoints:",
         "  - {position_m: [-2.0, 0.0], speed_m_s: 2.0}",
         "  - {position_m: [2.2, 0.0], speed_m_s: 2.5}",
     )
-    verdict = fly_fast(one, 1, None)
-    assert findings(one)["path"].go == (verdict.outcome is Outcome.COMPLETED)
+    verdict = fly_fast(loaded, 1, None)
+    assert findings(loaded)["path"].go == (verdict.outcome is Outcome.COMPLETED)
 
 
 @pytest.mark.parametrize("name", ["hover", "square", "transit"])
 def test_the_packaged_missions_pass_check(name: str) -> None:
-    one = load_flyable(packaged("missions", f"{name}.yaml"), DART)
-    assert all(finding.go for finding in check_mission(one))
+    loaded = load_flyable(packaged("missions", f"{name}.yaml"), DART)
+    assert all(finding.go for finding in check_mission(loaded))
 
 
 def test_the_transit_mission_completes_at_its_speed() -> None:
-    one = load_flyable(packaged("missions", "transit.yaml"), DART)
+    loaded = load_flyable(packaged("missions", "transit.yaml"), DART)
     fastest = 0.0
 
     def observe(record: Record, _: int) -> None:
@@ -332,7 +334,7 @@ def test_the_transit_mission_completes_at_its_speed() -> None:
         if isinstance(record, Setpoint) and record.velocity_ned is not None:
             fastest = max(fastest, abs(record.velocity_ned[0]))
 
-    flight = FastFlight(one, 1, observe=observe)
+    flight = FastFlight(loaded, 1, observe=observe)
     flight.run()
     assert flight.core.end is not None
     assert flight.core.end.outcome is Outcome.COMPLETED

@@ -208,9 +208,11 @@ def test_friction_never_adds_energy(
 
     def power(friction: float) -> float:
         c = Coefficients(4200.0, 15.0, friction, 0.0)
-        one = touch(propeller_guards(contact), q, c, Onset.LCP, plane, where, velocity, rate, -1, 0.0)
-        linear = sum(f * v for f, v in zip(one.force, velocity, strict=True))
-        return linear + sum(t * w for t, w in zip(one.torque, rate, strict=True))
+        contact_load = touch(
+            propeller_guards(contact), q, c, Onset.LCP, plane, where, velocity, rate, -1, 0.0
+        )
+        linear = sum(f * v for f, v in zip(contact_load.force, velocity, strict=True))
+        return linear + sum(t * w for t, w in zip(contact_load.torque, rate, strict=True))
 
     assert power(mu) - power(0.0) <= 1e-9
 

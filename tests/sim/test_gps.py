@@ -62,11 +62,11 @@ def drift_m(quality: GpsQuality, weights: GpsWeights, after_s: tuple[float, ...]
     settle = round(30.0 / TICK_S)
     changes: list[list[float]] = [[] for _ in after_s]
     for seed in range(12):
-        one = GpsVehicle(quality, weights, seed)
+        gps_vehicle = GpsVehicle(quality, weights, seed)
         errors = []
         for _ in range(settle + 2 * steps[-1]):
-            one.step()
-            errors.append(one.error_ned[:2])
+            gps_vehicle.step()
+            errors.append(gps_vehicle.error_ned[:2])
         for begin in (settle, settle + steps[-1]):
             for found, n in zip(changes, steps, strict=True):
                 then, now = errors[begin - 1], errors[begin + n - 1]
@@ -114,22 +114,22 @@ def test_an_anchored_mission_sets_the_weights_for_the_shipped_receiver() -> None
 
 @pytest.mark.parametrize("weights", [DEFAULT, UNWEIGHTED], ids=["default", "unweighted"])
 def test_a_collision_between_a_fix_and_its_arrival_adds_no_error(weights: GpsWeights) -> None:
-    """The vehicle stops from 1 m/s in 64 ms; a fix is compared with the estimate at its own time."""
-    one = GpsVehicle(PERFECT, weights, 1)
+    """The vehicle rebounds at 1 m/s within 64 ms; a fix is compared with the estimate at its own time."""
+    gps_vehicle = GpsVehicle(PERFECT, weights, 1)
     speeds = [1.0] * 125 + [-27.0] * 16 + [0.0] * 100
     for _ in range(1000):
-        one.step()
+        gps_vehicle.step()
     for k, commanded in enumerate(speeds):
-        one.step(2.0 if commanded == 1.0 else commanded)
-        assert max(map(abs, one.error_ned)) < 1e-6, k
+        gps_vehicle.step(2.0 if commanded == 1.0 else commanded)
+        assert max(map(abs, gps_vehicle.error_ned)) < 1e-6, k
 
 
 def test_a_perfect_receiver_does_not_move_the_estimate_of_a_resting_vehicle() -> None:
-    one = GpsVehicle(PERFECT, UNWEIGHTED, 1)
+    gps_vehicle = GpsVehicle(PERFECT, UNWEIGHTED, 1)
     for _ in range(500):
-        one.step()
-    assert one.error_ned == pytest.approx((0.0, 0.0, 0.0), abs=1e-12)
-    assert one.estimator.ok
+        gps_vehicle.step()
+    assert gps_vehicle.error_ned == pytest.approx((0.0, 0.0, 0.0), abs=1e-12)
+    assert gps_vehicle.estimator.ok
 
 
 @given(position_m=st.floats(0.03, 10.0), velocity_m_s=st.floats(0.05, 1.0), every_s=st.floats(0.05, 1.0))
@@ -137,10 +137,10 @@ def test_a_perfect_receiver_does_not_move_the_estimate_of_a_resting_vehicle() ->
 def test_the_filter_is_never_much_less_certain_than_a_single_fix(
     position_m: float, velocity_m_s: float, every_s: float
 ) -> None:
-    one = GpsFilter(GpsWeights(position_m, velocity_m_s, (0.0, 0.0, 0.0)))
+    gps_filter = GpsFilter(GpsWeights(position_m, velocity_m_s, (0.0, 0.0, 0.0)))
     for _ in range(8):
-        one.predict(every_s)
-        gains = one.correct()
+        gps_filter.predict(every_s)
+        gains = gps_filter.correct()
         assert 0.0 <= gains[0][0] < 1.0
         assert 0.0 <= gains[1][1] < 1.0
-        assert one.position_sd_m <= math.sqrt(2.0) * position_m * (1.0 + 1e-9)
+        assert gps_filter.position_sd_m <= math.sqrt(2.0) * position_m * (1.0 + 1e-9)

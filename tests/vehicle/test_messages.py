@@ -121,7 +121,7 @@ class EntryRig:
 
     @property
     def usable(self) -> dict[tuple[int, int], int]:
-        """Usable messages by system and component."""
+        """Number of usable messages by system and component."""
         found: dict[tuple[int, int], int] = {}
         for (_, system, component, _), count in self.rig.session.senders.items():
             found[system, component] = found.get((system, component), 0) + count.usable
@@ -232,7 +232,7 @@ def test_a_stream_without_a_usable_message_is_reported_with_its_reason(
 def test_a_foreign_imu_and_a_second_imu_are_ignored(monkeypatch: pytest.MonkeyPatch) -> None:
     rig = subscribed_rig(monkeypatch)
     rig.publish("MavlinkDirect", "HIGHRES_IMU", message({**_IMU, "time_usec": 10**12}, 197))
-    assert rig.session.clock.offset_us is None  # and the clock does not follow it
+    assert rig.session.clock.offset_us is None  # the clock does not follow the foreign IMU
     rig.receive("HIGHRES_IMU", **{**_IMU, "id": 1})
     assert rig.records_of(ImuSample) == []
     rig.receive("HIGHRES_IMU", **_IMU)

@@ -42,7 +42,7 @@ def pose(source_us: int, tracked: bool = True) -> RawPose:
     return RawPose("dart", tracked, (1.0, 2.0, 3.0), (1.0, 0.0, 0.0, 0.0), None, source_us, "a:1")
 
 
-def test_a_pose_leaves_as_odometry_in_local_ned() -> None:
+def test_a_pose_is_sent_as_odometry_in_local_ned() -> None:
     config = MotionCapture(heading_deg=30.0, body_yaw_deg=20.0, body_offset_m=(0.1, 0.0, -0.05))
     bridge, _, sent, delivered = make_bridge(config)
     bridge.forward(pose(0))

@@ -102,7 +102,7 @@ def test_a_system_that_does_not_answer_is_named(
     assert "\n" not in str(caught.value)
 
 
-def test_an_optitrack_body_may_be_named_by_its_id() -> None:
+def test_an_optitrack_body_can_be_selected_by_its_id() -> None:
     server = make_server("optitrack", BODY)
     poses: queue.Queue[RawPose] = queue.Queue()
     source = open_source(server.url.rpartition("/")[0] + "/7")
